@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from threading import Lock
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -79,10 +79,13 @@ class GreyImages(LazyImages):
     ----------
     images : arrays (height, width)
         Of one size; read once, so that a generator need not hold all of them.
+    keep : callable, optional
+        Stores an array (height, width) where it takes no memory; what it returns has the shape and gives parts of the
+        array by slices of rows and columns. Default: in memory.
     """
 
-    def __init__(self, images: Iterable[np.ndarray]):
-        self._kept = kept = [_GreyImage(image) for image in images]
+    def __init__(self, images: Iterable[np.ndarray], keep: Callable[[np.ndarray], Any] | None = None):
+        self._kept = kept = [_GreyImage(image, keep) for image in images]
         shapes = {each.levels.shape for each in self._kept}
         if len(shapes) > 1:
             raise ValueError(f"expected images of one size, got {sorted(shapes)}")
@@ -101,15 +104,17 @@ class GreyImages(LazyImages):
 class _GreyImage:
     """One image: its levels as int8 and a mask where that loses nothing, as float32 otherwise."""
 
-    def __init__(self, image: np.ndarray):
+    def __init__(self, image: np.ndarray, keep: Callable[[np.ndarray], Any] | None = None):
         levels = np.asarray(image, dtype=np.float32)
         masked = np.isnan(levels)
         self.is_masked = bool(masked.any())
-        self.levels: np.ndarray = levels
-        self.masked: np.ndarray | None = None
+        self.levels: Any = levels
+        self.masked: Any | None = None
         known = np.where(masked, np.float32(0.0), levels) if self.is_masked else levels
         if known.min() >= -128.0 and known.max() <= 127.0 and np.array_equal(small := known.astype(np.int8), known):
             self.levels, self.masked = small, np.packbits(masked, axis=1) if self.is_masked else None
+        if keep is not None:
+            self.levels, self.masked = keep(self.levels), None if self.masked is None else keep(self.masked)
 
     def whole(self) -> np.ndarray:
         """The whole image."""
@@ -121,7 +126,7 @@ class _GreyImage:
         """Window of the image."""
         image = self.levels[rows, columns].astype(np.float32)
         if self.masked is not None:
-            bits = np.unpackbits(self.masked[rows], axis=1, count=self.levels.shape[1])
+            bits = np.unpackbits(self.masked[rows, :], axis=1, count=self.levels.shape[1])
             image[bits[:, columns].view(bool)] = np.nan
         return image
 

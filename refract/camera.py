@@ -116,6 +116,10 @@ class PinholeCamera:
             fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy, width=width, height=height,
         )  # fmt: skip
 
+    def cropped(self, row: int, column: int, height: int, width: int) -> PinholeCamera:
+        """The camera of a window of its image, by the first row and column and the size of the window [px]."""
+        return replace(self, cx=self.cx - column, cy=self.cy - row, width=width, height=height)
+
     def outline(self) -> np.ndarray:
         """Pixels (N, 2) around the border of the image, in order: its corners, and places between where it is bent."""
         w, h = self.width, self.height

@@ -33,6 +33,8 @@ VALUES = {
     "image_scale": (0.5, 0.25),
     "calibrate_water": (True, False),
     "true_colour": (True, False),
+    "tiles": (4, 2),
+    "memory": ("8GB", "500MB"),
 }
 AIM, RECIPE = {"target_std_m", "time_budget_s"}, {"quality", "field", "image_scale"}
 

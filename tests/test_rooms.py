@@ -141,6 +141,7 @@ DISK_FILES = {
         "survey/profile": ("profile", "profiles", "written"),
         "survey/report": ("__init__", "page"),
         "survey/run": (
+            "array_files",
             "flight",
             "folder",
             "owner",

@@ -136,6 +136,7 @@ def solve_maps(
     progress: Callable[[float], None],
     goes_on: Callable[[], bool] = lambda: True,
     keep: Callable[[], MutableMapping[int, SolvedMap]] = dict,
+    figures: SolverFigures | None = None,
 ) -> tuple[OrderedMaps, SolverFigures]:
     """Solve the kept pixels of all maps, about the heights of the sweep; some keep these (`rejects_update`).
 
@@ -153,6 +154,8 @@ def solve_maps(
         Called before each tile; tiles after the first False are left out.
     keep : callable
         Factory of the store of the solutions; default in memory.
+    figures : SolverFigures, optional
+        Of the survey that the block is a tile of; by default they are estimated from a sample of these maps.
 
     Returns
     -------
@@ -161,9 +164,7 @@ def solve_maps(
         NaN where nothing is kept.
     """
     views = Views.of(block, maps)
-    filled = [
-        requested_in_squares(wanted, SAMPLE_PX) if views.others[index] else [] for index, wanted in enumerate(kept)
-    ]
+    filled = _filled(views, kept)
     total, done = sum(map(sum, filled)), 0
     solved = keep()
     for index in range(len(filled)):
@@ -172,14 +173,14 @@ def solve_maps(
     if not total:
         return found, SolverFigures(np.nan, Shifts(np.nan, np.nan), NoiseShares(*4 * (np.nan,)), np.nan, np.nan)
     with ThreadPoolExecutor(WORKERS) as pool, sharing_cores(block.device, WORKERS):
-        sample = _sample(views, kept, filled)
-        first = [each for _, each in views.solved(sample, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
         is_wet = block.water is not None
-        figures = _estimate_figures(first, gsd, pool, is_wet)
+        if figures is None:
+            figures = _estimate_figures(_solve_sample(views, kept, spread(filled), gsd, pool), gsd, pool, is_wet)
+        shared = figures
         sightings = Sightings.none(len(block.images))
 
         def part(job: Job, each: TileSolution) -> tuple[_PartSolution, Sightings]:
-            return _solve_part(job, block.cameras[0].width, each, figures), Sightings.of(
+            return _solve_part(job, block.cameras[0].width, each, shared), Sightings.of(
                 each.views, each.brightness, len(block.images)
             )
 
@@ -194,6 +195,48 @@ def solve_maps(
                 progress(done / total)
             solved[index] = _with_std(maps[index], _concatenate(parts), figures, is_wet)
     return found, replace(figures, sightings=sightings)
+
+
+def count_in_squares(block: Block, maps: Sequence[DepthMap], kept: Sequence[np.ndarray]) -> list[list[int]]:
+    """Kept pixels in each square of `SAMPLE_PX` of each map that has some; none of maps that no other view overlaps."""
+    return _filled(Views.of(block, maps), kept)
+
+
+def solve_sample(
+    block: Block, maps: Sequence[DepthMap], kept: Sequence[np.ndarray], places: list[tuple[int, int]], gsd: float
+) -> list[tuple[Tile, TileSolution]]:
+    """Solved squares of a block, for `figures_of`, by their places of `spread`."""
+    with ThreadPoolExecutor(WORKERS) as pool, sharing_cores(block.device, WORKERS):
+        return _solve_sample(Views.of(block, maps), kept, places, gsd, pool)
+
+
+def figures_of(sample: list[tuple[Tile, TileSolution]], gsd: float, *, is_wet: bool) -> SolverFigures:
+    """Parameters of a survey, estimated from solved squares of one block or of several."""
+    with ThreadPoolExecutor(WORKERS) as pool:
+        return _estimate_figures(sample, gsd, pool, is_wet)
+
+
+def spread(filled: list[list[int]]) -> list[tuple[int, int]]:
+    """Sample of the fullest squares, spread evenly over the maps: number of the map and of its square.
+
+    ``filled`` has the pixels in the squares of each map, `count_in_squares`.
+    """
+    of_map = np.repeat(np.arange(len(filled)), [len(each) for each in filled])
+    place, requested = (np.concatenate(each) for each in ([np.arange(len(each)) for each in filled], filled))
+    full = np.flatnonzero(requested >= NEARLY * requested.max())
+    chosen = full[np.unique(np.linspace(0, len(full) - 1, SAMPLES).astype(int))]
+    return list(zip(of_map[chosen].tolist(), place[chosen].astype(int).tolist(), strict=True))
+
+
+def _filled(views: Views, kept: Sequence[np.ndarray]) -> list[list[int]]:
+    return [requested_in_squares(wanted, SAMPLE_PX) if views.others[index] else [] for index, wanted in enumerate(kept)]
+
+
+def _solve_sample(
+    views: Views, kept: Sequence[np.ndarray], places: list[tuple[int, int]], gsd: float, pool: Executor
+) -> list[tuple[Tile, TileSolution]]:
+    jobs = [next(islice(views.jobs(index, kept[index], SAMPLE_PX), place, None)) for index, place in places]
+    return [each for _, each in views.solved(jobs, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
 
 
 def _estimate_figures(
@@ -244,18 +287,6 @@ def _with_std(m: DepthMap, found: _PartSolution, figures: SolverFigures, is_wet:
     shift = figures.shifts.variance(depth_of(found.height, is_wet))
     variance = small_sample_factor(photographs) * found.noise + found.relief + shift * (found.shift + found.rise**2)
     return SolvedMap(found.pixels, found.height, np.sqrt(variance).astype(np.float32))
-
-
-def _sample(views: Views, kept: Sequence[np.ndarray], filled: list[list[int]]) -> list[Job]:
-    """Sample of the fullest tiles, spread evenly over the maps; ``filled`` counts the wanted pixels of their tiles."""
-    of_map = np.repeat(np.arange(len(filled)), [len(each) for each in filled])
-    place, requested = (np.concatenate(each) for each in ([np.arange(len(each)) for each in filled], filled))
-    full = np.flatnonzero(requested >= NEARLY * requested.max())
-    chosen = full[np.unique(np.linspace(0, len(full) - 1, SAMPLES).astype(int))]
-    return [
-        next(islice(views.jobs(index, kept[index], SAMPLE_PX), int(place[i]), None))
-        for i, index in zip(chosen, of_map[chosen].tolist(), strict=True)
-    ]
 
 
 def rejects_update(

@@ -71,6 +71,14 @@ class BedPoints:
         return BedPoints(xyz, *(np.concatenate(columns.pop(name))[kept] for name in list(columns))), kept
 
     @staticmethod
+    def empty() -> BedPoints:
+        """No points."""
+        none = np.empty(0, dtype=np.float32)
+        return BedPoints(
+            np.empty((0, 3)), np.empty((0, 3), dtype=np.uint8), none, none.astype(np.uint8), none, none, none > 0.0
+        )
+
+    @staticmethod
     def concatenate(parts: list[BedPoints]) -> BedPoints:
         """Points of several views in one."""
         return BedPoints(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(BedPoints)))

@@ -32,6 +32,8 @@ class Overlap:
     water : FlatWater or None
     height : [m]
         Rough height of the bed over the water plane (over local z = 0 in a dry survey): overlap is judged there.
+    ground : (x0, y0, x1, y1) [m], local, optional
+        Where overlap counts; by default everywhere.
 
     Raises
     ------
@@ -39,8 +41,14 @@ class Overlap:
         If no camera looks down.
     """
 
-    def __init__(self, cameras: list[PinholeCamera], water: FlatWater | None, height: float):
-        self.cameras, self.water = cameras, water
+    def __init__(
+        self,
+        cameras: list[PinholeCamera],
+        water: FlatWater | None,
+        height: float,
+        ground: tuple[float, float, float, float] | None = None,
+    ):
+        self.cameras, self.water, self.ground = cameras, water, ground
         self.judge_overlap_at(height)
 
     def judge_overlap_at(self, height: float) -> None:
@@ -50,7 +58,7 @@ class Overlap:
             # Under the cameras: the reference point of the plane may be far away.
             x, y, _ = np.mean([camera.centre for camera in self.cameras], axis=0)
             plane_z = float(self.water.height(x, y))
-        self.seen, self.cells = views.coverage(self.cameras, self.water, plane_z + height)
+        self.seen, self.cells = views.coverage(self.cameras, self.water, plane_z + height, self.ground)
         self.height = height
 
     def cover(self, times: int, times_oblique: int, area: tuple[float, float, float, float] | None = None) -> list[int]:
@@ -89,7 +97,7 @@ class Block(Overlap):
         All of the images' size; smaller images are padded with NaN, as are masked and saturated pixels.
     images : (height, width) float32 each
         Grey levels about zero; read once and kept as `GreyImages`.
-    water, height :
+    water, height, ground :
         As `Overlap`.
     saturated : tuple of float
         Share of each photograph that is left out because it is white; empty where nobody has looked. Read after the
@@ -111,13 +119,15 @@ class Block(Overlap):
         height: float,
         saturated: Sequence[float] = (),
         skips: Skips = SKIPS,
+        ground: tuple[float, float, float, float] | None = None,
     ):
-        self.device, self.images, self.skips = device, GreyImages(images), skips
+        self.device, self.skips = device, skips
+        self.images = images if isinstance(images, GreyImages) else GreyImages(images)
         if len(cameras) < 2 or len(cameras) != len(self.images):
             raise ValueError(
                 f"a block needs two views or more, each with an image; got {len(cameras)} and {len(self.images)}"
             )
-        super().__init__(cameras, water, height)
+        super().__init__(cameras, water, height, ground)
         self.saturated = tuple(saturated)
         self._stacks: dict[float, ViewStack] = {}
 

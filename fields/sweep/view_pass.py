@@ -153,6 +153,16 @@ def _least_known(block: Block) -> float:
     return 1.0 if block.images.are_unmasked else LEAST_KNOWN
 
 
+def outline_of(area: Area, water: FlatWater | None, bound: tuple[float, float]) -> np.ndarray:
+    """Points (N, 3) [m], local, around an area at two heights [m] over the water plane."""
+    x0, y0, x1, y1 = area
+    along = np.linspace(0.0, 1.0, _PLACES)
+    x = x0 + (x1 - x0) * np.concatenate([along, np.ones(_PLACES), 1.0 - along, np.zeros(_PLACES)])
+    y = y0 + (y1 - y0) * np.concatenate([np.zeros(_PLACES), along, np.ones(_PLACES), 1.0 - along])
+    plane, rise = (0.0, 1.0) if water is None else (water.height(x, y), 1.0 / water.up[2])
+    return np.concatenate([np.stack([x, y, plane + np.full_like(x, rise * height)], axis=-1) for height in bound])
+
+
 def columns_seeing_area(
     camera: PinholeCamera, water: FlatWater | None, area: Area, bound: tuple[float, float], radius: int
 ) -> np.ndarray:
@@ -168,13 +178,7 @@ def columns_seeing_area(
     radius : [px]
         Of the window about a pixel.
     """
-    x0, y0, x1, y1 = area
-    along = np.linspace(0.0, 1.0, _PLACES)
-    x = x0 + (x1 - x0) * np.concatenate([along, np.ones(_PLACES), 1.0 - along, np.zeros(_PLACES)])
-    y = y0 + (y1 - y0) * np.concatenate([np.zeros(_PLACES), along, np.ones(_PLACES), 1.0 - along])
-    plane, rise = (0.0, 1.0) if water is None else (water.height(x, y), 1.0 / water.up[2])
-    outline = np.concatenate([np.stack([x, y, plane + np.full_like(x, rise * height)], axis=-1) for height in bound])
-    seen = camera.project(outline, water)
+    seen = camera.project(outline_of(area, water, bound), water)
     columns = np.tile([0, camera.width], (camera.height, 1))
     if not np.isfinite(seen).all():  # a part of the area is behind the camera
         return columns

@@ -33,8 +33,15 @@ def ground_points(cameras: list[PinholeCamera], height: float) -> np.ndarray:
     return centres + axes * ((height - centres[:, 2]) / fall)[:, None]
 
 
-def coverage(cameras: list[PinholeCamera], water: FlatWater | None, height: float) -> tuple[np.ndarray, np.ndarray]:
+def coverage(
+    cameras: list[PinholeCamera],
+    water: FlatWater | None,
+    height: float,
+    ground: tuple[float, float, float, float] | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
     """Visibility (views, cells) bool of the cells of a ground grid at z = height, and the cells (cells, 3).
+
+    The grid spans ``ground`` (x0, y0, x1, y1) [m], local; by default all that the views may see.
 
     Raises
     ------
@@ -51,6 +58,8 @@ def coverage(cameras: list[PinholeCamera], water: FlatWater | None, height: floa
     reach = np.max(pixel_size * [c.widening * np.hypot(c.width, c.height) / 2 for c in cameras])
     side = np.median(pixel_size * [min(c.width, c.height) for c in cameras])
     low, high = np.nanmin(centres, axis=0)[:2] - reach, np.nanmax(centres, axis=0)[:2] + reach
+    if ground is not None:
+        low, high = np.array(ground[:2]), np.array(ground[2:])
     columns, rows = np.clip(np.ceil((high - low) * CELLS_PER_VIEW / side), GRID_CELLS, MOST_CELLS).astype(int)
     x, y = np.meshgrid(np.linspace(low[0], high[0], columns), np.linspace(low[1], high[1], rows))
     cells = np.stack([x.ravel(), y.ravel(), np.full(x.size, height)], axis=-1)

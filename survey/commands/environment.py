@@ -37,11 +37,11 @@ def asked_of_environment(environ: Mapping[str, str] = os.environ) -> ProcessConf
     return asked
 
 
-def _value(text: str) -> str | float | bool:
+def _value(text: str) -> str | float | int | bool:
     """A text as TOML would have it; words stand without quotes."""
     if text.lower() in ("true", "false"):
         return text.lower() == "true"
     try:
-        return float(text)
+        return int(text) if text.isdecimal() else float(text)
     except ValueError:
         return text

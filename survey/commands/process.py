@@ -13,6 +13,7 @@ from survey.commands.memory import require_address_space
 from survey.commands.options import (
     AIM,
     COMPARED,
+    HOW,
     KEPT,
     AskedDevice,
     AskedField,
@@ -73,6 +74,16 @@ def run(
             help="Give points the colour of the bed without the water.", show_default=False, rich_help_panel=_WATER
         ),
     ] = None,
+    tiles: Annotated[
+        int | None,
+        typer.Option(metavar="NUMBER", help="Tiles of the ground; default: by the memory.", rich_help_panel=HOW),
+    ] = None,
+    memory: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SIZE", help="What the run may take, as 8GB; default: most of what is free.", rich_help_panel=HOW
+        ),
+    ] = None,
     reference: Annotated[
         Path | None, typer.Option(metavar="FILE", help="True surface, for the report only.", rich_help_panel=COMPARED)
     ] = None,
@@ -104,6 +115,8 @@ def run(
             image_scale=image_scale,
             calibrate_water=calibrate_water,
             true_colour=true_colour,
+            tiles=tiles,
+            memory=memory,
         )
         code = process(
             survey,

@@ -29,6 +29,8 @@ class ProcessConfig:
     image_scale: float | None = key(None, "1, 0.5, 0.25, ...", one_of=SCALES)
     calibrate_water: bool | None = None
     true_colour: bool | None = None
+    tiles: int | None = None
+    memory: str | None = key(None, "a size such as 8GB")
 
     def over(self, lower: ProcessConfig) -> ProcessConfig:
         """These, and what `lower` says of those that are open; an aim displaces a recipe, and a recipe an aim."""

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fields.device import Device, choose_device
+from fields.image_store import GreyImages
 from fields.sweep.block import Block
 from refract import PinholeCamera
 from survey.errors import SurveyError
@@ -22,14 +23,20 @@ if TYPE_CHECKING:
     from survey.plan.plan import Plan
 
 
-def load_block(survey: Survey, plan: Plan, advance: Callable[[float], None], store: ImageStore | None = None) -> Block:
-    """Grey images and cameras at the plan's scale, as a block for `fields`.
+def load_block(
+    survey: Survey,
+    plan: Plan,
+    advance: Callable[[float], None],
+    store: ImageStore | None = None,
+    keep: Callable[[np.ndarray], Any] | None = None,
+) -> Block:
+    """Grey images and cameras at the plan's scale, as a block for `fields`; ``keep`` is that of `GreyImages`.
 
     Images come through the store, where there is one, so that later stages need not decode them again. Those of several
     sizes are padded to the largest; padding, masked and saturated pixels are NaN, which matches nothing.
     """
-    cameras = [camera_of(view, plan) for view in survey.views]
-    width, height = max(c.width for c in cameras), max(c.height for c in cameras)
+    cameras = cameras_of_block(survey, plan)
+    width, height = cameras[0].width, cameras[0].height
     kept, whites = ImageStore(0) if store is None else store, []
 
     def images() -> Iterator[np.ndarray]:
@@ -45,12 +52,18 @@ def load_block(survey: Survey, plan: Plan, advance: Callable[[float], None], sto
             yield np.pad(grey, ((0, rows), (0, columns)), constant_values=np.nan) if rows or columns else grey
             advance(1.0)
 
-    cameras = [replace(c, width=width, height=height) for c in cameras]
     bed = 0.0 if survey.water is not None else dry_ground(survey).height
     try:
-        return Block(backend(plan), cameras, images(), survey.water, bed, whites, plan.skips)
+        return Block(backend(plan), cameras, GreyImages(images(), keep), survey.water, bed, whites, plan.skips)
     except ValueError as error:
         raise SurveyError(str(error)) from error
+
+
+def cameras_of_block(survey: Survey, plan: Plan) -> list[PinholeCamera]:
+    """Cameras at the plan's scale, with images of the size of the largest."""
+    cameras = [camera_of(view, plan) for view in survey.views]
+    width, height = max(c.width for c in cameras), max(c.height for c in cameras)
+    return [replace(c, width=width, height=height) for c in cameras]
 
 
 def backend(plan: Plan) -> Device:

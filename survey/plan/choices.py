@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from survey.errors import SurveyError
+from survey.files.sizes import bytes_of
 from survey.words import SCALES, Device, Field, Plan, Poses, Quality
 
 
@@ -21,6 +22,10 @@ class Choices:
         Whether the water is found as if nothing were known of it.
     true_colour : bool
         Whether points get the colour of the bed without its water.
+    tiles : int, optional
+        Of the ground that are worked on one after the other; default: as the memory asks for.
+    memory : str, optional
+        That the run may take, as "8GB"; default: most of what is free.
 
     Raises
     ------
@@ -36,6 +41,8 @@ class Choices:
     image_scale: float | None = None
     calibrate_water: bool = False
     true_colour: bool = False
+    tiles: int | None = None
+    memory: str | None = None
 
     def __post_init__(self) -> None:
         for name, words in (
@@ -50,6 +57,10 @@ class Choices:
         if self.image_scale is not None and self.image_scale not in SCALES:
             known = ", ".join(f"{each:g}" for each in SCALES)
             raise SurveyError(f"image scale is {self.image_scale:g}, expected one of {known}")
+        if self.tiles is not None and self.tiles < 1:
+            raise SurveyError(f"--tiles is {self.tiles}, expected a number from 1 on")
+        if self.memory is not None:
+            bytes_of(self.memory)
 
 
 # Where nothing was chosen.

@@ -27,6 +27,8 @@ _WINDOWS_S, _SEARCH_S, _SOLVING_S = 2.5, 0.4, (1.0, 0.25)
 # Structure from motion: features of a megapixel, by all cores; a pair, by two; a photograph that is placed.
 _FEATURES_S, _PAIR_S, _PLACING_S = 0.6, 0.1, 0.1
 _MATCHING_CORES = 2
+# Parts that a run in tiles has once for each.
+_OF_TILES = ("Sweep", "Solver", "Bed")
 SFM_PARTS = ("Features", "Matches", "Structure from motion")
 # Decoding a megapixel; bed and report, per point.
 _DECODING_S, _POINT_S = 0.02, 3e-6
@@ -92,6 +94,20 @@ def parts_s(amounts: Amounts, num_cores: int) -> dict[str, float]:
     if amounts.field_cells:
         parts["Field"] = _FIELD_S_PER_CELL * amounts.field_cells / num_cores
     return parts | {"Bed": 0.5 * _POINT_S * amounts.points, "Report": _REPORT_S + 0.5 * _POINT_S * amounts.points}
+
+
+def part_name(name: str, number: int, count: int) -> str:
+    """Name of a part of a run for a tile, by its number from 0 on."""
+    return f"{name}, tile {number + 1} of {count}"
+
+
+def parts_in_tiles(parts: dict[str, float], count: int) -> dict[str, float]:
+    """The parts of a run in so many tiles [s]: what is done for each tile takes equal shares."""
+    found: dict[str, float] = {}
+    for name, seconds in parts.items():
+        names = [part_name(name, number, count) for number in range(count)] if name in _OF_TILES else [name]
+        found |= dict.fromkeys(names, seconds / len(names))
+    return found
 
 
 def adjustment_s(amounts: Amounts, num_cores: int) -> tuple[float, float, float]:

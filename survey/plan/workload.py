@@ -6,7 +6,6 @@ the arrays which docs/notes/performance.md names; measured were 0.5 GB (quick) t
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from fields.sweep.kernels.stack import FEWEST_KEPT, KEPT_BYTES
 from fields.sweep.passes import PASSES
 from survey import machine
 from survey.errors import SurveyError
+from survey.files.sizes import room, size
 from survey.folder.found import Found
 from survey.folder.survey import Survey
 from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area
@@ -46,7 +46,7 @@ _BYTES_OF_WORK, _BYTES_OF_TILES = 2 * 80, 150e6
 # Per pixel of all height maps: which become points, and which are taken.
 _BYTES_OF_MASKS = 0.25
 # Per point of the bed, while all of them are gathered, and while the report is written.
-_BYTES_OF_POINT = 130
+POINT_BYTES = 130
 # Per cell of one ground sampling distance: factors, their gradients and moments; rays drawn at once, of so many cells.
 _BYTES_OF_FIELD, _BYTES_OF_RAYS, _RAYS_OF_CELLS = 400, 1000, 500_000
 # On the disk, per pixel of a height map and per cell of the bed; pictures, report and log; structure from motion.
@@ -109,10 +109,10 @@ class Workload:
 
     def __str__(self) -> str:
         """In words, as `check` and `process` say it."""
-        room = f"{self.most}{_size(self.memory_bytes)} of memory and {_size(self.disk_bytes)} on the disk"
+        rooms = f"{self.most}{size(self.memory_bytes)} of memory and {size(self.disk_bytes)} on the disk"
         maps = f"{self.num_maps} of {self.num_views} views get a height map"
         if self.seconds is None:
-            return f"{room}; {maps}; no time was measured on such a device"
+            return f"{rooms}; {maps}; no time was measured on such a device"
         cores = "core" if self.num_cores == 1 else "cores"
         state = f"{self.num_cores} idle {cores}"
         if self.slowness is not None:
@@ -120,9 +120,9 @@ class Workload:
         if self.sfm_seconds is not None:
             of_sfm = f"{rough(self.sfm_seconds)} of them for structure from motion"
             return (
-                f"about {rough(self.seconds)} on {state}, {of_sfm}, and {_BADLY} where photographs match badly; {room}"
+                f"about {rough(self.seconds)} on {state}, {of_sfm}, and {_BADLY} where photographs match badly; {rooms}"
             )
-        return f"{self.most}{rough(self.seconds)} on {state}, {room}; {maps}"
+        return f"{self.most}{rough(self.seconds)} on {state}, {rooms}; {maps}"
 
 
 def busy_in_words(slowness: float) -> str:
@@ -293,7 +293,7 @@ def room_doubts(workload: Workload, run_folder: Path) -> list[str]:
     free = machine.free_memory_bytes()
     if workload.memory_bytes > free:
         warnings.append(
-            f"the run needs {workload.most}{_size(workload.memory_bytes)} of memory, and {_free(free)} are free: the "
+            f"the run needs {workload.most}{size(workload.memory_bytes)} of memory, and {room(free)} are free: the "
             "system may stop it; close other programs, use a lower --quality, or give [area] bounds"
         )
     return warnings
@@ -305,7 +305,7 @@ def _disk_doubt(workload: Workload, run_folder: Path) -> str | None:
     if workload.disk_bytes <= free:
         return None
     return (
-        f"the run needs {workload.most}{_size(workload.disk_bytes)} in {run_folder}, and {_free(free)} are free "
+        f"the run needs {workload.most}{size(workload.disk_bytes)} in {run_folder}, and {room(free)} are free "
         "there; free some, name a run folder elsewhere with -o, or use a lower --quality"
     )
 
@@ -315,8 +315,8 @@ def _limit_doubt(workload: Workload) -> str | None:
     if workload.memory_bytes <= allowed:
         return None
     return (
-        f"the run needs {workload.most}{_size(workload.memory_bytes)} of memory, and limits of this process leave "
-        f"{_free(max(allowed, 0.0))} (ulimit -d, ulimit -v); raise them, use a lower --quality, or give [area] bounds"
+        f"the run needs {workload.most}{size(workload.memory_bytes)} of memory, and limits of this process leave "
+        f"{room(max(allowed, 0.0))} (ulimit -d, ulimit -v); raise them, use a lower --quality, or give [area] bounds"
     )
 
 
@@ -327,12 +327,12 @@ def _workload(pixels, of_maps, largest: int, num_cells: float, of_field: float, 
         num_maps=len(of_maps),
         seconds=None,
         num_cores=machine.num_cores(),
-        memory_bytes=int(_memory(pixels, of_maps, largest, num_cells, of_field, solves)),
+        memory_bytes=int(memory_of(pixels, of_maps, largest, num_cells, of_field, solves)),
         disk_bytes=int(_DISK_AT_LEAST + _DISK_OF_MAP * float(np.sum(of_maps)) + _DISK_OF_CELL * num_cells),
     )
 
 
-def _memory(pixels, of_maps, largest: int, num_cells: float, of_field: float, solves: bool) -> float:
+def memory_of(pixels, of_maps, largest: int, num_cells: float, of_field: float, solves: bool) -> float:
     """At the peak, in the stage that takes the most; what they read is held by all of them."""
     everything, masks = float(np.sum(pixels)), _BYTES_OF_MASKS * float(np.sum(of_maps))
     held = _BYTES_OF_VIEW * everything + min(_BYTES_OF_COLOURS * everything, _MOST_COLOURS)
@@ -342,7 +342,7 @@ def _memory(pixels, of_maps, largest: int, num_cells: float, of_field: float, so
     sweep = read + maps + _kept(pixels, _COMPARED) + _BYTES_OF_WORK * float(np.max(pixels))
     field = _BYTES_OF_FIELD * of_field + _BYTES_OF_RAYS * min(of_field, _RAYS_OF_CELLS)
     solver = _kept(of_maps, _SURFACES) + _BYTES_OF_TILES + masks if solves else 0.0
-    bed = read + masks + _BYTES_OF_POINT * num_cells
+    bed = read + masks + POINT_BYTES * num_cells
     return _BASE_BYTES + held + max(_BYTES_OF_DECODING * largest, sweep + field, solver, bed)
 
 
@@ -355,14 +355,3 @@ def _kept(pixels, of_what: tuple[float, float, int]) -> float:
 def _cell_area(cells: np.ndarray) -> float:
     """Area [m^2] of one cell of a regular grid (N, 3)."""
     return float(np.diff(np.unique(cells[:, 0])).min() * np.diff(np.unique(cells[:, 1])).min())
-
-
-def _free(num_bytes: float) -> str:
-    """Room that there is, rounded down."""
-    if num_bytes >= 1e9:
-        return f"{math.floor(num_bytes / 1e8) / 10:.1f} GB"
-    return f"{math.floor(num_bytes / 1e7) * 10} MB"
-
-
-def _size(num_bytes: float) -> str:
-    return f"{num_bytes / 1e9:.1f} GB" if num_bytes >= 1e9 else f"{math.ceil(num_bytes / 1e7) * 10} MB"

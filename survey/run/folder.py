@@ -61,7 +61,7 @@ class RunDir:
     Attributes
     ----------
     path, cloud_path, report_json_path, report_html_path, settings_path, plan_path, log_path, pictures_path,
-    stages_path, sfm_path : Path
+    stages_path, sfm_path, scratch_path : Path
 
     Raises
     ------
@@ -82,6 +82,7 @@ class RunDir:
         self.pictures_path = self.path / "pictures"
         self.stages_path = self.path / "stages"
         self.sfm_path = self.path / SFM_FOLDER
+        self.scratch_path = self.path / f".scratch{_PART}"
         self._held: ExitStack | None = None
         self._started: dict[Path, float] = {}
         self._quality: str | None = None
@@ -187,6 +188,11 @@ class RunDir:
         folder = self._place(name, key)
         is_whole = _record(folder).get("key") == key.digest and all((folder / leaf).is_file() for leaf in leaves)
         return folder if is_whole else None
+
+    def found_before(self, name: str) -> dict:
+        """What a JSON file of this name holds in the latest stage that has one; empty where none has."""
+        found = [path for path in self.stages_path.glob(f"*/{name}") if path.parent.name[0] != "."]
+        return read_json_object(max(found, key=lambda path: path.stat().st_mtime)) if found else {}
 
     def why_again(self, name: str, key: Key) -> str | None:
         """Why a stage has to be computed although it was before, in words; None if it never was.

@@ -14,9 +14,10 @@ from fields.sweep.kernels.arrays import release
 from survey.adjust.far_poses import Search, find_anew
 from survey.errors import SurveyError
 from survey.photos.store import ImageStore
-from survey.plan.area import limits, local_area
+from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area
 from survey.plan.block import load_block
 from survey.plan.plan import make_plan
+from survey.run.array_files import ArrayFiles
 from survey.run.water_colour import colour_of
 from survey.stage_key import stage_key
 
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from survey.folder.survey import Survey
     from survey.plan.choices import Choices
     from survey.plan.plan import Plan
+    from survey.plan.skipped import Decision
+    from survey.plan.tiling import Area, Tiling
     from survey.progress import Progress
     from survey.run.aimed import Aimed
 
@@ -44,6 +47,10 @@ class Job:
         Where the run has an aim in place of a quality: `survey.run.aimed`.
     workspace : Path or None
         Where structure from motion keeps its files.
+    scratch : Path or None
+        Folder for photographs that do not stay in memory; needed for tiles.
+    tiling : Tiling or None
+        Of a survey that is worked on in tiles; set by `take_tiles`.
     waits_for_kernels : Event
         Set where that begins to take long enough for another thread to have Python's lock for a while.
     """
@@ -56,9 +63,12 @@ class Job:
         *,
         aimed: Aimed | None = None,
         workspace: Path | None = None,
+        scratch: Path | None = None,
     ):
         self.survey, self.chosen, self.progress = survey, chosen, progress
-        self.aimed, self.workspace = aimed, workspace
+        self.aimed, self.workspace, self.scratch = aimed, workspace, scratch
+        self.tiling: Tiling | None = None
+        self.tiles: Decision | None = None
         self.waits_for_kernels = Event()
         self._found: dict[Path, Masks] = {}
         self.plan = self._planned()
@@ -70,6 +80,11 @@ class Job:
         self.plan = self._planned()
         if self._sight() != before:
             self._forget()
+
+    def take_tiles(self, tiling: Tiling | None, decision: Decision) -> None:
+        """Work in tiles, or in one, and say so in the plan."""
+        self.tiling, self.tiles = tiling, decision
+        self.plan = self._planned()
 
     def _forget(self) -> None:
         for name in ("block", "bound"):
@@ -88,7 +103,8 @@ class Job:
 
     def _planned(self) -> Plan:
         if self.aimed is None:
-            return make_plan(self.survey, self.chosen)
+            plan = make_plan(self.survey, self.chosen)
+            return plan if self.tiles is None else replace(plan, decisions=(*plan.decisions, self.tiles))
         plan = make_plan(self.survey, self.chosen, recipe=self.aimed.recipe)
         return replace(plan, decisions=(*plan.decisions, *self.aimed.decisions))
 
@@ -101,7 +117,8 @@ class Job:
     def block(self) -> Block:
         """The grey images with their cameras, loaded when the first stage needs them."""
         with self.progress.stage("Images", len(self.survey.views)) as stage:
-            return load_block(self.survey, self.plan, stage.advance, self.photographs)
+            keep = None if self.tiling is None or self.scratch is None else ArrayFiles(self.scratch)
+            return load_block(self.survey, self.plan, stage.advance, self.photographs, keep)
 
     def give_back(self) -> None:
         """Return memory that the last stage no longer uses to the system, so that the next one's comes not on top."""
@@ -127,9 +144,29 @@ class Job:
         from fields.sweep.ranging import find_range
 
         try:
-            return find_range(self.block, limits(self.survey))
+            return find_range(self.block, self.limits)
         except ValueError as error:
             raise SurveyError(str(error)) from error
+
+    @property
+    def ground(self) -> Area | None:
+        """Rectangle (x0, y0, x1, y1) [m], local, of the points that are wanted; None for all."""
+        area = local_area(self.survey)
+        return None if area is None else grown(area, AREA_MARGIN_M)
+
+    @property
+    def swept_ground(self) -> Area | None:
+        """The same, of the heights that the sweep finds."""
+        return self.ground if self.plan.skips.area else None
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Heights [m] over the water plane between which the bed is searched; `survey.plan.area.limits`."""
+        return limits(self.survey)
+
+    def views_to_match(self) -> list[int]:
+        """Views that get a height map."""
+        return self.block.cover(*self.plan.recipe.times_seen, local_area(self.survey))
 
     def once(self, folder: Path, find: Callable[[], Masks]) -> Masks:
         """Which pixels become points of the maps in the folder of a sweep: found once for the stages that ask.
@@ -144,18 +181,22 @@ class Job:
         """The hash of a part of the job that stages depend on; the names are those in `survey.run.keys`."""
         return self._photographs if name == "photographs" else stage_key(self._part(name))
 
-    @cached_property
+    @property
     def _photographs(self) -> str:
-        """Of all photographs and masks, read whole, several at a time."""
+        """Of all photographs and masks."""
+        return stage_key([self.hashes[view.name] for view in self.survey.views])
+
+    @cached_property
+    def hashes(self) -> dict[str, tuple[str, str, str | None]]:
+        """Name and hashes of each photograph and its mask, read whole, several at a time."""
         views = self.survey.views
         paths = [path for view in views for path in (view.path, view.mask_path) if path is not None]
         with ThreadPoolExecutor() as pool:
             content = dict(zip(paths, pool.map(stage_key, paths), strict=True))
-        hashes = [
-            (view.name, content[view.path], None if view.mask_path is None else content[view.mask_path])
+        return {
+            view.name: (view.name, content[view.path], None if view.mask_path is None else content[view.mask_path])
             for view in views
-        ]
-        return stage_key(hashes)
+        }
 
     def _part(self, name: str):
         survey, plan = self.survey, self.plan
@@ -163,8 +204,9 @@ class Job:
             "cameras": lambda: [(view.name, view.camera, view.lens) for view in survey.views],
             "water": lambda: survey.water,
             "water_settings": lambda: (_settings_of(survey), survey.tide),
-            "heights": lambda: limits(survey),
+            "heights": lambda: self.limits,
             "area": lambda: local_area(survey),
+            "tiles": lambda: self.tiling,
             "frame": lambda: survey.frame,
             "name": lambda: survey.name,
             "size": lambda: plan.image_scale,

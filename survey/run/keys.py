@@ -20,6 +20,7 @@ _WORDS = {
     "freed": "--calibrate-water",
     "heights": "the range of heights",
     "area": "the area",
+    "tiles": "the tiles (--tiles, --memory)",
     "frame": "the local frame",
     "name": "the name of the survey",
     "size": "the size that images are worked on",

@@ -20,7 +20,7 @@ from fields.sweep.fusion import PEERS
 from fields.sweep.maps import DepthMap, trusted
 from survey.adjust.adjustment import Adjustment, read_adjustment
 from survey.adjust.std_of_block import std_of_block
-from survey.plan.area import AREA_MARGIN_M, grown, local_area, within
+from survey.plan.area import within
 from survey.plan.block import camera_of
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def bed_points(
     Returns the points, the tides (N,) [m] of their photographs, and how many took their height from the field.
     """
     survey, plan, block = job.survey, job.plan, job.block
-    parts, sources, tides, moved, area = [], [], [], 0, local_area(survey)
+    parts, sources, tides, moved, area = [], [], [], 0, job.ground
     if kept is None:
         kept = unique_pixels(block, maps, plan.gsd_m)
     for number, (depth_map, keep) in enumerate(zip(maps, kept, strict=True)):
@@ -93,7 +93,7 @@ def bed_points(
         # Floor of std at 0.01 px of parallax: heights that agree exactly do so by chance.
         points = replace(points, std=np.maximum(points.std, np.float32(LEAST_STD_PX / parallax)))
         if area is not None:
-            points = points[within(points.xyz, grown(area, AREA_MARGIN_M))]
+            points = points[within(points.xyz, area)]
         parts.append(points)
         sources.append(np.full(len(points), number, dtype=np.int32))
         tides.append(camera.tide)

@@ -9,6 +9,7 @@ settings and plan are the result of a run and take the place of an earlier one t
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING
@@ -27,7 +28,8 @@ from survey.plan.aim import aim_and_choices
 from survey.plan.check import Checked, require_processable
 from survey.plan.choices import Choices, Device
 from survey.plan.plan import device_decision, make_plan
-from survey.plan.rates import parts_s
+from survey.plan.rates import parts_in_tiles, parts_s
+from survey.plan.tile_choice import SHARED, TileChoice, choose_tiles
 from survey.plan.workload import amounts_of_run, parts_of_found, require_room, workload_of, workload_of_found
 from survey.progress import Progress, opened
 from survey.run.aimed import Aimed
@@ -61,6 +63,8 @@ def process(
     image_scale: float | None = None,
     calibrate_water: bool | None = None,
     true_colour: bool | None = None,
+    tiles: int | None = None,
+    memory: str | None = None,
     reference: str | Path | None = None,
     visible: str | Path | None = None,
 ) -> int:
@@ -98,6 +102,10 @@ def process(
         their given values.
     true_colour : bool, optional
         Give the points the bed's own colour, the water taken away, instead of the photographs'.
+    tiles : int, optional
+        Rectangles of the ground that are worked on one after the other; default: as the memory asks for.
+    memory : str, optional
+        Memory that the run may take, as "8GB"; default: most of what is free.
     reference, visible : str or Path, optional
         True surface and the points of it that cameras see, for the report; the reconstruction never reads them.
 
@@ -126,6 +134,8 @@ def process(
         image_scale=image_scale,
         calibrate_water=calibrate_water,
         true_colour=true_colour,
+        tiles=tiles,
+        memory=memory,
     )
     aim, chosen = aim_and_choices(given.over(process_config(survey_folder)))
     require_some_time(aim)
@@ -144,11 +154,12 @@ def process(
         aimed = None
         if aim is not None:
             aimed = begin_aimed(aim, survey, chosen, clock, progress, refuses=checked.survey is not None)
-        _announce(progress, survey, chosen, aimed, run_folder)
+        tiles_chosen = _announce(progress, survey, chosen, aimed, run)
         # Starts torch and Dr.Jit: only after everything that the user may have to mend was looked at.
         from survey.run.job import Job
 
-        job = Job(survey, chosen, progress, aimed=aimed, workspace=run.sfm_path)
+        job = Job(survey, chosen, progress, aimed=aimed, workspace=run.sfm_path, scratch=run.scratch_path)
+        job.take_tiles(tiles_chosen.tiling, tiles_chosen.decision)
         return _to_the_end(run, job, resume, truth)
 
 
@@ -190,29 +201,33 @@ def _forecast(progress: Progress, checked: Checked, chosen: Choices) -> None:
     progress.note(f"workload: {workload}")
 
 
-def _announce(progress: Progress, survey: Survey, chosen: Choices, aimed: Aimed | None, run_folder: Path) -> None:
-    """Say what is going to be done and what it takes; raise where the machine cannot."""
+def _announce(progress: Progress, survey: Survey, chosen: Choices, aimed: Aimed | None, run: RunDir) -> TileChoice:
+    """Say what is going to be done and what it takes; raise where the machine cannot. Returns the tiles."""
     plan = make_plan(survey, chosen, recipe=None if aimed is None else aimed.recipe)
     progress.note(f"{survey.name}: {len(survey.views)} views, a pixel covers {length(plan.gsd_m)} of the ground")
     for text in survey.assumptions:
         progress.note(f"assumed: {text}")
     for text in survey.warnings:
         progress.warn(text)
-    for decision in plan.decisions:
+    earlier = run.found_before(SHARED).get("tiles")
+    tiles = choose_tiles(survey, plan, chosen, workload_of(survey, plan), is_aimed=aimed is not None, earlier=earlier)
+    for decision in (*plan.decisions, tiles.decision):
         progress.note(f"plan: {decision.name}: {decision.choice} ({decision.reason})")
     if aimed is not None:
         # An aim may come to need all that its ladder has.
         top = make_plan(survey, chosen, recipe=aimed.ladder[-1])
         workload = workload_of(survey, top).on_busy(aimed.pace.slow)
     else:
-        workload = workload_of(survey, plan)
+        workload = replace(workload_of(survey, plan), memory_bytes=int(tiles.memory_bytes))
         if progress.forecast is not None and plan.device == "llvm":
-            progress.forecast.expect(parts_s(amounts_of_run(survey, plan), machine.num_cores()))
+            parts = parts_s(amounts_of_run(survey, plan), machine.num_cores())
+            progress.forecast.expect(parts if tiles.tiling is None else parts_in_tiles(parts, len(tiles.tiling)))
             slowness = progress.forecast.slowness
             workload = workload if slowness < _BUSY else workload.on_busy(slowness)
     progress.note(f"workload: {'' if aimed is None else 'at the top of the ladder, '}{workload}")
-    for text in require_room(workload, run_folder):
+    for text in require_room(workload, run.path):
         progress.warn(text)
+    return tiles
 
 
 def _import_products(job: Job) -> None:

@@ -24,6 +24,7 @@ def options_of(job: Job, truth: Truth) -> dict:
         "image_scale": plan.image_scale,
         "calibrate_water": chosen.calibrate_water,
         "true_colour": chosen.true_colour,
+        "tiles": 1 if job.tiling is None else len(job.tiling),
         **asked,
         "command": command_of(job, truth),
     }
@@ -44,6 +45,8 @@ def command_of(job: Job, truth: Truth) -> str:
         "image-scale": chosen.image_scale,
         "calibrate-water": chosen.calibrate_water,
         "true-colour": chosen.true_colour,
+        "tiles": chosen.tiles,
+        "memory": chosen.memory,
         "reference": truth.reference,
         "visible": truth.visible,
     }

@@ -10,6 +10,7 @@ from survey.run.job import Job
 from survey.run.pipeline import BED_OF_SWEEP, LOOK, STAGES
 from survey.run.stage import Stage, run_stage
 from survey.run.stage_sweep import EARLIER_LOOK, EARLIER_SOLVER, EARLIER_SWEEP
+from survey.run.tiled import run_tiled
 
 # Of a round, and the names under which the next one finds them.
 _EARLIER = {"sweep": EARLIER_SWEEP, "solver": EARLIER_SOLVER, LOOK: EARLIER_LOOK}
@@ -18,8 +19,10 @@ _EARLIER = {"sweep": EARLIER_SWEEP, "solver": EARLIER_SOLVER, LOOK: EARLIER_LOOK
 def run_stages(job: Job, run: RunDir, *, resume: bool, compares_sweep: bool) -> dict[str, Path]:
     """Run what the job has of the pipeline; the folders of the stages by name.
 
-    ``compares_sweep`` adds the cloud that the sweep alone would give.
+    ``compares_sweep`` adds the cloud that the sweep alone would give, where the run is in one piece.
     """
+    if job.tiling is not None:
+        return run_tiled(job, run, resume=resume)
     done: dict[str, Path] = {}
     stages: Sequence[Stage] = [*STAGES, BED_OF_SWEEP] if compares_sweep else STAGES
     of_round = [stage for stage in stages if stage.name in _EARLIER]

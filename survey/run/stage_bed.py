@@ -25,6 +25,7 @@ from survey.run.water_colour import colour_of
 
 if TYPE_CHECKING:
     from fields.slab.tensor_field import TensorField
+    from fields.sweep.bed import BedPoints
     from survey.run.job import Job
 
 FILES = (BED_FILE, SURVEY_FILE)
@@ -40,6 +41,11 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     SurveyError
         If no two views confirm a point.
     """
+    finish_bed(job, folder, needs, points_of_bed(job, needs))
+
+
+def points_of_bed(job: Job, needs: Mapping[str, Path]) -> BedPoints:
+    """Points of the bed in their colours, with the std of their own."""
     survey = job.survey
     maps = Stored(needs["sweep"] / MAPS, DepthMap)
     field = _field_of(job, needs["field"]) if "field" in needs else None
@@ -51,12 +57,7 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         bed, tide, moved = bed_points(job, maps, field, stage.advance, solved, kept)
     if field is not None:
         job.progress.detail(f"{moved:,} of {len(bed):,} points have the field's height")
-    if len(bed) == 0:
-        raise SurveyError(
-            "no point of the bed was confirmed by two views; check that poses, water level and images belong "
-            "together (bathynerf check) and that the views overlap"
-        )
-    if job.chosen.true_colour:
+    if job.chosen.true_colour and len(bed):
         # Imported where it is needed: it takes torch, whose import takes seconds.
         from fields.colour.true_colour import true_colours
         from fields.water_column import WaterColumn
@@ -65,6 +66,23 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         rgb, too_bright = true_colours(bed, water, WaterColumn(*colour_of(survey)), tide)
         bed = replace(bed, rgb=rgb)
         job.progress.detail(f"{100 * too_bright:.1f} % of the points are brighter than white without the water")
+    return bed
+
+
+def finish_bed(job: Job, folder: Path, needs: Mapping[str, Path], bed: BedPoints) -> None:
+    """Add to points what the whole bed tells of their std, and write them.
+
+    Raises
+    ------
+    SurveyError
+        If there are none.
+    """
+    survey = job.survey
+    if len(bed) == 0:
+        raise SurveyError(
+            "no point of the bed was confirmed by two views; check that poses, water level and images belong "
+            "together (bathynerf check) and that the views overlap"
+        )
     found = adjustment_of(needs)
     common = std_common(bed.xyz, bed.wet, survey, found, job.plan.gsd_m)
     bed, of_block = with_std_of_block(bed, survey, found, job.plan.gsd_m)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fields.solver.solver import SolvedMap, solve_maps
+from fields.solver.solver import SolvedMap, SolverFigures, solve_maps
 from fields.sweep.bed import unique_pixels
 from fields.sweep.maps import ByView, DepthMap, upsample_map
 from survey.files.json_values import write_json
@@ -28,6 +28,11 @@ _LEAST_TIME = 0.3
 
 def solve_heights(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """Solve the pixels of the height maps that become points."""
+    solve_with(job, folder, needs, None)
+
+
+def solve_with(job: Job, folder: Path, needs: Mapping[str, Path], figures: SolverFigures | None) -> None:
+    """The same with figures of the solver that are known, or learned here."""
     maps = Stored(needs["sweep"] / MAPS, DepthMap)
     if not _has_time(job):
         job.progress.note("solver: left out, there is no time for it")
@@ -41,7 +46,14 @@ def solve_heights(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
             kept[number] = np.zeros_like(kept[number])
     with job.progress.stage("Solver", 1.0) as stage, kept_aside(folder / SCRATCH, SolvedMap) as keep:
         solved, figures = solve_maps(
-            job.block, maps, kept, job.plan.gsd_m, shares(stage), goes_on=lambda: _goes_on(job), keep=keep
+            job.block,
+            maps,
+            kept,
+            job.plan.gsd_m,
+            shares(stage),
+            goes_on=lambda: _goes_on(job),
+            keep=keep,
+            figures=figures,
         )
         both = (new if old is None else old for new, old in zip(solved, carried, strict=True))
         _save(job, folder, both, figures.sightings)

@@ -19,7 +19,7 @@ from fields.sweep.photo_consistency import photo_consistency
 from fields.sweep.sweep import sweep
 from survey.errors import SurveyError
 from survey.files.json_values import write_json
-from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area, plane_name
+from survey.plan.area import plane_name
 from survey.plan.block import camera_of
 from survey.progress import shares
 from survey.run.clock import OutOfTimeError
@@ -29,7 +29,6 @@ from survey.run.stored_maps import Stored, kept_aside, save_maps
 if TYPE_CHECKING:
     from fields.sweep.block import Block
     from fields.sweep.maps import Keep, OrderedMaps
-    from fields.sweep.view_pass import Area
     from survey.run.aimed import Aimed
     from survey.run.job import Job
 
@@ -56,23 +55,23 @@ def sweep_views(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     if EARLIER_SWEEP in needs:
         _go_on(job, folder, needs)
         return
-    survey, start = job.survey, time.monotonic()
+    start = time.monotonic()
     block, images_s = job.block, time.monotonic() - start
     with job.progress.stage("Sweep", 1.0) as stage:
         low, high = job.bound
         block.judge_overlap_at(0.5 * (low + high))
-        chosen = block.cover(*job.plan.recipe.times_seen, local_area(survey))
-        ladder = (low, high) if job.plan.skips.heights else limits(survey)
+        chosen = job.views_to_match()
+        ladder = (low, high) if job.plan.skips.heights else job.limits
         passes = PASSES if job.aimed is None else passes_from(job.aimed.first_search)
         passes = before_solver(passes) if job.plan.refines_points_only else passes
         start = time.monotonic()
         with kept_aside(folder / SCRATCH, DepthMap) as keep:
-            maps = sweep(block, chosen, ladder, shares(stage), passes, _wanted(job), keep=keep)
-            if not maps:
+            maps = sweep(block, chosen, ladder, shares(stage), passes, job.swept_ground, keep=keep)
+            if not maps and job.tiling is None:
                 raise SurveyError("no two views overlap; check that the poses belong to the images")
             swept = _finished(block, maps, keep)
             _save(job, folder, swept, swept.views, time.monotonic() - start, images_s, None)
-    job.progress.note(f"bound: bed between {low:.2f} and {high:.2f} m over the {plane_name(survey)}")
+    job.progress.note(f"bound: bed between {low:.2f} and {high:.2f} m over the {plane_name(job.survey)}")
     write_json(folder / BOUND, {"low_m": low, "high_m": high})
 
 
@@ -113,7 +112,7 @@ def _go_on(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
                 before.views,
                 ladder,
                 advance,
-                area=_wanted(job),
+                area=job.swept_ground,
                 before=ByView(before, before.views),
                 again=again,
                 keep=keep,
@@ -148,7 +147,7 @@ def _save(
     """The maps, and what they took; ``scale`` is that of the maps where it is not the plan's."""
     save_maps(folder / MAPS, DepthMap, maps)
     scale = job.plan.image_scale if scale is None else scale
-    share = len(swept) / len(maps)
+    share = len(swept) / max(len(maps), 1)
     num_samples = 0.0 if job.aimed is None else share * job.aimed.samples(scale, before)
     told = {"views": swept, "image_scale": scale, "seconds": seconds, "images_s": images_s, "samples": num_samples}
     write_json(folder / SWEPT, told)
@@ -156,12 +155,6 @@ def _save(
     write_json(folder / SATURATED, dict(zip(names, job.block.saturated, strict=True)))
     found = photo_consistency(job.block, maps) if scale == job.plan.image_scale else []
     write_json(folder / CONSISTENCY, {name: asdict(each) for name, each in zip(names, found, strict=False)})
-
-
-def _wanted(job: Job) -> Area | None:
-    """Where heights are wanted; None where everywhere."""
-    area = local_area(job.survey)
-    return grown(area, AREA_MARGIN_M) if area is not None and job.plan.skips.area else None
 
 
 def _swept(folder: Path) -> dict:

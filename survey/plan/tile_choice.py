@@ -1,0 +1,134 @@
+"""How many tiles a survey is worked on in: as many as the memory asks for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from survey import machine
+from survey.display.quantities import length
+from survey.errors import SurveyError
+from survey.files.sizes import bytes_of, room, size
+from survey.plan.skipped import Decision
+from survey.plan.tiling import RIM_GSD, Tiling, ground_of
+from survey.plan.workload import POINT_BYTES, amounts_of, memory_of
+
+if TYPE_CHECKING:
+    from survey.folder.survey import Survey
+    from survey.plan.choices import Choices
+    from survey.plan.plan import Plan
+    from survey.plan.workload import Workload
+
+# What the tiles of a run share, in the folder of a stage.
+SHARED = "shared.json"
+# Of the free memory, what a run plans to take.
+_SHARE_OF_FREE = 0.8
+# Tiles are no smaller than this many footprints: rims and windows would be most of the work.
+_LEAST_FOOTPRINTS = 0.5
+# Beside the points while bed and report are made.
+_REPORT_BYTES = 480e6
+
+
+@dataclass(frozen=True)
+class TileChoice:
+    """Tiles of a run.
+
+    Attributes
+    ----------
+    tiling : Tiling or None
+        None for one piece.
+    decision : Decision
+    memory_bytes : float
+        At the peak of the run.
+    """
+
+    tiling: Tiling | None
+    decision: Decision
+    memory_bytes: float
+
+
+def choose_tiles(
+    survey: Survey, plan: Plan, chosen: Choices, workload: Workload, *, is_aimed: bool, earlier: int | None = None
+) -> TileChoice:
+    """Tiles of a survey by its memory; ``earlier`` is their number in an unfinished run that goes on.
+
+    Raises
+    ------
+    SurveyError
+        If tiles are asked for where a run has to be in one piece.
+    """
+    one = float(workload.memory_bytes)
+    whole = "with an aim" if is_aimed else "with --field slab" if plan.field == "slab" else None
+    if whole is not None:
+        if chosen.tiles is not None and chosen.tiles > 1:
+            raise SurveyError(f"--tiles {chosen.tiles}, but a run {whole} is in one piece; leave one out")
+        return TileChoice(None, Decision("tiles", "1", f"a run {whole} is in one piece"), one)
+    rim = RIM_GSD * plan.gsd_m
+    if chosen.tiles is not None:
+        if chosen.tiles == 1:
+            return TileChoice(None, Decision("tiles", "1", "set by --tiles"), one)
+        tiling = Tiling.of(ground_of(survey, plan), chosen.tiles, rim)
+        reason = f"set by --tiles, {_size_of(tiling)} each"
+        return TileChoice(tiling, Decision("tiles", str(chosen.tiles), reason), _memory(survey, plan, tiling))
+    budget, source = _budget(chosen)
+    needed = f"in one piece the run takes about {size(one)} of memory, and {room(budget)} {source}"
+    if one <= budget:
+        return TileChoice(None, Decision("tiles", "1", needed), one)
+    ground = ground_of(survey, plan)
+    most = max(
+        int((ground[2] - ground[0]) * (ground[3] - ground[1]) / (_LEAST_FOOTPRINTS * np.prod(plan.footprint_m))), 1
+    )
+    best = TileChoice(None, Decision("tiles", "1", f"{needed}; the ground is too small for tiles"), one)
+    counts = [*([] if earlier is None else [earlier]), *_counts(ground, most)]
+    for count in counts:
+        tiling = Tiling.of(ground, count, rim)
+        memory = _memory(survey, plan, tiling)
+        if memory < 0.98 * best.memory_bytes:
+            reason = f"{needed}; in tiles of {_size_of(tiling)} about {size(memory)}"
+            best = TileChoice(tiling, Decision("tiles", str(count), reason), memory)
+        if memory <= budget:
+            break
+    return best
+
+
+def _counts(ground: tuple[float, float, float, float], most: int) -> list[int]:
+    """Numbers of tiles that are about square, rising."""
+    ratio = (ground[2] - ground[0]) / (ground[3] - ground[1])
+    found = set()
+    for rows in range(1, most + 1):
+        columns = max(round(rows * ratio), 1)
+        found |= {count for count in (rows * columns, rows * (columns + 1)) if 1 < count <= most}
+        if rows * columns > most:
+            break
+    return sorted(found)
+
+
+def _budget(chosen: Choices) -> tuple[float, str]:
+    """Memory that a run may take [bytes], and where that is from."""
+    if chosen.memory is not None:
+        return bytes_of(chosen.memory), "are allowed (--memory)"
+    free = min(float(machine.free_memory_bytes()), machine.allowed_memory_bytes())
+    return _SHARE_OF_FREE * free, f"may be taken ({_SHARE_OF_FREE:.0%} of what is free)"
+
+
+def _size_of(tiling: Tiling) -> str:
+    width, height = tiling.x[1] - tiling.x[0], tiling.y[1] - tiling.y[0]
+    return f"{length(width)} x {length(height)}"
+
+
+def _memory(survey: Survey, plan: Plan, tiling: Tiling) -> float:
+    """Memory at the peak of a run in tiles [bytes]."""
+    pixels, chosen, num_cells = amounts_of(survey, plan)
+    whole = np.array([tiling.x[-1] - tiling.x[0], tiling.y[-1] - tiling.y[0]])
+    own = np.array([tiling.x[1] - tiling.x[0], tiling.y[1] - tiling.y[0]]) + 2.0 * tiling.rim
+    footprint = np.array(plan.footprint_m)
+    # Photographs are spread over the ground; those that show a tile begin half a footprint beyond it.
+    share = float(np.prod(np.minimum((own + footprint) / (whole + footprint), 1.0)))
+    window = float(np.max(pixels)) * float(np.prod(np.minimum(own / footprint, 1.0)))
+    views, maps = (max(int(np.ceil(share * count)), 1) for count in (len(pixels), len(chosen)))
+    largest = max(view.lens.width * view.lens.height for view in survey.views)
+    solves = plan.field == "solver"
+    of_tile = memory_of(np.full(views, window), np.full(maps, window), largest, num_cells / len(tiling), 0.0, solves)
+    return max(of_tile, _REPORT_BYTES + POINT_BYTES * num_cells)

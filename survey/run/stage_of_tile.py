@@ -1,0 +1,128 @@
+"""Sweep, solver and bed of one tile of a survey, for `survey.run.tiled`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from fields.solver.correlation import NoiseShares
+from fields.solver.shifts import Shifts
+from fields.solver.solver import SolvedMap, SolverFigures, count_in_squares, figures_of, solve_sample, spread
+from fields.sweep.bed import BedPoints, unique_pixels
+from fields.sweep.maps import DepthMap
+from fields.sweep.places import places_in_plan
+from survey.files.json_values import read_json_object, write_json
+from survey.plan.area import grown
+from survey.plan.tiling import inside
+from survey.run.stage_bed import points_of_bed
+from survey.run.stage_solver import SIGHTINGS, SOLVED, solve_with
+from survey.run.stage_sweep import BOUND, CONSISTENCY, MAPS, SATURATED, SWEPT, look_at_bed, sweep_views
+from survey.run.stored import load_arrays, save_arrays
+from survey.run.stored_maps import Stored, save_maps
+from survey.run.tile_job import KEPT, MASKS, OWN, TileJob, load_masks, pack_masks
+
+if TYPE_CHECKING:
+    from survey.run.job import Job
+
+POINTS, FIGURES = "points.npz", "figures.json"
+# Points so far beyond a tile count as neighbours of its own [ground sampling distances].
+_BESIDE_GSD = 6.0
+
+
+def sweep_tile(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
+    """Sweep the views of a tile, and choose the pixels that become points."""
+    tile = cast(TileJob, job)
+    if tile.is_void:
+        save_maps(folder / MAPS, DepthMap, [])
+        for name in (SATURATED, CONSISTENCY):
+            write_json(folder / name, {})
+        write_json(folder / BOUND, {"low_m": tile.bound[0], "high_m": tile.bound[1]})
+        write_json(folder / SWEPT, {"views": []})
+        save_arrays(folder / MASKS, **pack_masks({KEPT: [], OWN: []}))
+        return
+    sweep_views(tile, folder, {})
+    maps = Stored(folder / MAPS, DepthMap)
+    kept, own = [], []
+    beside = grown(tile.cell, _BESIDE_GSD * tile.plan.gsd_m)
+    for m, unique in zip(maps, unique_pixels(tile.block, maps, tile.plan.gsd_m), strict=True):
+        places = places_in_plan(tile.block, m)
+        kept.append(unique & inside(places, beside))
+        own.append(inside(places, tile.cell))
+    save_arrays(folder / MASKS, **pack_masks({KEPT: kept, OWN: own}))
+
+
+def solve_tile(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
+    """Solve the points of a tile with what the solver has learned of the whole survey."""
+    tile, maps = cast(TileJob, job), Stored(needs["sweep"] / MAPS, DepthMap)
+    if not len(maps):
+        save_maps(folder / SOLVED, SolvedMap, [])
+        write_json(folder / SIGHTINGS, {})
+        return
+    solve_with(tile, folder, needs, read_figures(needs["figures"]))
+
+
+def find_points(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
+    """Points of the bed in a tile, by the places of the points."""
+    tile = cast(TileJob, job)
+    bed = points_of_bed(tile, needs) if len(Stored(needs["sweep"] / MAPS, DepthMap)) else BedPoints.empty()
+    bed = bed[inside(bed.xyz, tile.cell)]
+    save_arrays(folder / POINTS, **{each.name: getattr(bed, each.name) for each in fields(BedPoints)})
+
+
+def read_points(folder: Path) -> BedPoints:
+    """What `find_points` found."""
+    return BedPoints(**load_arrays(folder / POINTS))
+
+
+def learn_figures(
+    job: Job,
+    folder: Path,
+    tiles: Sequence[TileJob],
+    of_tiles: Mapping[str, list[Path]],
+    _needs: Mapping[str, Path],
+) -> None:
+    """What the solver learns of the survey, from a sample of the pixels of all tiles."""
+    swept = of_tiles["sweep"]
+    with job.progress.stage("Sample of the solver"):
+        filled, maps_of = [], []
+        for tile, place in zip(tiles, swept, strict=True):
+            maps = Stored(place / MAPS, DepthMap)
+            if len(maps):
+                look_at_bed(tile, place)
+                filled += count_in_squares(tile.block, maps, _own(place))
+            maps_of += [(tile.number, number) for number in range(len(maps))]
+            tile.drop()
+        figures = None
+        if any(map(sum, filled)):
+            chosen = [(*maps_of[number], square) for number, square in spread(filled)]
+            sample = []
+            for tile, place in zip(tiles, swept, strict=True):
+                places = [(number, square) for of_tile, number, square in chosen if of_tile == tile.number]
+                if places:
+                    look_at_bed(tile, place)
+                    sample += solve_sample(
+                        tile.block, Stored(place / MAPS, DepthMap), _own(place), places, tile.plan.gsd_m
+                    )
+                    tile.drop()
+            figures = figures_of(sample, job.plan.gsd_m, is_wet=job.survey.water is not None)
+            job.progress.detail(f"solver: {figures}")
+    told = None if figures is None else asdict(replace(figures, sightings=None))
+    write_json(folder / FIGURES, {"figures": told})
+
+
+def read_figures(folder: Path) -> SolverFigures | None:
+    """What `learn_figures` found; None where there was nothing to learn from."""
+    told = read_json_object(folder / FIGURES)["figures"]
+    if told is None:
+        return None
+    return SolverFigures(**told | {"shifts": Shifts(**told["shifts"]), "noise": NoiseShares(**told["noise"])})
+
+
+def _own(place: Path) -> list[np.ndarray]:
+    """Pixels of each map that become points of the tile itself."""
+    masks = (load_masks(place / MASKS, name) for name in (KEPT, OWN))
+    return [kept & own for kept, own in zip(*masks, strict=True)]

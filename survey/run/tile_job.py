@@ -1,0 +1,197 @@
+"""One tile of a survey as a job of its own, whose views are windows of photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fields.image_store import Masks
+from fields.sweep.block import Block
+from survey.plan.block import backend, cameras_of_block
+from survey.plan.rates import part_name
+from survey.run.job import Job
+from survey.run.stored import load_arrays
+from survey.run.windows import WindowStore, windows_of
+
+if TYPE_CHECKING:
+    from survey.plan.tiling import Area
+    from survey.progress import Progress, Step
+
+# Which pixels of each map become points in the tile or beside it, and which show points of the tile: packed bits.
+MASKS = "masks.npz"
+KEPT, OWN = "kept", "own"
+
+
+@dataclass(frozen=True)
+class TilePlan:
+    """What all tiles of a survey share.
+
+    Attributes
+    ----------
+    bound : (low, high) [m]
+        Heights over the water plane between which the bed lies.
+    views : list of int
+        Those that get height maps.
+    """
+
+    bound: tuple[float, float]
+    views: list[int]
+
+
+class TileJob(Job):
+    """The part of a job that a tile is.
+
+    Its survey has the views that show the tile, cut to their windows at the size that is worked on; water, settings
+    and what else belongs to the survey are those of the whole.
+
+    Attributes
+    ----------
+    number : int
+        Of the tile.
+    windows : list of Window
+        One for each view.
+    whole : Job
+    """
+
+    def __init__(self, whole: Job, number: int, found: TilePlan):
+        if whole.tiling is None:
+            raise ValueError("expected a job with tiles")
+        self.whole, self.number, self._plan_of_tiles = whole, number, found
+        cameras = cameras_of_block(whole.survey, whole.plan)
+        self.windows = windows_of(cameras, whole.survey.water, whole.tiling, number, found.bound)
+        views = tuple(
+            replace(whole.survey.views[w.view], camera=cameras[w.view].cropped(w.row, w.column, w.height, w.width))
+            for w in self.windows
+        )
+        self.survey, self.chosen, self.aimed = replace(whole.survey, views=views), whole.chosen, None
+        self.plan = replace(whole.plan, image_scale=1.0)
+        self.progress: Any = _ProgressOfTile(whole.progress, number, len(whole.tiling))
+        self.workspace, self.scratch, self.tiling, self.tiles = None, None, whole.tiling, whole.tiles
+        self.waits_for_kernels = whole.waits_for_kernels
+
+    @property
+    def is_void(self) -> bool:
+        """Whether too few views show the tile."""
+        return len(self.windows) < 2 or not self.views_to_match()
+
+    def views_to_match(self) -> list[int]:
+        """Those of the whole survey that show the tile, by their numbers here."""
+        here = {window.view: number for number, window in enumerate(self.windows)}
+        return [here[view] for view in self._plan_of_tiles.views if view in here]
+
+    @property
+    def cell(self) -> Area:
+        """Rectangle of the points of the tile; `Tiling.cell`."""
+        return self._tiling.cell(self.number)
+
+    @property
+    def ground(self) -> Area:
+        """Rectangle of the tile with its rim."""
+        return self._tiling.ground(self.number, self._tiling.rim)
+
+    @property
+    def swept_ground(self) -> Area:
+        """The same."""
+        return self.ground
+
+    @property
+    def _tiling(self):
+        if self.tiling is None:
+            raise ValueError("expected a job with tiles")
+        return self.tiling
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Those of the whole survey."""
+        return self.whole.limits
+
+    @property
+    def bound(self) -> tuple[float, float]:
+        """That of the whole survey."""
+        return self._plan_of_tiles.bound
+
+    @property
+    def hashes(self) -> dict[str, tuple[str, str, str | None]]:
+        """Those of the whole survey."""
+        return self.whole.hashes
+
+    @cached_property
+    def photographs(self) -> Any:
+        """Windows in colour."""
+        views = {
+            view.name: (self.whole.survey.views[window.view], window)
+            for view, window in zip(self.survey.views, self.windows, strict=True)
+        }
+        return WindowStore(self.whole.photographs, views, self.whole.plan.image_scale)
+
+    @cached_property
+    def block(self) -> Block:
+        """The windows in grey, in memory."""
+        whole = self.whole.block
+        images = (whole.images.window(window.view, *window.part) for window in self.windows)
+        cameras = [view.camera for view in self.survey.views]
+        white = [whole.saturated[window.view] for window in self.windows]
+        middle = 0.5 * sum(self.bound)
+        return Block(
+            backend(self.plan), cameras, images, self.survey.water, middle, white, self.plan.skips, self.ground
+        )
+
+    def drop(self) -> None:
+        """Forget the windows."""
+        self.__dict__.pop("block", None)
+
+    def once(self, folder: Path, find: Callable[[], Masks]) -> Masks:
+        """Pixels that become points of the tile or stand beside it, as its sweep left them."""
+        return load_masks(folder / MASKS, KEPT)
+
+    def _part(self, name: str):
+        return (self.cell, self.ground) if name == "area" else super()._part(name)
+
+
+def pack_masks(masks: Mapping[str, list[np.ndarray]]) -> dict[str, np.ndarray]:
+    """Arrays of masks (height, width) bool by name, one bit a pixel, for `load_masks`."""
+    arrays: dict[str, np.ndarray] = {}
+    for name, of_name in masks.items():
+        arrays[f"{name}_shapes"] = np.array([mask.shape for mask in of_name], dtype=np.int64).reshape(-1, 2)
+        for number, mask in enumerate(of_name):
+            arrays[f"{name}_{number}"] = np.packbits(mask)
+    return arrays
+
+
+def load_masks(path: Path, name: str) -> Masks:
+    """Masks of a file of `pack_masks`."""
+    stored = load_arrays(path)
+    shapes = [tuple(shape) for shape in stored[f"{name}_shapes"].tolist()]
+    masks = Masks(shapes)
+    for number, (height, width) in enumerate(shapes):
+        masks[number] = np.unpackbits(stored[f"{name}_{number}"], count=height * width)
+    return masks
+
+
+class _ProgressOfTile:
+    """Progress of a run with the tile in the names of its parts; what is noted of a tile is a detail."""
+
+    def __init__(self, progress: Progress, number: int, count: int):
+        self._progress, self._number, self._count = progress, number, count
+
+    @contextmanager
+    def stage(self, name: str, total: float | None = None) -> Iterator[Step]:
+        """As `Progress.stage`."""
+        with self._progress.stage(part_name(name, self._number, self._count), total) as step:
+            yield step
+
+    def note(self, text: str) -> None:
+        """As `Progress.detail`."""
+        self._progress.detail(f"tile {self._number + 1}: {text}")
+
+    detail = note
+
+    def warn(self, text: str) -> None:
+        """As `Progress.warn`."""
+        self._progress.warn(f"tile {self._number + 1}: {text}")

@@ -1,0 +1,101 @@
+"""Tiles of the ground, and how many a run takes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from survey.errors import SurveyError
+from survey.files.sizes import bytes_of, room, size
+from survey.plan import tile_choice
+from survey.plan.choices import Choices
+from survey.plan.plan import make_plan
+from survey.plan.tile_choice import choose_tiles
+from survey.plan.tiling import Tiling, ground_of, inside
+from survey.plan.workload import workload_of
+
+
+def test_every_place_is_in_one_tile_those_on_lines_and_beyond_the_ground_too(rng):
+    tiling = Tiling.of((0.0, -10.0, 30.0, 10.0), 6, rim=0.5)
+    assert (len(tiling.x), len(tiling.y), len(tiling)) == (4, 3, 6)
+    places = np.concatenate([rng.uniform((-40, -40), (70, 40), (500, 2)), [(x, y) for x in tiling.x for y in tiling.y]])
+    assert sum(inside(places, tiling.cell(number)).astype(int) for number in range(6)).tolist() == [1] * len(places)
+
+
+def test_the_ground_of_a_tile_is_wider_only_where_another_tile_follows():
+    tiling = Tiling.of((0.0, 0.0, 30.0, 20.0), 6, rim=0.5)
+    assert tiling.ground(0, 0.5) == (0.0, 0.0, 10.5, 10.5)
+    assert tiling.ground(4, 0.5) == (9.5, 9.5, 20.5, 20.0)
+    assert tiling.ground(4, 0.0) == (10.0, 10.0, 20.0, 20.0)
+
+
+def test_tiles_are_as_square_as_their_number_allows():
+    assert (len(Tiling.of((0, 0, 100, 100), 4, 1.0).x), len(Tiling.of((0, 0, 10, 100), 4, 1.0).x)) == (3, 2)
+
+
+SIZES = {"8GB": 8e9, "500 mb": 5e8, "2GiB": 2**31, "1e9": None, "": None, "0GB": None, "much": None}
+
+
+@pytest.mark.parametrize(("text", "expected"), SIZES.items())
+def test_sizes_are_read_in_words(text, expected):
+    if expected is not None:
+        assert bytes_of(text) == expected
+        return
+    with pytest.raises(SurveyError, match=r"--memory is .*, expected a size such as 8GB"):
+        bytes_of(text)
+
+
+def test_sizes_are_rounded_up_and_room_down():
+    assert (size(1.27e9), room(1.27e9)) == ("1.3 GB", "1.2 GB")
+
+
+@pytest.fixture(scope="module")
+def planned(shallow_survey):
+    plan = make_plan(shallow_survey)
+    return shallow_survey, plan, workload_of(shallow_survey, plan)
+
+
+def test_one_piece_where_memory_suffices_and_the_plan_says_why(planned, monkeypatch):
+    monkeypatch.setattr(tile_choice.machine, "free_memory_bytes", lambda: 10_000_000_000)
+    found = choose_tiles(*planned[:2], Choices(), planned[2], is_aimed=False)
+    assert (found.tiling, found.decision.choice, found.memory_bytes) == (None, "1", planned[2].memory_bytes)
+    assert "8.0 GB may be taken (80% of what is free)" in found.decision.reason
+
+
+def test_a_number_of_tiles_is_taken_as_it_is(planned):
+    found = choose_tiles(*planned[:2], Choices(tiles=3), planned[2], is_aimed=False)
+    assert len(found.tiling) == 3
+    assert found.decision.reason.startswith("set by --tiles, ")
+    assert choose_tiles(*planned[:2], Choices(tiles=1), planned[2], is_aimed=False).tiling is None
+
+
+def test_less_memory_asks_for_more_tiles(planned):
+    survey, plan, workload = planned
+    # As if photographs were of 300 megapixels: windows are what the memory is for.
+    plan = replace(plan, footprint_m=(2.0, 1.5))
+    workload = replace(workload, memory_bytes=4_000_000_000)
+    many = choose_tiles(survey, plan, Choices(memory="600MB"), workload, is_aimed=False)
+    assert len(many.tiling) > 1
+    assert many.memory_bytes < 4e9
+    assert "600 MB are allowed (--memory); in tiles of " in many.decision.reason
+    # An unfinished run goes on with its own tiles.
+    again = choose_tiles(survey, plan, Choices(memory="600MB"), workload, is_aimed=False, earlier=7)
+    assert len(again.tiling) == 7
+
+
+def test_a_run_that_has_to_be_in_one_piece_refuses_tiles(planned):
+    with pytest.raises(SurveyError, match="--tiles 4, but a run with an aim is in one piece"):
+        choose_tiles(*planned[:2], Choices(tiles=4), planned[2], is_aimed=True)
+    assert choose_tiles(*planned[:2], Choices(), planned[2], is_aimed=True).tiling is None
+    with pytest.raises(SurveyError, match="--tiles is 0"):
+        Choices(tiles=0)
+
+
+def test_the_ground_is_the_bounds_or_what_two_views_see(shallow_survey):
+    plan = make_plan(shallow_survey)
+    bounded, free = ground_of(shallow_survey, plan), ground_of(replace(shallow_survey, bounds=None), plan)
+    assert bounded[2] - bounded[0] == pytest.approx(13.0 + 1.0, abs=0.5)
+    assert free[0] < bounded[0]
+    assert free[3] > bounded[3]

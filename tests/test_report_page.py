@@ -41,7 +41,7 @@ def test_report_json_keeps_its_names(plane_report):
         "baselines": ["places", "views_per_place", "rows", "note"],
     }  # fmt: skip
     assert list(found) == [
-        "verdict", "survey", "water", "plan", "cloud", "comparison", "iho_s44", "checkpoints", "height_std_m",
+        "verdict", "survey", "taken", "water", "plan", "cloud", "comparison", "iho_s44", "checkpoints", "height_std_m",
         "adjustment", "baselines", "photographs", "timings_s", "versions", "settings", "assumptions", "warnings",
         "notes",
     ]  # fmt: skip

@@ -12,6 +12,7 @@ from survey.errors import ConfigError
 from survey.files.toml_table import key, parse_toml, read_toml, require_one_of, require_positive
 from survey.folder.config_control import ControlConfig
 from survey.folder.config_process import ProcessConfig
+from survey.folder.config_report import ReportConfig
 from survey.folder.config_std import require_std
 from survey.folder.config_water import WaterConfig, require_sane
 
@@ -173,6 +174,7 @@ class SurveyConfig:
     area: AreaConfig = field(default_factory=AreaConfig)
     local: LocalConfig = field(default_factory=LocalConfig)
     process: ProcessConfig = field(default_factory=ProcessConfig)
+    report: ReportConfig = field(default_factory=ReportConfig)
 
 
 def read_config(path: Path) -> SurveyConfig:

@@ -27,6 +27,7 @@ from survey.photos.xmp import (
     motion_of,
     number,
     rtk_of,
+    serial_of,
     stated_std,
     xmp_number,
     xmp_place,
@@ -110,6 +111,8 @@ class Exif:
         What EXIF lacks for a GPS position, of which it has a part.
     focal_doubt : str
         Where a calibration in XMP belongs to another size of the photograph, or nothing tells to which.
+    serial : str
+        Serial number of the camera; empty where nothing tells it.
     table_place : TablePlace or None
         Where a table gives the position, which then counts instead of that of the file itself.
     """
@@ -132,6 +135,7 @@ class Exif:
     exposure_s: float | None = None
     gps_fault: str = ""
     focal_doubt: str = ""
+    serial: str = ""
     table_place: TablePlace | None = None
 
 
@@ -177,6 +181,7 @@ def read_exif(path: Path) -> Exif:
         exposure_s=_exposure(details),
         gps_fault=fault,
         focal_doubt=resized_doubt(size, details, xmp),
+        serial=_words(details.get(ExifTags.Base.BodySerialNumber, "")) or _words(serial_of(xmp)),
     )
 
 

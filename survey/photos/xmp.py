@@ -184,6 +184,12 @@ def xmp_number(xmp: str, name: str) -> float | None:
     return _number_in(xmp, _AUTEL, name) if found is None else found
 
 
+def serial_of(xmp: str) -> str:
+    """The serial number of the camera by DJI or Parrot; empty where there is none."""
+    names = ((_DJI, "CameraSerialNumber"), (_PARROT, "SerialNumber"))
+    return next((text for space, name in names if (text := _text_in(xmp, space, name))), "")
+
+
 def pix4d_number(xmp: str, name: str) -> float | None:
     """A finite number in the namespace of Pix4D; None where there is none."""
     return _number_in(xmp, _PIX4D, name)

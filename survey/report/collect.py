@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,6 +35,7 @@ from survey.report.figures import (
     WaterFigures,
 )
 from survey.report.photographs import doubts
+from survey.report.taken import taken_of
 
 if TYPE_CHECKING:
     from fields.sweep.bed import BedPoints
@@ -77,6 +79,7 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
         height_std=height_std_of(facts),
         adjustment=adjustment,
         photographs=facts.photographs,
+        taken=taken_of(survey.config.report, facts.heads, datetime.now().astimezone()) if facts.heads else None,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from survey.adjust.adjustment import Adjustment
 from survey.folder.survey import Survey
+from survey.photos.exif import Exif
 from survey.photos.texture import MatchedLight
 from survey.plan.plan import Plan
 from survey.report.photographs import PhotographFigures
@@ -57,6 +58,8 @@ class ReportFacts:
         To which the index of the water belongs; None in a dry survey.
     photographs : tuple of PhotographFigures
         What of each was left out; none where nobody has looked.
+    heads : dict of name to Exif
+        Of the photographs that are used; empty where nobody has read them.
     """
 
     survey: Survey
@@ -75,6 +78,7 @@ class ReportFacts:
     std_common: np.ndarray | None = None
     light: MatchedLight | None = None
     photographs: tuple[PhotographFigures, ...] = ()
+    heads: Mapping[str, Exif] = field(default_factory=dict)
 
 
 def distances_of(facts: ReportFacts) -> np.ndarray | None:

@@ -9,6 +9,7 @@ from survey.plan.plan import Plan
 from survey.report.adjustment_figures import AdjustmentFigures
 from survey.report.checkpoints import CheckpointFigures
 from survey.report.photographs import PhotographFigures
+from survey.report.taken import TakenFigures
 from survey.report.verdict import Verdict
 
 
@@ -268,6 +269,8 @@ class ReportFigures:
     height_std : HeightStd or None
     photographs : tuple of PhotographFigures
         What of each was left out of matching.
+    taken : TakenFigures or None
+        None where the heads of the photographs were not read.
     """
 
     verdict: Verdict | None
@@ -287,6 +290,7 @@ class ReportFigures:
     adjustment: AdjustmentFigures | None = None
     photographs: tuple[PhotographFigures, ...] = ()
     height_std: HeightStd | None = None
+    taken: TakenFigures | None = None
 
     @property
     def total_s(self) -> float:

@@ -18,6 +18,7 @@ def json_of(figures: ReportFigures) -> dict:
     return plain({
         "verdict": None if figures.verdict is None else _verdict(figures.verdict),
         "survey": figures.survey,
+        "taken": figures.taken,
         "water": figures.water,
         "plan": _plan(figures.plan),
         "cloud": _cloud(figures.cloud),

@@ -8,7 +8,7 @@ from functools import cache
 import jinja2
 
 from survey.display import palette
-from survey.report import adjustment_tables, photographs, reference_tables, survey_tables
+from survey.report import adjustment_tables, photographs, reference_tables, survey_tables, taken
 from survey.report.blocks import Block, Rows, Section, Sentences
 from survey.report.figures import ReportFigures
 from survey.report.headline import cards, headline
@@ -43,6 +43,7 @@ def render_page(figures: ReportFigures, pictures: list[Picture]) -> str:
     return _template().render(
         palette=palette,
         survey=figures.survey,
+        head_lines=taken.head_lines(figures.taken),
         verdict=headline(figures.verdict, figures.warnings),
         cards=cards(figures),
         num_warnings=len(figures.warnings),
@@ -76,6 +77,7 @@ def _sections(figures: ReportFigures) -> list[Section]:
         Section("Adjustment", adjustment_tables.adjustment(figures.adjustment)),
         Section("What refraction would cost if ignored", reference_tables.baselines(figures.baselines)),
         Section("The cloud", survey_tables.cloud(figures.cloud, survey.crs)),
+        Section("Who, when, with what", taken.table(figures.taken)),
         Section("Survey and water", survey_tables.survey(survey, figures.water, figures.plan)),
         Section("What the photographs show beside the bed", photographs.table(figures.photographs)),
         Section("What was done, and why", survey_tables.decisions(figures.plan.decisions)),

@@ -16,6 +16,7 @@ from survey.compare.result import Comparison
 from survey.display.quantities import length
 from survey.files.json_values import read_json_object, write_json
 from survey.folder.survey import Survey
+from survey.photos.exif import read_exif
 from survey.photos.texture import matched_light
 from survey.report import NUM_STEPS, ReportFacts, write_report
 from survey.report.checkpoints import checkpoint_doubts
@@ -104,6 +105,7 @@ def _write_report(
         std_common=stored.std_common,
         photographs=photographs,
         light=None if survey.water is None else matched_light(survey.views),
+        heads={view.name: read_exif(view.path) for view in survey.views},
     )
     with job.progress.stage("Report", NUM_STEPS) as stage:
         figures = write_report(folder, facts, stage.advance)

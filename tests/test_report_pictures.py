@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
@@ -15,8 +16,10 @@ from small_survey import TOML, small_survey
 from geo import LocalFrame
 from survey.display.plan_grid import PlanGrid
 from survey.folder.survey import load_survey
+from survey.photos.exif import read_exif
 from survey.report import NUM_STEPS, profile, write_report
 from survey.report.cut import choose_cut
+from survey.report.flight import draw_plan, flight_lines
 from survey.report.maps import draw_std
 from survey.report.profile import _medians, draw_profile, has_profile, two_digits
 from survey.run.folder import RunDir
@@ -43,8 +46,8 @@ def test_all_pictures_are_drawn_and_are_whole(plane_report):
     errors = "error error_bands error_depth error_histogram"
     names = f"completeness depth {errors} histograms orthophoto plan profile std view views"
     assert [path.name for path in paths] == [f"{name}.png" for name in names.split()]
-    # There is no adjustment, which has three.
-    assert plane_report.num_steps == len(paths) == NUM_STEPS - 3
+    # There is no adjustment, which has four, and no control.
+    assert plane_report.num_steps == len(paths) == NUM_STEPS - 5
     for path in paths:
         with Image.open(path) as image:
             assert np.asarray(image.convert("L")).std() > 5.0, path  # neither black nor white
@@ -128,3 +131,22 @@ def test_a_profile_of_a_wet_survey_shows_the_level_even_over_a_dry_bed(shallow_s
 @pytest.mark.parametrize(("value", "text"), [(0.123, "0.12"), (1.0, "1"), (1.849, "1.8"), (18.4, "18"), (183.0, "180")])
 def test_a_factor_has_two_digits_and_no_exponent(value, text):
     assert two_digits(value) == text
+
+
+def test_flight_lines_go_from_exposure_to_exposure_and_not_over_a_pause():
+    seconds = np.array([4.0, 0.0, 2.0, 60.0, 62.0])
+    centres = np.arange(10.0).reshape(5, 2)
+    lines = flight_lines(seconds, centres)
+    assert lines.tolist() == [[[2, 3], [4, 5]], [[4, 5], [0, 1]], [[6, 7], [8, 9]]]
+
+
+def test_the_plan_of_a_flight_has_its_lines(shallow_survey, tmp_path):
+    start = datetime(2026, 6, 1, tzinfo=UTC)
+    heads = {
+        view.name: replace(read_exif(view.path), taken=start + timedelta(seconds=2 * i))
+        for i, view in enumerate(shallow_survey.views)
+    }
+    facts = facts_of(shallow_survey, plane_bed(shallow_survey, num=20))
+    draw_plan(tmp_path / "without.png", facts)
+    draw_plan(tmp_path / "with.png", replace(facts, heads=heads))
+    assert (tmp_path / "with.png").read_bytes() != (tmp_path / "without.png").read_bytes()

@@ -112,7 +112,8 @@ def map_canvas(extent: Extent, crs: CRS | None, *, below_in: float = 0.0) -> tup
         formatter.set_scientific(False)
         axis.set_major_formatter(formatter)
     unit_m = crs.axis_info[0].unit_conversion_factor if crs is not None else 1.0
-    _scale_bar(axes, unit_m * EARTH_RADIUS_M / aspect if angular else unit_m)
+    end = _scale_bar(axes, unit_m * EARTH_RADIUS_M / aspect if angular else unit_m)
+    _north_arrow(axes, end + 0.05)
     return figure, axes
 
 
@@ -138,8 +139,27 @@ def _plain(axes: Axes) -> Axes:
     return axes
 
 
-def _scale_bar(axes: Axes, metres_per_unit: float) -> None:
-    """A bar of a round number of metres, about a sixth of the width, in the lower left corner."""
+def _north_arrow(axes: Axes, at: float) -> None:
+    """An arrow to the north of the grid, at a share of the width beside the bar of metres."""
+    halo = [withStroke(linewidth=3, foreground="white")]
+    axes.annotate(
+        "N",
+        (at, 0.105),
+        (at, 0.022),
+        xycoords="axes fraction",
+        ha="center",
+        va="bottom",
+        color=INK,
+        fontsize=9,
+        weight="bold",
+        zorder=6,
+        path_effects=halo,
+        arrowprops={"arrowstyle": "-|>", "color": INK, "shrinkA": 0.0, "shrinkB": 0.0, "path_effects": halo},
+    )
+
+
+def _scale_bar(axes: Axes, metres_per_unit: float) -> float:
+    """A bar of a round number of metres, about a sixth of the width, in the lower left corner; returns its end [-]."""
     west, east = axes.get_xlim()
     width_m = (east - west) * metres_per_unit
     power = 10.0 ** math.floor(math.log10(width_m / 6.0))
@@ -162,6 +182,7 @@ def _scale_bar(axes: Axes, metres_per_unit: float) -> None:
         zorder=6,
         path_effects=[withStroke(linewidth=3, foreground="white")],
     )
+    return 0.04 + share
 
 
 def write_title(axes: Axes, title: str, subtitle: str = "") -> None:

@@ -17,7 +17,7 @@ from survey.report.pictures import draw_pictures
 __all__ = ["NUM_STEPS", "ReportFacts", "write_report"]
 
 # How often `write_report` calls back, at most: once for each picture.
-NUM_STEPS = 16
+NUM_STEPS = 18
 
 
 def write_report(folder: Path, facts: ReportFacts, advance: Callable[[], None] = lambda: None) -> ReportFigures:
@@ -43,7 +43,7 @@ def write_report(folder: Path, facts: ReportFacts, advance: Callable[[], None] =
     """
     figures = figures_of(facts)
     (folder / "pictures").mkdir(exist_ok=True)
-    pictures = draw_pictures(folder / "pictures", facts, advance)
+    pictures = draw_pictures(folder / "pictures", facts, advance, checkpoints=figures.checkpoints)
     page = render_page(figures, pictures)
     write_json(folder / "report.json", json_of(figures))
     with write_whole(folder / "report.html") as stream:

@@ -14,7 +14,7 @@ from matplotlib.patches import Rectangle
 from geo.projection import ground_units_m
 from refract import PinholeCamera
 from survey.compare.canvas import map_canvas, save, show, write_title
-from survey.display.palette import BOUNDS, INK, LAND, OBLIQUE, WATER
+from survey.display.palette import BOUNDS, INK, LAND, OBLIQUE, SOFT, WATER
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import number
 from survey.folder.survey import Survey
@@ -23,6 +23,8 @@ from survey.report.shading import Picture
 
 _OBLIQUE_DEG = 15.0
 _CELLS = 150
+# So many times the usual time between exposures is a pause: another line or another flight.
+_PAUSE = 4.0
 # With more outlines than this each is drawn fainter.
 _FEW_OUTLINES = 20
 
@@ -41,6 +43,7 @@ def draw_plan(path: Path, facts: ReportFacts) -> Picture:
         _draw_wet_and_dry(axes, facts)
     outline = to_rgba(INK, min(0.4, max(0.08, 0.4 * _FEW_OUTLINES / len(cameras))))
     axes.add_collection(PolyCollection(footprints, facecolors="none", edgecolors=outline, lw=0.7))
+    _draw_lines(axes, facts, centres)
     _draw_cameras(axes, survey, centres, size)
     if survey.bounds is not None:
         e0, n0, e1, n1 = survey.bounds
@@ -78,6 +81,26 @@ def _draw_wet_and_dry(axes: Axes, facts: ReportFacts) -> None:
             image = np.where(part[..., None], to_rgba(colour), (0.0, 0.0, 0.0, 0.0))
             show(axes, image, grid.extent)
             axes.add_patch(Rectangle((0.0, 0.0), 0.0, 0.0, color=colour, label=label, transform=axes.transAxes))
+
+
+def _draw_lines(axes: Axes, facts: ReportFacts, centres: np.ndarray) -> None:
+    """From exposure to exposure in the order of their times; no line over a pause."""
+    heads = [facts.heads.get(view.name) for view in facts.survey.views]
+    # One clock for all.
+    times = [None if head is None else head.taken for head in heads]
+    if None in times:
+        times = [None if head is None else head.clock for head in heads]
+    seconds = np.array([time.timestamp() for time in times if time is not None])
+    if len(seconds) == len(times):
+        lines = flight_lines(seconds, centres)
+        axes.add_collection(LineCollection(list(lines), colors=SOFT, lw=0.9, zorder=4, label="flight line"))
+
+
+def flight_lines(seconds: np.ndarray, centres: np.ndarray) -> np.ndarray:
+    """Ways (K, 2, 2) between cameras (N, 2), taken at seconds (N,), in the order of time; none over a pause."""
+    order = np.argsort(seconds, kind="stable")
+    along, gaps = centres[order], np.diff(seconds[order])
+    return np.stack([along[:-1], along[1:]], axis=1)[gaps <= _PAUSE * np.median(gaps)]
 
 
 def _draw_cameras(axes: Axes, survey: Survey, centres: np.ndarray, length: np.ndarray) -> None:

@@ -19,7 +19,7 @@ _GROUPS = (
     ("The bed", ("depth", "orthophoto", "profile")),
     ("How sure it is", ("views", "std", "histograms")),
     ("Against the reference", ("error", "completeness", "error_histogram", "error_depth", "error_bands")),
-    ("What the adjustment left", ("parts", "residuals_ground", "residuals_image", "correlation")),
+    ("What the adjustment left", ("parts", "control", "residuals_ground", "residuals_image", "correlation")),
     ("The flight", ("view", "plan")),
 )
 # These show several things side by side and take the whole width.

@@ -13,7 +13,8 @@ from survey.adjust.parts import part_numbers
 from survey.compare import bands as compare_bands
 from survey.compare import pictures as compare_report
 from survey.display.plan_grid import PlanGrid
-from survey.report import adjustment_pictures, flight, graphs, maps, profile
+from survey.report import adjustment_pictures, control_picture, flight, graphs, maps, profile
+from survey.report.checkpoints import CheckpointFigures
 from survey.report.cut import choose_cut
 from survey.report.facts import ReportFacts, distances_of
 from survey.report.shading import Picture
@@ -27,7 +28,13 @@ _ORTHO_CELLS, _MAP_CELLS = 2000, 900
 _CELL_GSD = 2.0
 
 
-def draw_pictures(folder: Path, facts: ReportFacts, advance: Callable[[], None] = lambda: None) -> list[Picture]:
+def draw_pictures(
+    folder: Path,
+    facts: ReportFacts,
+    advance: Callable[[], None] = lambda: None,
+    *,
+    checkpoints: CheckpointFigures | None = None,
+) -> list[Picture]:
     """Draw all pictures that the facts allow, as PNG files, each whole or not at all.
 
     Parameters
@@ -37,6 +44,8 @@ def draw_pictures(folder: Path, facts: ReportFacts, advance: Callable[[], None] 
     facts : ReportFacts
     advance : callable
         Called after each picture.
+    checkpoints : CheckpointFigures, optional
+        The cloud at the check points.
 
     Returns
     -------
@@ -68,6 +77,9 @@ def draw_pictures(folder: Path, facts: ReportFacts, advance: Callable[[], None] 
         drawings["histograms"] = partial(graphs.draw_histograms, facts=facts)
     if facts.adjustment is not None:
         drawings |= _of_adjustment(facts, facts.adjustment)
+    residuals = control_picture.residuals_of(facts.survey, facts.adjustment, checkpoints)
+    if residuals:
+        drawings["control"] = partial(control_picture.draw_residuals, survey=facts.survey, residuals=residuals)
     drawings["plan"] = partial(flight.draw_plan, facts=facts)
     pictures = []
     for name, draw in drawings.items():

@@ -121,11 +121,14 @@ def test_the_card_claims_an_order_only_where_every_depth_meets_it(plane_report):
     assert card(errors, depth).value == "none"
 
 
-def test_no_order_is_claimed_without_a_reference(shallow_survey):
+def test_without_a_reference_orders_are_said_to_be_stated_alone(shallow_survey):
     figures = figures_of(facts_of(shallow_survey, plane_bed(shallow_survey, num=20)))
     assert figures.comparison is None
     assert json_of(figures)["iho_s44"] is None
-    assert "IHO S-44" not in render_page(figures, [])
+    page = render_page(figures, [])
+    assert "Vertical uncertainty (IHO S-44)" not in page
+    assert "IHO S-44, vertical, stated" in page
+    assert "nothing is compared" in page
 
 
 def test_a_failed_gate_is_in_the_verdict_and_among_the_warnings(shallow_survey):

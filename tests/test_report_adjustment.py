@@ -97,6 +97,9 @@ def test_control_and_check_points_are_told_apart(facts):
     control, check = adjustment_of(facts.survey, facts.adjustment).control_groups
     assert (control.name, control.num, control.rms_px) == ("control", 1, pytest.approx(0.31))
     assert check.rms_m == pytest.approx((0.012, 0.006, 0.021))
+    assert check.le90_m == pytest.approx(1.6448536 * 0.021)
+    # Of two errors that are alike, the square over the variance is that of an exponential distribution: -2 ln 0.1.
+    assert check.ce90_m == pytest.approx(np.sqrt(-2.0 * np.log(0.1)) * np.sqrt((0.012**2 + 0.006**2) / 2.0), rel=1e-6)
 
 
 def test_correlations_leave_out_what_was_not_to_move(facts):

@@ -12,6 +12,7 @@ from survey.adjust.parts import Part, parts_of_adjustment
 from survey.adjust.state import RELIEF
 from survey.display.quantities import length
 from survey.folder.survey import Survey
+from survey.report.stated import CE90, LE90
 
 # Standard deviations below this are those of parameters that were not to move.
 HELD_STD = 1e-7
@@ -96,12 +97,16 @@ class ControlGroup:
     rms_m : (east, north, up) [m]
     rms_px : float
         Of all marks.
+    ce90_m, le90_m : [m]
+        Within which 90 % of normal errors are in plan and in height: 2.146 and 1.645 times the root mean squares.
     """
 
     name: str
     num: int
     rms_m: Axes
     rms_px: float
+    ce90_m: float
+    le90_m: float
 
 
 @dataclass(frozen=True)
@@ -217,7 +222,9 @@ def _control_groups(control: tuple[ControlResidual, ...]) -> tuple[ControlGroup,
             marks = np.array([row.num_marks for row in rows])
             squares = np.array([row.rms_px for row in rows]) ** 2
             px = float(np.sqrt((marks * squares).sum() / max(marks.sum(), 1)))
-            groups.append(ControlGroup(name, len(rows), _rms(np.array([row.residual_m for row in rows])), px))
+            rms = _rms(np.array([row.residual_m for row in rows]))
+            in_plan = float(np.hypot(rms[0], rms[1])) / np.sqrt(2.0)
+            groups.append(ControlGroup(name, len(rows), rms, px, float(CE90 * in_plan), LE90 * rms[2]))
     return tuple(groups)
 
 

@@ -117,8 +117,9 @@ def _control(found: AdjustmentFigures) -> list[Table]:
 
 def _groups(groups: Sequence[ControlGroup], unit: LengthUnit, axes: tuple[str, ...]) -> Table:
     rows = [
-        (f"{group.name} points", count(group.num), *(unit.number(value) for value in group.rms_m),
-         number(group.rms_px, 2))
+        (f"{group.name} points", count(group.num),
+         *(unit.number(value) for value in (*group.rms_m, group.ce90_m, group.le90_m)), number(group.rms_px, 2))
         for group in groups
     ]  # fmt: skip
-    return Table(("rms of", "number", *axes, "marks [px]"), rows, heading="Control and check points")
+    spread = tuple(f"{name} [{unit.name}]" for name in ("CE90", "LE90"))
+    return Table(("rms of", "number", *axes, *spread, "marks [px]"), rows, heading="Control and check points")

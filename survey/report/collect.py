@@ -35,6 +35,7 @@ from survey.report.figures import (
     WaterFigures,
 )
 from survey.report.photographs import doubts
+from survey.report.stated import stated_of
 from survey.report.taken import taken_of
 
 if TYPE_CHECKING:
@@ -79,6 +80,7 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
         height_std=height_std_of(facts),
         adjustment=adjustment,
         photographs=facts.photographs,
+        stated=stated_of(stated, np.where(facts.bed.wet, facts.bed.depth, np.nan)),
         taken=taken_of(survey.config.report, facts.heads, datetime.now().astimezone()) if facts.heads else None,
     )
 

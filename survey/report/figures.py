@@ -9,6 +9,7 @@ from survey.plan.plan import Plan
 from survey.report.adjustment_figures import AdjustmentFigures
 from survey.report.checkpoints import CheckpointFigures
 from survey.report.photographs import PhotographFigures
+from survey.report.stated import StatedFigures
 from survey.report.taken import TakenFigures
 from survey.report.verdict import Verdict
 
@@ -271,6 +272,8 @@ class ReportFigures:
         What of each was left out of matching.
     taken : TakenFigures or None
         None where the heads of the photographs were not read.
+    stated : StatedFigures or None
+        What the cloud states of its heights; None without points.
     """
 
     verdict: Verdict | None
@@ -291,6 +294,7 @@ class ReportFigures:
     photographs: tuple[PhotographFigures, ...] = ()
     height_std: HeightStd | None = None
     taken: TakenFigures | None = None
+    stated: StatedFigures | None = None
 
     @property
     def total_s(self) -> float:

@@ -65,7 +65,13 @@ def _of_heights(figures: ReportFigures) -> list[Card]:
     if std is None:
         return []
     shared = "" if std.shared is None else f"{length(std.shared)} shared by all, "
-    return [Card("Height, one sigma, all included", length(std.whole), f"{shared}{length(std.random)} random")]
+    found = [Card("Height, one sigma, all included", length(std.whole), f"{shared}{length(std.random)} random")]
+    stated = figures.stated
+    if figures.comparison is None and stated is not None and stated.orders:
+        met = stated.strictest
+        detail = "strictest order for 95 % of the points, by what the cloud states"
+        found.append(Card("IHO S-44, vertical, stated", "none" if met is None else met.name, detail))
+    return found
 
 
 def _of_cloud(figures: ReportFigures) -> list[Card]:

@@ -26,6 +26,7 @@ def json_of(figures: ReportFigures) -> dict:
         "iho_s44": None if comparison is None else comparison.get("iho_s44"),
         "checkpoints": figures.checkpoints,
         "height_std_m": figures.height_std,
+        "stated": figures.stated,
         "adjustment": None if figures.adjustment is None else _adjustment(figures.adjustment),
         "baselines": figures.baselines,
         "photographs": figures.photographs,

@@ -8,7 +8,7 @@ from functools import cache
 import jinja2
 
 from survey.display import palette
-from survey.report import adjustment_tables, photographs, reference_tables, survey_tables, taken
+from survey.report import adjustment_tables, photographs, reference_tables, stated, survey_tables, taken
 from survey.report.blocks import Block, Rows, Section, Sentences
 from survey.report.figures import ReportFigures
 from survey.report.headline import cards, headline
@@ -74,6 +74,7 @@ def _sections(figures: ReportFigures) -> list[Section]:
         Section("Against the reference", reference_tables.comparison(comparison)),
         Section("At the check points", reference_tables.checkpoints(figures.checkpoints)),
         Section("Vertical uncertainty (IHO S-44)", reference_tables.iho_s44(uncertainty)),
+        Section("Uncertainty as the cloud states it", stated.table(figures.stated)),
         Section("Adjustment", adjustment_tables.adjustment(figures.adjustment)),
         Section("What refraction would cost if ignored", reference_tables.baselines(figures.baselines)),
         Section("The cloud", survey_tables.cloud(figures.cloud, survey.crs)),

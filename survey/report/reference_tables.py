@@ -134,7 +134,11 @@ def checkpoints(found: CheckpointFigures | None) -> list[Block]:
     if num_outside:
         method += f" {num_outside} of {len(found.rows)} lie outside [area] bounds."
     groups = [
-        (group.name, count(group.num), *(unit.number(value) for value in (group.mean_m, group.rms_m, group.largest_m)))
+        (
+            group.name,
+            count(group.num),
+            *(unit.number(value) for value in (group.mean_m, group.rms_m, group.largest_m, group.le90_m)),
+        )
         for group in found.groups
     ]
     rows = [
@@ -148,7 +152,7 @@ def checkpoints(found: CheckpointFigures | None) -> list[Block]:
         )
         for row in found.rows
     ]
-    statistics = ("check points", "compared", *(f"{name} [{unit.name}]" for name in ("mean", "RMS", "largest")))
+    statistics = ("check points", "compared", *(f"{name} [{unit.name}]" for name in ("mean", "RMS", "largest", "LE90")))
     each = ("check point", "height in crs", "depth [m]", f"difference [{unit.name}]", f"std stated [{unit.name}]", "")
     return [Text(method), *([Table(statistics, groups)] if groups else []), Table(each, rows, heading="Each")]
 

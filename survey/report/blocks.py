@@ -45,6 +45,16 @@ class Table:
 
 
 @dataclass(frozen=True)
+class Folded:
+    """A long table that opens on a click."""
+
+    kind: ClassVar[str] = "folded"
+    summary: str
+    table: Table
+    is_open: bool
+
+
+@dataclass(frozen=True)
 class Sentences:
     """A list of sentences."""
 
@@ -52,7 +62,7 @@ class Sentences:
     sentences: Sequence[str]
 
 
-Block = Text | Rows | Table | Sentences
+Block = Text | Rows | Table | Folded | Sentences
 
 
 @dataclass(frozen=True)

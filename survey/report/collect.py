@@ -54,11 +54,12 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
     adjustment = adjustment_of(survey, facts.adjustment)
     told = [] if adjustment is None or adjustment.note is None else [adjustment.note]
     failed = [gate.sentence for gate in facts.verdict.gates if not gate.passed] if facts.verdict else []
-    stated = stated_std(facts)
+    stated, left_out = stated_std(facts), _left_out(survey)
     checkpoints = checkpoints_of(survey, facts.bed.xyz, facts.plan.gsd_m, stated)
     return ReportFigures(
         verdict=facts.verdict,
-        survey=_survey(survey),
+        survey=_survey(survey, len(left_out)),
+        left_out=left_out,
         water=_water(facts),
         plan=facts.plan,
         cloud=_cloud(facts),
@@ -99,16 +100,22 @@ def height_std_of(facts: ReportFacts) -> HeightStd | None:
     return HeightStd(float(np.median(stated_std(facts))), shared, float(np.nanmedian(facts.bed.std)))
 
 
-def _survey(survey: Survey) -> SurveyFigures:
+def _left_out(survey: Survey) -> tuple[str, ...]:
+    """Names of the photographs in the folder that are no views."""
+    config, used = survey.config, {view.name for view in survey.views}
+    images = list_images(survey.folder / config.images.dir, deep=config.images.dir != ".")
+    return tuple(name for name in images if name not in used)
+
+
+def _survey(survey: Survey, num_left_out: int) -> SurveyFigures:
     config = survey.config
     camera = survey.views[0].camera
-    images = list_images(survey.folder / config.images.dir, deep=config.images.dir != ".")
     return SurveyFigures(
         name=survey.name,
         crs=_crs(survey.frame.crs),
         bounds=survey.bounds,
         views_used=len(survey.views),
-        views_left_out=max(len(images) - len(survey.views), 0),
+        views_left_out=num_left_out,
         image_size_px=(camera.width, camera.height),
         focal_px=camera.fx,
         poses=(config.cameras.poses or "structure from motion") + (", adjusted" if survey.is_adjusted else ""),

@@ -272,6 +272,8 @@ class ReportFigures:
         What of each was left out of matching.
     taken : TakenFigures or None
         None where the heads of the photographs were not read.
+    left_out : tuple of str
+        Names of the photographs in the folder that have no pose.
     stated : StatedFigures or None
         What the cloud states of its heights; None without points.
     """
@@ -294,6 +296,7 @@ class ReportFigures:
     photographs: tuple[PhotographFigures, ...] = ()
     height_std: HeightStd | None = None
     taken: TakenFigures | None = None
+    left_out: tuple[str, ...] = ()
     stated: StatedFigures | None = None
 
     @property

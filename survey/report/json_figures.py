@@ -30,6 +30,7 @@ def json_of(figures: ReportFigures) -> dict:
         "adjustment": None if figures.adjustment is None else _adjustment(figures.adjustment),
         "baselines": figures.baselines,
         "photographs": figures.photographs,
+        "photographs_left_out": figures.left_out,
         "timings_s": {**figures.timings_s, "total": figures.total_s},
         "versions": figures.versions,
         "settings": figures.settings,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from fields.sweep.photo_consistency import Consistency
 from survey.display.quantities import share
 from survey.display.words import named
 from survey.photos.saturation import MOSTLY_WHITE
-from survey.report.blocks import Block, Rows, Table
+from survey.report.blocks import Block, Folded, Rows, Table
 
 # A photograph that shows the bed correlates with the others there as they do with each other; one whose pose is wrong
 # does not: 0.7 to 0.9 and 0.03 in drawn surveys. Fewer points of the bed than this in a frame tell nothing.
@@ -20,6 +20,8 @@ _LEAST_OF_MEDIAN, _FEWEST_POINTS = 0.25, 100
 _BLURRED = 0.3
 # Worth a row in the page; all are in report.json.
 _NOTABLE_WHITE, _NOTABLE_OUTLYING, _MOST_ROWS = 0.02, 0.15, 20
+# Tables of more photographs open on a click.
+_FEW = 40
 
 
 @dataclass(frozen=True)
@@ -98,10 +100,11 @@ def summary(photographs: tuple[PhotographFigures, ...]) -> list[str]:
     return [f"left out as white: {share(white)} of the pixels{unlike}"]
 
 
-def table(photographs: tuple[PhotographFigures, ...]) -> list[Block]:
-    """Means over the photographs, and those that lose most; nothing where none was looked at."""
+def table(photographs: tuple[PhotographFigures, ...], left_out: Sequence[str] = ()) -> list[Block]:
+    """Means over the photographs, those that lose most, and all of them; nothing where there are none."""
+    every = _every(photographs, left_out)
     if not photographs:
-        return []
+        return every
     white = float(np.mean([each.saturated for each in photographs]))
     rows = [("white, in the mean of all photographs", share(white))]
     known = [each.outlying for each in photographs if each.outlying is not None]
@@ -113,4 +116,21 @@ def table(photographs: tuple[PhotographFigures, ...]) -> list[Block]:
     ]
     cells = [(each.name, share(each.saturated), share(each.outlying)) for each in notable]
     titles = ("photograph", "white, of its pixels", "unlike all others, of the points in it")
-    return [Rows(rows), *([Table(titles, cells)] if cells else [])]
+    return [Rows(rows), *([Table(titles, cells)] if cells else []), *every]
+
+
+def _every(photographs: tuple[PhotographFigures, ...], left_out: Sequence[str]) -> list[Block]:
+    """Each photograph of the folder: whether it is used, what of it is left out, and why."""
+    if not photographs and not left_out:
+        return []
+    rows = [(each.name, _use(each), share(each.saturated), share(each.outlying)) for each in photographs]
+    rows += [(name, "left out: no pose", "", "") for name in left_out]
+    titles = ("photograph", "used", "white", "unlike all others")
+    summary = f"All {len(rows)} photographs, {len(left_out)} of them left out"
+    return [Folded(summary, Table(titles, sorted(rows), num_texts=2), len(rows) <= _FEW)]
+
+
+def _use(each: PhotographFigures) -> str:
+    if each.useless:
+        return f"nothing of it: {each.useless}"
+    return "little of it: more than half white" if each.saturated > MOSTLY_WHITE else "yes"

@@ -13,6 +13,7 @@ from urllib.parse import quote, urlencode
 import numpy as np
 import pytest
 from chromium import PROGRAM, page_at
+from command_line import bathynerf
 from control_files import odm
 from PIL import Image
 from small_survey import E0, LEVEL, N0, TOML, small_survey, unposed
@@ -21,6 +22,7 @@ from survey.control.gcp_list import read_gcp_list
 from survey.errors import SurveyError
 from survey.folder.found import find_survey
 from survey.folder.survey import load_survey
+from survey.marking.book import Book, Key
 from survey.marking.server import TOKEN_HEADER, MarkingServer
 from survey.marking.session import Session
 from survey.marking.tiles import TILE_PX, Tiles, pyramid
@@ -204,6 +206,32 @@ def test_tiles_join_to_the_photograph_and_halves_keep_their_place(tmp_path):
     assert abs(float(levels[1][0, 100, 0]) - pixels[:2, 200:202, 0].mean()) <= 1.0
     tile = np.asarray(Image.open(io.BytesIO(tiles.jpeg("a b.png", 0, 1, 0))))
     assert np.abs(tile[:, :, 0].astype(float) - pixels[:TILE_PX, TILE_PX : 2 * TILE_PX, 0]).max() <= 3.0
+
+
+def test_the_command_prints_the_address_and_at_its_end_what_it_wrote(folder, monkeypatch):
+    (folder / "survey.toml").write_text(TOML)
+    (folder / "gcp_list.txt").write_text(odm())
+
+    def serve(server):
+        server.session.book.set(Key("water", "w1"), "0000.jpg", (5.0, 6.0))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(MarkingServer, "serve_forever", serve)
+    monkeypatch.setattr(Book, "points", lambda self: {Key("water", "w1"): None})
+    found = bathynerf("mark", folder, "--no-browser")
+    assert found.exit_code == 0
+    lines = found.stdout.split("\n")
+    assert lines[0].startswith("http://localhost:")
+    assert "/?token=" in lines[0]
+    assert [str(folder / "gcp_list.txt"), str(folder / "clicks.csv")] == lines[1:3]
+    assert 'in survey.toml: [control] gcps = "gcp_list.txt"' in lines
+    assert 'in survey.toml: [water] clicks = "clicks.csv", in place of the level that is there' in lines
+
+
+def test_a_port_that_is_taken_is_an_error_in_one_sentence(server, folder):
+    found = bathynerf("mark", folder, "--no-browser", "--port", server.server_address[1])
+    assert found.exit_code == 2
+    assert "cannot listen at localhost, port" in found.stderr
 
 
 @pytest.mark.slow

@@ -32,10 +32,8 @@ class Curve(NamedTuple):
 
 def seen_at(view: View, place: np.ndarray, water: FlatWater | None) -> tuple[float, float] | None:
     """The pixel at which a photograph shows a place (3,), local; None where it does not show it."""
-    x, y = view.camera.project(place, water).tolist()
-    # NaN is in no interval.
-    is_inside = 0.0 <= x <= view.camera.width and 0.0 <= y <= view.camera.height
-    return (x, y) if is_inside else None
+    pixel = view.camera.project(place, water)
+    return (float(pixel[0]), float(pixel[1])) if view.camera.sees(pixel) else None
 
 
 def epipolar_curve(source: View, pixel: tuple[float, float], target: View, water: FlatWater | None) -> Curve:
@@ -62,8 +60,7 @@ def epipolar_curve(source: View, pixel: tuple[float, float], target: View, water
     dry = 1.0 / np.linspace(1.0 / (_NEAREST * min(apart, far)), 1.0 / far, _SAMPLES)
     wet = air + np.linspace(0.0, _DEEPEST_M, _SAMPLES) if is_wet else np.zeros(0)
     shown = target.camera.project(path.at(np.concatenate([dry, wet])), water)
-    size = (target.camera.width, target.camera.height)
-    inside = np.all((shown >= 0.0) & (shown <= size), axis=1)
+    inside = target.camera.sees(shown)
     return Curve(shown[:_SAMPLES][inside[:_SAMPLES]], shown[_SAMPLES:][inside[_SAMPLES:]])
 
 

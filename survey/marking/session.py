@@ -20,6 +20,8 @@ from survey.marking.poses import Posed, poses_to_mark, survey_to_mark
 from survey.photos.cameras import View
 from survey.photos.intersection import Intersection, intersect
 
+_Points = Mapping[Key, GivenPoint | None]
+_Marks = Mapping[Key, Mapping[str, Pixel]]
 # A mark that misses the place of its point by this many standard deviations is shown as doubtful.
 _MOST_MISS = 3.0
 # Of epipolar curves in one photograph: more hide it.
@@ -95,22 +97,24 @@ class Session:
         point, own = points[key], marks.get(key, {})
         if self._posed is None:
             return {"predicted": None, "curves": [], "others": [], "next": self._without_poses(point, own, image)}
-        water, place = self._water_of(key), self._place(key, points, marks)
+        common, _ = self._common(points, marks)
+        water, place = self._water_of(key), self._place(key, point, own, common)
         view = self._posed.views.get(image)
         predicted = None if place is None or view is None else seen_at(view, place, water)
         others = [(name, own[name]) for name in own if name in self._posed.views and name != image]
         return {
             "predicted": predicted,
             "curves": [] if view is None else self._curves(others[:_MOST_CURVES], view, water),
-            "others": [] if view is None else self._others(key, view, points, marks),
+            "others": [] if view is None else self._others(key, view, points, marks, common),
             "next": self._next(place, water, own, image),
         }
 
-    def _others(self, key: Key, view: View, points, marks) -> list[dict]:
+    def _others(self, key: Key, view: View, points: _Points, marks: _Marks, common: np.ndarray) -> list[dict]:
         """Places of other points that a photograph shows without a mark."""
         found = []
-        for other in points:
-            place = None if other == key or view.name in marks.get(other, {}) else self._place(other, points, marks)
+        for other, point in points.items():
+            own = marks.get(other, {})
+            place = None if other == key or view.name in own else self._place(other, point, own, common)
             seen = None if place is None else seen_at(view, place, self._water_of(other))
             if seen is not None:
                 found.append({"kind": other.kind, "name": other.name, "pixel": seen})
@@ -123,7 +127,9 @@ class Session:
             found.append({"image": name, "dry": curve.dry.tolist(), "wet": curve.wet.tolist()})
         return found
 
-    def _next(self, place: np.ndarray | None, water: FlatWater | None, own: Mapping[str, Pixel], image: str):
+    def _next(
+        self, place: np.ndarray | None, water: FlatWater | None, own: Mapping[str, Pixel], image: str
+    ) -> list[str]:
         if place is None:
             return self._in_order(own, image)
         marked = [self._views[name] for name in own if name in self._views]
@@ -221,24 +227,25 @@ class Session:
             self._met[asked] = intersect(cameras, pixels, stds, self._water_of(key))
         return self._met[asked]
 
-    def _place(self, key: Key, points: Mapping[Key, GivenPoint | None], marks: Mapping[Key, Mapping[str, Pixel]]):
+    def _place(
+        self, key: Key, point: GivenPoint | None, own: Mapping[str, Pixel], common: np.ndarray
+    ) -> np.ndarray | None:
         """Where a point is looked for (3,), local: where its marks meet, else by its coordinates, else on the water.
 
         Coordinates are moved by what the marked points have in common: positions by GPS put a block metres aside.
         """
-        own = marks.get(key, {})
         met = self._meet(key, own)
         if met is not None:
             return met.place
-        given = self._given(points[key])
+        given = self._given(point)
         if given is not None:
-            return given + self._common(points, marks)[0]
+            return given + common
         water = None if self._posed is None else self._posed.water
         if key.kind == WATER and water is not None:
             return next((crossing(self._views[name], own[name], water) for name in own if name in self._views), None)
         return None
 
-    def _common(self, points: Mapping[Key, GivenPoint | None], marks: Mapping[Key, Mapping[str, Pixel]]):
+    def _common(self, points: _Points, marks: _Marks) -> tuple[np.ndarray, int]:
         """Medians of where marks put points less their coordinates (3,) [m], local, and the number of points."""
         steps = []
         for key, own in marks.items():
@@ -247,7 +254,7 @@ class Session:
                 steps.append(met.place - given)
         return (np.median(steps, axis=0) if steps else np.zeros(3)), len(steps)
 
-    def _moved_note(self, points, marks) -> list[str]:
+    def _moved_note(self, points: _Points, marks: _Marks) -> list[str]:
         common, num = self._common(points, marks)
         if not num:
             return []

@@ -56,6 +56,7 @@ async function refresh() {
     const found = await (await ask(`/look?${query}`)).json();
     if (mine !== asked) return;
     look = found;
+    warm(look.next.find((name) => name !== photograph));
   } catch (error) {
     say(error.message, true);
   }
@@ -265,6 +266,17 @@ function tile(name, level, column, line) {
   return null;
 }
 
+function coarsestOf(width, height) {
+  let level = 0;
+  while (Math.max(width, height) / 2 ** level > TILE) level += 1;
+  return level;
+}
+
+// Decoded by the time that it is opened.
+function warm(name) {
+  if (name) tile(name, coarsestOf(...sizeOf(name)), 0, 0);
+}
+
 function drawLevel(level, width, height) {
   const span = TILE * 2 ** level, [w, h] = canvasSize();
   const [left, top] = toImage(0, 0), [right, bottom] = toImage(w, h);
@@ -295,8 +307,7 @@ function paint() {
   context.clearRect(0, 0, w, h);
   if (!photograph) return;
   const [width, height] = sizeOf(photograph);
-  let coarsest = 0;
-  while (Math.max(width, height) / 2 ** coarsest > TILE) coarsest += 1;
+  const coarsest = coarsestOf(width, height);
   const level = Math.min(Math.max(Math.floor(Math.log2(1 / (view.scale * ratio))), 0), coarsest);
   context.imageSmoothingEnabled = view.scale < 3;
   if (level !== coarsest) drawLevel(coarsest, width, height);

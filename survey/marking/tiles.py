@@ -31,6 +31,7 @@ class Tiles:
         self._images = images
         self._kept: OrderedDict[str, list[np.ndarray]] = OrderedDict()
         self._lock = threading.Lock()
+        self._decoding: dict[str, threading.Lock] = {}
 
     def jpeg(self, image: str, level: int, column: int, row: int) -> bytes:
         """A tile of at most `TILE_PX` pixels along each side.
@@ -53,12 +54,22 @@ class Tiles:
         if image not in self._images:
             raise ImageError(f"there is no photograph {image[:60]}")
         with self._lock:
-            if image not in self._kept:
-                self._kept[image] = pyramid(eight_bits(read_rgb(self._images[image])))
+            decoding = self._decoding.setdefault(image, threading.Lock())
+        # One thread decodes a photograph while others go on with those that are there.
+        with decoding:
+            levels = self._kept.get(image)
+            if levels is None:
+                levels = pyramid(eight_bits(read_rgb(self._images[image])))
+            self._keep(image, levels)
+        return levels
+
+    def _keep(self, image: str, levels: list[np.ndarray]) -> None:
+        """As the last one of those that are kept."""
+        with self._lock:
+            self._kept[image] = levels
             self._kept.move_to_end(image)
             while len(self._kept) > 1 and self._bytes() > _KEPT_BYTES:
                 self._kept.popitem(last=False)
-            return self._kept[image]
 
     def _bytes(self) -> int:
         return sum(level.nbytes for levels in self._kept.values() for level in levels)

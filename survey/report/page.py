@@ -80,7 +80,7 @@ def _sections(figures: ReportFigures) -> list[Section]:
         Section("The cloud", survey_tables.cloud(figures.cloud, survey.crs)),
         Section("Who, when, with what", taken.table(figures.taken)),
         Section("Survey and water", survey_tables.survey(survey, figures.water, figures.plan)),
-        Section("What the photographs show beside the bed", photographs.table(figures.photographs, figures.left_out)),
+        Section("Photographs", photographs.table(figures.photographs, figures.left_out)),
         Section("What was done, and why", survey_tables.decisions(figures.plan.decisions)),
         Section("Assumptions", _listed(figures.assumptions)),
         Section("Warnings", _listed(figures.warnings)),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from functools import cache
 
 from pyproj import CRS
@@ -12,7 +11,8 @@ from pyproj.database import query_crs_info
 from pyproj.enums import PJType
 from pyproj.exceptions import ProjError
 from pyproj.transformer import AreaOfInterest as OperationArea
-from pyproj.transformer import TransformerGroup
+
+from geo.transformation import operations
 
 # Areas wider than this are worldwide: mean sea level and its models, tides.
 _WORLDWIDE_DEG = 350.0
@@ -48,10 +48,7 @@ def _is_national(code: int, area: OperationArea) -> bool:
         return False
     compound = CompoundCRS(f"WGS 84 + {vertical.name}", ["EPSG:4326", vertical])
     try:
-        with warnings.catch_warnings():
-            # A grid that is not installed is no fault here.
-            warnings.simplefilter("ignore", UserWarning)
-            group = TransformerGroup("EPSG:4979", compound, always_xy=True, area_of_interest=area, allow_ballpark=False)
+        group = operations("EPSG:4979", compound, area)
     except ProjError:
         return False
     steps = [transformer.definition for transformer in group.transformers]

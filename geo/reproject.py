@@ -17,7 +17,7 @@ from geo.antimeridian import crosses
 from geo.crs import has_height, horizontal_crs, is_geographic, parse_crs, vertical_crs
 from geo.errors import UnknownCRS, UnsupportedCRS
 from geo.projection import nan_unless_finite
-from geo.transformation import best_operation, require_in_area
+from geo.transformation import Transformation, best_operation, require_in_area
 
 _MEND = "or name a horizontal CRS alone, which keeps the heights as they are."
 
@@ -32,6 +32,8 @@ class Reprojection:
         In which points come out, with a vertical part.
     keeps_height : bool
         Whether heights stay as they are.
+    doubt : a sentence, or None
+        Where places or heights are less well known in it, as PROJ states.
     """
 
     crs: CRS
@@ -39,9 +41,12 @@ class Reprojection:
     _transformer: Transformer = field(repr=False, compare=False)
     _changes_plan: bool = field(repr=False, compare=False)
     _where: str = field(repr=False, compare=False)
+    doubt: str | None = None
 
     @staticmethod
-    def between(source: CRS, target: str | CRS, *, where: str = "crs") -> Reprojection:
+    def between(
+        source: CRS, target: str | CRS, *, where: str = "crs", places: np.ndarray | None = None
+    ) -> Reprojection:
         """The way from a CRS with heights to one with heights, or to a horizontal one, which keeps the heights.
 
         Parameters
@@ -51,6 +56,8 @@ class Reprojection:
             EPSG code, WKT or PROJ string, e.g. "EPSG:32632" or "EPSG:4326+5773".
         where : str
             What errors name.
+        places : (N, 2 or 3), optional
+            In the source, of the survey: which of regional operations it is.
 
         Raises
         ------
@@ -63,7 +70,9 @@ class Reprojection:
         keeps_height = _same_heights(source, wanted)
         ends = (horizontal_crs(source), horizontal_crs(wanted)) if keeps_height else (source, wanted)
         changes_plan = not horizontal_crs(source).equals(horizontal_crs(wanted), ignore_axis_order=True)
-        return Reprojection(wanted, keeps_height, best_operation(*ends, where, _MEND), changes_plan, where)
+        way = best_operation(*ends, where, _MEND, places)
+        doubt = None if places is None else _doubt(source, wanted, way, where, places)
+        return Reprojection(wanted, keeps_height, way, changes_plan, where, doubt)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Points (N, 3) in the source CRS as points (N, 3) float64 in `crs`; NaN where PROJ has no answer.
@@ -90,6 +99,17 @@ class Reprojection:
         if self._changes_plan:
             require_in_area(self.crs, turned, "the points", self._where)
         return turned
+
+
+def _doubt(source: CRS, wanted: CRS, way: Transformer, where: str, places: np.ndarray) -> str | None:
+    """A warning where places or heights are less well known after an operation, as PROJ states."""
+    in_plan = Transformation.between(source, wanted, places)
+    if in_plan.accuracy_m == 0.0 and not _same_heights(source, wanted) and way.accuracy > 0.0:
+        return (
+            f"{where}: heights are transformed by {way.description}, which PROJ states to {way.accuracy:.2g} m: all of "
+            "them share that error"
+        )
+    return in_plan.doubt(f"{where}: places")
 
 
 def _with_height(source: CRS, target: str | CRS, where: str) -> CRS:

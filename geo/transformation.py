@@ -157,10 +157,31 @@ def height_scale(source: CRS, target: CRS, said: str, *, unit_m: float | None = 
     )
 
 
-def best_operation(source: CRS, target: CRS, where: str, mend: str) -> Transformer:
+def operations(source: CRS | str, target: CRS | str, area: AreaOfInterest | None) -> TransformerGroup:
+    """All operations that PROJ knows between two CRSs, with or without heights, at a place; the best first.
+
+    Raises
+    ------
+    ProjError
+        If it knows none.
+    """
+    with warnings.catch_warnings():
+        # pyproj warns of missing grids, which callers name in their own words.
+        warnings.simplefilter("ignore", UserWarning)
+        return TransformerGroup(source, target, always_xy=True, allow_ballpark=False, area_of_interest=area)
+
+
+def area_about(lon_deg: float, lat_deg: float, margin_deg: float = _AREA_DEG) -> AreaOfInterest:
+    """Where a survey lies, for PROJ to choose among regional operations."""
+    south, north = max(lat_deg - margin_deg, -90.0), min(lat_deg + margin_deg, 90.0)
+    return AreaOfInterest(lon_deg - margin_deg, south, lon_deg + margin_deg, north)
+
+
+def best_operation(source: CRS, target: CRS, where: str, mend: str, places: np.ndarray | None = None) -> Transformer:
     """PROJ's best operation between two CRSs with or without heights, if all grids that it needs are there.
 
-    ``where`` and ``mend`` are what errors name, and what else would help.
+    ``where`` and ``mend`` are what errors name, and what else would help; ``places`` (N, 2 or 3) in the source tell
+    which of regional operations it is.
 
     Raises
     ------
@@ -170,11 +191,9 @@ def best_operation(source: CRS, target: CRS, where: str, mend: str) -> Transform
         If there is none.
     """
     said = f"{where}: the way from {source.name} to {target.name}"
+    middle = None if places is None else _middle(horizontal_crs(source), np.asarray(places, dtype=np.float64))
     try:
-        with warnings.catch_warnings():
-            # pyproj warns of missing grids, which end in the error below.
-            warnings.simplefilter("ignore", UserWarning)
-            group = TransformerGroup(source, target, always_xy=True, allow_ballpark=False)
+        group = operations(source, target, None if middle is None else area_about(*middle.tolist()))
     except ProjError as error:
         raise UnsupportedCRS(f"{said} is not known to PROJ ({str(error)[:80]}); choose another CRS, {mend}") from error
     if group.best_available and group.transformers:
@@ -246,18 +265,13 @@ def _middle(source: CRS, places: np.ndarray) -> np.ndarray | None:
 
 def _chosen(source: CRS, target: CRS, middle: np.ndarray) -> tuple[Transformer, float | None, tuple[str, ...]]:
     """PROJ's best operation of those that can be done, its accuracy, and grids that a better one needs."""
-    lon, lat = middle
-    area = AreaOfInterest(lon - _AREA_DEG, max(lat - _AREA_DEG, -90.0), lon + _AREA_DEG, min(lat + _AREA_DEG, 90.0))
-    with warnings.catch_warnings():
-        # pyproj warns of missing grids, which `Transformation` names.
-        warnings.simplefilter("ignore", UserWarning)
-        try:
-            group = TransformerGroup(source, target, always_xy=True, allow_ballpark=False, area_of_interest=area)
-        except ProjError as error:
-            raise UnsupportedCRS(
-                f"the way from {source.name} to {target.name} is not known to PROJ ({str(error)[:80]}); choose another "
-                "CRS"
-            ) from error
+    area = area_about(*middle.tolist())
+    try:
+        group = operations(source, target, area)
+    except ProjError as error:
+        raise UnsupportedCRS(
+            f"the way from {source.name} to {target.name} is not known to PROJ ({str(error)[:80]}); choose another CRS"
+        ) from error
     better = () if group.best_available else group.unavailable_operations[:1]
     missing = tuple(grid.short_name for operation in better for grid in operation.grids if not grid.available)
     if group.transformers:

@@ -90,11 +90,28 @@ def _feed_path(digest, path: Path) -> None:
                 _mark(digest, "name", file.relative_to(path).as_posix())
                 _feed_path(digest, file)
             return
-        stat = path.stat()
-        content = _content(path, stat.st_ctime_ns, stat.st_size)
     except OSError as error:
-        raise SurveyError(f"cannot read {path} ({error.strerror}); put the file back or correct it") from error
-    _mark(digest, "file", path.name, content)
+        raise _unread(path, error) from error
+    _mark(digest, "file", path.name, content_hash(path))
+
+
+def content_hash(path: Path) -> str:
+    """SHA-256 of what a file holds; the same file is read once in a process.
+
+    Raises
+    ------
+    SurveyError
+        If it cannot be read.
+    """
+    try:
+        stat = path.stat()
+        return _content(path, stat.st_ctime_ns, stat.st_size)
+    except OSError as error:
+        raise _unread(path, error) from error
+
+
+def _unread(path: Path, error: OSError) -> SurveyError:
+    return SurveyError(f"cannot read {path} ({error.strerror}); put the file back or correct it")
 
 
 @lru_cache(maxsize=1 << 16)

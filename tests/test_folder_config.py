@@ -16,6 +16,7 @@ always = settings(derandomize=True, database=None, deadline=None)
 FULL = """
 name = 'a "quoted" name'
 crs = "EPSG:25832+5778"
+dry = false
 [images]
 dir = "photos"
 masks = "masks"
@@ -114,7 +115,7 @@ def test_any_level_survives_the_round_trip_to_the_last_bit(level):
         ("[water]\nior = 1.3", "that is [water] refractive_index here."),
         ("[volcano]\nlava = 1", "unknown table [volcano]; known are [images], [cameras], [water], [control], [area], "),
         ("[area]\nlava = 1", "unknown key lava in [area]; known are bounds, heights."),
-        ("lava = 1", "unknown key lava; known are name, crs."),
+        ("lava = 1", "unknown key lava; known are name, crs, dry."),
     ],
 )
 def test_an_unknown_key_is_refused_with_a_near_name_its_place_or_what_is_known(text, words):

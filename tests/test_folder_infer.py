@@ -12,6 +12,7 @@ from small_survey import LEVEL, camera_lines, replaced, small_survey, write_imag
 
 from refract.lens import Lens
 from survey.errors import ConfigError, PosesError
+from survey.folder.infer import NO_WATER
 from survey.folder.survey import find_survey, load_survey
 from survey.photos.exif import Exif
 from survey.sfm.gps import gps_positions
@@ -35,17 +36,43 @@ def test_without_survey_toml_the_zone_comes_from_the_positions_and_it_says_what_
     ):
         assert words in said
     # Nobody said that all ground is dry: the verdict of a run is amber.
-    assert any("no water was given, and rays are not bent" in warning for warning in survey.warnings)
+    assert NO_WATER in survey.warnings
 
 
-def test_a_survey_toml_that_says_no_place_takes_the_crs_of_the_positions_and_is_dry(tmp_path):
-    folder = small_survey(tmp_path / "s", gps=True, toml='name = "quarry"')
+@pytest.mark.parametrize(
+    ("toml", "is_wet", "is_doubted"),
+    [
+        ('name = "quarry"', False, True),
+        ('crs = "EPSG:32632+5773"', False, True),
+        ("dry = false", False, True),
+        ("dry = true", False, False),
+        ('crs = "EPSG:32632+5773"\ndry = true', False, False),
+        ("[water]\nlevel_m = 2105.0", True, False),
+        ("[water]\nlevel_m = 2105.0\nrefractive_index = 1.34\nlevel_std_m = 0.1", True, False),
+    ],
+)
+def test_a_survey_without_water_is_in_doubt_unless_it_says_that_it_is_dry(tmp_path, toml, is_wet, is_doubted):
+    folder = small_survey(tmp_path / "s", gps=True, toml=toml)
     for i, line in enumerate(camera_lines()):
         e, n, h = (float(v) for v in line.split(",")[1:4])
         write_image(folder / "images" / f"{i:04d}.jpg", gps=(e, n, h), FocalLengthIn35mmFilm=50)
     survey = load_survey(folder)
     assert survey.config.crs == "EPSG:32632+5773"
-    assert not any("no water" in warning for warning in survey.warnings)
+    assert (survey.water is not None, NO_WATER in survey.warnings) == (is_wet, is_doubted)
+    assert is_wet == any("level of the water counts from mean sea level" in said for said in survey.assumptions)
+
+
+@pytest.mark.parametrize("place", ["level_at = [589012.0, 5194736.0]", "slope_north = 0.004"])
+def test_water_that_has_a_place_needs_the_crs_of_it(tmp_path, place):
+    folder = small_survey(tmp_path / "s", gps=True, toml=f"[water]\nlevel_m = 2105.0\n{place}\n")
+    with pytest.raises(ConfigError, match="crs is missing"):
+        load_survey(folder)
+
+
+def test_dry_ground_has_no_water(tmp_path):
+    folder = small_survey(tmp_path / "s", toml="dry = true\n[water]\nlevel_m = 2105.0\n")
+    with pytest.raises(ConfigError, match="dry = true says that no ground is under water"):
+        load_survey(folder)
 
 
 def test_images_in_the_survey_folder_itself_are_found_and_those_of_a_run_are_not(tmp_path):

@@ -7,13 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_survey import E0, LEVEL, N0, replaced, small_survey, unposed
+from PIL import ExifTags, Image
+from pyproj import CRS
+from small_survey import E0, HEADER, LEVEL, N0, replaced, small_survey, unposed, write_image
 
+from geo.errors import MissingGrid
 from geo.frames import LocalFrame
+from geo.transformation import WGS84, Transformation
 from survey.folder.found import find_survey
 from survey.folder.pose_priors import (
     accuracy_of_gps,
     accuracy_of_priors,
+    common_plan_std,
     common_up_std,
     common_up_std_of_exif,
     priors_of_gps,
@@ -114,6 +119,79 @@ def test_heights_that_are_good_to_decimetres_or_worse_have_their_error_in_common
     assert common_up_std_of_exif(found.config.cameras, found.heads) == common
     posed = load_survey(small_survey(tmp_path / "p", toml=replaced(("[water]", f"position_std_m = {stated}\n[water]"))))
     assert common_up_std(posed.priors) == 0.0
+
+
+BRITISH = (1.3107334884, 52.6276035206)  # WGS 84 of a place that OSTN15 has at 624161, 308459.58
+
+
+def british(folder: Path, cameras: str) -> Path:
+    """Photographs with GPS positions about a public place, in the national grid; PROJ has no grid of its datum."""
+    folder = small_survey(folder, toml=None)
+    (folder / "cameras.csv").unlink()
+    for i, image in enumerate(sorted((folder / "images").iterdir())):
+        lon, lat = BRITISH[0] + 3e-5 * (i % 2), BRITISH[1] + 3e-5 * (i // 2)
+        write_image(image, FocalLengthIn35mmFilm=50)
+        with_gps(image, lon, lat, 22.0)
+    head = 'crs = "EPSG:27700+5701"\n[cameras]\nfocal_px = 100.0\n'
+    (folder / "survey.toml").write_text(f"{head}{cameras}\n[water]\nlevel_m = 2.0\n")
+    return folder
+
+
+def with_gps(path: Path, lon: float, lat: float, height: float) -> None:
+    with Image.open(path) as image:
+        exif = image.getexif()
+        gps = exif.get_ifd(ExifTags.IFD.GPSInfo)
+        for ref, tag, letter, value in ((1, 2, "N", lat), (3, 4, "E", lon)):
+            gps[ref], gps[tag] = letter, (int(value), int(value % 1 * 60), round(value * 60 % 1 * 60, 7))
+        gps[5], gps[6] = b"\0", height
+        image.save(path, quality=90, exif=exif)
+
+
+def is_grid_missing() -> bool:
+    return bool(Transformation.between(WGS84, CRS("EPSG:27700"), np.array([BRITISH])).missing)
+
+
+needs_no_grid = pytest.mark.skipif(not is_grid_missing(), reason="the grid of OSTN15 is installed")
+
+
+@needs_no_grid
+@pytest.mark.parametrize("std", ["0.02", "[0.05, 0.05, 9.0]"])
+def test_good_positions_are_refused_where_a_grid_would_keep_them_good(tmp_path, std):
+    with pytest.raises(
+        MissingGrid, match=r"GPS positions are good to 0.0[25] m, .* has 2 m: .*OSTN15.*or give 3 contr"
+    ):
+        find_survey(british(tmp_path / "s", f"position_std_m = {std}"))
+
+
+@needs_no_grid
+@pytest.mark.parametrize(("cameras", "std"), [("", None), ("position_std_m = 2.5", 2.5)])
+def test_what_a_change_of_datums_costs_is_shared_by_all_positions_and_said(tmp_path, cameras, std):
+    found = find_survey(british(tmp_path / "s", cameras))
+    frame = LocalFrame(found.crs, (624161.0, 308459.0, 2.0))
+    priors = priors_of_gps(found, frame, views_of(found, frame))
+    assert {prior.common_plan_std for prior in priors.values()} == {2.0} == {common_plan_std(priors)}
+    assert any("PROJ states to 2 m" in warning for warning in found.warnings)
+    assert accuracy_of_gps(found.config.cameras, found.heads, found.datum) == accuracy_of_priors(priors)
+    assert "beside 2 m in plan that all have in common" in accuracy_of_priors(priors)
+    # Where control decides they are widened by it.
+    held = priors["0000.jpg"].held_by_control()
+    assert held.common_plan_std == 0.0
+    assert (None if held.position_std is None else held.position_std[:2].tolist()) == (std and [np.hypot(std, 2.0)] * 2)
+
+
+@needs_no_grid
+def test_poses_of_a_file_count_as_exact_and_are_refused_alike(tmp_path):
+    folder = british(tmp_path / "s", 'poses = "cameras.csv"\nmodel = "PINHOLE"\nsize_px = [64, 48]')
+    lines = [
+        f"{i:04d}.jpg,{BRITISH[0] + 3e-5 * (i % 2):.8f},{BRITISH[1] + 3e-5 * (i // 2):.8f},22.0,0,0,0" for i in range(4)
+    ]
+    text = "\n".join(["# CoordinateSystem: EPSG:4326", HEADER, *lines])
+    (folder / "cameras.csv").write_text(text + "\n")
+    with pytest.raises(MissingGrid, match=r"the poses are taken as exact, .* has 2 m: .*OSTN15"):
+        load_survey(folder)
+    toml = (folder / "survey.toml").read_text()
+    (folder / "survey.toml").write_text(toml.replace("focal_px", "position_std_m = 2.0\nfocal_px"))
+    assert load_survey(folder).plan_std_m == 2.0
 
 
 def test_a_photograph_without_a_position_or_its_height_has_no_prior(tmp_path):

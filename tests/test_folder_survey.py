@@ -12,6 +12,7 @@ from geo.errors import GeoError, MissingVerticalDatum
 from refract.dispersion import converted_index
 from survey.errors import ConfigError, ImageError, PosesError, SurveyError
 from survey.folder.config import dump_config, parse_config
+from survey.folder.infer import NO_WATER
 from survey.folder.survey import load_image, load_survey
 from survey.photos.images import LUMA
 
@@ -385,7 +386,9 @@ def test_an_image_that_exif_marks_as_rotated_is_reported_as_used_as_stored(tmp_p
 @pytest.mark.parametrize("name", ["quick", "river", "wreck_water", "wreck_dry"])
 def test_the_drawn_surveys_load_without_an_assumption_or_a_warning(data_dir, name):
     survey = load_survey(data_dir / name)
-    assert (survey.assumptions, survey.warnings) == ((), ())
+    # Nothing there says that it is dry.
+    said = (NO_WATER,) if name == "wreck_dry" else ()
+    assert (survey.assumptions, survey.warnings) == ((), said)
     assert (survey.water is None) == (name == "wreck_dry")
 
 

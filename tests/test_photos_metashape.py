@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from geo.errors import CRSMismatch
 from survey.errors import PosesError
+from survey.folder.infer import NO_WATER
 from survey.folder.pose_priors import BY_FILE
 from survey.photos.formats import find_poses, read_poses
 from survey.plan.check import check_survey
@@ -106,7 +107,7 @@ def test_a_georeferenced_chunk_is_set_on_the_earth(tmp_path, block, where):
     assert most_missed_px(survey, block) < CLOSE_PX
     assert survey.tool == "Metashape"
     assert survey.views[0].lens.model == "FULL_OPENCV"
-    assert survey.warnings == ()
+    assert survey.warnings == (NO_WATER,)
 
 
 def test_the_affine_term_and_the_eighth_power_of_the_radius_are_kept(tmp_path, block):

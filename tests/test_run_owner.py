@@ -148,3 +148,10 @@ def test_another_photograph_under_the_same_name_is_refused_by_name(tmp_path):
     path.write_bytes(bytes(11))
     with pytest.raises(SurveyError, match=r"0001.jpg is not the photograph that the run used: it has 11 bytes, .* 10"):
         owner.require_unchanged("0001.jpg", path)
+    path.write_bytes(b"x" + bytes(9))
+    with pytest.raises(SurveyError, match=r"0001.jpg is not the photograph .*: it has the same size and another con"):
+        owner.require_unchanged("0001.jpg", path)
+    with pytest.raises(SurveyError, match=r"another survey, a, with other photographs \(0 of 1 have the same name, si"):
+        owner.require_same(Owner.of("b", {"0001.jpg": path}), tmp_path)
+    # Runs of earlier versions know sizes only.
+    Owner.from_record({"survey": "a", "photographs": {"0001.jpg": 10}}).require_unchanged("0001.jpg", path)

@@ -26,7 +26,7 @@ from survey.adjust.rounds import Adjusted
 from survey.adjust.state import POSE, State, with_parameters
 from survey.adjust.verdicts import MOST_STD_LEVEL_M
 from survey.folder.place import over_points
-from survey.folder.pose_priors import WELL_KNOWN_M
+from survey.sfm.datum_std import WELL_KNOWN_M
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey

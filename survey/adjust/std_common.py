@@ -1,7 +1,8 @@
 """Standard deviation of each height by the errors that all points share: water, lens and poses.
 
 It is that of a height at its place. What of it differs from place to place (tilt, bend, the bank against the bed) is in
-the std of the points of an adjusted block, too: `survey.adjust.std_of_block`.
+the std of the points of an adjusted block, too: `survey.adjust.std_of_block`. An error of all places in plan, of a
+transformation of datums, is one of heights where the bed slopes.
 
 Worked out at places spread over the bed, wet and dry apart, and interpolated in plan. The covariance is that of the
 adjustment; without one the parameters count as independent, as good as survey.toml says or else as the defaults of
@@ -10,6 +11,7 @@ adjustment; without one the parameters count as independent, as good as survey.t
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -33,6 +35,8 @@ _VIEWS = 12
 _NEAREST = 4
 # Points at a time: 200 bytes each.
 _PORTION = 200_000
+# Cells along the longer side of the grid that tells what a shift of the cloud does.
+_MOST_CELLS = 1000
 # What is left when nothing else is: no height is exact.
 _LEAST_M = 1e-5
 
@@ -69,7 +73,46 @@ def std_common(xyz: np.ndarray, wet: np.ndarray, survey: Survey, found: Adjustme
         if len(ties):
             variance = _variance(survey, found, ties, gsd)
             std[kind] = np.sqrt(interpolated(ties.start[:, :2], variance, xyz[kind, :2]))
+    if survey.plan_std_m > 0.0:
+        std = np.hypot(std, shift_std(xyz, survey.plan_std_m)).astype(np.float32)
     return np.maximum(std, np.float32(_LEAST_M))
+
+
+def shift_std(xyz: np.ndarray, plan_std_m: float) -> np.ndarray:
+    """Standard deviation (N,) [m] of heights at their places, if all of a cloud may be shifted in plan.
+
+    On a slope that is slope times shift. Of a bed of any shape it is the root mean square of differences to heights
+    around, at sqrt(2) standard deviations: on a slope, that is the same. Where nothing lies around, that of the cloud.
+
+    Parameters
+    ----------
+    xyz : (N, 3) [m], local
+    plan_std_m : [m]
+        Of the shift, in east and in north.
+    """
+    low = xyz[:, :2].min(axis=0)
+    side = max(0.5 * plan_std_m, float(np.ptp(xyz[:, :2], axis=0).max()) / _MOST_CELLS)
+    column, row = ((xyz[:, :2] - low) / side).astype(np.int64).T
+    reach = max(round(math.sqrt(2.0) * plan_std_m / side), 1)
+    shape = np.array([row.max(), column.max()]) + 1 + 2 * reach
+    flat = (row + reach) * shape[1] + column + reach
+    count = np.bincount(flat, minlength=shape.prod())
+    with np.errstate(invalid="ignore"):
+        height = (np.bincount(flat, xyz[:, 2], shape.prod()) / count).reshape(shape)
+    squares, num = np.zeros(shape), np.zeros(shape)
+    diagonal = max(round(reach / math.sqrt(2.0)), 1)
+    for rows, columns in ((0, reach), (reach, 0), (diagonal, diagonal), (diagonal, -diagonal)):
+        # What the cells of the grid allow is not quite the distance that is wanted.
+        factor = 2.0 * plan_std_m**2 / ((rows**2 + columns**2) * side**2)
+        for sign in (1, -1):
+            there = np.roll(height, (sign * rows, sign * columns), axis=(0, 1))
+            known = np.isfinite(there) & np.isfinite(height)
+            squares[known] += factor * (there[known] - height[known]) ** 2
+            num += known
+    with np.errstate(invalid="ignore"):
+        std = np.sqrt(squares / num)
+    whole = np.sqrt(squares.sum() / max(num.sum(), 1.0))
+    return np.where(np.isfinite(std), std, whole).ravel()[flat]
 
 
 def places_of(xyz: np.ndarray) -> np.ndarray:

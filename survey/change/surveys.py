@@ -132,9 +132,10 @@ def _common_crs(clouds: list[Cloud], paths: tuple[Path, Path], notes: list[str])
 def _sounded(cloud: Cloud, path: Path, crs: CRS, stated: StatedStd, notes: list[str]) -> Sounded:
     own = cloud.crs
     if own is not None and has_height(own) and not same_crs(own, crs):
-        way = Reprojection.between(own, crs, where=f"the CRS of {path}")
+        way = Reprojection.between(own, crs, where=f"the CRS of {path}", places=cloud.points)
         cloud = replace(cloud, points=way(cloud.points))
         notes.append(f"{path} is in {own.name}: transformed to {crs.name}")
+        notes += [] if way.doubt is None else [way.doubt]
     elif own is not None and not same_crs(own, crs):
         raise ChangeError(
             f"{path} is in {own.name} without heights, and the other survey in {crs.name}; give both in one"

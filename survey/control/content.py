@@ -29,6 +29,8 @@ class GivenPoint:
     is_check : bool
     as_read : GivenPoint or None
         The point as its file has it, once `place` was taken to the crs of the survey.
+    datum_std_m : float
+        What that way adds in plan, alike for all points of a file.
     """
 
     name: str
@@ -38,6 +40,7 @@ class GivenPoint:
     std_m: tuple[float, float, float] | None = None
     is_check: bool = False
     as_read: GivenPoint | None = None
+    datum_std_m: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,15 @@ from pyproj import CRS
 
 from geo.crs import horizontal_crs
 from geo.errors import GeoError
-from geo.transformation import height_scale, transformed
+from geo.transformation import Transformation, height_scale
 from survey.control.content import GivenPoint
 from survey.errors import ControlError
 
 
-def in_crs(points: Sequence[GivenPoint], crs: CRS, assumptions: list[str]) -> list[GivenPoint]:
+def in_crs(points: Sequence[GivenPoint], crs: CRS, assumptions: list[str], warnings: list[str]) -> list[GivenPoint]:
     """Points with their coordinates in the crs of a survey; heights keep their datum.
+
+    Assumptions are added to the first list, to the second how little well known the way of points into crs is.
 
     Raises
     ------
@@ -30,10 +32,15 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS, assumptions: list[str]) -> li
         of_source = [i for i, point in enumerate(points) if point.crs == source]
         first = points[of_source[0]]
         scale = height_scale(source, crs, f"{first.where}: the heights of points in {source.name}")
-        places = np.array([points[i].place for i in of_source])
+        places, added = np.array([points[i].place for i in of_source]), 0.0
         if not horizontal_crs(source).equals(horizontal_crs(crs), ignore_axis_order=True):
             mend = "or give the points in crs"
-            places = transformed(source, crs, places, f"{first.where}: points in {source.name}", mend)
+            said = f"{first.where}: points in {source.name}"
+            way = Transformation.between(source, crs, places)
+            way.require_best(said, mend)
+            places = np.column_stack([*way(places[:, 0], places[:, 1]), places[:, 2]])
+            added, doubt = way.accuracy_m or 0.0, way.doubt(said)
+            warnings += [] if doubt is None else [doubt]
             heights = "are converted to the unit of crs" if scale != 1.0 else "are taken as heights in crs"
             assumptions.append(
                 f"points in {source.name} ({first.where}) are transformed to {horizontal_crs(crs).name}; their heights "
@@ -47,7 +54,7 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS, assumptions: list[str]) -> li
                     f"{source.name} and of {crs.name}; correct the coordinates, their order (easting or longitude "
                     "first) or the CRS of the file"
                 )
-            done[i] = replace(points[i], place=tuple(place), crs=None, as_read=points[i])
+            done[i] = replace(points[i], place=tuple(place), crs=None, as_read=points[i], datum_std_m=added)
     return done
 
 
@@ -56,6 +63,6 @@ def swapped(point: GivenPoint, crs: CRS) -> GivenPoint | None:
     given = point.as_read or point
     first, second, height = given.place
     try:
-        return in_crs([replace(given, place=(second, first, height))], crs, [])[0]
+        return in_crs([replace(given, place=(second, first, height))], crs, [], [])[0]
     except (ControlError, GeoError):
         return None

@@ -148,8 +148,8 @@ def checkpoints_in_local(points: Sequence[GivenPoint], frame: LocalFrame) -> tup
 
 
 def _control_point(point: GivenPoint, frame: LocalFrame, std_m: tuple[float, float, float]) -> ControlPoint:
-    std = np.array(point.std_m or std_m)
-    return ControlPoint(point.name, point.place, _local(point, frame), std, point.is_check)
+    std = np.hypot(point.std_m or std_m, [point.datum_std_m, point.datum_std_m, 0.0])
+    return ControlPoint(point.name, point.place, _local(point, frame), std, point.is_check, point.datum_std_m)
 
 
 def _local(point: GivenPoint, frame: LocalFrame) -> np.ndarray:

@@ -20,6 +20,8 @@ class ControlPoint:
         Of `local`: east, north, up.
     is_check : bool
         Whether the file calls it a check point: it has marks, but is not to be adjusted to.
+    common_plan_std : float [m]
+        What of `std` all points of its file have in common, by a transformation of datums.
     """
 
     name: str
@@ -27,6 +29,7 @@ class ControlPoint:
     local: np.ndarray
     std: np.ndarray
     is_check: bool = False
+    common_plan_std: float = 0.0
 
 
 @dataclass(frozen=True)

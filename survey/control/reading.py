@@ -89,7 +89,8 @@ def gather(
     ControlError
         If a point has two places, a mark lies outside its photograph or has two places in it, or nothing is left.
     """
-    points = _points(in_crs([point for content in contents for point in content.points], crs, assumptions), crs)
+    given = [point for content in contents for point in content.points]
+    points = _points(in_crs(given, crs, assumptions, warnings), crs)
     marks = _marks([content.marks for content in contents], points, sizes, warnings)
     marked = {mark.point for mark in marks}
     unmarked = [point for name, point in points.items() if name not in marked]

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from survey.errors import SurveyError
 from survey.files.json_values import read_json_object
 from survey.run.folder import RunDir
 
@@ -48,6 +49,7 @@ class LoadedRun:
         self._bed_folder = self.folder.load_stage(BED_STAGE)
         self.stages: dict[str, str] = self.folder.result()["stages"]
         self._made: dict[Hashable, Any] = {}
+        self._ways: dict[str, Reprojection] = {}
         self._held = ExitStack()
 
     def __enter__(self) -> LoadedRun:
@@ -103,9 +105,17 @@ class LoadedRun:
         GeoError
             If the CRS is unusable, or a grid that the way to it needs is not there.
         """
+        import numpy as np
+
         from geo.reproject import Reprojection
 
-        return Reprojection.between(self.place.crs, crs, where="--crs")
+        if crs not in self._ways:
+            places = None
+            # A run of an early version kept no frame: regional operations are then those of the whole world.
+            with suppress(SurveyError):
+                places = np.array([self.flight.frame.origin])
+            self._ways[crs] = Reprojection.between(self.place.crs, crs, where="--crs", places=places)
+        return self._ways[crs]
 
     def bed_in(self, crs: str | None) -> StoredBed:
         """The cloud with its coordinates in another CRS; None for that of the survey. Errors as `way_to`."""

@@ -63,9 +63,8 @@ def block_of_file(found: Found, path: Path, assumptions: list[str], warnings: li
     found, frame = file.found, file.frame
     views = _with_images(found, file.views, file.masks, assumptions, warnings)
     control, checkpoints = place_control(found.control, frame, [view.name for view in views], warnings)
-    return Block(
-        found, frame, views, file.points, None, file.tool, file.reprojection, file.priors, control, checkpoints
-    )
+    priors = file.priors if control is None else _held_by_control(file.priors)
+    return Block(found, frame, views, file.points, None, file.tool, file.reprojection, priors, control, checkpoints)
 
 
 def block_of_photographs(
@@ -94,8 +93,13 @@ def block_of_photographs(
     block = Block(found, frame, views, points, ties, None, None, priors, control, checkpoints)
     if control is None:
         return block
+    priors = _held_by_control(priors)
     views, ties, control, priors = checked_parts(found, frame, views, ties, control, priors, warnings)
     return replace(block, views=views, points=ties.start, ties=ties, control=control, priors=priors)
+
+
+def _held_by_control(priors: Mapping[str, PosePrior]) -> dict[str, PosePrior]:
+    return {name: prior.held_by_control() for name, prior in priors.items()}
 
 
 def _with_images(

@@ -29,7 +29,7 @@ _SYNONYMS = {
     "cx": "cameras.principal_point_px", "resolution": "cameras.size_px", "k1": "cameras.distortion",
     "gps": "cameras.gps_height", "ior": "water.refractive_index", "index": "water.refractive_index",
     "tide": "water.gauge", "water_level": "water.level_m", "level": "water.level_m", "roi": "area.bounds",
-    "extent": "area.bounds", "bbox": "area.bounds",
+    "extent": "area.bounds", "bbox": "area.bounds", "no_water": "dry", "is_dry": "dry",
 }  # fmt: skip
 
 # Keys that a later version will read, and what to do until then.
@@ -167,6 +167,7 @@ class SurveyConfig:
 
     name: str | None = None
     crs: str | None = key(None, 'a text with a vertical part, e.g. crs = "EPSG:25832+5778"')
+    dry: bool | None = key(None, "true where no ground is under water; without it a survey without [water] is in doubt")
     images: ImagesConfig = field(default_factory=ImagesConfig)
     cameras: CamerasConfig = field(default_factory=CamerasConfig)
     water: WaterConfig | None = None
@@ -175,6 +176,10 @@ class SurveyConfig:
     local: LocalConfig = field(default_factory=LocalConfig)
     process: ProcessConfig = field(default_factory=ProcessConfig)
     report: ReportConfig = field(default_factory=ReportConfig)
+
+    def __post_init__(self):
+        if self.dry and self.water is not None:
+            raise ConfigError("dry = true says that no ground is under water, and [water] describes one; keep one")
 
 
 def read_config(path: Path) -> SurveyConfig:

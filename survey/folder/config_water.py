@@ -86,17 +86,28 @@ class WaterConfig:
         """Whether anything is said of the index; else both it and its standard deviation are assumed."""
         return not (self.refractive_index is None and self.temperature_c is None and self.index_std is None)
 
+    @property
+    def gives_level(self) -> bool:
+        """Whether a level, or a file of it, is given."""
+        return any(getattr(self, name) is not None for name in _ANY_LEVEL)
+
+    @property
+    def has_no_place(self) -> bool:
+        """Whether nothing here is a place in plan, in crs; photographs have places of their own."""
+        in_plan = (self.level_at, self.shoreline, self.gnss_points)
+        return all(each is None for each in in_plan) and self.slope_east == self.slope_north == 0.0
+
     def require_level(self) -> None:
         """Raise ConfigError where neither a level nor a file of it is given.
 
         Structure from motion can do without: the adjustment then finds the level, where the photographs tell it.
         """
-        if all(getattr(self, name) is None for name in _ANY_LEVEL):
+        if not self.gives_level:
             raise ConfigError(
                 "level_m is missing from [water]. Give the height of the water surface in the survey's vertical "
                 "datum, e.g. level_m = 12.34, or a file as shoreline, gnss_points, gauge, image_levels or clicks, or "
-                "remove [water] for a dry survey; only a survey without poses, with GPS positions in its photographs, "
-                "can leave it to the adjustment"
+                "write dry = true, above the first table, in place of [water] for a dry survey; only a survey without "
+                "poses, with GPS positions in its photographs, can leave it to the adjustment"
             )
 
     def _require_one_level(self) -> None:

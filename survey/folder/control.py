@@ -42,6 +42,11 @@ class FoundControl:
         """Control and check points."""
         return (*(() if self.gathered is None else self.gathered.points), *self.checkpoints)
 
+    @property
+    def num_given(self) -> int:
+        """How many control points there are that a block is adjusted to."""
+        return 0 if self.gathered is None else sum(not point.is_check for point in self.gathered.points)
+
 
 def find_control(
     folder: Path,
@@ -60,7 +65,7 @@ def find_control(
     """
     checkpoints: tuple[GivenPoint, ...] = ()
     if config.checkpoints is not None:
-        checkpoints = tuple(in_crs(read_checkpoints(folder / config.checkpoints), crs, assumptions))
+        checkpoints = tuple(in_crs(read_checkpoints(folder / config.checkpoints), crs, assumptions, warnings))
     if not config.gcp_files:
         return FoundControl(config, None, checkpoints)
     contents = [read_control(folder / name) for name in config.gcp_files]

@@ -12,10 +12,11 @@ from geo.frames import LocalFrame
 from survey.control.placing import require_near
 from survey.folder import place
 from survey.folder.camera_faults import angle_doubts
+from survey.folder.config_std import per_axis
 from survey.folder.found import Found
 from survey.folder.pairing import pair, with_lenses
 from survey.folder.pose_priors import PosePrior, priors_of_poses
-from survey.folder.posed import doubt_of_crs, given_in_local, points_in_local
+from survey.folder.posed import given_in_local, points_in_local, way_into_crs
 from survey.folder.reprojection import Reprojection, reprojection
 from survey.folder.water_level import with_level_of_clicks
 from survey.photos.cameras import View
@@ -23,6 +24,7 @@ from survey.photos.formats import read_poses, read_ties
 from survey.photos.names import ImageNames
 from survey.photos.poses import Pose, PoseFile, SecondPose
 from survey.photos.tie_points import MIN_TRACK
+from survey.sfm.datum_std import EXACT, DatumStd, plan_std, require_as_good
 
 
 @dataclass(frozen=True)
@@ -73,8 +75,7 @@ def read_file_poses(found: Found, path: Path, assumptions: list[str], warnings: 
     paired = pair(found, file.poses, warnings)
     poses = with_lenses(found, list(paired.values()), assumptions, warnings)
     warnings += angle_doubts(poses, file.frame)
-    doubt = doubt_of_crs(file, found.crs)
-    warnings += [] if doubt is None else [doubt]
+    datum = _datum(found, file, warnings)
     found = _with_clicks(found, file, poses, assumptions, warnings)
     frame, views = place.views_in_local(found, file, poses)
     if file.tool is not None and found.config.water is not None:
@@ -87,8 +88,27 @@ def read_file_poses(found: Found, path: Path, assumptions: list[str], warnings: 
         warnings += require_near(found.control.points, frame.crs_from_local(centres), frame.crs)
     by_name = {view.name: view for view in views}
     points, misses = _ties(found, path, file, frame, {called: by_name[pose.name] for called, pose in paired.items()})
-    priors = priors_of_poses(found.config.cameras, views, _given(found, file, poses, frame))
+    priors = priors_of_poses(found.config.cameras, views, _given(found, file, poses, frame), datum)
     return FilePoses(found, frame, views, points, file.tool, file.masks, misses, priors)
+
+
+def _datum(found: Found, file: PoseFile, warnings: list[str]) -> DatumStd:
+    """What the way of the poses into crs adds to their accuracy; a warning is added where it does.
+
+    Raises
+    ------
+    MissingGrid
+        If a grid would make it as good as the poses, and nothing else places the block.
+    """
+    way = way_into_crs(file, found.crs)
+    if way is None:
+        return EXACT
+    std = found.config.cameras.position_std_m
+    stated = 0.0 if std is None else max(per_axis(std)[:2])
+    require_as_good(way, stated, "the poses", 0 if found.control is None else found.control.num_given)
+    doubt = way.doubt("the poses")
+    warnings += [] if doubt is None else [doubt]
+    return DatumStd(plan_std(way))
 
 
 def _with_clicks(found: Found, file: PoseFile, poses: list[Pose], assumptions: list[str], warnings: list[str]) -> Found:

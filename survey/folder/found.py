@@ -19,13 +19,15 @@ from survey.folder.control import FoundControl, find_control
 from survey.folder.geo_txt import find_geo_txt, with_positions
 from survey.folder.head_doubts import head_doubts
 from survey.folder.level_observation import LevelObservation
+from survey.folder.pose_priors import best_plan_std
 from survey.folder.tides import Tide
 from survey.folder.water_level import with_level
 from survey.folder.water_place import doubts_of_water_places
 from survey.photos.exif import Exif, position_sources, read_exif
 from survey.photos.formats import find_poses, find_unread
 from survey.photos.images import list_images
-from survey.sfm.gps import datum_doubts
+from survey.sfm.datum_std import EXACT, DatumStd, least, plan_std, require_as_good
+from survey.sfm.gps import datum_doubts, ways_into_crs
 
 MIN_VIEWS = 2
 # Where a survey may have the grid of the geoid under its heights.
@@ -57,6 +59,8 @@ class Found:
         What was measured of the water level; clicks in photographs are not among them before the poses are known.
     tide : Tide or None
         How the level moved; None where nothing is said of it.
+    datum : DatumStd
+        What the way of GPS positions into crs adds to their accuracy; nothing where a file has the poses.
     """
 
     folder: Path
@@ -70,6 +74,7 @@ class Found:
     control: FoundControl | None = None
     levels: tuple[LevelObservation, ...] = ()
     tide: Tide | None = None
+    datum: DatumStd = EXACT
 
 
 def process_config(folder: Path) -> ProcessConfig:
@@ -128,10 +133,11 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
         exif_places = np.array(at_exif).reshape(-1, 2)
         require_at(crs, exif_places, f"the GPS positions in {position_sources(heads)}", f"crs in {FILE_NAME}")
         warnings += doubts_of_water_places(crs, exif_places, config.water, levels)
-    if not toml.is_file():
+    if config.water is None and not config.dry:
         warnings.append(infer.NO_WATER)
+    ways = ways_into_crs(heads, crs, config.cameras.gps_height) if poses_path is None else []
     if poses_path is None:
-        warnings += [*datum_doubts(heads, crs), *find_unread(folder)]
+        warnings += [*datum_doubts(ways), *find_unread(folder)]
     if config.cameras.rotation_std_deg is not None and poses_path is None:
         warnings.append(
             "[cameras] rotation_std_deg is not used: it is that of poses from a file, and structure from motion finds "
@@ -143,8 +149,12 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
     if config.control.files:
         control = find_control(folder, config.control, crs, heads, assumptions, warnings)
         config = replace(config, control=control.config)
+    datum = least([DatumStd(plan_std(way.plan), way.up_std_m) for way in ways])
+    for way in ways:
+        std = best_plan_std(config.cameras, [heads[name] for name in way.names])
+        require_as_good(way.plan, std, way.said, 0 if control is None else control.num_given)
     said = tuple(assumptions), tuple(warnings)
-    return Found(folder, config, crs, images, heads, poses_path, *said, control, levels, tide)
+    return Found(folder, config, crs, images, heads, poses_path, *said, control, levels, tide, datum)
 
 
 def _poses_path(folder: Path, config: SurveyConfig, assumptions: list[str]) -> Path | None:

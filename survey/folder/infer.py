@@ -89,6 +89,8 @@ def config_of_images(
         f'crs = "{crs}", the UTM zone of the {"GPS positions" if by_exif is not None else "poses"}, with heights '
         f"taken as they are in {source}: above mean sea level",
     ]
+    if config.water is not None and config.water.gives_level:
+        assumptions.append("the level of the water counts from mean sea level, too, as [water] comes without a crs")
     return replace(config, crs=crs)
 
 
@@ -108,10 +110,10 @@ def crs_advice(heads: dict[str, Exif]) -> str:
 
 
 def says_no_place(config: SurveyConfig) -> bool:
-    """Whether nothing in the settings has a place or a height, so that a crs may be chosen for it."""
+    """Whether nothing in the settings has a place, and no height but a level, so that a crs may be chosen for it."""
     area, local = config.area, config.local
     return (
-        config.water is None
+        (config.water is None or config.water.has_no_place)
         and not config.control.files
         and area.bounds is None
         and area.heights is None
@@ -120,8 +122,8 @@ def says_no_place(config: SurveyConfig) -> bool:
 
 
 NO_WATER = (
-    "no water was given, and rays are not bent: ground under water lies about a quarter of its depth too high; write "
-    f"{FILE_NAME} with [water] level_m, or with crs alone where all ground is dry"
+    "no water was given, rays were not bent; ground under water lies about a quarter of its depth too high; write "
+    f"[water] level_m in {FILE_NAME}, or dry = true, above its first table, where no ground is under water"
 )
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,16 +14,16 @@ from survey.folder.config import CamerasConfig
 from survey.folder.config_std import per_axis
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
-from survey.sfm.gps import positions_in_crs
+from survey.sfm.datum_std import EXACT, WELL_KNOWN_M, DatumStd
+from survey.sfm.gps import datum_stds, positions_in_crs
 
 if TYPE_CHECKING:
     from survey.folder.found import Found
 
 # What DJI calls a position whose carrier phases are resolved; its standard deviations are those of the receiver.
 _RTK_FIXED = 50
-# Receivers of other makers state an accuracy without saying how they came by it. One of centimetres comes from
-# corrections; the errors of one of metres are nearly the same in all photographs, and it says nothing of them.
-WELL_KNOWN_M = 0.1
+# Receivers of other makers state an accuracy without saying how they came by it. One of centimetres (`WELL_KNOWN_M`)
+# comes from corrections; the errors of one of metres are nearly the same in all photographs: it says nothing of them.
 # What heights in EXIF have in common where nothing says how good they are. Most drones take them from their barometer
 # and the standard atmosphere: the pressure of the day is off by some 10 hPa, at 8 m each.
 BAROMETER_STD_M = 80.0
@@ -51,6 +51,8 @@ class PosePrior:
         the position: "GPS EXIF", "geo.txt", `BY_POSES`, or "none".
     common_up_std : float [m]
         Of an error that the heights of all positions have in common; 0 where they have none.
+    common_plan_std : float [m]
+        The same of their places in plan, beside `position_std`: by a transformation of datums.
     """
 
     position: np.ndarray | None
@@ -58,23 +60,39 @@ class PosePrior:
     rotation_std_deg: np.ndarray | None
     source: str
     common_up_std: float = 0.0
+    common_plan_std: float = 0.0
+
+    def held_by_control(self) -> PosePrior:
+        """The same where control decides the place of the block: what positions have in common widens them."""
+        if self.common_plan_std == 0.0:
+            return self
+        # Of poses that count as exact, and of positions that nothing is known of, the block tells the rest.
+        std = None if self.position_std is None else DatumStd(plan=self.common_plan_std).onto(self.position_std)
+        return replace(self, position_std=std, common_plan_std=0.0)
 
 
 def priors_of_poses(
-    cameras: CamerasConfig, views: Sequence[View], given: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None
+    cameras: CamerasConfig,
+    views: Sequence[View],
+    given: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
+    datum: DatumStd = EXACT,
 ) -> dict[str, PosePrior]:
     """Of views with poses from a file: these poses, as accurate as [cameras] says.
 
     Where it says nothing, the positions [m], local, and standard deviations [m] that the file gives for before its
-    adjustment, by name of the view.
+    adjustment, by name of the view. ``datum`` is what their way into crs adds.
     """
     position_std = None if cameras.position_std_m is None else np.array(per_axis(cameras.position_std_m))
     rotation_std = None if cameras.rotation_std_deg is None else np.array(per_axis(cameras.rotation_std_deg))
     source = BY_POSES if position_std is None else "survey.toml"
-    priors = {view.name: PosePrior(view.camera.centre, position_std, rotation_std, source) for view in views}
+    plan = datum.plan
+    priors = {
+        view.name: PosePrior(view.camera.centre, position_std, rotation_std, source, common_plan_std=plan)
+        for view in views
+    }
     if position_std is None:
         for name, (position, std) in (given or {}).items():
-            priors[name] = PosePrior(position, std, rotation_std, BY_FILE)
+            priors[name] = PosePrior(position, std, rotation_std, BY_FILE, common_plan_std=plan)
     return priors
 
 
@@ -88,7 +106,11 @@ def priors_of_gps(
     cameras = found.config.cameras
     positions = positions_in_crs(found.heads, found.crs, cameras.gps_height, [])
     local = {name: frame.local_from_crs(place) for name, place in positions.items() if name not in rejected}
-    return {view.name: _by_gps(cameras, local.get(view.name), found.heads[view.name]) for view in views}
+    datums = datum_stds(found.heads, found.crs, cameras.gps_height)
+    return {
+        view.name: _by_gps(cameras, local.get(view.name), found.heads[view.name], datums.get(view.name, EXACT))
+        for view in views
+    }
 
 
 def common_up_std(priors: Mapping[str, PosePrior]) -> float:
@@ -96,10 +118,15 @@ def common_up_std(priors: Mapping[str, PosePrior]) -> float:
     return min((prior.common_up_std for prior in priors.values() if prior.position is not None), default=0.0)
 
 
-def common_up_std_of_exif(cameras: CamerasConfig, heads: Mapping[str, Exif]) -> float:
-    """The same of the positions in EXIF, before structure from motion."""
+def common_plan_std(priors: Mapping[str, PosePrior]) -> float:
+    """The same of the places of all positions in plan."""
+    return min((prior.common_plan_std for prior in priors.values() if prior.position is not None), default=0.0)
+
+
+def common_up_std_of_exif(cameras: CamerasConfig, heads: Mapping[str, Exif], datum: DatumStd = EXACT) -> float:
+    """The same of the heights in EXIF, before structure from motion; ``datum`` is what their way into crs adds."""
     placed = [head for head in heads.values() if head.lat_lon_height is not None]
-    return min((_common_up(_std_by_exif(cameras, head)[0]) for head in placed), default=0.0)
+    return min((_common_up(_std_by_exif(cameras, head, datum)[0]) for head in placed), default=0.0)
 
 
 def _common_up(std: np.ndarray | None) -> float:
@@ -107,8 +134,16 @@ def _common_up(std: np.ndarray | None) -> float:
     return up if up > WELL_KNOWN_M else 0.0
 
 
-def _std_by_exif(cameras: CamerasConfig, head: Exif) -> tuple[np.ndarray | None, str]:
-    """The standard deviation (3,) [m] of a GPS position, and where it comes from; None where nothing tells it."""
+def _std_by_exif(cameras: CamerasConfig, head: Exif, datum: DatumStd = EXACT) -> tuple[np.ndarray | None, str]:
+    """The standard deviation (3,) [m] of a GPS position in crs, and where it comes from; None where nothing tells it.
+
+    In plan without what its way into crs adds, which all have in common.
+    """
+    std, source = _std_as_given(cameras, head)
+    return None if std is None else DatumStd(up=datum.up).onto(std), source
+
+
+def _std_as_given(cameras: CamerasConfig, head: Exif) -> tuple[np.ndarray | None, str]:
     if cameras.position_std_m is not None:
         return np.array(per_axis(cameras.position_std_m)), "survey.toml"
     if head.table_place is not None:
@@ -122,28 +157,43 @@ def _std_by_exif(cameras: CamerasConfig, head: Exif) -> tuple[np.ndarray | None,
     return None, "GPS EXIF"
 
 
-def _by_gps(cameras: CamerasConfig, position: np.ndarray | None, head: Exif) -> PosePrior:
+def best_plan_std(cameras: CamerasConfig, heads: Iterable[Exif]) -> float:
+    """The smallest standard deviation [m] in plan that is known of GPS positions as given; infinite where none is."""
+    stds = [_std_as_given(cameras, head)[0] for head in heads if head.lat_lon_height is not None]
+    return min((float(std[:2].max()) for std in stds if std is not None), default=math.inf)
+
+
+def _by_gps(cameras: CamerasConfig, position: np.ndarray | None, head: Exif, datum: DatumStd) -> PosePrior:
     if position is None:
         return PosePrior(None, None, None, "none")
-    std, source = _std_by_exif(cameras, head)
-    return PosePrior(position, std, None, source, _common_up(std))
+    std, source = _std_by_exif(cameras, head, datum)
+    return PosePrior(position, std, None, source, _common_up(std), datum.plan)
 
 
 def accuracy_of_priors(priors: Mapping[str, PosePrior]) -> str:
     """How well the positions of views are known, and where from, in one sentence."""
-    return _accuracy([(prior.position_std, prior.source) for prior in priors.values()])
+    said = _accuracy([(prior.position_std, prior.source) for prior in priors.values()])
+    return f"{said}{_in_common(common_plan_std(priors))}"
 
 
-def accuracy_of_gps(cameras: CamerasConfig, heads: Mapping[str, Exif]) -> str:
-    """How well the positions in EXIF will be known, in one sentence, before structure from motion."""
+def _in_common(plan_std: float) -> str:
+    return f"; beside {plan_std:.2g} m in plan that all have in common, by the change of datums" if plan_std else ""
+
+
+def accuracy_of_gps(cameras: CamerasConfig, heads: Mapping[str, Exif], datum: DatumStd = EXACT) -> str:
+    """How well the positions in EXIF will be known, in one sentence, before structure from motion.
+
+    ``datum`` is what their way into crs adds.
+    """
     given = [head.lat_lon_height for head in heads.values()]
     known = [position is not None and math.isfinite(position[2]) for position in given]
-    return _accuracy(
+    said = _accuracy(
         [
-            _std_by_exif(cameras, head) if is_known else (None, "none")
+            _std_by_exif(cameras, head, datum) if is_known else (None, "none")
             for head, is_known in zip(heads.values(), known, strict=True)
         ]
     )
+    return f"{said}{_in_common(datum.plan)}"
 
 
 def _accuracy(all_stds: Sequence[tuple[np.ndarray | None, str]]) -> str:

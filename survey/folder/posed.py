@@ -55,16 +55,16 @@ def points_in_crs(file: PoseFile, points: np.ndarray, crs: CRS, gps_height: str)
     return np.column_stack([*way(points[:, 0], points[:, 1]), height])
 
 
-def doubt_of_crs(file: PoseFile, crs: CRS) -> str | None:
-    """A warning where the way of the poses of a file to crs is less well known than they are; None where it is not."""
+def way_into_crs(file: PoseFile, crs: CRS) -> Transformation | None:
+    """The way of the poses of a file into crs; None where they are in it, or in a local frame."""
     places = np.array([pose.centre for pose in file.poses])
     if file.frame is PoseFrame.LOCAL or not len(places):
         return None
     if file.frame is PoseFrame.GEOCENTRIC:
         lon, lat, _ = _geodetic(file, places)
         own = geodetic_crs(_WGS84 if file.crs is None else file.crs)
-        return Transformation.between(own, crs, np.degrees(np.column_stack([lon, lat]))).doubt("the poses")
-    return None if file.crs is None else Transformation.between(file.crs, crs, places).doubt("the poses")
+        return Transformation.between(own, crs, np.degrees(np.column_stack([lon, lat])))
+    return None if file.crs is None else Transformation.between(file.crs, crs, places)
 
 
 def cams_from_local(file: PoseFile, poses: Sequence[Pose], centres_crs: np.ndarray, frame: LocalFrame) -> np.ndarray:

@@ -25,7 +25,7 @@ from survey.folder.level_observation import LevelObservation
 from survey.folder.mark_residuals import mark_doubts
 from survey.folder.over_water import block_over_water
 from survey.folder.plausible import doubts_of_places, require_true
-from survey.folder.pose_priors import PosePrior
+from survey.folder.pose_priors import PosePrior, common_plan_std
 from survey.folder.reprojection import Reprojection
 from survey.folder.shutter import metres_per_px, shutter_doubts, with_motion
 from survey.folder.start_height import start_doubts
@@ -119,6 +119,12 @@ class Survey:
     levels: tuple[LevelObservation, ...] = field(default=(), compare=False, repr=False)
     velocities: Mapping[str, Velocity] = field(default_factory=dict, compare=False, repr=False)
     tide: Tide | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def plan_std_m(self) -> float:
+        """Standard deviation [m] that all places in plan have in common, by a transformation of datums."""
+        control = () if self.control is None else tuple(point for point in self.control.points if not point.is_check)
+        return min(point.common_plan_std for point in control) if control else common_plan_std(self.priors)
 
     def require_water(self) -> tuple[FlatWater, WaterConfig]:
         """The water plane and its settings, with level, place and index.

@@ -105,7 +105,7 @@ def draft(folder: Path, answers: Answers) -> str:
     require_in_place(photographs, crs)
     write_origin(photographs, answers, crs, local)
     if answers.is_dry:
-        top.say("No [water]: all ground is dry.")
+        top.set("dry", True, "no ground is under water")
     else:
         _write_water(folder, photographs, answers, water)
     _write_control(folder, control)

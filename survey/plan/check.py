@@ -13,7 +13,7 @@ import numpy as np
 from geo.crs import height_unit_m
 from survey.display.quantities import length
 from survey.errors import SurveyError
-from survey.folder.pose_priors import WELL_KNOWN_M, accuracy_of_gps, accuracy_of_priors, common_up_std_of_exif
+from survey.folder.pose_priors import accuracy_of_gps, accuracy_of_priors, common_up_std_of_exif
 from survey.folder.shutter import shutter_text
 from survey.folder.survey import Found, Survey, find_survey, load_survey
 from survey.folder.unposed import placing_control, require_solvable
@@ -26,6 +26,7 @@ from survey.plan.level_doubt import level_doubt
 from survey.plan.plan import Plan, device_decision, make_plan
 from survey.plan.skipped import Decision
 from survey.plan.workload import Workload, room_doubts, workload_of, workload_of_images
+from survey.sfm.datum_std import WELL_KNOWN_M
 
 
 @dataclass(frozen=True)
@@ -220,7 +221,7 @@ def _rows_without_poses(found: Found) -> list[tuple[str, str]]:
             f"{len(places)} of {len(found.heads)} images have one in {position_sources(found.heads)}{on_places}",
         ),
         ("poses", "none"),
-        ("accuracy", accuracy_of_gps(found.config.cameras, found.heads)),
+        ("accuracy", accuracy_of_gps(found.config.cameras, found.heads, found.datum)),
         *_shared_error(found),
         ("water", _water_below(found, heights)),
         *control_rows(found.control),
@@ -229,7 +230,7 @@ def _rows_without_poses(found: Found) -> list[tuple[str, str]]:
 
 def _shared_error(found: Found) -> list[tuple[str, str]]:
     """A row on what heights in EXIF may have in common, where the level of the water places the block."""
-    std = common_up_std_of_exif(found.config.cameras, found.heads)
+    std = common_up_std_of_exif(found.config.cameras, found.heads, found.datum)
     water = found.config.water
     if std == 0.0 or found.control is not None or water is None or water.level_m is None:
         return []

@@ -177,6 +177,7 @@ def _cloud(facts: ReportFacts) -> CloudFigures:
         std_common_m=None if facts.std_common is None else _spread(facts.std_common),
         views_per_point=_spread(bed.num_views),
         incidence_deg=_spread(np.degrees(bed.incidence)),
+        plan_std_common_m=facts.survey.plan_std_m,
     )
 
 

@@ -156,6 +156,8 @@ class CloudFigures:
         Of all points: standard deviation of the height [m] but for what all points have in common, and by that (water,
         lens, poses), number of views that agree [-], incidence at the water or, in a dry survey, angle off nadir
         [deg].
+    plan_std_common_m : [m]
+        Of all places in plan, by a transformation of datums; 0 where there was none.
     """
 
     points: int
@@ -167,6 +169,7 @@ class CloudFigures:
     std_common_m: Spread | None
     views_per_point: Spread | None
     incidence_deg: Spread | None
+    plan_std_common_m: float = 0.0
 
     @property
     def points_dry(self) -> int:

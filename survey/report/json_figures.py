@@ -76,6 +76,7 @@ def _cloud(cloud: CloudFigures) -> dict:
         "depth_m": _spread(cloud.depth_m, "min", "median", "p95", "max"),
         "std_m": _spread(cloud.std_m, "median", "p95"),
         "std_common_m": _spread(cloud.std_common_m, "median", "p95"),
+        **({"plan_std_common_m": cloud.plan_std_common_m} if cloud.plan_std_common_m else {}),
         "views_per_point": _spread(cloud.views_per_point, "min", "median", "mean", "max"),
         "incidence_deg": _spread(cloud.incidence_deg, "median", "p95", "max"),
     }

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 import re
-import warnings
 
 import numpy as np
 from pyproj import CRS, Transformer
 from pyproj.crs import CompoundCRS, CoordinateOperation
 from pyproj.exceptions import ProjError
-from pyproj.transformer import AreaOfInterest, TransformerGroup
+from pyproj.transformer import AreaOfInterest
 
 from geo.crs import horizontal_crs, vertical_crs
+from geo.transformation import area_about, operations
 from survey.errors import FILE_NAME, ConfigError
 
 _GEOID_STEP = re.compile(r"\+proj=vgridshift\s+\+grids=(\S+)")
@@ -20,8 +20,7 @@ _GEOID_STEP = re.compile(r"\+proj=vgridshift\s+\+grids=(\S+)")
 
 def area_at(lon: np.ndarray, lat: np.ndarray) -> AreaOfInterest:
     """Where a survey lies, by longitudes and latitudes [deg], for PROJ to choose among regional transformations."""
-    east, north = float(np.median(lon)), float(np.median(lat))
-    return AreaOfInterest(east - 0.01, max(north - 0.01, -90.0), east + 0.01, min(north + 0.01, 90.0))
+    return area_about(float(np.median(lon)), float(np.median(lat)))
 
 
 def height_transformer(crs: CRS, area: AreaOfInterest) -> Transformer:
@@ -40,10 +39,7 @@ def height_transformer(crs: CRS, area: AreaOfInterest) -> Transformer:
     said = f'gps_height = "ellipsoidal" needs a transformation of heights from the ellipsoid to {crs.name}'
     instead = f'or give heights in crs and gps_height = "crs" in {FILE_NAME}'
     try:
-        with warnings.catch_warnings():
-            # The missing grid is named in our own words below.
-            warnings.simplefilter("ignore", UserWarning)
-            group = TransformerGroup("EPSG:4979", target, always_xy=True, area_of_interest=area, allow_ballpark=False)
+        group = operations("EPSG:4979", target, area)
     except ProjError as error:
         raise ConfigError(f"{said}, which PROJ does not know ({error}); {instead}") from error
     if group.transformers:

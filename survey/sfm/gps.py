@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from geo.transformation import WGS84, Transformation, height_scale, lon_lat
 from survey.errors import FILE_NAME, ConfigError, PosesError
 from survey.names import GEO_TXT
 from survey.photos.exif import Exif, utm_code_of
+from survey.sfm.datum_std import WELL_KNOWN_M, DatumStd, plan_std
 from survey.sfm.geoid import area_at, height_transformer
 
 # Mean sea level by EGM96: the heights of consumer receivers and drones.
@@ -128,13 +130,65 @@ def positions_in_crs(heads: Mapping[str, Exif], crs: CRS, gps_height: str, notes
     return {name: found[name] for name in given}
 
 
-def datum_doubts(heads: Mapping[str, Exif], crs: CRS) -> list[str]:
+@dataclass(frozen=True)
+class Way:
+    """The way of GPS positions of one source into crs.
+
+    Attributes
+    ----------
+    said : str
+        What they are, for messages.
+    names : of their photographs
+    plan : Transformation
+    up_std_m : [m]
+        That the geoid adds to heights above the ellipsoid; 0 where they are taken as they are.
+    """
+
+    said: str
+    names: tuple[str, ...]
+    plan: Transformation
+    up_std_m: float
+
+
+def ways_into_crs(heads: Mapping[str, Exif], crs: CRS, gps_height: str) -> list[Way]:
+    """The way of GPS positions into crs, one for each of their sources."""
+    given = {name: _given(head) for name, head in heads.items() if head.lat_lon_height is not None}
+    ways = []
+    for source in dict.fromkeys(source for source, _ in given.values()):
+        own = {name: place for name, (of, place) in given.items() if of == source}
+        places = np.array(list(own.values()))
+        up = _geoid_std(crs, source, places) if gps_height == "ellipsoidal" else 0.0
+        plan = Transformation.between(source.crs, crs, places)
+        ways.append(Way(f"GPS positions{source.said}", tuple(own), plan, up))
+    return ways
+
+
+def _geoid_std(crs: CRS, source: _Source, places: np.ndarray) -> float:
+    """Standard deviation [m] of the geoid between heights above the ellipsoid and those of crs, as PROJ states it."""
+    if vertical_crs(source.crs) is not None or vertical_crs(crs) is None:
+        return 0.0
+    lon, lat = lon_lat(source.crs, places).T
+    with suppress(ConfigError):
+        return max(float(height_transformer(crs, area_at(lon, lat)).accuracy), 0.0)
+    # Whoever takes the heights says what is missing.
+    return 0.0
+
+
+def datum_stds(heads: Mapping[str, Exif], crs: CRS, gps_height: str) -> dict[str, DatumStd]:
+    """What the way into crs adds to the accuracy of GPS positions, by photograph."""
+    ways = ways_into_crs(heads, crs, gps_height)
+    return {name: DatumStd(plan_std(way.plan), way.up_std_m) for way in ways for name in way.names}
+
+
+def datum_doubts(ways: Sequence[Way]) -> list[str]:
     """Warnings where GPS positions in crs are less well known than as they are given."""
-    given = [_given(head) for head in heads.values() if head.lat_lon_height is not None]
-    doubts = []
-    for source in dict.fromkeys(source for source, _ in given):
-        places = np.array([place for own, place in given if own == source])
-        doubts.append(Transformation.between(source.crs, crs, places).doubt(f"GPS positions{source.said}"))
+    doubts = [way.plan.doubt(way.said) for way in ways]
+    doubts += [
+        f"heights of {way.said} go through a geoid that PROJ states to {way.up_std_m:.2g} m: all of them share that "
+        "error"
+        for way in ways
+        if way.up_std_m > WELL_KNOWN_M
+    ]
     return [doubt for doubt in doubts if doubt is not None]
 
 

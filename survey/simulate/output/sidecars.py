@@ -34,6 +34,7 @@ def survey_toml(scene: StagedScene) -> str:
     lines = [
         f"name = {json.dumps(scene.name, ensure_ascii=False)}",
         f'crs = "{scene.crs}"    # of cameras.csv, of truth/ and of every height here',
+        *(["dry = true    # no ground is under water"] if level is None else []),
         "",
         "[cameras]",
         'poses = "cameras.csv"    # easting, northing, height [m]; angles [deg] about the grid axes',

@@ -16,6 +16,7 @@ import rasterio.shutil
 from pyproj import CRS
 from rasterio.enums import ColorInterp
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.io import MemoryFile
 from rasterio.windows import Window
 
 from geo.crs import ellipsoid, ellipsoidal_wkt1, has_height, horizontal_crs, vertical_crs
@@ -141,12 +142,16 @@ def write_bag(path: str | Path, form: RasterForm, parts: Iterable[Part], said: d
         copy = work / "copy.bag"
         if vertical_crs(form.crs) is None and has_height(form.crs):
             said = said | {"VERT_WKT": ellipsoidal_wkt1(form.crs)}
-        sums = _write(copy, form, parts, driver="BAG", **{f"VAR_{name}": value for name, value in said.items()})
+        variables = {f"VAR_{name}": value for name, value in said.items()}
+        # In memory first: on a full disk HDF5 fails with a page of its own messages, and again when it is closed.
+        with MemoryFile(ext=".bag") as memory:
+            sums = _write(memory.name, form, parts, driver="BAG", **variables)
+            copy.write_bytes(memory.read())
         require_raster(copy, Path(path), stored_crs(form.crs), form.transform, form.shape, sums)
         copy.replace(part)
 
 
-def _write(path: Path, form: RasterForm, parts: Iterable[Part], **profile) -> list[Sums]:
+def _write(path: Path | str, form: RasterForm, parts: Iterable[Part], **profile) -> list[Sums]:
     """Write a raster; returns the checksum of each band."""
     rows, columns = form.shape
     sums = [Sums(form.nodata) for _ in form.bands]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+from pathlib import Path
+
 import numpy as np
 import pytest
 import rasterio
@@ -47,6 +50,19 @@ def test_ellipsoidal_heights_of_a_projected_crs_are_in_a_bag(tmp_path, rng):
     with rasterio.open(tmp_path / "a.bag") as raster:
         assert "UTM zone 32N" in raster.crs.to_wkt()
         assert "ellipsoidal height" in raster.crs.to_wkt()
+
+
+def test_a_bag_on_a_full_disk_is_refused_in_words_of_the_system_alone(tmp_path, rng, monkeypatch, capfd):
+    def full(_path, _data):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    form = form_of("EPSG:32632+4979", nodata=1e6)
+    with pytest.raises(UnwritableFile, match=r"a\.bag: no space is left on the disk"):
+        write_bag(tmp_path / "a.bag", form, [(0, 0, np.nan_to_num(values(rng), nan=1e6))], {})
+    assert list(tmp_path.iterdir()) == []
+    # HDF5 writes to the standard error of the process.
+    assert capfd.readouterr().err == ""
 
 
 def changed(path, how: str) -> None:

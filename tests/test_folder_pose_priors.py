@@ -24,6 +24,7 @@ from survey.folder.pose_priors import (
     priors_of_gps,
 )
 from survey.folder.survey import load_survey
+from survey.folder.unposed import require_solvable
 from survey.photos.cameras import View
 from survey.photos.xmp import Rtk
 from survey.sfm.gps import gps_positions
@@ -160,7 +161,7 @@ def test_good_positions_are_refused_where_a_grid_would_keep_them_good(tmp_path, 
     with pytest.raises(
         MissingGrid, match=r"GPS positions are good to 0.0[25] m, .* has 2 m: .*OSTN15.*or give 3 contr"
     ):
-        find_survey(british(tmp_path / "s", f"position_std_m = {std}"))
+        require_solvable(find_survey(british(tmp_path / "s", f"position_std_m = {std}")))
 
 
 @needs_no_grid

@@ -55,8 +55,11 @@ def find_control(
     heads: Mapping[str, Exif],
     assumptions: list[str],
     warnings: list[str],
+    level: float | None = None,
 ) -> FoundControl:
     """Read the files of [control]; assumptions and warnings are added to.
+
+    Depths of check points count from ``level``, the one height of the water in crs, where there is one.
 
     Raises
     ------
@@ -65,7 +68,7 @@ def find_control(
     """
     checkpoints: tuple[GivenPoint, ...] = ()
     if config.checkpoints is not None:
-        checkpoints = tuple(in_crs(read_checkpoints(folder / config.checkpoints), crs, assumptions, warnings))
+        checkpoints = tuple(in_crs(read_checkpoints(folder / config.checkpoints, level), crs, assumptions, warnings))
     if not config.gcp_files:
         return FoundControl(config, None, checkpoints)
     contents = [read_control(folder / name) for name in config.gcp_files]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
-from geo.crs import parse_crs
+from geo.crs import height_unit_m, parse_crs
 from geo.grids import use_grids
 from geo.transformation import require_at
 from survey.errors import FILE_NAME, ConfigError, PosesError, SurveyError
@@ -19,14 +19,13 @@ from survey.folder.control import FoundControl, find_control
 from survey.folder.geo_txt import find_geo_txt, with_positions
 from survey.folder.head_doubts import head_doubts
 from survey.folder.level_observation import LevelObservation
-from survey.folder.pose_priors import best_plan_std
 from survey.folder.tides import Tide
 from survey.folder.water_level import with_level
 from survey.folder.water_place import doubts_of_water_places
 from survey.photos.exif import Exif, position_sources, read_exif
 from survey.photos.formats import find_poses, find_unread
 from survey.photos.images import list_images
-from survey.sfm.datum_std import EXACT, DatumStd, least, plan_std, require_as_good
+from survey.sfm.datum_std import EXACT, DatumStd, least, plan_std
 from survey.sfm.gps import datum_doubts, ways_into_crs
 
 MIN_VIEWS = 2
@@ -147,14 +146,19 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
         warnings.append(f'{_GCP_LIST} is not used; for its control points write gcps = "{_GCP_LIST}" in [control]')
     control = None
     if config.control.files:
-        control = find_control(folder, config.control, crs, heads, assumptions, warnings)
+        control = find_control(folder, config.control, crs, heads, assumptions, warnings, _one_level(config, crs))
         config = replace(config, control=control.config)
     datum = least([DatumStd(plan_std(way.plan), way.up_std_m) for way in ways])
-    for way in ways:
-        std = best_plan_std(config.cameras, [heads[name] for name in way.names])
-        require_as_good(way.plan, std, way.said, 0 if control is None else control.num_given)
     said = tuple(assumptions), tuple(warnings)
     return Found(folder, config, crs, images, heads, poses_path, *said, control, levels, tide, datum)
+
+
+def _one_level(config: SurveyConfig, crs: CRS) -> float | None:
+    """Height of the water in crs, where it is given and the same everywhere."""
+    water = config.water
+    if water is None or water.level_m is None or water.slope_east or water.slope_north:
+        return None
+    return water.level_m / height_unit_m(crs)
 
 
 def _poses_path(folder: Path, config: SurveyConfig, assumptions: list[str]) -> Path | None:

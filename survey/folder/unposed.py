@@ -19,6 +19,7 @@ from survey.folder.camera_faults import require_focal_lengths
 from survey.folder.datum_mixups import place_of, xmp_doubts
 from survey.folder.exif_level import require_level_fits_exif
 from survey.folder.found import Found
+from survey.folder.pose_priors import best_plan_std
 from survey.folder.shutter import shutter_doubts
 from survey.folder.start_height import start_doubts
 from survey.names import RUN_FOLDER, SFM_FOLDER
@@ -26,7 +27,8 @@ from survey.photos.cameras import View
 from survey.photos.images import require_all_complete
 from survey.photos.opening import HEIC_SUFFIXES
 from survey.photos.tie_points import TiePoints
-from survey.sfm.gps import MIN_POSITIONS, gps_positions, is_whole, positions_in_crs
+from survey.sfm.datum_std import require_as_good
+from survey.sfm.gps import MIN_POSITIONS, gps_positions, is_whole, positions_in_crs, ways_into_crs
 from survey.sfm.gps_fit import MIN_STD_M, contradicted, require_area
 from survey.sfm.marked import BlockControl
 from survey.sfm.settings import one_focal, require_size, require_solver
@@ -66,6 +68,9 @@ def require_solvable(found: Found) -> list[str]:
     require_solver()
     cameras = found.config.cameras
     require_level_fits_exif(found.config, found.heads, found.crs)
+    for way in ways_into_crs(found.heads, found.crs, cameras.gps_height):
+        std = best_plan_std(cameras, [found.heads[name] for name in way.names])
+        require_as_good(way.plan, std, way.said, 0 if found.control is None else found.control.num_given)
     require_size(found.images, found.heads, cameras.size_px)
     focal = one_focal(cameras.focal_px)
     placing_control(found)

@@ -39,8 +39,8 @@ def _distributions(found: CloudFigures) -> list[Table]:
         name = f"the same by water, lens and poses, in common [{unit.name}]"
         rows.append((name, "", unit.number(std.median), unit.number(std.p95), ""))
     if found.plan_std_common_m:
-        std = number(found.plan_std_common_m, 2)
-        rows.append(("places in plan, in common, by the change of datums [m]", "", std, std, ""))
+        shift = number(found.plan_std_common_m, 2)
+        rows.append(("places in plan, in common, by the change of datums [m]", "", shift, shift, ""))
     if (views := found.views_per_point) is not None:
         rows.append(("views per point", number(views.min, 0), number(views.median, 0), "", number(views.max, 0)))
     if (angle := found.incidence_deg) is not None:

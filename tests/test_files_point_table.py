@@ -36,6 +36,24 @@ def test_every_order_of_columns_gives_the_same_points(tmp_path, names, separator
         assert [row.cells["name"] for row in found] == [row[0] for row in POINTS]
 
 
+@pytest.mark.parametrize("name", ["depth", "Depth (m)", "depth_m", "true_depth", "Depth [m]"])
+@pytest.mark.parametrize("separator", [",", ";", "\t", " "])
+def test_depths_count_down_from_the_level_of_the_water(tmp_path, name, separator):
+    if separator == " " and " " in name:
+        pytest.skip("a name with a space needs another separator")
+    path = tmp_path / "points.csv"
+    header = [name, "northing", "easting"]
+    written(path, header, [["2.25", "20.5", "10.5"], ["-0.5", "21.5", "11.5"], ["1", "2", "3"]], separator)
+    found = read_points(path, level=582.5, error=SurveyError)
+    assert [row.number("height") for row in found] == [580.25, 583.0, 581.5]
+    assert found[0].number("easting") == 10.5
+    with pytest.raises(SurveyError, match=r"has depths, expected heights in crs: give --water-level, or subtract them"):
+        read_points(path, give_level="give --water-level", error=SurveyError)
+    written(path, header, [["-2.25", "20.5", "10.5"]], separator)
+    with pytest.raises(SurveyError, match="numbers are negative"):
+        read_points(path, level=582.5, error=SurveyError)
+
+
 @pytest.mark.parametrize(
     ("header", "words"),
     [

@@ -31,7 +31,8 @@ class Sign(StrEnum):
 def run(
     cloud: Annotated[Path, typer.Argument(metavar="CLOUD", help="LAS, LAZ, COPC, PLY or E57.")],
     reference: Annotated[
-        Path, typer.Argument(metavar="REFERENCE", help="PLY, OBJ, GLB, GeoTIFF, or points like CLOUD.")
+        Path,
+        typer.Argument(metavar="REFERENCE", help="PLY, OBJ, GLB, GeoTIFF, or points like CLOUD, also CSV and XYZ."),
     ],
     tolerance: Annotated[
         list[float],

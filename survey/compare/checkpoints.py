@@ -13,14 +13,15 @@ from geo.files import existing_file
 from survey.compare.area import CompareError, to_local
 from survey.compare.figures import Checkpoints
 from survey.compare.scene import Scene
+from survey.compare.tables import GIVE_LEVEL
 from survey.files.point_table import PLACE, read_points
 
 
-def read_checkpoints(path: Path) -> np.ndarray:
+def read_checkpoints(path: Path, water_level: float | None = None) -> np.ndarray:
     """Check points (K, 4) of a CSV: easting, northing, height in the CRS of the cloud, standard deviation [m].
 
     The last column may be missing (0 then). A first line names the columns, in any order; numbers alone have this
-    order. See `survey.files.point_table`.
+    order. Depths count from the level of the water, in the CRS of the cloud. See `survey.files.point_table`.
 
     Raises
     ------
@@ -29,7 +30,14 @@ def read_checkpoints(path: Path) -> np.ndarray:
     CompareError
         If a line has other columns, or no line is left.
     """
-    rows = read_points(existing_file(path), optional=("std",), by_place=True, error=CompareError)
+    rows = read_points(
+        existing_file(path),
+        optional=("std",),
+        by_place=True,
+        level=water_level,
+        give_level=GIVE_LEVEL,
+        error=CompareError,
+    )
     table = np.array([[*(row.number(name) for name in PLACE), row.number("std", default=0.0)] for row in rows])
     if not rows:
         raise CompareError(f"{path} has no check points; expected lines of easting, northing, height, std")

@@ -23,7 +23,9 @@ from survey.compare.options import CompareOptions, check_options, check_outputs,
 from survey.compare.pictures import write_report
 from survey.compare.result import Comparison
 from survey.compare.scene import Scene
+from survey.compare.tables import is_table, level_of_cloud
 from survey.files.json_values import write_json
+from survey.files.point_table import has_depths
 from survey.progress import current
 
 __all__ = ["CompareOptions", "Comparison", "compare_files", "compare_surfaces"]
@@ -63,13 +65,19 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
     check_options(options)
     paths = Paths(Path(cloud), Path(reference), None if options.visible is None else Path(options.visible))
     places = None if options.checkpoints is None else Path(options.checkpoints)
+    if places is None and is_table(paths.reference):
+        # Measured points, between which nothing is known: the cloud is asked at each of them, too.
+        places = paths.reference
     for path in (paths.cloud, paths.reference, paths.visible):
         if path is not None:
             existing_file(path)
     # Before the clouds and meshes, which take longer to read.
-    checkpoints = None if places is None else read_checkpoints(places)
+    waits = places is not None and options.water_level is None and has_depths(places)
+    checkpoints = None if places is None or waits else read_checkpoints(places, options.water_level)
     with current().stage("Reading"):
-        inputs = load_inputs(paths, options.bounds)
+        inputs = load_inputs(paths, options.bounds, options.water_level)
+    if places is not None and waits:
+        checkpoints = read_checkpoints(places, level_of_cloud(inputs.cloud))
     notes = list(inputs.notes)
     inputs, is_left = _without_outliers(inputs, options, notes)
     scene = Scene.of(inputs, options.bounds, is_left, max(options.tolerances_m))

@@ -10,12 +10,13 @@ from pyproj import CRS
 
 from evaluation import weld
 from evaluation.triangles import has_area
-from geo import Cloud, LocalFrame, Mesh, read_reference, require_same_crs, require_same_place
+from geo import Cloud, LocalFrame, Mesh, require_same_crs, require_same_place
 from geo.compatibility import bounds_in_other_order
 from geo.crs import has_height, height_unit_m, is_geographic
 from geo.shapes import in_height_unit, left_out, part_of, vertices_of
 from geo.values import rounded_coordinates
 from survey.compare.area import Bounds, CompareError, ShiftedFrame, as_text, within
+from survey.compare.tables import level_of_cloud, read_shape
 
 # Heights further apart than this many times the size of the data are another place, not an error of the bed.
 _FARTHEST_HEIGHT = 10.0
@@ -64,8 +65,10 @@ class Inputs:
     notes: tuple[str, ...]
 
 
-def load_inputs(paths: Paths, bounds: Bounds | None) -> Inputs:
+def load_inputs(paths: Paths, bounds: Bounds | None, water_level: float | None = None) -> Inputs:
     """Read the files of a comparison and refuse what cannot be compared.
+
+    Depths in tables count from ``water_level``, in the CRS of the cloud, else from the water that the cloud has.
 
     Raises
     ------
@@ -75,8 +78,9 @@ def load_inputs(paths: Paths, bounds: Bounds | None) -> Inputs:
         If no point is within the bounds, or the heights cannot be of one place.
     """
     notes: list[str] = []
-    compared = read_reference(paths.cloud)
-    given = {path: read_reference(path) for path in (paths.reference, paths.visible) if path is not None}
+    compared = read_shape(paths.cloud, water_level)
+    level = level_of_cloud(compared) if water_level is None else water_level
+    given = {path: read_shape(path, level) for path in (paths.reference, paths.visible) if path is not None}
     for path, other in given.items():
         require_same_crs(compared.crs, other.crs, str(paths.cloud), str(path))
     notes += [note for shape in (compared, *given.values()) for note in shape.notes]

@@ -30,10 +30,10 @@ from geo import Mesh
 from survey.compare.area import CompareError, metres_in_crs, to_local, within
 from survey.compare.figures import Parts, ReferenceSurface, Vertical, VerticalUncertainty
 from survey.compare.scene import Scene
+from survey.compare.tables import DEPTH_NAMES
 from survey.progress import current
 
 # Extra bytes of a cloud: the depth below the water in metres, angle at the water in degrees, views that agree.
-_DEPTH_NAMES = ("depth", "depth_m")
 _INCIDENCE_NAMES = ("incidence", "incidence_deg")
 _VIEWS_NAMES = ("num_views",)
 
@@ -158,7 +158,7 @@ def bed_depth(scene: Scene, nearest: np.ndarray, water_level: float | None) -> n
         surface = inputs.cloud.points[inputs.inside].copy()
         surface[:, 2] = water_level
         return to_local(inputs.frame, surface, inputs.paths.cloud)[:, 2] - nearest[:, 2]
-    depth = scene.extra(_DEPTH_NAMES)
+    depth = scene.extra(DEPTH_NAMES)
     return None if depth is None else depth + scene.points[:, 2] - nearest[:, 2]
 
 

@@ -53,15 +53,17 @@ def read_marks(path: Path) -> Content:
     return Content(marks=tuple(marks))
 
 
-def read_checkpoints(path: Path) -> tuple[GivenPoint, ...]:
+def read_checkpoints(path: Path, level: float | None = None) -> tuple[GivenPoint, ...]:
     """The points of a table ``easting,northing,height``, numbered where it has no names.
+
+    Depths count from the ``level`` of the water in crs, where it has one.
 
     Raises
     ------
     ControlError
         If the file has no points or one of them twice, or as `read_coordinates`.
     """
-    rows = read_points(path, error=ControlError)
+    rows = read_points(path, level=level, give_level="give [water] level_m", error=ControlError)
     crs = crs_of_comment(path, ControlError)
     if not rows:
         raise ControlError(f"{path} has no check points, expected lines name,easting,northing,height; add them")

@@ -7,7 +7,9 @@ place only where a file has numbers alone.
 from __future__ import annotations
 
 import math
+import statistics
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from survey.errors import SurveyError
@@ -32,6 +34,7 @@ SYNONYMS = {
     **dict.fromkeys(
         ("std_h", "std_up", "accuracy_z_(m)", "accuracy_z/altitude_(m)", "accuracy_z", "std_z"), "std_height"
     ),
+    **dict.fromkeys(("depths", "true_depth", "water_depth", "sounding"), "depth"),
     **dict.fromkeys(("type", "use"), "role"),
     **dict.fromkeys(("enabled",), "enable"),
 }
@@ -43,9 +46,17 @@ _MOST_STD_M = 10.0
 
 
 def read_points(
-    path: Path, *, optional: Sequence[str] = ("name",), by_place: bool = False, error: type[SurveyError]
+    path: Path,
+    *,
+    optional: Sequence[str] = ("name",),
+    by_place: bool = False,
+    level: float | None = None,
+    give_level: str = "",
+    error: type[SurveyError],
 ) -> list[Row]:
     """Rows of a table of points with the columns of `PLACE`, and the ``optional`` ones.
+
+    Depths become heights where the level of the water is known.
 
     Parameters
     ----------
@@ -53,6 +64,10 @@ def read_points(
     optional : names
     by_place : bool
         Whether a file of numbers alone is taken as easting, northing, height and, in a fourth column, std.
+    level : float, optional
+        Of the water that depths count from, in the heights of crs.
+    give_level : str
+        How it is given, for a message, e.g. "give --water-level".
     error : type
         What is raised.
 
@@ -66,7 +81,17 @@ def read_points(
         return read_table(path, PLACE, optional=("std",), header=False, error=error)
     names = column_names(path, synonyms)
     found = shortened(", ".join(names)) or "nothing"
-    _require_one_height(path, names, synonyms, error)
+    _require_one_height(path, synonyms, error)
+    if has_depths(path):
+        if level is None:
+            mend = f"{give_level}, or subtract" if give_level else "subtract"
+            raise error(
+                f"{path} has depths, expected heights in crs: {mend} them from the level of the water they count from, "
+                "and call the column height"
+            )
+        columns = (*PLACE[:2], "depth")
+        rows = read_table(path, columns, optional=optional, synonyms=synonyms, error=error)
+        return _above(rows, level, path, error)
     missing = [name for name in PLACE if name not in names]
     if missing:
         raise error(
@@ -76,23 +101,37 @@ def read_points(
     return read_table(path, PLACE, optional=optional, synonyms=synonyms, error=error)
 
 
+def has_depths(path: Path) -> bool:
+    """Whether a table has depths and no heights."""
+    names = column_names(path, _with_units())
+    return "depth" in names and "height" not in names
+
+
+def _above(rows: Sequence[Row], level: float, path: Path, error: type[SurveyError]) -> list[Row]:
+    """Rows with heights in place of depths below a level."""
+    depths = [row.number("depth") for row in rows]
+    if rows and statistics.median(depths) < 0.0:
+        raise error(
+            f"{path} has a column depth whose numbers are negative ({depths[0]:g}), expected depths that count down "
+            "from the water; change their sign, or call the column height if they are heights in crs"
+        )
+    return [
+        replace(row, cells=row.cells | {"height": repr(level - depth)}) for row, depth in zip(rows, depths, strict=True)
+    ]
+
+
 def _with_units() -> dict[str, str]:
-    words = {**SYNONYMS, **{name: name for name in (*PLACE, "std")}}
+    words = {**SYNONYMS, **{name: name for name in (*PLACE, "std", "depth")}}
     return SYNONYMS | {f"{word}{unit}": name for word, name in words.items() for unit in _UNITS}
 
 
-def _require_one_height(path: Path, names: Sequence[str], synonyms: dict[str, str], error: type[SurveyError]) -> None:
-    """Raise where two columns are heights, or the only one is a depth."""
+def _require_one_height(path: Path, synonyms: dict[str, str], error: type[SurveyError]) -> None:
+    """Raise where two columns are heights, or one is and another a depth."""
     called = [cell for cell in first_cells(path, error) if synonyms.get(cell, cell) == "height" or cell in _HEIGHTS]
     if len(called) > 1:
         raise error(
             f"{path} has {len(called)} columns of heights, {' and '.join(called)}; keep the one that counts in the "
             "heights of crs, and call it height"
-        )
-    if "depth" in names and "height" not in names:
-        raise error(
-            f"{path} has depths, expected heights in crs: subtract them from the level of the water they count from, "
-            "and call the column height"
         )
 
 

@@ -1,0 +1,88 @@
+"""Tables of points as the reference of a comparison: an echo sounder's lines, points by rod, in CSV or XYZ."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from geo.crs import has_height, height_unit_m
+from geo.files import existing_file
+from geo.reading import read_reference
+from geo.shapes import Cloud, Mesh
+from geo.values import check_values
+from survey.compare.area import CompareError
+from survey.files.crs_comment import crs_of_comment
+from survey.files.csv_table import Row
+from survey.files.point_table import PLACE, read_points
+
+# How a user tells the level that depths count from.
+GIVE_LEVEL = "give --water-level"
+# Names that programs give the depth of a point.
+DEPTH_NAMES = ("depth", "depth_m")
+# Levels over the points of a cloud that differ by less are one: rounding, no slope of a river.
+_ONE_LEVEL_M = 0.02
+# Of files that are read as tables.
+SUFFIXES = (".csv", ".xyz", ".txt", ".tsv", ".pts")
+
+
+def is_table(path: Path) -> bool:
+    """Whether a file is a table of points, by the suffix of its name."""
+    return path.suffix.lower() in SUFFIXES
+
+
+def read_shape(path: Path, water_level: float | None) -> Mesh | Cloud:
+    """A mesh or cloud as `geo.read_reference`, or the points of a table, depths below the level of the water.
+
+    Parameters
+    ----------
+    path : Path
+    water_level : float, optional
+        In the CRS of the comparison.
+
+    Raises
+    ------
+    GeoError, CompareError
+        As `geo.read_reference` and `survey.files.point_table.read_points`.
+    """
+    if not is_table(path):
+        return read_reference(path)
+    rows = read_points(
+        existing_file(path),
+        optional=("std",),
+        by_place=True,
+        level=water_level,
+        give_level=GIVE_LEVEL,
+        error=CompareError,
+    )
+    points = places_of(rows, path)
+    crs = crs_of_comment(path, CompareError)
+    return Cloud(points=points, crs=crs, notes=check_values(points, crs, path))
+
+
+def places_of(rows: Sequence[Row], path: Path) -> np.ndarray:
+    """Easting, northing, height (N, 3) of rows of a table.
+
+    Raises
+    ------
+    CompareError
+        If there is none.
+    """
+    if not rows:
+        raise CompareError(f"{path} has no points; expected lines of easting, northing, height")
+    return np.array([[row.number(name) for name in PLACE] for row in rows])
+
+
+def level_of_cloud(shape: Mesh | Cloud) -> float | None:
+    """Height of the water over a cloud, in its CRS, by the depths of its points; None where it has no one level."""
+    if not isinstance(shape, Cloud):
+        return None
+    depth = next((shape.extra[name] for name in DEPTH_NAMES if name in shape.extra), None)
+    wet = None if depth is None else depth > 0.0
+    if depth is None or wet is None or not wet.any():
+        return None
+    unit = 1.0 if shape.crs is None or not has_height(shape.crs) else height_unit_m(shape.crs)
+    levels = shape.points[wet, 2] + depth[wet] / unit
+    low, middle, high = np.quantile(levels, [0.02, 0.5, 0.98])
+    return float(middle) if (high - low) * unit < _ONE_LEVEL_M else None

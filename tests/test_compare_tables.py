@@ -1,0 +1,69 @@
+"""A cloud against measured points alone: an echo sounder's and those by rod, heights and depths, in tables."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from compare_plane import FRAME, compared, grid, write_las
+
+from survey.compare.area import CompareError
+
+LEVEL = 3.0  # local, over the plane of the bed at its middle
+OFF_M = 0.05
+
+
+@pytest.fixture(autouse=True)
+def _fewer_samples(monkeypatch):
+    monkeypatch.setattr("survey.compare.scene.NUM_SAMPLES", 2000)
+
+
+def points() -> np.ndarray:
+    """Soundings in crs, lower than the cloud by `OFF_M`."""
+    return FRAME.crs_from_local(grid(0.5) - [0.0, 0.0, OFF_M])
+
+
+def level() -> float:
+    return float(FRAME.crs_from_local(np.array([[0.0, 0.0, LEVEL]]))[0, 2])
+
+
+def write_table(path, header: str | None, rows: np.ndarray, separator: str = ","):
+    lines = [separator.join(f"{value:.4f}" for value in row) for row in rows.tolist()]
+    path.write_text("\n".join([*([] if header is None else [header]), *lines]) + "\n")
+    return path
+
+
+def residual(found: dict) -> float:
+    """Mean of those that the cloud surrounds."""
+    return float(np.mean([r for row in found["asprs"]["residuals"] if (r := row["residual_m"]) is not None]))
+
+
+@pytest.mark.parametrize(
+    ("name", "header", "separator"),
+    [("a.xyz", None, " "), ("a.csv", "easting,northing,height", ","), ("a.txt", "X;Y;Z", ";"), ("a.pts", None, "\t")],
+)
+def test_points_alone_are_a_reference_and_check_points_as_well(tmp_path, name, header, separator):
+    cloud = write_las(tmp_path / "c.las", FRAME.crs_from_local(grid(0.25)))
+    found = compared(cloud, write_table(tmp_path / name, header, points(), separator))
+    assert found["mean_m"] == pytest.approx(OFF_M, abs=0.002)
+    assert residual(found) == pytest.approx(OFF_M, abs=0.002)
+
+
+def test_depths_are_below_the_level_that_is_given(tmp_path):
+    cloud, at = write_las(tmp_path / "c.las", FRAME.crs_from_local(grid(0.25))), points()
+    depths = np.column_stack([at[:, :2], level() - at[:, 2]])
+    path = write_table(tmp_path / "a.csv", "easting,northing,depth", depths)
+    found = compared(cloud, path, water_level=level())
+    assert found["mean_m"] == pytest.approx(OFF_M, abs=0.002)
+    with pytest.raises(CompareError, match="has depths, expected heights in crs: give --water-level"):
+        compared(cloud, path)
+    # The same as check points beside another reference.
+    reference = write_table(tmp_path / "b.xyz", None, at, " ")
+    found = compared(cloud, reference, water_level=level(), checkpoints=path)
+    assert residual(found) == pytest.approx(OFF_M, abs=0.002)
+
+
+def test_a_table_of_other_columns_is_refused(tmp_path):
+    cloud = write_las(tmp_path / "c.las", FRAME.crs_from_local(grid(0.25)))
+    path = write_table(tmp_path / "a.csv", None, np.ones((3, 6)))
+    with pytest.raises(CompareError, match="has 6 columns without names"):
+        compared(cloud, path)

@@ -29,6 +29,7 @@ from survey.adjust.priors import Known, known_of
 from survey.adjust.rounds import Adjusted, adjust
 from survey.adjust.state import WATER
 from survey.adjust.thinning import CELLS, PER_CELL, thinned
+from survey.adjust.unnamed_water import water_seen
 from survey.adjust.verdicts import MOST_STD_LEVEL_M
 from survey.adjust.water_settings import WATER_PARAMETERS
 from survey.adjust.windows_of_survey import measure_windows
@@ -122,11 +123,12 @@ def _adjusted(
     against: list[Contradiction] = []
     if not free_water:
         done, against = gathered.without_contradictions(done)
+    water = None if survey.water is not None else water_seen(done, gathered.marks_std)
     found = gathered.result(done, against)
     if not survey.is_level_known and found.parameter("level_m").status == UNKNOWN:
         raise _level_error(survey, found.parameter("level_m").std)
     warnings = [*(_against(found, each) for each in against), *height_doubts(survey, done)]
-    warnings += parts_warning(found, survey.water)
+    warnings += parts_warning(found, survey.water) + ([] if water is None else [str(water)])
     if survey.contradiction is not None and survey.contradiction.is_of_lens:
         warnings.append(
             f"{survey.contradiction}: the lens is found anew, under the poses that were given with it; correct it"
@@ -175,7 +177,7 @@ class _Gathered:
     def __init__(self, survey: Survey, known: Known, free_water: bool):
         self._survey, self.known, self._free_water = survey, known, free_water
         self._sizes = [(view.lens.width, view.lens.height) for view in survey.views]
-        self._marks_std = _MARKS_STD_PX if survey.control is None else survey.control.marks_std_px
+        self.marks_std = _MARKS_STD_PX if survey.control is None else survey.control.marks_std_px
         self._parts: list[tuple[int, TiePoints]] = []
         self._lost: dict[str, Lost] = {}
 
@@ -188,29 +190,29 @@ class _Gathered:
         needed = ties.only(np.isin(ties.point, thinned(ties, self._sizes, CELLS, PER_CELL)))
         self._parts.append((kind, needed))
         if self._free_water:
-            done, self._lost = adjust_free(self._survey, start, self._observed, self._sizes, self._marks_std)
+            done, self._lost = adjust_free(self._survey, start, self._observed, self._sizes, self.marks_std)
             return done
         if start.common_up_std > 0.0 and len(self._parts) == 1:
             return self._at_level(start)
-        done = adjust(start, self._observed, self._sizes, self._marks_std)
+        done = adjust(start, self._observed, self._sizes, self.marks_std)
         if len(self._parts) == 1 and self._survey.is_level_known:
-            level = level_over_block(self._survey, start, self._observed, done, self._marks_std)
+            level = level_over_block(self._survey, start, self._observed, done, self.marks_std)
             if level is not None:
                 raise dry_bed_error(level, "leave out [water] if the bed is dry")
         return done
 
     def _at_level(self, start: Known) -> Adjusted:
         """Adjust where the level of the water, or else the positions, say how high the block lies."""
-        start, points = water_start(start, self._observed, self._marks_std)
+        start, points = water_start(start, self._observed, self.marks_std)
         kind, ties = self._parts[0]
         # Without those of check points, which come last.
         self._parts[0] = (kind, replace(ties, start=points[: len(ties)]))
-        done = adjust(start, self._observed, self._sizes, self._marks_std)
+        done = adjust(start, self._observed, self._sizes, self.marks_std)
         held = None if self._are_stated else without_common(self.known, done)
         if held is None:
             return done
         self.known = replace(held, state=self.known.state)
-        return adjust(held, self._observed, self._sizes, self._marks_std)
+        return adjust(held, self._observed, self._sizes, self.marks_std)
 
     @property
     def _are_stated(self) -> bool:
@@ -226,7 +228,7 @@ class _Gathered:
                 break
             against.append(each)
             start = released(_started(done.known, done), each)
-            done = adjust(start, self._observed, self._sizes, self._marks_std)
+            done = adjust(start, self._observed, self._sizes, self.marks_std)
         return done, against
 
     def result(self, done: Adjusted, against: Sequence[Contradiction]) -> Adjustment:
@@ -238,7 +240,7 @@ class _Gathered:
         placed, common = placed_by_level(done)
 
         def hold(held: np.ndarray) -> Adjusted:
-            return placed_by_level(adjusted_with(done, held, self.known.std, self._sizes, self._marks_std))[0]
+            return placed_by_level(adjusted_with(done, held, self.known.std, self._sizes, self.marks_std))[0]
 
         used = {WATER_PARAMETERS.index(each.name) for each in against} | (set() if common is None else {LEVEL})
         found = result(self._survey, placed, total, contradicted=sorted(used), hold=hold)

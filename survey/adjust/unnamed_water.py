@@ -1,0 +1,133 @@
+"""Water that nobody named: whether photographs of a survey without water show bent rays.
+
+The block is adjusted with straight rays, and again over a water plane that was not given: its level is free, its index
+that of water. Where the bed lies dry the second adjustment gains nothing. Where it lies under water the squares of
+residuals fall: a tie point that photographs see from several sides has no one place on straight rays. Lens and poses
+are free in both, so that what they can take of the bend does not count.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from refract import FlatWater
+from survey.adjust.bundle import NotConvergedError, Problem, cost, solve
+from survey.adjust.free_water import FEWEST_WET
+from survey.adjust.observed import KINDS, MARK, Observed, rows_taken
+from survey.adjust.prediction import relief_sides
+from survey.adjust.priors import Known, priors_for
+from survey.adjust.rounds import Adjusted
+from survey.adjust.shore_side import std_over_points
+from survey.adjust.state import State
+
+# Fresh water and the sea, in the light of photographs, and how far they differ; what a river falls [m/m].
+_INDEX, _INDEX_STD, _SLOPE_STD = 1.338, 0.004, 0.005
+# Of a level that nobody knows [m].
+_LEVEL_STD_M = 1000.0
+# The level is looked for from over most points, by this share of the flying height, and from amid them.
+_TOP, _SHARE, _AMID = 0.95, 0.1, 0.5
+# The gain in units of variances that is no chance: five standard deviations, of one more parameter and two starts.
+_LEAST_GAIN = 30.0
+# Of the residuals under water, by which they have to fall: real lenses and ground leave small systematic errors, too.
+_LEAST_FALL = 0.03
+# Depths are no chance from so many standard deviations on.
+_SURE = 3.0
+
+
+@dataclass(frozen=True)
+class WaterSeen:
+    """Water that tie points show.
+
+    Attributes
+    ----------
+    num_wet, num_points : int
+    depth_m, std_m : [m]
+        Mean of the points under water, and its standard deviation.
+    before_px, after_px : [px]
+        Root mean square residual of the points under water on straight and on bent rays.
+    """
+
+    num_wet: int
+    num_points: int
+    depth_m: float
+    std_m: float
+    before_px: float
+    after_px: float
+
+    def __str__(self) -> str:
+        return (
+            f"the photographs show water: {self.num_wet:,} of {self.num_points:,} tie points fit better on bent rays "
+            f"({self.before_px:.2f} px on straight ones, {self.after_px:.2f} px on bent ones), {self.depth_m:.1f} +- "
+            f"{self.std_m:.1g} m under its surface; give [water]"
+        )
+
+
+def water_seen(done: Adjusted, marks_std_px: float) -> WaterSeen | None:
+    """Water that a block shows which was adjusted without any; None where it shows none, or cannot tell.
+
+    Parameters
+    ----------
+    done : Adjusted
+        Of a survey without water.
+    marks_std_px : float
+        As for `survey.adjust.rounds.adjust`.
+    """
+    known, seen, dry = done.known, done.used, done.solution.state
+    if dry.water is not None or len(seen.ties) < FEWEST_WET:
+        return None
+    shared = done.factor[seen.kind]
+    for level in _levels(dry):
+        with suppress(NotConvergedError):
+            found = _over(known, seen, dry, level, shared, marks_std_px)
+            if found is not None and found[0] > _LEAST_GAIN:
+                return found[1]
+    return None
+
+
+def _over(
+    known: Known, seen: Observed, dry: State, level: float, shared: np.ndarray, marks_std_px: float
+) -> tuple[float, WaterSeen] | None:
+    """What bent rays gain, in units of variances, and the water; None where too little of it is sure."""
+    x, y = dry.centres[:, :2].mean(axis=0).tolist()
+    water, std = FlatWater((x, y, level), n_water=_INDEX), known.std.copy()
+    std[:4] = [_LEVEL_STD_M, _SLOPE_STD, _SLOPE_STD, _INDEX_STD]
+    under = replace(known, std=std, mean=replace(known.mean, water=water))
+    given = np.full(len(KINDS), np.nan)
+    given[MARK] = marks_std_px
+    start = replace(dry, water=water)
+    problem = _problem(under, seen, start, given)
+    wet = solve(problem, start, inflation=shared)
+    depth = _water(wet.state).depth(wet.state.points)
+    is_wet = depth > 0.0
+    if is_wet.sum() < FEWEST_WET:
+        return None
+    # Both in the same units: the scatter about the better of the two.
+    straight = _problem(known, seen, dry, wet.std_px)
+    again = solve(straight, dry, inflation=shared)
+    gain = cost(straight, again.state, wet.std_px, shared) - cost(problem, wet.state, wet.std_px, shared)
+    mine = is_wet[seen.ties.point]
+    before, after = (float(np.sqrt(np.mean(each.residuals[mine] ** 2))) for each in (again, wet))
+    of_depth = std_over_points(wet.system, wet.covariance)
+    mean = float(depth[is_wet].mean())
+    if mean < _SURE * of_depth or after > (1.0 - _LEAST_FALL) * before:
+        return None
+    return gain, WaterSeen(int(is_wet.sum()), len(depth), mean, of_depth, before, after)
+
+
+def _levels(dry: State) -> tuple[float, float]:
+    amid, top = (float(np.quantile(dry.points[:, 2], share)) for share in (_AMID, _TOP))
+    return top + _SHARE * max(float(np.median(dry.centres[:, 2])) - top, 0.0), amid
+
+
+def _problem(known: Known, seen: Observed, state: State, given: np.ndarray) -> Problem:
+    rows = rows_taken(seen.ties, known.lenses, known.layout.lens_of)
+    priors, sides = priors_for(known, seen.ties, seen.point_std), relief_sides(state, seen.ties)
+    return Problem(known.layout, seen.ties, seen.kind, priors, given, sides, rows)
+
+
+def _water(state: State) -> FlatWater:
+    assert state.water is not None
+    return state.water

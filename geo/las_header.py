@@ -12,7 +12,7 @@ from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError
 
 from geo.crs import has_height, horizontal_crs
-from geo.stated import UNIT_CODES, height_unit_said, with_height_unit
+from geo.stated import height_unit_said, unit_of_code, with_height_unit
 
 # Keys of GeoTIFF 1.1 (OGC 19-008r4).
 _MODEL, _GEOGRAPHIC, _PROJECTED, _LINEAR_UNIT, _VERTICAL, _VERTICAL_UNIT = 1024, 2048, 3072, 3076, 4096, 4099
@@ -73,7 +73,7 @@ def crs_of_header(header: laspy.LasHeader, path: Path) -> tuple[CRS | None, floa
         crs = CRS.from_wkt(texts[0]) if texts else _crs_of_keys(tables[0])
     except CRSError as error:
         return None, None, (f"{path} states a CRS that is not understood ({str(error)[:120]}).",)
-    said = UNIT_CODES.get(_keys_of(tables[0]).get(_VERTICAL_UNIT, 0)) if tables else None
+    said = unit_of_code(_keys_of(tables[0]).get(_VERTICAL_UNIT, 0)) if tables else None
     unit = height_unit_said(crs, said, path, "the unit of height of its GeoTIFF keys")
     if not has_height(crs):
         return crs, unit, (f"{path} states the CRS {crs.name} without a vertical part.",)
@@ -98,7 +98,7 @@ def _crs_of_keys(table: GeoKeyDirectoryVlr) -> CRS:
     if code not in _EPSG_RANGE:
         raise CRSError(f"GeoTIFF keys with code {code}, which is user-defined")
     crs = CRS.from_epsg(code)
-    unit = UNIT_CODES.get(keys.get(_LINEAR_UNIT, 0))
+    unit = unit_of_code(keys.get(_LINEAR_UNIT, 0))
     own = horizontal_crs(crs).axis_info[0].unit_conversion_factor
     if projected and unit is not None and abs(unit - own) > _UNIT_TOLERANCE:
         raise CRSError(f"GeoTIFF keys with EPSG:{code} in another unit than its own")
@@ -106,7 +106,7 @@ def _crs_of_keys(table: GeoKeyDirectoryVlr) -> CRS:
     number = _VERTICAL_OF_DATUM.get(number, number)
     if number not in _EPSG_RANGE or number in _OLD_VERTICAL or has_height(crs):
         return crs
-    vertical, unit = CRS.from_epsg(number), UNIT_CODES.get(keys.get(_VERTICAL_UNIT, 0))
+    vertical, unit = CRS.from_epsg(number), unit_of_code(keys.get(_VERTICAL_UNIT, 0))
     if unit is not None:
         # Surveyors name a datum by its system in metres, and give the feet of their heights beside it.
         vertical = with_height_unit(vertical, unit)

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 from pyproj import CRS
+from pyproj.database import get_units_map
 from pyproj.exceptions import CRSError
 
 from geo.crs import has_height, height_unit_m
 from geo.errors import UnreadableFile
 
 US_SURVEY_FOOT_M = 1200.0 / 3937.0
-# EPSG codes of units of length, as GeoTIFF keys name them.
-UNIT_CODES = {
-    9001: 1.0, 9002: 0.3048, 9003: US_SURVEY_FOOT_M, 1025: 1e-3, 1033: 1e-2, 9036: 1e3, 9005: 0.3047972654,
-    9080: 0.3047995142, 9096: 0.9144, 9014: 1.8288,
-}  # fmt: skip
 # Names of units as GDAL, ESRI, PDAL and people write them, without case, blanks and signs.
 _UNIT_NAMES = {
     1.0: ("m", "meter", "meters", "metre", "metres"),
@@ -26,8 +23,9 @@ _UNIT_NAMES = {
     0.3048: ("ft", "foot", "feet", "internationalfoot", "internationalfeet", "footinternational", "footintl", "ftintl"),
     US_SURVEY_FOOT_M: (
         "ftus", "usft", "usfoot", "usfeet", "ussurveyfoot", "ussurveyfeet", "surveyfoot", "surveyfeet", "footus",
-        "footussurvey", "ussurveyft",
+        "footussurvey", "ussurveyft", "sftus", "feetussurvey",
     ),
+    0.0254: ("in", "inch", "inches", "internationalinch"),
     0.9144: ("yd", "yard", "yards"),
     1.8288: ("fathom", "fathoms", "ftm"),
 }  # fmt: skip
@@ -37,14 +35,35 @@ _SAME_UNIT = 1e-9
 
 
 def unit_named(name: str | None) -> float | None:
-    """Metres of a unit of length by its name, e.g. "US survey foot"; None where it is not one that is known.
+    """Metres of a unit of length by its name, as people, programs or PROJ call it; None where none is known by it.
 
     Examples
     --------
     >>> unit_named("US survey foot") == 1200 / 3937, unit_named("Centimetre"), unit_named("kelvin")
     (True, 0.01, None)
+    >>> round(unit_named("British foot (Sears 1922)"), 9)
+    0.304799472
     """
-    return _METRES_OF_NAME.get("".join(c for c in (name or "").lower() if c.isalpha()))
+    bare = _bare(name or "")
+    return _METRES_OF_NAME.get(bare) or _units_of_proj()[1].get(bare)
+
+
+def unit_of_code(code: int) -> float | None:
+    """Metres of a unit of length by its EPSG code, as keys of GeoTIFF and LAS name it."""
+    return _units_of_proj()[0].get(code)
+
+
+@cache
+def _units_of_proj() -> tuple[dict[int, float], dict[str, float]]:
+    """Metres of the units of length that PROJ knows, by code of EPSG and by bare name."""
+    units = get_units_map(auth_name="EPSG", category="linear", allow_deprecated=True)
+    by_code = {int(unit.code): unit.conv_factor for unit in units.values()}
+    return by_code, {_bare(name): unit.conv_factor for name, unit in units.items()}
+
+
+def _bare(name: str) -> str:
+    """Without case, blanks and signs; digits stay: there are feet of several years."""
+    return "".join(c for c in name.lower() if c.isalnum())
 
 
 def crs_named(text: str, path: Path) -> tuple[CRS | None, tuple[str, ...]]:

@@ -41,6 +41,7 @@ SYNONYMS = {
 _UNITS = ("_m", " (m)", " [m]", "(m)", "[m]")
 # Other words for a height, of which a table has one alone, or says which counts.
 _HEIGHTS = ("ellipsoidal", "orthometric", "geoid height", "ellipsoidal_height", "orthometric_height", "depth")
+_DEGREES = ("lon", "lat")
 # A standard deviation in the fourth place is no more than this [m]; a northing is.
 _MOST_STD_M = 10.0
 
@@ -76,7 +77,7 @@ def read_points(
     SurveyError
         Where columns are missing, or two have the same meaning; as `survey.files.csv_table.read_table`.
     """
-    synonyms = _with_units()
+    synonyms = _synonyms_for(path, error)
     if by_place and _is_of_numbers(path, error):
         return read_table(path, PLACE, optional=("std",), header=False, error=error)
     names = column_names(path, synonyms)
@@ -99,6 +100,17 @@ def read_points(
             f"Z; X, Y, Z; longitude, latitude, altitude), in any order, found {found}"
         )
     return read_table(path, PLACE, optional=optional, synonyms=synonyms, error=error)
+
+
+def _synonyms_for(path: Path, error: type[SurveyError]) -> dict[str, str]:
+    """The names that count in a table: of one with grid coordinates and degrees, those of the grid."""
+    synonyms = _with_units()
+    called = {cell for cell in first_cells(path, error) if synonyms.get(cell, cell) in PLACE[:2]}
+    degrees = {cell for cell in called if cell.startswith(_DEGREES)}
+    if {synonyms.get(cell, cell) for cell in called - degrees} >= set(PLACE[:2]):
+        # Their own names again, which no column is asked for by.
+        return {**synonyms, **{cell: cell for cell in degrees}}
+    return synonyms
 
 
 def has_depths(path: Path) -> bool:

@@ -50,6 +50,19 @@ def test_a_table_has_a_level_for_each_photograph(tmp_path):
     assert tide.moves_m == pytest.approx(0.2)
 
 
+@pytest.mark.parametrize("source", ["image_levels", "gauge"])
+def test_levels_in_files_have_the_unit_of_crs(tmp_path, source):
+    lines = {"image_levels": ["image,level", "a.jpg,100", "b.jpg,101"],
+             "gauge": ["time,level", "2024-06-01T10:00:00Z,100", "2024-06-01T10:10:00Z,101"]}[source]  # fmt: skip
+    (tmp_path / "levels.csv").write_text("\n".join(lines) + "\n")
+    config = parse_config(f'[water]\n{source} = "levels.csv"\n')
+    config, levels, tide = with_level(tmp_path, config, heads_at(0, 10), parse_crs("EPSG:6344+6360"), [])
+    foot = 1200.0 / 3937.0
+    assert config.water.level_m == pytest.approx(100.5 * foot)
+    assert tide.over == pytest.approx({"a.jpg": -0.5 * foot, "b.jpg": 0.5 * foot})
+    assert [each.level_m for each in levels] == pytest.approx([100.0 * foot, 101.0 * foot])
+
+
 @pytest.mark.parametrize(
     ("rows", "message"),
     [

@@ -16,6 +16,7 @@ from survey.folder.survey import load_survey
 from survey.photos.tie_points import TiePoints
 from survey.plan.area import limits
 from survey.plan.choices import Choices
+from survey.plan.ground import dry_ground
 from survey.plan.plan import make_plan
 from survey.sfm.poses import SfmResult, SfmView
 
@@ -94,6 +95,16 @@ def test_heights_in_the_settings_are_taken_as_they_are(tmp_path):
     decision = next(d for d in make_plan(survey, Choices(device="cpu")).decisions if d.name == "range of heights")
     assert decision.choice == "-4.0 to 1.5 m over the water"
     assert "[area] heights" in decision.reason
+
+
+def test_heights_in_the_settings_have_the_unit_of_crs(tmp_path):
+    foot = 1200.0 / 3937.0
+    toml = TOML.replace("EPSG:25832+5778", "EPSG:25832+6360").replace(f"{LEVEL}", f"{foot * LEVEL}")
+    toml += f"[area]\nheights = [{LEVEL - 4.0}, {LEVEL + 1.5}]\n"
+    survey = load_survey(small_survey(tmp_path / "s", toml=toml))
+    # Level water lies under its tangential plane by next to nothing.
+    assert limits(survey) == pytest.approx((-4.0 * foot, 1.5 * foot), abs=1e-3)
+    assert dry_ground(survey).height - survey.water.point[2] == pytest.approx(-1.25 * foot, abs=1e-3)
 
 
 def test_heights_hold_everywhere_over_sloped_water(tmp_path):

@@ -145,8 +145,8 @@ class AreaConfig:
             )
         if self.heights is not None and not self.heights[0] < self.heights[1]:
             raise ConfigError(
-                f"area.heights is {list(self.heights)}, expected [low, high] in metres with low below high; swap or "
-                "correct them"
+                f"area.heights is {list(self.heights)}, expected [low, high] in the heights of crs with low below "
+                "high; swap or correct them"
             )
 
 

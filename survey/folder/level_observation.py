@@ -77,8 +77,8 @@ def points_of_surface(path: Path, source: str, crs: CRS, notes: list[str]) -> tu
     )
 
 
-def readings_of_gauge(path: Path) -> tuple[LevelObservation, ...]:
-    """Readings of a gauge, in rising order of time.
+def readings_of_gauge(path: Path, unit_m: float = 1.0) -> tuple[LevelObservation, ...]:
+    """Readings of a gauge, heights in crs of this unit [m], in rising order of time.
 
     Raises
     ------
@@ -88,7 +88,7 @@ def readings_of_gauge(path: Path) -> tuple[LevelObservation, ...]:
     rows = read_table(path, ("time", "level"), optional=("std",), error=ConfigError)
     times = [moment_of(row.text("time"), row.where) for row in rows]
     found = tuple(
-        LevelObservation(row.number("level"), std_of(row, "gauge"), None, time, "gauge")
+        LevelObservation(row.number("level") * unit_m, std_of(row, "gauge"), None, time, "gauge")
         for row, time in zip(rows, times, strict=True)
     )
     if len(times) < 2 or any(later <= earlier for earlier, later in pairwise(times)):

@@ -94,8 +94,10 @@ def tide_of_gauge(
     return mean, Tide("gauge", _completed(over, heads), _hours(taken, float(moments.mean()))), len(taken)
 
 
-def tide_of_levels(path: Path, heads: Mapping[str, Exif]) -> tuple[float, Tide, tuple[LevelObservation, ...]]:
-    """The mean level of the photographs, their tide, and the levels of a table.
+def tide_of_levels(
+    path: Path, heads: Mapping[str, Exif], unit_m: float = 1.0
+) -> tuple[float, Tide, tuple[LevelObservation, ...]]:
+    """The mean level of the photographs, their tide, and the levels of a table, heights in crs of this unit [m].
 
     Raises
     ------
@@ -111,7 +113,7 @@ def tide_of_levels(path: Path, heads: Mapping[str, Exif]) -> tuple[float, Tide, 
             raise ConfigError(f"{row.where}: {name} has a level already; keep one")
         if name is not None:
             std = std_of(row, "image_levels")
-            found[name] = LevelObservation(row.number("level"), std, None, heads[name].taken, "image_levels")
+            found[name] = LevelObservation(row.number("level") * unit_m, std, None, heads[name].taken, "image_levels")
     without = [name for name in heads if name not in found]
     if without:
         raise ConfigError(

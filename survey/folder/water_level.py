@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
+from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from geo.projection import metres_per_unit
 from survey.errors import ConfigError
@@ -100,12 +101,12 @@ def with_level(
         std = STAFF_STD_M if water.level_std_m is None else water.level_std_m
         return config, (LevelObservation(water.level_m, std, water.level_at, None, "level_m"),), tide
     if water.gauge is not None:
-        readings = readings_of_gauge(folder / water.gauge)
+        readings = readings_of_gauge(folder / water.gauge, height_unit_m(crs))
         level, tide, count = tide_of_gauge(folder / water.gauge, readings, heads)
         note = f"mean at {count} of {len(heads)} images, over which it changes by {1000.0 * tide.moves_m:.0f} mm"
         return replace(config, water=_of_tide(water, level, readings, note, notes)), readings, tide
     if water.image_levels is not None:
-        level, tide, found = tide_of_levels(folder / water.image_levels, heads)
+        level, tide, found = tide_of_levels(folder / water.image_levels, heads, height_unit_m(crs))
         note = f"mean of {len(found)} images, over which it changes by {1000.0 * tide.moves_m:.0f} mm"
         return replace(config, water=_of_tide(water, level, found, note, notes)), found, tide
     name = next((source for source in _POINTS if getattr(water, source) is not None), None)

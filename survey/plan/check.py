@@ -13,6 +13,7 @@ import numpy as np
 from geo.crs import height_unit_m
 from survey.display.quantities import length
 from survey.errors import SurveyError
+from survey.folder.config import SurveyConfig
 from survey.folder.pose_priors import accuracy_of_gps, accuracy_of_priors, common_up_std_of_exif
 from survey.folder.shutter import shutter_text
 from survey.folder.survey import Found, Survey, find_survey, load_survey
@@ -170,7 +171,7 @@ def _rows_of_survey(found: Found, survey: Survey, plan: Plan) -> list[tuple[str,
 
 def _water(survey: Survey) -> str:
     if survey.water is None:
-        return "none: a dry survey"
+        return _no_water(survey.config)
     plane, water = survey.require_water()
     east, north = water.known_level_at
     centres = np.array([view.camera.centre for view in survey.views])
@@ -239,11 +240,15 @@ def _shared_error(found: Found) -> list[tuple[str, str]]:
     return [("heights", f"may be {std:g} m off, all alike: the level of the water places the block{unless}")]
 
 
+def _no_water(config: SurveyConfig) -> str:
+    return "none: a dry survey" if config.dry else "none was given"
+
+
 def _water_below(found: Found, heights: np.ndarray) -> str:
     """What is known of the water under cameras at heights (K,), in crs, of GPS positions."""
     water = found.config.water
     if water is None:
-        return "none: a dry survey"
+        return _no_water(found.config)
     if water.level_m is None and water.clicks is not None:
         return f"its level by the clicks in {water.clicks}, once the poses are known"
     if water.level_m is None:

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geo.crs import height_unit_m
 from survey.folder.ground import Ground, ground_below
 
 if TYPE_CHECKING:
@@ -28,9 +27,9 @@ def dry_ground(survey: Survey) -> Ground:
     if survey.control is not None and survey.control.points:
         places = np.array([point.local for point in survey.control.points])
         return Ground(float(np.median(places[:, 2])), f"the median of {len(places)} control points")
-    heights_m = survey.config.area.heights
-    if heights_m is not None:
+    heights = survey.config.area.heights
+    if heights is not None:
         place = survey.frame.crs_from_local(np.median([camera.centre for camera in cameras], axis=0))
-        place[2] = 0.5 * sum(heights_m) / height_unit_m(survey.frame.crs)
+        place[2] = 0.5 * sum(heights)
         return Ground(float(survey.frame.local_from_crs(place)[2]), "the middle of [area] heights")
     return ground_below(cameras)

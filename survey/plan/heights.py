@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geo.crs import height_unit_m
 from refract import apparent_depth_tangential
 from survey.errors import FILE_NAME, ConfigError
 
@@ -97,18 +96,18 @@ def in_words(survey: Survey, flying_m: float) -> tuple[str, str]:
     return f"{found.low:.1f} to {found.high:.1f} m over the {over}", found.reason
 
 
-def _of_config(survey: Survey, heights_m: tuple[float, float]) -> HeightRange:
-    """The heights in crs as heights over the plane, under all cameras: it may be sloped."""
-    unit, centres = height_unit_m(survey.frame.crs), survey.frame.crs_from_local(_centres(survey))
+def _of_config(survey: Survey, heights: tuple[float, float]) -> HeightRange:
+    """The heights in crs, in its unit, as heights over the plane, under all cameras: it may be sloped."""
+    centres = survey.frame.crs_from_local(_centres(survey))
     ends = []
-    for height_m in heights_m:
-        centres[:, 2] = height_m / unit
+    for height in heights:
+        centres[:, 2] = height
         ends.append(_heights(survey, survey.frame.local_from_crs(centres)))
     low, high = float(ends[0].min()), float(ends[1].max())
     lowest = float(_heights(survey, _centres(survey)).min())
     if high >= lowest:
         raise ConfigError(
-            f"[area] heights is {list(heights_m)} in {FILE_NAME}, whose upper end lies {high - lowest:.1f} m above the "
+            f"[area] heights is {list(heights)} in {FILE_NAME}, whose upper end lies {high - lowest:.1f} m above the "
             "lowest camera; give the lowest and highest ground to search, in the heights of crs"
         )
     return HeightRange(low, high, f"[area] heights in {FILE_NAME}")

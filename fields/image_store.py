@@ -82,14 +82,23 @@ class GreyImages(LazyImages):
     keep : callable, optional
         Stores an array (height, width) where it takes no memory; what it returns has the shape and gives parts of the
         array by slices of rows and columns. Default: in memory.
+    of_one_size : bool
+        Whether other sizes are refused.
     """
 
-    def __init__(self, images: Iterable[np.ndarray], keep: Callable[[np.ndarray], Any] | None = None):
+    def __init__(
+        self,
+        images: Iterable[np.ndarray],
+        keep: Callable[[np.ndarray], Any] | None = None,
+        *,
+        of_one_size: bool = True,
+    ):
         self._kept = kept = [_GreyImage(image, keep) for image in images]
         shapes = {each.levels.shape for each in self._kept}
-        if len(shapes) > 1:
+        if of_one_size and len(shapes) > 1:
             raise ValueError(f"expected images of one size, got {sorted(shapes)}")
-        super().__init__(lambda view: kept[view].whole(), len(self._kept), next(iter(shapes), (0, 0)))
+        largest = tuple(max(sides) for sides in zip(*shapes, strict=True)) or (0, 0)
+        super().__init__(lambda view: kept[view].whole(), len(self._kept), largest)
 
     def window(self, view: int, rows: slice, columns: slice) -> np.ndarray:
         """Window of an image."""

@@ -29,8 +29,8 @@ def cameras():
 def test_windows_hold_every_pixel_that_shows_the_tile_and_its_rim(cameras, number):
     tiling = Tiling.of((-2.0, -2.0, 2.0, 2.0), 4, rim=0.2)
     windows = windows_of(cameras, TILTED, tiling, number, BOUND)
-    assert len({(each.height, each.width) for each in windows}) == 1
-    assert windows[0].height < 300
+    assert {each.width % 64 for each in windows if each.width < 400} <= {0}
+    assert sum(each.height * each.width for each in windows) < 0.8 * len(windows) * 300 * 400
     held = {each.view: each for each in windows}
     for view, camera in enumerate(cameras):
         path = camera.paths(camera.pixel_centres(), TILTED)
@@ -44,7 +44,7 @@ def test_windows_hold_every_pixel_that_shows_the_tile_and_its_rim(cameras, numbe
 
 def test_pixels_of_windows_look_along_the_rays_of_their_photograph(cameras):
     window = windows_of(cameras, TILTED, Tiling.of((-2.0, -2.0, 2.0, 2.0), 4, 0.2), 1, BOUND)[2]
-    assert (window.row % 4, window.column % 4, window.height % 8, window.width % 8) == (0, 0, 0, 0)
+    assert (window.row % 4, window.column % 4, window.height % 8, window.width % 16) == (0, 0, 0, 0)
     camera = cameras[window.view]
     part = camera.cropped(window.row, window.column, window.height, window.width)
     whole = camera.directions(camera.pixel_centres())[window.part]

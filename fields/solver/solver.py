@@ -180,7 +180,7 @@ def solve_maps(
         sightings = Sightings.none(len(block.images))
 
         def part(job: Job, each: TileSolution) -> tuple[_PartSolution, Sightings]:
-            return _solve_part(job, block.cameras[0].width, each, shared), Sightings.of(
+            return _solve_part(job, block.cameras[views.views[job.index]].width, each, shared), Sightings.of(
                 each.views, each.brightness, len(block.images)
             )
 

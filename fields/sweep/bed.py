@@ -15,7 +15,7 @@ from fields.sweep.block import Block
 from fields.sweep.height_std import height_std
 from fields.sweep.kernels.arrays import free_unused
 from fields.sweep.kernels.backend import kernels
-from fields.sweep.kernels.stack import ViewStack
+from fields.sweep.kernels.stack import ViewStack, largest
 from fields.sweep.maps import DepthMap, confirmed, trusted
 from fields.sweep.slopes import SteepPixels, filter_steep_pixels, half_range, steep_and_wall_pixels
 from fields.sweep.views import Footprint
@@ -115,8 +115,8 @@ def unique_pixels(block: Block, maps: Sequence[DepthMap], gsd: float) -> Masks:
     """
     chosen = [m.view for m in maps]
     cameras = [block.cameras[view] for view in chosen]
-    shape = (cameras[0].height, cameras[0].width) if cameras else (0, 0)
-    kept, claimed, walls, steep, sure, fit = (Masks([shape] * len(chosen)) for _ in range(6))
+    shapes: list[tuple[int, ...]] = [(camera.height, camera.width) for camera in cameras]
+    kept, claimed, walls, steep, sure, fit = (Masks(list(shapes)) for _ in range(6))
     ground, tolerances = [], []
     for index, m in enumerate(maps):
         others = block.neighbours(m.view, 8, among=chosen)
@@ -127,7 +127,7 @@ def unique_pixels(block: Block, maps: Sequence[DepthMap], gsd: float) -> Masks:
         steep[index], walls[index] = steep_and_wall_pixels(m.height, tolerance)
         sure[index] = trusted(m)
     order = sorted(range(len(maps)), key=lambda i: cameras[i].cam_from_local[2][2])
-    images = LazyImages(lambda index: maps[index].height, len(chosen), shape, 1)
+    images = LazyImages(lambda index: maps[index].height, len(chosen), largest(cameras), 1)
     heights = ViewStack.build(block.device, cameras, images, block.water)
     for place, index in enumerate(order):
         # A masked pixel of the photograph has a height of its surroundings, but neither colour nor match.

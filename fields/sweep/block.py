@@ -12,7 +12,7 @@ from fields.image_store import GreyImages, LazyImages
 from fields.skips import SKIPS, Skips
 from fields.sweep import views
 from fields.sweep.kernels.arrays import release
-from fields.sweep.kernels.stack import ViewStack
+from fields.sweep.kernels.stack import ViewStack, largest
 from refract import FlatWater, PinholeCamera
 
 # Two heights agree when their difference would show as less than this parallax.
@@ -135,15 +135,16 @@ class Block(Overlap):
         """Images and cameras at a scale, kept on the device until `release`."""
         if scale not in self._stacks:
             cameras = [c.scaled(scale) if scale != 1.0 else c for c in self.cameras]
-            size = (cameras[0].width, cameras[0].height)
             whole = self.images
             images: Sequence[np.ndarray] = whole
             if scale != 1.0:
                 images = LazyImages(
-                    lambda view: fill_small_holes(downsample(whole[view], size)), len(cameras), size[::-1]
+                    lambda view: fill_small_holes(downsample(whole[view], (cameras[view].width, cameras[view].height))),
+                    len(cameras),
+                    largest(cameras),
                 )
             elif not self.images.are_unmasked:
-                images = LazyImages(lambda view: fill_small_holes(whole[view]), len(cameras), size[::-1])
+                images = LazyImages(lambda view: fill_small_holes(whole[view]), len(cameras), largest(cameras))
             self._stacks[scale] = ViewStack.build(self.device, cameras, images, self.water, self.skips)
         return self._stacks[scale]
 

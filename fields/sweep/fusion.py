@@ -16,7 +16,7 @@ from fields.sweep.images import images
 from fields.sweep.kernels.arrays import host
 from fields.sweep.kernels.backend import kernels
 from fields.sweep.kernels.queue import Job, Launch, run_jobs
-from fields.sweep.kernels.stack import ViewStack
+from fields.sweep.kernels.stack import ViewStack, largest
 from fields.sweep.maps import DepthMap, Keep, Maps, OrderedMaps, trusted
 from fields.sweep.passes import MATCHED_NCC
 
@@ -72,7 +72,7 @@ def _agreement(
         m = maps[chosen[number]]
         return backend.where(m.score > MATCHED_NCC, m.height, math.nan)
 
-    surfaces = LazyImages(matched, len(chosen), (cameras[0].height, cameras[0].width), 1)
+    surfaces = LazyImages(matched, len(chosen), largest(cameras), 1)
     heights = ViewStack.build(block.device, cameras, surfaces, block.water)
 
     def job(view: int) -> Job[tuple[DepthMap, float, _Agreement]]:
@@ -122,7 +122,7 @@ def agreement(
         Standard deviation (population) of the same.
     """
     backend = images(heights.device)
-    shape = (heights.height, heights.width) if pixels is None else (len(pixels),)
+    shape = (heights.height_of(view), heights.width_of(view)) if pixels is None else (len(pixels),)
 
     def launch() -> Launch:
         return Launch(list(kernels(heights.device).compare_heights(heights, view, peers, tolerance, pixels)))
@@ -153,7 +153,7 @@ def remove_free_space_violations(block: Block, maps: Sequence[DepthMap], keep: K
         m = maps[number]
         return np.where(trusted(m), m.height, np.float32(np.nan))
 
-    images = LazyImages(heights, len(chosen), (cameras[0].height, cameras[0].width), 1)
+    images = LazyImages(heights, len(chosen), largest(cameras), 1)
     stack = ViewStack.build(block.device, cameras, images, block.water)
     for index, m in enumerate(maps):
         peers = block.neighbours(m.view, PEERS, among=chosen)

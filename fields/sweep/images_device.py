@@ -201,7 +201,7 @@ def mask_scores(device: Device, photograph: np.ndarray, score: Any) -> Any:
 
 def grey(stack: ViewStack, view: int, strip: tuple[slice, slice]) -> Any:
     """Grey levels of a part of a photograph."""
-    return gather(stack.pixels[view], strip_indices(stack.device, strip, stack.width))
+    return gather(stack.pixels[view], strip_indices(stack.device, strip, stack.width_of(view)))
 
 
 def grey_at(stack: ViewStack, view: int, pixels: Any) -> Any:

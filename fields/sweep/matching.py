@@ -81,7 +81,7 @@ def match_view(reference: Reference, hypotheses: Hypotheses, columns: np.ndarray
     """
     stack, view, radius, start = reference.stack, reference.view, reference.radius, hypotheses.start
     backend = images(stack.device)
-    width, height = stack.width, stack.height
+    width, height = stack.width_of(view), stack.height_of(view)
     per_row = len(reference.neighbours) * hypotheses.count * width
     rows = max(4 * radius + 4, min(height, kernels(stack.device).SAMPLES_PER_LAUNCH // per_row))
     none = (backend.full(stack.device, (height, width), value) for value in (-1.0, 0.0))
@@ -168,10 +168,10 @@ def _span(first: int, last: int, width: int, radius: int) -> tuple[int, int]:
 def _rays_of_strip(stack: ViewStack, view: int, strip: tuple[slice, slice]) -> Any:
     """Rays of a strip of pixels: of whole rows, or of a part of their columns."""
     rows, columns = strip
-    if columns.stop - columns.start == stack.width:
+    if columns.stop - columns.start == stack.width_of(view):
         return kernels(stack.device).rays_of_rows(stack, view, rows.start, rows.stop - rows.start)
     return kernels(stack.device).rays_of_pixels(
-        stack, view, images(stack.device).strip_indices(stack.device, strip, stack.width)
+        stack, view, images(stack.device).strip_indices(stack.device, strip, stack.width_of(view))
     )
 
 

@@ -44,7 +44,7 @@ class Consistency:
 
 def photo_consistency(block: Block, maps: Sequence[DepthMap]) -> list[Consistency]:
     """Each photograph of a block, in its order, against the trusted points of the height maps of others."""
-    scale = min(1.0, _WIDTH_PX / block.cameras[0].width)
+    scale = min(1.0, _WIDTH_PX / max(camera.width for camera in block.cameras))
     cameras = [camera.scaled(scale) for camera in block.cameras]
     bands = [_band(block.images[view], scale) for view in range(len(cameras))]
     xyz, grey, source = _points(block, maps, bands, scale)

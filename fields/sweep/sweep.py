@@ -20,7 +20,7 @@ from fields.sweep.fusion import PEERS, confirm, fuse
 from fields.sweep.images import images
 from fields.sweep.kernels.backend import kernels
 from fields.sweep.kernels.queue import Job, run_jobs
-from fields.sweep.kernels.stack import ViewStack
+from fields.sweep.kernels.stack import ViewStack, largest
 from fields.sweep.maps import DepthMap, Keep, OrderedMaps, trusted, upsample_map
 from fields.sweep.passes import PASSES, POINTS_SHARE, Pass
 from fields.sweep.tiles import PART_SIDE_PX
@@ -88,7 +88,7 @@ def sweep(
     peers = {view: block.neighbours(view, PEERS, among=views) for view in views}
     taking_part = [{each.view for each in of_pass} for of_pass in work]
     fused = [
-        pixels_of(block, p) * sum(len(peers[v]) for v in mine) if p.fuse else 0
+        sum(pixels_of(block, p, v) * len(peers[v]) for v in mine) if p.fuse else 0
         for p, mine in zip(passes, taking_part, strict=True)
     ]
     # What samples of a pass count for the progress.
@@ -152,13 +152,13 @@ def predict_selected_pixels(block: Block, maps: Mapping[int, DepthMap]) -> dict[
         return {}
     order = sorted(maps, key=lambda view: block.cameras[view].cam_from_local[2][2])
     cameras = [block.cameras[view].scaled(_SCALE) for view in order]
-    backend, shape = images(block.device), (cameras[0].height, cameras[0].width)
+    backend, shapes = images(block.device), [(camera.height, camera.width) for camera in cameras]
 
-    def trusted_heights(m: DepthMap) -> Any:
+    def trusted_heights(m: DepthMap, shape: tuple[int, int]) -> Any:
         """Mean of the trusted heights in each part of a map [m]; NaN without any."""
         return backend.masked_means(m.height, trusted(m), shape)
 
-    known = {view: trusted_heights(maps[view]) for view in order}
+    known = {view: trusted_heights(maps[view], shape) for view, shape in zip(order, shapes, strict=True)}
     extents = {view: backend.min_max(height) for view, height in known.items()}
     ground = {
         view: Footprint.of(camera, block.water, extent)
@@ -166,7 +166,10 @@ def predict_selected_pixels(block: Block, maps: Mapping[int, DepthMap]) -> dict[
         if extent is not None
     }
     heights = ViewStack.build(
-        block.device, cameras, LazyImages(lambda number: known[order[number]], len(order), shape, 1), block.water
+        block.device,
+        cameras,
+        LazyImages(lambda number: known[order[number]], len(order), largest(cameras), 1),
+        block.water,
     )
     wanted = {}
     for number, view in enumerate(order):

@@ -62,13 +62,13 @@ def view_passes(block: Block, chosen: list[int], p: Pass, bound: tuple[float, fl
             count = p.hypotheses
         else:
             raise ValueError("a pass after the first expects its own number of hypotheses, got None")
-        found.append(ViewPass(view, neighbours, count, pixels_of(block, p) * count * len(neighbours)))
+        found.append(ViewPass(view, neighbours, count, pixels_of(block, p, view) * count * len(neighbours)))
     return found
 
 
-def pixels_of(block: Block, p: Pass) -> int:
-    """Number of pixels of an image at the scale of a pass."""
-    camera = block.cameras[0].scaled(p.scale)
+def pixels_of(block: Block, p: Pass, view: int) -> int:
+    """Number of pixels of the image of a view at the scale of a pass."""
+    camera = block.cameras[view].scaled(p.scale)
     return camera.width * camera.height
 
 
@@ -92,7 +92,7 @@ def match_pass(
     which is returned.
     """
     stack, view, backend = block.stack(p.scale), of_view.view, images(block.device)
-    shape = (stack.height, stack.width)
+    shape = (stack.height_of(view), stack.width_of(view))
     middle = 0.5 * (bound[0] + bound[1]) if before is None else backend.median(before.height)
     step = _step(block, p, view, of_view.neighbours, middle)
     if before is None:
@@ -138,7 +138,7 @@ def refine_part(
 
     reference = Reference(stack, view, of_view.neighbours, p.radius, _least_known(block))
     yield from match_tiles(reference, tiles, lambda _, pixels: backend.values_at(lowest, pixels), step, take)
-    height, score = (backend.reshaped(each, (stack.height, stack.width)) for each in (height, score))
+    height, score = (backend.reshaped(each, before.height.shape) for each in (height, score))
     return replace(before, height=height, score=_of_shown(block, p, view, score)), backend.indices_of(tiles.wanted)
 
 

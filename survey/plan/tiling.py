@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 Area = tuple[float, float, float, float]
 
-# Maps reach this far beyond a tile [ground sampling distances]: windows of the solver with their halo (11), and points
+# Maps reach this far beyond a tile [ground sampling distances]: windows of the solver with their halo (8), and points
 # about which neighbours are counted (4). Windows of the sweep come on top, in pixels of each photograph.
-RIM_GSD = 16.0
+RIM_GSD = 8.0
 
 
 @dataclass(frozen=True)

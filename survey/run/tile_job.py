@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fields.image_store import Masks
+from fields.image_store import GreyImages, Masks
 from fields.sweep.block import Block
 from survey.plan.block import backend, cameras_of_block
 from survey.plan.rates import part_name
@@ -139,7 +139,14 @@ class TileJob(Job):
         white = [whole.saturated[window.view] for window in self.windows]
         middle = 0.5 * sum(self.bound)
         return Block(
-            backend(self.plan), cameras, images, self.survey.water, middle, white, self.plan.skips, self.ground
+            backend(self.plan),
+            cameras,
+            GreyImages(images, of_one_size=False),
+            self.survey.water,
+            middle,
+            white,
+            self.plan.skips,
+            self.ground,
         )
 
     def drop(self) -> None:

@@ -1,4 +1,4 @@
-"""Windows of photographs that show a tile of the ground, all of one size."""
+"""Windows of photographs that show a tile of the ground."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from survey.photos.cameras import View
 from survey.photos.store import ImageStore
 from survey.plan.tiling import Area, Tiling
 
-# Windows begin at whole pixels of images at a quarter of the size, and have whole pixels at an eighth.
-_BEGIN_PX, _WHOLE_PX = 4, 8
+# Windows begin at whole pixels of images at a quarter of the size. Their rows there are whole vectors of 16 pixels:
+# other widths would need other kernels.
+_BEGIN_PX, _ROWS_PX, _COLUMNS_PX = 4, 8, 64
 # Beyond what shows the ground: windows of the first pass, at a quarter of the size, and their surroundings.
 _MARGIN_PX = 32
 # Smaller windows would hold few tiles of the sweep; a photograph with less of a tile than this adds nothing to it.
-_LEAST_PX, _LEAST_SEEN_PX = 96, 8
+_LEAST_PX, _LEAST_SEEN_PX = 128, 8
 
 
 @dataclass(frozen=True)
@@ -53,35 +54,27 @@ def windows_of(
     bound : (low, high) [m]
         Heights over the water plane between which the bed lies.
     """
-    boxes, area = {}, np.array(tiling.ground(number, 0.0))
+    found, area = [], np.array(tiling.ground(number, 0.0))
     ground = Footprint(area[:2], area[2:])
     for view, camera in enumerate(cameras):
         # Of ground behind a camera nothing can be projected.
         if not Footprint.of(camera, water, bound).meets(ground):
             continue
         own = _box(camera, water, tiling.ground(number, 0.0), bound, 0)
-        if min(own[2] - own[0], own[3] - own[1]) >= _LEAST_SEEN_PX:
-            boxes[view] = _box(camera, water, tiling.ground(number, tiling.rim), bound, _MARGIN_PX)
-    if not boxes:
-        return []
-    whole = (cameras[0].height, cameras[0].width)
-    sides = [
-        min(max(_up(max(box[axis + 2] - _down(box[axis]) for box in boxes.values())), _LEAST_PX), whole[axis])
-        for axis in (0, 1)
-    ]
-    found = []
-    for view, box in boxes.items():
-        row, column = (_down(min(box[axis], whole[axis] - sides[axis])) for axis in (0, 1))
-        found.append(Window(view, row, column, *sides))
+        if min(own[2] - own[0], own[3] - own[1]) < _LEAST_SEEN_PX:
+            continue
+        box = _box(camera, water, tiling.ground(number, tiling.rim), bound, _MARGIN_PX)
+        row, height = _side(box[0], box[2], camera.height, _ROWS_PX)
+        column, width = _side(box[1], box[3], camera.width, _COLUMNS_PX)
+        found.append(Window(view, row, column, height, width))
     return found
 
 
-def _down(value: int) -> int:
-    return value // _BEGIN_PX * _BEGIN_PX
-
-
-def _up(value: int) -> int:
-    return -(-value // _WHOLE_PX) * _WHOLE_PX
+def _side(first: int, last: int, whole: int, step: int) -> tuple[int, int]:
+    """Begin and length of a window along an axis of an image that is so long."""
+    begin = first // _BEGIN_PX * _BEGIN_PX
+    length = min(max(-(-(last - begin) // step) * step, _LEAST_PX), whole)
+    return min(begin, whole - length) // _BEGIN_PX * _BEGIN_PX, length
 
 
 def _box(

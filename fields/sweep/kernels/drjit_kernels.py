@@ -50,8 +50,8 @@ _MANY = 0.3
 def rays_of_rows(stack: ViewStack, view: int, first_row: int, rows: int):
     """Rays (`fields.sweep.kernels.rays`) of a strip of pixels of `view`: six floats of P = rows * width, or more."""
     UInt = stack.device.module.UInt
-    first = dr.opaque(UInt, first_row * stack.width)
-    return _refracted_rays(stack, view, dr.arange(UInt, rows * stack.width) + first)
+    first = dr.opaque(UInt, first_row * stack.width_of(view))
+    return _refracted_rays(stack, view, dr.arange(UInt, rows * stack.width_of(view)) + first)
 
 
 def rays_of_pixels(stack: ViewStack, view: int, pixels: np.ndarray):
@@ -61,7 +61,7 @@ def rays_of_pixels(stack: ViewStack, view: int, pixels: np.ndarray):
 
 def _refracted_rays(stack: ViewStack, view: int, index):
     Float, UInt = stack.device.module.Float, stack.device.module.UInt
-    width = dr.opaque(UInt, stack.width)
+    width = dr.opaque(UInt, stack.width_of(view))
     line = index // width
     u = Float(index - line * width) + 0.5
     v = Float(line) + 0.5
@@ -78,12 +78,12 @@ def project_rays(stack: ViewStack, rays, z, view: int):
     return project(stack.camera_rows[view], point_at(rays, z), stack.n_water, stack.terms)
 
 
-def _corner(stack: ViewStack, u, v, inside):
+def _corner(stack: ViewStack, view: int, u, v, inside):
     """Flat index of the upper left of the four pixels about (u, v), and the offset from it [px]."""
     Float, UInt = stack.device.module.Float, stack.device.module.UInt
     x, y = dr.select(inside, u - 0.5, 0.0), dr.select(inside, v - 0.5, 0.0)
     x0, y0 = UInt(x), UInt(y)
-    return y0 * dr.opaque(UInt, stack.width) + x0, x - Float(x0), y - Float(y0)
+    return y0 * dr.opaque(UInt, stack.width_of(view)) + x0, x - Float(x0), y - Float(y0)
 
 
 def _bilinear(corners, fx, fy):
@@ -96,8 +96,8 @@ def _bilinear(corners, fx, fy):
 def sample(stack: ViewStack, view: int, u, v, inside):
     """Bilinear lookup in image `view` at pixel position (u, v); NaN where not inside."""
     Float, UInt = stack.device.module.Float, stack.device.module.UInt
-    corner, fx, fy = _corner(stack, u, v, inside)
-    width = dr.opaque(UInt, stack.width)
+    corner, fx, fy = _corner(stack, view, u, v, inside)
+    width = dr.opaque(UInt, stack.width_of(view))
     corners = [dr.gather(Float, stack.pixels[view], corner + offset) for offset in (0, 1, width, width + 1)]
     return dr.select(inside, _bilinear(corners, fx, fy), dr.nan)
 
@@ -105,7 +105,7 @@ def sample(stack: ViewStack, view: int, u, v, inside):
 def sample_packed(stack: ViewStack, view: int, u, v, inside):
     """As `sample`, of `ViewStack.packed`: one lookup instead of four."""
     Float, UInt, packed = stack.device.module.Float, stack.device.module.UInt, stack.packed
-    corner, fx, fy = _corner(stack, u, v, inside)
+    corner, fx, fy = _corner(stack, view, u, v, inside)
     Word = type(packed.values[view])
     word = dr.gather(Word, packed.values[view], corner)
     parts = [UInt((word >> (place * packed.bits)) & Word(2**packed.bits - 1)) for place in range(4)]
@@ -229,7 +229,7 @@ def compare_heights(stack: ViewStack, view: int, peers: list[int], tolerance: fl
     """
     Float = stack.device.module.Float
     if pixels is None:
-        rays, own_height = rays_of_rows(stack, view, 0, stack.height), stack.pixels[view]
+        rays, own_height = rays_of_rows(stack, view, 0, stack.height_of(view)), stack.pixels[view]
     else:
         rays, own_height = rays_and_heights(stack, view, pixels)
     count, total, square = (dr.opaque(Float, 0.0, dr.width(own_height)) for _ in range(3))
@@ -250,18 +250,19 @@ def count_seeing_through(stack: ViewStack, view: int, peers: list[int], toleranc
 
     All four of the peer's pixels about the point are lower by more than `tolerance` [m]; NaN sees nothing.
     """
-    Float, UInt, size = stack.device.module.Float, stack.device.module.UInt, stack.width * stack.height
-    rays = rays_of_rows(stack, view, 0, stack.height)
-    own_height = stack.pixels[view]
-    count, least, width = (
-        dr.opaque(Float, 0.0, size),
-        own_height - dr.opaque(Float, tolerance),
-        dr.opaque(UInt, stack.width),
+    Float, UInt, size = (
+        stack.device.module.Float,
+        stack.device.module.UInt,
+        stack.width_of(view) * stack.height_of(view),
     )
+    rays = rays_of_rows(stack, view, 0, stack.height_of(view))
+    own_height = stack.pixels[view]
+    count, least = dr.opaque(Float, 0.0, size), own_height - dr.opaque(Float, tolerance)
     for group in _groups(peers):
         for peer in group:
             u, v, lower = project_rays(stack, rays, own_height, peer)
-            corner, _, _ = _corner(stack, u, v, lower)
+            corner, _, _ = _corner(stack, peer, u, v, lower)
+            width = dr.opaque(UInt, stack.width_of(peer))
             for offset in (0, 1, width, width + 1):
                 lower &= dr.gather(Float, stack.pixels[peer], corner + offset, lower) < least
             count += dr.select(lower, 1.0, 0.0)
@@ -286,10 +287,10 @@ def find_duplicates(
     second those of them whose height is within `close_m` of the path's, or of that of the map between the four.
     """
     Float, UInt, Byte = stack.device.module.Float, stack.device.module.UInt, stack.device.module.UInt8
-    claimed, close = (dr.zeros(Byte, stack.width * stack.height) for _ in range(2))
+    claimed, close = (dr.zeros(Byte, stack.width_of(other) * stack.height_of(other)) for _ in range(2))
     u, v, inside = project_rays(stack, rays, own_height, other)
-    corner, fx, fy = _corner(stack, u, v, inside)
-    width, most = dr.opaque(UInt, stack.width), dr.opaque(Float, close_m)
+    corner, fx, fy = _corner(stack, other, u, v, inside)
+    width, most = dr.opaque(UInt, stack.width_of(other)), dr.opaque(Float, close_m)
     offsets = (0, 1, width, width + 1)
     heights = [dr.gather(Float, stack.pixels[other], corner + offset, inside) for offset in offsets]
     interpolated = _bilinear(heights, fx, fy)
@@ -313,8 +314,12 @@ def vote_on_points(
     """
     Float, UInt, Byte = stack.device.module.Float, stack.device.module.UInt, stack.device.module.UInt8
     u, v, inside = project(stack.camera_rows[view], points, stack.n_water, stack.terms)
-    corner, _, _ = _corner(stack, u, v, inside)
-    width, reach, known = dr.opaque(UInt, stack.width), dr.opaque(Float, close_m), Byte(sure.ravel().view(np.uint8))
+    corner, _, _ = _corner(stack, view, u, v, inside)
+    width, reach, known = (
+        dr.opaque(UInt, stack.width_of(view)),
+        dr.opaque(Float, close_m),
+        Byte(sure.ravel().view(np.uint8)),
+    )
     four = [corner + offset for offset in (0, 1, width, width + 1)]
     heights = [dr.gather(Float, stack.pixels[view], each, inside) for each in four]
     low, high = (dr.minimum(heights[0], heights[1]), dr.maximum(heights[0], heights[1]))

@@ -1,4 +1,4 @@
-"""Stack of images of one size with their cameras and the water, on the device of the kernels."""
+"""Stack of images with their cameras and the water, on the device of the kernels."""
 
 from __future__ import annotations
 
@@ -128,6 +128,11 @@ def camera_table(cameras: list[PinholeCamera], terms: CameraTerms, frame: PlaneF
     return np.asarray(rows)
 
 
+def largest(cameras: Sequence[PinholeCamera]) -> tuple[int, int]:
+    """Height and width that hold the images of all cameras [px]; zeros of none."""
+    return max((c.height for c in cameras), default=0), max((c.width for c in cameras), default=0)
+
+
 @dataclass(frozen=True)
 class Hypotheses:
     """Height hypotheses of a number of pixels: ``start + j * step`` over the water plane, for j from 0 to count - 1.
@@ -146,11 +151,11 @@ class Hypotheses:
 
 @dataclass(frozen=True)
 class ViewStack:
-    """Scalar images of equal size with their cameras and the water, for one device.
+    """Scalar images with their cameras and the water, for one device.
 
     Attributes
     ----------
-    cameras : list of PinholeCamera, all of one size
+    cameras : list of PinholeCamera
     images : (height, width) float32 each
     water : FlatWater or None
     skips : Skips
@@ -164,23 +169,21 @@ class ViewStack:
 
     @staticmethod
     def build(device: Device, cameras, images, water, skips: Skips = SKIPS) -> ViewStack:
-        """Stack images (height, width) float; all must have the size of their camera, and one size.
+        """Stack images (height, width) float; all must have the size of their camera, `LazyImages` that of the largest.
 
         Raises
         ------
         ValueError
             If a size differs.
         """
-        size = (cameras[0].height, cameras[0].width)
-        if not isinstance(images, LazyImages):
+        sizes = [(camera.height, camera.width) for camera in cameras]
+        if isinstance(images, LazyImages):
+            expected, found = [largest(cameras)], [images.shape]
+        else:
             images = [np.asarray(image, dtype=np.float32) for image in images]
-        shapes = [images.shape] * len(images) if isinstance(images, LazyImages) else [i.shape for i in images]
-        for camera, shape in zip(cameras, shapes, strict=True):
-            if shape != size or (camera.height, camera.width) != size:
-                raise ValueError(
-                    f"a stack holds images of one size {size}, that of their cameras; got an image of {shape} "
-                    f"with a camera of {(camera.height, camera.width)}"
-                )
+            expected, found = sizes, [image.shape for image in images]
+        if len(images) != len(sizes) or found != expected:
+            raise ValueError(f"a stack holds images of the sizes of their cameras {expected}; got images of {found}")
         return ViewStack(device, list(cameras), images, water, skips)
 
     @property
@@ -190,6 +193,14 @@ class ViewStack:
     @property
     def width(self) -> int:
         return self.cameras[0].width
+
+    def height_of(self, view: int) -> int:
+        """Height of the image of a view [px]."""
+        return self.cameras[view].height
+
+    def width_of(self, view: int) -> int:
+        """Width of the image of a view [px]."""
+        return self.cameras[view].width
 
     @property
     def n_water(self) -> float | None:
@@ -215,7 +226,7 @@ class ViewStack:
     @cached_property
     def pixels(self) -> LruCache[int, Any]:
         """Images as flat arrays (height * width) of the device, float32: of height maps, which are compared."""
-        most = num_cached(4 * self.height * self.width, KEPT_BYTES, FEWEST_KEPT)
+        most = num_cached(4 * max(c.height * c.width for c in self.cameras), KEPT_BYTES, FEWEST_KEPT)
         # Without the stack itself: a reference cycle would keep the arrays until the next garbage collection.
         device, images = self.device, self.images
         return LruCache(lambda view: floats(device, images[view]), most)
@@ -245,8 +256,9 @@ class PackedImages:
     @staticmethod
     def build(device: Device, images: Sequence[np.ndarray]) -> PackedImages:
         """Pack images (height, width) float32 of one size, each when it is needed; NaN is masked."""
-        least, most, are_unmasked = np.inf, -np.inf, True
+        least, most, are_unmasked, pixels = np.inf, -np.inf, True, 0
         for image in images:
+            pixels = max(pixels, image.size)
             if not np.isnan(image).all():
                 least, most = min(least, float(np.nanmin(image))), max(most, float(np.nanmax(image)))
             are_unmasked = are_unmasked and np.array_equal(np.rint(image), image)
@@ -254,7 +266,7 @@ class PackedImages:
         bits = 8 if most - least < 2**8 and are_unmasked else 16
         step = 1.0 if bits == 8 else 2.0 ** np.ceil(np.log2(max(most - least, LEAST_SPAN) / (MASKED - 2)))
         low = step * np.floor(least / step)
-        size = images[0].size * bits // 2
+        size = pixels * bits // 2
         budget = max(int(_OF_MEMORY * memory_bytes(device)), KEPT_BYTES)
         kept = num_cached(size, budget, FEWEST_KEPT)
         values: LruCache[int, Any] = LruCache(lambda view: words(device, _packed(images[view], low, step, bits)), kept)

@@ -35,8 +35,10 @@ NOISE_VARIANCE = 1.0
 
 def rays_of_rows(stack: ViewStack, view: int, first_row: int, rows: int) -> list[Tensor]:
     """Rays (`fields.sweep.kernels.rays`) of a strip of pixels of `view`: six tensors of P = rows * width, or more."""
-    first = first_row * stack.width
-    return _refracted_rays(stack, view, torch.arange(first, first + rows * stack.width, device=stack.device.place))
+    first = first_row * stack.width_of(view)
+    return _refracted_rays(
+        stack, view, torch.arange(first, first + rows * stack.width_of(view), device=stack.device.place)
+    )
 
 
 def rays_of_pixels(stack: ViewStack, view: int, pixels: np.ndarray) -> list[Tensor]:
@@ -45,8 +47,8 @@ def rays_of_pixels(stack: ViewStack, view: int, pixels: np.ndarray) -> list[Tens
 
 
 def _refracted_rays(stack: ViewStack, view: int, index: Tensor) -> list[Tensor]:
-    line = index // stack.width
-    u, v = (index - line * stack.width).float() + 0.5, line.float() + 0.5
+    line = index // stack.width_of(view)
+    u, v = (index - line * stack.width_of(view)).float() + 0.5, line.float() + 0.5
     cameras = [stack.cameras[view]]
     terms = CameraTerms.of(cameras)
     camera = camera_table(cameras, terms, stack.frame)[0].tolist()
@@ -58,11 +60,11 @@ def project_rays(stack: ViewStack, rays, z: Tensor, view: int):
     return project(stack.camera_rows[view], point_at(rays, z), stack.n_water, stack.terms)
 
 
-def _corner(stack: ViewStack, u: Tensor, v: Tensor, inside: Tensor):
+def _corner(stack: ViewStack, view: int, u: Tensor, v: Tensor, inside: Tensor):
     """Flat index of the upper left of the four pixels about (u, v), and the offset from it [px]."""
     x, y = torch.where(inside, u - 0.5, 0.0), torch.where(inside, v - 0.5, 0.0)
     x0, y0 = x.long(), y.long()
-    return y0 * stack.width + x0, x - x0, y - y0
+    return y0 * stack.width_of(view) + x0, x - x0, y - y0
 
 
 def _bilinear(corners: list[Tensor], fx: Tensor, fy: Tensor) -> Tensor:
@@ -74,15 +76,15 @@ def _bilinear(corners: list[Tensor], fx: Tensor, fy: Tensor) -> Tensor:
 
 def sample(stack: ViewStack, view: int, u: Tensor, v: Tensor, inside: Tensor) -> Tensor:
     """Bilinear lookup in image `view` at pixel position (u, v); NaN where not inside."""
-    corner, fx, fy = _corner(stack, u, v, inside)
-    corners = [stack.pixels[view][corner + offset] for offset in (0, 1, stack.width, stack.width + 1)]
+    corner, fx, fy = _corner(stack, view, u, v, inside)
+    corners = [stack.pixels[view][corner + offset] for offset in (0, 1, stack.width_of(view), stack.width_of(view) + 1)]
     return torch.where(inside, _bilinear(corners, fx, fy), torch.nan)
 
 
 def sample_packed(stack: ViewStack, view: int, u: Tensor, v: Tensor, inside: Tensor) -> Tensor:
     """As `sample`, of `ViewStack.packed`: one lookup instead of four."""
     packed = stack.packed
-    corner, fx, fy = _corner(stack, u, v, inside)
+    corner, fx, fy = _corner(stack, view, u, v, inside)
     word = packed.values[view][corner]
     parts = [(word >> (place * packed.bits)) & (2**packed.bits - 1) for place in range(4)]
     value = _bilinear([part.float() for part in parts], fx, fy) * packed.step + packed.low
@@ -127,7 +129,7 @@ def compare_heights(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Count, sum and sum of squares (P) of the differences below `tolerance`; see the twin."""
     if pixels is None:
-        rays, own_height = rays_of_rows(stack, view, 0, stack.height), stack.pixels[view]
+        rays, own_height = rays_of_rows(stack, view, 0, stack.height_of(view)), stack.pixels[view]
     else:
         rays, own_height = rays_and_heights(stack, view, pixels)
     count, total, square = torch.zeros_like(own_height), torch.zeros_like(own_height), torch.zeros_like(own_height)
@@ -143,12 +145,12 @@ def compare_heights(
 
 def count_seeing_through(stack: ViewStack, view: int, peers: list[int], tolerance: float) -> Tensor:
     """How many peers (P) see, through the point of each pixel, something that lies lower; see the twin."""
-    rays, own_height = rays_of_rows(stack, view, 0, stack.height), stack.pixels[view]
+    rays, own_height = rays_of_rows(stack, view, 0, stack.height_of(view)), stack.pixels[view]
     count, least = torch.zeros_like(own_height), own_height - tolerance
     for peer in peers:
         u, v, lower = project_rays(stack, rays, own_height, peer)
-        corner = _corner(stack, u, v, lower)[0]
-        for offset in (0, 1, stack.width, stack.width + 1):
+        corner = _corner(stack, peer, u, v, lower)[0]
+        for offset in (0, 1, stack.width_of(peer), stack.width_of(peer) + 1):
             lower = lower & (stack.pixels[peer][corner + offset] < least)
         count += lower
     return count
@@ -168,10 +170,10 @@ def find_duplicates(
     See the twin in Dr.Jit.
     """
     u, v, inside = project_rays(stack, rays, own_height, other)
-    corner, fx, fy = (each[inside] for each in _corner(stack, u, v, inside))
+    corner, fx, fy = (each[inside] for each in _corner(stack, other, u, v, inside))
     own_height, heights = own_height[inside], stack.pixels[other]
     claimed, close = (torch.zeros(len(heights), dtype=torch.bool, device=heights.device) for _ in range(2))
-    offsets = (0, 1, stack.width, stack.width + 1)
+    offsets = (0, 1, stack.width_of(other), stack.width_of(other) + 1)
     corners = [heights[corner + offset] for offset in offsets]
     interpolated = _bilinear(corners, fx, fy)
     for offset, there in zip(offsets, corners, strict=True):
@@ -188,9 +190,9 @@ def vote_on_points(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Votes of height map `view` on points (P); see the twin."""
     u, v, inside = project(stack.camera_rows[view], points, stack.n_water, stack.terms)
-    corner, _, _ = _corner(stack, u, v, inside)
+    corner, _, _ = _corner(stack, view, u, v, inside)
     known = torch.from_numpy(sure.ravel()).to(corner.device)
-    four = [corner + offset for offset in (0, 1, stack.width, stack.width + 1)]
+    four = [corner + offset for offset in (0, 1, stack.width_of(view), stack.width_of(view) + 1)]
     heights = torch.stack([stack.pixels[view][each] for each in four])
     low, high = heights.amin(dim=0), heights.amax(dim=0)
     below = high + close_m < points[2]

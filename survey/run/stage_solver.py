@@ -11,6 +11,7 @@ import numpy as np
 from fields.solver.solver import SolvedMap, SolverFigures, solve_maps
 from fields.sweep.bed import unique_pixels
 from fields.sweep.maps import ByView, DepthMap, upsample_map
+from fields.sweep.wide_windows import wet_pairs
 from survey.files.json_values import write_json
 from survey.progress import shares
 from survey.run.stage_sweep import EARLIER_SOLVER, EARLIER_SWEEP, MAPS, SCRATCH, look_at_bed, views_swept
@@ -40,6 +41,11 @@ def solve_with(job: Job, folder: Path, needs: Mapping[str, Path], figures: Solve
         return
     look_at_bed(job, needs["sweep"])
     kept = job.once(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m)).copy()
+    pairs = wet_pairs(job.block, maps.views)
+    for number, view in enumerate(maps.views):
+        if view in pairs:
+            # Single pixels of two photographs show ripples, which moved.
+            kept[number] = kept[number] & (maps[number].height >= 0.0)
     carried = _carried(maps, kept, needs)
     for number, each in enumerate(carried):
         if each is not None:

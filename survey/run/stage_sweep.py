@@ -17,6 +17,7 @@ from fields.sweep.maps import ByView, DepthMap
 from fields.sweep.passes import PASSES, before_solver, passes_from
 from fields.sweep.photo_consistency import photo_consistency
 from fields.sweep.sweep import sweep
+from fields.sweep.wide_windows import with_wide_windows
 from survey.errors import SurveyError
 from survey.files.json_values import write_json
 from survey.plan.area import plane_name
@@ -69,7 +70,7 @@ def sweep_views(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
             maps = sweep(block, chosen, ladder, shares(stage), passes, job.swept_ground, keep=keep)
             if not maps and job.tiling is None:
                 raise SurveyError("no two views overlap; check that the poses belong to the images")
-            swept = _finished(block, maps, keep)
+            swept = with_wide_windows(block, _finished(block, maps, keep), ladder, job.swept_ground, keep)
             _save(job, folder, swept, swept.views, time.monotonic() - start, images_s, None)
     job.progress.note(f"bound: bed between {low:.2f} and {high:.2f} m over the {plane_name(job.survey)}")
     write_json(folder / BOUND, {"low_m": low, "high_m": high})

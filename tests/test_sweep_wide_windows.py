@@ -1,0 +1,73 @@
+"""Wide windows for what two photographs show under water: their std, their means, and where they are left out."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fields.sweep.height_std import height_std
+from fields.sweep.maps import DepthMap, OrderedMaps
+from fields.sweep.wide_windows import averaged, wet_pairs, window_std, with_wide_windows
+
+SHAPE, NOISE_M = (170, 204), 0.5
+# As many pixels as a wide window has on a side.
+WINDOW_PX = 17
+
+
+def wide_map(seed: int = 0) -> DepthMap:
+    """A sloping bed with an error for each window of its own."""
+    rng = np.random.default_rng(seed)
+    row, column = np.indices(SHAPE)
+    noise = NOISE_M * rng.standard_normal((SHAPE[0] // WINDOW_PX, SHAPE[1] // WINDOW_PX))
+    height = -3.0 + 0.01 * column - 0.02 * row + np.kron(noise, np.ones((WINDOW_PX, WINDOW_PX)))
+    return DepthMap(
+        0,
+        height.astype(np.float32),
+        np.full(SHAPE, 0.95, np.float16),
+        np.ones(SHAPE, np.uint8),
+        np.zeros(SHAPE, np.float16),
+    )
+
+
+def test_the_std_of_windows_is_that_of_their_errors_and_not_of_a_slope():
+    found = [np.mean(window_std(wide_map(seed)) ** 2) for seed in range(10)]
+    # Ten maps of 120 windows, of which second differences share values.
+    assert np.sqrt(np.mean(found)) == pytest.approx(NOISE_M, rel=0.1)
+    flat = wide_map()
+    flat.height[:] = -3.0 + 0.01 * np.indices(SHAPE)[1]
+    assert window_std(flat).max() < 1e-3
+
+
+def test_averaged_heights_err_by_what_their_spread_says():
+    ratios = []
+    for seed in range(10):
+        m = averaged(wide_map(seed))
+        row, column = np.indices(SHAPE)
+        # Without the rim, where a mean of a slope leans inwards.
+        inner = np.s_[30:-30, 30:-30]
+        error = (m.height - (-3.0 + 0.01 * column - 0.02 * row))[inner]
+        std = height_std(m.height, m.agreeing, m.spread, 1.0)[inner]
+        ratios.append(np.mean(error**2) / np.mean(std**2))
+    assert 0.5 < np.sqrt(np.mean(ratios)) < 1.0
+
+
+def test_a_false_match_does_not_pull_the_mean():
+    m, wrong = wide_map(), wide_map()
+    wrong.height[80:90, 100:110] += 8.0
+    assert np.abs(averaged(wrong).height - averaged(m).height).max() < 0.3
+
+
+def block(neighbours: int, water: object):
+    return SimpleNamespace(water=water, neighbours=lambda view, count: list(range(neighbours)))
+
+
+@pytest.mark.parametrize(("neighbours", "water"), [(2, object()), (1, None), (12, None)])
+def test_maps_stay_as_they_are_where_a_third_photograph_looks_or_all_is_dry(neighbours, water):
+    maps = OrderedMaps({0: wide_map()}, [0])
+    assert with_wide_windows(block(neighbours, water), maps, (-5.0, 5.0), None) is maps
+
+
+def test_two_photographs_of_water_are_a_pair():
+    assert wet_pairs(block(1, object()), [0, 1]) == [0, 1]

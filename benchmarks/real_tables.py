@@ -1,0 +1,58 @@
+"""Tables of docs/real.md from the results of bench_real.py."""
+
+from __future__ import annotations
+
+import numpy as np
+
+TO_95 = 1.959964
+# Further off than this a target is wrong, not uncertain [m].
+WRONG_M = 1.0
+AXES = ("east", "north", "up")
+
+
+def profile_rows(found: dict) -> list[str]:
+    """The lake's depths against the lidar's."""
+    lines = [
+        "| rays | points beside the profile | depth over the lidar's | bias | scatter | median std | within 1.96 std "
+        "| over the water |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for name in ("bent", "straight"):
+        each = found[name]
+        lines.append(
+            f"| {name} | {each['points']:,} | {each['ratio']:.2f} | {each['bias_m']:+.2f} m | "
+            f"{each['scatter_m']:.2f} m | {each['std_m']:.2f} m | {100 * each['within']:.0f} % | {each['over_water']} |"
+        )
+    return lines
+
+
+def target_rows(found: dict) -> list[str]:
+    """Targets left out in turn, and how many lie within what is stated."""
+    lines = [
+        "| target left out | marks | east | north | up | std of up | within 1.96 std |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    inside, sound = 0, 0
+    for name, each in found["targets"].items():
+        off, std = np.array(each["off_m"]), np.array(each["std_m"])
+        within = np.abs(off) <= TO_95 * std
+        is_wrong = bool(np.abs(off).max() > WRONG_M)
+        inside, sound = inside + (0 if is_wrong else int(within[2])), sound + (not is_wrong)
+        beyond = [axis for axis, is_in in zip(AXES, within, strict=True) if not is_in]
+        verdict = "wrong coordinates" if is_wrong else f"not {', '.join(beyond)}" if beyond else "yes"
+        metres = " | ".join(f"{1000 * value:+.0f} mm" for value in off)
+        lines.append(f"| {name} | {each['marks']} | {metres} | {1000 * std[2]:.0f} mm | {verdict} |")
+    return [*lines, "", f"Heights of {inside} of {sound} sound targets lie within 1.96 standard deviations."]
+
+
+def stream_rows(found: dict) -> list[str]:
+    """Points of other programs."""
+    apart, ratio = found["per_camera_apart_m"], found["bent_over_straight"]
+    lines = [
+        f"Corrected by every camera as pyBathySfM does it, {found['points']:,} points of a stream lie within "
+        f"{apart:.0e} m of its own depths; bent rays put them at {ratio:.3f} of the depth of straight ones.",
+        "",
+        f"| heights of {found['heads']} heads of coral, against a tape | rms |",
+        "|---|---|",
+    ]
+    return [*lines, *(f"| {name} | {100 * rms:.1f} cm |" for name, rms in found["palau_rms_m"].items())]

@@ -8,6 +8,7 @@ import math
 import threading
 import urllib.error
 import urllib.request
+from dataclasses import replace
 from urllib.parse import quote, urlencode
 
 import numpy as np
@@ -26,6 +27,7 @@ from survey.marking.book import Book, Key
 from survey.marking.server import TOKEN_HEADER, MarkingServer
 from survey.marking.session import Session
 from survey.marking.tiles import TILE_PX, Tiles, pyramid
+from survey.run.flight import save_flight
 
 CONTROL = '[control]\ngcps = "gcp_list.txt"\n'
 # A point 0.9 m under water, as three photographs show it.
@@ -184,6 +186,25 @@ def test_without_poses_photographs_are_proposed_by_their_positions(tmp_path):
     look = session.look(keys[0], "0003.jpg")
     assert (look["predicted"], look["curves"]) == (None, [])
     assert look["next"] == ["0001.jpg", "0002.jpg"]
+
+
+def test_the_poses_of_a_finished_run_count_before_those_of_the_file(tmp_path):
+    folder = small_survey(tmp_path / "s")
+    survey = load_survey(folder)
+    raised = replace(survey, views=tuple(_raised(view) for view in survey.views))
+    (folder / "bathynerf").mkdir()
+    save_flight(folder / "bathynerf", raised)
+    session = Session(folder)
+    assert session.state()["poses"] == f"the run {folder / 'bathynerf'}"
+    session.book.add("ground", "p", PLACE)
+    local = survey.frame.local_from_crs(np.array(PLACE))
+    expected = raised.views[1].camera.project(local, survey.water)
+    assert session.look(Key("ground", "p"), "0001.jpg")["predicted"] == pytest.approx(tuple(expected), abs=1e-6)
+
+
+def _raised(view):
+    """A view as an adjustment may have it, half a metre higher."""
+    return replace(view, camera=replace(view.camera, centre=view.camera.centre + np.array([0.0, 0.0, 0.5])))
 
 
 def test_poses_of_a_run_are_asked_for_by_name(folder, tmp_path):

@@ -10,7 +10,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from survey.benchmark.cases import IMAGES
 from survey.benchmark.front import on_front
-from survey.benchmark.methods import METHODS
+from survey.benchmark.measured import METHODS
 from survey.benchmark.records import Record, Results
 from survey.compare.canvas import canvas, save
 from survey.display.palette import INK, RED, SERIES, SOFT

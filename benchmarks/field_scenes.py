@@ -27,8 +27,7 @@ from survey.simulate.ground.shapes import BedGrid
 from survey.simulate.ground.skin import skin_from_above
 from survey.simulate.light import Light
 from survey.simulate.render.direct import DirectRenderer, depth_below
-from survey.simulate.water import WaterLevel
-from survey.simulate.watercolour import WaterColour
+from survey.simulate.water import WaterColour, WaterLevel
 
 # Between vertices of the bed [m].
 _CELL_M = 0.03

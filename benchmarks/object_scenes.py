@@ -18,13 +18,12 @@ from refract import FlatWater, PinholeCamera
 from survey.folder.survey import load_image, load_survey
 from survey.simulate.ground.bed import plane
 from survey.simulate.ground.ground import NOTHING, Ground, Look
-from survey.simulate.ground.objects import place_object
-from survey.simulate.ground.texture import skin_of_bed
+from survey.simulate.ground.objects import place_object, skin_of_bed
 from survey.simulate.ground.triangles import TriangleMesh
 from survey.simulate.light import Light
 from survey.simulate.render.direct import DirectRenderer
 from survey.simulate.scene_file import ObjectSettings, TextureSettings
-from survey.simulate.watercolour import WaterColour
+from survey.simulate.water import WaterColour
 
 GAMMA = 2.2
 # One photograph in so many is held out.

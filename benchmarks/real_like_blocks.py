@@ -28,7 +28,7 @@ from survey.simulate.light import Light
 from survey.simulate.output.sidecars import cameras_csv, gps_exif
 from survey.simulate.render.direct import DirectRenderer
 from survey.simulate.sensor import Sensor
-from survey.simulate.watercolour import WaterColour
+from survey.simulate.water import WaterColour
 
 GROUNDS = ("wet", "dry", "shore")
 # Of each of the two lines of a flight, and between two photographs and two lines [m]: 78 and 60 % overlap.

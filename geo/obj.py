@@ -1,21 +1,26 @@
-"""Wavefront OBJ files read in double precision: vertices, faces, the CRS of `geo.obj_writing`, nothing else.
+"""Wavefront OBJ files: meshes read in double precision, and written to a tenth of a millimetre at any easting.
 
 trimesh 5.2.0 reads them in two thirds of the time (250,000 vertices with 500,000 triangles: 1.4 s against 2.2 s), but
 counts negative vertex numbers back from the end of the file, not from the face, takes vertex 0 for the last one, and
-drops the CRS.
-"""
+drops the CRS."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
+from pyproj import CRS
 
+from geo.crs import crs_code, is_geographic
 from geo.errors import UnreadableFile
-from geo.files import existing_file
-from geo.obj_writing import CRS_COMMENT
+from geo.files import existing_file, write_whole
 from geo.shapes import Cloud, Mesh, triangulated
 from geo.stated import crs_named
+
+MARK = b"# bathynerf\n"
+CRS_COMMENT = b"# crs "
+_DECIMALS_M, _DECIMALS_DEG = 4, 10
+_CHUNK = 100_000
 
 
 def read_obj(path: str | Path) -> Mesh | Cloud:
@@ -67,3 +72,28 @@ def _faces(lines: list[list[bytes]], vertices_before: list[int], path: Path) -> 
     # Vertex 0, which OBJ does not have, becomes -1 and is refused with the others out of range.
     corners = np.where(numbers < 0, before + numbers, numbers - 1)
     return triangulated(counts, corners)
+
+
+def write_obj(path: str | Path, mesh: Mesh, crs: CRS) -> None:
+    """Write a mesh in crs, whole or not at all.
+
+    Colours stand behind the coordinates of each vertex, 0 to 1, as MeshLab, Blender and CloudCompare read them. The CRS
+    is in a comment; the format has no place for it.
+
+    Raises
+    ------
+    UnwritableFile
+        If the file cannot be written.
+    """
+    horizontal = _DECIMALS_DEG if is_geographic(crs) else _DECIMALS_M
+    vertex = f"v %.{horizontal}f %.{horizontal}f %.{_DECIMALS_M}f"
+    table = mesh.vertices
+    if mesh.rgb is not None:
+        vertex += " %.4f %.4f %.4f"
+        table = np.column_stack([table, mesh.rgb / 255.0])
+    with write_whole(path) as stream:
+        stream.write(MARK + CRS_COMMENT + f"{crs_code(crs) or crs.to_wkt()}\n".encode())
+        for rows, form in ((table, vertex), (mesh.faces + 1, "f %d %d %d")):
+            for first in range(0, len(rows), _CHUNK):
+                part = rows[first : first + _CHUNK]
+                stream.write(("\n".join([form] * len(part)) % tuple(part.ravel()) + "\n").encode())

@@ -17,10 +17,9 @@ from survey.commands.verbs import app
 from survey.errors import ConfigError, SurveyError
 from survey.plan.choices import Choices
 from survey.simulate.scene_file import read_scene
-from survey.simulate.staging.build import light_of
 from survey.simulate.staging.check_plan import check_plan, survey_of
 from survey.simulate.staging.planning import plan_scene
-from survey.simulate.staging.simulate import simulate_flight
+from survey.simulate.staging.simulate import light_of, simulate_flight
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 PLAN = """

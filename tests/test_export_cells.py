@@ -11,16 +11,14 @@ from scipy import ndimage
 from stored_run import GSD_M, run_of, stored_points
 
 from survey.errors import SurveyError
-from survey.export import gap_filling
+from survey.export import bed_cells
 from survey.export import gridded as gridded_module
-from survey.export.cell_fit import fit_cells
-from survey.export.correlated import LEAST_PX2, correlated_px2
-from survey.export.from_above import seen_from_above
-from survey.export.gridded import gridded
+from survey.export.bed_cells import LevelFit
+from survey.export.cell_fit import LEAST_PX2, correlated_px2, fit_cells
+from survey.export.gridded import gridded, seen_from_above
 from survey.export.loaded import LoadedRun
 from survey.export.plan_cells import PlanCells, Window, round_side
 from survey.export.product import ExportOptions
-from survey.export.water_level import LevelFit
 
 CRS_OF_TEST = CRS("EPSG:25832+5783")
 CORNER = np.array([691000.0, 5334000.0])
@@ -230,7 +228,7 @@ def test_a_gap_is_closed_where_no_square_fits_into_it(width):
     square = np.ones((width + 1, width + 1), dtype=bool)
     around = np.pad(~known, width + 1, constant_values=True)
     fits = ndimage.binary_opening(around, square)[width + 1 : -width - 1, width + 1 : -width - 1]
-    closed = gap_filling._closed(known, width)
+    closed = bed_cells._closed(known, width)
     np.testing.assert_array_equal(closed, ~fits)
     assert (closed & ~known).any()
 

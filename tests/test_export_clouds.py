@@ -13,7 +13,7 @@ from stored_run import plane_stored, run_of
 from geo import Cloud, read_cloud, read_reference
 from geo.errors import UnwritableFile
 from survey.errors import OutputError, SurveyError
-from survey.export import written
+from survey.export import export as export_room
 from survey.export.export import export
 from survey.export.product import ExportOptions
 from survey.export.registry import PRODUCTS
@@ -189,7 +189,7 @@ def test_a_run_that_cannot_be_written_to_is_exported_all_the_same(run_folder, tm
     def refuse(path, _value):
         raise UnwritableFile(f"cannot write {path}: the disk is read-only")
 
-    monkeypatch.setattr(written, "write_json", refuse)
+    monkeypatch.setattr(export_room, "write_json", refuse)
     for _ in range(2):
         assert export(run_folder, las=tmp_path / "a.las") == [tmp_path / "a.las"]
 

@@ -28,9 +28,8 @@ from geo.frames import LocalFrame
 from refract import FlatWater
 from survey.errors import SurveyError
 from survey.export.export import export
-from survey.export.exposure import common_exposure
-from survey.export.hidden import Tops
-from survey.export.mosaic import Mosaic
+from survey.export.hidden import Tops, common_exposure
+from survey.export.orthophoto import Mosaic
 from survey.export.photographs import Pixels
 from survey.export.plan_cells import PlanCells, Window
 from survey.export.product import ExportOptions

@@ -16,7 +16,7 @@ from geo.crs import height_unit_m, horizontal_crs
 from geo.e57 import write_e57
 from geo.errors import UnreadableFile, UnwritableFile
 from geo.gltf import write_glb
-from geo.obj_writing import write_obj
+from geo.obj import write_obj
 from geo.ply import write_ply
 from geo.stated import unit_named
 from survey.compare.inputs import Paths, load_inputs

@@ -20,7 +20,7 @@ from survey.simulate.output.truth import depth_map
 from survey.simulate.render.direct import DirectRenderer
 from survey.simulate.scene_file import read_scene
 from survey.simulate.staging.planning import plan_scene
-from survey.simulate.watercolour import WaterColour
+from survey.simulate.water import WaterColour
 
 
 def test_rays_meet_any_mesh_where_they_meet_the_same_bed_as_a_grid(rng):

@@ -12,13 +12,13 @@ from refract import FlatWater, HeightFieldWater, PinholeCamera, WavyWater
 from refract.lens import Lens
 from survey.errors import ConfigError
 from survey.simulate.ground.ground import Ground, Look, shade_of_normals
+from survey.simulate.ground.objects import skin_of_bed
 from survey.simulate.ground.shapes import BedGrid, rotation
-from survey.simulate.ground.texture import skin_of_bed
 from survey.simulate.light import Light
 from survey.simulate.render.direct import DirectRenderer
 from survey.simulate.scene_file import TextureSettings
 from survey.simulate.sensor import Sensor
-from survey.simulate.watercolour import WaterColour
+from survey.simulate.water import WaterColour
 
 pytest.importorskip("mitsuba", reason="the physical mode needs the extra [simulate]: pip install 'bathynerf[simulate]'")
 

@@ -11,8 +11,8 @@ import pytest
 from scene_files import SCENE, scene_file, staged, write_mesh
 
 from survey.simulate.scene_file import read_scene
-from survey.simulate.staging.build import light_of
 from survey.simulate.staging.planning import plan_scene
+from survey.simulate.staging.simulate import light_of
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import t as student
 
-from survey.benchmark.methods import METHODS
+from survey.benchmark.measured import METHODS
 from survey.benchmark.records import Cost, Errors, Record, Results
 
 _DRAWS, _SEED = 2000, 20_261_122

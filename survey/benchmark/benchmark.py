@@ -11,8 +11,7 @@ from geo.errors import GeoError
 from survey.benchmark.cases import GIVEN, POSES, Case, case_of, drawn_case, drawn_names, variant
 from survey.benchmark.corrected import write_corrected
 from survey.benchmark.front import draw_front
-from survey.benchmark.measured import errors_of
-from survey.benchmark.methods import METHODS, Method
+from survey.benchmark.measured import METHODS, Method, errors_of
 from survey.benchmark.records import Record, Results, write_results
 from survey.benchmark.running import commit, machine, run_bathynerf
 from survey.errors import SurveyError

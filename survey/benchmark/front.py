@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from survey.benchmark.methods import METHODS
+from survey.benchmark.measured import METHODS
 from survey.benchmark.records import Record
 from survey.compare.canvas import canvas, save
 from survey.display.palette import INK, RED, SERIES, SOFT

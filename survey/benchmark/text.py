@@ -6,7 +6,7 @@ import numpy as np
 
 from survey.benchmark.against import COMPLETE, COVERS, MEAN, Change, changes, over_surveys, unpaired
 from survey.benchmark.front import on_front, wall_s
-from survey.benchmark.methods import METHODS
+from survey.benchmark.measured import METHODS
 from survey.benchmark.records import Record, Results
 from survey.display.quantities import length
 

@@ -72,7 +72,7 @@ def run(
     """Measure run time against error, of the whole chain and of what it has to beat."""
     with command(verbose, quiet, output) as results:
         from survey.benchmark.benchmark import FRONT, RESULTS, Settings, benchmark, present_devices
-        from survey.benchmark.methods import METHODS
+        from survey.benchmark.measured import METHODS
         from survey.benchmark.records import read_results
         from survey.benchmark.text import comparison, table
 

@@ -41,8 +41,7 @@ def run(
 ) -> None:
     """Draw profiles of the bed along lines: bed, water, standard deviation, reference."""
     with command(verbose, quiet, csv or picture or run) as results:
-        from survey.profile.profiles import profiles_along
-        from survey.profile.written import subtitle_of
+        from survey.profile.profiles import profiles_along, subtitle_of
 
         found = profiles_along(run, lines, step_m=step, reference=reference, csv_path=csv, picture_path=picture)
         results.columns(None, [(profile.name, subtitle_of(profile)) for profile in found])

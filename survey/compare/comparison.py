@@ -1,22 +1,34 @@
-"""`bathynerf compare`: a cloud against a reference, in numbers and pictures; nothing is aligned."""
+"""`bathynerf compare`: a cloud against a reference, in numbers and pictures; nothing is aligned.
+
+Without faces distances are those between clouds: to the nearest point, both ways, and by M3C2.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from evaluation import Blocks, is_outlier, spatial_blocks, summarise
+from evaluation import (
+    Blocks,
+    distance_statistics,
+    distance_to_cloud,
+    is_outlier,
+    m3c2_distances,
+    spatial_blocks,
+    summarise,
+)
 from evaluation.completeness import SEED
 from geo import Mesh
 from geo.files import disk_refusals, existing_file
 from geo.shapes import vertices_of
-from survey.compare import clouds, measure
+from survey.compare import measure
 from survey.compare.area import Bounds, metres_in_crs, to_local, within
 from survey.compare.checkpoints import checkpoint_accuracy, read_checkpoints
-from survey.compare.figures import Circumstances, Figures
+from survey.compare.figures import M3C2, Circumstances, CloudToCloud, Figures
 from survey.compare.inputs import Inputs, Paths, load_inputs
 from survey.compare.json_numbers import numbers_of
 from survey.compare.options import CompareOptions, check_options, check_outputs, outlier_filter
@@ -29,6 +41,10 @@ from survey.files.point_table import has_depths
 from survey.progress import current
 
 __all__ = ["CompareOptions", "Comparison", "compare_files", "compare_surfaces"]
+# M3C2 is measured at this many places of the reference: enough for any statistics.
+_CORE_POINTS = 20_000
+# Half the length of its cylinders in radii.
+_REACH = 10.0
 
 
 def compare_files(cloud: str | Path, reference: str | Path, *, options: CompareOptions | None = None) -> Figures:
@@ -106,8 +122,8 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
         checkpoints=None
         if places is None or checkpoints is None
         else checkpoint_accuracy(scene, checkpoints, places, notes),
-        c2c=clouds.cloud_to_cloud(scene) if options.c2c else None,
-        m3c2=None if options.m3c2_radius_m is None else clouds.m3c2(scene, options.m3c2_radius_m),
+        c2c=cloud_to_cloud(scene) if options.c2c else None,
+        m3c2=None if options.m3c2_radius_m is None else m3c2(scene, options.m3c2_radius_m),
         reference_surface=surface,
         # Last: the others add to the notes.
         circumstances=_circumstances(scene, options, blocks, notes),
@@ -187,3 +203,30 @@ def _note_extent(inputs: Inputs, bounds: Bounds | None, notes: list[str]) -> Non
             f"{100.0 * outside:.1f} % of {inputs.paths.reference.name} lies outside the bounds: completeness counts it "
             "as not reached where the cropped cloud does not reach it"
         )
+
+
+def cloud_to_cloud(scene: Scene) -> CloudToCloud:
+    """Distances without sign to the samples of the reference, and from them to the cloud."""
+    with current().stage("Cloud to cloud"):
+        there, _ = distance_to_cloud(scene.points, scene.samples)
+        back, _ = distance_to_cloud(scene.samples, scene.points)
+    return CloudToCloud(distance_statistics(there), distance_statistics(back))
+
+
+def m3c2(scene: Scene, radius_m: float) -> M3C2:
+    """M3C2 at some of the targets around the cloud: statistics, radius and share that is significant."""
+    low, high = scene.points[:, :2].min(axis=0) - radius_m, scene.points[:, :2].max(axis=0) + radius_m
+    near, core = (
+        part[((part[:, :2] >= low) & (part[:, :2] <= high)).all(axis=1)] for part in (scene.samples, scene.targets)
+    )
+    core = core[np.random.default_rng(SEED).permutation(len(core))[:_CORE_POINTS]]
+    with current().stage("M3C2"):
+        found = m3c2_distances(near, scene.points, core, radius_m=radius_m, reach_m=_REACH * radius_m)
+    known = np.isfinite(found.signed) & np.isfinite(found.detection_m)
+    significant = np.abs(found.signed[known]) > found.detection_m[known]
+    return M3C2(
+        distance_statistics(found.signed),
+        radius_m,
+        float(np.median(found.detection_m[known])) if known.any() else math.nan,
+        float(significant.mean()) if known.any() else math.nan,
+    )

@@ -1,14 +1,29 @@
-"""The bed as a raster of heights, with what is known of each cell."""
+"""The bed as a raster of heights, with what is known of each cell.
+
+Gaps are filled up to a width, with a mask and a standard deviation of filled cells. A gap is filled where a square of
+the stated width does not fit into it. The height is the mean of the known cells around, weighted by the inverse square
+of their distance; it is as uncertain as the bed changes over that distance: by the root mean square slope of the known
+cells near by.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from geo.crs import height_unit_m
 from survey.export.plan_cells import PlanCells, Window
-from survey.export.water_level import LevelFit
+
+# A plane of the local frame is one in crs but for the curvature of the Earth and of the map: a paraboloid.
+_MOST_POINTS = 20_000
+_TILE = 512
+# Known cells that a filled one is made of.
+_NEIGHBOURS = 12
+# Where nothing is known of the slope [-].
+_ANY_SLOPE = 1.0
 
 
 @dataclass(frozen=True)
@@ -66,3 +81,100 @@ class Gridded:
     def height_unit_m(self) -> float:
         """The unit of heights in crs [m]."""
         return height_unit_m(self.cells.crs)
+
+
+@dataclass(frozen=True)
+class LevelFit:
+    """A paraboloid through the water over the points of a cloud.
+
+    Attributes
+    ----------
+    middle, extent : (2,) in crs
+    coefficients : (6,) [m]
+        Of 1, x, y, x x, x y, y y, with x and y from the middle in extents.
+    """
+
+    middle: np.ndarray
+    extent: np.ndarray
+    coefficients: np.ndarray
+
+    @staticmethod
+    def of(points: np.ndarray, depth: np.ndarray) -> LevelFit | None:
+        """Of points (N, 3), in crs with heights in metres, and their depths (N,) [m]; None where none has a depth."""
+        known = np.flatnonzero(np.isfinite(depth))
+        if not len(known):
+            return None
+        some = known[:: len(known) // _MOST_POINTS + 1]
+        plan, level = points[some, :2], points[some, 2] + depth[some]
+        middle, extent = plan.mean(axis=0), np.maximum(np.ptp(plan, axis=0), 1e-9)
+        base = float(level.mean())
+        coefficients, *_ = np.linalg.lstsq(_terms((plan - middle) / extent), level - base, rcond=1e-9)
+        coefficients[0] += base
+        return LevelFit(middle, extent, coefficients)
+
+    def __call__(self, plan: np.ndarray) -> np.ndarray:
+        """Height of the water [m] (...) at places (..., 2) in crs."""
+        return _terms((plan - self.middle) / self.extent) @ self.coefficients
+
+
+def _terms(plan: np.ndarray) -> np.ndarray:
+    x, y = plan[..., 0], plan[..., 1]
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+
+
+def fill_gaps(grid: Gridded, width_m: float) -> None:
+    """Fill the gaps of a raster that are at most so wide [m], in place."""
+    cells = grid.cells
+    width = int(width_m / cells.side_m + 1e-6)
+    if width < 1:
+        return
+    found = []
+    for window in cells.windows(_TILE):
+        around = window.grown(2 * width + 2, cells.shape)
+        known = grid.known[around.slices] == 1
+        closed = _closed(known, width)
+        inner = np.zeros_like(known)
+        inner[window.within(around)] = True
+        gaps = np.argwhere(closed & ~known & inner)
+        if len(gaps):
+            corner = np.array([around.top, around.left])
+            found.append((tuple((gaps + corner).T), _interpolated(grid, known, around, gaps)))
+    # All of them are made from points before any is set.
+    for place, values in found:
+        grid.height[place], grid.std[place], grid.common[place], grid.incidence[place] = values
+        grid.known[place] = 2
+
+
+def _closed(known: np.ndarray, width: int) -> np.ndarray:
+    """Known cells, and those in whose gap no square of more than ``width`` cells fits."""
+    # Beyond the raster nothing is known: the gap goes on there.
+    gap = np.pad(~known, width + 1, constant_values=True)
+    # Along one axis after the other, so that wide gaps cost no more than narrow ones.
+    opened = ndimage.grey_opening(gap.astype(np.uint8), size=width + 1, mode="constant", cval=0)
+    return (opened == 0)[width + 1 : -width - 1, width + 1 : -width - 1]
+
+
+def _interpolated(grid: Gridded, known: np.ndarray, around: Window, gaps: np.ndarray) -> np.ndarray:
+    """Height, both standard deviations [m] and incidence [rad] (4, K) of cells (K, 2) of a window, from known ones."""
+    layers = (grid.height, grid.std, grid.common, grid.incidence)
+    height, std, common, incidence = (layer[around.slices].astype(np.float64) for layer in layers)
+    places = np.argwhere(known)
+    count = min(_NEIGHBOURS, len(places))
+    distance, near = cKDTree(places).query(gaps, k=count)
+    distance, near = distance.reshape(len(gaps), count), near.reshape(len(gaps), count)
+    weight = 1.0 / distance**2
+    weight /= weight.sum(axis=1, keepdims=True)
+    of = tuple(places[near].transpose(2, 0, 1))
+    step = distance[:, 0] * grid.cells.side_m * _slope(np.where(known, height, np.nan), grid.cells.side_m)
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return (weight * values[of]).sum(axis=1)
+
+    return np.stack([mean(height), np.sqrt(mean(std**2) + step**2), np.sqrt(mean(common**2)), mean(incidence)])
+
+
+def _slope(height: np.ndarray, side: float) -> float:
+    """Root mean square slope between neighbouring known cells [-]."""
+    steps = np.concatenate([np.diff(height, axis=0).ravel(), np.diff(height, axis=1).ravel()]) / side
+    steps = steps[np.isfinite(steps)]
+    return float(np.sqrt(2.0 * np.square(steps).mean())) if len(steps) else _ANY_SLOPE

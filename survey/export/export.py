@@ -1,18 +1,26 @@
-"""`bathynerf export`: products of a finished run, written whole, and only those that are not up to date."""
+"""`bathynerf export`: products of a finished run, written whole, and only those that are not up to date.
+
+A record in the run folder tells which are up to date.
+"""
 
 from __future__ import annotations
 
 from dataclasses import fields
 from pathlib import Path
 
+from geo.errors import UnwritableFile
+from survey.code_hash import code_hash
 from survey.errors import OutputError, SurveyError
 from survey.export.loaded import LoadedRun
 from survey.export.product import ExportOptions, Product, require_lengths
 from survey.export.registry import PRODUCTS
 from survey.export.styles import write_style
-from survey.export.written import is_current, key_of, note_written
+from survey.files.json_values import read_json_object, write_json
 from survey.files.outputs import ReadFiles, require_file, require_folder
 from survey.progress import current
+from survey.stage_key import stage_key
+
+_RECORD = "exports.json"
 
 
 def export(run: str | Path, *, options: ExportOptions | None = None, **files: str | Path | None) -> list[Path]:
@@ -118,3 +126,30 @@ def _require_effect(products: list[Product], options: ExportOptions) -> None:
 
 def _name(product: Product) -> str:
     return f"--{product.option}"
+
+
+def key_of(product: Product, run: LoadedRun, options: ExportOptions) -> str:
+    """A hash of all that a product depends on: the run's result, the options that it follows, and its code."""
+    asked = {name: getattr(options, name) for name in product.takes}
+    return stage_key(product.option, run.stages, asked, code_hash(product.write.__module__))
+
+
+def is_current(run: LoadedRun, path: Path, key: str) -> bool:
+    """Whether a file is the one that was written with this key, and unchanged since."""
+    entry = read_json_object(run.folder.path / _RECORD).get(str(path.resolve()))
+    return path.is_file() and entry == {"key": key, **_stamp(path)}
+
+
+def note_written(run: LoadedRun, path: Path, key: str) -> None:
+    """Note that a file was written with this key; a run that cannot be written to stays as it is."""
+    record = run.folder.path / _RECORD
+    known = {name: entry for name, entry in read_json_object(record).items() if Path(name).is_file()}
+    try:
+        write_json(record, known | {str(path.resolve()): {"key": key, **_stamp(path)}})
+    except UnwritableFile as error:
+        current().detail(f"{error}; the next export writes {path} again")
+
+
+def _stamp(path: Path) -> dict[str, int]:
+    status = path.stat()
+    return {"bytes": status.st_size, "modified_ns": status.st_mtime_ns}

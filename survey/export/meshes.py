@@ -24,7 +24,7 @@ def _is_ours(path: Path) -> bool:
 
 def _write_mesh(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     from geo.gltf import write_glb
-    from geo.obj_writing import write_obj
+    from geo.obj import write_obj
     from geo.ply import write_ply
 
     key = ("mesh", options.crs, options.resolution_m, options.mesh_method, options.watertight)

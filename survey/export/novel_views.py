@@ -13,7 +13,7 @@ from fields.sweep.maps import DepthMap, trusted
 from fields.views.image_based import ImageBasedField, Source, heights_over
 from refract import PinholeCamera
 from survey.errors import SurveyError
-from survey.export.exposure import exposure_gains
+from survey.export.hidden import exposure_gains
 from survey.export.loaded import LoadedRun
 from survey.export.photographs import flight_of
 from survey.files.json_values import read_json_object

@@ -147,7 +147,7 @@ class Run:
         axes: Axes | None = None,
     ) -> Figure:
         """A picture of `profile`, into axes or a figure of its own."""
-        from survey.profile.written import draw, figure_of
+        from survey.profile.profiles import draw, figure_of
 
         profile = self.profile(line, step_m=step_m, reference=reference, name=name)
         if axes is None:

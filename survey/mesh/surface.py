@@ -1,19 +1,37 @@
-"""A surface of the bed, in triangles with colours, trimmed where no point supports it."""
+"""A surface of the bed, in triangles with colours, trimmed where no point supports it.
+
+By Delaunay triangles between the surest points of cells in plan (2.5D), or as a screened Poisson surface by Open3D (the
+extra ``mesh``), of points with normals from the planes through their neighbours. Closed with walls and a bottom for
+programs that want a body: 3D printing, volumes.
+"""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import Delaunay, QhullError, cKDTree
 
+from geo.optional import library_for
 from geo.shapes import Mesh
 from survey.errors import SurveyError
-from survey.mesh.delaunay import delaunay_surface
-from survey.mesh.poisson import poisson_surface
-from survey.mesh.solid import solid_of
 
 METHODS = ("delaunay", "poisson")
+_NEIGHBOURS = 12
+_CHUNK = 50_000
+# The side goes from a point to its neighbours in each: enough for walls a hundred points high.
+_ROUNDS = 100
+# Of the cube over the cloud, against its largest extent.
+_SCALE = 1.1
+# Deeper octrees than this exceed the memory before they show more.
+_DEEPEST = 13
+# Vertices farther from every point than this, in spacings, are guesses.
+TRIM = 2.0
+# Longer sides of triangles, in plan and in spacings, bridge a hole of the cloud.
+LONGEST = 6.0
 
 
 def bed_surface(
@@ -70,3 +88,183 @@ def bed_surface(
         vertices, faces = solid_of(vertices, faces, spacing_m)
     _, nearest = cKDTree(points).query(vertices, workers=-1)
     return Mesh(vertices, faces, rgb=rgb[nearest])
+
+
+def oriented_normals(points: np.ndarray) -> np.ndarray:
+    """Unit normals (N, 3) of points (N, 3) [m], z up, N at least 13.
+
+    Cameras look down through the water, so normals point up. On walls that says little, and neighbours decide: in
+    rounds, each point takes the side of those around it, the more the more level they lie and the more parallel they
+    are.
+    """
+    tree = cKDTree(points)
+    count = min(_NEIGHBOURS + 1, len(points))
+    near = np.empty((len(points), count - 1), dtype=np.int32)
+    normals = np.empty((len(points), 3))
+    for first in range(0, len(points), _CHUNK):
+        part = slice(first, first + _CHUNK)
+        found = tree.query(points[part], k=count, workers=-1)[1]
+        near[part] = found[:, 1:]
+        local = points[found] - points[found].mean(axis=1, keepdims=True)
+        normals[part] = np.linalg.eigh(np.einsum("nki,nkj->nij", local, local))[1][:, :, 0]
+    normals[normals[:, 2] < 0.0] *= -1.0
+    own = normals[:, 2] ** 2
+    vote, voters = own, _agreements(normals, near)
+    for _ in range(_ROUNDS):
+        vote = np.clip(own + voters @ vote, -1.0, 1.0)
+    normals[vote < 0.0] *= -1.0
+    return normals
+
+
+def _agreements(normals: np.ndarray, near: np.ndarray) -> csr_array:
+    """How much (N, N) points weigh in each other's vote: signed squares of the cosine between their normals."""
+    point = np.repeat(np.arange(len(near), dtype=np.int32), near.shape[1])
+    other = near.ravel()
+    cosine = np.einsum("ij,ij->i", normals[point], normals[other])
+    weights = csr_array((cosine * np.abs(cosine) / near.shape[1], (point, other)), shape=(len(near), len(near)))
+    return 0.5 * (weights + weights.T)
+
+
+def poisson_surface(points: np.ndarray, spacing_m: float, path: str | Path) -> tuple[np.ndarray, np.ndarray]:
+    """A smooth surface near the points, which may overhang; trimmed where none of them is near.
+
+    Parameters
+    ----------
+    points : (N, 3) [m]
+    spacing_m : [m]
+        The cells of the octree are at most as large.
+    path : Path
+        What an error names.
+
+    Returns
+    -------
+    vertices : (V, 3) [m]
+    faces : (F, 3) int
+        Counter-clockwise from above.
+
+    Raises
+    ------
+    UnwritableFile
+        If Open3D is not installed.
+
+    Notes
+    -----
+    M. Kazhdan and H. Hoppe, Screened Poisson surface reconstruction, ACM Transactions on Graphics 32 (2013).
+    """
+    open3d = library_for(path, "open3d", "mesh", to_write=True)
+    middle = points.mean(axis=0)
+    vector = open3d.utility.Vector3dVector
+    cloud = open3d.geometry.PointCloud(vector(points - middle))
+    cloud.normals = vector(oriented_normals(points))
+    cells = _SCALE * float(np.ptp(points, axis=0).max()) / spacing_m
+    depth = min(max(math.ceil(math.log2(max(cells, 2.0))), 5), _DEEPEST)
+    # One thread: with several, the order of sums decides on the last digits.
+    mesh, _ = open3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
+        cloud, depth=depth, scale=_SCALE, n_threads=1
+    )
+    vertices, faces = np.asarray(mesh.vertices) + middle, np.asarray(mesh.triangles)
+    distance, _ = cKDTree(points).query(vertices, distance_upper_bound=TRIM * spacing_m, workers=-1)
+    return without_loose(vertices, faces[np.isfinite(distance)[faces].all(axis=1)])
+
+
+def solid_of(vertices: np.ndarray, faces: np.ndarray, thickness_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """The surface on a block: walls down from every rim, to a bottom below the lowest vertex.
+
+    Parameters
+    ----------
+    vertices : (V, 3) [m]
+    faces : (F, 3) int
+        At most two of them share an edge, with opposite directions.
+    thickness_m : [m]
+        Of the block under the lowest vertex.
+
+    Returns
+    -------
+    vertices : (2 V', 3) [m]
+        Those of the surface first, doubled where two parts of it met in one vertex only.
+    faces : (F', 3) int
+        Each edge has exactly two, with opposite directions. Holes of the surface become shafts.
+    """
+    faces, kept = _parted(faces)
+    top = vertices[kept]
+    bottom = top.copy()
+    bottom[:, 2] = vertices[:, 2].min() - thickness_m
+    number = len(top)
+    rim = _rim(faces)
+    a, b = rim.T
+    walls = np.concatenate([np.stack([b, a, a + number], 1), np.stack([b, a + number, b + number], 1)])
+    return np.concatenate([top, bottom]), np.concatenate([faces, faces[:, ::-1] + number, walls])
+
+
+def _rim(faces: np.ndarray) -> np.ndarray:
+    """Edges (E, 2), in the direction of their face, that one face alone has."""
+    edges = _edges(faces)
+    _, place, count = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
+    return edges[place[count == 1]]
+
+
+def _edges(faces: np.ndarray) -> np.ndarray:
+    return np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
+
+
+def _parted(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Faces whose vertices have one fan of faces each; the old number of each new vertex.
+
+    Corners of faces are one vertex where a chain of faces with common edges joins them.
+    """
+    edges, corner = _edges(faces), np.arange(faces.size)
+    following = corner // 3 * 3 + (corner + 1) % 3
+    order = np.lexsort((edges.max(axis=1), edges.min(axis=1)))
+    sorted_edges = np.sort(edges, axis=1)[order]
+    pair = np.flatnonzero((sorted_edges[1:] == sorted_edges[:-1]).all(axis=1))
+    one, other = order[pair], order[pair + 1]
+    # The two faces run along their common edge in opposite directions: one's first corner is the other's second.
+    rows, columns = np.concatenate([one, following[one]]), np.concatenate([following[other], other])
+    links = coo_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(faces.size, faces.size))
+    _, fan = connected_components(links, directed=False)
+    _, first, numbers = np.unique(fan, return_index=True, return_inverse=True)
+    return numbers.reshape(-1, 3), faces.ravel()[first]
+
+
+def delaunay_surface(points: np.ndarray, std: np.ndarray, spacing_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """One height at each place in plan: for beds without overhangs.
+
+    Parameters
+    ----------
+    points : (N, 3) [m]
+    std : (N,) [m]
+        Of each cell the point with the smallest one stays. A mean over the cell would be smoother, and wrong at every
+        step of the bed, where it takes points of both sides.
+    spacing_m : [m]
+        Side of the cells.
+
+    Returns
+    -------
+    vertices : (V, 3) [m]
+        Points of the cloud.
+    faces : (F, 3) int
+        Without those that have a side of more than `LONGEST` spacings in plan.
+    """
+    chosen = points[_surest(points, std, spacing_m)]
+    try:
+        # Qhull loses digits where coordinates are large.
+        triangles = Delaunay(chosen[:, :2] - chosen[:, :2].mean(axis=0)).simplices
+    except (QhullError, ValueError):  # fewer than three points, or all on one line
+        return chosen, np.zeros((0, 3), dtype=np.int64)
+    sides = np.linalg.norm((chosen[triangles] - chosen[np.roll(triangles, 1, axis=1)])[..., :2], axis=2)
+    return without_loose(chosen, triangles[sides.max(axis=1) < LONGEST * spacing_m])
+
+
+def _surest(points: np.ndarray, std: np.ndarray, cell_m: float) -> np.ndarray:
+    """Numbers of the points with the smallest std of their cells."""
+    column, row = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / cell_m).astype(np.int64).T
+    cell = row * (column.max() + 1) + column
+    order = np.lexsort((np.where(np.isfinite(std), std, np.inf), cell))
+    ordered = cell[order]
+    return order[np.append(True, ordered[1:] != ordered[:-1])]
+
+
+def without_loose(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The mesh without vertices that no face has."""
+    used, numbers = np.unique(faces, return_inverse=True)
+    return vertices[used], numbers.reshape(-1, 3).astype(np.int64)

@@ -18,7 +18,7 @@ from geo.projection import ground_units_m
 from geo.shapes import left_out, part_of
 from survey.compare.inputs import Paths, load_inputs
 from survey.errors import SurveyError
-from survey.export.water_level import LevelFit
+from survey.export.bed_cells import LevelFit
 from survey.run.folder import RunDir
 
 # A height is the median of the points within so many spacings of its place.

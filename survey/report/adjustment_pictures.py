@@ -21,7 +21,7 @@ from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import number
 from survey.folder.survey import Survey
 from survey.report.adjustment_figures import correlations
-from survey.report.shading import Picture
+from survey.report.raster import Picture
 
 # Cells along the longer side of a photograph, and the fewest residuals in one that is shown.
 _CELLS, _FEWEST = 16, 5

@@ -16,7 +16,7 @@ from survey.display.palette import BLUE, INK, LAND, RED
 from survey.display.quantities import LengthUnit
 from survey.folder.survey import Survey
 from survey.report.checkpoints import CheckpointFigures
-from survey.report.shading import Picture
+from survey.report.raster import Picture
 
 # An arrow of the length that the subtitle names is as long as this share of the map.
 _LONGEST = 0.125

@@ -19,7 +19,7 @@ from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import number
 from survey.folder.survey import Survey
 from survey.report.facts import ReportFacts
-from survey.report.shading import Picture
+from survey.report.raster import Picture
 
 _OBLIQUE_DEG = 15.0
 _CELLS = 150

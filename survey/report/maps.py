@@ -21,8 +21,7 @@ from survey.photos.images import load_image
 from survey.report.cut import Cut
 from survey.report.facts import ReportFacts
 from survey.report.profile import draw_line
-from survey.report.raster import without_pinholes
-from survey.report.shading import Picture, shaded_bed
+from survey.report.raster import Picture, shaded_bed, without_pinholes
 
 if TYPE_CHECKING:
     from fields.sweep.maps import DepthMap

@@ -12,7 +12,7 @@ from survey.report import adjustment_tables, photographs, reference_tables, stat
 from survey.report.blocks import Block, Rows, Section, Sentences
 from survey.report.figures import ReportFigures
 from survey.report.headline import cards, headline
-from survey.report.shading import Picture
+from survey.report.raster import Picture
 
 # Headings of the pictures with the names of their files.
 _GROUPS = (

@@ -15,7 +15,7 @@ from survey.display.palette import BLUE, INK, LAND, RED, WATER, WATER_LINE
 from survey.display.quantities import NO_BREAK, metres, number
 from survey.report.cut import Cut
 from survey.report.facts import ReportFacts
-from survey.report.shading import Picture
+from survey.report.raster import Picture
 
 if TYPE_CHECKING:
     from survey.compare.result import Comparison

@@ -15,8 +15,7 @@ from survey.simulate.output.staged_scene import StagedScene
 from survey.simulate.render.direct import DirectRenderer
 from survey.simulate.render.sun_on_waves import SunOnWaves, suns_of
 from survey.simulate.sensor import Sensor
-from survey.simulate.water import WaterLevel
-from survey.simulate.watercolour import WaterColour
+from survey.simulate.water import WaterColour, WaterLevel
 
 # Handbooks state the index of water in the light of sodium.
 _STATED_NM = 589.3

@@ -14,7 +14,7 @@ from refract import FlatWater, PinholeCamera, trace
 from refract.surfaces import WaterSurface
 from survey.simulate.ground.ground import Ground
 from survey.simulate.render.sun_on_waves import SunOnWaves
-from survey.simulate.watercolour import WaterColour
+from survey.simulate.water import WaterColour
 
 # Rays at a time, so that they and derived arrays stay in the cache.
 _RAYS_AT_A_TIME = 1 << 15

@@ -13,7 +13,7 @@ from types import ModuleType
 import drjit as dr
 
 from survey.simulate.light import Light
-from survey.simulate.watercolour import WaterColour
+from survey.simulate.water import WaterColour
 
 # Of the size of coordinates: some roundings of float32, as Mitsuba's own rays keep clear.
 _CLEAR = 1e-5

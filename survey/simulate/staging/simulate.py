@@ -1,24 +1,51 @@
-"""The verb simulate: a scene file becomes a survey folder, or the plan of its flight."""
+"""The verb simulate: a scene file becomes a survey folder, or the plan of its flight.
+
+`stage_scene` goes from the plan of a scene to the scene: bed and bodies set, water poured, light switched on.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from geo import write_whole
-from survey.errors import OutputError
+from geo.frames import LocalFrame
+from refract.surfaces import WaterSurface
+from survey.errors import ConfigError, OutputError
 from survey.files.outputs import ReadFiles, require_folder
 from survey.progress import current
+from survey.simulate.drawn.ground import build_ground
+from survey.simulate.drawn.settings import DrawnScene
 from survey.simulate.flight.coverage import Coverage, coverage
 from survey.simulate.flight.picture import picture
+from survey.simulate.ground.bed import plane
+from survey.simulate.ground.extent import seen_area
+from survey.simulate.ground.ground import Ground, Look, shade_of_normals
+from survey.simulate.ground.objects import place_object, require_texels, skin_of_bed
+from survey.simulate.ground.shapes import BedGrid
+from survey.simulate.ground.triangles import TriangleMesh
+from survey.simulate.light import Light
 from survey.simulate.output.sidecars import cameras_csv
+from survey.simulate.output.staged_scene import StagedScene
 from survey.simulate.output.writing import write_survey
-from survey.simulate.scene_file import SceneSettings, read_scene
-from survey.simulate.staging.build import stage_scene
-from survey.simulate.staging.planning import Plan, files_of, marks_of, plan_scene
+from survey.simulate.render.direct import DirectRenderer
+from survey.simulate.render.mitsuba_scene import load_mitsuba, solid_scene, water_scene
+from survey.simulate.scene_file import LightSettings, SceneSettings, read_scene
+from survey.simulate.sensor import Sensor
+from survey.simulate.staging.planning import Plan, files_of, marks_of, plan_scene, sun_of
+from survey.simulate.water import WaterColour, measured, with_waves
+
+if TYPE_CHECKING:
+    from survey.simulate.render.path_tracer import PathTracer
 
 # What --flight-only writes.
 _FLIGHT = ("cameras.csv", "flight.png")
+# Rays per pixel of the mode without noise: a regular grid of 2 x 2.
+_DIRECT_SAMPLES = 4
 
 
 def simulate(
@@ -109,3 +136,133 @@ def _say_of(plan: Plan, cover: Coverage) -> None:
         progress.note(f"systematic errors of 0.1 px hide a water level {min(cover.level_hidden_m, 99.0):.2f} m off")
     for warning in cover.warnings:
         progress.warn(warning)
+
+
+def stage_scene(plan: Plan) -> StagedScene:
+    """Build the planned scene, ready to be photographed."""
+    settings = plan.settings
+    light = light_of(settings.light, plan.frame)
+    ground = _ground(plan, light)
+    direct = settings.render.mode == "direct"
+    colour = WaterColour()
+    if settings.water is not None:
+        colour = WaterColour(settings.water.absorption, settings.water.scattering, settings.water.asymmetry)
+    sensor = settings.sensor
+    e, n = settings.origin[:2]
+    wide, deep = settings.area.size_m
+    renderer = DirectRenderer(ground, _surface(plan), colour)
+    return StagedScene(
+        name=settings.name,
+        crs=settings.crs,
+        frame=plan.frame,
+        cameras=tuple(plan.cameras),
+        lens=plan.lens,
+        level=plan.level,
+        renderer=renderer,
+        sensor=Sensor(
+            samples=_DIRECT_SAMPLES if direct else settings.render.samples,
+            by_chance=not direct,
+            noise=sensor.noise,
+            photons_at_white=sensor.photons_at_white,
+            exposure=sensor.exposure,
+            drift=sensor.exposure_drift,
+            blur_m=settings.blur_m,
+        ),
+        bounds=(e - 0.5 * wide, n - 0.5 * deep, e + 0.5 * wide, n + 0.5 * deep),
+        seed=settings.seed,
+        position_std_m=settings.flight.position_std_m,
+        eye=None if direct else _path_tracer(plan, renderer, light),
+    )
+
+
+def _surface(plan: Plan) -> WaterSurface | None:
+    """The surface of the water, which flight planning approximates by a plane."""
+    water, plane = plan.settings.water, plan.site.water
+    if water is None or plane is None:
+        return None
+    if water.heights is not None:
+        return measured(plan.folder / water.heights, plan.frame, water.refractive_index)
+    return with_waves(plane, water.waves) if water.waves else plane
+
+
+def _path_tracer(plan: Plan, renderer: DirectRenderer, light: Light) -> PathTracer:
+    mi = load_mitsuba()
+    # Only now: it takes Mitsuba's Dr.Jit to be there.
+    from survey.simulate.render.path_tracer import PathTracer
+    from survey.simulate.render.sunlight import Sunlight
+
+    water, mean = renderer.water, plan.site.water
+    plane = None if mean is None else (np.array(mean.point), np.array(mean.up), float(mean.n_water))
+    surface = None if water is None else water_scene(mi, water, renderer.ground)
+    pixel = 1.0 / plan.lens.focal[0]
+    sun = Sunlight(mi, solid_scene(mi, renderer.ground), plane, colour=renderer.colour, light=light, pixel=pixel)
+    return PathTracer(surface, sun, max_bounces=plan.settings.render.max_bounces)
+
+
+def light_of(light: LightSettings, frame: LocalFrame) -> Light:
+    """The light of [light] at the origin of a frame.
+
+    Raises
+    ------
+    ConfigError
+        If the sun is below the horizon at the time that is given.
+    """
+    sun = sun_of(light, frame)
+    if sun.elevation <= 0.0:
+        raise ConfigError(f"light.time is {light.time}, when the sun is below the horizon here; give a time by day")
+    east, north, up = sun.direction.tolist()
+    to_sun = (east, north, up)
+    return Light(to_sun, light.sun_share, math.radians(0.5 * light.sun_diameter_deg), light.sky == "overcast")
+
+
+def _ground(plan: Plan, light: Light) -> Ground:
+    settings = plan.settings
+    if settings.bed.kind == "drawn":
+        ground = _drawn(plan, light)
+        shape, solids, looks = ground.bed, list(ground.solids), list(ground.looks)
+    else:
+        shape, look = _bed(plan, light)
+        solids, looks = [], [look]
+    for wanted in settings.objects:
+        body, look = place_object(wanted, plan.folder, shape, light)
+        solids.append(body)
+        looks.append(look)
+    return Ground(shape, tuple(solids), tuple(looks))
+
+
+def _drawn(plan: Plan, light: Light) -> Ground:
+    """A drawn bed with its bodies, in the requested texture."""
+    settings, bed, texture = plan.settings, plan.settings.bed, plan.settings.texture
+    area = seen_area(plan.cameras, settings.area.size_m, -1.5 * bed.depth_m)
+    require_texels(texture.texel_m, area)
+    drawn = DrawnScene(
+        size_m=settings.area.size_m,
+        depth_m=bed.depth_m,
+        shore=bed.shore,
+        objects=bed.bodies,
+        seed=settings.seed,
+        flying_m=2.0 * bed.depth_m,
+        cell_m=bed.cell_m,
+        texel_m=texture.texel_m,
+    )
+    ground = build_ground(drawn, plan.cameras, light)
+    if texture.kind == "sand":
+        return ground
+    skin = skin_of_bed(texture, plan.folder, ground.bed, None, area, settings.seed)
+    return Ground(ground.bed, ground.solids, (Look(skin, ground.looks[0].shade), *ground.looks[1:]))
+
+
+def _bed(plan: Plan, light: Light) -> tuple[BedGrid | TriangleMesh, Look]:
+    """A bed that is a plane, or comes from a file."""
+    settings = plan.settings
+    shape: BedGrid | TriangleMesh
+    if plan.bed is None:
+        area = seen_area(plan.cameras, settings.area.size_m, -1.5 * settings.bed.depth_m)
+        shape, rgb, normals = plane(area, -settings.bed.depth_m), None, np.array([[0.0, 0.0, 1.0]])
+    else:
+        mesh, rgb = plan.bed
+        shape, normals = mesh, mesh.normals
+        low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+        area = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+    skin = skin_of_bed(settings.texture, plan.folder, shape, rgb, area, settings.seed)
+    return shape, Look(skin, shade_of_normals(normals, light))

@@ -13,8 +13,9 @@ import psutil
 
 from survey.control_groups import group_memories
 
-# Work that one idle core with AVX-512 does in so long [s]; so many steps make a probe.
-_PROBE_SIZE, _PROBE_S, _STEPS, _PROBES = 1_000_000, 7e-4, 15, 15
+# Probes of work, of so many steps each, and how long an idle core with AVX-512 takes for one [s].
+_PROBE_SIZE, _STEPS, _PROBES = 1_000_000, 15, 15
+PROBE_S = 7e-4 * _STEPS
 # What a process did longer ago than this says nothing of how busy the machine is now [s].
 _RECENT_S = 60.0
 # Of Linux, which psutil does not read.
@@ -83,6 +84,16 @@ class Load:
     work: float
     turns: float
 
+    @classmethod
+    def of(cls, probes_s: list[float], wall_s: float, ran_and_waited: tuple[int, int] | None) -> Load:
+        """From the processor times of probes and the wall clock of all of them.
+
+        Work is the median of probes. Turns follow from how long the process has run and waited, where the system counts
+        it, else from wall clock over processor time.
+        """
+        turns = wall_s / sum(probes_s) if ran_and_waited is None else sum(ran_and_waited) / ran_and_waited[0]
+        return cls(float(np.median(probes_s)) / PROBE_S, max(turns, 1.0))
+
     @property
     def slowness(self) -> float:
         """How many times as long work takes; at least 1, so that a faster machine has a reserve."""
@@ -98,8 +109,8 @@ class Load:
 def load() -> Load:
     """Of this machine now; takes 0.2 s of processor time.
 
-    Work is the median of short probes. Turns of other programs come and go within seconds: they are counted since the
-    process started, by the system where it does, unless that is long ago.
+    Turns of other programs come and go within seconds: they are counted since the process started, unless that is long
+    ago.
     """
     values = np.linspace(0.0, 1.0, _PROBE_SIZE, dtype=np.float32)
     np.exp(values)
@@ -113,12 +124,8 @@ def load() -> Load:
         processor.append(time.thread_time() - start)
     wall = time.monotonic() - wall
     after = _ran_and_waited()
-    if before is None or after is None:
-        turns = wall / sum(processor)
-    else:
-        ran, waited = after[0] - before[0], after[1] - before[1]
-        turns = (ran + waited) / ran
-    return Load(float(np.median(processor)) / (_STEPS * _PROBE_S), max(turns, 1.0))
+    between = None if before is None or after is None else (after[0] - before[0], after[1] - before[1])
+    return Load.of(processor, wall, between)
 
 
 def _ran_and_waited() -> tuple[int, int] | None:

@@ -52,34 +52,9 @@ def test_limits_are_those_of_ulimit():
     assert ended.stdout == "716800000.0\n"
 
 
-class Stopwatch:
-    """The clocks of a machine on which each probe takes the next of some processor times."""
-
-    def __init__(self, probes_s: list[float], turns: float):
-        self.processor, self.turns = 0.0, turns
-        self.steps = [step for probe in probes_s for step in (0.0, probe)]
-
-    def thread_time(self) -> float:
-        self.processor += self.steps.pop(0)
-        return self.processor
-
-    def monotonic(self) -> float:
-        return self.processor * self.turns
-
-    process_time = thread_time
-
-
-def load_of(monkeypatch, probes_s: list[float], turns: float) -> machine.Load:
-    monkeypatch.setattr(machine, "time", Stopwatch(probes_s, turns))
-    return machine.load()
-
-
-def test_known_work_is_the_median_of_probes_so_that_one_that_is_off_does_not_count(tmp_path, monkeypatch):
-    monkeypatch.setattr(machine, "_TURNS", tmp_path / "none")
-    monkeypatch.setattr(machine, "process_age_s", lambda: 1.0)
-    monkeypatch.setattr(machine, "_PROBES", 5)
-    once = machine._STEPS * machine._PROBE_S
-    load = load_of(monkeypatch, [2 * once, 2 * once, 50 * once, 2 * once, 0.1 * once], turns=3.0)
+def test_known_work_is_the_median_of_probes_so_that_one_that_is_off_does_not_count():
+    probes_s = [machine.PROBE_S * times for times in (2.0, 2.0, 50.0, 2.0, 0.1)]
+    load = machine.Load.of(probes_s, 3.0 * sum(probes_s), None)
     assert load.work == pytest.approx(2.0)
     # Where the system does not count turns, wall clock over processor time.
     assert load.turns == pytest.approx(3.0)
@@ -87,16 +62,15 @@ def test_known_work_is_the_median_of_probes_so_that_one_that_is_off_does_not_cou
     assert "6.0 times as long as on an idle core" in str(load)
 
 
-def test_turns_are_those_since_the_process_began_unless_that_is_long_ago(tmp_path, monkeypatch):
-    turns = tmp_path / "schedstat"
-    turns.write_text("2000000000 6000000000 17\n")
-    monkeypatch.setattr(machine, "_TURNS", turns)
-    monkeypatch.setattr(machine, "process_age_s", lambda: 8.0)
-    assert machine.load().turns == pytest.approx(4.0)
-    told = iter([(2_000_000_000, 6_000_000_000), (3_000_000_000, 8_000_000_000)])
-    monkeypatch.setattr(machine, "_ran_and_waited", lambda: next(told))
-    monkeypatch.setattr(machine, "process_age_s", lambda: 8.0e3)
-    assert machine.load().turns == pytest.approx(3.0)
+def test_turns_are_those_that_the_system_counted():
+    assert machine.Load.of([1.0], 1.0, (2_000_000_000, 6_000_000_000)).turns == pytest.approx(4.0)
+    assert machine.Load.of([1.0], 9.0, (2_000_000_000, 0)).turns == 1.0
+
+
+def test_this_machine_is_loaded_by_a_number():
+    load = machine.load()
+    assert load.work > 0.0
+    assert load.turns >= 1.0
 
 
 def test_a_machine_that_is_faster_than_the_rates_counts_as_idle():

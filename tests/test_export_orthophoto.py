@@ -27,13 +27,13 @@ from stored_run import run_of, stored_points
 from geo.frames import LocalFrame
 from refract import FlatWater
 from survey.errors import SurveyError
+from survey.export.cell_projection import CellProjection, Windows
 from survey.export.export import export
 from survey.export.hidden import Tops, common_exposure
 from survey.export.orthophoto import Mosaic
 from survey.export.photographs import Pixels
 from survey.export.plan_cells import PlanCells, Window
 from survey.export.product import ExportOptions
-from survey.export.sight import Sight, Windows
 from survey.folder.survey import Survey
 from survey.run.flight import Flight
 
@@ -116,7 +116,7 @@ def test_pixels_of_cells_are_those_of_the_exact_way_through_the_water():
 def test_exposures_are_compared_however_many_cells_one_window_has():
     window, height = Window(0, 190, 0, 200), np.zeros((190, 200))
     u, v = np.meshgrid(np.linspace(1.0, 99.0, 200), np.linspace(1.0, 99.0, 190))
-    sight = Sight(u, v, np.ones_like(u), np.zeros_like(u))
+    sight = CellProjection(u, v, np.ones_like(u), np.zeros_like(u))
     bed = SimpleNamespace(all=lambda: iter([(window, height)]), through=lambda _: iter([(window, height, sight)]))
     hides_nothing = SimpleNamespace(unhidden=lambda sight, _: sight)
     shown = [

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from refract import PinholeCamera
+from survey.export.cell_projection import CellProjection, Windows
 from survey.export.photographs import Photograph
-from survey.export.sight import Sight, Windows
 
 # A cell is hidden where the bed that is seen at its pixel is higher by so many cells.
 _HIDDEN_CELLS = 3.0
@@ -63,12 +63,12 @@ class Tops:
             np.maximum.at(highest, tuple(at[seen] for at in place), height[seen])
         return tops
 
-    def unhidden(self, sight: Sight, height: np.ndarray) -> Sight:
+    def unhidden(self, sight: CellProjection, height: np.ndarray) -> CellProjection:
         """What is seen of cells with these heights (rows, columns) [m]; NaN where something hides them."""
         seen, place = self._block_of(sight)
         return sight.where(seen & (np.where(seen, height, -np.inf) >= self.height[place] - self.allowed))
 
-    def _block_of(self, sight: Sight) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    def _block_of(self, sight: CellProjection) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
         """Which cells are in the photograph, and the row and column of their blocks."""
         seen = np.isfinite(sight.u)
         rows, columns = (np.where(seen, at, 0.0) / self.block for at in (sight.v, sight.u))

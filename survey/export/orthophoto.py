@@ -15,20 +15,20 @@ import numpy as np
 
 from geo.files import scratch_array
 from refract import PinholeCamera
+from survey.export.cell_projection import CellProjection
 from survey.export.plan_cells import PlanCells, Window
 from survey.export.product import ExportOptions, Product
-from survey.export.sight import Sight
 from survey.export.terrain import is_our_raster, noted_if_empty
 
 if TYPE_CHECKING:
     import numpy as np
 
     from survey.export.bed_cells import Gridded
+    from survey.export.cell_projection import CellProjection
     from survey.export.loaded import LoadedRun
     from survey.export.plan_cells import PlanCells, Window
-    from survey.export.sight import Sight
 
-    ColourOf = Callable[[np.ndarray, Window, np.ndarray, Sight], np.ndarray]
+    ColourOf = Callable[[np.ndarray, Window, np.ndarray, CellProjection], np.ndarray]
 
 # Of the shorter side of a photograph at the resolution that is asked for.
 _FEWEST_PX = 8
@@ -41,8 +41,8 @@ _BORDER_PX = 24.0
 def _write_orthophoto(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     from geo.crs import horizontal_crs
     from geo.raster_writing import Band, RasterForm, write_cog
+    from survey.export.cell_projection import WINDOW
     from survey.export.plan_cells import round_side
-    from survey.export.sight import WINDOW
 
     side_m = options.resolution_m or round_side(run.place.gsd_m)
     mosaic = _mosaic(run, options, side_m)
@@ -63,11 +63,11 @@ def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
     import numpy as np
 
     from survey.errors import SurveyError
+    from survey.export.cell_projection import Windows
     from survey.export.gridded import gridded
     from survey.export.hidden import Tops, common_exposure
     from survey.export.photographs import at_scale, flight_of
     from survey.export.plan_cells import round_side
-    from survey.export.sight import Windows
     from survey.progress import current
 
     grid = gridded(run, replace(options, resolution_m=None))
@@ -130,7 +130,7 @@ def _colour_of(run: LoadedRun, grid: Gridded, cells: PlanCells) -> ColourOf:
         return lambda colour, _window, _height, _seen: colour
     import numpy as np
 
-    def dry(colour: np.ndarray, window: Window, height: np.ndarray, seen: Sight) -> np.ndarray:
+    def dry(colour: np.ndarray, window: Window, height: np.ndarray, seen: CellProjection) -> np.ndarray:
         depth = level(cells.middles(window)) - height
         wet = np.isfinite(colour[..., 0]) & (depth > 0.0)
         incidence = np.arccos(np.clip(seen.cos_incidence[wet], -1.0, 1.0))
@@ -201,7 +201,7 @@ class Mosaic:
         return np.concatenate([np.moveaxis(stored, -1, 0), np.where(weight > 0.0, 255, 0).astype(np.uint8)[None]])
 
 
-def log_weight(sight: Sight, camera: PinholeCamera) -> np.ndarray:
+def log_weight(sight: CellProjection, camera: PinholeCamera) -> np.ndarray:
     """Logarithm of the weight (rows, columns) of a view: the steeper the more, and little at its border."""
     u, v = sight.u, sight.v
     border = np.minimum(np.minimum(u, camera.width - u), np.minimum(v, camera.height - v))

@@ -24,7 +24,7 @@ _LEAST_RELIEF_M = 0.01
 
 
 @dataclass(frozen=True)
-class Sight:
+class CellProjection:
     """How a camera sees cells, (rows, columns) each; NaN where it does not.
 
     Attributes
@@ -41,9 +41,9 @@ class Sight:
     cos_incidence: np.ndarray
     lean: np.ndarray
 
-    def where(self, seen: np.ndarray) -> Sight:
+    def where(self, seen: np.ndarray) -> CellProjection:
         """The same where ``seen`` (rows, columns) bool, else NaN."""
-        return Sight(*(np.where(seen, x, np.nan) for x in (self.u, self.v, self.cos_incidence, self.lean)))
+        return CellProjection(*(np.where(seen, x, np.nan) for x in (self.u, self.v, self.cos_incidence, self.lean)))
 
 
 class Windows:
@@ -70,7 +70,7 @@ class Windows:
         for knots in self._windows:
             yield knots.window, self._heights(knots.window)
 
-    def through(self, camera: PinholeCamera) -> Iterator[tuple[Window, np.ndarray, Sight]]:
+    def through(self, camera: PinholeCamera) -> Iterator[tuple[Window, np.ndarray, CellProjection]]:
         """The windows of which a camera may see something, with their heights, and how it sees them."""
         for knots in self._windows:
             found = knots.seen_by(camera, self._water)
@@ -113,7 +113,7 @@ class _Knots:
         return _Knots(window, middle, half, across, along, _local(flight, cells, points))
 
     def seen_by(self, camera: PinholeCamera, water: FlatWater | None) -> np.ndarray | None:
-        """What `Sight` has (4, 3, knots, knots), at the knots; None where the camera surely sees none of the cells."""
+        """What `CellProjection` has (4, 3, knots, knots), at the knots; None where surely no cell is seen."""
         pixels, size = camera.project(self.points, water), np.array([camera.width, camera.height])
         with np.errstate(invalid="ignore"):
             # A window is larger than a photograph where its cells are larger than pixels: then knots lie around it.
@@ -126,13 +126,13 @@ class _Knots:
         lean = (to_camera[..., :2] ** 2).sum(axis=-1) / to_camera[..., 2] ** 2
         return np.stack([pixels[..., 0], pixels[..., 1], cosine, lean])
 
-    def at_cells(self, found: np.ndarray, height: np.ndarray, camera: PinholeCamera) -> Sight:
+    def at_cells(self, found: np.ndarray, height: np.ndarray, camera: PinholeCamera) -> CellProjection:
         """What was found at the knots at the cells, by their heights."""
         t = (height - self.middle) / self.half
         u, v, cosine, lean = (self._parabola(values, t) for values in found)
         with np.errstate(invalid="ignore"):
             seen = (u >= 0.0) & (u < camera.width) & (v >= 0.0) & (v < camera.height)
-        return Sight(u, v, cosine, lean).where(seen)
+        return CellProjection(u, v, cosine, lean).where(seen)
 
     def _parabola(self, values: np.ndarray, t: np.ndarray) -> np.ndarray:
         below, middle, above = (self.rows @ level @ self.columns.T for level in values)

@@ -54,6 +54,7 @@ SURVEY_SHARED = {
     "code_hash.py",
     "control_groups.py",
     "errors.py",
+    "findings.py",
     "forecast.py",
     "lines.py",
     "machine.py",

@@ -103,7 +103,7 @@ def _scene(run: Path, survey: Path) -> _Scene:
         lens = lenses[pose.name]
         assert lens is not None
         views.append(View(pose.name, found.images[pose.name], lens.camera(centre, pose.cam_from_world @ axes.T), lens))
-    plane = place.water_in_local(found.config, frame, views, [])[1]
+    plane = place.water_in_local(found.config, frame, views)[1]
     if plane is None:
         raise SurveyError(f"{survey} has no water whose refraction could be corrected")
     return _Scene(frame, tuple(view.camera for view in views), plane)

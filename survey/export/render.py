@@ -219,7 +219,7 @@ def _lens(config: CamerasConfig, path: Path) -> Lens:
             f"{path} carries no lens, and survey.toml gives no size_px and focal_px in [cameras]; give a COLMAP model "
             "instead, or the two keys and process again"
         )
-    return lens_from_config(config, {}, [])
+    return lens_from_config(config, {})[0]
 
 
 def is_our_picture(head: bytes) -> bool:

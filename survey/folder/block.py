@@ -106,7 +106,9 @@ def _with_images(
     found: Found, views: list[View], masks: Path | None, assumptions: list[str], warnings: list[str]
 ) -> list[View]:
     """The views by name with their masks, whose images are held against their lenses."""
-    views = with_masks(found, sorted(views, key=lambda view: view.name), masks, assumptions, warnings)
+    views, said = with_masks(found, sorted(views, key=lambda view: view.name), masks)
+    assumptions += said.assumptions
+    warnings += said.warnings
     for view in views:
         require_image(view, found.heads[view.name])
     require_all_complete([path for view in views for path in (view.path, view.mask_path) if path is not None])

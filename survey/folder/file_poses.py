@@ -72,8 +72,11 @@ def read_file_poses(found: Found, path: Path, assumptions: list[str], warnings: 
         raise
     assumptions += file.notes
     warnings += file.warnings
-    paired = pair(found, file.poses, warnings)
-    poses = with_lenses(found, list(paired.values()), assumptions, warnings)
+    paired, of_pairs = pair(found, file.poses)
+    poses, of_lenses = with_lenses(found, list(paired.values()))
+    said = of_pairs + of_lenses
+    assumptions += said.assumptions
+    warnings += said.warnings
     warnings += angle_doubts(poses, file.frame)
     datum = _datum(found, file, warnings)
     found = _with_clicks(found, file, poses, assumptions, warnings)
@@ -121,7 +124,9 @@ def _with_clicks(found: Found, file: PoseFile, poses: list[Pose], assumptions: l
         return found
     dry = replace(found, config=replace(found.config, water=None))
     frame, views = place.views_in_local(dry, file, poses)
-    config, clicked = with_level_of_clicks(found.folder, found.config, views, frame, assumptions, warnings)
+    config, clicked, said = with_level_of_clicks(found.folder, found.config, views, frame)
+    assumptions += said.assumptions
+    warnings += said.warnings
     return replace(found, config=config, levels=found.levels + clicked)
 
 

@@ -116,7 +116,9 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
     heads = {name: read_exif(path) for name, path in images.items()}
     table = find_geo_txt(folder, folder / config.images.dir)
     if table is not None:
-        heads = with_positions(table, heads, assumptions, warnings)
+        heads, said = with_positions(table, heads)
+        assumptions += said.assumptions
+        warnings += said.warnings
     if not toml.is_file() or (config.crs is None and infer.says_no_place(config)):
         config = infer.config_of_images(folder, config, heads, poses_path, assumptions)
     if config.crs is None:
@@ -149,8 +151,8 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
         control = find_control(folder, config.control, crs, heads, assumptions, warnings, _one_level(config, crs))
         config = replace(config, control=control.config)
     datum = least([DatumStd(plan_std(way.plan), way.up_std_m) for way in ways])
-    said = tuple(assumptions), tuple(warnings)
-    return Found(folder, config, crs, images, heads, poses_path, *said, control, levels, tide, datum)
+    sentences = tuple(assumptions), tuple(warnings)
+    return Found(folder, config, crs, images, heads, poses_path, *sentences, control, levels, tide, datum)
 
 
 def _one_level(config: SurveyConfig, crs: CRS) -> float | None:

@@ -20,6 +20,7 @@ from survey.display.words import named
 from survey.errors import PosesError
 from survey.files.csv_table import shortened, text_lines
 from survey.files.odm_crs import odm_crs
+from survey.findings import Findings
 from survey.folder.config_std import require_std
 from survey.names import GEO_TXT
 from survey.photos.exif import SUFFIXES, Exif, TablePlace
@@ -63,9 +64,7 @@ def _is_geo_txt(path: Path) -> bool:
     return path.name.casefold() == GEO_TXT and path.is_file()
 
 
-def with_positions(
-    path: Path, heads: Mapping[str, Exif], assumptions: list[str], warnings: list[str]
-) -> dict[str, Exif]:
+def with_positions(path: Path, heads: Mapping[str, Exif]) -> tuple[dict[str, Exif], Findings]:
     """Heads of photographs with the positions of a geo.txt; those that it does not name keep the ones in EXIF.
 
     Raises
@@ -92,12 +91,11 @@ def with_positions(
             "or remove the file where it is of another flight"
         )
     done = dict(heads) | _placed(heads, line_of, crs)
-    _say(path, crs, heads, line_of, assumptions, warnings)
-    warnings += named(strangers, "image", f"of {path.name} not among the photographs")
+    warnings = named(strangers, "image", f"of {path.name} not among the photographs")
     warnings += named([n for n in heads if n not in line_of], "image", f"not in {path.name}, which keep what EXIF has")
     lacking = [name for name, line in line_of.items() if line.lacks_vertical]
     warnings += named(lacking, "image", f"with a horizontal accuracy alone in {path.name}, which is not used")
-    return done
+    return done, _replaced(path, crs, heads, line_of) + Findings(warnings=tuple(warnings))
 
 
 def _placed(heads: Mapping[str, Exif], line_of: Mapping[str, _Line], crs: CRS) -> dict[str, Exif]:
@@ -139,30 +137,24 @@ def _unit_m(crs: CRS) -> float:
     return 1.0 if is_geographic(crs) else horizontal_unit(crs)
 
 
-def _say(
-    path: Path,
-    crs: CRS,
-    heads: Mapping[str, Exif],
-    line_of: Mapping[str, _Line],
-    assumptions: list[str],
-    warnings: list[str],
-) -> None:
-    """Say what the file replaces, and how far that lay from it."""
+def _replaced(path: Path, crs: CRS, heads: Mapping[str, Exif], line_of: Mapping[str, _Line]) -> Findings:
+    """What the file replaces, and how far that lay from it."""
     in_exif = {name: heads[name].lat_lon_height for name in line_of}
     replaced = {name: position for name, position in in_exif.items() if position is not None}
     said = f"positions of {len(line_of)} of {len(heads)} images are those in {path.name} ({crs.name})"
     if not replaced:
-        assumptions.append(f"{said}; EXIF has none of them")
-        return
+        return Findings((f"{said}; EXIF has none of them",))
     lat, lon = np.array([position[:2] for position in replaced.values()]).T
     own_lon, own_lat = lon_lat(crs, np.array([line_of[name].place for name in replaced])).T
     away = float(np.median(Geod(ellps="WGS84").inv(lon, lat, own_lon, own_lat)[2]))
-    assumptions.append(f"{said}, instead of those in EXIF of {len(replaced)}, {away:.2g} m away (median)")
-    if away > _SAME_PLACE_M:
-        warnings.append(
-            f"the positions in {path.name} lie {away:.0f} m (median) from those in EXIF: check the CRS in its first "
-            "line, and that easting or longitude comes first"
-        )
+    said = f"{said}, instead of those in EXIF of {len(replaced)}, {away:.2g} m away (median)"
+    if not away > _SAME_PLACE_M:
+        return Findings((said,))
+    warning = (
+        f"the positions in {path.name} lie {away:.0f} m (median) from those in EXIF: check the CRS in its first "
+        "line, and that easting or longitude comes first"
+    )
+    return Findings((said,), (warning,))
 
 
 def _read(path: Path) -> tuple[CRS, list[_Line]]:

@@ -6,11 +6,12 @@ import math
 
 from refract.lens import MODELS, Lens, LensError, coefficients_of
 from survey.errors import FILE_NAME, ConfigError
+from survey.findings import Findings
 from survey.folder.config import CamerasConfig
 from survey.photos.exif import Exif
 
 
-def lenses_from_config(cameras: CamerasConfig, heads: dict[str, Exif], assumptions: list[str]) -> dict[str, Lens]:
+def lenses_from_config(cameras: CamerasConfig, heads: dict[str, Exif]) -> tuple[dict[str, Lens], Findings]:
     """The lens of each image: one for all, or one for each camera where survey.toml has no number of them.
 
     Cameras are told apart by maker and model, size, and focal length in EXIF. Parameters and errors are those of
@@ -23,24 +24,24 @@ def lenses_from_config(cameras: CamerasConfig, heads: dict[str, Exif], assumptio
             focal = None if head.focal_px is None else round(100.0 * math.log(head.focal_px))
             groups.setdefault((head.camera, head.size_px, focal), {})[name] = head
     if len(groups) < 2 or any(head.focal_px is None for head in heads.values()):
-        return dict.fromkeys(heads, lens_from_config(cameras, heads, assumptions))
+        lens, said = lens_from_config(cameras, heads)
+        return dict.fromkeys(heads, lens), said
     lenses: dict[str, Lens] = {}
+    notes: list[str] = []
     for (camera, _, _), own in groups.items():
-        notes: list[str] = []
-        lenses |= dict.fromkeys(own, lens_from_config(cameras, own, notes))
-        assumptions += [f"{camera or 'a camera without a name'}, {len(own)} images: {note}" for note in notes]
-    return lenses
+        lens, said = lens_from_config(cameras, own)
+        lenses |= dict.fromkeys(own, lens)
+        notes += [f"{camera or 'a camera without a name'}, {len(own)} images: {note}" for note in said.assumptions]
+    return lenses, Findings(tuple(notes))
 
 
-def lens_from_config(cameras: CamerasConfig, heads: dict[str, Exif], assumptions: list[str]) -> Lens:
-    """One lens for all images.
+def lens_from_config(cameras: CamerasConfig, heads: dict[str, Exif]) -> tuple[Lens, Findings]:
+    """One lens for all images, with a sentence for each number that survey.toml does not give.
 
     Parameters
     ----------
     cameras : CamerasConfig
     heads : name to Exif, of the images that have a pose
-    assumptions : list of str
-        Gets a sentence for each number that survey.toml does not give.
 
     Raises
     ------
@@ -48,9 +49,9 @@ def lens_from_config(cameras: CamerasConfig, heads: dict[str, Exif], assumptions
         Where a number is missing, or does not fit the camera model.
     """
     width, height = cameras.size_px or _common_size(heads)
-    fx, fy = _focal(cameras, heads, assumptions)
+    (fx, fy), said = _focal(cameras, heads)
     if cameras.principal_point_px is None:
-        assumptions.append("the principal point is the centre of the image")
+        said += Findings(("the principal point is the centre of the image",))
     cx, cy = cameras.principal_point_px or (0.5 * width, 0.5 * height)
     model = cameras.model or ("PINHOLE" if fx != fy else "SIMPLE_PINHOLE")
     if model not in MODELS:
@@ -70,7 +71,7 @@ def lens_from_config(cameras: CamerasConfig, heads: dict[str, Exif], assumptions
         )
     values = {"f": fx, "fx": fx, "fy": fy, "cx": cx, "cy": cy, **dict(zip(coefficients, given, strict=True))}
     try:
-        return Lens(model, tuple(values[name] for name in names), width, height)
+        return Lens(model, tuple(values[name] for name in names), width, height), said
     except LensError as error:
         raise ConfigError(f"[cameras] in {FILE_NAME}: {error}") from error
 
@@ -86,9 +87,9 @@ def _common_size(heads: dict[str, Exif]) -> tuple[int, int]:
     return next(iter(sizes))
 
 
-def _focal(cameras: CamerasConfig, heads: dict[str, Exif], assumptions: list[str]) -> tuple[float, float]:
-    if cameras.focal_px is not None:
-        return cameras.focal_px if isinstance(cameras.focal_px, tuple) else (cameras.focal_px, cameras.focal_px)
+def _focal(cameras: CamerasConfig, heads: dict[str, Exif]) -> tuple[tuple[float, float], Findings]:
+    if (given := cameras.focal_px) is not None:
+        return given if isinstance(given, tuple) else (given, given), Findings()
     found = sorted({head.focal_px for head in heads.values() if head.focal_px is not None})
     if not found:
         raise ConfigError(
@@ -100,5 +101,5 @@ def _focal(cameras: CamerasConfig, heads: dict[str, Exif], assumptions: list[str
             f"EXIF gives focal lengths from {found[0]:.0f} to {found[-1]:.0f} px, expected one camera; give focal_px "
             f"in [cameras] in {FILE_NAME}, or poses with a camera per image (COLMAP)"
         )
-    assumptions.append(f"the focal length is {found[0]:.1f} px, a design value from EXIF and not a calibration")
-    return (found[0], found[0])
+    said = f"the focal length is {found[0]:.1f} px, a design value from EXIF and not a calibration"
+    return (found[0], found[0]), Findings((said,))

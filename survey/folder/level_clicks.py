@@ -16,6 +16,7 @@ from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from survey.errors import ConfigError
 from survey.files.csv_table import read_table
+from survey.findings import Findings
 from survey.folder.level_observation import LevelObservation
 from survey.photos.cameras import View
 from survey.photos.intersection import intersect
@@ -36,8 +37,8 @@ class Click(NamedTuple):
 
 
 def levels_of_clicks(
-    path: Path, views: Sequence[View], frame: LocalFrame, warnings: list[str]
-) -> tuple[LevelObservation, ...]:
+    path: Path, views: Sequence[View], frame: LocalFrame
+) -> tuple[tuple[LevelObservation, ...], Findings]:
     """Heights of the water at all places that two photographs or more show; a warning is added for others.
 
     Parameters
@@ -46,7 +47,6 @@ def levels_of_clicks(
         CSV with the columns image, x, y, name, and std in pixels if it has it; the centre of the first pixel is at
         0.5, 0.5.
     views, frame : of the survey
-    warnings : list of sentences
 
     Raises
     ------
@@ -61,6 +61,7 @@ def levels_of_clicks(
             unclear.append("".join(letter for letter in name[:40] if letter.isprintable()))
         else:
             found.append(level)
+    warnings = []
     if strangers:
         warnings.append(f"{strangers} clicks of {path.name} are in photographs without a pose, and left out")
     if unclear:
@@ -73,7 +74,7 @@ def levels_of_clicks(
             f"{path} has no place that two photographs with poses show, expected image,x,y,name with each name in two "
             "photographs or more; click the same spots of the waterline in several"
         )
-    return tuple(found)
+    return tuple(found), Findings(warnings=tuple(warnings))
 
 
 def _clicks_by_place(path: Path, views: Sequence[View]) -> tuple[dict[str, list[Click]], int]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from survey.display.words import named
 from survey.errors import ImageError
+from survey.findings import Findings
 from survey.folder.found import Found
 from survey.photos.cameras import View
 from survey.photos.exif import SUFFIXES
@@ -24,9 +25,7 @@ _NUM_LOOKED_AT = 5
 _MOST_LEFT_OUT = 0.8
 
 
-def with_masks(
-    found: Found, views: Sequence[View], own: Path | None, assumptions: list[str], warnings: list[str]
-) -> list[View]:
+def with_masks(found: Found, views: Sequence[View], own: Path | None) -> tuple[list[View], Findings]:
     """The views with their masks, by name: that of the image, IMG.png, IMG.jpg.png, or IMG_mask with any suffix.
 
     Names are those of `survey.photos.names.ImageNames`: a mask is of one photograph alone.
@@ -52,16 +51,14 @@ def with_masks(
     without = [view.name for view in masked if view.mask_path is None]
     if len(without) == len(views):
         if given is None:
-            return masked
+            return masked, Findings()
         raise ImageError(
             f"no mask in {given} has the name of an image, expected e.g. {Path(views[0].name).stem}.png; rename them"
         )
-    if given is None:
-        assumptions.append(f"the masks are those {where}, of {len(views) - len(without)} images; black is left out")
-    warnings += named(without, "image", "without a mask, used whole")
     _require_sizes(masked)
-    warnings += _doubts(masked)
-    return masked
+    said = f"the masks are those {where}, of {len(views) - len(without)} images; black is left out"
+    warnings = (*named(without, "image", "without a mask, used whole"), *_doubts(masked))
+    return masked, Findings((said,) if given is None else (), warnings)
 
 
 def _masked(found: Found, views: Sequence[View], folder: Path | None) -> list[View]:

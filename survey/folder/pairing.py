@@ -8,6 +8,7 @@ from dataclasses import replace
 from survey.display.words import named
 from survey.errors import ImageError, PosesError
 from survey.files.csv_table import shortened
+from survey.findings import Findings
 from survey.folder.found import MIN_VIEWS, Found
 from survey.folder.lens import lenses_from_config
 from survey.photos.cameras import View
@@ -16,7 +17,7 @@ from survey.photos.names import ImageNames
 from survey.photos.poses import Pose
 
 
-def pair(found: Found, poses: Sequence[Pose], warnings: list[str]) -> dict[str, Pose]:
+def pair(found: Found, poses: Sequence[Pose]) -> tuple[dict[str, Pose], Findings]:
     """The poses that have an image, under the name of that image, by the name that their file has.
 
     Warns of images without a pose and of poses without an image.
@@ -53,20 +54,21 @@ def pair(found: Found, poses: Sequence[Pose], warnings: list[str]) -> dict[str, 
             f"{len(found.images)} images in {found.folder / found.config.images.dir}, expected at least {MIN_VIEWS}; "
             f"{mend}"
         )
-    warnings += named(without_pose, "image", "without a pose, left out")
+    warnings = named(without_pose, "image", "without a pose, left out")
     warnings += named([shortened(name) for name in unmatched], "pose", "without an image, left out")
-    return paired
+    return paired, Findings(warnings=tuple(warnings))
 
 
-def with_lenses(found: Found, poses: list[Pose], assumptions: list[str], warnings: list[str]) -> list[Pose]:
+def with_lenses(found: Found, poses: list[Pose]) -> tuple[list[Pose], Findings]:
     """The poses with a lens each: their own, else that of [cameras]."""
     cameras = found.config.cameras
     lens = poses[0].lens
     if lens is None or any(pose.lens is None for pose in poses):
-        of_config = lenses_from_config(cameras, {pose.name: found.heads[pose.name] for pose in poses}, assumptions)
-        return [replace(pose, lens=pose.lens or of_config[pose.name]) for pose in poses]
+        of_config, said = lenses_from_config(cameras, {pose.name: found.heads[pose.name] for pose in poses})
+        return [replace(pose, lens=pose.lens or of_config[pose.name]) for pose in poses], said
     own, size = lens.focal[0], (lens.width, lens.height)
     given = cameras.focal_px[0] if isinstance(cameras.focal_px, tuple) else cameras.focal_px
+    warnings = []
     if given is not None and abs(given / own - 1.0) > 0.01:
         warnings.append(
             f"focal_px = {given:g} in survey.toml is not used: {found.poses_path} has its own, {own:.1f} px"
@@ -76,7 +78,7 @@ def with_lenses(found: Found, poses: list[Pose], assumptions: list[str], warning
             f"size_px = {list(cameras.size_px)} in survey.toml is not used: {found.poses_path} has its own, "
             f"{list(size)}"
         )
-    return poses
+    return poses, Findings(warnings=tuple(warnings))
 
 
 def require_image(view: View, head: Exif) -> None:

@@ -11,6 +11,7 @@ from geo.crs import height_unit_m, is_geographic
 from geo.frames import LocalFrame
 from refract import FlatWater
 from survey.errors import FILE_NAME, ConfigError, PosesError
+from survey.findings import Findings
 from survey.folder.config import SurveyConfig, WaterConfig
 from survey.folder.config_water import MOST_LEVEL_STD_M
 from survey.folder.found import Found
@@ -87,8 +88,8 @@ def _origin(found: Found, centres: np.ndarray) -> tuple[float, float, float]:
 
 
 def with_level_of_points(
-    config: SurveyConfig, frame: LocalFrame, views: list[View], points: np.ndarray | None, assumptions: list[str]
-) -> SurveyConfig:
+    config: SurveyConfig, frame: LocalFrame, views: list[View], points: np.ndarray | None
+) -> tuple[SurveyConfig, Findings]:
     """The settings with a level to start from, where none is given: a tenth of the flying height over the points.
 
     From too high a level the adjustment comes down, because all points count as wet; from one below them it would learn
@@ -105,8 +106,9 @@ def with_level_of_points(
     x, y, _ = np.median(centres, axis=0)
     start = frame.crs_from_local(np.array([[x, y, over_points(points, centres)]]))[0, 2]
     level = round(float(start) * height_unit_m(frame.crs), 2)
-    assumptions.append(f"level_m is not given: the search for it starts at {level:g} m, above the matched points")
-    return replace(config, water=replace(config.water, level_m=level, level_std_m=MOST_LEVEL_STD_M))
+    said = f"level_m is not given: the search for it starts at {level:g} m, above the matched points"
+    water = replace(config.water, level_m=level, level_std_m=MOST_LEVEL_STD_M)
+    return replace(config, water=water), Findings((said,))
 
 
 def over_points(points: np.ndarray, centres: np.ndarray) -> float:
@@ -116,8 +118,8 @@ def over_points(points: np.ndarray, centres: np.ndarray) -> float:
 
 
 def water_in_local(
-    config: SurveyConfig, frame: LocalFrame, views: list[View], assumptions: list[str]
-) -> tuple[SurveyConfig, FlatWater | None]:
+    config: SurveyConfig, frame: LocalFrame, views: list[View]
+) -> tuple[SurveyConfig, FlatWater | None, Findings]:
     """The water plane in local, and the settings with its defaults filled in.
 
     The plane touches at ``level_at``, by default under the middle of the cameras, and rises along the grid
@@ -125,16 +127,16 @@ def water_in_local(
     """
     given = config.water
     if given is None:
-        return config, None
+        return config, None, Findings()
     if given.level_at is None:
         middle = frame.crs_from_local(np.mean([view.camera.centre for view in views], axis=0))
         given = replace(given, level_at=(float(middle[0]), float(middle[1])))
     if not given.says_index:
         given = replace(given, index_std=ASSUMED_INDEX_STD)
-    index = refractive_index(given, lambda: matched_light(views), assumptions)
+    index, said = refractive_index(given, lambda: matched_light(views))
     given = replace(given, refractive_index=index, index_wavelength_nm=None, temperature_c=None, salinity_psu=None)
     water = water_plane(frame, given)
-    return replace(config, water=given), water
+    return replace(config, water=given), water, said
 
 
 def water_plane(frame: LocalFrame, given: WaterConfig) -> FlatWater:

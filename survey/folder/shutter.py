@@ -11,6 +11,7 @@ import numpy as np
 from refract import FlatWater
 from survey.display.words import named
 from survey.errors import FILE_NAME
+from survey.findings import Findings
 from survey.folder.config import CamerasConfig
 from survey.folder.velocities import Velocity, velocities_by_xmp
 from survey.photos.cameras import View
@@ -23,21 +24,22 @@ _HOVERS_M_S = 0.05
 
 
 def with_motion(
-    views: Sequence[View], velocities: Mapping[str, Velocity], cameras: CamerasConfig, warnings: list[str]
-) -> list[View]:
+    views: Sequence[View], velocities: Mapping[str, Velocity], cameras: CamerasConfig
+) -> tuple[list[View], Findings]:
     """The views with the motion of their cameras from row to row; as they are where no shutter is said to roll."""
     if not cameras.rolls:
-        return list(views)
+        return list(views), Findings()
     unknown = [view.name for view in views if view.name not in velocities]
     if len(unknown) == len(views):
-        warnings.append(
+        warnings = [
             "[cameras] rolling_shutter_s is not used: nothing tells how fast the camera flew (no FlightXSpeed in XMP, "
             f"no times in EXIF of photographs along lines); give speed_m_s in {FILE_NAME}"
-        )
+        ]
     else:
-        warnings += named(unknown, "image", "of unknown velocity (at a turn?), whose rows count as exposed at once")
+        warnings = named(unknown, "image", "of unknown velocity (at a turn?), whose rows count as exposed at once")
     readout = cameras.rolling_shutter_s or 0.0
-    return [replace(view, camera=replace(view.camera, motion=_motion(view, velocities, readout))) for view in views]
+    moving = [replace(view, camera=replace(view.camera, motion=_motion(view, velocities, readout))) for view in views]
+    return moving, Findings(warnings=tuple(warnings))
 
 
 def _motion(view: View, velocities: Mapping[str, Velocity], readout: float) -> np.ndarray | None:

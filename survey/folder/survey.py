@@ -14,6 +14,7 @@ from geo.transformation import lon_lat
 from refract import FlatWater
 from survey.control.points import Checkpoint, Control
 from survey.errors import FILE_NAME, SurveyError
+from survey.findings import Findings
 from survey.folder import place
 from survey.folder.block import Block, block_of_file, block_of_photographs
 from survey.folder.camera_faults import require_apart, require_focal_lengths
@@ -172,14 +173,18 @@ def load_survey(
     found, frame = block.found, block.frame
     places = {view.name: view.camera.centre for view in block.views}
     velocities = velocities_of(places, found.heads, found.config.cameras.speed_m_s)
-    views = with_motion(block.views, velocities, found.config.cameras, warnings)
+    views, said = with_motion(block.views, velocities, found.config.cameras)
+    warnings += said.warnings
     if found.poses_path is not None:
         # Held against the GPS positions already where structure from motion finds the poses.
         centres = frame.crs_from_local(np.array([view.camera.centre for view in views]))
         warnings += doubts_of_water_places(found.crs, lon_lat(found.crs, centres), found.config.water, found.levels)
-    config, water, is_level_known, levels = _water(block, views, assumptions, warnings)
+    config, water, is_level_known, levels, said = _water(block, views)
+    assumptions += said.assumptions
+    warnings += said.warnings
     if is_level_known:
-        block, views = block_over_water(block, views, water, warnings)
+        block, views, said = block_over_water(block, views, water)
+        warnings += said.warnings
     views, tide = with_tides(views, found.tide, water)
     require_true(frame, views, water, config, found.heads, see_points=block.reprojection is not None)
     warnings += _doubts(replace(found, config=config), frame, views, water, block.control)
@@ -210,19 +215,20 @@ def load_survey(
 
 
 def _water(
-    block: Block, views: list[View], assumptions: list[str], warnings: list[str]
-) -> tuple[SurveyConfig, FlatWater | None, bool, tuple[LevelObservation, ...]]:
+    block: Block, views: list[View]
+) -> tuple[SurveyConfig, FlatWater | None, bool, tuple[LevelObservation, ...], Findings]:
     """The settings with what is known of the water, the water, whether its level is known, and what was measured."""
     found, frame = block.found, block.frame
-    config, is_level_known, levels = found.config, True, found.levels
+    config, is_level_known, levels, said = found.config, True, found.levels, Findings()
     if found.poses_path is None:
         # A poses file has placed the clicks already.
-        config, clicked = with_level_of_clicks(found.folder, config, views, frame, assumptions, warnings)
+        config, clicked, said = with_level_of_clicks(found.folder, config, views, frame)
         levels += clicked
     if config.water is not None and config.water.level_m is None:
-        config, is_level_known = place.with_level_of_points(config, frame, views, block.points, assumptions), False
-    config, water = place.water_in_local(config, frame, views, assumptions)
-    return config, water, is_level_known, levels
+        (config, of_points), is_level_known = place.with_level_of_points(config, frame, views, block.points), False
+        said += of_points
+    config, water, of_water = place.water_in_local(config, frame, views)
+    return config, water, is_level_known, levels, said + of_water
 
 
 def _with_poses_name(config: SurveyConfig, found: Found) -> SurveyConfig:

@@ -13,6 +13,7 @@ from collections.abc import Callable
 
 from refract.dispersion import converted_index
 from survey.errors import FILE_NAME, ConfigError
+from survey.findings import Findings
 from survey.folder.config import WaterConfig
 from survey.photos.texture import MatchedLight
 
@@ -22,16 +23,14 @@ FRESH_WATER, SODIUM_NM = 1.333, 589.3
 ASSUMED_INDEX_STD = 0.004
 
 
-def refractive_index(given: WaterConfig, light: Callable[[], MatchedLight], assumptions: list[str]) -> float:
-    """Index of the water relative to air, for the light that is matched.
+def refractive_index(given: WaterConfig, light: Callable[[], MatchedLight]) -> tuple[float, Findings]:
+    """Index of the water relative to air, for the light that is matched, and what is assumed.
 
     Parameters
     ----------
     given : WaterConfig
     light : callable
         Measures the light in the photographs; called only where the index depends on it.
-    assumptions : list of str
-        Takes what is assumed.
 
     Raises
     ------
@@ -41,26 +40,24 @@ def refractive_index(given: WaterConfig, light: Callable[[], MatchedLight], assu
         Where photographs cannot be read.
     """
     if given.temperature_c is not None:
-        return _of_water(given, given.temperature_c, light(), assumptions)
+        return _of_water(given, given.temperature_c, light())
     if given.refractive_index is None:
         said = "fresh water (the sea has 1.340, 0.7 % more depth), "
-        return _converted(FRESH_WATER, SODIUM_NM, light(), said, assumptions)
+        return _converted(FRESH_WATER, SODIUM_NM, light(), said)
     if given.index_wavelength_nm is None:
-        return given.refractive_index
-    return _converted(given.refractive_index, given.index_wavelength_nm, light(), "", assumptions)
+        return given.refractive_index, Findings()
+    return _converted(given.refractive_index, given.index_wavelength_nm, light(), "")
 
 
-def _converted(index: float, wavelength_nm: float, light: MatchedLight, said: str, assumptions: list[str]) -> float:
+def _converted(index: float, wavelength_nm: float, light: MatchedLight, said: str) -> tuple[float, Findings]:
     """The index of the matched light, from that of a wavelength."""
     found = round(converted_index(index, wavelength_nm, light.shares), 6)
-    assumptions.append(f"refractive_index = {found}, {said}{index:g} at {wavelength_nm:g} nm for {light}")
-    return found
+    return found, Findings((f"refractive_index = {found}, {said}{index:g} at {wavelength_nm:g} nm for {light}",))
 
 
-def _of_water(given: WaterConfig, temperature_c: float, light: MatchedLight, assumptions: list[str]) -> float:
+def _of_water(given: WaterConfig, temperature_c: float, light: MatchedLight) -> tuple[float, Findings]:
     """The index of water by its temperature and salinity."""
-    if given.salinity_psu is None:
-        assumptions.append("salinity_psu = 0, fresh water")
+    assumed = ("salinity_psu = 0, fresh water",) if given.salinity_psu is None else ()
     with warnings.catch_warnings(record=True) as doubts:
         warnings.simplefilter("always")
         try:
@@ -70,5 +67,4 @@ def _of_water(given: WaterConfig, temperature_c: float, light: MatchedLight, ass
     said = f"refractive_index = {index}, of water of {temperature_c:g} degrees for {light}"
     if doubts:
         said += f", although {' and '.join(dict.fromkeys(str(doubt.message) for doubt in doubts))}"
-    assumptions.append(said)
-    return index
+    return index, Findings((*assumed, said))

@@ -24,6 +24,7 @@ from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from geo.projection import metres_per_unit
 from survey.errors import ConfigError
+from survey.findings import Findings
 from survey.folder.config import SurveyConfig
 from survey.folder.config_water import MOST_LEVEL_STD_M, WaterConfig
 from survey.folder.level_clicks import levels_of_clicks
@@ -121,9 +122,7 @@ def with_level_of_clicks(
     config: SurveyConfig,
     views: Sequence[View],
     frame: LocalFrame,
-    notes: list[str],
-    warnings: list[str],
-) -> tuple[SurveyConfig, tuple[LevelObservation, ...]]:
+) -> tuple[SurveyConfig, tuple[LevelObservation, ...], Findings]:
     """Settings with the water level where rays of clicks in the photographs meet, and the heights of all places.
 
     Raises
@@ -133,9 +132,11 @@ def with_level_of_clicks(
     """
     water = config.water
     if water is None or water.clicks is None:
-        return config, ()
-    places = levels_of_clicks(folder / water.clicks, views, frame, warnings)
-    return replace(config, water=_of_points(water, places, frame.crs, notes)), places
+        return config, (), Findings()
+    places, said = levels_of_clicks(folder / water.clicks, views, frame)
+    notes: list[str] = []
+    water = _of_points(water, places, frame.crs, notes)
+    return replace(config, water=water), places, said + Findings(tuple(notes))
 
 
 def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS, notes: list[str]) -> WaterConfig:

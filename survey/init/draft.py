@@ -8,6 +8,7 @@ from geo.files import write_whole
 from survey.errors import FILE_NAME, ConfigError, OutputError, SurveyError
 from survey.files.json_values import write_json
 from survey.files.toml_schema import schema_of
+from survey.findings import Findings
 from survey.folder import infer
 from survey.folder.config import SurveyConfig, parse_config
 from survey.folder.geo_txt import find_geo_txt, with_positions
@@ -84,9 +85,9 @@ def draft(folder: Path, answers: Answers) -> str:
     if (folder / "masks").is_dir():
         images.set("masks", "masks", "black is left out")
     heads = {name: read_exif(path) for name, path in found.items()}
-    table, said, doubts = find_geo_txt(folder, folder / inferred.images.dir), list[str](), list[str]()
+    table, said = find_geo_txt(folder, folder / inferred.images.dir), Findings()
     if table is not None:
-        heads = with_positions(table, heads, said, doubts)
+        heads, said = with_positions(table, heads)
     poses = find_poses(folder)
     if poses:
         others = ", ".join(path.relative_to(folder).as_posix() for path in poses[1:])
@@ -94,7 +95,8 @@ def draft(folder: Path, answers: Answers) -> str:
         cameras.set("poses", poses[0].relative_to(folder).as_posix(), not_certain)
     else:
         cameras.say(f"No poses found: structure from motion computes them from the {len(found)} photographs.")
-    cameras.say(*(f"Found: {sentence}." for sentence in said), *(f"Not certain: {sentence}." for sentence in doubts))
+    cameras.say(*(f"Found: {sentence}." for sentence in said.assumptions))
+    cameras.say(*(f"Not certain: {sentence}." for sentence in said.warnings))
     photographs = Photographs(heads, poses[0] if poses else None, read_poses(poses[0]) if poses else None)
     if photographs.file is not None and any(pose.lens is None for pose in photographs.file.poses):
         cameras.say(

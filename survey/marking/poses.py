@@ -99,19 +99,18 @@ def poses_to_mark(found: Found, run: Path | None, notes: list[str]) -> Posed | N
 
 def _of_file(found: Found, path: Path) -> Posed:
     """The photographs as the poses file of a survey places them, without the checks that `check` makes."""
-    warnings: list[str] = []
     try:
-        file = read_file_poses(found, path, [], warnings)
+        file = read_file_poses(found, path, [], [])
     except SurveyError:
         if found.config.water is None or found.config.water.clicks is None:
             raise
         # Clicks that tell no level yet.
         found = replace(found, config=replace(found.config, water=None))
-        file = read_file_poses(found, path, [], warnings)
+        file = read_file_poses(found, path, [], [])
     found, frame, views = file.found, file.frame, file.views
     places = {view.name: view.camera.centre for view in views}
     velocities = velocities_of(places, found.heads, found.config.cameras.speed_m_s)
-    views = with_motion(views, velocities, found.config.cameras, warnings)
+    views, _ = with_motion(views, velocities, found.config.cameras)
     water = _water(found, frame, views)
     views, _ = with_tides(views, found.tide, water)
     return Posed(path.name, frame, {view.name: view for view in views}, water)

@@ -21,7 +21,7 @@ import numpy as np
 from evaluation import Coverage, coverage_by_class, interval_score, slope_below, vertical_difference
 from evaluation.coverage import WALL_DEG
 from geo import read_reference
-from geo.las_extra import extra_of
+from geo.las_header import extra_of
 
 # A class of fewer points says nothing.
 LEAST = 100

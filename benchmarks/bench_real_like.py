@@ -31,7 +31,7 @@ from real_like_blocks import Flight, RealLikeBlock, bed_of, draw_flights
 from real_like_ties import adjusted_by_ties
 
 from geo.errors import GeoError
-from geo.las_extra import extra_of
+from geo.las_header import extra_of
 from survey.benchmark.running import run_bathynerf
 from survey.errors import SurveyError
 

@@ -21,8 +21,7 @@ from geo import copc
 from geo.crs import is_geographic, wkt1
 from geo.errors import EmptyCloud, GeoError, UnreadableFile, UnwritableFile
 from geo.files import existing_file, write_whole
-from geo.las_extra import add_extra_bytes, extra_of, stored_extra
-from geo.las_header import crs_of_header, length_fault
+from geo.las_header import add_extra_bytes, crs_of_header, extra_of, length_fault, stored_extra
 from geo.read_back import Sums, require_cloud
 from geo.shapes import Cloud
 

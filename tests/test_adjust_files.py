@@ -12,8 +12,8 @@ from survey.adjust.applied import apply_adjustment
 from survey.adjust.refine import adjust_survey
 from survey.adjust.written import CAMERAS, write_cameras
 from survey.errors import SurveyError
-from survey.photos.formats import read_poses, read_ties
 from survey.photos.poses import PoseFrame
+from survey.pose_files import read_poses, read_ties
 from tests.block_survey import survey_of
 from tests.drawn_block import draw_block
 

@@ -14,7 +14,7 @@ from refract.lens import Lens
 from survey.errors import OutputError, SurveyError
 from survey.export.export import export
 from survey.folder.survey import load_survey
-from survey.photos.formats import read_poses
+from survey.pose_files import read_poses
 from survey.run.flight import load_flight, save_flight
 
 LENSES = {

@@ -19,8 +19,8 @@ from survey.folder.survey import find_survey
 from survey.init.draft import draft
 from survey.init.entry import Answers
 from survey.photos.exif import Exif, TablePlace
-from survey.photos.formats import find_poses
 from survey.plan.check import check_survey
+from survey.pose_files import find_poses
 from survey.sfm.gps import positions_in_crs
 
 NAMES = [f"{i:04d}.jpg" for i in range(4)]

@@ -11,7 +11,7 @@ import pytest
 from geo.crs import parse_crs
 from geo.errors import EmptyCloud
 from geo.las import read_cloud, write_cloud
-from geo.las_extra import EXTRA_BYTES
+from geo.las_header import EXTRA_BYTES
 from geo.octree import build_octree
 
 ORIGIN = np.array([589012.0, 5194736.0, 2105.0])

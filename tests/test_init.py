@@ -11,8 +11,8 @@ from command_line import bathynerf
 from foreign_block import HEIGHT, SIZE, draw_block, in_utm, write_images
 from scipy.spatial.transform import Rotation
 from small_survey import unposed, write_image
-from test_photos_metashape import cameras_xml
-from test_photos_opensfm import REFERENCE, block_json, tracks_csv
+from test_pose_files_metashape import cameras_xml
+from test_pose_files_opensfm import REFERENCE, block_json, tracks_csv
 
 from geo.crs import vertical_crs
 from geo.height_systems import height_systems_at

@@ -30,7 +30,6 @@ from survey.folder.camera_faults import angle_doubts
 from survey.folder.ground import ground_below
 from survey.folder.survey import load_survey
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk
-from survey.photos.formats import read_poses
 from survey.photos.poses import PoseFrame
 from survey.plan.check import check_survey, require_processable
 from survey.plan.choices import Choices, Quality
@@ -38,6 +37,7 @@ from survey.plan.ground import dry_ground
 from survey.plan.plan import make_plan
 from survey.plan.poses import pose_choice
 from survey.plan.recipe import RECIPES
+from survey.pose_files import read_poses
 
 
 def test_check_says_what_was_found_and_what_the_plan_is(tmp_path):

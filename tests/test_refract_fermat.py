@@ -9,7 +9,7 @@ import pytest
 from surface_rays import bed_points, cameras, falling_rays, view_angle
 
 from refract import _branches, _disc, fermat
-from refract._interval import Interval
+from refract._branches import Interval
 from refract.wavy import WavyWater
 
 

@@ -27,7 +27,7 @@ LAYERS = (
     {"evaluation", "fields/sweep", "fields/views", "fields/volume", "survey"},
     {"fields/colour", "fields/slab", "fields/solver", "survey/files", "survey/display"},
     {"survey/photos", "survey/compare", "survey/mesh"},
-    {"survey/control", "survey/photos/formats", "survey/simulate/flight"},
+    {"survey/control", "survey/pose_files", "survey/simulate/flight"},
     {"survey/sfm"},
     {"survey/folder", "survey/simulate"},
     {"survey/plan", "survey/init", "survey/simulate/ground"},
@@ -82,7 +82,7 @@ DISK = (
 DISK_FOLDERS = (
     {"geo", "survey"}
     | {f"survey/{name}" for name in ("commands", "control", "files", "folder", "init", "marking", "photos")}
-    | {f"survey/{name}" for name in ("benchmark", "export", "handles", "photos/formats", "profile", "run", "sfm")}
+    | {f"survey/{name}" for name in ("benchmark", "export", "handles", "pose_files", "profile", "run", "sfm")}
     | {"survey/simulate/output", "survey/simulate/staging", "survey/volume"}
 )
 # Files elsewhere that do so all the same. fields/device.py only looks for libLLVM, bathynerf/_rooms.py for foreign

@@ -10,12 +10,21 @@ import torch
 from analytic_volume import BOX, WATER, AnalyticVolume, floor_at, looking_down, seen_by
 
 from fields.volume.losses import Losses, PatchWeights
-from fields.volume.patches import C1, C2, NOISE, as_patches, ncc_loss, smooth_normals_loss, ssim_loss
 from fields.volume.photographs import Photographs
+from fields.volume.prior_losses import (
+    C1,
+    C2,
+    NOISE,
+    as_patches,
+    ncc_loss,
+    paths_through,
+    smooth_normals_loss,
+    ssim_loss,
+    virtual_view_loss,
+)
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
 from fields.volume.train import Training, train_volume
-from fields.volume.virtual_views import paths_through, virtual_view_loss
 
 
 def two_patches(seed: int) -> torch.Tensor:

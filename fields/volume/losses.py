@@ -10,12 +10,19 @@ import torch
 from torch import Tensor
 
 from fields.volume.density_loss import density_loss, draw_nodes, gaussian_density_loss
-from fields.volume.patches import as_patches, ncc_loss, smooth_normals_loss, ssim_loss
 from fields.volume.paths import Paths
-from fields.volume.prior_losses import length_loss, normal_prior_loss, relative_depth_loss
+from fields.volume.prior_losses import (
+    as_patches,
+    length_loss,
+    ncc_loss,
+    normal_prior_loss,
+    relative_depth_loss,
+    smooth_normals_loss,
+    ssim_loss,
+    virtual_view_loss,
+)
 from fields.volume.renderer import Rendered, VolumeRenderer
 from fields.volume.sampling import Cells
-from fields.volume.virtual_views import virtual_view_loss
 from refract import WaterSurface
 
 
@@ -27,7 +34,7 @@ class PatchWeights:
     ----------
     size : int [px]
     ncc, ssim, smooth_normals : float
-        Of the losses of `fields.volume.patches`.
+        Of the losses of `fields.volume.prior_losses`.
     """
 
     size: int = 8

@@ -1,18 +1,39 @@
-"""Losses from prior knowledge: lengths with a spread, monocular depth, monocular normals."""
+"""Losses from prior knowledge: lengths with a spread, monocular depth, monocular normals.
+
+On patches of neighbouring pixels (P, size, size, 3), colours as stored, 0 to 1: correlation, structural similarity, and
+normals that change smoothly. Against virtual views close to the photographs' own: equal colour and depth. MonoPatchNeRF
+(Wu et al. 2024) trains with these.
+"""
 
 from __future__ import annotations
 
+import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from fields.volume.paths import Paths
+from fields.volume.paths import Box, Paths, paths_along
 from fields.volume.priors import Priors
-from fields.volume.renderer import Rendered
+from fields.volume.renderer import Rendered, VolumeRenderer
+from fields.volume.sampling import Cells
+from refract import WaterSurface, crossing_point
 
 # Scale and shift of a photograph are fitted to at least this many paths of a batch; to two, any depth fits.
 MIN_FITTED = 8
 # A path meets a surface if its opacity exceeds this.
 MIN_OPACITY = 0.5
+# Below a spread of one grey value of 255 a patch has no structure to correlate.
+NOISE = (1.0 / 255.0) ** 2
+# C1 and C2 of SSIM for colours from 0 to 1 (Wang et al. 2004).
+C1, C2 = 0.01**2, 0.03**2
+WINDOW = 3
+# Distance of virtual cameras from the photograph's, as a share of the mean path length.
+BASELINE = 0.1
+# One in this many paths of a batch gets a virtual view.
+EVERY = 4
+# A point is hidden where the virtual view stops these many cells of the proxy before it.
+HIDDEN_CELLS = 3.0
+# Samples of a virtual path.
+SAMPLES = 48
 
 
 def length_loss(paths: Paths, rendered: Rendered) -> Tensor:
@@ -99,3 +120,110 @@ def _cauchy(e: Tensor) -> Tensor:
 def _mean(values: Tensor) -> Tensor:
     """Mean of values (N,), 0 where there are none."""
     return values.sum() / max(len(values), 1)
+
+
+def as_patches(values: Tensor, size: int) -> Tensor:
+    """Values (N, ...) of paths drawn as patches, as (P, size, size, ...).
+
+    Raises
+    ------
+    ValueError
+        If the paths are no whole number of patches.
+    """
+    if size < 2 or len(values) % size**2:
+        raise ValueError(
+            f"expected paths in whole patches of {size} x {size} px, 2 px or more, got {len(values)} paths"
+        )
+    return values.view(-1, size, size, *values.shape[1:])
+
+
+def ncc_loss(rendered: Tensor, seen: Tensor) -> Tensor:
+    """``1 - (cov + e) / sqrt((var + e) (var' + e))``, mean over patches and channels; blind to brightness and contrast.
+
+    ``e`` is the variance of one grey value: patches without texture count as alike, not as noise.
+    """
+    x, y = (v.flatten(1, 2) for v in (rendered, seen))
+    x, y = x - x.mean(dim=1, keepdim=True), y - y.mean(dim=1, keepdim=True)
+    cov = (x * y).mean(dim=1)
+    spread = ((x**2).mean(dim=1) + NOISE) * ((y**2).mean(dim=1) + NOISE)
+    return (1.0 - (cov + NOISE) / spread.sqrt()).mean()
+
+
+def ssim_loss(rendered: Tensor, seen: Tensor) -> Tensor:
+    """``(1 - SSIM) / 2``, mean over channels and all windows of 3 x 3 px with even weights inside the patches."""
+    x, y = (v.permute(0, 3, 1, 2) for v in (rendered, seen))
+
+    def mean(values: Tensor) -> Tensor:
+        return nn.functional.avg_pool2d(values, WINDOW, stride=1)
+
+    mx, my = mean(x), mean(y)
+    vx, vy, cov = mean(x * x) - mx**2, mean(y * y) - my**2, mean(x * y) - mx * my
+    ssim = (2.0 * mx * my + C1) * (2.0 * cov + C2) / ((mx**2 + my**2 + C1) * (vx + vy + C2))
+    return 0.5 * (1.0 - ssim).mean()
+
+
+def smooth_normals_loss(normals: Tensor, seen: Tensor) -> Tensor:
+    """Mean squared difference of normals (P, size, size, 3) of neighbours, less across edges of the photograph.
+
+    A pair counts ``exp(-10 |difference of grey|)``: bends of a surface tend to show as edges.
+    """
+    grey = seen.mean(dim=-1)
+    total = torch.zeros(())
+    for axis in (1, 2):
+        bend = (normals.diff(dim=axis) ** 2).sum(dim=-1)
+        total = total + (bend * torch.exp(-10.0 * grey.diff(dim=axis).abs())).mean()
+    return total
+
+
+def virtual_view_loss(
+    renderer: VolumeRenderer, paths: Paths, rendered: Rendered, cells: Cells, water: WaterSurface | None
+) -> Tensor:
+    """Squared error of colour, and error of depth in edges of the box, in virtual views of the surfaces met.
+
+    The points at the median of the weights are taken as they are, without gradient. Colours are compared with those
+    photographed; weights of the virtual paths are drawn to the point. Points that the virtual view hides are left out.
+    """
+    paths, rendered = paths[::EVERY], _thinned(rendered)
+    seen = (rendered.opacity > 0.5) & (paths.near < paths.far)
+    if not seen.any():
+        return torch.zeros(())
+    paths, depth = paths[seen], rendered.depth[seen]
+    points = paths.at(depth[:, None])[:, 0]
+    centres = paths.origin + BASELINE * depth.mean() * _offsets(paths.view)
+    moved, length = paths_through(centres, points, water, paths, renderer.model.box)
+    again = renderer.render(moved, renderer.samples(moved, cells, SAMPLES, jitter=True))
+    cell = cells.box.edge / max(cells.occupied.shape)
+    shown = ((again.depth > length - HIDDEN_CELLS * cell) & (moved.near < moved.far)).detach()
+    colour = ((again.rgb - paths.rgb) ** 2).mean(dim=1)
+    away = (again.weights * (again.samples.s - length[:, None]).abs()).sum(dim=1) / renderer.model.box.edge
+    return ((colour + away) * shown).sum() / shown.sum().clamp(min=1)
+
+
+def paths_through(
+    centres: Tensor, points: Tensor, water: WaterSurface | None, seen: Paths, box: Box
+) -> tuple[Paths, Tensor]:
+    """Paths from centres (N, 3) through points (N, 3) [m], bent at the water, and the lengths (N,) [m] to the points.
+
+    They carry the colours and views of the paths ``seen``. A point that no light reaches has a path that misses the
+    box.
+    """
+    origin, target = (v.detach().double().numpy() for v in (centres, points))
+    entry = crossing_point(target, origin, water)
+    first = np.linalg.norm(entry - origin, axis=-1, keepdims=True)
+    direction = (entry - origin) / np.maximum(first, 1e-9)
+    moved = paths_along(origin, direction, water, seen.rgb, box, seen.view)
+    length = first[:, 0] + np.linalg.norm(target - entry, axis=-1)
+    return moved, torch.as_tensor(length, dtype=points.dtype)
+
+
+def _offsets(view: Tensor) -> Tensor:
+    """A random unit vector (N, 3) for each view, the same for all of its paths."""
+    directions = torch.nn.functional.normalize(torch.randn(int(view.max()) + 1, 3), dim=1)
+    return directions[view]
+
+
+@torch.no_grad()
+def _thinned(rendered: Rendered) -> Rendered:
+    samples = rendered.samples
+    thin = type(samples)(*(getattr(samples, n)[::EVERY] for n in ("s", "length", "edges")))
+    return Rendered(rendered.rgb[::EVERY].detach(), rendered.weights[::EVERY].detach(), thin)

@@ -15,7 +15,7 @@ from survey.folder import place
 from survey.folder.found import find_survey
 from survey.folder.survey import load_survey
 from survey.photos.cameras import View
-from survey.photos.formats import read_poses
+from survey.pose_files import read_poses
 
 # Points at a time: each has an angle for every camera.
 _BATCH = 100_000

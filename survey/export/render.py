@@ -28,8 +28,8 @@ from survey.folder.config import CamerasConfig, SurveyConfig, read_config
 from survey.folder.inputs import poses_inputs, survey_inputs
 from survey.folder.lens import lens_from_config
 from survey.folder.posed import cams_from_local, points_in_crs
-from survey.photos.formats import read_poses
 from survey.photos.poses import PoseFile, PoseFrame
+from survey.pose_files import read_poses
 from survey.progress import current
 from survey.run.flight import load_flight
 from survey.run.folder import RunDir

@@ -16,7 +16,7 @@ from survey.errors import FILE_NAME, ControlError, PosesError
 from survey.folder.config_control import per_direction
 from survey.folder.found import Found
 from survey.names import GEO_TXT
-from survey.photos.formats import find_unread
+from survey.pose_files import find_unread
 from survey.sfm.control_fit import MIN_POINTS, require_spread
 from survey.sfm.gps import MIN_POSITIONS, is_whole, what_is_missing
 from survey.sfm.marked import BlockControl

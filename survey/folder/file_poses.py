@@ -20,10 +20,10 @@ from survey.folder.posed import given_in_local, points_in_local, way_into_crs
 from survey.folder.reprojection import Reprojection, reprojection
 from survey.folder.water_level import with_level_of_clicks
 from survey.photos.cameras import View
-from survey.photos.formats import read_poses, read_ties
 from survey.photos.names import ImageNames
 from survey.photos.poses import Pose, PoseFile, SecondPose
 from survey.photos.tie_points import MIN_TRACK
+from survey.pose_files import read_poses, read_ties
 from survey.sfm.datum_std import EXACT, DatumStd, plan_std, require_as_good
 
 

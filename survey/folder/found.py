@@ -23,8 +23,8 @@ from survey.folder.tides import Tide
 from survey.folder.water_level import with_level
 from survey.folder.water_place import doubts_of_water_places
 from survey.photos.exif import Exif, position_sources, read_exif
-from survey.photos.formats import find_poses, find_unread
 from survey.photos.images import list_images
+from survey.pose_files import find_poses, find_unread
 from survey.sfm.datum_std import EXACT, DatumStd, least, plan_std
 from survey.sfm.gps import datum_doubts, ways_into_crs
 

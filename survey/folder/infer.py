@@ -16,9 +16,9 @@ from survey.folder.plausible import distances_to_exif
 from survey.folder.posed import middle_of_geocentric, points_in_crs
 from survey.names import GEO_TXT
 from survey.photos.exif import SUFFIXES, Exif, position_sources, utm_code_of
-from survey.photos.formats import read_poses
 from survey.photos.names import ImageNames
 from survey.photos.poses import PoseFile, PoseFrame
+from survey.pose_files import read_poses
 
 # EXIF counts heights from the sea level; receivers mean the geoid model EGM96 by that.
 _EGM96_HEIGHT = 5773

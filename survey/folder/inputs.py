@@ -11,7 +11,7 @@ from survey.folder.config import read_config
 from survey.folder.geo_txt import find_geo_txt
 from survey.folder.water_level import SOURCES
 from survey.photos.exif import SUFFIXES
-from survey.photos.formats import find_poses, pose_files
+from survey.pose_files import find_poses, pose_files
 
 
 def survey_inputs(folder: Path) -> ReadFiles:

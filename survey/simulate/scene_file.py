@@ -8,7 +8,7 @@ from pathlib import Path
 
 from survey.errors import ConfigError
 from survey.files.toml_table import key, parse_toml, read_toml, require_one_of, require_positive
-from survey.simulate.flight.settings import FlightSettings
+from survey.simulate.flight.patterns import FlightSettings
 
 BEDS = ("drawn", "plane", "mesh", "cloud")
 TEXTURES = ("sand", "checker", "image", "vertex")

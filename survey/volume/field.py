@@ -35,8 +35,7 @@ from survey.export.render import Target, targets_of, write_views
 from survey.files.json_values import write_json
 from survey.progress import current, shares
 from survey.run.flight import Flight
-from survey.volume.scene import Scene, load_scene
-from survey.volume.stored import VolumeFolder
+from survey.volume.scene import Scene, VolumeFolder, load_scene
 
 CLOUD, REPORT, VIEWS, HELD = "cloud.las", "report.json", "views", "held out"
 

@@ -1,9 +1,17 @@
-"""What a volume is trained from: the photographs of a run that look into a box about its bed."""
+"""What a volume is trained from: the photographs of a run that look into a box about its bed.
+
+In a folder it has a state in training, from which it goes on after an interruption, and one when it is trained.
+"""
 
 from __future__ import annotations
 
+import json
+import pickle
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,10 +20,13 @@ from fields.volume.paths import Box
 from fields.volume.photographs import Photographs
 from fields.volume.sampling import Cells
 from fields.volume.surface import LEAST_VIEWS
+from geo.files import disk_refusals, write_whole
 from refract import FlatWater, PinholeCamera
-from survey.errors import SurveyError
+from survey.errors import OutputError, SurveyError
 from survey.export.loaded import LoadedRun
 from survey.export.photographs import Photograph, at_scale
+from survey.files.json_values import read_json_object
+from survey.files.outputs import ReadFiles, require_folder
 from survey.run.flight import Flight
 
 # A box reaches over and under the inner part of the heights by a share of their range and some cells.
@@ -24,6 +35,9 @@ _INNER_PERCENT, _REACH, _REACH_CELLS = 0.1, 0.1, 3.0
 _PIXELS_PER_CELL = 2.0
 # A photograph counts if it shows the box with this share of its pixels.
 _LEAST_SHARE = 0.002
+STATE, SETTINGS = "state.pt", "settings.json"
+# Seconds between two states.
+_EVERY_S = 30.0
 
 
 @dataclass(frozen=True)
@@ -171,3 +185,67 @@ def _box_about(bed: np.ndarray, cells: int) -> Box:
     edge = float((high - low).max())
     room = np.array([0.0, 0.0, _REACH * (high[2] - low[2]) + _REACH_CELLS * edge / cells])
     return Box(low - room, high + room)
+
+
+class VolumeFolder:
+    """The folder of a volume.
+
+    Parameters
+    ----------
+    path : Path
+    settings : dict
+        All that the training depends on.
+    inputs : ReadFiles
+        What is read, and must not be written over.
+
+    Raises
+    ------
+    OutputError
+        If the folder holds a volume of other settings, or something else.
+    """
+
+    def __init__(self, path: Path, settings: dict[str, Any], inputs: ReadFiles):
+        self.path = path
+        require_folder("-o", path, inputs)
+        self._saved_at = time.monotonic()
+        # As a file would give them back.
+        settings = json.loads(json.dumps(settings))
+        if (path / SETTINGS).is_file():
+            self._require_same(read_json_object(path / SETTINGS), settings)
+        elif path.is_dir() and any(path.iterdir()):
+            raise OutputError(f"-o names {path}, which is not empty and holds no volume; name another folder")
+        with disk_refusals(path):
+            path.mkdir(parents=True, exist_ok=True)
+        with write_whole(path / SETTINGS) as stream:
+            stream.write(json.dumps(settings, indent=2).encode())
+
+    def _require_same(self, before: dict[str, Any], settings: dict[str, Any]) -> None:
+        keys = [key for key in {**before, **settings} if before.get(key) != settings.get(key)]
+        if keys:
+            differ = "; ".join(f"{key}: {before.get(key)} there, {settings.get(key)} asked for" for key in keys)
+            raise OutputError(f"-o names {self.path}, which holds a volume of other settings ({differ}); name another")
+
+    def load(self) -> dict[str, Any] | None:
+        """The state that was saved last; None where there is none.
+
+        Raises
+        ------
+        SurveyError
+            If it is damaged.
+        """
+        state = self.path / STATE
+        if not state.is_file():
+            return None
+        try:
+            return torch.load(state, weights_only=True)
+        except (OSError, RuntimeError, ValueError, KeyError, EOFError, pickle.UnpicklingError) as error:
+            raise SurveyError(
+                f"{state} cannot be read ({str(error)[:80]}); delete it, and training begins anew"
+            ) from error
+
+    def save(self, make: Callable[[], dict[str, Any]], *, last: bool) -> None:
+        """Save a state, if it is the last or the one before is half a minute old."""
+        if last or time.monotonic() - self._saved_at > _EVERY_S:
+            with write_whole(self.path / STATE) as stream:
+                torch.save(make(), stream)
+        self._saved_at = time.monotonic()

@@ -17,8 +17,8 @@ from refract.lens import MODELS, Lens, LensError, coefficients_of
 from survey.errors import ConfigError, PosesError, SurveyError
 from survey.folder.datum_mixups import place_of
 from survey.folder.posed import cams_from_local, points_in_crs
-from survey.photos.formats import read_poses
 from survey.photos.poses import PoseFrame
+from survey.pose_files import read_poses
 from survey.simulate.flight import plan_flight
 from survey.simulate.flight.patterns import Site
 from survey.simulate.ground.bed import bed_from_file

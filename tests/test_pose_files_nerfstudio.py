@@ -10,7 +10,7 @@ from foreign_block import CLOSE_PX, SIZE, draw_block, in_utm, load, most_missed_
 from PIL import Image
 
 from survey.errors import PosesError
-from survey.photos.formats import find_poses, read_poses
+from survey.pose_files import find_poses, read_poses
 
 # The converters of nerfstudio for COLMAP's models and for Metashape's cameras.
 COLMAPS = [[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0]]

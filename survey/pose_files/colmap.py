@@ -14,9 +14,9 @@ from refract.lens import LensError
 from survey.errors import PosesError
 from survey.files.csv_table import shortened
 from survey.photos.cameras import rotation_from_quaternion
-from survey.photos.formats import colmap_files as files
-from survey.photos.formats.format import Format
 from survey.photos.poses import FileTies, Pose, PoseFile, PoseFrame, SecondPose
+from survey.pose_files import colmap_files as files
+from survey.pose_files.format import Format
 
 # Where models lie in a survey folder, beside the folder itself.
 _PLACES = ("sparse/0", "sparse", "colmap/sparse/0", "colmap")

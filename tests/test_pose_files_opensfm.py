@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 from refract.lens import Lens
 from survey.errors import PosesError
 from survey.folder.survey import load_survey
-from survey.photos.formats import find_poses, read_poses, read_ties
-from survey.photos.formats.opensfm import read_opensfm
 from survey.plan.check import check_survey
+from survey.pose_files import find_poses, read_poses, read_ties
+from survey.pose_files.opensfm import read_opensfm
 
 REFERENCE = {"latitude": LAT, "longitude": LON, "altitude": HEIGHT}
 

@@ -10,15 +10,15 @@ import pytest
 from foreign_block import draw_block
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from test_photos_metashape import cameras_xml
-from test_photos_nerfstudio import transforms
-from test_photos_opensfm import REFERENCE, block_json, tracks_csv
-from test_photos_pix4d import CAMERAS, EXTERNAL
-from test_photos_pix4d import write as write_pix4d
-from test_photos_tables import metashape_opk, opk_deg, rows, table
+from test_pose_files_metashape import cameras_xml
+from test_pose_files_nerfstudio import transforms
+from test_pose_files_opensfm import REFERENCE, block_json, tracks_csv
+from test_pose_files_pix4d import CAMERAS, EXTERNAL
+from test_pose_files_pix4d import write as write_pix4d
+from test_pose_files_tables import metashape_opk, opk_deg, rows, table
 
 from survey.errors import PosesError
-from survey.photos.formats import find_poses, read_poses, read_ties
+from survey.pose_files import find_poses, read_poses, read_ties
 
 # What damages files: other kinds of values, ends of texts and blocks, and numbers that nobody can mean.
 PIECES = (

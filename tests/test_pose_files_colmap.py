@@ -8,8 +8,8 @@ import pytest
 
 from refract.lens import Lens
 from survey.errors import PosesError
-from survey.photos.formats import read_poses, read_ties
-from survey.photos.formats.colmap_files import lens_of
+from survey.pose_files import read_poses, read_ties
+from survey.pose_files.colmap_files import lens_of
 
 # Roundings of pixels of some hundred.
 ROUNDING_PX = 1e-9

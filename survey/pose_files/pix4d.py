@@ -20,8 +20,8 @@ from refract.lens import Lens, LensError
 from survey.errors import PosesError
 from survey.files.csv_table import shortened, text_lines
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk, nearest_rotation
-from survey.photos.formats.format import Format
 from survey.photos.poses import Pose, PoseFile, PoseFrame, SecondPose
+from survey.pose_files.format import Format
 
 _EXTERNAL, _CAMERAS = "_calibrated_external_camera_parameters.txt", "_calibrated_camera_parameters.txt"
 _OFFSET, _MAP = "_offset.xyz", "_wkt.prj"

@@ -8,7 +8,7 @@ from foreign_block import CLOSE_PX, SIZE, draw_block, grid_at, in_utm, load, mos
 from pyproj import CRS, Transformer
 
 from survey.errors import PosesError
-from survey.photos.formats import find_poses, read_poses
+from survey.pose_files import find_poses, read_poses
 
 OFFSET = np.array([589000.0, 5194000.0, 2000.0])
 HEAD = """fileName imageWidth imageHeight

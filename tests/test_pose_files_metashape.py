@@ -26,9 +26,9 @@ from geo.errors import CRSMismatch
 from survey.errors import PosesError
 from survey.folder.infer import NO_WATER
 from survey.folder.pose_priors import BY_FILE
-from survey.photos.formats import find_poses, read_poses
 from survey.plan.check import check_survey
 from survey.plan.poses import pose_choice
+from survey.pose_files import find_poses, read_poses
 
 WKT = CRS("EPSG:25832").to_wkt("WKT1_GDAL")
 # From a chunk of no particular scale, place and direction to the Earth.

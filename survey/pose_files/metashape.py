@@ -20,9 +20,9 @@ from survey.errors import PosesError
 from survey.files.csv_table import shortened
 from survey.files.xml_tree import read_xml
 from survey.photos.cameras import nearest_rotation
-from survey.photos.formats.format import Format
-from survey.photos.formats.metashape_lens import read_lens
 from survey.photos.poses import GivenPosition, Pose, PoseFile, PoseFrame
+from survey.pose_files.format import Format
+from survey.pose_files.metashape_lens import read_lens
 
 _EXPORT = "in Metashape, File > Export > Export Cameras writes it again"
 # A rotation is written with 16 digits.

@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element
 
 from refract.lens import Lens, LensError
 from survey.files.csv_table import shortened
-from survey.photos.formats.lens_keys import require_understood
+from survey.pose_files.lens_keys import require_understood
 
 # What is read of a calibration, and when it was made.
 _READ = ("resolution", "f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "date")

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from survey.errors import PosesError
 from survey.folder.pose_priors import BY_FILE
 from survey.photos.cameras import level_from_yaw_pitch_roll
-from survey.photos.formats import find_poses, read_poses
+from survey.pose_files import find_poses, read_poses
 
 
 @pytest.fixture(scope="module")

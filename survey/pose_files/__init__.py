@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from survey.errors import PosesError
-from survey.photos.formats import colmap, exterior_text, metashape, nerfstudio, opensfm, opk_csv, pix4d
-from survey.photos.formats.format import Format
 from survey.photos.poses import FileTies, PoseFile
+from survey.pose_files import colmap, exterior_text, metashape, nerfstudio, opensfm, opk_csv, pix4d
+from survey.pose_files.format import Format
 
 # Files of poses of other programs that are not read, and what to do instead; warnings name them.
 _NOT_READ = {

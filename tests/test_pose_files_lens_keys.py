@@ -9,8 +9,8 @@ import pytest
 
 from refract.lens import LensError
 from survey.errors import PosesError
-from survey.photos.formats import metashape_lens, opensfm_lens, read_poses
-from survey.photos.formats.lens_keys import is_lens_key, require_understood
+from survey.pose_files import metashape_lens, opensfm, read_poses
+from survey.pose_files.lens_keys import is_lens_key, require_understood
 
 NOTHING = [0, 0.0, False, None, "", "0", "0 0.0 0", "False", [], {}, [0.0, 0.0], [[0], 0.0], {"x": 0.0}]
 SOMETHING = [1, -1e-9, True, "0.1", "0 0 1", "fisheye", [0.0, 0.1], {"x": 2}]
@@ -73,12 +73,9 @@ CAMERA = {"projection_type": "brown", "width": 64, "height": 48, "focal_x": 1.5,
 )  # fmt: skip
 def test_opensfm(kind, key):
     camera = CAMERA | {"projection_type": kind}
-    assert (
-        opensfm_lens.read_lens(camera | {key: 0.0, f"{key}_prior": 0.1, "k1_prior": 0.1, "focal_prior": 1.4}).width
-        == 64
-    )
+    assert opensfm.read_lens(camera | {key: 0.0, f"{key}_prior": 0.1, "k1_prior": 0.1, "focal_prior": 1.4}).width == 64
     with pytest.raises(LensError, match=f"{key} is 0.1, a part of the lens that is not read"):
-        opensfm_lens.read_lens(camera | {key: 0.1})
+        opensfm.read_lens(camera | {key: 0.1})
 
 
 SENSOR = """<sensor id="0" label="one" type="{kind}"><resolution width="64" height="48"/>

@@ -127,6 +127,22 @@ def is_geographic(crs: CRS) -> bool:
     return horizontal_crs(crs).is_geographic
 
 
+def called(crs: CRS) -> str:
+    """The name of a CRS, or what it is where its text gives none, as a PROJ string does.
+
+    Examples
+    --------
+    >>> called(CRS("EPSG:32632")), called(CRS("+proj=utm +zone=17 +units=us-ft"))
+    ('WGS 84 / UTM zone 32N', 'a CRS without a name (UTM zone 17N, US survey foot)')
+    """
+    plan = horizontal_crs(crs)
+    if plan.name not in ("", "unknown", "unnamed"):
+        return crs.name
+    parts = [plan.coordinate_operation.name] if plan.coordinate_operation is not None else []
+    parts = [part for part in parts if part not in ("", "unknown", "unnamed")]
+    return f"a CRS without a name ({', '.join([*parts, plan.axis_info[0].unit_name])})"
+
+
 def horizontal_unit(crs: CRS) -> float:
     """One unit of easting in metres, or of longitude in radians."""
     return horizontal_crs(crs).axis_info[0].unit_conversion_factor

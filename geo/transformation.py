@@ -17,6 +17,7 @@ from pyproj.transformer import AreaOfInterest, TransformerGroup
 
 from geo.crs import (
     AREA_MARGIN_DEG,
+    called,
     degrees_outside_area,
     geodetic_crs,
     has_height,
@@ -86,8 +87,9 @@ class Transformation:
         """Raise MissingGrid where a grid of the best operation is missing; ``mend`` says what else would help."""
         if self.missing:
             raise MissingGrid(
-                f"{said}: the way from {self.source.name} to {self.target.name} needs {' and '.join(self.missing)}, "
-                f"which PROJ does not have; fetch it into its data folder (projsync --file {self.missing[0]}), {mend}"
+                f"{said}: the way from {called(self.source)} to {called(self.target)} needs "
+                f"{' and '.join(self.missing)}, which PROJ does not have; fetch it into its data folder "
+                f"(projsync --file {self.missing[0]}), {mend}"
             )
 
     def doubt(self, said: str) -> str | None:
@@ -95,7 +97,9 @@ class Transformation:
         if self.accuracy_m == 0.0 and not self.missing:
             return None
         known = "an unknown accuracy" if self.accuracy_m is None else f"{self.accuracy_m:.2g} m"
-        said = f"{said} are transformed from {self.source.name} to {self.target.name}, which PROJ states to {known}"
+        said = (
+            f"{said} are transformed from {called(self.source)} to {called(self.target)}, which PROJ states to {known}"
+        )
         if self.missing:
             grids = " and ".join(self.missing)
             return f"{said}; a better way needs {grids}, which is not installed: projsync --file {self.missing[0]}"
@@ -149,7 +153,11 @@ def height_scale(source: CRS, target: CRS, said: str, *, unit_m: float | None = 
         return 1.0
     if is_geographic(source):
         return 1.0 / height_unit_m(target)
-    plan, axis, ours = horizontal_crs(source).name, horizontal_crs(source).axis_info[0].unit_name, target.axis_info[2]
+    plan, axis, ours = (
+        called(horizontal_crs(source)),
+        horizontal_crs(source).axis_info[0].unit_name,
+        target.axis_info[2],
+    )
     raise UnknownUnit(
         f"{said} have no unit: {plan} counts east and north in {axis}, and heights of the survey are in "
         f"{ours.unit_name}; name the CRS with its vertical part, whose unit counts (of heights above NAVD 88: +5703 in "
@@ -190,7 +198,7 @@ def best_operation(source: CRS, target: CRS, where: str, mend: str, places: np.n
     UnsupportedCRS
         If there is none.
     """
-    said = f"{where}: the way from {source.name} to {target.name}"
+    said = f"{where}: the way from {called(source)} to {called(target)}"
     middle = None if places is None else _middle(horizontal_crs(source), np.asarray(places, dtype=np.float64))
     try:
         group = operations(source, target, None if middle is None else area_about(*middle.tolist()))
@@ -270,7 +278,8 @@ def _chosen(source: CRS, target: CRS, middle: np.ndarray) -> tuple[Transformer, 
         group = operations(source, target, area)
     except ProjError as error:
         raise UnsupportedCRS(
-            f"the way from {source.name} to {target.name} is not known to PROJ ({str(error)[:80]}); choose another CRS"
+            f"the way from {called(source)} to {called(target)} is not known to PROJ ({str(error)[:80]}); choose "
+            "another CRS"
         ) from error
     better = () if group.best_available else group.unavailable_operations[:1]
     missing = tuple(grid.short_name for operation in better for grid in operation.grids if not grid.available)
@@ -282,7 +291,8 @@ def _chosen(source: CRS, target: CRS, middle: np.ndarray) -> tuple[Transformer, 
         return Transformer.from_crs(source, target, always_xy=True, area_of_interest=area), None, missing
     except ProjError as error:
         raise UnsupportedCRS(
-            f"the way from {source.name} to {target.name} is not known to PROJ ({str(error)[:80]}); choose another CRS"
+            f"the way from {called(source)} to {called(target)} is not known to PROJ ({str(error)[:80]}); choose "
+            "another CRS"
         ) from error
 
 

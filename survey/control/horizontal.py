@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from pyproj import CRS
 
-from geo.crs import horizontal_crs
+from geo.crs import called, horizontal_crs
 from geo.errors import GeoError
 from geo.transformation import Transformation, height_scale
 from survey.control.content import GivenPoint
@@ -31,11 +31,11 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS, assumptions: list[str], warni
     for source in dict.fromkeys(point.crs for point in points if point.crs is not None):
         of_source = [i for i, point in enumerate(points) if point.crs == source]
         first = points[of_source[0]]
-        scale = height_scale(source, crs, f"{first.where}: the heights of points in {source.name}")
+        scale = height_scale(source, crs, f"{first.where}: the heights of points in {called(source)}")
         places, added = np.array([points[i].place for i in of_source]), 0.0
         if not horizontal_crs(source).equals(horizontal_crs(crs), ignore_axis_order=True):
             mend = "or give the points in crs"
-            said = f"{first.where}: points in {source.name}"
+            said = f"{first.where}: points in {called(source)}"
             way = Transformation.between(source, crs, places)
             way.require_best(said, mend)
             places = np.column_stack([*way(places[:, 0], places[:, 1]), places[:, 2]])
@@ -43,15 +43,15 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS, assumptions: list[str], warni
             warnings += [] if doubt is None else [doubt]
             heights = "are converted to the unit of crs" if scale != 1.0 else "are taken as heights in crs"
             assumptions.append(
-                f"points in {source.name} ({first.where}) are transformed to {horizontal_crs(crs).name}; their heights "
-                f"{heights}"
+                f"points in {called(source)} ({first.where}) are transformed to {horizontal_crs(crs).name}; their "
+                f"heights {heights}"
             )
         places[:, 2] *= scale
         for i, place in zip(of_source, places.tolist(), strict=True):
             if not np.isfinite(place).all():
                 raise ControlError(
                     f"{points[i].where}: {points[i].place[0]:.10g}, {points[i].place[1]:.10g} is not on the map of "
-                    f"{source.name} and of {crs.name}; correct the coordinates, their order (easting or longitude "
+                    f"{called(source)} and of {crs.name}; correct the coordinates, their order (easting or longitude "
                     "first) or the CRS of the file"
                 )
             done[i] = replace(points[i], place=tuple(place), crs=None, as_read=points[i], datum_std_m=added)

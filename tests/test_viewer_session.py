@@ -4,34 +4,20 @@ from __future__ import annotations
 
 import sys
 import time
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from command_line import bathynerf
-from small_bed import plane_bed
-from small_survey import small_survey
+from shown_run import shown_of
 
 from survey.commands.faults import BAD_INPUT
 from survey.errors import SurveyError
-from survey.folder.survey import load_survey
-from survey.run.flight import Flight
 from survey.viewer import detail
 from survey.viewer.browser import open_server
 from survey.viewer.detail import CloudInBrowser, Style, node_arrays
 from survey.viewer.session import Session, ViewOptions
 from survey.viewer.shown import Shown
-from survey.viewer.tree import build_tree
-
-
-def shown_of(folder: Path, num: int = 300) -> Shown:
-    """The plane of `small_bed` over the small survey, ready to be shown."""
-    survey = load_survey(small_survey(folder))
-    bed = plane_bed(survey, num=num)
-    columns = {"height": bed.xyz[:, 2], "std": bed.std, "depth": bed.depth}
-    flight = Flight(survey.frame, survey.water, survey.views, None)
-    return Shown(folder, "small", build_tree(bed.xyz), bed.rgb, columns, flight, True, 0.1)
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -11,12 +12,19 @@ from survey.commands.options import Quiet, RunFolder, Verbose
 
 EXAMPLES = """
     bathynerf view my_survey/bathynerf
-    bathynerf view RUN --port 9000
+    bathynerf view RUN --reference lidar.ply --port 9000
+    bathynerf view RUN --export view.html
 """
 
 
 def run(
     run: RunFolder,
+    reference: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="A surface beside the cloud: mesh, GeoTIFF or points.")
+    ] = None,
+    export: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write one HTML file that opens without a server, and end.")
+    ] = None,
     host: Annotated[
         str, typer.Option(metavar="HOST", help="Address to listen at; 0.0.0.0: for other machines too.")
     ] = "localhost",
@@ -34,8 +42,13 @@ def run(
     Ctrl-C ends it. From another machine: ssh -L 8080:localhost:8080 HOST.
     """
     with command(verbose, quiet, run) as results:
-        from survey.viewer.session import ViewOptions, open_session, wait
+        from survey.viewer.session import ViewOptions, export_page, open_session, wait
 
-        session = open_session(run, ViewOptions(survey=survey, host=host, port=port))
+        options = ViewOptions(survey=survey, reference=reference, host=host, port=port)
+        if export is not None:
+            export_page(run, export, options)
+            results.line(export)
+            return
+        session = open_session(run, options)
         results.line(session.address)
         wait(session)

@@ -12,6 +12,8 @@ from survey.errors import SurveyError
 if TYPE_CHECKING:
     import viser
 
+_SKY, _SUN = 2.0, 1.4
+
 
 def open_server(host: str, port: int, title: str) -> viser.ViserServer:
     """A server at an address of this machine; the next free port, where the one that is asked for is taken.
@@ -36,16 +38,31 @@ def open_server(host: str, port: int, title: str) -> viser.ViserServer:
     # viser says where it listens, which the command does itself.
     with redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
-    server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+    server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
+    light(server)
     # A page in the browser could ask for a public address of the run.
     server.__dict__["request_share_url"] = lambda *_, **__: None
     return server
+
+
+def light(server: viser.ViserServer) -> None:
+    """Light from the north-west and from all around, so that surfaces have about their own colours, and relief."""
+    server.scene.configure_environment_map(None)
+    server.scene.configure_default_lights(False)
+    server.scene.add_light_ambient("/light/sky", intensity=_SKY)
+    server.scene.add_light_directional("/light/sun", intensity=_SUN, position=(-1.0, 1.0, 1.2))
 
 
 async def _listen(host: str) -> None:
     server = await asyncio.start_server(lambda _reader, _writer: None, host, 0)
     server.close()
     await server.wait_closed()
+
+
+def close_server(server: viser.ViserServer) -> None:
+    """End a server, without the word that viser has for it."""
+    with redirect_stdout(io.StringIO()):
+        server.stop()
 
 
 def address(server: viser.ViserServer, host: str) -> str:

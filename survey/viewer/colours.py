@@ -9,8 +9,8 @@ import numpy as np
 
 # Of values that are not known.
 UNKNOWN = (128, 128, 128)
-# Values beyond these shares do not stretch the colours.
-_SHARES = (0.02, 0.98)
+# Values beyond these shares do not stretch the colours; of errors a tenth is beyond, that at rims and walls.
+_SHARES, _OF_ERRORS = (0.02, 0.98), 0.9
 # Points by which a range is found.
 _SOME = 200_000
 _STEPS = 256
@@ -41,7 +41,7 @@ class Scale:
         if not len(some):
             return 0.0, 1.0
         if self.is_signed:
-            most = max(float(np.quantile(np.abs(some), _SHARES[1])), 1e-6)
+            most = max(float(np.quantile(np.abs(some), _OF_ERRORS)), 1e-6)
             return -most, most
         low, high = (float(v) for v in np.quantile(some, _SHARES))
         return low, max(high, low + 1e-6)

@@ -21,6 +21,15 @@ _WATER, _OPACITY = (79, 148, 173), 0.3
 _CAMERA = (34, 48, 60)
 # Size of a camera to its distance from the bed.
 _CAMERA_SHARE = 0.04
+# From where a browser looks first: directions from the middle of the cloud, in its extents.
+_FROM = np.array([0.0, -0.55, 0.6])
+
+
+def look_from(server: viser.ViserServer, shown: Shown) -> None:
+    """Let browsers begin over the south of the cloud, looking at its middle."""
+    server.initial_camera.position = tuple(shown.middle + _FROM * shown.extent_m)
+    server.initial_camera.look_at = tuple(shown.middle)
+    server.initial_camera.up = (0.0, 0.0, 1.0)
 
 
 def add_water(server: viser.ViserServer, shown: Shown) -> viser.MeshHandle | None:
@@ -82,6 +91,10 @@ class Thumbnails:
         self._handles, self._is_closed = handles, False
         self._thread = Thread(target=self._fill, daemon=True)
         self._thread.start()
+
+    def wait(self) -> None:
+        """Until all photographs are there."""
+        self._thread.join()
 
     def close(self) -> None:
         """End the thread: a server that has stopped takes no picture."""

@@ -2,30 +2,30 @@
 
 from __future__ import annotations
 
-import io
 import time
-from contextlib import redirect_stdout, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from threading import Lock
-from typing import TYPE_CHECKING
-
-import numpy as np
+from threading import Lock, Thread
+from typing import TYPE_CHECKING, Any
 
 from survey.export.loaded import LoadedRun
+from survey.files.outputs import ReadFiles
 from survey.progress import current
-from survey.viewer.browser import address, open_server
+from survey.viewer.browser import address, close_server, open_server
+from survey.viewer.clicks import Clicks
 from survey.viewer.detail import CloudInBrowser, Style
-from survey.viewer.layers import add_cameras, add_water
+from survey.viewer.layers import add_cameras, add_water, look_from
+from survey.viewer.page import require_page, write_page
 from survey.viewer.panel import Panel
 from survey.viewer.shown import Shown, load_shown
+from survey.viewer.surfaces import OnDemand, coloured_mesh, mesh, reference_node, terrain
 
 if TYPE_CHECKING:
     import viser
 
 HOST, PORT = "localhost", 8080
-# From where a browser looks first: directions from the middle of the cloud, in its extents.
-_FROM = np.array([0.0, -0.55, 0.6])
 
 
 @dataclass(frozen=True)
@@ -36,11 +36,14 @@ class ViewOptions:
     ----------
     survey : str or None
         Folder of the survey, if it was moved since the run.
+    reference : Path or None
+        Mesh, GeoTIFF or points beside the cloud.
     host : str
     port : int
     """
 
     survey: str | None = None
+    reference: Path | None = None
     host: str = HOST
     port: int = PORT
 
@@ -65,6 +68,9 @@ class Session:
         look_from(self.server, shown)
         self.panel = Panel(self.server, shown, self._restyle)
         self._add_layers()
+        self.clicks = Clicks(self.server, shown, lambda: self.panel.style)
+        if shown.reference is not None:
+            Thread(target=self._compare, daemon=True).start()
         self.server.on_client_connect(self._welcome)
         self.server.on_client_disconnect(self._forget)
 
@@ -74,6 +80,19 @@ class Session:
         if water is not None:
             self.panel.add_layer("water surface", is_on=True, show=lambda on: setattr(water, "visible", on))
         self.panel.add_layer("cameras", is_on=True, show=lambda on: setattr(cameras, "visible", on))
+        made: dict[str, Callable[[], Any]] = {
+            "terrain model": lambda: coloured_mesh(self.server, "/terrain", terrain(self.shown)),
+            "mesh": lambda: coloured_mesh(self.server, "/mesh", mesh(self.shown)),
+        }
+        if (reference := self.shown.reference) is not None:
+            made["reference"] = lambda: reference_node(self.server, reference, self.shown.gsd_m)
+        for label, make in made.items():
+            self.panel.add_layer(label, is_on=False, show=OnDemand(self.server, label, make).show)
+
+    def _compare(self) -> None:
+        """Errors of all points, which take a while; then the panel offers them."""
+        self.shown.measure_errors()
+        self.panel.offer_kinds()
 
     def _welcome(self, client: viser.ClientHandle) -> None:
         """A browser has come: its camera decides which nodes it gets."""
@@ -101,16 +120,7 @@ class Session:
                 cloud.close()
         if self._thumbnails is not None:
             self._thumbnails.close()
-        # viser says that it has stopped.
-        with redirect_stdout(io.StringIO()):
-            self.server.stop()
-
-
-def look_from(server: viser.ViserServer, shown: Shown) -> None:
-    """Let browsers begin over the south of the cloud, looking at its middle."""
-    server.initial_camera.position = tuple(shown.middle + _FROM * shown.extent_m)
-    server.initial_camera.look_at = tuple(shown.middle)
-    server.initial_camera.up = (0.0, 0.0, 1.0)
+        close_server(self.server)
 
 
 def open_session(run: str | Path, options: ViewOptions) -> Session:
@@ -124,8 +134,19 @@ def open_session(run: str | Path, options: ViewOptions) -> Session:
     with LoadedRun(run) as loaded:
         loaded.folder.warn_if_unfinished()
         with current().stage("Octree"):
-            shown = load_shown(loaded, options.survey)
+            shown = load_shown(loaded, options.survey, options.reference)
     return Session(shown, options)
+
+
+def export_page(run: str | Path, path: Path, options: ViewOptions) -> None:
+    """A run as one page; see `survey.viewer.page`."""
+    with LoadedRun(run) as loaded:
+        require_page(path, loaded.folder.inputs() + ReadFiles.of(options.reference))
+        loaded.folder.warn_if_unfinished()
+        with current().stage("Page"):
+            shown = load_shown(loaded, options.survey, options.reference)
+            shown.measure_errors()
+            write_page(path, shown)
 
 
 def wait(session: Session) -> None:

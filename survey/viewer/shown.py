@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from geo.crs import height_unit_m
+from geo.frames import LocalFrame
 from refract import FlatWater
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun
@@ -16,8 +17,11 @@ from survey.photos.cameras import View
 from survey.progress import current
 from survey.run.flight import Flight
 from survey.viewer.colours import SCALES
+from survey.viewer.reference import Reference, load_reference
 from survey.viewer.tree import CloudTree, build_tree
 
+# Points that tell where a cloud lies.
+_SOME = 200_000
 _COLUMNS = ("xyz", "rgb", "std", "std_common", "num_views", "depth")
 
 
@@ -39,6 +43,10 @@ class Shown:
         Whether the files of the photographs are where the run found them.
     gsd_m : [m]
         Ground sampling distance, about that of the points.
+    reference : Reference or None
+        What the cloud is compared with.
+    low, high : (3,) [m], local
+        Corners of a box about all points but strays.
     """
 
     folder: Path
@@ -49,12 +57,13 @@ class Shown:
     flight: Flight
     has_photographs: bool
     gsd_m: float
+    reference: Reference | None = None
     low: np.ndarray = field(init=False)
     high: np.ndarray = field(init=False)
 
     def __post_init__(self):
         # Some stray points do not count for what the camera looks at first.
-        some = self.tree.points[:: len(self.tree.points) // 200_000 + 1]
+        some = self.tree.points[:: len(self.tree.points) // _SOME + 1]
         self.low, self.high = np.quantile(some, [0.005, 0.995], axis=0)
 
     @property
@@ -66,6 +75,15 @@ class Shown:
     def water(self) -> FlatWater | None:
         """None for a dry survey."""
         return self.flight.water
+
+    @property
+    def base_m(self) -> float:
+        """Height of local z = 0 [m]; over some hundred metres heights differ from this plus z by millimetres."""
+        return self.flight.frame.origin[2] * height_unit_m(self.flight.frame.crs)
+
+    def new_frame(self) -> LocalFrame:
+        """The local frame for one thread: PROJ must not be shared between them."""
+        return LocalFrame(self.flight.frame.crs, self.flight.frame.origin)
 
     @property
     def middle(self) -> np.ndarray:
@@ -87,6 +105,11 @@ class Shown:
         """Values of the first and the last colour; None where colours are those of the photographs."""
         return SCALES[kind].limits(self.columns[kind]) if kind in self.columns else None
 
+    def measure_errors(self) -> None:
+        """Fill the column ``error``, where there is a reference."""
+        if self.reference is not None:
+            self.columns["error"] = self.reference.errors(self.tree.points).astype(np.float32)
+
     def water_corners(self) -> np.ndarray | None:
         """The water over the cloud as four corners (4, 3) [m], local, counter-clockwise from above; None without."""
         if self.water is None:
@@ -96,26 +119,28 @@ class Shown:
         return np.column_stack([x, y, self.water.height(x, y) + np.zeros(4)])
 
 
-def load_shown(run: LoadedRun, survey: str | None) -> Shown:
-    """What is shown of a run; ``survey`` is the folder of the survey, if it was moved since.
+def load_shown(run: LoadedRun, survey: str | None, reference: Path | None = None) -> Shown:
+    """What is shown of a run, beside a reference; ``survey`` is the folder of the survey, if it was moved since.
 
     Raises
     ------
-    SurveyError
-        If the run has no cloud, or was made before runs kept their cameras.
+    SurveyError, GeoError
+        If the run has no cloud, or was made before runs kept their cameras; if the reference cannot be used.
     """
     arrays = run.columns(*_COLUMNS)
     points, rgb = arrays.pop("xyz"), arrays.pop("rgb")
     if not len(points):
         raise SurveyError(f"the cloud of the run {run.folder.path} has no points; its report says why")
     flight, has_photographs = _flight(run, survey)
-    # The axis of local points up where the survey is; over some hundred metres heights differ from it by millimetres.
-    base = flight.frame.origin[2] * height_unit_m(flight.frame.crs)
-    columns = {"height": (points[:, 2] + base).astype(np.float32)}
-    columns |= {name: values for name, values in arrays.items() if np.isfinite(values).any()}
-    return Shown(
+    columns = {name: values for name, values in arrays.items() if np.isfinite(values).any()}
+    shown = Shown(
         run.folder.path, run.place.name, build_tree(points), rgb, columns, flight, has_photographs, run.place.gsd_m
     )
+    columns["height"] = (points[:, 2] + shown.base_m).astype(np.float32)
+    if reference is not None:
+        some = flight.frame.crs_from_local(points[:: len(points) // _SOME + 1])
+        shown.reference = load_reference(reference, flight.frame, some)
+    return shown
 
 
 def _flight(run: LoadedRun, survey: str | None) -> tuple[Flight, bool]:

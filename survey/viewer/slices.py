@@ -1,0 +1,132 @@
+"""A slice through the cloud along a line in plan, with the water and a reference."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from survey.viewer.tree import CloudTree
+
+if TYPE_CHECKING:
+    from refract import FlatWater
+    from survey.viewer.reference import Reference
+
+# Places along the line at which water and reference are looked up.
+_PLACES = 400
+# Points that a picture shows.
+_MOST = 60_000
+_SIZE_IN, _DPI = (4.0, 3.0), 160
+
+
+@dataclass(frozen=True)
+class Slice:
+    """The points near a vertical plane.
+
+    Attributes
+    ----------
+    rows : (K,) int
+        Of the cloud.
+    distance, height : (K,) [m]
+        Along the line, and local.
+    along : (P,) [m]
+        Places along the line.
+    water, reference : (P,) [m], local
+        Heights there; NaN where there is none.
+    half_m : [m]
+        Points so far to either side are in it.
+    """
+
+    rows: np.ndarray
+    distance: np.ndarray
+    height: np.ndarray
+    along: np.ndarray
+    water: np.ndarray
+    reference: np.ndarray
+    half_m: float
+
+
+def slice_of(
+    tree: CloudTree,
+    start: np.ndarray,
+    end: np.ndarray,
+    half_m: float,
+    water: FlatWater | None = None,
+    reference: Reference | None = None,
+) -> Slice:
+    """The slice between two points (3,) [m], local, that differ in plan."""
+    length = float(np.linalg.norm((end - start)[:2]))
+    way = (end - start)[:2] / length
+    rows, distance = _corridor(tree, start[:2], way, length, half_m)
+    along = np.linspace(0.0, length, _PLACES)
+    plan = start[:2] + along[:, None] * way
+    height = tree.points[rows, 2]
+    places = np.column_stack([plan, _heights_near(along, distance, height)])
+    unknown = np.full(_PLACES, np.nan)
+    return Slice(
+        rows,
+        distance,
+        height,
+        along,
+        unknown if water is None else water.height(*plan.T) + np.zeros(_PLACES),
+        unknown if reference is None else reference.heights(places),
+        half_m,
+    )
+
+
+def _corridor(
+    tree: CloudTree, start: np.ndarray, way: np.ndarray, length: float, half_m: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the points near a line in plan, and their distances along it [m]."""
+    across = np.array([-way[1], way[0]])
+    middle = tree.low[:, :2] + 0.5 * tree.side[:, None] - start
+    reach = np.sqrt(0.5) * tree.side + half_m
+    t, off = middle @ way, middle @ across
+    nodes = np.flatnonzero((np.abs(off) <= reach) & (t >= -reach) & (t <= length + reach))
+    rows = np.concatenate([tree.rows(node) for node in nodes.tolist()]) if len(nodes) else np.empty(0, dtype=np.int64)
+    away = tree.points[rows, :2] - start
+    t, off = away @ way, away @ across
+    near = (np.abs(off) <= half_m) & (t >= 0.0) & (t <= length)
+    return rows[near], t[near]
+
+
+def _heights_near(along: np.ndarray, distance: np.ndarray, height: np.ndarray) -> np.ndarray:
+    """A height of the cloud (P,) at each place: of several surfaces of a reference that near the bed counts."""
+    if not len(distance):
+        return np.zeros(len(along))
+    order = np.argsort(distance)
+    return np.interp(along, distance[order], height[order])
+
+
+def picture_of(found: Slice, base_m: float, colours: np.ndarray) -> np.ndarray:
+    """The slice as a picture (rows, columns, 3) uint8.
+
+    Parameters
+    ----------
+    found : Slice
+    base_m : [m]
+        Height of local z = 0.
+    colours : (K, 3) uint8
+        Of its points.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from survey.display.palette import INK, RED, WATER_LINE
+
+    figure = Figure(figsize=_SIZE_IN, dpi=_DPI, layout="constrained")
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    some = slice(None, None, len(found.rows) // _MOST + 1)
+    axes.scatter(
+        found.distance[some], found.height[some] + base_m, s=4.0, zorder=3, c=colours[some] / 255.0, linewidths=0
+    )
+    for heights, colour, label in ((found.water, WATER_LINE, "water"), (found.reference, RED, "reference")):
+        if np.isfinite(heights).any():
+            axes.plot(found.along, heights + base_m, color=colour, lw=1.2, label=label)
+            axes.legend(loc="best", frameon=False)
+    axes.set(xlabel="distance along the line [m]", ylabel="height [m]", xlim=(0.0, found.along[-1]))
+    axes.tick_params(colors=INK)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()

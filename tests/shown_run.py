@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from small_bed import plane_bed
@@ -9,6 +11,8 @@ from small_survey import small_survey
 
 from survey.folder.survey import load_survey
 from survey.run.flight import Flight
+from survey.viewer.browser import close_server, open_server
+from survey.viewer.session import Session
 from survey.viewer.shown import Shown
 from survey.viewer.tree import build_tree
 
@@ -20,3 +24,15 @@ def shown_of(folder: Path, num: int = 300) -> Shown:
     columns = {"height": bed.xyz[:, 2], "std": bed.std, "depth": bed.depth}
     flight = Flight(survey.frame, survey.water, survey.views, None)
     return Shown(folder, "small", build_tree(bed.xyz), bed.rgb, columns, flight, True, 0.1)
+
+
+@contextmanager
+def served(shown: Shown) -> Iterator[Session]:
+    """A session on a server of its own."""
+    server = open_server("localhost", 0, "test")
+    session = Session(shown, server)
+    try:
+        yield session
+    finally:
+        session.close()
+        close_server(server)

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from command_line import bathynerf
-from shown_run import shown_of
+from shown_run import served, shown_of
 from small_bed import SLOPE, write_plane_mesh
 from small_survey import small_survey
 
@@ -20,7 +20,6 @@ from survey.viewer.clicks import DISTANCE, RAYS, SLICE
 from survey.viewer.facts import facts_of, way_between
 from survey.viewer.page import require_page, thinned, write_page
 from survey.viewer.reference import Reference, load_reference
-from survey.viewer.session import Session, ViewOptions
 from survey.viewer.slices import picture_of, slice_of
 from survey.viewer.surfaces import OnDemand, grid_faces
 from survey.viewer.tree import build_tree
@@ -42,9 +41,8 @@ def shown(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def session(shown):
-    session = Session(shown, ViewOptions(port=0))
-    yield session
-    session.close()
+    with served(shown) as session:
+        yield session
 
 
 def test_errors_are_distances_below_a_raised_plane(shown):
@@ -107,7 +105,7 @@ def test_cells_make_triangles_that_face_up_and_leave_gaps_open():
 
 def test_the_facts_of_a_point_are_those_of_the_cloud(shown):
     row = 4321
-    facts = dict(facts_of(shown, row, ()))
+    facts = dict(facts_of(shown, row))
     east, north, height = shown.flight.frame.crs_from_local(shown.tree.points[row][None])[0]
     assert (float(facts["easting"]), float(facts["northing"])) == pytest.approx((east, north), abs=6e-4)
     assert float(facts["height"]) == pytest.approx(height, abs=6e-4)

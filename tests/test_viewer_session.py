@@ -9,14 +9,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from command_line import bathynerf
-from shown_run import shown_of
+from shown_run import served, shown_of
 
 from survey.commands.faults import BAD_INPUT
 from survey.errors import SurveyError
 from survey.viewer import detail
-from survey.viewer.browser import open_server
+from survey.viewer.browser import address, open_server
 from survey.viewer.detail import CloudInBrowser, Style, node_arrays
-from survey.viewer.session import Session, ViewOptions
 from survey.viewer.shown import Shown
 
 
@@ -96,13 +95,10 @@ def test_the_water_lies_over_the_cloud(shown):
 
 
 def test_a_session_listens_on_this_machine_alone_and_leaves_nothing(shown):
-    session = Session(shown, ViewOptions(port=0))
-    try:
-        assert session.address.startswith("http://localhost:")
+    with served(shown) as session:
+        assert address(session.server, "localhost") == f"http://localhost:{session.server.get_port()}"
         assert session.server.get_host() == "localhost"
         assert session.server.request_share_url() is None
-    finally:
-        session.close()
 
 
 def test_an_address_of_another_machine_is_refused():

@@ -10,6 +10,7 @@ import typer
 from survey.commands.console import command
 from survey.commands.options import Quiet, RunFolder, Verbose
 
+_SERVED = "Where it is served"
 EXAMPLES = """
     bathynerf view my_survey/bathynerf
     bathynerf view RUN --reference lidar.ply --port 9000
@@ -26,10 +27,20 @@ def run(
         Path | None, typer.Option(metavar="FILE", help="Write one HTML file that opens without a server, and end.")
     ] = None,
     host: Annotated[
-        str, typer.Option(metavar="HOST", help="Address to listen at; 0.0.0.0: for other machines too.")
+        str,
+        typer.Option(
+            metavar="HOST", help="Address to listen at; 0.0.0.0: for other machines too.", rich_help_panel=_SERVED
+        ),
     ] = "localhost",
     port: Annotated[
-        int, typer.Option(metavar="PORT", help="Port; the next free one where it is taken.", min=1, max=65535)
+        int,
+        typer.Option(
+            metavar="PORT",
+            help="The next free one where it is taken.",
+            min=1,
+            max=65535,
+            rich_help_panel=_SERVED,
+        ),
     ] = 8080,
     survey: Annotated[
         str | None, typer.Option(metavar="DIR", help="Survey folder, if it was moved since the run.")
@@ -39,16 +50,15 @@ def run(
 ) -> None:
     """Look at a run in the browser: cloud, water and photographs (extra viewer).
 
-    Ctrl-C ends it. From another machine: ssh -L 8080:localhost:8080 HOST.
+    While `process` works on it, height maps are shown as they come. Ctrl-C ends it. From another machine:
+    ssh -L 8080:localhost:8080 HOST.
     """
     with command(verbose, quiet, run) as results:
-        from survey.viewer.session import ViewOptions, export_page, open_session, wait
+        from survey.viewer.session import ViewOptions, export_page, serve
 
         options = ViewOptions(survey=survey, reference=reference, host=host, port=port)
         if export is not None:
             export_page(run, export, options)
             results.line(export)
             return
-        session = open_session(run, options)
-        results.line(session.address)
-        wait(session)
+        serve(run, options, results.line)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,6 +24,7 @@ from survey.plan.area import plane_name
 from survey.plan.block import camera_of
 from survey.progress import shares
 from survey.run.clock import OutOfTimeError
+from survey.run.live import LiveMaps
 from survey.run.stored import load_arrays
 from survey.run.stored_maps import Stored, kept_aside, save_maps
 
@@ -66,7 +67,7 @@ def sweep_views(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         passes = PASSES if job.aimed is None else passes_from(job.aimed.first_search)
         passes = before_solver(passes) if job.plan.refines_points_only else passes
         start = time.monotonic()
-        with kept_aside(folder / SCRATCH, DepthMap) as keep:
+        with kept_aside(folder / SCRATCH, DepthMap, show=_live(job, folder)) as keep:
             maps = sweep(block, chosen, ladder, shares(stage), passes, job.swept_ground, keep=keep)
             if not maps and job.tiling is None:
                 raise SurveyError("no two views overlap; check that the poses belong to the images")
@@ -74,6 +75,11 @@ def sweep_views(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
             _save(job, folder, swept, swept.views, time.monotonic() - start, images_s, None)
     job.progress.note(f"bound: bed between {low:.2f} and {high:.2f} m over the {plane_name(job.survey)}")
     write_json(folder / BOUND, {"low_m": low, "high_m": high})
+
+
+def _live(job: Job, folder: Path) -> Callable[[DepthMap], None]:
+    """What shows maps to who looks at the run, in whose folder of stages the stage has its own."""
+    return LiveMaps(folder.parent.parent, job).show
 
 
 def _finished(block: Block, maps: OrderedMaps, keep: Keep) -> OrderedMaps:
@@ -99,7 +105,8 @@ def _go_on(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     job.progress.note(f"sweep: {len(again)} of {len(before)} views go on at image scale {job.plan.image_scale:g}")
     start, aimed = time.monotonic(), job.aimed
     try:
-        with job.progress.stage("Sweep", 1.0) as stage, kept_aside(folder / SCRATCH, DepthMap) as keep:
+        scratch = kept_aside(folder / SCRATCH, DepthMap, show=_live(job, folder))
+        with job.progress.stage("Sweep", 1.0) as stage, scratch as keep:
             report = shares(stage)
 
             def advance(share: float) -> None:

@@ -45,10 +45,12 @@ class Scratch(MutableMapping[int, Kind]):
         Made here, and empty.
     kind : type of the maps, DepthMap or SolvedMap
     room : _Room
+    show : callable, optional
+        Called with each map that comes.
     """
 
-    def __init__(self, folder: Path, kind: type[Kind], room: _Room):
-        self._folder, self._kind, self._room = folder, kind, room
+    def __init__(self, folder: Path, kind: type[Kind], room: _Room, show: Callable[[Kind], None] = lambda _: None):
+        self._folder, self._kind, self._room, self._show = folder, kind, room, show
         self._held: dict[int, Kind] = {}
         self._written: set[int] = set()
         with disk_refusals(folder):
@@ -63,6 +65,7 @@ class Scratch(MutableMapping[int, Kind]):
             return _made(self._kind, number, lambda _name: np.load(stream))
 
     def __setitem__(self, number: int, each: Kind) -> None:
+        self._show(each)
         if number in self._held:
             self._room.left += _bytes_of(self._held.pop(number))
         if number not in self._written and _bytes_of(each) <= self._room.left:
@@ -100,13 +103,18 @@ def _bytes_of(each: Any) -> int:
 
 
 @contextmanager
-def kept_aside(folder: Path, kind: type[Kind], in_memory: int = IN_MEMORY) -> Iterator[Callable[[], Scratch[Kind]]]:
-    """Places for maps, the first bytes of them in memory, the others in a folder that is removed in the end."""
+def kept_aside(
+    folder: Path, kind: type[Kind], in_memory: int = IN_MEMORY, show: Callable[[Kind], None] = lambda _: None
+) -> Iterator[Callable[[], Scratch[Kind]]]:
+    """Places for maps, the first bytes of them in memory, the others in a folder that is removed in the end.
+
+    ``show`` is called with each map that comes.
+    """
     number, room = count(), _Room(in_memory)
     with disk_refusals(folder):
         folder.mkdir()
     try:
-        yield lambda: Scratch(folder / str(next(number)), kind, room)
+        yield lambda: Scratch(folder / str(next(number)), kind, room, show)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 

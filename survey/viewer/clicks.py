@@ -119,7 +119,7 @@ class Clicks:
             self._clear()
             self._first = point
             self._mark(point)
-            self._text.content = markdown([*facts_of(self._shown, row, ()), ("then", "click a second point")])
+            self._text.content = markdown([*facts_of(self._shown, row), ("then", "click a second point")])
             return None
         first, self._first = self._first, None
         self._mark(point)

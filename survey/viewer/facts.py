@@ -14,8 +14,8 @@ from survey.viewer.shown import Shown
 from survey.viewer.sightings import Sighting
 
 
-def facts_of(shown: Shown, row: int, seen: Sequence[Sighting]) -> list[tuple[str, str]]:
-    """A point of the cloud, as labels and texts."""
+def facts_of(shown: Shown, row: int, seen: Sequence[Sighting] | None = None) -> list[tuple[str, str]]:
+    """A point of the cloud, as labels and texts; with the photographs in whose frames it lies."""
     frame = shown.new_frame()
     east, north, height = frame.crs_from_local(shown.tree.points[row][None])[0]
     names, digits = (("longitude", "latitude"), 8) if is_geographic(frame.crs) else (("easting", "northing"), 3)
@@ -24,7 +24,9 @@ def facts_of(shown: Shown, row: int, seen: Sequence[Sighting]) -> list[tuple[str
         if kind != "height" and kind in shown.columns:
             value = float(shown.columns[kind][row])
             rows.append((scale.label, number(value, 0) if kind == "num_views" else length(value)))
-    if seen:
+    if seen is not None and not seen:
+        rows.append(("in the frame of", "no photograph"))
+    elif seen:
         low, high = (math.degrees(seen[place].incidence) for place in (0, -1))
         rows.append(("in the frame of", f"{len(seen)} photographs, {low:.0f} to {high:.0f}° off nadir"))
     return rows

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from threading import Thread
 from typing import TYPE_CHECKING
 
@@ -55,10 +56,21 @@ def add_cameras(server: viser.ViserServer, shown: Shown) -> tuple[viser.FrameHan
 
     A click on a camera looks through it.
     """
-    top = server.scene.add_frame("/cameras", show_axes=False)
-    height = float(np.median([view.camera.centre[2] for view in shown.views])) - shown.middle[2]
-    handles = [(view, _add_camera(server, view, _CAMERA_SHARE * abs(height))) for view in shown.views]
+    top, handles = add_frusta(server, shown.views, median_height(shown.views) - shown.middle[2])
     return top, Thumbnails(handles) if shown.has_photographs else None
+
+
+def median_height(views: Sequence[View]) -> float:
+    """Of cameras over local z = 0 [m]."""
+    return float(np.median([view.camera.centre[2] for view in views]))
+
+
+def add_frusta(
+    server: viser.ViserServer, views: Sequence[View], height_m: float
+) -> tuple[viser.FrameHandle, list[tuple[View, viser.CameraFrustumHandle]]]:
+    """Cameras that look at a bed so far below them, as one node and each."""
+    top = server.scene.add_frame("/cameras", show_axes=False)
+    return top, [(view, _add_camera(server, view, _CAMERA_SHARE * abs(height_m))) for view in views]
 
 
 def _add_camera(server: viser.ViserServer, view: View, size: float) -> viser.CameraFrustumHandle:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock, Thread
@@ -13,10 +12,12 @@ from typing import TYPE_CHECKING, Any
 from survey.export.loaded import LoadedRun
 from survey.files.outputs import ReadFiles
 from survey.progress import current
-from survey.viewer.browser import address, close_server, open_server
+from survey.run.folder import RunDir
+from survey.viewer.browser import address, close_server, light, open_server
 from survey.viewer.clicks import Clicks
 from survey.viewer.detail import CloudInBrowser, Style
 from survey.viewer.layers import add_cameras, add_water, look_from
+from survey.viewer.live import LiveRun
 from survey.viewer.page import require_page, write_page
 from survey.viewer.panel import Panel
 from survey.viewer.shown import Shown, load_shown
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     import viser
 
 HOST, PORT = "localhost", 8080
+# Between two looks at a run that is being processed [s].
+_EVERY_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -53,16 +56,12 @@ class Session:
 
     Attributes
     ----------
-    server : viser.ViserServer
     shown : Shown
-    address : str
-        For a browser on this machine.
+    server : viser.ViserServer
     """
 
-    def __init__(self, shown: Shown, options: ViewOptions):
-        self.shown = shown
-        self.server = open_server(options.host, options.port, "bathynerf")
-        self.address = address(self.server, options.host)
+    def __init__(self, shown: Shown, server: viser.ViserServer):
+        self.shown, self.server = shown, server
         self._clouds: dict[int, CloudInBrowser] = {}
         self._lock = Lock()
         look_from(self.server, shown)
@@ -114,28 +113,75 @@ class Session:
             cloud.look_again(style)
 
     def close(self) -> None:
-        """End the server and the threads of its browsers."""
+        """End the threads of the browsers."""
         with self._lock:
             for cloud in self._clouds.values():
                 cloud.close()
         if self._thumbnails is not None:
             self._thumbnails.close()
-        close_server(self.server)
 
 
-def open_session(run: str | Path, options: ViewOptions) -> Session:
-    """A run on a server.
+def serve(run: str | Path, options: ViewOptions, say: Callable[[str], None]) -> None:
+    """Show a run in browsers until Ctrl-C, which is how one leaves; one without a result as `process` works on it.
+
+    Parameters
+    ----------
+    run : str or Path
+    options : ViewOptions
+    say : callable
+        Called with the address for a browser on this machine.
 
     Raises
     ------
-    SurveyError
-        If the folder is no finished run, viser is not installed or the address is not of this machine.
+    SurveyError, GeoError
+        If the folder is no run, the reference cannot be used, viser is not installed or the address is not of this
+        machine.
     """
+    folder = RunDir(run)
+    folder.require_run()
+    server = open_server(options.host, options.port, "bathynerf")
+    session = None
+    try:
+        if not folder.result():
+            say(address(server, options.host))
+            _watch(folder, server)
+            session = Session(_load(run, options), server)
+        else:
+            session = Session(_load(run, options), server)
+            say(address(server, options.host))
+        _wait_for_ever()
+    except KeyboardInterrupt:
+        return
+    finally:
+        if session is not None:
+            session.close()
+        close_server(server)
+
+
+def _load(run: str | Path, options: ViewOptions) -> Shown:
     with LoadedRun(run) as loaded:
         loaded.folder.warn_if_unfinished()
         with current().stage("Octree"):
-            shown = load_shown(loaded, options.survey, options.reference)
-    return Session(shown, options)
+            return load_shown(loaded, options.survey, options.reference)
+
+
+def _watch(folder: RunDir, server: viser.ViserServer) -> None:
+    """Show the height maps of a run until it has a result, and clear the scene for that."""
+    live = LiveRun(folder, server)
+    try:
+        while not live.is_finished:
+            live.look()
+            time.sleep(_EVERY_S)
+    finally:
+        live.close()
+    server.scene.reset()
+    server.gui.reset()
+    light(server)
+
+
+def _wait_for_ever() -> None:
+    while True:
+        time.sleep(3600.0)
 
 
 def export_page(run: str | Path, path: Path, options: ViewOptions) -> None:
@@ -147,13 +193,3 @@ def export_page(run: str | Path, path: Path, options: ViewOptions) -> None:
             shown = load_shown(loaded, options.survey, options.reference)
             shown.measure_errors()
             write_page(path, shown)
-
-
-def wait(session: Session) -> None:
-    """Serve until Ctrl-C, which is how one leaves."""
-    try:
-        with suppress(KeyboardInterrupt):
-            while True:
-                time.sleep(3600.0)
-    finally:
-        session.close()

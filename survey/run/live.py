@@ -1,0 +1,67 @@
+"""Height maps while the sweep works on them, for `bathynerf view`: written only where somebody looks."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from geo.errors import GeoError
+from survey.run.flight import save_flight
+from survey.run.stored import save_arrays
+
+if TYPE_CHECKING:
+    from fields.sweep.maps import DepthMap
+    from survey.run.job import Job
+
+# In a run folder, made by who looks: it holds points of each map as they are by now, and the cameras.
+LIVE = ".live"
+# Pixels of a map that are shown, and the score that they have at least.
+_MOST_PIXELS, _LEAST_SCORE = 10_000, 0.7
+
+
+class LiveMaps:
+    """Points of height maps for who looks at a run.
+
+    Parameters
+    ----------
+    run : Path
+        The folder of the run.
+    job : Job
+    """
+
+    def __init__(self, run: Path, job: Job):
+        self._folder, self._job = run / LIVE, job
+        self._has_flight = False
+
+    def show(self, m: DepthMap) -> None:
+        """Write the points of a map, if somebody looks; a disk that takes no more does not end the run."""
+        if not self._folder.is_dir():
+            return
+        with suppress(GeoError, OSError):
+            if not self._has_flight:
+                save_flight(self._folder, self._job.survey)
+                self._has_flight = True
+            xyz, rgb = self._points(m)
+            save_arrays(self._folder / f"{m.view}.npz", xyz=xyz, rgb=rgb)
+
+    def _points(self, m: DepthMap) -> tuple[np.ndarray, np.ndarray]:
+        """Points (K, 3) [m], local, and their colours (K, 3) uint8."""
+        survey, rows, columns = self._job.survey, *m.height.shape
+        step = int(np.ceil(np.sqrt(m.height.size / _MOST_PIXELS)))
+        v, u = (each.ravel() for each in np.mgrid[step // 2 : rows : step, step // 2 : columns : step])
+        # Maps of coarse passes are halved once or twice, and rounded to whole pixels.
+        camera = self._job.block.cameras[m.view]
+        ratio = 2.0 ** round(np.log2(columns / camera.width))
+        camera = camera.scaled(ratio)
+        rgb = self._job.photographs.load(survey.views[m.view], scale=self._job.plan.image_scale)
+        known = (m.score[v, u] > _LEAST_SCORE) & np.isfinite(m.height[v, u])
+        v, u = v[known], u[known]
+        pixels = np.column_stack([u, v]) + 0.5
+        xyz = camera.paths(pixels, survey.water).at_height(m.height[v, u].astype(np.float64), survey.water)
+        # A smaller photograph is padded: there is nothing beyond it.
+        at = (pixels / ratio).astype(np.int64)
+        inside = (at < rgb.shape[1::-1]).all(axis=1) & np.isfinite(xyz).all(axis=1)
+        return xyz[inside], rgb[at[inside, 1], at[inside, 0]]

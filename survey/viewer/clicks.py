@@ -94,7 +94,7 @@ class Clicks:
         except (SurveyError, OSError) as error:
             self._text.content += f"\n\n{error}"
             return
-        self._show(mosaic(windows, [sighting.view.name for sighting in seen]))
+        self.show(mosaic(windows, [sighting.view.name for sighting in seen]))
 
     def _measure(self, row: int) -> None:
         between = self._between(row)
@@ -110,7 +110,7 @@ class Clicks:
         self._text.content = markdown(
             [*way_between(*between), ("points within", f"{100.0 * found.half_m:.0f} cm to either side")]
         )
-        self._show(picture_of(found, shown.base_m, shown.colours(style.kind, found.rows, style.limits)))
+        self.show(picture_of(found, shown.base_m, shown.colours(style.kind, found.rows, style.limits)))
 
     def _between(self, row: int) -> tuple[np.ndarray, np.ndarray] | None:
         """The first point and this one, a line between them drawn; None where this is the first."""
@@ -139,6 +139,7 @@ class Clicks:
             )
             self._nodes.append(node)
 
-    def _show(self, picture: np.ndarray) -> None:
+    def show(self, picture: np.ndarray) -> None:
+        """A picture (rows, columns, 3) uint8 in the panel."""
         self._picture.image = picture
         self._picture.visible = True

@@ -46,9 +46,9 @@ def add_water(server: viser.ViserServer, shown: Shown) -> viser.MeshHandle | Non
 
 def wxyz_of(rotation: np.ndarray) -> np.ndarray:
     """The quaternion (4,) w, x, y, z of a rotation (3, 3)."""
-    from scipy.spatial.transform import Rotation
+    from viser.transforms import SO3
 
-    return Rotation.from_matrix(rotation).as_quat()[[3, 0, 1, 2]]
+    return SO3.from_matrix(rotation).wxyz
 
 
 def add_cameras(server: viser.ViserServer, shown: Shown) -> tuple[viser.FrameHandle, Thumbnails | None]:

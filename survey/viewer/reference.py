@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from evaluation import distance_to_mesh, local_surface, vertical_difference, weld
 from geo import Cloud, Mesh, read_reference, require_same_crs, require_same_place
 from geo.crs import height_unit_m
 from geo.frames import LocalFrame
@@ -34,12 +33,17 @@ class Reference:
 
     def errors(self, points: np.ndarray) -> np.ndarray:
         """How far points (N, 3), local, are above it (N,) [m]: as `bathynerf compare` measures, nothing aligned."""
+        # Imported where they are needed: they take a second, and most runs are shown without a reference.
+        from evaluation import distance_to_mesh, local_surface
+
         if self.faces is not None:
             return distance_to_mesh(points, self.points, self.faces).signed
         return points[:, 2] - local_surface(self.points, points[:, :2]).height
 
     def heights(self, places: np.ndarray) -> np.ndarray:
         """Its heights (K,) [m] at places (K, 3), local; of several those nearest to the places; NaN where none is."""
+        from evaluation import local_surface, vertical_difference
+
         if self.faces is not None:
             return places[:, 2] - vertical_difference(places, self.points, self.faces)
         return local_surface(self.points, places[:, :2]).height
@@ -62,6 +66,8 @@ def load_reference(path: Path, frame: LocalFrame, cloud_crs: np.ndarray) -> Refe
     GeoError, SurveyError
         If it cannot be read, is in another CRS or place, or no point of it is of the ground.
     """
+    from evaluation import weld
+
     shape: Mesh | Cloud = read_reference(path)
     require_same_crs(frame.crs, shape.crs, "the run", str(path))
     shape = in_height_unit(shape, height_unit_m(frame.crs))

@@ -22,6 +22,7 @@ from survey.viewer.page import require_page, write_page
 from survey.viewer.panel import Panel
 from survey.viewer.shown import Shown, load_shown
 from survey.viewer.surfaces import OnDemand, coloured_mesh, mesh, reference_node, terrain
+from survey.viewer.trained import TrainedField, add_field
 
 if TYPE_CHECKING:
     import viser
@@ -68,6 +69,8 @@ class Session:
         self.panel = Panel(self.server, shown, self._restyle)
         self._add_layers()
         self.clicks = Clicks(self.server, shown, lambda: self.panel.style)
+        if shown.field_folder is not None:
+            add_field(server, TrainedField(shown.field_folder), self.clicks.show)
         if shown.reference is not None:
             Thread(target=self._compare, daemon=True).start()
         self.server.on_client_connect(self._welcome)

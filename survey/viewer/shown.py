@@ -22,6 +22,7 @@ from survey.viewer.tree import CloudTree, build_tree
 
 # Points that tell where a cloud lies.
 _SOME = 200_000
+_FIELD = "field"
 _COLUMNS = ("xyz", "rgb", "std", "std_common", "num_views", "depth")
 
 
@@ -45,6 +46,8 @@ class Shown:
         Ground sampling distance, about that of the points.
     reference : Reference or None
         What the cloud is compared with.
+    field_folder : Path or None
+        Of the stage that trained a field, where the run has one.
     low, high : (3,) [m], local
         Corners of a box about all points but strays.
     """
@@ -58,6 +61,7 @@ class Shown:
     has_photographs: bool
     gsd_m: float
     reference: Reference | None = None
+    field_folder: Path | None = None
     low: np.ndarray = field(init=False)
     high: np.ndarray = field(init=False)
 
@@ -136,6 +140,8 @@ def load_shown(run: LoadedRun, survey: str | None, reference: Path | None = None
     shown = Shown(
         run.folder.path, run.place.name, build_tree(points), rgb, columns, flight, has_photographs, run.place.gsd_m
     )
+    if _FIELD in run.stages:
+        shown.field_folder = run.folder.load_stage(_FIELD)
     columns["height"] = (points[:, 2] + shown.base_m).astype(np.float32)
     if reference is not None:
         some = flight.frame.crs_from_local(points[:: len(points) // _SOME + 1])

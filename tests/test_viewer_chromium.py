@@ -1,0 +1,58 @@
+"""The viewer in a real browser: headless Chromium, drawn by a software renderer."""
+
+from __future__ import annotations
+
+import io
+
+import chromium
+import numpy as np
+import pytest
+from PIL import Image
+from shown_run import served, shown_of
+
+from survey.viewer.browser import address
+from survey.viewer.page import write_page
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(chromium.PROGRAM is None, reason="no chromium on this machine"),
+]
+SIZE = (1200, 800)
+CALLS_OUT = "https:", "wss:"
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory):
+    return shown_of(tmp_path_factory.mktemp("browser") / "s")
+
+
+def drawn_share(page: chromium.Page) -> float:
+    """Share of the page that is neither white nor grey."""
+    pixels = np.asarray(Image.open(io.BytesIO(page.screenshot())).convert("RGB")).astype(int)
+    return float((np.ptp(pixels, axis=2) > 20).mean())
+
+
+def wait_until_drawn(page: chromium.Page) -> None:
+    for _ in range(300):
+        if drawn_share(page) > 0.1:
+            return
+    raise AssertionError(f"nothing is drawn: {page.said[-5:]}")
+
+
+def test_a_click_in_the_browser_brings_the_facts_of_its_point(shown):
+    with served(shown) as session, chromium.page_at(address(session.server, "localhost"), *SIZE) as page:
+        page.until("document.body.innerText.includes('90\u202f000 points')")
+        wait_until_drawn(page)
+        page.click(0.5 * SIZE[0], 0.5 * SIZE[1])
+        page.until("document.body.innerText.includes('in the frame of')")
+        assert [said for said in page.said if any(call in said for call in CALLS_OUT)] == []
+
+
+def test_a_page_opens_without_a_server(shown, tmp_path):
+    write_page(tmp_path / "view.html", shown)
+    with chromium.page_at((tmp_path / "view.html").as_uri(), *SIZE) as page:
+        wait_until_drawn(page)
+        requests = [said.split()[1].partition(":")[0] for said in page.said if said.startswith("request")]
+        assert set(requests) <= {"file", "data", "blob"}
+        page.value("document.querySelector('[aria-label=\"Show scene tree\"]').click()")
+        page.until("document.body.innerText.includes('points by')")

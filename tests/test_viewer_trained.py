@@ -1,0 +1,58 @@
+"""A trained field from where a browser looks."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from plane_field import field_over, level_slab
+from shown_run import served, shown_of
+
+from fields.device import choose_device
+from fields.slab.train import FieldFigures
+from refract import FlatWater
+from survey.run.stored_field import save_field, save_place
+from survey.viewer.trained import TrainedField, camera_of
+from survey.viewer.viewpoint import Viewpoint
+
+DOWN = np.diag([1.0, -1.0, -1.0])
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A field over a bed of 8 by 8 m, 2 m deep."""
+    shown = shown_of(tmp_path / "s", num=20)
+    save_field(tmp_path, field_over(level_slab(-2.0), choose_device("torch")), FieldFigures(1, 1, 1, 1.0, 0.1, 1))
+    save_place(tmp_path, shown.flight.frame, FlatWater((0.0, 0.0, 0.0)))
+    return tmp_path
+
+
+def test_the_camera_of_a_viewpoint_sees_the_same(folder):
+    view = Viewpoint(np.array([1.0, 2.0, 9.0]), DOWN, math.radians(50.0), 1.5, 900.0)
+    camera = camera_of(view, 100)
+    assert (camera.width, camera.height) == (150, 100)
+    top = camera.directions(np.array([75.0, 0.0]))
+    assert math.degrees(math.acos(-top[2])) == pytest.approx(25.0)
+
+
+@pytest.mark.parametrize("dry", [True, False])
+def test_the_picture_shows_the_field_and_white_beside_it(folder, dry):
+    view = Viewpoint(np.array([0.0, 0.0, 8.0]), DOWN, math.radians(60.0), 1.5, 900.0)
+    picture = TrainedField(folder).picture(view, dry=dry)
+    assert picture.shape == (200, 300, 3)
+    is_white = (picture == 255).all(axis=2)
+    assert not is_white[100, 150]
+    assert is_white[:, :5].all()
+    # Eight metres of bed, ten under the camera: straight rays show it as that part of the width, bent ones wider.
+    width = 200 / math.tan(math.radians(30.0)) / 2.0 * 8.0 / 10.0
+    found = (~is_white[100]).sum()
+    assert abs(found - width) <= 3 if dry else width < found < 1.1 * width
+
+
+def test_a_run_with_a_field_offers_it(folder, tmp_path):
+    shown = shown_of(tmp_path / "t", num=20)
+    shown.field_folder = folder
+    with served(shown) as session:
+        labels = [handle.label for handle in session.server.gui._gui_input_handle_from_uuid.values()]
+    assert "render from here" in labels

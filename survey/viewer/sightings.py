@@ -47,7 +47,7 @@ def sightings_of(views: Sequence[View], point: np.ndarray, water: FlatWater | No
 def _sighting(view: View, point: np.ndarray, water: FlatWater | None) -> Sighting | None:
     camera = view.camera
     pixel = camera.project(point, water)
-    if not ((pixel > 0.0) & (pixel < (camera.width, camera.height))).all():
+    if not camera.sees(pixel):
         return None
     path = camera.paths(pixel, water)
     # A dry point lies before the place where its ray would meet the water.

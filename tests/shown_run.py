@@ -10,7 +10,10 @@ from small_bed import plane_bed
 from small_survey import small_survey
 
 from survey.folder.survey import load_survey
-from survey.run.flight import Flight
+from survey.run.flight import Flight, save_flight
+from survey.run.folder import RunDir
+from survey.run.keys import Key
+from survey.run.stored import StoredBed, save_bed
 from survey.viewer.browser import close_server, open_server
 from survey.viewer.session import Session
 from survey.viewer.shown import Shown
@@ -36,3 +39,18 @@ def served(shown: Shown) -> Iterator[Session]:
     finally:
         session.close()
         close_server(server)
+
+
+def small_run(folder: Path) -> Path:
+    """A finished run with cameras and a cloud, of the survey in ``folder / "s"``."""
+    survey = load_survey(small_survey(folder / "s"))
+    bed = plane_bed(survey, num=40)
+    stored = StoredBed(bed, survey.frame.crs_from_local(bed.xyz), survey.frame.crs, "small", 0.1)
+    with RunDir(folder / "run") as run:
+        stage = run.open_stage("bed")
+        save_bed(stage, stored)
+        stage = run.finish_stage("bed", Key({}), stage)
+        result = run.open_result("standard")
+        save_flight(result, survey)
+        run.publish(result, quality="standard", stages={"bed": stage})
+    return run.path

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import time
 from types import SimpleNamespace
@@ -9,11 +10,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from command_line import bathynerf
-from shown_run import served, shown_of
+from shown_run import served, shown_of, small_run
 
 from survey.commands.faults import BAD_INPUT
 from survey.errors import SurveyError
-from survey.viewer import detail
+from survey.viewer import detail, session
 from survey.viewer.browser import address, open_server
 from survey.viewer.detail import CloudInBrowser, Style, node_arrays
 from survey.viewer.shown import Shown
@@ -95,10 +96,10 @@ def test_the_water_lies_over_the_cloud(shown):
 
 
 def test_a_session_listens_on_this_machine_alone_and_leaves_nothing(shown):
-    with served(shown) as session:
-        assert address(session.server, "localhost") == f"http://localhost:{session.server.get_port()}"
-        assert session.server.get_host() == "localhost"
-        assert session.server.request_share_url() is None
+    with served(shown) as own:
+        assert address(own.server, "localhost") == f"http://localhost:{own.server.get_port()}"
+        assert own.server.get_host() == "localhost"
+        assert own.server.request_share_url() is None
 
 
 def test_an_address_of_another_machine_is_refused():
@@ -110,6 +111,39 @@ def test_without_viser_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(SurveyError, match=r"pip install 'bathynerf\[viewer\]'"):
         open_server("localhost", 0, "test")
+
+
+@pytest.fixture
+def stopped(monkeypatch):
+    """Ctrl-C as soon as a run is served."""
+
+    def stop():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(session, "_wait_for_ever", stop)
+
+
+def test_the_command_prints_its_address_and_ctrl_c_ends_it(tmp_path, stopped):
+    shown = bathynerf("view", small_run(tmp_path), "--port", 8765)
+    assert shown.exit_code == 0
+    # Where the port is taken, the next free one.
+    assert re.fullmatch(r"http://localhost:87\d\d\n", shown.stdout)
+    assert "warning" not in shown.stderr
+
+
+def test_without_its_photographs_a_run_is_shown_with_a_warning_and_they_are_found_elsewhere(tmp_path, stopped):
+    run = small_run(tmp_path)
+    (tmp_path / "s").rename(tmp_path / "moved")
+    shown = bathynerf("view", run)
+    assert shown.exit_code == 0
+    assert "cameras are shown without their photographs" in shown.stderr
+    assert "warning" not in bathynerf("view", run, "--survey", tmp_path / "moved").stderr
+
+
+def test_the_command_writes_a_page(tmp_path):
+    written = bathynerf("view", small_run(tmp_path), "--export", tmp_path / "view.html")
+    assert (written.exit_code, written.stdout) == (0, f"{tmp_path / 'view.html'}\n")
+    assert "<title>small</title>" in (tmp_path / "view.html").read_text()
 
 
 def test_what_is_no_run_is_refused(tmp_path):

@@ -72,7 +72,8 @@ class CloudInBrowser:
         self._colouring: dict[int, tuple] = {}
         self._wake, self._is_closed = Event(), False
         self._wake.set()
-        Thread(target=self._work, daemon=True).start()
+        self._thread = Thread(target=self._work, daemon=True)
+        self._thread.start()
 
     def look_again(self, style: Style | None = None) -> None:
         """Draw what is needed now: the camera has moved, or the style is another one."""
@@ -80,9 +81,10 @@ class CloudInBrowser:
         self._wake.set()
 
     def close(self) -> None:
-        """End the thread."""
+        """End the thread, which sends one more node at most."""
         self._is_closed = True
         self._wake.set()
+        self._thread.join()
 
     def _work(self) -> None:
         while True:

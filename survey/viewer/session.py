@@ -118,8 +118,9 @@ class Session:
     def close(self) -> None:
         """End the threads of the browsers."""
         with self._lock:
-            for cloud in self._clouds.values():
-                cloud.close()
+            clouds = list(self._clouds.values())
+        for cloud in clouds:
+            cloud.close()
         if self._thumbnails is not None:
             self._thumbnails.close()
 

@@ -39,13 +39,14 @@ def test_points_of_a_map_lie_where_its_heights_are(tmp_path, scale):
     score[:, : camera.width // 2] = 0.1
     job = SimpleNamespace(survey=survey, plan=SimpleNamespace(image_scale=1.0), photographs=ImageStore())
     job.block = SimpleNamespace(cameras=[view.camera for view in survey.views])
-    live = LiveMaps(tmp_path, job)
+    job.whole = job
+    live = LiveMaps(tmp_path, job, "sweep")
     m = DepthMap(0, np.full(shape, -0.7, dtype=np.float32), score, np.zeros(shape, dtype=np.uint8), 0.0 * score)
     live.show(m)
     assert not (tmp_path / LIVE).exists()
     (tmp_path / LIVE).mkdir()
     live.show(m)
-    arrays = load_arrays(tmp_path / LIVE / "0.npz")
+    arrays = load_arrays(tmp_path / LIVE / "sweep-0.npz")
     # float32 heights.
     np.testing.assert_allclose(survey.water.depth(arrays["xyz"]), 0.7, atol=1e-6)
     pixels = survey.views[0].camera.project(arrays["xyz"], survey.water)

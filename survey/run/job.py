@@ -51,6 +51,8 @@ class Job:
         Folder for photographs that do not stay in memory; needed for tiles.
     tiling : Tiling or None
         Of a survey that is worked on in tiles; set by `take_tiles`.
+    whole : Job
+        Itself; of a tile the job of the whole survey.
     waits_for_kernels : Event
         Set where that begins to take long enough for another thread to have Python's lock for a while.
     """
@@ -67,6 +69,7 @@ class Job:
     ):
         self.survey, self.chosen, self.progress = survey, chosen, progress
         self.aimed, self.workspace, self.scratch = aimed, workspace, scratch
+        self.whole: Job = self
         self.tiling: Tiling | None = None
         self.tiles: Decision | None = None
         self.waits_for_kernels = Event()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geo.errors import GeoError
-from survey.run.flight import save_flight
+from survey.run.flight import FLIGHT, save_flight
 from survey.run.stored import save_arrays
 
 if TYPE_CHECKING:
@@ -30,22 +30,23 @@ class LiveMaps:
     run : Path
         The folder of the run.
     job : Job
+        Of the survey, or of a tile of it.
+    stage : str
+        Its name begins the names of the files: of a survey in tiles there is a sweep for each.
     """
 
-    def __init__(self, run: Path, job: Job):
-        self._folder, self._job = run / LIVE, job
-        self._has_flight = False
+    def __init__(self, run: Path, job: Job, stage: str):
+        self._folder, self._job, self._stage = run / LIVE, job, stage
 
     def show(self, m: DepthMap) -> None:
         """Write the points of a map, if somebody looks; a disk that takes no more does not end the run."""
         if not self._folder.is_dir():
             return
         with suppress(GeoError, OSError):
-            if not self._has_flight:
-                save_flight(self._folder, self._job.survey)
-                self._has_flight = True
+            if not (self._folder / FLIGHT).is_file():
+                save_flight(self._folder, self._job.whole.survey)
             xyz, rgb = self._points(m)
-            save_arrays(self._folder / f"{m.view}.npz", xyz=xyz, rgb=rgb)
+            save_arrays(self._folder / f"{self._stage}-{m.view}.npz", xyz=xyz, rgb=rgb)
 
     def _points(self, m: DepthMap) -> tuple[np.ndarray, np.ndarray]:
         """Points (K, 3) [m], local, and their colours (K, 3) uint8."""

@@ -79,7 +79,7 @@ def sweep_views(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
 
 def _live(job: Job, folder: Path) -> Callable[[DepthMap], None]:
     """What shows maps to who looks at the run, in whose folder of stages the stage has its own."""
-    return LiveMaps(folder.parent.parent, job).show
+    return LiveMaps(folder.parent.parent, job, folder.stem.strip(".")).show
 
 
 def _finished(block: Block, maps: OrderedMaps, keep: Keep) -> OrderedMaps:

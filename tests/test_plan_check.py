@@ -104,12 +104,13 @@ def test_what_structure_from_motion_would_refuse_is_refused_before_it_starts(tmp
         assert words in str(error.value)
 
 
-def test_positions_on_one_line_are_refused_before_structure_from_motion_starts(tmp_path):
-    folder = unposed(tmp_path / "s")
+def test_positions_on_one_line_over_dry_ground_are_refused_before_structure_from_motion_starts(tmp_path):
+    water = f"[water]\nlevel_m = {LEVEL}\nlevel_at = [{E0}, {N0}]\nrefractive_index = 1.333\n"
+    folder = unposed(tmp_path / "s", (water, ""))
     for line in camera_lines():
         name, e, n, h, *_ = line.split(",")
         write_image(folder / "images" / name, gps=(float(e), float(n), float(h)))
-    with pytest.raises(PosesError, match="the GPS positions of the 4 images lie on one line"):
+    with pytest.raises(PosesError, match="4 GPS positions lie on one line"):
         check_survey(folder)
 
 

@@ -53,11 +53,15 @@ class Priors:
     std : (P,)
         Of the parameters.
     point_std : (M, 3) [m]
+    rows, signs : (K, P), (K,)
+        What is known of several parameters together: ``sign (row pull)^2`` is added to the squares.
     """
 
     state: State
     std: np.ndarray
     point_std: np.ndarray
+    rows: np.ndarray | None = None
+    signs: np.ndarray | None = None
 
     def pull(self, layout: Layout, state: State) -> np.ndarray:
         """Parameters of a state less their mean values, (P,)."""
@@ -68,6 +72,14 @@ class Priors:
         readouts = (state.readouts - self.state.readouts)[: layout.first_rate - layout.first_readout]
         rate = np.full(layout.first_pose - layout.first_rate, state.rate - self.state.rate)
         return np.concatenate([water, state.relief - self.state.relief, lenses, readouts, rate, poses.ravel()])
+
+    def squares(self, layout: Layout, state: State) -> float:
+        """The sum of squares of the parameters, in units of variances."""
+        pull = self.pull(layout, state)
+        single = pull / self.std
+        if self.rows is None or self.signs is None:
+            return float(single @ single)
+        return float(single @ single + self.signs @ (self.rows @ pull) ** 2)
 
 
 @dataclass(frozen=True)
@@ -307,9 +319,8 @@ def cost(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarr
     # A point that went behind a camera costs more than any that did not.
     length = np.where(np.isfinite(length), length, 1e6)
     huber = np.where(length < HUBER, length**2, HUBER * (2.0 * length - HUBER)) / inflation
-    pull = problem.priors.pull(problem.layout, state) / problem.priors.std
     known = (state.points - problem.priors.state.points) / problem.priors.point_std
-    return float(huber.sum() + pull @ pull + np.sum(known**2))
+    return float(huber.sum() + problem.priors.squares(problem.layout, state) + np.sum(known**2))
 
 
 def _system(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarray) -> System:
@@ -349,6 +360,9 @@ def _weighted_system(problem: Problem, state: State, weights_of: Callable[[np.nd
     normal[np.diag_indices_from(normal)] += strength
     pull = priors.pull(problem.layout, state)
     gradient = whole.T @ residuals.ravel() - mixed.T @ free.ravel() - strength * pull
+    if priors.rows is not None and priors.signs is not None:
+        normal += (priors.rows * priors.signs[:, None]).T @ priors.rows
+        gradient -= priors.rows.T @ (priors.signs * (priors.rows @ pull))
     return System(normal, gradient, root, free, mixed)
 
 

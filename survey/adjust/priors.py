@@ -10,6 +10,7 @@ import numpy as np
 
 from refract.lens import MODELS, Lens, is_affine
 from survey.adjust.bundle import Priors
+from survey.adjust.roll import Roll, rolled_to_attitudes, rolls_of, without_starts
 from survey.adjust.state import LENS, LENS_NAMES, RELIEF, Layout, State
 from survey.folder.pose_priors import BY_POSES, common_up_std
 from survey.folder.shutter import rows_between
@@ -64,6 +65,8 @@ class Known:
     common_up_std : float [m]
         Of an error that the heights of all positions have in common; 0 where something else holds the heights. The
         block is adjusted with that error: the level of its water counts as that much less certain.
+    rolls : tuple of Roll
+        That positions on a line leave open.
     """
 
     layout: Layout
@@ -74,6 +77,7 @@ class Known:
     unknown_positions: np.ndarray
     unknown_rotations: np.ndarray
     common_up_std: float = 0.0
+    rolls: tuple[Roll, ...] = ()
 
     @property
     def place_of_water(self) -> tuple[float, float]:
@@ -120,7 +124,8 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
     common_up = 0.0 if free_water else _common_up_std(survey)
     positions, position_std, unknown = _positions(survey, centres, exact=exact, shares_height=common_up > 0.0)
     rotation_std, unknown_rotations = _rotations(survey, exact=exact)
-    mean = replace(state, lenses=sheet, centres=positions)
+    rolls = rolls_of(survey)
+    mean = replace(state, lenses=sheet, centres=positions, rotations=rolled_to_attitudes(rotations, rolls))
     of_water = _water_std(survey, free=free_water)
     of_water[0] = math.hypot(of_water[0], common_up)
     std = np.concatenate(
@@ -133,13 +138,14 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
             np.concatenate([position_std, rotation_std], axis=1).ravel(),
         ]
     )
-    return Known(layout, lenses, state, mean, std, unknown, unknown_rotations, common_up)
+    return Known(layout, lenses, state, mean, std, unknown, unknown_rotations, common_up, rolls)
 
 
 def priors_for(known: Known, ties: TiePoints, point_std: np.ndarray | None = None) -> Priors:
     """The priors of an adjustment with these points, known to (M, 3) [m] where any are."""
     free = np.full((len(ties), 3), np.inf) if point_std is None else point_std
-    return Priors(replace(known.mean, points=ties.start), known.std, free)
+    rows, signs = without_starts(known.rolls, known.layout, known.std) if known.rolls else (None, None)
+    return Priors(replace(known.mean, points=ties.start), known.std, free, rows, signs)
 
 
 def _flow(survey: Survey) -> np.ndarray | None:

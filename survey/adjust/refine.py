@@ -26,6 +26,7 @@ from survey.adjust.holding import adjusted_with
 from survey.adjust.observed import MATCH, WINDOW, Observed, observed
 from survey.adjust.parts import parts_warning
 from survey.adjust.priors import Known, known_of
+from survey.adjust.roll_notes import roll_notes
 from survey.adjust.rounds import Adjusted, adjust
 from survey.adjust.state import WATER
 from survey.adjust.thinning import CELLS, PER_CELL, thinned
@@ -124,6 +125,7 @@ def _adjusted(
     if not free_water:
         done, against = gathered.without_contradictions(done)
     water = None if survey.water is not None else water_seen(done, gathered.marks_std)
+    notes = roll_notes(survey, done, make_plan(survey).gsd_m) if done.known.rolls and not free_water else []
     found = gathered.result(done, against)
     if not survey.is_level_known and found.parameter("level_m").status == UNKNOWN:
         raise _level_error(survey, found.parameter("level_m").std)
@@ -133,7 +135,7 @@ def _adjusted(
         warnings.append(
             f"{survey.contradiction}: the lens is found anew, under the poses that were given with it; correct it"
         )
-    return replace(found, warnings=(*found.warnings, *warnings))
+    return replace(found, notes=(*found.notes, *notes), warnings=(*found.warnings, *warnings))
 
 
 def _shares(survey: Survey, device: str) -> list[float]:

@@ -11,14 +11,15 @@ from geo.crs import height_unit_m, is_geographic
 from geo.errors import PlaceMismatch
 from geo.frames import LocalFrame
 from survey.control.placing import control_in_local, require_metres
-from survey.control.points import Control
+from survey.control.points import Control, ControlPoint
 from survey.errors import FILE_NAME, ControlError, PosesError
 from survey.folder.config_control import per_direction
 from survey.folder.found import Found
 from survey.names import GEO_TXT
 from survey.pose_files import find_unread
-from survey.sfm.control_fit import MIN_POINTS, require_spread
+from survey.sfm.control_fit import MIN_POINTS, line_of_control
 from survey.sfm.gps import MIN_POSITIONS, is_whole, what_is_missing
+from survey.sfm.gps_fit import HOLD_THE_ROLL
 from survey.sfm.marked import BlockControl
 
 # On straight rays the bed seems higher than it is by about a quarter of its depth.
@@ -53,7 +54,8 @@ def require_placing_control(found: Found) -> BlockControl:
     PosesError
         If there is no control.
     ControlError
-        If it cannot place photographs: fewer than three points with two marks, or all on one line.
+        If it cannot place photographs: fewer than three points with two marks, or all on one line and nothing to tell
+        the roll about it.
     """
     require_metres(() if found.control is None else found.control.points, found.crs)
     control = control_of_block(found)
@@ -69,17 +71,30 @@ def require_placing_control(found: Found) -> BlockControl:
             f"{told}, or at least {MIN_POINTS} control points; name a file of poses in [cameras] poses in {FILE_NAME}, "
             f"or control points with their marks in [control] gcps{unread}"
         )
-    count = Counter(mark.point for mark in control.marks)
-    enough = [point for point in control.points if count[point.name] >= 2]
+    enough = of_two_marks(control)
     if len(enough) < MIN_POINTS:
+        count = Counter(mark.point for mark in control.marks)
         marks = ", ".join(f"{point.name} {count[point.name]}" for point in control.points[:10])
         raise ControlError(
             f"{told}; {len(enough)} of {len(control.points)} control points are marked in two photographs or more "
             f"(marks: {marks}), expected at least {MIN_POINTS} not on a line to place the survey without positions; "
             "mark more"
         )
-    require_spread(np.array([point.local for point in enough]), np.array([point.std for point in enough]))
+    line = line_of_control(enough)
+    if line is not None and not may_hold_roll(found):
+        raise ControlError(f"{line.said(len(enough))}; {HOLD_THE_ROLL}")
     return control
+
+
+def of_two_marks(control: BlockControl) -> list[ControlPoint]:
+    """The points with two marks or more."""
+    count = Counter(mark.point for mark in control.marks)
+    return [point for point in control.points if count[point.name] >= 2]
+
+
+def may_hold_roll(found: Found) -> bool:
+    """Whether anything but positions and control may tell the roll about a line of them: level water, attitudes."""
+    return found.config.water is not None or any(head.motion.gimbal_deg is not None for head in found.heads.values())
 
 
 def of_block(control: Control, frame: LocalFrame, found: Found) -> BlockControl:

@@ -220,7 +220,7 @@ def _without_far(
         limit = 2.0 * _BENT_SHARE * reach + _MOST_STD * float(np.hypot(accuracy, std).max())
         off = float(np.linalg.norm(prior.position - view.camera.centre))
         if off > limit:
-            kept[view.name] = PosePrior(None, None, None, "none")
+            kept[view.name] = replace(prior, position=None, position_std=None, source="none", common_up_std=0.0)
             far.append(f"{view.name} (by {off:.0f} m)")
     warnings += named(far, "GPS position", "that the block contradicts, left out")
     return kept

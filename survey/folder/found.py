@@ -139,10 +139,11 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
     ways = ways_into_crs(heads, crs, config.cameras.gps_height) if poses_path is None else []
     if poses_path is None:
         warnings += [*datum_doubts(ways), *find_unread(folder)]
-    if config.cameras.rotation_std_deg is not None and poses_path is None:
+    has_attitudes = any(head.motion.gimbal_deg is not None for head in heads.values())
+    if config.cameras.rotation_std_deg is not None and poses_path is None and not has_attitudes:
         warnings.append(
-            "[cameras] rotation_std_deg is not used: it is that of poses from a file, and structure from motion finds "
-            "these; remove it, or name the poses in [cameras] poses"
+            "[cameras] rotation_std_deg is not used: it is that of poses from a file or of attitudes in XMP, and there "
+            "are neither; remove it, or name the poses in [cameras] poses"
         )
     if not config.control.gcp_files and (folder / _GCP_LIST).is_file():
         warnings.append(f'{_GCP_LIST} is not used; for its control points write gcps = "{_GCP_LIST}" in [control]')

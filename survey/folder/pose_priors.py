@@ -16,6 +16,7 @@ from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.sfm.datum_std import EXACT, WELL_KNOWN_M, DatumStd
 from survey.sfm.gps import datum_stds, positions_in_crs
+from survey.sfm.roll import attitudes_of
 
 if TYPE_CHECKING:
     from survey.folder.found import Found
@@ -27,6 +28,9 @@ _RTK_FIXED = 50
 # What heights in EXIF have in common where nothing says how good they are. Most drones take them from their barometer
 # and the standard atmosphere: the pressure of the day is off by some 10 hPa, at 8 m each.
 BAROMETER_STD_M = 80.0
+# What attitudes in XMP have in common, [cameras] rotation_std_deg aside: by the gimbal's sensors, and by how the camera
+# is mounted on it.
+ATTITUDE_STD_DEG = 1.0
 # Positions before the adjustment of another program, with the accuracy that its file gives them.
 BY_FILE = "GPS in the poses file"
 # Poses of a file that come without a word on how good they are.
@@ -53,6 +57,10 @@ class PosePrior:
         Of an error that the heights of all positions have in common; 0 where they have none.
     common_plan_std : float [m]
         The same of their places in plan, beside `position_std`: by a transformation of datums.
+    attitude : (3, 3) or None
+        Cam from local, by the attitude of the camera in XMP, of views that structure from motion placed.
+    attitude_std_deg : float [deg]
+        Of what attitudes have in common.
     """
 
     position: np.ndarray | None
@@ -61,6 +69,8 @@ class PosePrior:
     source: str
     common_up_std: float = 0.0
     common_plan_std: float = 0.0
+    attitude: np.ndarray | None = None
+    attitude_std_deg: float = ATTITUDE_STD_DEG
 
     def held_by_control(self) -> PosePrior:
         """The same where control decides the place of the block: what positions have in common widens them."""
@@ -107,8 +117,15 @@ def priors_of_gps(
     positions = positions_in_crs(found.heads, found.crs, cameras.gps_height, [])
     local = {name: frame.local_from_crs(place) for name, place in positions.items() if name not in rejected}
     datums = datum_stds(found.heads, found.crs, cameras.gps_height)
+    attitudes = attitudes_of({view.name: found.heads[view.name] for view in views})
+    std_deg = cameras.rotation_std_deg
+    attitude_std = ATTITUDE_STD_DEG if std_deg is None else float(np.max(per_axis(std_deg)))
     return {
-        view.name: _by_gps(cameras, local.get(view.name), found.heads[view.name], datums.get(view.name, EXACT))
+        view.name: replace(
+            _by_gps(cameras, local.get(view.name), found.heads[view.name], datums.get(view.name, EXACT)),
+            attitude=attitudes.get(view.name),
+            attitude_std_deg=attitude_std,
+        )
         for view in views
     }
 

@@ -14,7 +14,7 @@ from refract.lens import Lens
 from survey.control.placing import require_near
 from survey.display.words import named
 from survey.errors import ControlError, ImageError, PosesError
-from survey.folder.block_control import control_of_block, require_placing_control
+from survey.folder.block_control import control_of_block, may_hold_roll, of_two_marks, require_placing_control
 from survey.folder.camera_faults import require_focal_lengths
 from survey.folder.datum_mixups import place_of, xmp_doubts
 from survey.folder.exif_level import require_level_fits_exif
@@ -27,9 +27,10 @@ from survey.photos.cameras import View
 from survey.photos.images import require_all_complete
 from survey.photos.opening import HEIC_SUFFIXES
 from survey.photos.tie_points import TiePoints
+from survey.sfm.control_fit import line_of_control
 from survey.sfm.datum_std import require_as_good
 from survey.sfm.gps import MIN_POSITIONS, gps_positions, is_whole, positions_in_crs, ways_into_crs
-from survey.sfm.gps_fit import MIN_STD_M, contradicted, require_area
+from survey.sfm.gps_fit import HOLD_THE_ROLL, MIN_STD_M, contradicted, line_of
 from survey.sfm.marked import BlockControl
 from survey.sfm.settings import one_focal, require_size, require_solver
 
@@ -117,16 +118,24 @@ def placing_control(found: Found) -> BlockControl | None:
     if num < MIN_POSITIONS:
         return require_placing_control(found)
     positions = gps_positions(found.heads, found.crs, found.config.cameras.gps_height)
-    try:
-        require_area(np.array(list(positions.local.values())), MIN_STD_M)
-    except PosesError as error:
-        if control_of_block(found) is None:
-            raise
-        try:
-            return require_placing_control(found)
-        except ControlError as lack:
-            raise ControlError(f"{error}; nor can control place them: {lack}") from lack
+    line = line_of(list(positions.local.values()), MIN_STD_M)
+    if line is None:
+        return None
+    control = control_of_block(found)
+    if control is not None and _spans_area(found):
+        return control
+    if not may_hold_roll(found) and (control is None or not control.marks):
+        raise PosesError(f"{line.said(len(positions.local))}; {HOLD_THE_ROLL}")
     return None
+
+
+def _spans_area(found: Found) -> bool:
+    """Whether control points place the survey without anything else."""
+    try:
+        control = require_placing_control(found)
+    except ControlError:
+        return False
+    return line_of_control(of_two_marks(control)) is None
 
 
 def solve_views(found: Found, workspace: Path | None, report: Callable[[str], None] | None) -> SolvedViews:

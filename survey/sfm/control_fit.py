@@ -6,15 +6,17 @@ points under water seem to lie higher. So only gross errors count; the adjustmen
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 from math import comb
 
 import numpy as np
 
-from geo.similarity import Similarity, fit_similarity
+from geo.similarity import Similarity, fit_similarity, robust_similarity
+from survey.control.points import ControlPoint
 from survey.errors import ControlError
+from survey.sfm.gps_fit import Line
 from survey.sfm.marked import BlockControl, Met, Posed, meet, turned_marks
 
 MIN_POINTS = 3
@@ -38,11 +40,14 @@ class ControlFit:
     met : Met
     wrong : dict of name to float [m]
         Points that the others contradict, and how far they lie from where the photographs show them.
+    line : Line or None
+        That they lie on, which leaves the roll of the block about it open.
     """
 
     similarity: Similarity
     met: Met
     wrong: dict[str, float]
+    line: Line | None = None
 
     @property
     def used(self) -> tuple[str, ...]:
@@ -61,19 +66,47 @@ def fit_control(control: BlockControl, views: Mapping[str, Posed]) -> ControlFit
     Raises
     ------
     ControlError
-        If fewer than three points can be used, they lie on one line, or they contradict each other and nothing tells
-        which are wrong.
+        If fewer than three points can be used, or they contradict each other and nothing tells which are wrong.
     """
     met = meet(control, views)
     require_meeting(control, views, met)
     if len(met.points) < MIN_POINTS:
         raise ControlError(_too_few(control, views, met))
     theirs, std = coordinates(met)
-    require_spread(theirs, std)
+    if _line(theirs, std) is not None:
+        return _along_line(met)
     fit = agreed(met, views)
     good = np.array([point.name not in fit.wrong for point in met.points])
-    require_spread(theirs[good], std[good])
-    return fit
+    return replace(fit, line=_line(theirs[good], std[good]))
+
+
+def _line(places: np.ndarray, std: np.ndarray) -> Line | None:
+    """The line that control points (K, 3) [m] lie on, given how good they are (K, 3) [m]."""
+    along, across, least = spread_of(places, std)
+    if across >= least:
+        return None
+    centre = places.mean(axis=0)
+    direction = np.linalg.svd(places - centre, full_matrices=False)[2][0]
+    return Line(centre, direction, along, across, float(np.median(std)), "control points")
+
+
+def _along_line(met: Met) -> ControlFit:
+    """A similarity to points on a line, with any roll about it.
+
+    Raises
+    ------
+    ControlError
+        If they contradict each other.
+    """
+    theirs, std = coordinates(met)
+    similarity, _ = robust_similarity(met.places, theirs)
+    off = similarity(met.places) - theirs
+    good = (np.abs(off) <= _limits(met, std, similarity.scale)).all(axis=1)
+    if good.sum() < MIN_POINTS or 2 * good.sum() <= len(good):
+        raise ControlError(_contradiction(met, theirs, std))
+    wrong = {met.points[i].name: float(np.linalg.norm(off[i])) for i in np.flatnonzero(~good)}
+    similarity = fit_similarity(met.places[good], theirs[good])
+    return ControlFit(similarity, met, wrong, _line(theirs[good], std[good]))
 
 
 def coordinates(met: Met) -> tuple[np.ndarray, np.ndarray]:
@@ -132,21 +165,9 @@ def spread_of(places: np.ndarray, std: np.ndarray) -> tuple[float, float, float]
     return float(along), float(across), float(least)
 
 
-def require_spread(places: np.ndarray, std: np.ndarray) -> None:
-    """Raise where control points (K, 3) [m] lie on one line, as they leave the tilt of a block about it open.
-
-    Raises
-    ------
-    ControlError
-        With the extent along and across.
-    """
-    along, across, least = spread_of(places, std)
-    if across < least:
-        raise ControlError(
-            f"the {len(places)} control points lie on one line (spread {along:.2f} m along and {across:.2f} m "
-            f"across, expected {least:.2g} m at least), which leaves the tilt of the block about it open; add a point "
-            "beside it"
-        )
+def line_of_control(points: Sequence[ControlPoint]) -> Line | None:
+    """The line that control points lie on, given how good they are; None where they span an area."""
+    return _line(np.array([point.local for point in points]), np.array([point.std for point in points]))
 
 
 def _agreements(met: Met, theirs: np.ndarray, std: np.ndarray) -> list[np.ndarray]:

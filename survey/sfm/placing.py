@@ -21,8 +21,9 @@ from survey.sfm import block as sfm_block
 from survey.sfm.block import Sensor
 from survey.sfm.control_fit import fit_control
 from survey.sfm.gps import GpsPositions
-from survey.sfm.gps_fit import gps_std, require_area
-from survey.sfm.marked import BlockControl, Posed
+from survey.sfm.gps_fit import Line, gps_std, line_of
+from survey.sfm.marked import BlockControl, Met, Posed, meet
+from survey.sfm.roll import Across, roll_by_attitudes, roll_by_control, roll_by_ground
 from survey.sfm.solve import GIVE_POSES, MIN_VIEWS, Free, listed
 
 if TYPE_CHECKING:
@@ -62,6 +63,7 @@ def place_by_gps(
     sensors: list[Sensor],
     say: Callable[[str], None],
     spare: BlockControl | None = None,
+    attitudes: Mapping[str, np.ndarray] | None = None,
 ) -> Placed:
     """Place blocks by the GPS positions of their cameras; the blocks are changed.
 
@@ -72,7 +74,10 @@ def place_by_gps(
     sensors : list of Sensor
     say : callable
     spare : BlockControl, optional
-        For the blocks that positions cannot place; its views have the names that are keys of `alias_of`.
+        For the blocks that positions cannot place, and for the roll of those on one line; its views have the names that
+        are keys of `alias_of`.
+    attitudes : mapping of name to (3, 3), optional
+        Cam from local, as XMP has them.
 
     Raises
     ------
@@ -80,25 +85,37 @@ def place_by_gps(
         If they say of no block how it lies.
     """
     positions = {alias_of[name]: position for name, position in gps.local.items()}
+    turned = _by_alias(attitudes, alias_of)
+    nearby = None if spare is None else spare.in_frame(gps.frame)
     say(f"structure from motion: {free.num_images} images are placed by their GPS positions")
 
     def by_positions(block: pycolmap.Reconstruction) -> str:
         trusted = _to_positions(block, positions)
         std = gps_std(_residuals(block, trusted))
-        return (
+        said = (
             f"{len(trusted)} GPS positions lie about {std[0]:.2f} m east and north and {std[2]:.2f} m up from it, "
             "before the adjustment"
         )
+        line = line_of(list(trusted.values()), float(std.max()))
+        if line is None:
+            return said
+        met = None if nearby is None else meet(nearby, posed_of(block, alias_of))
+        return f"{said}; {line.said(len(trusted))}: it starts {_roll(block, line, turned, met)}"
 
     ways: list[Way] = [by_positions]
     if spare is not None:
-        ways.append(_way_of_control(spare, gps.frame, alias_of))
+        ways.append(_way_of_control(spare, gps.frame, alias_of, turned))
     placed = _place(free, ways, gps.frame, alias_of, sensors)
     return replace(placed, notes=(*gps.notes, *placed.notes))
 
 
 def place_by_control(
-    free: Free, control: BlockControl, alias_of: Mapping[str, str], sensors: list[Sensor], say: Callable[[str], None]
+    free: Free,
+    control: BlockControl,
+    alias_of: Mapping[str, str],
+    sensors: list[Sensor],
+    say: Callable[[str], None],
+    attitudes: Mapping[str, np.ndarray] | None = None,
 ) -> Placed:
     """Place blocks by control points; the blocks are changed.
 
@@ -110,6 +127,8 @@ def place_by_control(
     alias_of : mapping of name to name in the block
     sensors : list of Sensor
     say : callable
+    attitudes
+        As for `place_by_gps`.
 
     Raises
     ------
@@ -117,20 +136,30 @@ def place_by_control(
         If the control says of no block how it lies.
     """
     say(f"structure from motion: {free.num_images} images are placed by {len(control.points)} control points")
-    return _place(free, [_way_of_control(control, control.frame, alias_of)], control.frame, alias_of, sensors)
+    way = _way_of_control(control, control.frame, alias_of, _by_alias(attitudes, alias_of))
+    return _place(free, [way], control.frame, alias_of, sensors)
 
 
-def _way_of_control(control: BlockControl, frame: LocalFrame, alias_of: Mapping[str, str]) -> Way:
+def _by_alias(attitudes: Mapping[str, np.ndarray] | None, alias_of: Mapping[str, str]) -> dict[str, np.ndarray]:
+    return {alias_of[name]: attitude for name, attitude in (attitudes or {}).items() if name in alias_of}
+
+
+def _way_of_control(
+    control: BlockControl, frame: LocalFrame, alias_of: Mapping[str, str], attitudes: Mapping[str, np.ndarray]
+) -> Way:
     def by_control(block: pycolmap.Reconstruction) -> str:
         fit = fit_control(control if frame is control.frame else control.in_frame(frame), posed_of(block, alias_of))
         sfm_block.transform(block, fit.similarity)
         met = zip(fit.met.points, fit.met.places, strict=True)
         off = [fit.similarity(place) - point.local for point, place in met if point.name in fit.used]
         rms = np.sqrt(np.mean(np.square(off), axis=0))
-        return (
+        said = (
             f"placed by control points alone ({listed(fit.used)}), which lie about {math.hypot(rms[0], rms[1]):.2f} m "
             f"across and {rms[2]:.2f} m up from it, before the adjustment"
         )
+        if fit.line is None:
+            return said
+        return f"{said}; {fit.line.said(len(fit.used))}: it starts {_roll(block, fit.line, attitudes, None)}"
 
     return by_control
 
@@ -211,10 +240,28 @@ def _to_positions(block: pycolmap.Reconstruction, positions: Mapping[str, np.nda
         )
     ours, theirs = np.array(list(centres.values())), np.array([positions[alias] for alias in centres])
     similarity, agree = robust_similarity(ours, theirs)
-    require_area(theirs[agree], float(gps_std(similarity(ours[agree]) - theirs[agree]).max()))
     sfm_block.transform(block, similarity)
     trusted = {alias: positions[alias] for alias, good in zip(centres, agree, strict=True) if good}
     return trusted
+
+
+def _roll(block: pycolmap.Reconstruction, line: Line, attitudes: Mapping[str, np.ndarray], met: Met | None) -> str:
+    """Roll a block about the line of its positions by what tells it, which is returned in words."""
+    poses, across = sfm_block.poses_of(block), Across.of(line)
+    with_attitude = [alias for alias in poses if alias in attitudes]
+    if with_attitude:
+        ours = np.array([poses[alias][1] for alias in with_attitude])
+        angle = roll_by_attitudes(across, ours, np.array([attitudes[alias] for alias in with_attitude]))
+        sfm_block.transform(block, across.rolled(angle))
+        return f"as the attitudes of {len(with_attitude)} photographs in XMP have it"
+    if met is not None and met.points:
+        angle = roll_by_control(across, met.places, np.array([point.local for point in met.points]))
+        sfm_block.transform(block, across.rolled(angle))
+        return f"as {listed([point.name for point in met.points])} have it"
+    rotations = np.array([rotation for _, rotation in poses.values()])
+    angle = roll_by_ground(across, rotations, sfm_block.points_of(block)[0])
+    sfm_block.transform(block, across.rolled(angle))
+    return "with photographs that look straight down across it"
 
 
 def _reset(block: pycolmap.Reconstruction, sensors: list[Sensor], notes: list[str]) -> None:

@@ -33,6 +33,7 @@ from survey.sfm import block as sfm_block
 from survey.sfm.gps import gps_positions, positions_in_crs
 from survey.sfm.marked import BlockControl
 from survey.sfm.placing import Placed, place_by_control, place_by_gps
+from survey.sfm.roll import attitudes_of
 from survey.sfm.settings import one_focal, require_size
 from survey.sfm.solve import Free, aliases, sensors_of, solve
 from survey.stage_key import stage_key
@@ -152,9 +153,9 @@ def solve_poses(
     place: Callable[..., Placed]
     if control is None:
         gps = gps_positions(known, crs, gps_height)
-        frame, place = gps.frame, partial(place_by_gps, gps=gps, spare=spare_control)
+        frame, place = gps.frame, partial(place_by_gps, gps=gps, spare=spare_control, attitudes=attitudes_of(known))
     else:
-        frame, place = control.frame, partial(place_by_control, control=control)
+        frame, place = control.frame, partial(place_by_control, control=control, attitudes=attitudes_of(known))
     positions = positions_in_crs(known, frame.crs, gps_height, [])
     local = {name: frame.local_from_crs(position) for name, position in positions.items()}
     free = _solved(images, known, local, focal_px, workspace, say)

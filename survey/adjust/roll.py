@@ -1,0 +1,153 @@
+"""Roll of a block about the line that its positions lie on, as a prior and as a result.
+
+Structure from motion leaves the rotation of a block open, and positions on a line the roll about it. The weak priors of
+single rotations (`survey.adjust.priors.ROTATION_STD`) count from where the block starts and would hold the roll by
+nothing that was measured. With D their precision, f the parameters that a roll of the whole block by one radian
+changes, g the mean of the rolls of its photographs and s its standard deviation by attitudes, they are replaced by
+
+    D - D f f' D / (f' D f) + g' g / s^2
+
+which says nothing of a common roll but what attitudes say. All else comes from the photographs: rays that bend at level
+water, the shoreline, and control points with their marks. The standard deviation of the roll is that of g in the
+covariance of the adjustment.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from survey.adjust.state import POSE, Layout
+from survey.photos.tie_points import parts_of
+from survey.sfm.control_fit import line_of_control
+from survey.sfm.gps_fit import Line, gps_std, line_of
+from survey.sfm.roll import Across, roll_by_attitudes
+
+if TYPE_CHECKING:
+    from survey.folder.pose_priors import PosePrior
+    from survey.folder.survey import Survey
+    from survey.photos.cameras import View
+
+# Where there are no attitudes: keeps the normal equations regular, and is no knowledge to rely on.
+_OPEN_STD = math.radians(20.0)
+# Fewer positions than this do not tell a line from an area.
+_FEWEST = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Roll:
+    """The common roll of some photographs.
+
+    Attributes
+    ----------
+    views : (K,) int64
+    across : Across
+        The line.
+    turns : (K, 3)
+        Of each photograph, the axis of the line in cam.
+    start : float [rad]
+        By how much attitudes have the block rolled from the rotations that the survey has; 0 without any.
+    std : float [rad]
+        Of the roll by attitudes.
+    num_attitudes : int
+    """
+
+    views: np.ndarray
+    across: Across
+    turns: np.ndarray
+    start: float
+    std: float
+    num_attitudes: int
+
+    def mean_of(self, layout: Layout) -> np.ndarray:
+        """g (P,): the mean roll of the photographs by the parameters."""
+        return self._by_turns(layout, self.turns / len(self.views))
+
+    def whole_of(self, layout: Layout) -> np.ndarray:
+        """f (P,): what a roll of all photographs by one radian changes of the rotations."""
+        return self._by_turns(layout, self.turns)
+
+    def std_by(self, layout: Layout, covariance: np.ndarray) -> float:
+        """Standard deviation [rad] of the roll after an adjustment with a covariance (P, P)."""
+        mean = self.mean_of(layout)
+        return math.sqrt(max(float(mean @ covariance @ mean), 0.0))
+
+    def _by_turns(self, layout: Layout, turns: np.ndarray) -> np.ndarray:
+        vector = np.zeros(len(layout))
+        poses = vector[layout.first_pose :].reshape(-1, POSE)
+        poses[self.views, 3:] = turns
+        return vector
+
+
+def rolls_of(survey: Survey) -> tuple[Roll, ...]:
+    """The rolls that positions leave open, of each part that shares no points with others; none of poses of a file."""
+    if survey.ties is None or survey.config.cameras.poses is not None:
+        return ()
+    part = parts_of(len(survey.views), survey.ties.point, survey.ties.view)
+    found = [_roll_of(survey, np.flatnonzero(part == number)) for number in range(int(part.max(initial=-1)) + 1)]
+    return tuple(roll for roll in found if roll is not None)
+
+
+def rolled_to_attitudes(rotations: np.ndarray, rolls: Sequence[Roll]) -> np.ndarray:
+    """Rotations (V, 3, 3) of a survey, rolled to where attitudes have them."""
+    rotations = rotations.copy()
+    for roll in rolls:
+        rotations[roll.views] = rotations[roll.views] @ roll.across.rolled(roll.start).rotation.T
+    return rotations
+
+
+def without_starts(rolls: Sequence[Roll], layout: Layout, std: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows (2 K, P) and signs (2 K,) that take the start out of the priors and attitudes in; ``std`` (P,) of these.
+
+    With the parameters x less their means, they add the sum of ``sign (row x)^2`` to the squares of the priors.
+    """
+    rows = np.zeros((2 * len(rolls), len(layout)))
+    for number, roll in enumerate(rolls):
+        whole = roll.whole_of(layout)
+        strong = whole / std**2
+        rows[2 * number] = strong / math.sqrt(float(whole @ strong))
+        rows[2 * number + 1] = roll.mean_of(layout) / roll.std
+    return rows, np.tile([-1.0, 1.0], len(rolls))
+
+
+def _roll_of(survey: Survey, views: np.ndarray) -> Roll | None:
+    """The roll of some views, where their positions lie on a line."""
+    chosen = [survey.views[k] for k in views]
+    priors = [survey.priors.get(view.name) for view in chosen]
+    placed = [(v.camera.centre, p) for v, p in zip(chosen, priors, strict=True) if p and p.position is not None]
+    line = _line_of_positions(placed) if len(placed) >= _FEWEST else _line_of_control(survey, chosen)
+    if line is None:
+        return None
+    across = Across.of(line)
+    rotations = np.array([view.camera.cam_from_local for view in chosen])
+    known = [k for k, prior in enumerate(priors) if prior and prior.attitude is not None]
+    start, std = 0.0, _OPEN_STD
+    if known:
+        attitudes = [prior.attitude for prior in priors if prior and prior.attitude is not None]
+        start = roll_by_attitudes(across, rotations[known], np.array(attitudes))
+        std = math.radians(max(prior.attitude_std_deg for prior in priors if prior and prior.attitude is not None))
+    return Roll(views, across, rotations @ across.along, start, std, len(known))
+
+
+def _line_of_positions(placed: Sequence[tuple[np.ndarray, PosePrior]]) -> Line | None:
+    """The line of the positions of photographs with these centres (3,) [m], local, and priors."""
+    positions = np.array([prior.position for _, prior in placed])
+    stated = [float(prior.position_std.max()) for _, prior in placed if prior.position_std is not None]
+    off = np.array([centre for centre, _ in placed]) - positions
+    # Control may have moved the block as one.
+    scatter = gps_std(off - np.median(off, axis=0))
+    return line_of(positions, max(float(scatter.max()), float(np.median(stated)) if stated else 0.0))
+
+
+def _line_of_control(survey: Survey, views: Sequence[View]) -> Line | None:
+    """The line of the control points that some views show."""
+    names = {view.name for view in views}
+    marks = () if survey.control is None else survey.control.marks
+    shown = {mark.point for mark in marks if mark.view in names}
+    points = () if survey.control is None else survey.control.points
+    given = [point for point in points if point.name in shown and not point.is_check]
+    return line_of_control(given) if len(given) >= _FEWEST else None

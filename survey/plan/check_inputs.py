@@ -12,6 +12,7 @@ from survey.folder.control import FoundControl
 from survey.folder.level_observation import LevelObservation
 from survey.folder.mark_residuals import mark_residuals
 from survey.folder.survey import Survey
+from survey.folder.water_level import STAFF_STD_M
 
 
 def control_rows(control: FoundControl | None) -> list[tuple[str, str]]:
@@ -70,4 +71,7 @@ def water_stds(water: WaterConfig, levels: Sequence[LevelObservation], *, is_ind
         by = f"{measured[0]}, {len(measured)} measured" + (f", and {FILE_NAME}" if len(said) > 1 else "")
     if not is_index_known:
         by += "; that of the index is assumed"
-    return f"; known: {', '.join(said)} ({by})" if said else ""
+    told = f"; known: {', '.join(said)} ({by})" if said else ""
+    if water.level_m is not None and water.level_std_m is None:
+        told += f"; level_std_m is not given, {STAFF_STD_M:g} m as of a staff are assumed: say how well it is known"
+    return told

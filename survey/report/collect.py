@@ -54,7 +54,7 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
     adjustment = adjustment_of(survey, facts.adjustment)
     told = [] if adjustment is None or adjustment.note is None else [adjustment.note]
     failed = [gate.sentence for gate in facts.verdict.gates if not gate.passed] if facts.verdict else []
-    stated, left_out = stated_std(facts), _left_out(survey)
+    stated, left_out = stated_std(facts.bed.std, facts.std_common), _left_out(survey)
     checkpoints = checkpoints_of(survey, facts.bed.xyz, facts.plan.gsd_m, stated)
     return ReportFigures(
         verdict=facts.verdict,
@@ -78,7 +78,7 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
         ),
         notes=(*facts.notes, *told),
         checkpoints=checkpoints,
-        height_std=height_std_of(facts),
+        height_std=height_std(facts.bed.std, facts.std_common) if len(facts.bed) else None,
         adjustment=adjustment,
         photographs=facts.photographs,
         stated=stated_of(stated, np.where(facts.bed.wet, facts.bed.depth, np.nan)),
@@ -86,18 +86,16 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
     )
 
 
-def stated_std(facts: ReportFacts) -> np.ndarray:
-    """Standard deviations (N,) [m] of the heights of the points, random and shared."""
-    common = np.zeros(len(facts.bed)) if facts.std_common is None else np.nan_to_num(facts.std_common)
-    return np.hypot(facts.bed.std, common)
+def stated_std(std: np.ndarray, std_common: np.ndarray | None) -> np.ndarray:
+    """Standard deviations (N,) [m] of the heights of points, random and shared, from both (N,); NaN counts for none."""
+    return np.hypot(std, np.zeros(len(std)) if std_common is None else np.nan_to_num(std_common))
 
 
-def height_std_of(facts: ReportFacts) -> HeightStd | None:
-    """How well the height of a point is known, all included; None without points."""
-    if not len(facts.bed):
-        return None
-    shared = None if facts.std_common is None else float(np.nanmedian(facts.std_common))
-    return HeightStd(float(np.median(stated_std(facts))), shared, float(np.nanmedian(facts.bed.std)))
+def height_std(std: np.ndarray, std_common: np.ndarray | None) -> HeightStd:
+    """How well the height of a point is known, all included: medians over points (N,), one at least."""
+    told = np.zeros(0) if std_common is None else std_common[np.isfinite(std_common)]
+    shared = float(np.median(told)) if len(told) else None
+    return HeightStd(float(np.median(stated_std(std, std_common))), shared, float(np.nanmedian(std)))
 
 
 def _left_out(survey: Survey) -> tuple[str, ...]:

@@ -1,9 +1,11 @@
 """The quality gate of a run.
 
-Two things are required. Of the ground that two or more views see, at the height where the bed was found, at least half
-has a point: what one view alone sees cannot be measured and does not count. And the median standard deviation of the
-points is at most one and a half ground sampling distances. Standard deviations are those that the photographs, or the
-poses of a file, are answerable for: where GPS or control has put a block, they make it no better.
+Three things are required. Of the ground that two or more views see, at the height where the bed was found, at least
+half has a point: what one view alone sees cannot be measured and does not count. The median standard deviation of the
+points is at most one and a half ground sampling distances: that which the photographs, or the poses of a file, are
+answerable for, since where GPS or control has put a block, they make it no better. And a height is known, with all that
+it shares with the others by water, lens and poses, to as much, or to what IHO S-44's strictest order allows in shallow
+water (0.15 m at 95 %), where that is more: a level read to some centimetres is no failure of a low flight.
 """
 
 from __future__ import annotations
@@ -16,6 +18,8 @@ import numpy as np
 from survey.display.quantities import NO_BREAK, length, share
 from survey.plan.aim import SHARE
 from survey.plan.area import local_area
+from survey.plan.limits import MAX_STD_GSD, max_height_std
+from survey.report.collect import height_std
 from survey.report.verdict import Gate, Verdict
 from survey.run.cell_std import std_cells
 from survey.run.seen_cells import SeenCells, cells_seen
@@ -26,13 +30,18 @@ if TYPE_CHECKING:
     from survey.run.stored import StoredBed
 
 MIN_COVERED_SHARE = 0.5
-MAX_STD_GSD = 1.5
 MIN_VIEWS = 2
 
 
 def verdict_of(survey: Survey, stored: StoredBed, gsd_m: float) -> Verdict:
     """What the gates say of the points of a bed at a ground sampling distance [m]."""
-    return Verdict((_completeness(survey, stored.bed, gsd_m), _precision(stored.std_of_photographs(), gsd_m)))
+    return Verdict(
+        (
+            _completeness(survey, stored.bed, gsd_m),
+            _precision(stored.std_of_photographs(), gsd_m),
+            _whole(survey, stored, gsd_m),
+        )
+    )
 
 
 def asked_gate(stored: StoredBed, std_m: float) -> Gate:
@@ -73,3 +82,25 @@ def _precision(stds: np.ndarray, gsd_m: float) -> Gate:
         f"({MAX_STD_GSD:g}{NO_BREAK}ground sampling distances)"
     )
     return Gate("median standard deviation", 1000.0 * std, 1000.0 * limit, "mm", std <= limit, sentence)
+
+
+def _whole(survey: Survey, stored: StoredBed, gsd_m: float) -> Gate:
+    """How well a height is known, all included, as `height_std_m` in report.json has it."""
+    std, limit = height_std(stored.bed.std, stored.std_common), max_height_std(gsd_m)
+    passed = std.whole <= limit
+    parts = f"{length(std.random)} random"
+    if std.shared is not None:
+        parts = f"{length(std.shared)} shared by large parts of the cloud, {parts}"
+    sentence = f"a height is known to {length(std.whole)}, one sigma, all included ({parts}); "
+    sentence += f"required: at most {length(limit)}"
+    if not passed and std.shared is not None and std.shared > std.random:
+        sentence += f"; what is shared limits it: {_mend(survey)}"
+    return Gate("height, all included", 1000.0 * std.whole, 1000.0 * limit, "mm", passed, sentence)
+
+
+def _mend(survey: Survey) -> str:
+    """What makes the shared part of heights less."""
+    water = survey.config.water
+    if water is not None and water.level_std_m is None:
+        return "give [water] level_std_m, and control points or [cameras] position_std_m where they are better known"
+    return "give control points, or positions or a level of the water that are better known"

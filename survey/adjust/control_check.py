@@ -35,7 +35,7 @@ _MEDIAN_OF_THREE = 1.26
 # Of so many points, most are further off than stated only where what is stated is too small by such a factor.
 _FEWEST, _OVERSTATED = 4, 2.0
 # Without positions of cameras a block needs so many points.
-_PLACE_A_BLOCK = 3
+PLACE_A_BLOCK = 3
 # What the adjustment leaves of an error is no measure of it where it is a smaller part.
 _LEAST_REDUNDANCY = 0.2
 
@@ -81,7 +81,7 @@ def checked_points(problem: Problem, solution: Solution, seen: Observed, stated:
         return seen
     median, worst = float(np.median(list(off.values()))), max(off, key=off.__getitem__)
     positions = problem.priors.std[problem.layout.first_pose :].reshape(-1, POSE)[:, :3]
-    can_lose = len(known) > _PLACE_A_BLOCK or bool(np.isfinite(positions).any())
+    can_lose = len(known) > PLACE_A_BLOCK or bool(np.isfinite(positions).any())
     stands_out = len(off) < _FEWEST or off[worst] > _STANDS_OUT * median
     if off[worst] > _WRONG and stands_out and can_lose:
         std[worst] = np.inf

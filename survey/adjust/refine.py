@@ -16,6 +16,7 @@ from survey import machine
 from survey.adjust.adjustment import UNKNOWN, Adjustment
 from survey.adjust.applied import at_state
 from survey.adjust.assembling import result
+from survey.adjust.bundle import NotConvergedError
 from survey.adjust.common_height import height_doubts, placed_by_level, water_start, with_common, without_common
 from survey.adjust.contradiction import MOST_OF_FOUR, released, worst_contradiction
 from survey.adjust.far_poses import Search, windows_or_search
@@ -23,6 +24,7 @@ from survey.adjust.flooding import dry_bed_error, level_over_block
 from survey.adjust.free_water import Lost, adjust_free, dry_or_within_bounds, water_std, within_bounds
 from survey.adjust.given_check import LEVEL, LEVEL_NAME
 from survey.adjust.holding import adjusted_with
+from survey.adjust.lone_control import contradicted_points, is_lone, lone_warning
 from survey.adjust.observed import MATCH, WINDOW, Observed, observed
 from survey.adjust.parts import parts_warning
 from survey.adjust.priors import Known, known_of
@@ -131,6 +133,8 @@ def _adjusted(
         raise _level_error(survey, found.parameter("level_m").std)
     warnings = [*(_against(found, each) for each in against), *height_doubts(survey, done)]
     warnings += parts_warning(found, survey.water) + ([] if water is None else [str(water)])
+    if not free_water:
+        warnings += gathered.against_control()
     if survey.contradiction is not None and survey.contradiction.is_of_lens:
         warnings.append(
             f"{survey.contradiction}: the lens is found anew, under the poses that were given with it; correct it"
@@ -232,6 +236,24 @@ class _Gathered:
             start = released(_started(done.known, done), each)
             done = adjust(start, self._observed, self._sizes, self.marks_std)
         return done, against
+
+    def against_control(self) -> list[str]:
+        """A warning where positions and water contradict control that is too little to check itself."""
+        control = self._survey.control
+        if control is None or not is_lone(self._survey):
+            return []
+        alone = replace(self._survey, control=None)
+        known = known_of(alone, make_plan(alone).gsd_m)
+        # With an open roll a block without control tells nothing.
+        if known.rolls:
+            return []
+        kind, ties = self._parts[0]
+        try:
+            free = placed_by_level(_Gathered(alone, known, free_water=False).with_more(kind, ties, known))[0]
+        except NotConvergedError:
+            return []
+        against = contradicted_points(control, self.marks_std, self._survey, free)
+        return [lone_warning(against)] if against else []
 
     def result(self, done: Adjusted, against: Sequence[Contradiction]) -> Adjustment:
         """The adjustment in the terms of the survey."""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from plane_survey import buffers_of, held_in
 
+from fields.sweep.kernels import drjit_scoring
 from fields.sweep.kernels.arrays import ALIGNED_BYTES, Buffer, floats, host
 from fields.sweep.kernels.backend import kernels
 
@@ -49,7 +50,7 @@ def test_behind_a_room_there_is_memory_for_the_last_vector_of_a_view(device, siz
     assert (copy.memory[:size] == np.arange(size)).all()
 
 
-@pytest.mark.parametrize("radius", [1, 2, 3])
+@pytest.mark.parametrize("radius", [1, 2, 3, 5])
 def test_ncc_agrees_with_a_slow_twin_where_windows_are_whole(device, rng, radius):
     reference = rng.normal(0.0, 40.0, (14, 17)).astype(np.float32)
     noise = rng.normal(0.0, 40.0, (3, *reference.shape))
@@ -156,3 +157,19 @@ def test_the_first_of_equal_scores_is_taken_and_left_by_half_a_step_at_most(devi
     height, _, _ = climbed(device, hypotheses, np.zeros(2), 1.0)
     assert height[0] == 1.5
     assert 1.5 <= height[1] <= 2.5
+
+
+@pytest.mark.parametrize("device", ["cpu"], indirect=True)
+@pytest.mark.parametrize("radius", [1, 2])
+@pytest.mark.parametrize("least_known", [1.0, 0.5])
+def test_sums_by_rows_are_those_of_whole_windows(device, rng, monkeypatch, radius, least_known):
+    reference, *images = rng.normal(0.0, 40.0, (3, 14, 17)).astype(np.float32)
+    images[0][rng.random(reference.shape) < 0.05] = np.nan
+    at_once = ncc_of(device, reference, np.array(images), radius, least_known)
+    monkeypatch.setattr(drjit_scoring, "_WIDEST_AT_ONCE", 0)
+    by_rows = ncc_of(device, reference, np.array(images), radius, least_known)
+    if least_known == 1.0:
+        # The same additions in the same order.
+        assert (at_once == by_rows).all()
+    else:
+        np.testing.assert_allclose(at_once, by_rows, atol=SCORE)

@@ -5,7 +5,8 @@
     score  mean of the best half of the neighbours' NCC, per (j, p): an occluded neighbour scores low and drops out
 
 `ncc` and `best_half` are one kernel, which reads each window from W in vectors of neighbouring pixels, and writes the
-score alone: nothing else goes through memory.
+score alone: nothing else goes through memory. Of wide windows, which have up to 289 pixels, sums over rows are written
+first, and then added: the same sums in the same order, for 2 (2 radius + 1) additions in place of their square.
 
 Callers get these functions from `fields.sweep.kernels.backend.kernels`; `torch_kernels` is the twin.
 """
@@ -13,6 +14,8 @@ Callers get these functions from `fields.sweep.kernels.backend.kernels`; `torch_
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -24,6 +27,53 @@ from fields.sweep.kernels.arrays import Buffer, hypothesis_and_pixel
 NOISE_VARIANCE = 1.0
 # Hypotheses of one kernel of `best_height`: hundreds in one kernel take minutes to compile.
 HYPOTHESES_PER_KERNEL = 8
+# Windows of a larger radius [px] are added up by rows: smaller ones are read faster than their sums are written.
+_WIDEST_AT_ONCE = 2
+# Of windows of which a part is known: see `_known_row`.
+_KNOWN_SUMS = 6
+
+
+@dataclass(frozen=True)
+class WideWindows:
+    """Images from which sums over wide windows are taken, by rows first.
+
+    Attributes
+    ----------
+    device : Device
+    reference, values : Buffer, list of Buffer
+        Of J * P each.
+    rows : list of Buffer
+        For the sums over rows, of as many each.
+    width, radius : [px]
+    """
+
+    device: Device
+    reference: Buffer
+    values: list[Buffer]
+    rows: list[Buffer]
+    width: int
+    radius: int
+
+    def sums(self, terms: Callable[[list[tuple[Any, Any]]], list], room: Buffer) -> list:
+        """Sums over all windows of an image and the reference, traced and not computed yet.
+
+        ``terms`` takes the pixels of a row of the window, of the image and the reference, to sums over the row.
+        """
+        side, total = 2 * self.radius + 1, room.size
+        count = total - side + 1
+        pixels = [
+            tuple(_shifted(self.device, each, at, count) for each in (room, self.reference)) for at in range(side)
+        ]
+        index, rows = dr.arange(self.device.module.UInt, count), terms(pixels)
+        for target, row in zip(self.rows, rows, strict=False):
+            dr.scatter(target.array, row, index)
+        dr.eval([target.array for target in self.rows[: len(rows)]])
+        count -= (side - 1) * self.width
+        sums: list[Any] = [0.0] * len(rows)
+        for first in range(side):
+            parts = [_shifted(self.device, each, first * self.width, count) for each in self.rows[: len(rows)]]
+            sums = [whole + part for whole, part in zip(sums, parts, strict=True)]
+        return sums
 
 
 def buffers(device: Device, count: int, size: int) -> list[Buffer]:
@@ -39,10 +89,11 @@ def _shifted(device: Device, room: Buffer, first: int, count: int):
     return dr.gather(type(room.array), room.array, dr.arange(UInt, count) + dr.opaque(UInt, first))
 
 
-def windows(device: Device, reference, values: list[Buffer], width: int, radius: int) -> list[list]:
+def windows(device: Device, reference, values: list[Buffer], width: int, radius: int) -> list[list] | WideWindows:
     """Pixels of all windows of the reference and of W of each neighbour, one array per place in the window.
 
-    ``values`` are the `buffers` that `warp` has filled; the last of them, that of the reference, is filled here.
+    Of wide ones the images alone. ``values`` are the `buffers` that `warp` has filled; the last of them, that of the
+    reference, is filled here.
     """
     Float, (*values, greys) = device.module.Float, values
     total = greys.size
@@ -50,13 +101,15 @@ def windows(device: Device, reference, values: list[Buffer], width: int, radius:
     grey = dr.gather(Float, reference, hypothesis_and_pixel(device, total, dr.width(reference))[1])
     dr.scatter(greys.array, grey, index)
     dr.eval(greys.array)
+    if radius > _WIDEST_AT_ONCE:
+        return WideWindows(device, greys, values, buffers(device, _KNOWN_SUMS - 1, total), width, radius)
     side = 2 * radius + 1
     offsets = [row * width + column for row in range(side) for column in range(side)]
     count = total - offsets[-1]
     return [[_shifted(device, room, o, count) for o in offsets] for room in (greys, *values)]
 
 
-def ncc(windows: list[list], radius: int, least_known: float = 1.0) -> list:
+def ncc(windows: list[list] | WideWindows, radius: int, least_known: float = 1.0) -> list:
     """NCC of W (K arrays of J * P) with the reference over square windows; -1 where a window is incomplete.
 
     The windows run over the flattened strips, and the first and last M = radius * (width + 1) of them, which would
@@ -65,34 +118,82 @@ def ncc(windows: list[list], radius: int, least_known: float = 1.0) -> list:
     edge). With ``least_known`` below 1 the pixels that both have are compared, where these are such a share of the
     window.
     """
-    (reference, *windows), side = windows, 2 * radius + 1
+    side = 2 * radius + 1
     scale = 1.0 / side**2
+    if isinstance(windows, WideWindows):
+        return _ncc_of_wide(windows, scale, least_known)
+    reference, *windows = windows
     if least_known < 1.0:
         return [_ncc_of_known(window, reference, least_known * side**2) for window in windows]
     m_i, v_i, _ = _moments(reference, reference, scale)
     v_i = dr.maximum(v_i, NOISE_VARIANCE)
     scores = []
     for window in windows:
-        mean, variance, product = _moments(window, reference, scale)
-        score = (product - mean * m_i) * dr.rsqrt(dr.maximum(variance, NOISE_VARIANCE) * v_i)
-        # An incomplete window is NaN; a complete one stays above -1, the mark of an incomplete one.
-        scores.append(dr.select(dr.isnan(score), -1.0, dr.maximum(score, -0.999)))
+        scores.append(_score(*_moments(window, reference, scale), m_i, v_i))
     return scores
+
+
+def _score(mean, variance, product, m_i, v_i):
+    """NCC from mean and variance of a window, the mean of its products with the reference, and those of the latter."""
+    score = (product - mean * m_i) * dr.rsqrt(dr.maximum(variance, NOISE_VARIANCE) * v_i)
+    # An incomplete window is NaN; a complete one stays above -1, the mark of an incomplete one.
+    return dr.select(dr.isnan(score), -1.0, dr.maximum(score, -0.999))
+
+
+def _ncc_of_wide(windows: WideWindows, scale: float, least_known: float) -> list:
+    """As `ncc`, each computed before the next, whose sums over rows take the room of its own."""
+    if least_known < 1.0:
+        return [
+            _evaluated(_score_of_known(*windows.sums(_known_row, room), least_known / scale)) for room in windows.values
+        ]
+    m_i, v_i, _ = _central(windows.sums(_row, windows.reference), scale)
+    v_i = dr.maximum(v_i, NOISE_VARIANCE)
+    dr.eval(m_i, v_i)
+    return [_evaluated(_score(*_central(windows.sums(_row, room), scale), m_i, v_i)) for room in windows.values]
+
+
+def _evaluated(array):
+    dr.eval(array)
+    return array
 
 
 def _ncc_of_known(window: list, reference: list, least: float):
     """NCC of windows over the pixels that both have; -1 where these are fewer than ``least``."""
+    return _score_of_known(*_known_row(list(zip(window, reference, strict=True))), least)
+
+
+def _known_row(pixels: list[tuple[Any, Any]]) -> list:
+    """Over pixels of a window and the reference that are both known: their count, and sums of w, i, w^2, i^2, w i."""
     count: Any = 0.0
-    sums: list[Any] = [0.0] * 5
-    for w, i in zip(window, reference, strict=True):
+    sums: list[Any] = [0.0] * (_KNOWN_SUMS - 1)
+    for w, i in pixels:
         known = ~(dr.isnan(w) | dr.isnan(i))
         w, i = dr.select(known, w, 0.0), dr.select(known, i, 0.0)
         count += dr.select(known, 1.0, 0.0)
         sums = [total + part for total, part in zip(sums, (w, i, w * w, i * i, w * i), strict=True)]
-    m_w, m_i, v_w, v_i, product = (each / dr.maximum(count, 1.0) for each in sums)
+    return [count, *sums]
+
+
+def _score_of_known(count, w, i, ww, ii, wi, least: float):
+    m_w, m_i, v_w, v_i, product = (each / dr.maximum(count, 1.0) for each in (w, i, ww, ii, wi))
     v_w, v_i = (dr.maximum(v - m * m, NOISE_VARIANCE) for v, m in ((v_w, m_w), (v_i, m_i)))
     score = (product - m_w * m_i) * dr.rsqrt(v_w * v_i)
     return dr.select(count < least, -1.0, dr.maximum(score, -0.999))
+
+
+def _row(pixels: list[tuple[Any, Any]]) -> list:
+    """Sums of w, w^2 and w i over the pixels of a row of a window."""
+    w, i = pixels[0]
+    row = [w, w * w, w * i]
+    for w, i in pixels[1:]:
+        row = [row[0] + w, dr.fma(w, w, row[1]), dr.fma(w, i, row[2])]
+    return row
+
+
+def _central(sums: list, scale: float):
+    """Mean and variance from sums over a window, and the mean of the products."""
+    mean = sums[0] * scale
+    return mean, sums[1] * scale - mean * mean, sums[2] * scale
 
 
 def _moments(window: list, others: list, scale: float):
@@ -100,13 +201,9 @@ def _moments(window: list, others: list, scale: float):
     side = math.isqrt(len(window))
     sums = [0.0, 0.0, 0.0]
     for first in range(0, len(window), side):  # rows, then their sums: less rounding than in one long chain
-        w, i = window[first], others[first]
-        row = [w, w * w, w * i]
-        for w, i in zip(window[first + 1 : first + side], others[first + 1 : first + side], strict=True):
-            row = [row[0] + w, dr.fma(w, w, row[1]), dr.fma(w, i, row[2])]
+        row = _row(list(zip(window[first : first + side], others[first : first + side], strict=True)))
         sums = [total + part for total, part in zip(sums, row, strict=True)]
-    mean = sums[0] * scale
-    return mean, sums[1] * scale - mean * mean, sums[2] * scale
+    return _central(sums, scale)
 
 
 def best_half(device: Device, scores: list):

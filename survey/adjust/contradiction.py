@@ -29,6 +29,8 @@ def worst_contradiction(survey: Survey, done: Adjusted) -> Contradiction | None:
     ``1 / s^2 - 1 / p^2``, and its own value follows from the weighted mean.
     """
     worst, most = None, MOST_OF_FOUR
+    if survey.water is None:
+        return None
     _, water = survey.require_water()
     moved = done.solution.state.water_parameters() - done.known.mean.water_parameters()
     for number, name in enumerate(WATER_PARAMETERS):

@@ -14,8 +14,9 @@ from fields.sweep import matching
 from fields.sweep.bed import unique_pixels
 from fields.sweep.block import Block
 from fields.sweep.maps import DepthMap, trusted
-from fields.sweep.passes import PASSES, Pass
-from fields.sweep.sweep import sweep
+from fields.sweep.passes import PASSES, POINTS_SHARE, Pass
+from fields.sweep.sweep import _samples, sweep
+from fields.sweep.view_pass import ViewPass
 from refract import FlatWater
 from refract.distortion import BROWN, Distortion
 from survey.simulate.drawn import DrawnScene, stage_drawing
@@ -182,6 +183,14 @@ def test_progress_is_the_share_of_the_samples_compared(device, monkeypatch):
     assert count_true[0] > 2 * count_true[3]  # the hypotheses of a wide bound is the longest part of the work
     np.testing.assert_allclose(shares, np.cumsum([*count_true, fusing]) / (sum(count_true) + fusing))
     assert shares[-1] == 1.0
+
+
+def test_views_with_wider_windows_count_as_a_whole_where_others_are_in_tiles():
+    work = [[ViewPass(0, [1], 5, 1000), ViewPass(1, [0], 5, 1000)]]
+    of_points = [replace(PASSES[-1], points_only=True)]
+    assert _samples(of_points, work, {0: 0, 1: 0}) == 2000 * POINTS_SHARE
+    assert _samples(of_points, work, {0: 2, 1: 0}) == 1000 + 1000 * POINTS_SHARE
+    assert _samples([PASSES[-1]], work, {0: 0, 1: 0}) == 2000
 
 
 @pytest.fixture(scope="module")

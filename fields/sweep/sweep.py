@@ -8,7 +8,7 @@ second on the hypotheses follow the relief (`fields.sweep.kernels`), so that win
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from fields.sweep.kernels.stack import ViewStack, largest
 from fields.sweep.maps import DepthMap, Keep, OrderedMaps, trusted, upsample_map
 from fields.sweep.passes import PASSES, POINTS_SHARE, Pass
 from fields.sweep.tiles import PART_SIDE_PX
-from fields.sweep.view_pass import Area, match_pass, pixels_of, refine_part, view_passes
+from fields.sweep.view_pass import Area, ViewPass, match_pass, pixels_of, refine_part, view_passes
 from fields.sweep.views import Footprint
 
 # A pass is finer than a map with so many times its pixels along a side: sizes of halved images are rounded.
@@ -91,10 +91,7 @@ def sweep(
         sum(pixels_of(block, p, v) * len(peers[v]) for v in mine) if p.fuse else 0
         for p, mine in zip(passes, taking_part, strict=True)
     ]
-    # What samples of a pass count for the progress.
-    counts = [POINTS_SHARE if p.points_only else 1.0 for p in passes]
-    total = sum(fused) + sum(c * each.samples for c, of_pass in zip(counts, work, strict=True) for each in of_pass)
-    done = 0.0
+    done, told = 0.0, 0.0
     # Radius of the windows of each view less that of its pass [px].
     wider = dict.fromkeys(views, 0)
     wanted: dict[int, np.ndarray] = {}
@@ -103,6 +100,7 @@ def sweep(
             wanted = predict_selected_pixels(block, maps)
         taken: dict[int, Any] = {}
         parts = {each.view for each in work[number] if each.view in wanted and not wider[each.view]}
+        total = done + sum(fused[number:]) + _samples(passes[number:], work[number:], wider)
         # A generator: each job holds a map.
         jobs: Iterator[Job[tuple[DepthMap, Any]]] = (
             refine_part(block, p, each, maps[each.view], wanted[each.view])
@@ -113,23 +111,41 @@ def sweep(
         found = run_jobs(block.device, jobs, _at_once(block, p))
         for each, (m, of_view) in zip(work[number], found, strict=True):
             maps[each.view] = m
+            samples = _samples([p], [[each]], wider)
             if each.view in parts:
                 taken[each.view] = of_view
             else:
+                if of_view > wider[each.view]:
+                    # Matched again.
+                    done, total = done + samples, total + samples
                 wider[each.view] = of_view
-            done += counts[number] * each.samples
-            progress(done / total)
+            done += samples
+            told = max(told, done / total)
+            progress(told)
         if fused[number]:
             block.release(p.scale)
             compared = {view: peers[view] for view in taking_part[number] if view not in taken or len(taken[view])}
             maps = fuse(block, maps, p.scale, compared, store, goes_on=number + 1 < len(passes), only=taken)
             done += fused[number]
-            progress(done / total)
+            told = max(told, done / total)
+            progress(told)
         if number + 1 == len(passes) or passes[number + 1].scale != p.scale:
             block.release(p.scale)
     confirm(block, maps, {view: peers[view] for view in set(maps) - taking_part[-1]})
     swept = to_host_maps(block.device, maps, keep)
     return OrderedMaps(swept, [view for view in chosen if view in swept])
+
+
+def _samples(passes: Sequence[Pass], work: Sequence[Sequence[ViewPass]], wider: Mapping[int, int]) -> float:
+    """Samples of passes as they count for the progress.
+
+    Views whose windows had to be ``wider`` are matched as a whole where others are in tiles about their points.
+    """
+    return sum(
+        each.samples * (POINTS_SHARE if p.points_only and not wider[each.view] else 1.0)
+        for p, of_pass in zip(passes, work, strict=True)
+        for each in of_pass
+    )
 
 
 def _at_once(block: Block, p: Pass) -> int:

@@ -129,12 +129,13 @@ def ncc(windows: list[list] | WideWindows, radius: int, least_known: float = 1.0
     v_i = dr.maximum(v_i, NOISE_VARIANCE)
     scores = []
     for window in windows:
-        scores.append(_score(*_moments(window, reference, scale), m_i, v_i))
+        scores.append(_score(_moments(window, reference, scale), m_i, v_i))
     return scores
 
 
-def _score(mean, variance, product, m_i, v_i):
+def _score(moments: tuple[Any, Any, Any], m_i, v_i):
     """NCC from mean and variance of a window, the mean of its products with the reference, and those of the latter."""
+    mean, variance, product = moments
     score = (product - mean * m_i) * dr.rsqrt(dr.maximum(variance, NOISE_VARIANCE) * v_i)
     # An incomplete window is NaN; a complete one stays above -1, the mark of an incomplete one.
     return dr.select(dr.isnan(score), -1.0, dr.maximum(score, -0.999))
@@ -144,12 +145,12 @@ def _ncc_of_wide(windows: WideWindows, scale: float, least_known: float) -> list
     """As `ncc`, each computed before the next, whose sums over rows take the room of its own."""
     if least_known < 1.0:
         return [
-            _evaluated(_score_of_known(*windows.sums(_known_row, room), least_known / scale)) for room in windows.values
+            _evaluated(_score_of_known(windows.sums(_known_row, room), least_known / scale)) for room in windows.values
         ]
     m_i, v_i, _ = _central(windows.sums(_row, windows.reference), scale)
     v_i = dr.maximum(v_i, NOISE_VARIANCE)
     dr.eval(m_i, v_i)
-    return [_evaluated(_score(*_central(windows.sums(_row, room), scale), m_i, v_i)) for room in windows.values]
+    return [_evaluated(_score(_central(windows.sums(_row, room), scale), m_i, v_i)) for room in windows.values]
 
 
 def _evaluated(array):
@@ -159,7 +160,7 @@ def _evaluated(array):
 
 def _ncc_of_known(window: list, reference: list, least: float):
     """NCC of windows over the pixels that both have; -1 where these are fewer than ``least``."""
-    return _score_of_known(*_known_row(list(zip(window, reference, strict=True))), least)
+    return _score_of_known(_known_row(list(zip(window, reference, strict=True))), least)
 
 
 def _known_row(pixels: list[tuple[Any, Any]]) -> list:
@@ -174,8 +175,9 @@ def _known_row(pixels: list[tuple[Any, Any]]) -> list:
     return [count, *sums]
 
 
-def _score_of_known(count, w, i, ww, ii, wi, least: float):
-    m_w, m_i, v_w, v_i, product = (each / dr.maximum(count, 1.0) for each in (w, i, ww, ii, wi))
+def _score_of_known(sums: list[Any], least: float):
+    count, *sums = sums
+    m_w, m_i, v_w, v_i, product = (each / dr.maximum(count, 1.0) for each in sums)
     v_w, v_i = (dr.maximum(v - m * m, NOISE_VARIANCE) for v, m in ((v_w, m_w), (v_i, m_i)))
     score = (product - m_w * m_i) * dr.rsqrt(v_w * v_i)
     return dr.select(count < least, -1.0, dr.maximum(score, -0.999))
@@ -190,16 +192,16 @@ def _row(pixels: list[tuple[Any, Any]]) -> list:
     return row
 
 
-def _central(sums: list, scale: float):
+def _central(sums: list[Any], scale: float) -> tuple[Any, Any, Any]:
     """Mean and variance from sums over a window, and the mean of the products."""
     mean = sums[0] * scale
     return mean, sums[1] * scale - mean * mean, sums[2] * scale
 
 
-def _moments(window: list, others: list, scale: float):
+def _moments(window: list, others: list, scale: float) -> tuple[Any, Any, Any]:
     """Mean and variance over the pixels of a square window, and the mean of the products with those of another."""
     side = math.isqrt(len(window))
-    sums = [0.0, 0.0, 0.0]
+    sums: list[Any] = [0.0, 0.0, 0.0]
     for first in range(0, len(window), side):  # rows, then their sums: less rounding than in one long chain
         row = _row(list(zip(window[first : first + side], others[first : first + side], strict=True)))
         sums = [total + part for total, part in zip(sums, row, strict=True)]

@@ -19,7 +19,7 @@ from geo.similarity import Similarity, robust_similarity
 from survey.errors import ControlError, PosesError, SurveyError
 from survey.sfm import block as sfm_block
 from survey.sfm.block import Sensor
-from survey.sfm.control_fit import fit_control
+from survey.sfm.control_fit import ControlFit, fit_control
 from survey.sfm.gps import GpsPositions
 from survey.sfm.gps_fit import Line, gps_std, line_of
 from survey.sfm.marked import BlockControl, Met, Posed, meet
@@ -99,6 +99,9 @@ def place_by_gps(
         line = line_of(list(trusted.values()), float(std.max()))
         if line is None:
             return said
+        # Control over an area is the better start.
+        if nearby is not None and (by_control := _by_area(nearby, block, alias_of)) is not None:
+            return by_control
         met = None if nearby is None else meet(nearby, posed_of(block, alias_of))
         return f"{said}; {line.said(len(trusted))}: it starts {_roll(block, line, turned, met)}"
 
@@ -149,19 +152,33 @@ def _way_of_control(
 ) -> Way:
     def by_control(block: pycolmap.Reconstruction) -> str:
         fit = fit_control(control if frame is control.frame else control.in_frame(frame), posed_of(block, alias_of))
-        sfm_block.transform(block, fit.similarity)
-        met = zip(fit.met.points, fit.met.places, strict=True)
-        off = [fit.similarity(place) - point.local for point, place in met if point.name in fit.used]
-        rms = np.sqrt(np.mean(np.square(off), axis=0))
-        said = (
-            f"placed by control points alone ({listed(fit.used)}), which lie about {math.hypot(rms[0], rms[1]):.2f} m "
-            f"across and {rms[2]:.2f} m up from it, before the adjustment"
-        )
+        said = _onto_control(block, fit)
         if fit.line is None:
             return said
         return f"{said}; {fit.line.said(len(fit.used))}: it starts {_roll(block, fit.line, attitudes, None)}"
 
     return by_control
+
+
+def _by_area(control: BlockControl, block: pycolmap.Reconstruction, alias_of: Mapping[str, str]) -> str | None:
+    """Take a block to control in its frame that spans an area, and say so; None where that cannot place it."""
+    try:
+        fit = fit_control(control, posed_of(block, alias_of))
+    except ControlError:
+        return None
+    return _onto_control(block, fit) if fit.line is None else None
+
+
+def _onto_control(block: pycolmap.Reconstruction, fit: ControlFit) -> str:
+    """Take a block to its control, and say how well it fits."""
+    sfm_block.transform(block, fit.similarity)
+    met = zip(fit.met.points, fit.met.places, strict=True)
+    off = [fit.similarity(place) - point.local for point, place in met if point.name in fit.used]
+    rms = np.sqrt(np.mean(np.square(off), axis=0))
+    return (
+        f"placed by control points alone ({listed(fit.used)}), which lie about {math.hypot(rms[0], rms[1]):.2f} m "
+        f"across and {rms[2]:.2f} m up from it, before the adjustment"
+    )
 
 
 def _place(

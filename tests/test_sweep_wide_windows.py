@@ -6,9 +6,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rippled_pair import SIZE, rippled_pair
 
+from fields.sweep.bed import is_supported
 from fields.sweep.height_std import height_std
-from fields.sweep.maps import DepthMap, OrderedMaps
+from fields.sweep.maps import DepthMap, OrderedMaps, trusted
+from fields.sweep.sweep import sweep
 from fields.sweep.wide_windows import averaged, wet_pairs, window_std, with_wide_windows
 
 SHAPE, NOISE_M = (170, 204), 0.5
@@ -71,3 +74,26 @@ def test_maps_stay_as_they_are_where_a_third_photograph_looks_or_all_is_dry(neig
 
 def test_two_photographs_of_water_are_a_pair():
     assert wet_pairs(block(1, object()), [0, 1]) == [0, 1]
+
+
+@pytest.mark.slow
+def test_ripples_that_moved_leave_the_bed_in_its_place():
+    inside, errors = [], []
+    for seed in range(4):
+        pair, bound = rippled_pair(seed), (-8.0, 4.0)
+        narrow = sweep(pair.block, [0, 1], bound, lambda _share: None)
+        wide = with_wide_windows(pair.block, narrow, bound, None)
+        for before, after, truth in zip(narrow, wide, pair.truth, strict=True):
+            tolerance = pair.block.agreement_tolerance(after.view, [1 - after.view], -pair.depth)
+            ours = np.s_[: SIZE[1], : SIZE[0]]
+            of_ripples, kept = (is_supported(m.height, trusted(m), tolerance)[ours] for m in (before, after))
+            # Without wide windows hardly a pixel is a point.
+            assert of_ripples.mean() < 0.02
+            assert kept.mean() > 0.15
+            error = (after.height[ours] - truth)[kept]
+            std = height_std(after.height, after.agreeing, after.spread, tolerance)[ours][kept]
+            errors.append(error)
+            inside.append(np.abs(error) < 1.96 * std)
+    # Of beds 2 to 4 m deep, at 6 cm a pixel.
+    assert np.sqrt(np.mean(np.concatenate(errors) ** 2)) < 0.1
+    assert np.concatenate(inside).mean() > 0.8

@@ -42,7 +42,13 @@ def target_rows(found: dict) -> list[str]:
         verdict = "wrong coordinates" if is_wrong else f"not {', '.join(beyond)}" if beyond else "yes"
         metres = " | ".join(f"{1000 * value:+.0f} mm" for value in off)
         lines.append(f"| {name} | {each['marks']} | {metres} | {1000 * std[2]:.0f} mm | {verdict} |")
-    return [*lines, "", f"Heights of {inside} of {sound} sound targets lie within 1.96 standard deviations."]
+    told = np.array([each["off_m"] for each in found["targets"].values() if np.abs(each["off_m"]).max() <= WRONG_M])
+    rms = ", ".join(
+        f"{axis} {1000 * value:.0f} mm" for axis, value in zip(AXES, np.sqrt((told**2).mean(axis=0)), strict=True)
+    )
+    named = [f"Left in the control, the wrong one is named: {found['warnings'][0]}."] if found["warnings"] else []
+    within = f"Heights of {inside} of {sound} sound targets lie within 1.96 standard deviations; rms {rms}."
+    return [*lines, "", within, *named]
 
 
 def stream_rows(found: dict) -> list[str]:

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import norm
 
 from survey.adjust import pose_check
-from survey.adjust.contradiction import MOST_OF_FOUR
+from survey.adjust.contradiction import MOST_OF_FOUR, worst_contradiction
 from survey.adjust.observed import WINDOW
 from survey.folder.contradiction import Contradiction
 from survey.folder.survey import Survey
@@ -149,6 +149,11 @@ def test_contradicted_water_is_adjusted():
     choice, reason = pose_choice(replace(survey, pose_misfit_px=0.01, contradiction=doubt), "auto", free_water=False)
     assert choice == "refine"
     assert "level_m is given as 100.500 +- 0.02 m, and a sample of photographs says 100.000 +- 0.03 m" in reason
+
+
+def test_a_dry_survey_contradicts_no_water():
+    dry = survey_of(draw_block(seed=1))
+    assert worst_contradiction(replace(dry, water=None), None) is None
 
 
 def test_one_survey_of_a_thousand_is_doubted_by_chance():

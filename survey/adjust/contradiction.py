@@ -28,6 +28,8 @@ def worst_contradiction(survey: Survey, done: Adjusted) -> Contradiction | None:
     Of a value of standard deviation s from a prior of standard deviation p, the block alone has told
     ``1 / s^2 - 1 / p^2``, and its own value follows from the weighted mean.
     """
+    if survey.water is None:
+        return None
     worst, most = None, MOST_OF_FOUR
     if survey.water is None:
         return None

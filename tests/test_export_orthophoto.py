@@ -30,7 +30,7 @@ from survey.errors import SurveyError
 from survey.export.cell_projection import CellProjection, Windows
 from survey.export.export import export
 from survey.export.hidden import Tops, common_exposure
-from survey.export.orthophoto import Mosaic
+from survey.export.mosaic import Mosaic
 from survey.export.photographs import Pixels
 from survey.export.plan_cells import PlanCells, Window
 from survey.export.product import ExportOptions

@@ -1,0 +1,117 @@
+"""Points of pixels of height maps in space: what other maps say of them, and which lie near them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from fields.image_store import Masks
+from fields.sweep.kernels.arrays import floats, host
+from fields.sweep.kernels.backend import kernels
+from fields.sweep.kernels.rays import point_at
+from fields.sweep.kernels.stack import ViewStack
+
+# Spatial hash: side of a cell in distances, size of the table, primes of the hash.
+_CUBE, _TABLE_SIZE, _PRIMES = 4.0, 2**22, (73_856_093, 19_349_663, 83_492_791)
+
+
+@dataclass(frozen=True)
+class MapPoints:
+    """N pixels of height maps: number of the map, flat index in it, and points (3, N) in the frame of the water."""
+
+    number: np.ndarray
+    pixel: np.ndarray
+    xyz: np.ndarray
+
+    @staticmethod
+    def of(stack: ViewStack, masks: Iterable[np.ndarray]) -> MapPoints:
+        """Those of masks (height, width) bool, one for each map."""
+        pixels = [np.flatnonzero(mask) for mask in masks]
+        number = np.repeat(np.arange(len(pixels)), [len(each) for each in pixels])
+        parts = [_points(stack, number, each) for number, each in enumerate(pixels)]
+        return MapPoints(number, np.concatenate(pixels), np.concatenate(parts, axis=1))
+
+    def __getitem__(self, which: np.ndarray) -> MapPoints:
+        return MapPoints(self.number[which], self.pixel[which], self.xyz[:, which])
+
+    def votes(self, stack: ViewStack, sure: Masks, apart: float) -> tuple[np.ndarray, np.ndarray]:
+        """Number of other maps (N,) that contain the point, and number that see through it."""
+        having, through = (np.zeros(len(self.number), dtype=np.int32) for _ in range(2))
+        if not len(self.number):
+            return having, through
+        points = tuple(floats(stack.device, each) for each in self.xyz)
+        for number, mask in enumerate(sure):
+            other = self.number != number
+            has, looks = kernels(stack.device).vote_on_points(stack, points, number, apart, mask)
+            having += has & other
+            through += looks & other
+        return having, through
+
+    def mark(self, masks: Masks, to: bool) -> None:
+        """Set these pixels of masks."""
+        for number in np.unique(self.number):
+            mask = np.array(masks[number])
+            mask.flat[self.pixel[self.number == number]] = to
+            masks[number] = mask
+
+
+def thin_out(points: np.ndarray, distance: float) -> np.ndarray:
+    """Greedy thinning of points (N, 3) to a least distance: (N,) bool."""
+    left, taken = np.ones(len(points), dtype=bool), np.zeros(len(points), dtype=bool)
+    pairs = cKDTree(points).query_pairs(distance, output_type="ndarray")
+    while left.any():
+        first = left.copy()
+        first[pairs[:, 1]] = False
+        taken |= first
+        left &= ~first
+        left[pairs[first[pairs[:, 0]], 1]] = False
+        pairs = pairs[left[pairs].all(axis=1)]
+    return taken
+
+
+def far_from(stack: ViewStack, kept: Iterable[np.ndarray], xyz: np.ndarray, distance: float) -> np.ndarray:
+    """Points (3, N) farther than a distance from those of all ``kept`` pixels: (N,) bool."""
+    if not xyz.size:
+        return np.ones(xyz.shape[1], dtype=bool)
+    tree = cKDTree(points_about(stack, kept, xyz, distance), balanced_tree=False, compact_nodes=False)
+    return np.isinf(tree.query(xyz.T, distance_upper_bound=distance)[0])
+
+
+def num_within(points: np.ndarray, xyz: np.ndarray, distance: float) -> np.ndarray:
+    """Number (N,) of points (M, 3) within a distance of each of points (3, N)."""
+    if not len(points) or not xyz.size:
+        return np.zeros(xyz.shape[1], dtype=np.int64)
+    tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
+    return tree.query_ball_point(xyz.T, distance, return_length=True, workers=-1)
+
+
+def points_about(stack: ViewStack, masks: Iterable[np.ndarray], xyz: np.ndarray, distance: float) -> np.ndarray:
+    """Points (M, 3) of the pixels of masks, all that are within a distance of points (3, N), N at least 1, and more."""
+    # Few of all points are near any.
+    corners = np.stack(np.meshgrid(*[(-distance, distance)] * 3)).reshape(3, 8, 1).astype(np.float32)
+    reached = np.zeros(_TABLE_SIZE, dtype=bool)
+    for corner in corners.transpose(1, 0, 2):
+        reached[_hash_cells(xyz + corner, distance)] = True
+    near = []
+    for number, mask in enumerate(masks):
+        points = _points(stack, number, np.flatnonzero(mask))
+        near.append(points[:, reached[_hash_cells(points, distance)]])
+    return np.concatenate(near, axis=1).T
+
+
+def _points(stack: ViewStack, number: int, pixels: np.ndarray) -> np.ndarray:
+    """Points (3, N) float32 of pixels of a map."""
+    if not len(pixels):
+        return np.zeros((3, 0), dtype=np.float32)
+    point = point_at(*kernels(stack.device).rays_and_heights(stack, number, pixels))
+    return np.stack([host(stack.device, each) for each in point])
+
+
+def _hash_cells(points: np.ndarray, distance: float) -> np.ndarray:
+    """Spatial hash (N,) of the grid cell of each of the points (3, N); distant cells may collide."""
+    cell = np.floor(points / np.float32(_CUBE * distance)).astype(np.int32).view(np.uint32)
+    x, y, z = (each * np.uint32(prime) for each, prime in zip(cell, _PRIMES, strict=True))
+    return (x ^ y ^ z) % np.uint32(_TABLE_SIZE)

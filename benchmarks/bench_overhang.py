@@ -23,7 +23,7 @@ from overhang_scenes import KINDS, OverhangSurvey
 from evaluation.c2m import distance_to_mesh
 from evaluation.completeness import is_reached
 from geo import LocalFrame, read_reference
-from geo.las_extra import extra_of
+from geo.las_header import extra_of
 from survey.folder.survey import load_survey
 from survey.simulate.ground.triangles import TriangleMesh
 

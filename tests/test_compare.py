@@ -71,6 +71,16 @@ def test_winding_decides_where_it_is_asked_to(cloud, plane):
     assert not any("wound against" in note for note in numbers["notes"])
 
 
+def test_points_beside_the_reference_are_noted_with_the_bounds_that_leave_them_out(tmp_path, plane, cloud):
+    wide = write_las(tmp_path / "wide.las", FRAME.crs_from_local(grid(0.1, 0.1, half=1.5 * HALF)))
+    (note,) = [note for note in compared(wide, plane)["notes"] if "--bounds" in note and "above or below" in note]
+    bounds = [float(word.rstrip(",")) for word in note.split("--bounds")[1].split()[:4]]
+    cropped = compared(wide, plane, bounds=tuple(bounds))
+    assert not any("above or below" in note for note in cropped["notes"])
+    assert cropped["mean_m"] == pytest.approx(0.1, abs=LAS_M / 10)
+    assert not any("above or below" in note for note in compared(cloud, plane)["notes"])
+
+
 def test_triangles_that_are_wound_against_each_other_are_noted_where_winding_counts(tmp_path, cloud):
     corners = FRAME.crs_from_local(np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [HALF, HALF, 1.0])
     twice = [[0, 2, 1], [0, 3, 2], [0, 1, 2], [0, 2, 3]]

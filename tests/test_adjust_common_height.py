@@ -70,6 +70,7 @@ def test_a_block_that_hardly_tells_its_water_says_how_little_is_known():
     assert [text for text in found.warnings if f"all heights together are known to {common.mean:.2g} m only" in text]
 
 
+@pytest.mark.slow
 def test_a_common_error_is_within_what_is_stated_of_heights():
     scaled = []
     for seed in range(2, 6):

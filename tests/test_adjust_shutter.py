@@ -48,6 +48,7 @@ def adjusted(block: DrawnBlock, shutter):
     return survey, adjust_survey(survey, use_windows=False)
 
 
+@pytest.mark.slow
 def test_with_the_key_poses_are_as_good_as_with_a_global_shutter_and_without_it_they_are_not():
     still = draw_block(6, **FLOWN | {"speed": 0.0})
     _, of_still = adjusted(still, None)

@@ -85,6 +85,7 @@ def test_the_look_between_rounds_and_the_gate_judge_the_same_points_of_a_scene_w
     assert look == gate
 
 
+@pytest.mark.slow
 def test_points_that_the_solver_leaves_to_the_sweep_count_in_the_look_as_in_the_gate(tmp_path, monkeypatch):
     def leaving_most(*args, **options):
         solved, figures = solve_maps(*args, **options)
@@ -109,6 +110,7 @@ def test_the_same_command_uses_all_again_and_a_finer_target_goes_on(reached, tmp
     assert used == ["sweep", "solver", "reached", "bed"]
 
 
+@pytest.mark.slow
 def test_a_target_beyond_the_photographs_ends_with_the_best_there_is_and_code_3(tmp_path):
     run = drawn(tmp_path / "survey", **FINER)
     code, log = run_with(run, target_std_m=0.02 * GSD)
@@ -169,6 +171,7 @@ def test_when_the_time_is_over_a_run_still_writes_its_cloud(tmp_path, clock):
     assert np.isfinite(cloud.points).all()
 
 
+@pytest.mark.slow
 def test_a_round_that_runs_out_of_time_leaves_what_was_there_before(tmp_path, clock):
     run = drawn(tmp_path / "survey", **FINER)
     # Enough at each decision, but gone before the views of the second round are through.

@@ -274,6 +274,7 @@ def test_a_survey_without_truth_is_refused(survey, tmp_path):
         benchmark([], tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_corrected_depths_are_better_than_straight_rays_and_cost_no_second_run(survey, tmp_path):
     before = (survey / "survey.toml").read_text()
     settings = Settings(methods=("straight", "times_index", "per_camera"), qualities=("draft",))

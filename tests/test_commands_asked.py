@@ -125,6 +125,7 @@ def test_options_stand_over_the_environment_and_this_over_survey_toml(monkeypatc
     ]
 
 
+@pytest.mark.slow
 def test_check_plans_what_process_would_do(monkeypatch, tmp_path):
     folder = small_survey(tmp_path / "s")
     with (folder / "survey.toml").open("a") as stream:

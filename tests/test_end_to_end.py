@@ -107,8 +107,18 @@ def noisy(tmp_path_factory):
     return survey
 
 
+def slow(*values):
+    """A parameter set of the slow run: each survey here is a run of a quarter of a minute."""
+    return pytest.param(*values, marks=pytest.mark.slow)
+
+
 @pytest.mark.parametrize(
-    ("name", "std_m"), [("calm", STD_WITHOUT_NOISE_M), ("noisy", STD_WITH_NOISE_M), ("dry", STD_WITHOUT_NOISE_M)]
+    ("name", "std_m"),
+    [
+        slow("calm", STD_WITHOUT_NOISE_M),
+        ("noisy", STD_WITH_NOISE_M),
+        slow("dry", STD_WITHOUT_NOISE_M),
+    ],
 )
 def test_a_drawn_bed_is_found_at_its_true_height(name, std_m, request):
     run = request.getfixturevalue(name)
@@ -117,7 +127,7 @@ def test_a_drawn_bed_is_found_at_its_true_height(name, std_m, request):
     assert std < std_m
 
 
-@pytest.mark.parametrize("name", ["calm", "noisy", "shore", "dry"])
+@pytest.mark.parametrize("name", [slow("calm"), "noisy", "shore", slow("dry")])
 def test_what_three_cameras_see_is_in_the_cloud(name, request):
     run = request.getfixturevalue(name)
     for tolerance_m in TOLERANCES_M:
@@ -146,6 +156,7 @@ def test_points_are_classified_by_the_side_of_the_water_that_they_lie_on(shore):
     assert np.array_equal(shore.cloud.classification[clear] == 40, over_water[clear] < 0.0)
 
 
+@pytest.mark.slow
 def test_index_one_gives_the_heights_of_the_dry_code(dry):
     """Water of index 1 leaves rays straight: pixel by pixel the same heights as without water."""
     survey = load_survey(dry.folder)
@@ -196,6 +207,7 @@ def test_the_field_leaves_the_bed_where_it_is_and_takes_noise_off(noisy):
     assert std < swept[1]
 
 
+@pytest.mark.slow
 def test_the_solver_takes_noise_off_and_its_standard_deviation_covers_the_errors(noisy):
     swept = inner90(noisy.distances.signed)
     solved = DrawnRun(noisy.scene, noisy.folder.with_name("solved"))
@@ -257,17 +269,17 @@ def test_an_export_holds_the_points_of_the_run(noisy, tmp_path):
         np.testing.assert_allclose(read_reference(path).points, own, atol=0.51 * LAS_STEP_M)
 
 
-def test_the_same_command_again_computes_nothing_and_changes_nothing(calm, monkeypatch):
-    before = read_cloud(calm.run.cloud_path)
-    stamps = {path: path.stat().st_mtime_ns for path in calm.run.stages_path.rglob("*") if path.is_file()}
+def test_the_same_command_again_computes_nothing_and_changes_nothing(shore, monkeypatch):
+    before = read_cloud(shore.run.cloud_path)
+    stamps = {path: path.stat().st_mtime_ns for path in shore.run.stages_path.rglob("*") if path.is_file()}
 
     def refuse(*arguments):
         raise AssertionError("a finished stage was computed again")
 
     monkeypatch.setattr(RunDir, "open_stage", refuse)
-    assert process_quietly(calm.folder) == 0
+    assert process_quietly(shore.folder) == 0
     assert {path: path.stat().st_mtime_ns for path in stamps} == stamps
-    after = read_cloud(calm.run.cloud_path)
+    after = read_cloud(shore.run.cloud_path)
     np.testing.assert_array_equal(after.points, before.points)
     np.testing.assert_array_equal(after.rgb, before.rgb)
 
@@ -280,7 +292,7 @@ def test_the_same_command_again_computes_nothing_and_changes_nothing(calm, monke
         ("\nbounds", "\nheights = [580.0, 585.0]\nbounds"),
     ],
 )
-def test_a_changed_setting_is_not_served_from_what_was_finished(calm, monkeypatch, old, new):
+def test_a_changed_setting_is_not_served_from_what_was_finished(shore, monkeypatch, old, new):
     asked = []
 
     def note(self, name, key, leaves=()):
@@ -288,13 +300,13 @@ def test_a_changed_setting_is_not_served_from_what_was_finished(calm, monkeypatc
         raise SurveyError("seen enough")
 
     monkeypatch.setattr(RunDir, "finished_stage", note)
-    settings = calm.folder / "survey.toml"
+    settings = shore.folder / "survey.toml"
     text = settings.read_text(encoding="utf-8")
     try:
         for words in (old, old, new):
             settings.write_text(text.replace(old, words), encoding="utf-8")
             with pytest.raises(SurveyError):
-                process_quietly(calm.folder)
+                process_quietly(shore.folder)
     finally:
         settings.write_text(text, encoding="utf-8")
     first, again, changed = asked

@@ -138,6 +138,7 @@ def test_cubic_pieces_meet_nodes_and_parabolas_and_have_no_edges(rng):
     assert np.isnan(rough.height(np.array([1.99, 6.01, 4.0]), np.array([0.0, 0.0, 2.01]))).all()
 
 
+@pytest.mark.slow
 def test_gradients_flow_to_the_heights_of_the_nodes():
     heights = torch.tensor(raster(BicubicWater, 4.0, half=8.0).heights, requires_grad=True)
     points = torch.tensor([[1.0, 2.0, -3.0], [-2.5, 0.3, -4.0]], dtype=torch.float64)

@@ -132,6 +132,7 @@ def test_derivatives_over_curved_water_are_those_of_fifty_digits(way, name):
     assert worst(jacrev(jacrev(lambda v: told(name, v)))(numbers), second) < bound
 
 
+@pytest.mark.slow
 def test_second_derivatives_over_cubic_pieces_pass_the_check_of_torch():
     def told(numbers):
         water = BicubicWater((-20.0, -20.0), 5.0, numbers[6] + torch.tensor(NODES), n_water=numbers[7])

@@ -212,6 +212,7 @@ def test_drjit_agrees_with_numpy(rng):
         np.testing.assert_allclose(np.asarray(drjit.grad(own)), other.grad.numpy(), atol=1e-10)
 
 
+@pytest.mark.slow
 def test_drjit_gradients_of_waves_agree_with_torch(rng):
     drjit = pytest.importorskip("drjit", reason="Dr.Jit is not installed")
     if not drjit.has_backend(drjit.JitBackend.LLVM):

@@ -145,7 +145,7 @@ def cross(upright: np.ndarray, level: np.ndarray) -> np.ndarray:
     return np.array([u, c + d * u])
 
 
-@pytest.mark.parametrize("mode", ["direct", "physical"])
+@pytest.mark.parametrize("mode", ["direct", pytest.param("physical", marks=pytest.mark.slow)])
 def test_a_corner_of_a_checker_lands_where_refract_projects_it(mode, request):
     ground, water = checkered(), WATER
     if mode == "direct":

@@ -102,6 +102,7 @@ def test_heights_are_those_of_images_on_the_host(beside, on_host):
     assert_same(beside, on_host)
 
 
+@pytest.mark.slow
 def test_heights_by_torch_are_those_of_images_on_the_host():
     assert_same(swept(device_apart("torch")), swept(choose_device("torch")))
 

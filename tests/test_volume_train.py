@@ -44,6 +44,7 @@ def heights(renderer: VolumeRenderer, cells: Cells, photographs) -> np.ndarray:
 SHORT = Training(steps=300, rays=384, samples=24, cells=32, refresh=(0.6,))
 
 
+@pytest.mark.slow
 def test_training_finds_a_bed_under_water_from_nothing_coarse_to_fine():
     photographs = bed_photographs(BED_M, views=9)
     renderer, shares = tensor_renderer("mdw"), []

@@ -108,11 +108,11 @@ def every_water(level, n):
 
 
 KINDS = ("plane", "layers", "sphere", "waves", "cubic pieces", "triangles")
-# Float32 is what lost its gradients; cubic pieces take a quarter of a minute.
+# Cubic pieces take a quarter of a minute.
 CASES = [
-    *((kind, torch.float32) for kind in KINDS),
-    *((kind, torch.float64) for kind in KINDS if kind != "cubic pieces"),
-    pytest.param("cubic pieces", torch.float64, marks=pytest.mark.slow),
+    pytest.param(kind, dtype, marks=[pytest.mark.slow] if kind == "cubic pieces" else [])
+    for dtype in (torch.float32, torch.float64)
+    for kind in KINDS
 ]
 few = settings(max_examples=30, deadline=None, derandomize=True)
 

@@ -25,6 +25,8 @@ OF_ONE_MACHINE = re.compile(
     r"|\b(?:" + "|".join((r"py" + r"pi", r"files\.python" + "hosted", r"download\.py" + "torch")) + r")\.org"
     r"|\blocal" + "host" + r"\b"
 )
+# Commands that serve a browser name the address of the machine that they run on.
+LOOPBACK, SERVING = "local" + "host", ("docs/", "survey/", "tests/")
 
 
 def text_of(name: str) -> str:
@@ -172,5 +174,6 @@ def test_nothing_that_is_tracked_names_a_single_machine_or_a_package_host():
         path = ROOT / name
         if path.suffix == ".png" or not path.is_file():
             continue
-        found += [f"{name}: {hit[0]}" for hit in OF_ONE_MACHINE.finditer(path.read_text(encoding="utf-8"))]
+        hits = OF_ONE_MACHINE.finditer(path.read_text(encoding="utf-8"))
+        found += [f"{name}: {hit[0]}" for hit in hits if hit[0] != LOOPBACK or not name.startswith(SERVING)]
     assert not found

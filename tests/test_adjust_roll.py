@@ -47,7 +47,8 @@ def with_attitudes(block: DrawnBlock, survey: Survey, own_deg: float = OWN_DEG) 
     priors = {
         view.name: replace(
             survey.priors[view.name],
-            attitude=common @ _turned(camera.cam_from_local, np.radians(rng.normal(0.0, own_deg, 3))),
+            # About the axes of local: in those of cam it would cancel between photographs of opposite headings.
+            attitude=_turned(camera.cam_from_local, np.radians(rng.normal(0.0, own_deg, 3))) @ common,
         )
         for view, camera in zip(survey.views, block.cameras, strict=True)
     }

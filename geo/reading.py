@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -64,6 +65,11 @@ def read_reference(path: str | Path) -> Mesh | Cloud:
     if isinstance(shape, Mesh):
         _require_faces(shape, path)
     return replace(shape, notes=(*shape.notes, *check_values(points, shape.crs, path)))
+
+
+def reader_of(path: Path) -> Callable[[Path], Mesh | Cloud]:
+    """What reads files of this suffix, whatever values they hold; it must be one that is known."""
+    return _READERS[path.suffix.lower()]
 
 
 def _require_faces(mesh: Mesh, path: Path) -> None:

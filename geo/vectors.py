@@ -7,14 +7,16 @@ import struct
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Literal
 
 import numpy as np
 from pyproj import CRS
 
 from geo.antimeridian import cut_line, cut_polygon
+from geo.compatibility import crs_difference
 from geo.crs import crs_code, horizontal_crs
-from geo.files import write_whole
+from geo.files import write_whole, write_whole_at
 from geo.optional import library_for
 from geo.transformation import WGS84, Transformation
 
@@ -115,6 +117,9 @@ def write_geopackage(path: str | Path, layer: Layer) -> None:
     UnwritableFile
         If the file cannot be written, or pyogrio is not installed.
     """
+    # Takes a while to load, and most layers are GeoJSON.
+    from geo.read_back import unreadable
+
     pyogrio = library_for(path, "pyogrio.raw", "vector", to_write=True)
     crs = horizontal_crs(layer.crs)
     content = BytesIO()
@@ -129,8 +134,24 @@ def write_geopackage(path: str | Path, layer: Layer) -> None:
         crs=crs_code(crs) or crs.to_wkt(),
         layer_options={"IDENTIFIER": f"bathynerf {layer.name}", "DESCRIPTION": layer.notes},
     )
-    with write_whole(path) as stream:
-        stream.write(content.getvalue())
+    path, data = Path(path), content.getvalue()
+    if path.exists() and not path.is_file() and not path.is_dir():
+        # A device or a pipe cannot be read back.
+        with write_whole(path) as stream:
+            stream.write(data)
+        return
+    with write_whole_at(path) as part, TemporaryDirectory(prefix=".", suffix=".part", dir=part.parent) as work:
+        # GDAL knows the format by the suffix.
+        copy = Path(work) / "copy.gpkg"
+        copy.write_bytes(data)
+        try:
+            meta, _, shapes, _ = pyogrio.read(copy)
+        except (RuntimeError, ValueError) as error:
+            raise unreadable(path, f"it is damaged ({str(error)[:80]})") from error
+        read = CRS.from_user_input(meta["crs"]) if meta["crs"] else None
+        if len(shapes) != len(layer.shapes) or read is None or crs_difference(read, crs) is not None:
+            raise unreadable(path, f"it has {len(shapes)} of {len(layer.shapes)} shapes, or another CRS")
+        copy.replace(part)
 
 
 def _wkb(kind: str, shape) -> bytes:

@@ -9,6 +9,7 @@ import numpy as np
 from geo.e57 import write_e57
 from geo.las import write_cloud
 from geo.ply import write_ply
+from geo.verified import write_verified
 from survey.run.stored import StoredBed
 
 
@@ -40,9 +41,11 @@ def write_bed_ply(path: Path, stored: StoredBed) -> None:
         "num_views": bed.num_views,
         "incidence_deg": np.degrees(bed.incidence),
     }
-    write_ply(path, stored.points_crs, rgb=bed.rgb, scalars=scalars, crs=stored.crs)
+    points, crs = stored.points_crs, stored.crs
+    write_verified(path, lambda copy: write_ply(copy, points, rgb=bed.rgb, scalars=scalars, crs=crs), points, None, crs)
 
 
 def write_bed_e57(path: Path, stored: StoredBed) -> None:
     """Places and colours as E57; see `geo.e57.write_e57`."""
-    write_e57(path, stored.points_crs, stored.crs, rgb=stored.bed.rgb)
+    points, crs, rgb = stored.points_crs, stored.crs, stored.bed.rgb
+    write_verified(path, lambda copy: write_e57(copy, points, crs, rgb=rgb), points, None, crs)

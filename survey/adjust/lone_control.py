@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from survey.adjust.control_check import PLACE_A_BLOCK
 from survey.adjust.observed import rows_taken
@@ -88,7 +88,7 @@ def contradicted_points(control: Control, marks_std_px: float, survey: Survey, f
         variance = (by_point * np.asarray(point.std) ** 2) @ by_point.T
         variance += by_parameters @ covariance @ by_parameters.T + marks_std_px**2 * np.eye(len(residual))
         square = float(residual @ np.linalg.solve(variance, residual))
-        if chi2.sf(square, len(residual)) < _LEAST_PROBABILITY:
+        if chdtrc(len(residual), square) < _LEAST_PROBABILITY:
             level = np.linalg.pinv(by_point[:, :2])
             std = np.sqrt(np.einsum("ai,ij,aj->a", level, variance, level))
             against.append(Apart(point.name, level @ residual, std))

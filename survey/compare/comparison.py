@@ -205,7 +205,7 @@ def _note_beside(inputs: Inputs, errors: np.ndarray | None, notes: list[str]) ->
     if beside > _BESIDE_SHARE:
         low, high = (corner(vertices_of(inputs.reference), axis=0)[:2] for corner in (np.min, np.max))
         notes.append(
-            f"{100.0 * beside:.1f} % of the points have no surface of {inputs.paths.reference.name} above or below them: "
+            f"{100.0 * beside:.1f} % of the points have no surface of {inputs.paths.reference.name} above or below: "
             "their distance is that to its edge, no error of the cloud; leave them out by --bounds "
             f"{low[0]:.3f} {low[1]:.3f} {high[0]:.3f} {high[1]:.3f}, all of the reference, or less"
         )

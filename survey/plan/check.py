@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ from survey.plan.choices import USUAL, Choices
 from survey.plan.level_doubt import level_doubt
 from survey.plan.plan import Plan, device_decision, make_plan
 from survey.plan.skipped import Decision
+from survey.plan.tile_choice import choose_tiles
 from survey.plan.workload import Workload, room_doubts, workload_of, workload_of_images
 from survey.sfm.datum_std import WELL_KNOWN_M
 
@@ -113,6 +114,9 @@ def check_survey(
     try:
         workload = workload_of(survey, plan)
         workload = workload if slowness is None else workload.on_busy(slowness)
+        tiles = choose_tiles(survey, plan, chosen, workload, is_aimed=False)
+        workload = replace(workload, memory_bytes=int(tiles.memory_bytes))
+        plan = replace(plan, decisions=(*plan.decisions, tiles.decision))
     except SurveyError as error:
         if survey.reprojection is None:
             raise

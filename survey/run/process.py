@@ -210,7 +210,8 @@ def _announce(progress: Progress, survey: Survey, chosen: Choices, aimed: Aimed 
     for text in survey.warnings:
         progress.warn(text)
     earlier = run.found_before(SHARED).get("tiles")
-    tiles = choose_tiles(survey, plan, chosen, workload_of(survey, plan), is_aimed=aimed is not None, earlier=earlier)
+    in_one = workload_of(survey, plan)
+    tiles = choose_tiles(survey, plan, chosen, in_one, is_aimed=aimed is not None, earlier=earlier)
     for decision in (*plan.decisions, tiles.decision):
         progress.note(f"plan: {decision.name}: {decision.choice} ({decision.reason})")
     if aimed is not None:
@@ -218,7 +219,7 @@ def _announce(progress: Progress, survey: Survey, chosen: Choices, aimed: Aimed 
         top = make_plan(survey, chosen, recipe=aimed.ladder[-1])
         workload = workload_of(survey, top).on_busy(aimed.pace.slow)
     else:
-        workload = replace(workload_of(survey, plan), memory_bytes=int(tiles.memory_bytes))
+        workload = replace(in_one, memory_bytes=int(tiles.memory_bytes))
         if progress.forecast is not None and plan.device == "llvm":
             parts = parts_s(amounts_of_run(survey, plan), machine.num_cores())
             progress.forecast.expect(parts if tiles.tiling is None else parts_in_tiles(parts, len(tiles.tiling)))

@@ -28,7 +28,7 @@ from survey.adjust.lone_control import contradicted_points, is_lone, lone_warnin
 from survey.adjust.observed import MATCH, WINDOW, Observed, observed
 from survey.adjust.parts import parts_warning
 from survey.adjust.priors import Known, known_of
-from survey.adjust.roll_notes import roll_notes
+from survey.adjust.roll_notes import open_roll_named, roll_notes
 from survey.adjust.rounds import Adjusted, adjust
 from survey.adjust.state import WATER
 from survey.adjust.thinning import CELLS, PER_CELL, thinned
@@ -82,7 +82,8 @@ def adjust_survey(
     """
     known = known_of(survey, make_plan(survey).gsd_m, free_water=free_water)
     if survey.ties is not None or not use_windows:
-        return _adjusted(survey, known, None, device, advance, use_windows=use_windows, free_water=free_water)
+        with open_roll_named(known.rolls):
+            return _adjusted(survey, known, None, device, advance, use_windows=use_windows, free_water=free_water)
     windows = windows_or_search(
         survey, lambda: measure_windows(survey, device=device, advance=lambda part: advance(0.9 * part)), search
     )

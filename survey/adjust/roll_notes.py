@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 
+from survey.adjust.bundle import NotConvergedError
 from survey.adjust.roll import Roll
 from survey.adjust.rounds import Adjusted
 from survey.errors import SurveyError
@@ -38,6 +41,26 @@ def roll_notes(survey: Survey, done: Adjusted, gsd_m: float) -> list[str]:
             raise SurveyError(f"{said}; heights may be {most:.2g} m uncertain: {HOLD_THE_ROLL}")
         notes.append(said)
     return notes
+
+
+@contextmanager
+def open_roll_named(rolls: Sequence[Roll]) -> Iterator[None]:
+    """Name the line where an adjustment of photographs whose roll positions leave open does not converge.
+
+    Raises
+    ------
+    NotConvergedError
+    """
+    try:
+        yield
+    except NotConvergedError as error:
+        if not rolls:
+            raise
+        num = sum(len(roll.views) for roll in rolls)
+        raise NotConvergedError(
+            f"positions or control of {num} photographs lie on one line, about which their roll is not known well "
+            f"enough ({error}): {HOLD_THE_ROLL}"
+        ) from error
 
 
 def _held_by(survey: Survey, done: Adjusted, roll: Roll) -> str:

@@ -61,7 +61,9 @@ def test_one_piece_where_memory_suffices_and_the_plan_says_why(planned, monkeypa
     monkeypatch.setattr(tile_choice.machine, "free_memory_bytes", lambda: 10_000_000_000)
     found = choose_tiles(*planned[:2], Choices(), planned[2], is_aimed=False)
     assert (found.tiling, found.decision.choice, found.memory_bytes) == (None, "1", planned[2].memory_bytes)
-    assert "8.0 GB may be taken (80% of what is free)" in found.decision.reason
+    assert found.decision.reason.endswith("of memory, which is free")
+    own = choose_tiles(*planned[:2], Choices(memory="8GB"), planned[2], is_aimed=False)
+    assert own.decision.reason.endswith("of memory, which is within the 8.0 GB of --memory")
 
 
 def test_a_number_of_tiles_is_taken_as_it_is(planned):

@@ -75,7 +75,10 @@ def choose_tiles(
     budget, source = _budget(chosen)
     needed = f"in one piece the run takes about {size(one)} of memory, and {room(budget)} {source}"
     if one <= budget:
-        return TileChoice(None, Decision("tiles", "1", needed), one)
+        # How much is free changes from one moment to the next, the plan of a survey does not.
+        is_free = "free" if chosen.memory is None else f"within the {room(budget)} of --memory"
+        fits = f"in one piece the run takes about {size(one)} of memory, which is {is_free}"
+        return TileChoice(None, Decision("tiles", "1", fits), one)
     ground = ground_of(survey, plan)
     most = max(
         int((ground[2] - ground[0]) * (ground[3] - ground[1]) / (_LEAST_FOOTPRINTS * np.prod(plan.footprint_m))), 1

@@ -165,6 +165,7 @@ def test_single_positions_are_as_good_as_the_block_shows_however_large_their_com
     assert not known_of(replace(survey, priors=stated, is_level_known=False), 0.02).unknown_positions.any()
 
 
+@pytest.mark.slow
 def test_a_level_that_is_found_is_as_high_as_positions_that_may_be_off():
     survey = lifted(bank_block(2), (0.0, 0.0, 0.0))
     found = adjust_survey(survey, use_windows=False, free_water=True)

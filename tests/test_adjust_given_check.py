@@ -71,6 +71,11 @@ def test_water_as_given_is_not_contradicted_and_lies_within_what_is_said():
     assert 0.3 < np.sqrt(np.mean(scaled**2)) < 1.6
 
 
+def slow(value: float):
+    """A parameter of the slow run: each draws and adjusts eight blocks."""
+    return pytest.param(value, marks=pytest.mark.slow)
+
+
 @pytest.mark.parametrize(("seed", "error"), [(3, 0.5), (3, -0.5), (9, 0.5)])
 def test_a_level_that_is_half_a_metre_off_is_contradicted_with_both_numbers(seed, error):
     block, survey = block_and_survey(seed)
@@ -115,7 +120,7 @@ def test_nothing_is_said_of_water_under_poses_that_are_contradicted():
     assert found.contradiction is None
 
 
-@pytest.mark.parametrize("level", [0.0, -5.0, -50.0])
+@pytest.mark.parametrize("level", [0.0, slow(-5.0), slow(-50.0)])
 def test_dry_ground_says_nothing_of_water(level):
     for seed in range(8):
         block, survey = block_and_survey(seed, dry_share=1.0)
@@ -124,7 +129,7 @@ def test_dry_ground_says_nothing_of_water(level):
         assert all(each.is_of_lens for each in found.told)
 
 
-@pytest.mark.parametrize("error", [-5.0, -20.0, -50.0, -100.0])
+@pytest.mark.parametrize("error", [-5.0, slow(-20.0), slow(-50.0), -100.0])
 def test_a_level_below_all_of_a_bed_under_water_is_told_with_the_level_that_photographs_show(error):
     scaled = []
     for seed in range(8):

@@ -81,6 +81,7 @@ def test_a_convergent_block_tells_its_water_and_a_verdict_for_each_parameter(tmp
     assert "(given" not in found.estimates[0].verdict
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_the_covariance_says_with_poses_that_are_wrong(tmp_path, measuring):
     cameras = convergent()
     squares = []

@@ -95,6 +95,7 @@ def errors_of(survey: Survey, folder: Path, centres: np.ndarray) -> np.ndarray:
     return centres - survey.frame.local_from_crs(np.array(true))
 
 
+@pytest.mark.slow
 def test_a_survey_without_gps_is_placed_by_control_and_adjusted(blind, tmp_path):
     survey = loaded(blind, tmp_path)
     assert len(survey.views) == 11

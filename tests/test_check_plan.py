@@ -72,6 +72,7 @@ def test_a_plan_is_checked_by_the_command_that_checks_surveys(tmp_path):
     assert "good: blurs by 0.36 px at most (4.0 m/s, open for 1 ms)" in result.output
 
 
+@pytest.mark.slow
 def test_a_plan_says_what_an_aim_promises_and_costs(tmp_path, monkeypatch):
     monkeypatch.setattr(machine, "load", lambda: machine.Load(1.0, 2.0))
     path = str(plan_file(tmp_path))
@@ -92,6 +93,7 @@ def test_a_plan_says_what_an_aim_promises_and_costs(tmp_path, monkeypatch):
     assert "--target-std 20 is in metres" in refused.output
 
 
+@pytest.mark.slow
 def test_a_file_of_poses_is_the_flight_that_it_was_written_from(tmp_path):
     path = plan_file(tmp_path)
     simulate_flight(path, tmp_path / "flown")
@@ -143,6 +145,7 @@ def test_a_flight_with_too_little_overlap_is_told_to_have_more(tmp_path):
     assert coverage.endswith("give more overlap, or let the strips begin outside the area")
 
 
+@pytest.mark.slow
 def test_glitter_is_worst_at_noon_and_the_hours_without_it_are_said(tmp_path):
     noon = said(checked(plan_file(tmp_path)), "Light and motion")
     # 47.94 degrees north at the solstice: 90 - 47.94 + 23.44.

@@ -188,6 +188,7 @@ def test_torch_agrees_with_numpy_in_both_precisions(rng):
         assert view_angle(camera, tuple(c.double().numpy() for c in found), ray).max() < tolerance
 
 
+@pytest.mark.slow
 def test_drjit_agrees_with_numpy(rng):
     drjit = pytest.importorskip("drjit", reason="Dr.Jit is not installed")
     if not drjit.has_backend(drjit.JitBackend.LLVM):

@@ -115,6 +115,7 @@ def test_the_error_is_what_the_standard_deviation_says():
     assert 0.7 < np.sqrt(np.mean(error**2) / np.mean(std**2)) < 1.2
 
 
+@pytest.mark.slow
 def test_more_noise_gives_larger_standard_deviations():
     quiet, noisy = (np.median(solved(noise, 0.2, 0.1)[2]) for noise in (0.5, 16.0))
     assert noisy > 1.2 * quiet

@@ -168,10 +168,6 @@ class Masks(Sequence):
         """Union with a mask of any shape with as many pixels."""
         self._bits[number] |= np.packbits(mask)
 
-    def remove(self, number: int, mask: np.ndarray) -> None:
-        """Difference to a mask of any shape with as many pixels."""
-        self._bits[number] &= ~np.packbits(mask)
-
     def copy(self) -> Masks:
         """Deep copy."""
         other = Masks([])

@@ -12,7 +12,6 @@ from scipy.spatial import cKDTree
 from fields.image_store import LazyImages, Masks
 from fields.median import median
 from fields.sweep.block import Block
-from fields.sweep.candidates import Selection, find_candidates, surroundings
 from fields.sweep.height_std import height_std
 from fields.sweep.kernels.arrays import free_unused
 from fields.sweep.kernels.backend import kernels
@@ -102,27 +101,22 @@ _LEAST_COSINE = 0.01
 
 
 def unique_pixels(block: Block, maps: Sequence[DepthMap], gsd: float) -> Masks:
-    """The kept pixels of `select_pixels`."""
-    return select_pixels(block, maps, gsd).kept
-
-
-def select_pixels(block: Block, maps: Sequence[DepthMap], gsd: float) -> Selection:
-    """Pixels of each map that become points: every piece of the bed once, from its steepest view; and candidates.
+    """Pixels of each map that become points: every piece of the bed once, from its steepest view.
 
     Views take turns, the steepest first: their ground sampling distance is the finest. A pixel that is kept claims, in
     every later view, the four pixels around its projection whose heights agree with it; claimed pixels are duplicates.
     On walls, where neighbouring pixels lie far apart, it claims those alone that are as near to it as the bed's points
     are to each other (``gsd``, the ground sampling distance [m]). Only trusted pixels are kept. What is steep is
     looked at once more in space: that adds pixels on walls, and takes away wrong ones (`fields.sweep.slopes`).
-    About what is steep, pixels that one view confirms, and that none claims as on a wall, may become candidates
-    (`fields.sweep.candidates`).
 
-    The masks (height, width) are in the order of `maps`.
+    Returns
+    -------
+    Masks (height, width), in the order of `maps`
     """
     chosen = [m.view for m in maps]
     cameras = [block.cameras[view] for view in chosen]
     shapes: list[tuple[int, ...]] = [(camera.height, camera.width) for camera in cameras]
-    kept, claimed, walls, steep, sure, fit, doubtful = (Masks(list(shapes)) for _ in range(7))
+    kept, claimed, walls, steep, sure, fit = (Masks(list(shapes)) for _ in range(6))
     ground, tolerances = [], []
     for index, m in enumerate(maps):
         others = block.neighbours(m.view, 8, among=chosen)
@@ -132,7 +126,6 @@ def select_pixels(block: Block, maps: Sequence[DepthMap], gsd: float) -> Selecti
         tolerances.append(tolerance)
         steep[index], walls[index] = steep_and_wall_pixels(m.height, tolerance)
         sure[index] = trusted(m)
-        doubtful[index] = surroundings(steep[index]) & (m.agreeing > 0) & np.isfinite(block.images[m.view])
     order = sorted(range(len(maps)), key=lambda i: cameras[i].cam_from_local[2][2])
     images = LazyImages(lambda index: maps[index].height, len(chosen), largest(cameras), 1)
     heights = ViewStack.build(block.device, cameras, images, block.water)
@@ -148,10 +141,9 @@ def select_pixels(block: Block, maps: Sequence[DepthMap], gsd: float) -> Selecti
             if ground[index].meets(ground[later]):
                 same, near = kernels(block.device).find_duplicates(heights, rays, own, later, tolerances[index], gsd)
                 claimed.add(later, same & (near | ~walls[later].ravel()))
-                doubtful.remove(later, near)
         free_unused(block.device)
     filter_steep_pixels(heights, SteepPixels(steep, fit, sure), kept, gsd)
-    return Selection(kept, find_candidates(heights, doubtful, sure, kept, gsd), sure)
+    return kept
 
 
 def is_supported(height: np.ndarray, confirmed: np.ndarray, tolerance: float) -> np.ndarray:

@@ -22,8 +22,8 @@ from survey.run.water_colour import colour_of
 from survey.stage_key import stage_key
 
 if TYPE_CHECKING:
+    from fields.image_store import Masks
     from fields.sweep.block import Block
-    from fields.sweep.candidates import Selection
     from survey.folder.survey import Survey
     from survey.plan.choices import Choices
     from survey.plan.plan import Plan
@@ -73,7 +73,7 @@ class Job:
         self.tiling: Tiling | None = None
         self.tiles: Decision | None = None
         self.waits_for_kernels = Event()
-        self._found: dict[Path, Selection] = {}
+        self._found: dict[Path, Masks] = {}
         self.plan = self._planned()
 
     def take(self, survey: Survey) -> None:
@@ -171,7 +171,7 @@ class Job:
         """Views that get a height map."""
         return self.block.cover(*self.plan.recipe.times_seen, local_area(self.survey))
 
-    def once(self, folder: Path, find: Callable[[], Selection]) -> Selection:
+    def once(self, folder: Path, find: Callable[[], Masks]) -> Masks:
         """Which pixels become points of the maps in the folder of a sweep: found once for the stages that ask.
 
         The name of the folder ends in the hash of all that they depend on.

@@ -65,7 +65,7 @@ def bed_points(
 ) -> tuple[BedPoints, np.ndarray, int]:
     """Every piece of the bed once, coloured from the photograph that shows it steepest, or black.
 
-    ``kept`` are the pixels that become points; by default those of `fields.sweep.bed.unique_pixels`.
+    ``kept`` is what `fields.sweep.bed.unique_pixels` finds, where it is known.
 
     Returns the points, the tides (N,) [m] of their photographs, and how many took their height from the field.
     """

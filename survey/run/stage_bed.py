@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fields.solver.candidates import take_candidates
 from fields.solver.solver import SolvedMap
-from fields.sweep.bed import select_pixels
+from fields.sweep.bed import unique_pixels
 from fields.sweep.maps import DepthMap
 from survey.adjust.std_common import BASIS_ADJUSTED, BASIS_STATED, std_common
 from survey.display.quantities import length
@@ -54,8 +53,7 @@ def points_of_bed(job: Job, needs: Mapping[str, Path]) -> BedPoints:
     look_at_bed(job, needs["sweep"])
     is_of_sweep = job.plan.field != "off" and field is None and solved is None
     with job.progress.stage("Bed of the sweep alone" if is_of_sweep else "Bed", len(maps)) as stage:
-        chosen = job.once(needs["sweep"], lambda: select_pixels(job.block, maps, job.plan.gsd_m))
-        kept = chosen.kept if solved is None else take_candidates(job.block, maps, solved, chosen, job.plan.gsd_m)
+        kept = job.once(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m))
         bed, tide, moved = bed_points(job, maps, field, stage.advance, solved, kept)
     if field is not None:
         job.progress.detail(f"{moved:,} of {len(bed):,} points have the field's height")

@@ -12,7 +12,7 @@ import numpy as np
 from fields.solver.correlation import NoiseShares
 from fields.solver.shifts import Shifts
 from fields.solver.solver import SolvedMap, SolverFigures, count_in_squares, figures_of, solve_sample, spread
-from fields.sweep.bed import BedPoints, select_pixels
+from fields.sweep.bed import BedPoints, unique_pixels
 from fields.sweep.maps import DepthMap
 from fields.sweep.places import places_in_plan
 from survey.files.json_values import read_json_object, write_json
@@ -23,7 +23,7 @@ from survey.run.stage_solver import SIGHTINGS, SOLVED, solve_with
 from survey.run.stage_sweep import BOUND, CONSISTENCY, MAPS, SATURATED, SWEPT, look_at_bed, sweep_views
 from survey.run.stored import load_arrays, save_arrays
 from survey.run.stored_maps import Stored, save_maps
-from survey.run.tile_job import CANDIDATES, KEPT, MASKS, OWN, SURE, TileJob, load_masks, pack_masks
+from survey.run.tile_job import KEPT, MASKS, OWN, TileJob, load_masks, pack_masks
 
 if TYPE_CHECKING:
     from survey.run.job import Job
@@ -42,21 +42,17 @@ def sweep_tile(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
             write_json(folder / name, {})
         write_json(folder / BOUND, {"low_m": tile.bound[0], "high_m": tile.bound[1]})
         write_json(folder / SWEPT, {"views": []})
-        save_arrays(folder / MASKS, **pack_masks({name: [] for name in (KEPT, CANDIDATES, SURE, OWN)}))
+        save_arrays(folder / MASKS, **pack_masks({KEPT: [], OWN: []}))
         return
     sweep_views(tile, folder, {})
     maps = Stored(folder / MAPS, DepthMap)
-    kept, candidates, own = [], [], []
+    kept, own = [], []
     beside = grown(tile.cell, _BESIDE_GSD * tile.plan.gsd_m)
-    chosen = select_pixels(tile.block, maps, tile.plan.gsd_m)
-    for m, unique, candidate in zip(maps, chosen.kept, chosen.candidates, strict=True):
+    for m, unique in zip(maps, unique_pixels(tile.block, maps, tile.plan.gsd_m), strict=True):
         places = places_in_plan(tile.block, m)
-        is_near = inside(places, beside)
-        kept.append(unique & is_near)
-        candidates.append(candidate & is_near)
+        kept.append(unique & inside(places, beside))
         own.append(inside(places, tile.cell))
-    masks = {KEPT: kept, CANDIDATES: candidates, SURE: list(chosen.sure), OWN: own}
-    save_arrays(folder / MASKS, **pack_masks(masks))
+    save_arrays(folder / MASKS, **pack_masks({KEPT: kept, OWN: own}))
 
 
 def solve_tile(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:

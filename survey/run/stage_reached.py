@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fields.solver.candidates import take_candidates
 from fields.solver.solver import SolvedMap
-from fields.sweep.bed import select_pixels
+from fields.sweep.bed import unique_pixels
 from fields.sweep.maps import DepthMap
 from survey.files.json_values import write_json
 from survey.run.cell_std import CellStd, std_cells
@@ -72,8 +71,7 @@ def _cells(job: Job, needs: Mapping[str, Path], solved: Sequence[SolvedMap]) -> 
     """Of the points that the run would have if it ended now, those of the sweep's heights among them."""
     maps = Stored(needs["sweep"] / MAPS, DepthMap)
     look_at_bed(job, needs["sweep"])
-    chosen = job.once(needs["sweep"], lambda: select_pixels(job.block, maps, job.plan.gsd_m))
-    kept = take_candidates(job.block, maps, solved, chosen, job.plan.gsd_m)
+    kept = job.once(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m))
     bed, _, _ = bed_points(job, maps, None, lambda _done: None, solved, kept, coloured=False)
     if not is_placed(job.survey):
         # As the gate: where GPS or control has put a block, no round mends.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fields.solver.solver import SolvedMap, SolverFigures, solve_maps
-from fields.sweep.bed import select_pixels
+from fields.sweep.bed import unique_pixels
 from fields.sweep.maps import ByView, DepthMap, upsample_map
 from fields.sweep.wide_windows import wet_pairs
 from survey.files.json_values import write_json
@@ -28,7 +28,7 @@ _LEAST_TIME = 0.3
 
 
 def solve_heights(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
-    """Solve the pixels of the height maps that become points, and those that may."""
+    """Solve the pixels of the height maps that become points."""
     solve_with(job, folder, needs, None)
 
 
@@ -40,7 +40,7 @@ def solve_with(job: Job, folder: Path, needs: Mapping[str, Path], figures: Solve
         _save(job, folder, [SolvedMap.empty() for _ in maps], None)
         return
     look_at_bed(job, needs["sweep"])
-    kept = job.once(needs["sweep"], lambda: select_pixels(job.block, maps, job.plan.gsd_m)).together()
+    kept = job.once(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m)).copy()
     pairs = wet_pairs(job.block, maps.views)
     for number, view in enumerate(maps.views):
         if view in pairs:

@@ -13,7 +13,6 @@ import numpy as np
 
 from fields.image_store import GreyImages, Masks
 from fields.sweep.block import Block
-from fields.sweep.candidates import Selection
 from survey.plan.block import backend, cameras_of_block
 from survey.plan.rates import part_name
 from survey.run.job import Job
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
 
 # Which pixels of each map become points in the tile or beside it, and which show points of the tile: packed bits.
 MASKS = "masks.npz"
-KEPT, CANDIDATES, SURE, OWN = "kept", "candidates", "sure", "own"
+KEPT, OWN = "kept", "own"
 
 
 @dataclass(frozen=True)
@@ -154,9 +153,9 @@ class TileJob(Job):
         """Forget the windows."""
         self.__dict__.pop("block", None)
 
-    def once(self, folder: Path, find: Callable[[], Selection]) -> Selection:
+    def once(self, folder: Path, find: Callable[[], Masks]) -> Masks:
         """Pixels that become points of the tile or stand beside it, as its sweep left them."""
-        return Selection(*(load_masks(folder / MASKS, name) for name in (KEPT, CANDIDATES, SURE)))
+        return load_masks(folder / MASKS, KEPT)
 
     def _part(self, name: str):
         return (self.cell, self.ground) if name == "area" else super()._part(name)

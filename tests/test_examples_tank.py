@@ -22,7 +22,7 @@ SIZE, NOISE_PX, INDEX, PANE_M = (4000, 3000), 0.1, 1.334, 0.012
 
 
 def drawn(seed: int, pane: float = 0.0, places: int = 3, columns: int = 4, rows: int = 3):
-    """True values, corners with noise, and what is known of the optics."""
+    """True values, corners with noise, and the known parameters of the optics."""
     rng = np.random.default_rng(seed)
     x, y = np.meshgrid(np.linspace(-0.1, 0.1, columns), np.linspace(-0.08, 0.08, rows))
     board = np.tile(np.column_stack([x.ravel(), y.ravel()]), (2 * places, 1))

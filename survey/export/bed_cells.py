@@ -1,4 +1,4 @@
-"""The bed as a raster of heights, with what is known of each cell.
+"""The bed as a raster of heights, with the attributes of each cell.
 
 Gaps are filled up to a width, with a mask and a standard deviation of filled cells. A gap is filled where a square of
 the stated width does not fit into it. The height is the mean of the known cells around, weighted by the inverse square

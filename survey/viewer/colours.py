@@ -1,4 +1,4 @@
-"""Colours of points by what is known of them."""
+"""Colours of points by their attributes."""
 
 from __future__ import annotations
 

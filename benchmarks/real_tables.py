@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from textwrap import fill
+
 import numpy as np
 
 TO_95 = 1.959964
 # Further off than this a target is wrong, not uncertain [m].
 WRONG_M = 1.0
 AXES = ("east", "north", "up")
+# Of lines of the documentation.
+WIDTH = 118
 
 
 def profile_rows(found: dict) -> list[str]:
@@ -48,15 +52,18 @@ def target_rows(found: dict) -> list[str]:
     )
     named = [f"Left in the control, the wrong one is named: {found['warnings'][0]}."] if found["warnings"] else []
     within = f"Heights of {inside} of {sound} sound targets lie within 1.96 standard deviations; rms {rms}."
-    return [*lines, "", within, *named]
+    return [*lines, "", *fill(" ".join([within, *named]), WIDTH).split("\n")]
 
 
 def stream_rows(found: dict) -> list[str]:
     """Points of other programs."""
     apart, ratio = found["per_camera_apart_m"], found["bent_over_straight"]
-    lines = [
+    said = (
         f"Corrected by every camera as pyBathySfM does it, {found['points']:,} points of a stream lie within "
-        f"{apart:.0e} m of its own depths; bent rays put them at {ratio:.3f} of the depth of straight ones.",
+        f"{1000 * apart:.1f} mm of its own depths; bent rays put them at {ratio:.3f} of the depth of straight ones."
+    )
+    lines = [
+        *fill(said, WIDTH).split("\n"),
         "",
         f"| heights of {found['heads']} heads of coral, against a tape | rms |",
         "|---|---|",

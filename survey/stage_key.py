@@ -39,7 +39,7 @@ def stage_key(*parts) -> str:
 
     Examples
     --------
-    >>> stage_key("sweep", {"rungs": 64}) == stage_key("sweep", {"rungs": 64})
+    >>> stage_key("sweep", {"hypotheses": 64}) == stage_key("sweep", {"hypotheses": 64})
     True
     >>> stage_key(1) == stage_key(1.0)
     False

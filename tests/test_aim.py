@@ -1,4 +1,4 @@
-"""What a run may be asked for in place of a quality: the ladder of recipes, the next round, the time that is left."""
+"""What a run may be asked for in place of a quality: its recipes, the next round, the time that is left."""
 
 from __future__ import annotations
 
@@ -9,17 +9,16 @@ import pytest
 
 from fields.sweep.bed import BedPoints
 from survey.errors import SurveyError
-from survey.plan.aim import Aim, aim_of, ladder
+from survey.plan.aim import Aim, aim_of, recipes_for
 from survey.plan.pace import Ground, Pace, samples
 from survey.plan.plan import image_scale
-from survey.run.aimed import Aimed
+from survey.run.aimed_run import AimedRun, Clock, OutOfTimeError
 from survey.run.cell_std import DEPTH, FEW, NOISE, CellStd, std_cells
-from survey.run.clock import Clock, OutOfTimeError
 
 GROUND = Ground(photographs_mpx=10.0, map_px=10e6, points=1e6, poses="fixed", num_views=10)
 # A machine on which all rates are easy to count with.
 PACE = Pace(sample_s=1e-8, images_s=1.0, slow=1.0, point_s=1e-5)
-LADDER = ladder([(1024, 768)])
+RECIPES = recipes_for([(1024, 768)])
 SCALES = (0.25, 0.25, 0.5, 0.5, 1.0, 1.0)
 
 
@@ -33,9 +32,9 @@ class Hand:
         return self.seconds
 
 
-def aimed(aim: Aim, *, rung: int, left_s: float | None = None) -> Aimed:
+def aimed(aim: Aim, *, number: int, left_s: float | None = None) -> AimedRun:
     clock = None if left_s is None else Clock(left_s, now=Hand())
-    return Aimed(aim, LADDER, SCALES, GROUND, clock, rung, PACE)
+    return AimedRun(aim, RECIPES, SCALES, GROUND, clock, number, PACE)
 
 
 def cells(std: list[float], *, num_views: float = 8.0, depth: list[float] | None = None) -> CellStd:
@@ -73,54 +72,54 @@ def test_without_a_target_or_a_time_there_is_no_aim():
     )
 
 
-def test_the_ladder_halves_the_images_down_to_what_can_be_matched():
-    found = [(image_scale(1024, 768, recipe.megapixels), recipe.field) for recipe in LADDER]
+def test_recipes_halve_the_images_down_to_what_can_be_matched():
+    found = [(image_scale(1024, 768, recipe.megapixels), recipe.field) for recipe in RECIPES]
     assert found == [(scale, field) for scale in (0.25, 0.5, 1.0) for field in ("off", "solver")]
-    assert len(ladder([(160, 120)])) == 2
-    assert len({recipe.times_seen for recipe in LADDER}) == 1
+    assert len(recipes_for([(160, 120)])) == 2
+    assert len({recipe.times_seen for recipe in RECIPES}) == 1
 
 
-def test_the_ladder_of_several_sizes_is_that_of_the_smallest_in_which_all_are_matched():
-    found = ladder([(4000, 3000), (1024, 768)])
-    assert len(found) == len(LADDER)
+def test_recipes_for_several_sizes_are_those_of_the_smallest_in_which_all_are_matched():
+    found = recipes_for([(4000, 3000), (1024, 768)])
+    assert len(found) == len(RECIPES)
     assert found[-1].megapixels == pytest.approx(12.0)
 
 
 def test_a_round_goes_on_where_the_ground_is_above_the_target_and_as_far_as_it_needs():
-    halved = aimed(Aim(std_m=0.01), rung=3)
-    assert halved.next_rung(cells([0.009] * 96 + [0.03] * 4))[0] is None
-    assert halved.next_rung(cells([0.015] * 100))[0] == 5
-    quarter = aimed(Aim(std_m=0.01), rung=1)
-    assert quarter.next_rung(cells([0.015] * 100))[0] == 3
-    assert quarter.next_rung(cells([0.03] * 100))[0] == 5
+    halved = aimed(Aim(std_m=0.01), number=3)
+    assert halved.next_recipe(cells([0.009] * 96 + [0.03] * 4))[0] is None
+    assert halved.next_recipe(cells([0.015] * 100))[0] == 5
+    quarter = aimed(Aim(std_m=0.01), number=1)
+    assert quarter.next_recipe(cells([0.015] * 100))[0] == 3
+    assert quarter.next_recipe(cells([0.03] * 100))[0] == 5
 
 
 def test_a_target_that_no_round_comes_near_to_ends_the_work():
-    following, why = aimed(Aim(std_m=0.001), rung=3).next_rung(cells([0.1] * 100, num_views=2.0))
+    following, why = aimed(Aim(std_m=0.001), number=3).next_recipe(cells([0.1] * 100, num_views=2.0))
     assert following is None
     assert why.endswith(f"more work would not help, the rest is limited by {FEW}")
-    assert aimed(Aim(std_m=0.001), rung=5).next_rung(cells([0.0015] * 100))[0] is None
+    assert aimed(Aim(std_m=0.001), number=5).next_recipe(cells([0.0015] * 100))[0] is None
 
 
 def test_a_time_takes_the_best_that_fits_and_ends_where_nothing_is_left_to_win():
     budget = Aim(seconds=500.0)
-    assert aimed(budget, rung=0, left_s=1000.0).next_rung(None)[0] == 5
-    state = aimed(budget, rung=0, left_s=1000.0)
-    needed = [state.round_s(rung) for rung in range(6)]
+    assert aimed(budget, number=0, left_s=1000.0).next_recipe(None)[0] == 5
+    state = aimed(budget, number=0, left_s=1000.0)
+    needed = [state.round_s(number) for number in range(6)]
     assert needed[1] < needed[2] < needed[3] < needed[4] < needed[5]
-    for rung in range(1, 6):
-        assert aimed(budget, rung=0, left_s=needed[rung] + 1e-3).next_rung(None)[0] == rung
-    following, why = aimed(budget, rung=0, left_s=needed[1] - 1e-3).next_rung(None)
+    for number in range(1, 6):
+        assert aimed(budget, number=0, left_s=needed[number] + 1e-3).next_recipe(None)[0] == number
+    following, why = aimed(budget, number=0, left_s=needed[1] - 1e-3).next_recipe(None)
     assert (following, why) == (None, f"no more fits in the {needed[1]:.0f} s that are left")
-    assert aimed(budget, rung=5, left_s=1000.0).next_rung(None) == (None, "nothing is left to win")
+    assert aimed(budget, number=5, left_s=1000.0).next_recipe(None) == (None, "nothing is left to win")
 
 
 def test_a_target_in_a_time_goes_as_far_as_both_allow():
     both = Aim(std_m=0.01, seconds=500.0)
     above = cells([0.03] * 100)
-    assert aimed(both, rung=1, left_s=1000.0).next_rung(above)[0] == 5
-    short = aimed(both, rung=1, left_s=1000.0).round_s(3)
-    assert aimed(both, rung=1, left_s=short + 1e-3).next_rung(above)[0] == 3
+    assert aimed(both, number=1, left_s=1000.0).next_recipe(above)[0] == 5
+    short = aimed(both, number=1, left_s=1000.0).round_s(3)
+    assert aimed(both, number=1, left_s=short + 1e-3).next_recipe(above)[0] == 3
 
 
 def test_going_on_costs_only_the_passes_that_are_finer():

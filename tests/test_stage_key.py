@@ -14,7 +14,7 @@ from survey.stage_key import stage_key
 
 @dataclass(frozen=True)
 class Settings:
-    rungs: int = 64
+    hypotheses: int = 64
     step_px: float = 0.5
 
 
@@ -33,8 +33,8 @@ def test_keys_tell_apart_what_differs_and_only_that(tmp_path):
         ("ab",),
         ({"a": "b"},),
         (Settings(),),
-        (Settings(rungs=65),),
-        ({"rungs": 64, "step_px": 0.5},),
+        (Settings(hypotheses=65),),
+        ({"hypotheses": 64, "step_px": 0.5},),
         (np.array([1.0, 2.0]),),
         (np.array([1.0, 2.0], dtype=np.float32),),
         (np.array([[1.0, 2.0]]),),

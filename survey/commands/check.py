@@ -140,7 +140,7 @@ def _sections(folder: Path, asked: ProcessConfig, wind: float, deep: bool) -> It
     if foreseen is not None:
         yield foreseen
     if aim is not None and load is not None and checked.survey is not None:
-        from survey.run.beginning import rows_of
+        from survey.run.feasibility import rows_of
 
         yield Section("Asked", rows_of(aim, checked.survey, Choices(device=chosen.device), load))
     if deep:
@@ -163,7 +163,7 @@ def _sections_of_plan(path: Path, asked: ProcessConfig, wind: float, deep: bool)
     if aim is not None:
         from survey import machine
         from survey.plan.check import Section
-        from survey.run.beginning import rows_of
+        from survey.run.feasibility import rows_of
 
         plan = flight_of(path)
         rows = rows_of(aim, survey_of(plan), Choices(device=chosen.device), machine.load(), depth_of(plan))

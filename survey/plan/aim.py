@@ -1,6 +1,6 @@
 """Aims of a run in place of a quality: a standard deviation, a time, or both; and their recipes.
 
-The recipes form a ladder, from images as small as can be matched to whole ones, at each size without and with the
+The recipes go from images as small as can be matched to whole ones, at each size without and with the
 solver; so many views get a height map that three see every place. More views, as standard and fine have them, add
 about a hundredth of the points and do not change the standard deviation (docs/targets.md).
 """
@@ -102,7 +102,7 @@ def aim_and_choices(asked: ProcessConfig) -> tuple[Aim | None, Choices]:
     return aim, replace(USUAL, **words)
 
 
-def ladder(sizes_px: list[tuple[int, int]]) -> tuple[Recipe, ...]:
+def recipes_for(sizes_px: list[tuple[int, int]]) -> tuple[Recipe, ...]:
     """The recipes for images of these sizes (width, height), from the least work to the most."""
     width, height = max(sizes_px, key=lambda size: size[0] * size[1])
     halvings = max(math.floor(math.log2(min(max(size) for size in sizes_px) / _LEAST_SIDE_PX)), 0)

@@ -31,7 +31,7 @@ from survey.plan.recipe import RECIPES
 from survey.progress import rough
 from survey.sfm.settings import FEATURES_PX, pairs_about
 
-# In it the samples of the ladders, of which there are as many at a time whatever the survey.
+# In it the samples of the height hypotheses, as many at a time whatever the survey.
 _BASE_BYTES = 480e6
 # Per pixel of every view, its grey image; of its colours, and these at most; whole photographs while they are decoded.
 _BYTES_OF_VIEW, _BYTES_OF_COLOURS, _MOST_COLOURS, _BYTES_OF_DECODING = 1, 3, 100e6, 14

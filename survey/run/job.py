@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from survey.plan.skipped import Decision
     from survey.plan.tiling import Area, Tiling
     from survey.progress import Progress
-    from survey.run.aimed import Aimed
+    from survey.run.aimed_run import AimedRun
 
 
 class Job:
@@ -43,8 +43,8 @@ class Job:
     chosen : Choices
     plan : Plan
     progress : Progress
-    aimed : Aimed or None
-        Where the run has an aim in place of a quality: `survey.run.aimed`.
+    aimed : AimedRun or None
+        Where the run has an aim in place of a quality: `survey.run.aimed_run`.
     workspace : Path or None
         Where structure from motion keeps its files.
     scratch : Path or None
@@ -63,7 +63,7 @@ class Job:
         chosen: Choices,
         progress: Progress,
         *,
-        aimed: Aimed | None = None,
+        aimed: AimedRun | None = None,
         workspace: Path | None = None,
         scratch: Path | None = None,
     ):

@@ -8,15 +8,15 @@ from survey.run.job import Job
 from survey.run.stage import Stage
 from survey.run.stage_adjust import FILES as ADJUSTMENT_FILES
 from survey.run.stage_adjust import adjust_block, use_adjustment
+from survey.run.stage_assess import REACHED, assess_round, use_assessment
 from survey.run.stage_bed import FILES, make_bed
 from survey.run.stage_field import train_field
 from survey.run.stage_pose_check import MISFIT, check_poses, use_misfit
-from survey.run.stage_reached import REACHED, look_at_reached, use_reached
 from survey.run.stage_solver import SIGHTINGS, SOLVED, solve_heights
 from survey.run.stage_sweep import (
     BOUND,
     CELLS,
-    EARLIER_LOOK,
+    EARLIER_ASSESSMENT,
     EARLIER_SOLVER,
     EARLIER_SWEEP,
     MAPS,
@@ -62,7 +62,7 @@ def _is_refined(job: Job) -> bool:
 _RAYS = ("photographs", "cameras", "water", "device")
 _VIEWS = (*_RAYS, "size", "skips")
 # The stage that ends a round of a run with an aim.
-LOOK = "reached"
+ASSESSMENT = "reached"
 
 STAGES = (
     Stage(
@@ -85,7 +85,7 @@ STAGES = (
     ),
     Stage(
         name="sweep",
-        needs=(EARLIER_SWEEP, EARLIER_LOOK),
+        needs=(EARLIER_SWEEP, EARLIER_ASSESSMENT),
         depends_on=(*_VIEWS, "heights", "area", "coverage", "refined", "aim"),
         leaves=(MAPS, BOUND, SATURATED, SWEPT),
         compute=sweep_views,
@@ -100,13 +100,13 @@ STAGES = (
         is_on=_is_solved,
     ),
     Stage(
-        name=LOOK,
+        name=ASSESSMENT,
         needs=("adjust", "sweep", "solver"),
         depends_on=(*_VIEWS, "area", "gsd", "aim"),
         leaves=(REACHED, CELLS),
-        compute=look_at_reached,
+        compute=assess_round,
         is_on=_is_aimed,
-        apply=use_reached,
+        apply=use_assessment,
     ),
     Stage(
         name="water_colour",

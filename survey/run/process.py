@@ -32,9 +32,8 @@ from survey.plan.rates import parts_in_tiles, parts_s
 from survey.plan.tile_choice import SHARED, TileChoice, choose_tiles
 from survey.plan.workload import amounts_of_run, parts_of_found, require_room, workload_of, workload_of_found
 from survey.progress import Progress, opened
-from survey.run.aimed import Aimed
-from survey.run.beginning import begin_aimed, require_some_time
-from survey.run.clock import Clock
+from survey.run.aimed_run import AimedRun, Clock
+from survey.run.feasibility import begin_aimed_run, require_some_time
 from survey.run.folder import RunDir
 from survey.run.owner import Owner
 from survey.run.truth import Truth
@@ -153,7 +152,7 @@ def process(
         )
         aimed = None
         if aim is not None:
-            aimed = begin_aimed(aim, survey, chosen, clock, progress, refuses=checked.survey is not None)
+            aimed = begin_aimed_run(aim, survey, chosen, clock, progress, refuses=checked.survey is not None)
         tiles_chosen = _announce(progress, survey, chosen, aimed, run)
         # Starts torch and Dr.Jit: only after everything that the user may have to mend was looked at.
         from survey.run.job import Job
@@ -201,7 +200,7 @@ def _forecast(progress: Progress, checked: Checked, chosen: Choices) -> None:
     progress.note(f"workload: {workload}")
 
 
-def _announce(progress: Progress, survey: Survey, chosen: Choices, aimed: Aimed | None, run: RunDir) -> TileChoice:
+def _announce(progress: Progress, survey: Survey, chosen: Choices, aimed: AimedRun | None, run: RunDir) -> TileChoice:
     """Say what is going to be done and what it takes; raise where the machine cannot. Returns the tiles."""
     plan = make_plan(survey, chosen, recipe=None if aimed is None else aimed.recipe)
     progress.note(f"{survey.name}: {len(survey.views)} views, a pixel covers {length(plan.gsd_m)} of the ground")
@@ -215,8 +214,8 @@ def _announce(progress: Progress, survey: Survey, chosen: Choices, aimed: Aimed 
     for decision in (*plan.decisions, tiles.decision):
         progress.note(f"plan: {decision.name}: {decision.choice} ({decision.reason})")
     if aimed is not None:
-        # An aim may come to need all that its ladder has.
-        top = make_plan(survey, chosen, recipe=aimed.ladder[-1])
+        # An aim may come to need its largest recipe.
+        top = make_plan(survey, chosen, recipe=aimed.recipes[-1])
         workload = workload_of(survey, top).on_busy(aimed.pace.slow)
     else:
         workload = replace(in_one, memory_bytes=int(tiles.memory_bytes))
@@ -225,7 +224,7 @@ def _announce(progress: Progress, survey: Survey, chosen: Choices, aimed: Aimed 
             progress.forecast.expect(parts if tiles.tiling is None else parts_in_tiles(parts, len(tiles.tiling)))
             slowness = progress.forecast.slowness
             workload = workload if slowness < _BUSY else workload.on_busy(slowness)
-    progress.note(f"workload: {'' if aimed is None else 'at the top of the ladder, '}{workload}")
+    progress.note(f"workload: {'' if aimed is None else 'with the largest recipe, '}{workload}")
     for text in require_room(workload, run.path):
         progress.warn(text)
     return tiles

@@ -7,13 +7,13 @@ from pathlib import Path
 
 from survey.run.folder import RunDir
 from survey.run.job import Job
-from survey.run.pipeline import BED_OF_SWEEP, LOOK, STAGES
+from survey.run.pipeline import ASSESSMENT, BED_OF_SWEEP, STAGES
 from survey.run.stage import Stage, run_stage
-from survey.run.stage_sweep import EARLIER_LOOK, EARLIER_SOLVER, EARLIER_SWEEP
+from survey.run.stage_sweep import EARLIER_ASSESSMENT, EARLIER_SOLVER, EARLIER_SWEEP
 from survey.run.tiled import run_tiled
 
 # Of a round, and the names under which the next one finds them.
-_EARLIER = {"sweep": EARLIER_SWEEP, "solver": EARLIER_SOLVER, LOOK: EARLIER_LOOK}
+_EARLIER = {"sweep": EARLIER_SWEEP, "solver": EARLIER_SOLVER, ASSESSMENT: EARLIER_ASSESSMENT}
 
 
 def run_stages(job: Job, run: RunDir, *, resume: bool, compares_sweep: bool) -> dict[str, Path]:
@@ -32,7 +32,7 @@ def run_stages(job: Job, run: RunDir, *, resume: bool, compares_sweep: bool) -> 
         if stage.is_on(job):
             done[stage.name] = run_stage(stage, job, run, done, resume=resume)
         number = 1
-        while stage.name == LOOK and job.aimed is not None and job.aimed.following is not None:
+        while stage.name == ASSESSMENT and job.aimed is not None and job.aimed.following is not None:
             _set_aside(done, number)
             for again in of_round:
                 if again.is_on(job):

@@ -23,7 +23,7 @@ from survey.files.json_values import write_json
 from survey.plan.area import plane_name
 from survey.plan.block import camera_of
 from survey.progress import shares
-from survey.run.clock import OutOfTimeError
+from survey.run.aimed_run import OutOfTimeError
 from survey.run.live import LiveMaps
 from survey.run.stored import load_arrays
 from survey.run.stored_maps import Stored, kept_aside, save_maps
@@ -31,14 +31,15 @@ from survey.run.stored_maps import Stored, kept_aside, save_maps
 if TYPE_CHECKING:
     from fields.sweep.block import Block
     from fields.sweep.maps import Keep, OrderedMaps
-    from survey.run.aimed import Aimed
+    from survey.run.aimed_run import AimedRun
     from survey.run.job import Job
 
 MAPS, BOUND, SWEPT = "maps.npz", "bound.json", "swept.json"
 # Of each photograph by its name: the share of white pixels, and whether it shows the bed that was found.
 SATURATED, CONSISTENCY = "saturated.json", "consistency.json"
 # Of the round before, for the stages of the next; and where its look left the cells that need work.
-EARLIER_SWEEP, EARLIER_SOLVER, EARLIER_LOOK, CELLS = "earlier sweep", "earlier solver", "earlier look", "cells.npz"
+EARLIER_SWEEP, EARLIER_SOLVER, EARLIER_ASSESSMENT = "earlier sweep", "earlier solver", "earlier look"
+CELLS = "cells.npz"
 # In the folder of the stage, while it lasts: maps that are worked on.
 SCRATCH = "scratch"
 # A view goes on where more than this share of the ground that it sees needs work.
@@ -63,15 +64,15 @@ def sweep_views(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         low, high = job.bound
         block.judge_overlap_at(0.5 * (low + high))
         chosen = job.views_to_match()
-        ladder = (low, high) if job.plan.skips.heights else job.limits
+        heights = (low, high) if job.plan.skips.heights else job.limits
         passes = PASSES if job.aimed is None else passes_from(job.aimed.first_search)
         passes = before_solver(passes) if job.plan.refines_points_only else passes
         start = time.monotonic()
         with kept_aside(folder / SCRATCH, DepthMap, show=_live(job, folder)) as keep:
-            maps = sweep(block, chosen, ladder, shares(stage), passes, job.swept_ground, keep=keep)
+            maps = sweep(block, chosen, heights, shares(stage), passes, job.swept_ground, keep=keep)
             if not maps and job.tiling is None:
                 raise SurveyError("no two views overlap; check that the poses belong to the images")
-            swept = with_wide_windows(block, _finished(block, maps, keep), ladder, job.swept_ground, keep)
+            swept = with_wide_windows(block, _finished(block, maps, keep), heights, job.swept_ground, keep)
             _save(job, folder, swept, swept.views, time.monotonic() - start, images_s, None)
     job.progress.note(f"bound: bed between {low:.2f} and {high:.2f} m over the {plane_name(job.survey)}")
     write_json(folder / BOUND, {"low_m": low, "high_m": high})
@@ -114,11 +115,10 @@ def _go_on(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
                 if aimed is not None and aimed.clock is not None:
                     aimed.clock.keep(aimed.tail_s)
 
-            ladder = (bound["low_m"], bound["high_m"])
             maps = sweep(
                 block,
                 before.views,
-                ladder,
+                (bound["low_m"], bound["high_m"]),
                 advance,
                 area=job.swept_ground,
                 before=ByView(before, before.views),
@@ -134,7 +134,7 @@ def _go_on(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
 
 def _to_sweep_again(job: Job, views: list[int], needs: Mapping[str, Path]) -> list[int]:
     """Views that see much ground that needs work; all where no standard deviation is asked for."""
-    cells = needs[EARLIER_LOOK] / CELLS
+    cells = needs[EARLIER_ASSESSMENT] / CELLS
     if job.aimed is None or job.aimed.aim.std_m is None:
         return views
     found = load_arrays(cells)
@@ -181,14 +181,14 @@ def use_sweep(job: Job, folder: Path) -> None:
     found = _swept(folder)
     _take_pace(job.aimed, found)
     if found["image_scale"] != job.plan.image_scale:
-        job.aimed.rung = next(
-            rung for rung, scale in enumerate(job.aimed.scales)
-            if scale == found["image_scale"] and job.aimed.solves(rung) == (job.plan.field == "solver")
+        job.aimed.number = next(
+            number for number, scale in enumerate(job.aimed.scales)
+            if scale == found["image_scale"] and job.aimed.solves(number) == (job.plan.field == "solver")
         )  # fmt: skip
         job.plan_again()
 
 
-def _take_pace(aimed: Aimed, found: dict) -> None:
+def _take_pace(aimed: AimedRun, found: dict) -> None:
     if found["seconds"] > 0.0 and found["samples"] > 0.0:
         aimed.pace = aimed.pace.after_sweep(found["seconds"], found["samples"], found["images_s"])
 

@@ -26,13 +26,13 @@ from survey.run.stored import save_arrays
 from survey.run.stored_maps import Stored
 
 if TYPE_CHECKING:
-    from survey.run.aimed import Aimed
+    from survey.run.aimed_run import AimedRun
     from survey.run.job import Job
 
 REACHED = "reached.json"
 
 
-def look_at_reached(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
+def assess_round(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """Write what was reached and what comes next."""
     aimed = job.aimed
     if aimed is None:
@@ -46,11 +46,11 @@ def look_at_reached(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         save_arrays(folder / CELLS, xyz=np.empty((0, 3)), above=np.empty(0, dtype=bool))
     else:
         save_arrays(folder / CELLS, xyz=cells.xyz, above=cells.std > aimed.aim.std_m)
-    following, why = aimed.next_rung(cells)
-    write_json(folder / REACHED, told | {"rung": aimed.rung, "following": following, "why": why})
+    following, why = aimed.next_recipe(cells)
+    write_json(folder / REACHED, told | {"rung": aimed.number, "following": following, "why": why})
 
 
-def use_reached(job: Job, folder: Path) -> None:
+def use_assessment(job: Job, folder: Path) -> None:
     """Give the job the recipe of the next round, or let this have been the last."""
     aimed = job.aimed
     if aimed is None:
@@ -62,7 +62,7 @@ def use_reached(job: Job, folder: Path) -> None:
     job.plan_again()
 
 
-def _take_pace(aimed: Aimed, found: dict) -> None:
+def _take_pace(aimed: AimedRun, found: dict) -> None:
     if found["solver_s"] is not None:
         aimed.pace = aimed.pace.after_solver(found["solver_s"], found["solved"])
 

@@ -1,4 +1,4 @@
-"""Runs with a target std or a time budget: the recipe reached, its cost, and the next one.
+"""Runs with a target std or a time budget: the recipe of each round, its duration, and the time left.
 
 A run goes in rounds of sweep, solver and a look at what was reached (`survey.run.rounds`). The first is cheap. Each
 later one goes on from the heights before, so that a round in between costs a few percent of the one after it.
@@ -7,6 +7,8 @@ later one goes on from the heights before, so that a round in between costs a fe
 from __future__ import annotations
 
 import math
+import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from survey.plan.aim import SHARE, Aim
@@ -14,7 +16,6 @@ from survey.plan.pace import Ground, Pace, samples
 from survey.plan.plan import Decision
 from survey.plan.recipe import RECIPES, Recipe
 from survey.run.cell_std import CellStd
-from survey.run.clock import Clock
 
 # A point's own standard deviation with images of twice the side (docs/targets.md).
 _FINER_STD = 0.55
@@ -24,37 +25,72 @@ _LEAST_GAIN = 0.01
 _SLACK = 0.1
 
 
+class OutOfTimeError(Exception):
+    """Work that can be left out would take the time of what cannot."""
+
+
+class Clock:
+    """Counts down from a number of seconds.
+
+    Parameters
+    ----------
+    seconds : float
+    gone_s : float
+        How long ago the time began [s].
+    now : callable
+        Seconds that only rise.
+    """
+
+    def __init__(self, seconds: float, gone_s: float = 0.0, now: Callable[[], float] = time.monotonic):
+        self._now, self._end = now, now() + seconds - gone_s
+
+    @property
+    def left_s(self) -> float:
+        """Seconds that are left; negative when they are over."""
+        return self._end - self._now()
+
+    def keep(self, seconds: float) -> None:
+        """Raise where less is left than what has to follow takes.
+
+        Raises
+        ------
+        OutOfTimeError
+        """
+        if self.left_s < seconds:
+            raise OutOfTimeError
+
+
 @dataclass
-class Aimed:
+class AimedRun:
     """The aim of a run and its state.
 
     Attributes
     ----------
     aim : Aim
-    ladder : tuple of Recipe
+    recipes : tuple of Recipe
         From the least work to the most.
     scales : tuple of float
         Of the images, for each recipe.
     ground : Ground
     clock : Clock or None
         Where a time is asked for.
-    rung : int
-        Where on the ladder the present round is.
+    number : int
+        Of the recipe of the present round.
     pace : Pace
     has_begun : bool
         Whether the first round has: poses are looked at before, with images as standard has them.
     decisions : list of Decision
         One for each round that is over.
     following : int or None
-        The rung of the next round; None before a round is over and after the last.
+        The recipe of the next round; None before a round is over and after the last.
     """
 
     aim: Aim
-    ladder: tuple[Recipe, ...]
+    recipes: tuple[Recipe, ...]
     scales: tuple[float, ...]
     ground: Ground
     clock: Clock | None
-    rung: int
+    number: int
     pace: Pace
     has_begun: bool = False
     decisions: list[Decision] = field(default_factory=list)
@@ -63,16 +99,16 @@ class Aimed:
     @property
     def recipe(self) -> Recipe:
         """Of the present round, or before the first."""
-        return self.ladder[self.rung] if self.has_begun else RECIPES["standard"]
+        return self.recipes[self.number] if self.has_begun else RECIPES["standard"]
 
     @property
     def scale(self) -> float:
         """Of the images in the present round."""
-        return self.scales[self.rung]
+        return self.scales[self.number]
 
-    def solves(self, rung: int) -> bool:
-        """Whether a rung has the solver."""
-        return self.ladder[rung].field == "solver"
+    def solves(self, number: int) -> bool:
+        """Whether a recipe has the solver."""
+        return self.recipes[number].field == "solver"
 
     def samples(self, scale: float, before: float | None) -> float:
         """Pixels x heights x neighbours of a sweep at a scale that goes on from a smaller one, or from nothing."""
@@ -85,13 +121,13 @@ class Aimed:
 
     def end_round(self, following: int | None, why: str) -> Decision:
         """Take a decision on the next round; in words, for the plan."""
-        done = "with the solver" if self.solves(self.rung) else "sweep alone"
+        done = "with the solver" if self.solves(self.number) else "sweep alone"
         then = "the last" if following is None else f"then image scale {self.scales[following]:g}"
         name, choice = f"round {len(self.decisions) + 1}", f"image scale {self.scale:g}, {done}; {then}"
         self.decisions.append(Decision(name, choice, why))
         self.following = following
         if following is not None:
-            self.rung = following
+            self.number = following
         return self.decisions[-1]
 
     @property
@@ -99,10 +135,10 @@ class Aimed:
         """From the end of the present round to that of the run [s]."""
         return self.pace.tail_s(self.ground, self.scale)
 
-    def round_s(self, rung: int) -> float:
-        """Of a next round on a rung, with all that follows it [s]."""
-        scale = self.scales[rung]
-        solver = self.pace.solver_s(self.ground, scale) if self.solves(rung) else 0.0
+    def round_s(self, number: int) -> float:
+        """Duration of a next round by a recipe, with all that follows it [s]."""
+        scale = self.scales[number]
+        solver = self.pace.solver_s(self.ground, scale) if self.solves(number) else 0.0
         sweep = (
             0.0
             if scale == self.scale
@@ -110,16 +146,16 @@ class Aimed:
         )
         return (sweep + solver) * (1.0 + _SLACK) + self.pace.tail_s(self.ground, scale)
 
-    def fits(self, rung: int) -> bool:
-        """Whether there is time for a next round on a rung."""
-        return self.clock is None or self.round_s(rung) <= self.clock.left_s
+    def fits(self, number: int) -> bool:
+        """Whether there is time for a next round by a recipe."""
+        return self.clock is None or self.round_s(number) <= self.clock.left_s
 
-    def next_rung(self, cells: CellStd | None) -> tuple[int | None, str]:
-        """The rung of the next round, None where this was the last, and why.
+    def next_recipe(self, cells: CellStd | None) -> tuple[int | None, str]:
+        """Number of the recipe of the next round, None where this was the last, and why.
 
         ``cells`` are what this round reached, where a standard deviation is asked for.
         """
-        later = range(self.rung + 1, len(self.ladder))
+        later = range(self.number + 1, len(self.recipes))
         why = ""
         if cells is not None and self.aim.std_m is not None:
             why = cells.in_words(self.aim.std_m)
@@ -129,7 +165,7 @@ class Aimed:
             why += "" if later else f"; more work would not help, the rest is limited by {cells.limit(self.aim.std_m)}"
         if not later:
             return None, why or "nothing is left to win"
-        fitting = [rung for rung in later if self.fits(rung)]
+        fitting = [number for number in later if self.fits(number)]
         if not fitting:
             return None, "; ".join([*([why] if why else []), f"no more fits in the {self._left} that are left"])
         return fitting[-1], why or f"{self._left} are left"
@@ -139,15 +175,16 @@ class Aimed:
         return f"{self.clock.left_s:.0f} s" if self.clock is not None else ""
 
     def _towards(self, cells: CellStd, std_m: float) -> range:
-        """The later rungs up to the first that should reach a standard deviation, or all if that is worth it."""
-        solving = [rung for rung in range(self.rung + 1, len(self.ladder)) if self.solves(rung)]
+        """The later recipes up to the first that should reach a standard deviation, or all if that is worth it."""
+        solving = [number for number in range(self.number + 1, len(self.recipes)) if self.solves(number)]
         foreseen = {
-            rung: cells.reached(std_m, _FINER_STD ** math.log2(self.scales[rung] / self.scale)) for rung in solving
+            number: cells.reached(std_m, _FINER_STD ** math.log2(self.scales[number] / self.scale))
+            for number in solving
         }
-        for rung in solving:
-            if foreseen[rung] >= SHARE:
-                return range(rung, rung + 1) if self.clock is None else range(self.rung + 1, rung + 1)
+        for number in solving:
+            if foreseen[number] >= SHARE:
+                return range(number, number + 1) if self.clock is None else range(self.number + 1, number + 1)
         if not solving or foreseen[solving[-1]] < cells.reached(std_m) + _LEAST_GAIN:
             return range(0)
         last = solving[-1]
-        return range(last, last + 1) if self.clock is None else range(self.rung + 1, last + 1)
+        return range(last, last + 1) if self.clock is None else range(self.number + 1, last + 1)

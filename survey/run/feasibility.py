@@ -11,14 +11,13 @@ from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.machine import Load
-from survey.plan.aim import SHARE, Aim, ladder
+from survey.plan.aim import SHARE, Aim, recipes_for
 from survey.plan.choices import Choices
 from survey.plan.pace import ANY_RUN_S, Ground, Pace
 from survey.plan.plan import make_plan
 from survey.plan.recipe import Recipe
 from survey.progress import Progress
-from survey.run.aimed import Aimed
-from survey.run.clock import Clock
+from survey.run.aimed_run import AimedRun, Clock
 
 # What the stated rates of another machine may be wrong by.
 _UNKNOWN_PACE = 1.2
@@ -27,28 +26,28 @@ _LEAST_PX, _MOST_PX = 0.01, 10.0
 
 
 @dataclass(frozen=True)
-class Outlook:
+class Feasibility:
     """What is known of an aim before anything is computed.
 
     Attributes
     ----------
-    ladder : tuple of Recipe
+    recipes : tuple of Recipe
     scales : tuple of float
-        Of the images, for each recipe of the ladder.
+        Of the images, for each recipe.
     ground : Ground
     point_std_m : tuple of float [m]
         Foreseen by matching alone for each recipe, median over the places; NaN where too few views overlap.
     common_std_m : float [m]
         Of water, lens and poses.
     first : int
-        Rung of the first round.
+        Number of the recipe of the first round.
     pace : Pace
         By stated rates and how busy the machine is.
     load : Load
         Of the machine.
     """
 
-    ladder: tuple[Recipe, ...]
+    recipes: tuple[Recipe, ...]
     scales: tuple[float, ...]
     ground: Ground
     point_std_m: tuple[float, ...]
@@ -58,7 +57,7 @@ class Outlook:
     load: Load
 
 
-def outlook(aim: Aim, survey: Survey, chosen: Choices, load: Load, depth_m: float = DEPTH_M) -> Outlook:
+def assess_feasibility(aim: Aim, survey: Survey, chosen: Choices, load: Load, depth_m: float = DEPTH_M) -> Feasibility:
     """Look at what an aim needs of a survey whose poses are known.
 
     Parameters
@@ -75,8 +74,8 @@ def outlook(aim: Aim, survey: Survey, chosen: Choices, load: Load, depth_m: floa
     SurveyError
         If no view looks down, or the standard deviation cannot be meant.
     """
-    rungs = ladder([(view.lens.width, view.lens.height) for view in survey.views])
-    plans = [make_plan(survey, chosen, recipe=recipe) for recipe in rungs]
+    recipes = recipes_for([(view.lens.width, view.lens.height) for view in survey.views])
+    plans = [make_plan(survey, chosen, recipe=recipe) for recipe in recipes]
     _require_meant(aim, plans[0].gsd_m, plans[-1].gsd_m)
     scales = tuple(plan.image_scale for plan in plans)
     ground = Ground.of(survey, plans[-1])
@@ -85,11 +84,11 @@ def outlook(aim: Aim, survey: Survey, chosen: Choices, load: Load, depth_m: floa
     first = 0
     if aim.std_m is not None:
         # Only heights of the solver have a standard deviation that can be relied on.
-        solving = [rung for rung, recipe in enumerate(rungs) if recipe.field == "solver"]
-        first = next((rung for rung in solving if not std[rung] > aim.std_m), solving[-1])
+        solving = [number for number, recipe in enumerate(recipes) if recipe.field == "solver"]
+        first = next((number for number in solving if not std[number] > aim.std_m), solving[-1])
     pace = Pace.stated(ground, load.slowness)
     common = math.nan if foreseen is None else foreseen.heights.of_all_m
-    return Outlook(rungs, scales, ground, std, common, first, pace, load)
+    return Feasibility(recipes, scales, ground, std, common, first, pace, load)
 
 
 def _require_meant(aim: Aim, largest_m: float, smallest_m: float) -> None:
@@ -109,7 +108,7 @@ def _require_meant(aim: Aim, largest_m: float, smallest_m: float) -> None:
         )
 
 
-def doubts(aim: Aim, found: Outlook) -> list[str]:
+def doubts(aim: Aim, found: Feasibility) -> list[str]:
     """What speaks against reaching a standard deviation, as sentences."""
     if aim.std_m is None:
         return []
@@ -128,7 +127,7 @@ def doubts(aim: Aim, found: Outlook) -> list[str]:
     return told
 
 
-def shortest_s(found: Outlook) -> float:
+def shortest_s(found: Feasibility) -> float:
     """The shortest time that is accepted [s]."""
     return _UNKNOWN_PACE * found.pace.least_s(found.ground, found.scales[0], lowest=found.scales[0])
 
@@ -147,7 +146,7 @@ def require_some_time(aim: Aim | None) -> None:
         )
 
 
-def require_time(seconds: float, found: Outlook) -> None:
+def require_time(seconds: float, found: Feasibility) -> None:
     """Raise where a time [s] is asked for in which no cloud can be made.
 
     Raises
@@ -162,9 +161,9 @@ def require_time(seconds: float, found: Outlook) -> None:
         )
 
 
-def begin_aimed(
+def begin_aimed_run(
     aim: Aim, survey: Survey, chosen: Choices, clock: Clock | None, progress: Progress, *, refuses: bool
-) -> Aimed:
+) -> AimedRun:
     """The state of a run with an aim before its first round.
 
     Parameters
@@ -180,7 +179,7 @@ def begin_aimed(
     SurveyError
         If the time is too short, or the standard deviation cannot be meant.
     """
-    found = outlook(aim, survey, chosen, machine.load())
+    found = assess_feasibility(aim, survey, chosen, machine.load())
     progress.note(f"asked: {aim}")
     progress.note(f"machine: {found.load}")
     for text in doubts(aim, found):
@@ -189,29 +188,29 @@ def begin_aimed(
     if (
         clock is not None
         and aim.seconds is not None
-        and make_plan(survey, chosen, recipe=found.ladder[0]).device == "llvm"
+        and make_plan(survey, chosen, recipe=found.recipes[0]).device == "llvm"
     ):
         if refuses:
             require_time(aim.seconds, found)
         elif clock.left_s < shortest_s(found):
             progress.warn(f"{clock.left_s:.0f} s are left of --time-budget {aim.seconds:g}: the shortest run follows")
-    state = Aimed(aim, found.ladder, found.scales, found.ground, clock, 0, found.pace)
+    state = AimedRun(aim, found.recipes, found.scales, found.ground, clock, 0, found.pace)
     # A first round that would leave little of the time is none: the shortest comes first then.
-    state.rung = found.first if clock is None or 2.0 * state.round_s(found.first) < clock.left_s else 0
+    state.number = found.first if clock is None or 2.0 * state.round_s(found.first) < clock.left_s else 0
     return state
 
 
 def rows_of(
     aim: Aim, survey: Survey, chosen: Choices, load: Load, depth_m: float = DEPTH_M
 ) -> tuple[tuple[str, str], ...]:
-    """What an aim promises and costs, as labelled sentences for `check`; parameters as those of `outlook`."""
-    found = outlook(aim, survey, chosen, load, depth_m)
+    """Expected std and duration of an aim, labelled for `check`; parameters as for `assess_feasibility`."""
+    found = assess_feasibility(aim, survey, chosen, load, depth_m)
     rows = [("asked", str(aim))]
-    is_timed = make_plan(survey, chosen, recipe=found.ladder[0]).device == "llvm"
-    for rung, (recipe, scale) in enumerate(zip(found.ladder, found.scales, strict=True)):
+    is_timed = make_plan(survey, chosen, recipe=found.recipes[0]).device == "llvm"
+    for number, (recipe, scale) in enumerate(zip(found.recipes, found.scales, strict=True)):
         if recipe.field != "solver":
             continue
-        std = found.point_std_m[rung]
+        std = found.point_std_m[number]
         heights = f"std of points about {length(std)} (median)" if math.isfinite(std) else "too few views overlap"
         seconds = found.pace.least_s(found.ground, scale, lowest=found.scales[0]) + found.pace.solver_s(
             found.ground, scale

@@ -21,7 +21,7 @@ from unittest.mock import patch
 
 from bench_sweep import Case, parser_of, surveys_and_results
 
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import HeightMap
 from survey.plan.recipe import RECIPES
 from survey.progress import current, shares
 from survey.run import points, stage_field
@@ -29,7 +29,7 @@ from survey.run import points, stage_field
 KEPT = RECIPES["standard"].rays_per_cell
 
 
-def trained(case: Case, maps: list[DepthMap], rays_per_cell: float) -> dict:
+def trained(case: Case, maps: list[HeightMap], rays_per_cell: float) -> dict:
     """Figures of a field, of its training and of the cloud that it refines."""
     start, used = time.monotonic(), time.process_time()
     recipe = replace(case.plan.recipe, rays_per_cell=rays_per_cell)
@@ -44,7 +44,7 @@ def rows_of(folder: Path, quality: str, rays: list[float], work: Path) -> dict[s
     """The sweep alone, and the field by number of rays; each is kept in a file and not computed again."""
 
     @cache
-    def swept() -> tuple[Case, list[DepthMap]]:
+    def swept() -> tuple[Case, list[HeightMap]]:
         case = Case(folder, quality)
         return case, case.maps()[0]
 

@@ -25,7 +25,7 @@ from fields.sweep import bed as bed_module
 from fields.sweep import views
 from fields.sweep.bed import BedPoints
 from fields.sweep.fusion import remove_free_space_violations
-from fields.sweep.maps import DepthMap, trusted
+from fields.sweep.maps import HeightMap, trusted
 from fields.sweep.passes import PASSES, Pass
 from fields.sweep.ranging import find_range
 from fields.sweep.sweep import sweep
@@ -84,7 +84,7 @@ class Case:
 
     def maps(
         self, passes: tuple[Pass, ...] = PASSES, chosen: list[int] | None = None, *, checked: bool = True
-    ) -> tuple[list[DepthMap], float]:
+    ) -> tuple[list[HeightMap], float]:
         """Height maps, without heights that other views contradict if ``checked``, and the seconds that they took."""
         start = time.monotonic()
         maps = sweep(self.block, self.chosen if chosen is None else chosen, self.bound, lambda done: None, passes)
@@ -92,7 +92,7 @@ class Case:
             maps = remove_free_space_violations(self.block, maps)
         return maps, time.monotonic() - start
 
-    def points(self, maps: list[DepthMap]) -> BedPoints:
+    def points(self, maps: list[HeightMap]) -> BedPoints:
         return points.bed_points(self.job, maps, None, lambda done: None)[0]
 
     def figures(self, bed: BedPoints) -> dict:

@@ -11,7 +11,7 @@ from fields.gamma import GAMMA
 from fields.slab.rays import Rays, rays_of
 from fields.slab.slab import Slab
 from fields.slab.tensor_field import FieldSettings, TensorField
-from fields.sweep.maps import DepthMap, Sources
+from fields.sweep.maps import HeightMap, Sources
 from fields.water_column import WaterColumn
 from refract import PinholeCamera
 
@@ -36,7 +36,7 @@ def plane_sources(
         images.append(np.clip(np.round(255.0 * light ** (1.0 / GAMMA)), 0, 255).astype(np.uint8))
         ones = np.ones(height.shape, dtype=np.float32)
         found = (height + shift + noise * rng.standard_normal(height.shape)).astype(np.float32)
-        maps.append(DepthMap(view, found, ones, np.full(height.shape, 3, dtype=np.uint8), 0.005 * ones))
+        maps.append(HeightMap(view, found, ones, np.full(height.shape, 3, dtype=np.uint8), 0.005 * ones))
     return Sources(cameras, maps, images, bed.water)
 
 

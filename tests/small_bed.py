@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from fields.sweep.bed import BedPoints
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import HeightMap
 from survey.folder.survey import Survey
 
 SPACING_M = 0.1
@@ -38,13 +38,13 @@ def plane_bed(survey: Survey, *, num: int = 140, depth_m: float = 0.3) -> BedPoi
     )
 
 
-def plane_depth_map(survey: Survey, view: int, *, shape: tuple[int, int] = (48, 64)) -> DepthMap:
-    """A depth map that falls from dry at the right to wet at the left, a quarter of it not confirmed."""
+def plane_height_map(survey: Survey, view: int, *, shape: tuple[int, int] = (48, 64)) -> HeightMap:
+    """A height map that falls from dry at the right to wet at the left, a quarter of it not confirmed."""
     height = np.broadcast_to(np.linspace(-1.0, 0.4, shape[1], dtype=np.float32), shape).copy()
     agreeing = np.full(shape, 3, dtype=np.uint8)
     agreeing[: shape[0] // 2, : shape[1] // 2] = 0
     ones = np.ones(shape, dtype=np.float32)
-    return DepthMap(view, height, ones, agreeing, 0.01 * ones)
+    return HeightMap(view, height, ones, agreeing, 0.01 * ones)
 
 
 def write_plane_mesh(path: Path, survey: Survey, *, raised_m: float, half_m: float = 8.0) -> Path:

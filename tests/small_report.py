@@ -7,7 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
-from small_bed import plane_bed, plane_depth_map, write_plane_mesh
+from small_bed import plane_bed, plane_height_map, write_plane_mesh
 from small_survey import TOML, small_survey
 
 from survey.compare.comparison import CompareOptions, compare_surfaces
@@ -58,7 +58,7 @@ def facts_of(survey, bed, **others) -> ReportFacts:
 def write_plane_report(survey: Survey, folder: Path) -> SimpleNamespace:
     """A finished report against a reference 4 mm above the bed, its run and its figures."""
     bed = plane_bed(survey)
-    facts = facts_of(survey, bed, depth_maps=[plane_depth_map(survey, 1)], verdict=Verdict((MET,)), notes=("a note",))
+    facts = facts_of(survey, bed, height_maps=[plane_height_map(survey, 1)], verdict=Verdict((MET,)), notes=("a note",))
     write_bed_las(folder / "cloud.las", StoredBed(bed, facts.points_crs, survey.frame.crs, "small", 0.05))
     reference = write_plane_mesh(folder / "reference.ply", survey, raised_m=RAISED_M)
     facts = replace(

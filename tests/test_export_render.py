@@ -15,7 +15,7 @@ from pyproj import CRS
 
 from fields.device import choose_device
 from fields.slab.train import FieldFigures
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import HeightMap
 from geo.frames import LocalFrame
 from refract import FlatWater
 from refract.lens import Lens
@@ -176,7 +176,7 @@ def photographed(tmp_path):
     with RunDir(path) as folder:
         stages = {name: folder.stages_path / stage for name, stage in folder.result()["stages"].items()}
         stage = folder.open_stage("sweep")
-        save_maps(stage / MAPS, DepthMap, [map_of(bed, number, view) for number, view in enumerate(survey.views)])
+        save_maps(stage / MAPS, HeightMap, [map_of(bed, number, view) for number, view in enumerate(survey.views)])
         stages["sweep"] = folder.finish_stage("sweep", Key({}), stage)
         result = folder.open_result("standard")
         (result / "plan.json").write_text(json.dumps({"image_scale": 1.0}))
@@ -186,10 +186,10 @@ def photographed(tmp_path):
     return tmp_path / "s", path
 
 
-def map_of(bed: PlaneBed, number: int, view: View) -> DepthMap:
+def map_of(bed: PlaneBed, number: int, view: View) -> HeightMap:
     height = bed.true_height(view.camera).astype(np.float32)
     confirmed, score = np.full(height.shape, 3, dtype=np.uint8), np.ones(height.shape, dtype=np.float16)
-    return DepthMap(number, height, score, confirmed, 0.0 * score)
+    return HeightMap(number, height, score, confirmed, 0.0 * score)
 
 
 def test_photographs_are_rendered_in_a_common_exposure(photographed, tmp_path):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from pyproj import CRS
-from small_bed import plane_bed, plane_depth_map
+from small_bed import plane_bed, plane_height_map
 from small_report import PLAN, facts_of
 from small_survey import TOML, small_survey
 
@@ -68,9 +68,9 @@ def test_every_kind_of_bed_gets_a_report(shallow_survey, dry_survey, tmp_path, k
         "strip in degrees": np.abs(bed.xyz[:, 1]) < 0.06,
     }
     bed = bed[keep.get(kind, np.ones(len(bed), bool))]
-    maps = [plane_depth_map(survey, 0)] if kind == "dry" else None
+    maps = [plane_height_map(survey, 0)] if kind == "dry" else None
     with RunDir(tmp_path / "run") as run:
-        figures = write_report(run.path, facts_of(survey, bed, depth_maps=maps))
+        figures = write_report(run.path, facts_of(survey, bed, height_maps=maps))
     assert figures.cloud.points == len(bed)
     assert (run.pictures_path / "plan.png").exists()
     assert (run.pictures_path / "depth.png").exists() == (len(bed) > 0)

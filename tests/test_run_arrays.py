@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 
 from fields.solver.solver import SolvedMap
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import HeightMap
 from survey.errors import SurveyError
 from survey.run.stored import load_arrays, save_arrays
 from survey.run.stored_maps import Stored, kept_aside, save_maps
 
 
-def test_depth_maps_come_back_as_they_were_whatever_their_sizes(tmp_path, rng):
-    def depth_map(view: int, *size: int) -> DepthMap:
+def test_height_maps_come_back_as_they_were_whatever_their_sizes(tmp_path, rng):
+    def height_map(view: int, *size: int) -> HeightMap:
         height, score, spread = rng.normal(size=(3, *size)).astype(np.float32)
-        return DepthMap(view, height, score, rng.integers(0, 9, size).astype(np.uint8), spread)
+        return HeightMap(view, height, score, rng.integers(0, 9, size).astype(np.uint8), spread)
 
-    maps = [depth_map(7, 4, 6), depth_map(3, 3, 5)]
-    save_maps(tmp_path / "maps.npz", DepthMap, maps)
-    again = Stored(tmp_path / "maps.npz", DepthMap)
+    maps = [height_map(7, 4, 6), height_map(3, 3, 5)]
+    save_maps(tmp_path / "maps.npz", HeightMap, maps)
+    again = Stored(tmp_path / "maps.npz", HeightMap)
     assert [m.view for m in again] == [7, 3]
     for old, new in zip(maps, again, strict=True):
         for name in ("height", "score", "agreeing", "spread"):
@@ -47,10 +47,10 @@ def test_maps_that_are_worked_on_lie_in_a_folder_where_memory_has_no_room(tmp_pa
     assert list(tmp_path.iterdir()) == []
 
 
-def test_depth_maps_that_lack_an_array_are_named_with_the_mend(tmp_path):
+def test_height_maps_that_lack_an_array_are_named_with_the_mend(tmp_path):
     save_arrays(tmp_path / "maps.npz", views=np.array([0]), height_0=np.zeros((2, 2)))
     with pytest.raises(SurveyError, match=r"maps\.npz cannot be read .*lacks the array score_0.*delete.*process"):
-        Stored(tmp_path / "maps.npz", DepthMap)
+        Stored(tmp_path / "maps.npz", HeightMap)
 
 
 @pytest.mark.parametrize("spoil", ["missing", "cut", "text"])

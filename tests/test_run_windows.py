@@ -8,7 +8,7 @@ from plane_survey import TILTED, PlaneBed, ring
 
 from fields.device import choose_device
 from fields.image_store import GreyImages
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import HeightMap
 from fields.sweep.places import places_in_plan
 from survey.plan.tiling import Tiling, inside
 from survey.run.array_files import ArrayFiles
@@ -73,7 +73,7 @@ def test_places_in_plan_are_those_of_the_points_of_a_map(device, cameras):
     height = BED.true_height(camera).astype(np.float32)
     nothing = np.zeros(height.shape, dtype=np.uint8)
     block = BED.block(choose_device("torch") if device.name == "torch" else device, [camera, cameras[0].scaled(0.2)])
-    found = places_in_plan(block, DepthMap(0, height, nothing, nothing, nothing))
+    found = places_in_plan(block, HeightMap(0, height, nothing, nothing, nothing))
     expected = camera.paths(camera.pixel_centres(), TILTED).at_height(height.astype(float), TILTED)[..., :2]
     # One step towards the crossing leaves less, and float32 much less.
     assert np.abs(found - expected).max() < 1e-4

@@ -31,16 +31,16 @@ def test_the_field_leaves_pixels_alone_that_it_was_not_asked_for_or_that_lie_els
     field = TensorField(slab, FieldSettings(), choose_device("torch"), WaterColumn())
     mast = sources.maps[0].height.copy()
     mast[20:30, 40:50] += 0.5
-    depth_map = replace(sources.maps[0], height=mast)
+    height_map = replace(sources.maps[0], height=mast)
     keep = np.zeros(mast.shape, dtype=bool)
     keep[10:40, 30:60] = True
-    height, moved = refine(field, cameras[0], depth_map, sources.images[0], sources.water, keep)
+    height, moved = refine(field, cameras[0], height_map, sources.images[0], sources.water, keep)
     changed = height != mast
     assert not changed[~keep].any()
     assert not changed[20:30, 40:50].any()
     assert moved == keep.sum() - 100
     assert np.abs(height - mast)[keep].max() < 3e-3
-    nothing, none = refine(field, cameras[0], depth_map, sources.images[0], sources.water, np.zeros_like(keep))
+    nothing, none = refine(field, cameras[0], height_map, sources.images[0], sources.water, np.zeros_like(keep))
     assert none == 0
     np.testing.assert_array_equal(nothing, mast)
 

@@ -46,9 +46,9 @@ def short(monkeypatch):
 def errors_mm(sources: Sources, field: TensorField) -> np.ndarray:
     """Of the field's heights at all pixels but the outermost, against the true bed."""
     found = []
-    for camera, depth_map, image in zip(sources.cameras, sources.maps, sources.images, strict=True):
-        every = np.ones(depth_map.height.shape, dtype=bool)
-        height, _ = refine(field, camera, depth_map, image, sources.water, every)
+    for camera, height_map, image in zip(sources.cameras, sources.maps, sources.images, strict=True):
+        every = np.ones(height_map.height.shape, dtype=bool)
+        height, _ = refine(field, camera, height_map, image, sources.water, every)
         found.append((height - BED.true_height(camera))[5:-5, 5:-5].ravel())
     return 1e3 * np.concatenate(found)
 

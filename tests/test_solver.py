@@ -21,7 +21,7 @@ from fields.solver.solver import SolvedMap, SolverFigures, solve_maps
 from fields.solver.tile import Tile, tiles_of
 from fields.solver.visibility import Projector, Surface, lookup, lookup_window, project_tiles
 from fields.sweep.block import Block
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import HeightMap
 from refract import FlatWater, PinholeCamera
 
 WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.33)
@@ -63,7 +63,7 @@ class Bed:
 
 
 @cache
-def survey(noise: float, slope: float, wrong_gsd: float = 0.6) -> tuple[Block, list[DepthMap], np.ndarray]:
+def survey(noise: float, slope: float, wrong_gsd: float = 0.6) -> tuple[Block, list[HeightMap], np.ndarray]:
     """A block of nine views, its maps with heights that are wrong by so much, and the true heights in the first."""
     random = np.random.default_rng(5)
     bed = Bed(slope)
@@ -79,7 +79,7 @@ def survey(noise: float, slope: float, wrong_gsd: float = 0.6) -> tuple[Block, l
         wrong = ndimage.gaussian_filter(random.standard_normal(truth.shape), 2.0)
         height = (truth + wrong_gsd * GSD * wrong / wrong.std()).astype(np.float32)
         whole = np.ones(truth.shape)
-        maps.append(DepthMap(view, height, whole, np.full(truth.shape, 5, np.uint8), 0.0 * height))
+        maps.append(HeightMap(view, height, whole, np.full(truth.shape, 5, np.uint8), 0.0 * height))
     return block, maps, bed.heights_seen(cameras[0])
 
 
@@ -209,8 +209,8 @@ def test_tiles_hold_every_wanted_pixel_once():
 
 def test_a_map_takes_solved_heights_and_keeps_the_others():
     level = np.zeros((4, 5), dtype=np.float32)
-    depth_map = DepthMap(0, level, level, level.astype(np.uint8), level)
-    refined, std = SolvedMap(np.array([7]), np.array([-1.5]), np.array([0.01])).over(depth_map)
+    height_map = HeightMap(0, level, level, level.astype(np.uint8), level)
+    refined, std = SolvedMap(np.array([7]), np.array([-1.5]), np.array([0.01])).over(height_map)
     assert refined.height[1, 2] == -1.5
     assert np.count_nonzero(refined.height) == 1
     assert np.isfinite(std).sum() == 1

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from fields.solver.solver import SolvedMap
-from fields.sweep.maps import DepthMap, upsample_map
+from fields.sweep.maps import HeightMap, upsample_map
 from survey.run.stage_solver import _enlarged
 
 SMALL, LARGE = (6, 8), (12, 16)
 
 
-def flat_map(shape: tuple[int, int], height: float) -> DepthMap:
+def flat_map(shape: tuple[int, int], height: float) -> HeightMap:
     """A map of one height, confirmed by three."""
     grey = np.full(shape, height, dtype=np.float32)
-    return DepthMap(0, grey, grey, np.full(shape, 3, dtype=np.uint8), grey)
+    return HeightMap(0, grey, grey, np.full(shape, 3, dtype=np.uint8), grey)
 
 
 def test_solved_pixels_keep_height_and_std_at_twice_the_size():

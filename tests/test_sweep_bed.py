@@ -10,27 +10,27 @@ from plane_survey import SIZE, TILTED, PlaneBed, ring
 
 from fields.sweep.bed import BedPoints, has_neighbours, points_of, unique_pixels, with_slope_std
 from fields.sweep.block import Block
-from fields.sweep.maps import DepthMap, trusted
+from fields.sweep.maps import HeightMap, trusted
 from refract import FlatWater
 
 HEIGHT, GSD = -2.0, 0.05
 
 
-def level_map(view: int, height: float = HEIGHT, agreeing: int = 3) -> DepthMap:
+def level_map(view: int, height: float = HEIGHT, agreeing: int = 3) -> HeightMap:
     """A map of one height over the water plane, confirmed by `agreeing` views."""
     shape = SIZE[::-1]
     full = [np.full(shape, value, np.float32) for value in (height, 0.9, 0.01)]
-    return DepthMap(view, *full[:2], np.full(shape, agreeing, np.uint8), full[2])
+    return HeightMap(view, *full[:2], np.full(shape, agreeing, np.uint8), full[2])
 
 
-def seen_from(block: Block, m: DepthMap, other: int) -> np.ndarray:
+def seen_from(block: Block, m: HeightMap, other: int) -> np.ndarray:
     """Pixels (height, width, 2) of another view at which the points of a map appear, in float64."""
     camera = block.cameras[m.view]
     points = camera.paths(camera.pixel_centres(), block.water).at_height(m.height.astype(np.float64), block.water)
     return block.cameras[other].project(points, block.water)
 
 
-def slow_unique(block: Block, maps: list[DepthMap]) -> list[np.ndarray]:
+def slow_unique(block: Block, maps: list[HeightMap]) -> list[np.ndarray]:
     """`unique_pixels` pixel by pixel in float64, for maps of one height each."""
     steepness = [block.cameras[m.view].cam_from_local[2][2] for m in maps]
     claimed, kept = [np.zeros(m.height.shape, bool) for m in maps], {}
@@ -139,7 +139,7 @@ def test_a_dry_survey_has_no_depth_and_counts_heights_from_local_zero(half_kept)
 
 def test_a_padded_map_gives_the_points_of_the_image_in_it(half_kept):
     camera, m, keep, rgb = half_kept
-    padded = DepthMap(1, *(np.pad(a, ((0, 8), (0, 16))) for a in (m.height, m.score, m.agreeing, m.spread)))
+    padded = HeightMap(1, *(np.pad(a, ((0, 8), (0, 16))) for a in (m.height, m.score, m.agreeing, m.spread)))
     found, expected = points_of(camera, TILTED, padded, keep, rgb, 0.1), points_of(camera, TILTED, m, keep, rgb, 0.1)
     np.testing.assert_array_equal(found.xyz, expected.xyz)
     np.testing.assert_array_equal(found.std, expected.std)

@@ -7,7 +7,7 @@ import pytest
 from plane_survey import SIZE, TILTED, PlaneBed, ring
 
 from fields.sweep.block import Block
-from fields.sweep.maps import DepthMap, trusted, upsample_map
+from fields.sweep.maps import HeightMap, trusted, upsample_map
 from fields.sweep.passes import PASSES as USUAL
 from fields.sweep.passes import Pass, passes_from
 from fields.sweep.sweep import sweep
@@ -24,7 +24,7 @@ AGAIN = (0, 1, 2)
 
 
 @pytest.fixture(scope="module")
-def halved(device) -> tuple[tuple[float, float], list[DepthMap]]:
+def halved(device) -> tuple[tuple[float, float], list[HeightMap]]:
     """The bound, and the maps of a sweep with images of half the size."""
     cameras = ring(6)
     truth = BED.true_height(cameras[0])
@@ -34,7 +34,7 @@ def halved(device) -> tuple[tuple[float, float], list[DepthMap]]:
 
 
 @pytest.fixture(scope="module")
-def gone_on(device, halved) -> tuple[Block, list[DepthMap], list[float]]:
+def gone_on(device, halved) -> tuple[Block, list[HeightMap], list[float]]:
     """The block at full size, its maps after three of seven views went on, and what the progress was told."""
     bound, before = halved
     block, shares = BED.block(device, ring(6), None), []
@@ -44,7 +44,7 @@ def gone_on(device, halved) -> tuple[Block, list[DepthMap], list[float]]:
     return block, maps, shares
 
 
-def median_error(block: Block, m: DepthMap) -> float:
+def median_error(block: Block, m: HeightMap) -> float:
     return float(np.median(np.abs(m.height - BED.true_height(block.cameras[m.view]))[trusted(m)]))
 
 
@@ -80,7 +80,7 @@ def test_a_map_enlarged_by_two_has_the_heights_between_its_pixels():
     rows, columns = np.mgrid[0:6, 0:8].astype(np.float32)
     plane = (2.0 * columns + rows).astype(np.float32)
     agreeing = np.arange(48, dtype=np.uint8).reshape(6, 8)
-    large = upsample_map(DepthMap(3, plane, plane, agreeing, plane), (16, 12))
+    large = upsample_map(HeightMap(3, plane, plane, agreeing, plane), (16, 12))
     assert large.view == 3
     # Centres of the pixels of half the size lie a quarter of the large pixel before and behind.
     np.testing.assert_allclose(large.height[4, 2:-2], 2.0 * (np.arange(2, 14) / 2 - 0.25) + 1.75, atol=1e-5)

@@ -14,7 +14,7 @@ from fields.sweep import device_filters, device_maps, images_device
 from fields.sweep.block import Block
 from fields.sweep.device_maps import DeviceMaps, device_map_store
 from fields.sweep.kernels import arrays, flat
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import HeightMap
 from fields.sweep.passes import Pass, StepSearch
 from fields.sweep.sweep import sweep
 from refract import FlatWater
@@ -52,7 +52,7 @@ def block_of(device, *, holes: bool = False) -> Block:
     return PlaneBed(WATER, LOW).block(device, cameras, images)
 
 
-def swept(device, *, holes: bool = False, room: int = PLENTY, passes=PASSES, **options) -> list[DepthMap]:
+def swept(device, *, holes: bool = False, room: int = PLENTY, passes=PASSES, **options) -> list[HeightMap]:
     """Maps of all views, by a device whose memory has so many bytes."""
     block = block_of(device, holes=holes)
     with pytest.MonkeyPatch.context() as patch:
@@ -65,7 +65,7 @@ def plain(apart):
     return choose_device("torch" if apart.module is None else "cpu")
 
 
-def assert_same(maps: list[DepthMap], others: list[DepthMap]) -> None:
+def assert_same(maps: list[HeightMap], others: list[HeightMap]) -> None:
     """That two sweeps give the same maps but for rounding."""
     assert [m.view for m in maps] == [m.view for m in others]
     for m, other in zip(maps, others, strict=True):
@@ -87,13 +87,13 @@ def apart(request):
 
 
 @pytest.fixture(scope="module")
-def beside(apart) -> list[DepthMap]:
+def beside(apart) -> list[HeightMap]:
     """Maps by a device with its images in its own memory."""
     return swept(apart)
 
 
 @pytest.fixture(scope="module")
-def on_host(apart) -> list[DepthMap]:
+def on_host(apart) -> list[HeightMap]:
     """Maps with images on the host between the kernels."""
     return swept(plain(apart))
 
@@ -163,7 +163,7 @@ def test_maps_for_which_the_device_has_no_room_wait_on_the_host(apart, beside, r
 def test_a_place_for_maps_takes_and_gives_room(apart, monkeypatch, rng):
     shape = (4, 6)
     nothing = (np.zeros(shape, kind) for kind in (np.float16, np.uint8, np.float16))
-    m = DepthMap(2, rng.random(shape).astype(np.float32), *nothing)
+    m = HeightMap(2, rng.random(shape).astype(np.float32), *nothing)
     monkeypatch.setattr(device_maps, "memory_bytes", lambda device: 2 * 16 * 24)
     aside = {}
     maps = device_map_store(apart, lambda: aside)()

@@ -10,7 +10,7 @@ from plane_survey import TILTED, PlaneBed, ring
 
 from fields.sweep.block import Block
 from fields.sweep.fusion import remove_free_space_violations
-from fields.sweep.maps import DepthMap, trusted
+from fields.sweep.maps import HeightMap, trusted
 from refract import FlatWater
 
 BED = PlaneBed(TILTED, -2.0)
@@ -19,14 +19,14 @@ OVER_M = 0.5
 PATCH = np.s_[30:42, 40:56]
 
 
-def level_maps(water: FlatWater | None, agreeing: int = 4) -> tuple[list, list[DepthMap]]:
+def level_maps(water: FlatWater | None, agreeing: int = 4) -> tuple[list, list[HeightMap]]:
     """Cameras, and maps of a level bed that so many views confirm everywhere."""
     cameras = ring(5)
     shape = (cameras[0].height, cameras[0].width)
     level = np.full(shape, -2.0, dtype=np.float32)
     ones = np.ones(shape, dtype=np.float32)
     count = np.full(shape, agreeing, dtype=np.uint8)
-    return cameras, [DepthMap(view, level.copy(), ones, count.copy(), 0.0 * ones) for view in range(len(cameras))]
+    return cameras, [HeightMap(view, level.copy(), ones, count.copy(), 0.0 * ones) for view in range(len(cameras))]
 
 
 def block_of(device, cameras, water=TILTED) -> Block:

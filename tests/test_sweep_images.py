@@ -13,7 +13,7 @@ from fields.sweep import images_device, images_host
 from fields.sweep.kernels import stack
 from fields.sweep.kernels.arrays import floats
 from fields.sweep.kernels.flat import as_numpy, flatten
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import HeightMap
 from fields.sweep.tiles import Tiles
 
 SHAPE = (45, 70)
@@ -191,7 +191,7 @@ def test_parts_that_are_first_shown_are_alike(apart, height, mask, rng):
 
 
 def test_maps_come_back_as_they_were(apart, height, rng):
-    m = DepthMap(
+    m = HeightMap(
         3, height, rng.random(SHAPE).astype(np.float16), rng.integers(0, 9, SHAPE).astype(np.uint8),
         rng.random(SHAPE).astype(np.float16),
     )  # fmt: skip

@@ -10,7 +10,7 @@ from plane_survey import TILTED, PlaneBed, look, ring
 from scipy.spatial.transform import Rotation
 
 from fields.sweep.block import Block
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import HeightMap
 from fields.sweep.photo_consistency import photo_consistency
 
 WRONG = 3
@@ -38,7 +38,7 @@ def test_a_photograph_with_a_wrong_pose_does_not_show_the_bed_of_the_others(devi
     for view in (0, 1, 2):
         height = bed.true_height(cameras[view]).astype(np.float32)
         ones = np.ones_like(height)
-        maps.append(DepthMap(view, height, ones, np.full(height.shape, 4, np.uint8), 0.0 * ones))
+        maps.append(HeightMap(view, height, ones, np.full(height.shape, 4, np.uint8), 0.0 * ones))
     cameras[WRONG] = POSES[wrong](cameras[WRONG])
     found = photo_consistency(Block(device, cameras, images, water, -2.0), maps)
     right = [each.correlation for view, each in enumerate(found) if view != WRONG]

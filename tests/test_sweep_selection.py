@@ -11,7 +11,7 @@ from fields.sweep.block import Block
 from fields.sweep.fusion import agreement
 from fields.sweep.kernels.queue import run_job
 from fields.sweep.kernels.stack import ViewStack
-from fields.sweep.maps import DepthMap, trusted
+from fields.sweep.maps import HeightMap, trusted
 from fields.sweep.passes import PASSES, Pass, before_solver, passes_from
 from fields.sweep.sweep import predict_selected_pixels, sweep
 from fields.sweep.tiles import PART_SIDE_PX, Tiles
@@ -30,10 +30,10 @@ def block(device) -> Block:
     return BED.block(device, ring(6))
 
 
-def map_of(block: Block, view: int, off: float = 0.0) -> DepthMap:
+def map_of(block: Block, view: int, off: float = 0.0) -> HeightMap:
     """The true heights of a view, or some that are off [m], confirmed by three views."""
     height = (BED.true_height(block.cameras[view]) + off).astype(np.float32)
-    return DepthMap(
+    return HeightMap(
         view,
         height,
         np.ones(height.shape, np.float16),

@@ -13,7 +13,7 @@ from fields.device import choose_device
 from fields.sweep import matching
 from fields.sweep.bed import unique_pixels
 from fields.sweep.block import Block
-from fields.sweep.maps import DepthMap, trusted
+from fields.sweep.maps import HeightMap, trusted
 from fields.sweep.passes import PASSES, POINTS_SHARE, Pass
 from fields.sweep.sweep import _samples, sweep
 from fields.sweep.view_pass import ViewPass
@@ -47,7 +47,7 @@ def ignore(share: float) -> None:
     """Progress that nobody looks at."""
 
 
-def sweep_plane(device, bed: PlaneBed, *, cameras=None, images=None, chosen=None) -> tuple[Block, list[DepthMap]]:
+def sweep_plane(device, bed: PlaneBed, *, cameras=None, images=None, chosen=None) -> tuple[Block, list[HeightMap]]:
     """The block of a plane and its maps, of all views or the chosen ones."""
     cameras = cameras or ring(6)
     block, truth = bed.block(device, cameras, images), bed.true_height(cameras[0])
@@ -55,13 +55,13 @@ def sweep_plane(device, bed: PlaneBed, *, cameras=None, images=None, chosen=None
     return block, sweep(block, chosen, (truth.min() - 0.3, truth.max() + 0.4), ignore, SMALL)
 
 
-def errors(block: Block, bed: PlaneBed, maps: list[DepthMap]) -> list[np.ndarray]:
+def errors(block: Block, bed: PlaneBed, maps: list[HeightMap]) -> list[np.ndarray]:
     """Errors [m] of the trusted heights of each map."""
     return [(m.height - bed.true_height(block.cameras[m.view]))[trusted(m)] for m in maps]
 
 
 @pytest.fixture(scope="module")
-def wet(device) -> tuple[Block, list[DepthMap]]:
+def wet(device) -> tuple[Block, list[HeightMap]]:
     """The block and maps of the wet plane."""
     return sweep_plane(device, BEDS["wet"])
 
@@ -223,7 +223,7 @@ def test_torch_finds_what_dr_jit_finds_on_a_drawn_survey(drawn, greys):
         # and 4.9e-4 to 6.0e-4 where grey levels and hypotheses are rounded otherwise, at random: 2.5 times that.
         difference = np.abs(twin.height - m.height)[sure] / step
         assert np.quantile(difference, 0.99) < 1.5e-3
-        for field in fields(DepthMap)[2:]:
+        for field in fields(HeightMap)[2:]:
             a, b = getattr(m, field.name)[sure], getattr(twin, field.name)[sure]
             assert np.isclose(a, b, rtol=1e-2, atol=1e-4).mean() > 0.99, field.name
     assert sum(k.sum() for k in kept) > 15_000

@@ -10,7 +10,7 @@ from rippled_pair import SIZE, rippled_pair
 
 from fields.sweep.bed import is_supported
 from fields.sweep.height_std import height_std
-from fields.sweep.maps import DepthMap, OrderedMaps, trusted
+from fields.sweep.maps import HeightMap, OrderedMaps, trusted
 from fields.sweep.sweep import sweep
 from fields.sweep.wide_windows import averaged, wet_pairs, window_std, with_wide_windows
 
@@ -19,13 +19,13 @@ SHAPE, NOISE_M = (170, 204), 0.5
 WINDOW_PX = 17
 
 
-def wide_map(seed: int = 0) -> DepthMap:
+def wide_map(seed: int = 0) -> HeightMap:
     """A sloping bed with an error for each window of its own."""
     rng = np.random.default_rng(seed)
     row, column = np.indices(SHAPE)
     noise = NOISE_M * rng.standard_normal((SHAPE[0] // WINDOW_PX, SHAPE[1] // WINDOW_PX))
     height = -3.0 + 0.01 * column - 0.02 * row + np.kron(noise, np.ones((WINDOW_PX, WINDOW_PX)))
-    return DepthMap(
+    return HeightMap(
         0,
         height.astype(np.float32),
         np.full(SHAPE, 0.95, np.float16),

@@ -10,7 +10,7 @@ import pytest
 from drawn_runs import drawn, process_quietly
 from small_survey import small_survey
 
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import HeightMap
 from geo.las import read_cloud
 from survey.folder.survey import load_survey
 from survey.photos.images import load_image
@@ -41,7 +41,7 @@ def test_points_of_a_map_lie_where_its_heights_are(tmp_path, scale):
     job.block = SimpleNamespace(cameras=[view.camera for view in survey.views])
     job.whole = job
     live = LiveMaps(tmp_path, job, "sweep")
-    m = DepthMap(0, np.full(shape, -0.7, dtype=np.float32), score, np.zeros(shape, dtype=np.uint8), 0.0 * score)
+    m = HeightMap(0, np.full(shape, -0.7, dtype=np.float32), score, np.zeros(shape, dtype=np.uint8), 0.0 * score)
     live.show(m)
     assert not (tmp_path / LIVE).exists()
     (tmp_path / LIVE).mkdir()

@@ -16,7 +16,7 @@ from scipy.ndimage import map_coordinates
 from scipy.optimize import minimize_scalar
 
 from fields.gamma import GAMMA
-from fields.sweep.maps import DepthMap, Sources, trusted
+from fields.sweep.maps import HeightMap, Sources, trusted
 from fields.water_column import WaterColumn
 from refract import FlatWater, PinholeCamera, fresnel_coefficients
 
@@ -84,10 +84,10 @@ def _patches(sources: Sources) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(0)
     each = max(PATCHES // len(sources.maps), 1)
     points, patch, count = [np.zeros((0, 3))], [np.zeros(0, dtype=np.int64)], 0
-    for camera, depth_map in zip(sources.cameras, sources.maps, strict=True):
+    for camera, height_map in zip(sources.cameras, sources.maps, strict=True):
         shape = (camera.height // SIDE_PX, SIDE_PX, camera.width // SIDE_PX, SIDE_PX)
-        height = depth_map.height[: shape[0] * SIDE_PX, : shape[2] * SIDE_PX]
-        wet = trusted(depth_map)[: height.shape[0], : height.shape[1]] & (height < -SHALLOWEST_M)
+        height = height_map.height[: shape[0] * SIDE_PX, : shape[2] * SIDE_PX]
+        wet = trusted(height_map)[: height.shape[0], : height.shape[1]] & (height < -SHALLOWEST_M)
         whole = np.argwhere(wet.reshape(shape).mean(axis=(1, 3)) >= TRUSTED_SHARE)
         for row, column in whole[rng.permutation(len(whole))[:each]] * SIDE_PX:
             r, c = np.nonzero(wet[row : row + SIDE_PX, column : column + SIDE_PX])
@@ -102,7 +102,7 @@ def _sightings(
     points: np.ndarray,
     patch: np.ndarray,
     camera: PinholeCamera,
-    depth_map: DepthMap,
+    height_map: HeightMap,
     image: np.ndarray,
     water: FlatWater,
 ) -> Sightings:
@@ -113,7 +113,7 @@ def _sightings(
     height = (points[inside] - water.point) @ np.array(water.up)
     column, row = np.floor(pixels[inside]).astype(np.int64).T
     pixel_m = np.linalg.norm(points[inside] - camera.centre, axis=1) / camera.fx
-    same = np.abs(depth_map.height[row, column] - height) < SAME_HEIGHT_PX * pixel_m
+    same = np.abs(height_map.height[row, column] - height) < SAME_HEIGHT_PX * pixel_m
     up = np.array(water.up)
     inside, depth = inside[same], camera.tide * up[2] - height[same]
     path = camera.paths(pixels[inside], water)

@@ -6,7 +6,7 @@ import numpy as np
 
 from fields.slab.from_sweep import slab_rays
 from fields.slab.tensor_field import TensorField
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import HeightMap
 from fields.threads import half_the_threads
 from refract import FlatWater, PinholeCamera
 
@@ -17,7 +17,7 @@ CHUNK = 65536
 def refine(
     field: TensorField,
     camera: PinholeCamera,
-    depth_map: DepthMap,
+    height_map: HeightMap,
     image: np.ndarray,
     water: FlatWater | None,
     keep: np.ndarray,
@@ -33,12 +33,12 @@ def refine(
     moved : int
         Number of pixels that took the field's height.
     """
-    height = depth_map.height.copy()
+    height = height_map.height.copy()
     rows, columns = np.nonzero(keep)
     moved = 0
     for first in range(0, len(rows), CHUNK):
         r, c = rows[first : first + CHUNK], columns[first : first + CHUNK]
-        rays, held = slab_rays(camera, depth_map, image, water, field.slab, r, c)
+        rays, held = slab_rays(camera, height_map, image, water, field.slab, r, c)
         if len(rays) == 0:
             continue
         heights, _ = field.heights(rays)

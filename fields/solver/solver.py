@@ -28,7 +28,7 @@ from fields.solver.visibility import Sightings
 from fields.sweep.block import Block
 from fields.sweep.height_std import small_sample_factor
 from fields.sweep.kernels.arrays import sharing_cores
-from fields.sweep.maps import DepthMap, OrderedMaps
+from fields.sweep.maps import HeightMap, OrderedMaps
 from fields.sweep.slopes import gradient_of
 
 # What a survey is like is learned from so many tiles of this side, spread over those that are nearly as full as the
@@ -68,11 +68,11 @@ class SolvedMap:
         nothing = np.empty(0, dtype=np.float32)
         return SolvedMap(np.empty(0, dtype=np.int64), nothing, nothing)
 
-    def over(self, depth_map: DepthMap) -> tuple[DepthMap, np.ndarray]:
+    def over(self, height_map: HeightMap) -> tuple[HeightMap, np.ndarray]:
         """The map with the solved heights, and their std (height, width) [m]; NaN where nothing was solved."""
-        height, std = depth_map.height.copy(), np.full(depth_map.height.shape, np.nan, dtype=np.float32)
+        height, std = height_map.height.copy(), np.full(height_map.height.shape, np.nan, dtype=np.float32)
         height.flat[self.pixels], std.flat[self.pixels] = self.height, self.std
-        return replace(depth_map, height=height), std
+        return replace(height_map, height=height), std
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class _PartSolution:
 
 def solve_maps(
     block: Block,
-    maps: Sequence[DepthMap],
+    maps: Sequence[HeightMap],
     kept: Sequence[np.ndarray],
     gsd: float,
     progress: Callable[[float], None],
@@ -144,7 +144,7 @@ def solve_maps(
     ----------
     block : Block
         At the scale of the maps.
-    maps : sequence of DepthMap
+    maps : sequence of HeightMap
     kept : sequence of (height, width) bool
         As `fields.sweep.bed.unique_pixels` gives.
     gsd : [m]
@@ -197,13 +197,13 @@ def solve_maps(
     return found, replace(figures, sightings=sightings)
 
 
-def count_in_squares(block: Block, maps: Sequence[DepthMap], kept: Sequence[np.ndarray]) -> list[list[int]]:
+def count_in_squares(block: Block, maps: Sequence[HeightMap], kept: Sequence[np.ndarray]) -> list[list[int]]:
     """Kept pixels in each square of `SAMPLE_PX` of each map that has some; none of maps that no other view overlaps."""
     return _filled(Views.of(block, maps), kept)
 
 
 def solve_sample(
-    block: Block, maps: Sequence[DepthMap], kept: Sequence[np.ndarray], places: list[tuple[int, int]], gsd: float
+    block: Block, maps: Sequence[HeightMap], kept: Sequence[np.ndarray], places: list[tuple[int, int]], gsd: float
 ) -> list[tuple[Tile, TileSolution]]:
     """Solved squares of a block, for `figures_of`, by their places of `spread`."""
     with ThreadPoolExecutor(WORKERS) as pool, sharing_cores(block.device, WORKERS):
@@ -281,7 +281,7 @@ def _concatenate(parts: list[_PartSolution]) -> _PartSolution:
     return _PartSolution(pixels[order], *(each[order] for each in others))
 
 
-def _with_std(m: DepthMap, found: _PartSolution, figures: SolverFigures, is_wet: bool) -> SolvedMap:
+def _with_std(m: HeightMap, found: _PartSolution, figures: SolverFigures, is_wet: bool) -> SolvedMap:
     photographs = m.agreeing.flat[found.pixels] + np.float32(1.0)
     # What shifts the photographs shifts the bed in the map that shows it, too.
     shift = figures.shifts.variance(depth_of(found.height, is_wet))

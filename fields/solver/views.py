@@ -18,7 +18,7 @@ from fields.solver.gauss_newton import Start, TileSolution, solve
 from fields.solver.tile import MOST_PX, Tile, tiles_of
 from fields.solver.visibility import Projector, Surface, TileProjection, project_tiles
 from fields.sweep.block import Block
-from fields.sweep.maps import ByView, DepthMap
+from fields.sweep.maps import ByView, HeightMap
 from refract import FlatWater, PinholeCamera
 
 Used = TypeVar("Used")
@@ -53,7 +53,7 @@ class Job:
     tolerance: float
 
 
-def surfaces_of(maps: Sequence[DepthMap], views: list[int]) -> ByView[Surface]:
+def surfaces_of(maps: Sequence[HeightMap], views: list[int]) -> ByView[Surface]:
     """Surfaces of maps by view; the last few are cached, so that each is read from its map a few times only."""
     size = maps[0].height.size if len(maps) else 0
     most = num_cached(_SURFACE_BYTES * size, _KEPT_BYTES, MOST_VIEWS + 1)
@@ -70,7 +70,7 @@ class Views:
     water : FlatWater or None
     device : Device
         Of the projections.
-    maps : sequence of DepthMap
+    maps : sequence of HeightMap
     views : list of int
         Those of the maps.
     others : list of tuple of int
@@ -83,13 +83,13 @@ class Views:
     images: GreyImages | dict[int, np.ndarray]
     water: FlatWater | None
     device: Device
-    maps: Sequence[DepthMap]
+    maps: Sequence[HeightMap]
     views: list[int]
     others: list[tuple[int, ...]]
     tolerance: list[float]
 
     @staticmethod
-    def of(block: Block, maps: Sequence[DepthMap]) -> Views:
+    def of(block: Block, maps: Sequence[HeightMap]) -> Views:
         """Views of a block at the scale of its maps."""
         views, others, tolerance = [], [], []
         for m in maps:

@@ -17,7 +17,7 @@ from fields.solver.tile import Tile
 from fields.sweep.kernels.arrays import constant, floats, host
 from fields.sweep.kernels.rays import point_at, project, refracted_rays
 from fields.sweep.kernels.stack import CameraTerms, PlaneFrame, camera_table
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import HeightMap
 from refract import FlatWater, PinholeCamera
 
 # The step of the differences across the image [px]: positions in float32 are good to 3e-4 px.
@@ -39,7 +39,7 @@ class Surface:
     confirmed: np.ndarray
 
     @staticmethod
-    def of(m: DepthMap) -> Surface:
+    def of(m: HeightMap) -> Surface:
         """Surface of a height map."""
         return Surface(m.height, m.agreeing > 0)
 

@@ -16,7 +16,7 @@ from fields.sweep.height_std import height_std
 from fields.sweep.kernels.arrays import free_unused
 from fields.sweep.kernels.backend import kernels
 from fields.sweep.kernels.stack import ViewStack, largest
-from fields.sweep.maps import DepthMap, confirmed, trusted
+from fields.sweep.maps import HeightMap, confirmed, trusted
 from fields.sweep.slopes import SteepPixels, filter_steep_pixels, half_range, steep_and_wall_pixels
 from fields.sweep.views import Footprint
 from refract import FlatWater, PinholeCamera
@@ -100,7 +100,7 @@ _WHOLE_RANGE = 2.0
 _LEAST_COSINE = 0.01
 
 
-def unique_pixels(block: Block, maps: Sequence[DepthMap], gsd: float) -> Masks:
+def unique_pixels(block: Block, maps: Sequence[HeightMap], gsd: float) -> Masks:
     """Pixels of each map that become points: every piece of the bed once, from its steepest view.
 
     Views take turns, the steepest first: their ground sampling distance is the finest. A pixel that is kept claims, in
@@ -197,7 +197,7 @@ def has_neighbours(xyz: np.ndarray, gsd: float) -> np.ndarray:
 def points_of(
     camera: PinholeCamera,
     water: FlatWater | None,
-    depth_map: DepthMap,
+    height_map: HeightMap,
     keep: np.ndarray,
     rgb: np.ndarray,
     tolerance: float,
@@ -209,7 +209,7 @@ def points_of(
     known, and NaN elsewhere. The map may be larger than the camera's image (padded at its right and bottom).
     """
     height, agreeing, spread = (
-        array[: camera.height, : camera.width] for array in (depth_map.height, depth_map.agreeing, depth_map.spread)
+        array[: camera.height, : camera.width] for array in (height_map.height, height_map.agreeing, height_map.spread)
     )
     if solved_std is None:
         std = height_std(height, agreeing, spread, tolerance)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, MutableMapping
 
 from fields.device import Device, memory_bytes
 from fields.sweep.images import images
-from fields.sweep.maps import DepthMap, Keep, Maps
+from fields.sweep.maps import HeightMap, Keep, Maps
 
 # Share of the memory of a device that maps may take; a pixel of a map takes four float32.
 _SHARE, _PIXEL_BYTES = 0.5, 16
@@ -37,7 +37,7 @@ class _Budget:
         self.left = num_bytes
 
 
-class DeviceMaps(MutableMapping[int, DepthMap]):
+class DeviceMaps(MutableMapping[int, HeightMap]):
     """Maps by view, on the device while there is room, the others on the host.
 
     Parameters
@@ -49,14 +49,14 @@ class DeviceMaps(MutableMapping[int, DepthMap]):
 
     def __init__(self, device: Device, on_host: Maps, room: _Budget):
         self._device, self._on_host, self._budget = device, on_host, room
-        self._held: dict[int, DepthMap] = {}
+        self._held: dict[int, HeightMap] = {}
 
-    def __getitem__(self, view: int) -> DepthMap:
+    def __getitem__(self, view: int) -> HeightMap:
         if view in self._held:
             return self._held[view]
         return images(self._device).upload(self._device, self._on_host[view])
 
-    def __setitem__(self, view: int, m: DepthMap) -> None:
+    def __setitem__(self, view: int, m: HeightMap) -> None:
         self.pop(view, None)
         if _bytes_of(m) <= self._budget.left:
             self._budget.left -= _bytes_of(m)
@@ -80,6 +80,6 @@ class DeviceMaps(MutableMapping[int, DepthMap]):
         return view in self._held or view in self._on_host
 
 
-def _bytes_of(m: DepthMap) -> int:
+def _bytes_of(m: HeightMap) -> int:
     rows, columns = m.height.shape
     return _PIXEL_BYTES * rows * columns

@@ -17,7 +17,7 @@ from fields.sweep.kernels.arrays import host
 from fields.sweep.kernels.backend import kernels
 from fields.sweep.kernels.queue import Job, Launch, run_jobs
 from fields.sweep.kernels.stack import ViewStack, largest
-from fields.sweep.maps import DepthMap, Keep, Maps, OrderedMaps, trusted
+from fields.sweep.maps import HeightMap, Keep, Maps, OrderedMaps, trusted
 from fields.sweep.passes import MATCHED_NCC
 
 # What `fields.sweep.fusion.agreement` gives: images of `fields.sweep.images.images`.
@@ -48,7 +48,7 @@ def fuse(
     fused, backend = keep(), images(block.device)
     for m, tolerance, (agreeing, height, spread) in _agreement(block, maps, scale, peers, only or {}):
         height = backend.where(agreeing > 0, height, backend.median_blur(m.height, _SURROUNDINGS_PX))
-        found = DepthMap(m.view, height, m.score, agreeing, backend.to_half(spread))
+        found = HeightMap(m.view, height, m.score, agreeing, backend.to_half(spread))
         if goes_on:
             found = replace(found, height=backend.extrapolate_planes(height, trusted(found), tolerance))
         fused[m.view] = found
@@ -60,7 +60,7 @@ def fuse(
 
 def _agreement(
     block: Block, maps: Maps, scale: float, peers: Mapping[int, list[int]], only: Mapping[int, Any]
-) -> Iterator[tuple[DepthMap, float, _Agreement]]:
+) -> Iterator[tuple[HeightMap, float, _Agreement]]:
     """For each map that has peers: the map, the tolerance [m], and its `agreement`.
 
     Of a view that has ``only`` some pixels the others are as in its map.
@@ -75,7 +75,7 @@ def _agreement(
     surfaces = LazyImages(matched, len(chosen), largest(cameras), 1)
     heights = ViewStack.build(block.device, cameras, surfaces, block.water)
 
-    def job(view: int) -> Job[tuple[DepthMap, float, _Agreement]]:
+    def job(view: int) -> Job[tuple[HeightMap, float, _Agreement]]:
         m, others, pixels = maps[view], peers[view], only.get(view)
         tolerance = block.agreement_tolerance(view, others, backend.median(m.height))
         found = yield from agreement(heights, chosen.index(view), [chosen.index(p) for p in others], tolerance, pixels)
@@ -131,7 +131,7 @@ def agreement(
     return backend.agreement_statistics(backend.heights_at(heights, view, pixels), sums, shape)
 
 
-def remove_free_space_violations(block: Block, maps: Sequence[DepthMap], keep: Keep = dict) -> OrderedMaps:
+def remove_free_space_violations(block: Block, maps: Sequence[HeightMap], keep: Keep = dict) -> OrderedMaps:
     """Maps without the confirmation of heights that as many views see through (free space) as confirm.
 
     A view sees through a point where its own trusted heights, in all four pixels about the point, are lower by more
@@ -141,7 +141,7 @@ def remove_free_space_violations(block: Block, maps: Sequence[DepthMap], keep: K
     Parameters
     ----------
     block : Block
-    maps : sequence of DepthMap
+    maps : sequence of HeightMap
         Of `fields.sweep.sweep.sweep`.
     keep : callable
         Makes the place for what is returned.

@@ -14,7 +14,7 @@ _AVERAGED_PX, _AVERAGE_PX, _WIDTH_PX = 1.0, 9, 2
 
 
 def height_std(height: np.ndarray, agreeing: np.ndarray, spread: np.ndarray, tolerance: float) -> np.ndarray:
-    """Standard deviation (height, width) [m] of the heights of a `DepthMap`, where other views confirm them.
+    """Standard deviation (height, width) [m] of the heights of a `HeightMap`, where other views confirm them.
 
     The variance has two estimates: that of a mean of heights, from their disagreement around the pixel (with waves and
     errors of the poses as far as views disagree by them); and the squared second differences of the map over the width
@@ -24,7 +24,7 @@ def height_std(height: np.ndarray, agreeing: np.ndarray, spread: np.ndarray, tol
     Parameters
     ----------
     height, agreeing, spread : (height, width)
-        As `DepthMap` has them.
+        As `HeightMap` has them.
     tolerance : [m]
         Heights of views that differ by less agree.
     """

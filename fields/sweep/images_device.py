@@ -36,7 +36,7 @@ from fields.sweep.kernels.flat import (
     vector,
 )
 from fields.sweep.kernels.stack import ViewStack
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import HeightMap
 from fields.sweep.tiles import Tiles
 from refract import kernels
 
@@ -54,17 +54,17 @@ fill_nearest, masked_means, median_blur = (
 extrapolate_planes, tile_gradients = device_filters.extrapolate_planes, device_filters.tile_gradients
 
 
-def upload(device: Device, m: DepthMap) -> DepthMap:
+def upload(device: Device, m: HeightMap) -> HeightMap:
     """Map of the host as the kernels take it: all of it float32."""
     arrays = (m.height, m.score, m.agreeing, m.spread)
-    return DepthMap(m.view, *(unflatten(floats(device, each), each.shape) for each in arrays))
+    return HeightMap(m.view, *(unflatten(floats(device, each), each.shape) for each in arrays))
 
 
-def download(m: DepthMap) -> DepthMap:
+def download(m: HeightMap) -> HeightMap:
     """Map in the types of the host."""
     kinds = (np.float32, np.float16, np.uint8, np.float16)
     arrays = (m.height, m.score, m.agreeing, m.spread)
-    return DepthMap(m.view, *(as_numpy(each).astype(kind) for each, kind in zip(arrays, kinds, strict=True)))
+    return HeightMap(m.view, *(as_numpy(each).astype(kind) for each, kind in zip(arrays, kinds, strict=True)))
 
 
 def to_device(device: Device, image: np.ndarray) -> Any:
@@ -78,11 +78,11 @@ def to_host(image: Any) -> np.ndarray:
     return as_numpy(image)
 
 
-def new_map(view: int, height: Any, score: Any) -> DepthMap:
+def new_map(view: int, height: Any, score: Any) -> HeightMap:
     """Map of what a pass found of a view, not confirmed yet."""
     flat = flatten(height)
     nobody, spread = (unflatten(constant_array(flat, 0.0, size_of(flat)), height.shape) for _ in range(2))
-    return DepthMap(view, height, score, nobody, spread)
+    return HeightMap(view, height, score, nobody, spread)
 
 
 def to_half(image: Any) -> Any:

@@ -16,7 +16,7 @@ from fields.device import Device
 from fields.sweep import planes
 from fields.sweep.kernels.arrays import host
 from fields.sweep.kernels.stack import ViewStack
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import HeightMap
 from fields.sweep.tiles import Tiles, in_tiles
 
 # Side of the box filter of heights before their gradient is taken [px].
@@ -27,12 +27,12 @@ SINGLE_PX = 5
 NEIGHBOURHOOD = np.ones((3, 3), dtype=np.uint8)
 
 
-def upload(device: Device, m: DepthMap) -> DepthMap:
+def upload(device: Device, m: HeightMap) -> HeightMap:
     """Map of the host as the kernels take it."""
     return m
 
 
-def download(m: DepthMap) -> DepthMap:
+def download(m: HeightMap) -> HeightMap:
     """Map in the types of the host."""
     return m
 
@@ -47,10 +47,10 @@ def to_host(image: np.ndarray) -> np.ndarray:
     return image
 
 
-def new_map(view: int, height: np.ndarray, score: np.ndarray) -> DepthMap:
+def new_map(view: int, height: np.ndarray, score: np.ndarray) -> HeightMap:
     """Map of what a pass found of a view, not confirmed yet."""
     nobody, spread = np.zeros(height.shape, dtype=np.uint8), np.zeros(height.shape, dtype=np.float16)
-    return DepthMap(view, height, to_half(score), nobody, spread)
+    return HeightMap(view, height, to_half(score), nobody, spread)
 
 
 def to_half(image: np.ndarray) -> np.ndarray:

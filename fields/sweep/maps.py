@@ -24,7 +24,7 @@ TRUSTED_NCC = 0.8
 
 
 @dataclass
-class DepthMap:
+class HeightMap:
     """Height map of one view: arrays (height, width), local frame.
 
     Attributes
@@ -48,7 +48,7 @@ class DepthMap:
 
 
 # Store of maps by view: a dict, or one on the disk. A map that was changed has to be stored again.
-Maps = MutableMapping[int, DepthMap]
+Maps = MutableMapping[int, HeightMap]
 # Factory of empty stores.
 Keep = Callable[[], Maps]
 
@@ -97,18 +97,18 @@ class ByView(Mapping[int, Kind]):
         return view in self._number
 
 
-def trusted(depth_map: DepthMap) -> np.ndarray:
+def trusted(height_map: HeightMap) -> np.ndarray:
     """Pixels (height, width) bool of a map whose height other views confirm."""
-    return confirmed(depth_map, TRUSTED_NCC)
+    return confirmed(height_map, TRUSTED_NCC)
 
 
-def confirmed(depth_map: DepthMap, least_ncc: float) -> np.ndarray:
+def confirmed(height_map: HeightMap, least_ncc: float) -> np.ndarray:
     """Pixels that two other views confirm, or one where the score is above a value."""
-    once = (depth_map.agreeing == 1) & (depth_map.score > least_ncc)
-    return (depth_map.agreeing >= CONFIRMED_TWICE) | once
+    once = (height_map.agreeing == 1) & (height_map.score > least_ncc)
+    return (height_map.agreeing >= CONFIRMED_TWICE) | once
 
 
-def upsample_map(m: DepthMap, size: tuple[int, int]) -> DepthMap:
+def upsample_map(m: HeightMap, size: tuple[int, int]) -> HeightMap:
     """Map upsampled to a size (width, height)."""
     if m.height.shape == size[::-1]:
         return m
@@ -117,7 +117,7 @@ def upsample_map(m: DepthMap, size: tuple[int, int]) -> DepthMap:
         for each in (m.height, m.score, m.spread)
     )
     agreeing = cv2.resize(m.agreeing, size, interpolation=cv2.INTER_NEAREST)
-    return DepthMap(m.view, height, score, agreeing, spread)
+    return HeightMap(m.view, height, score, agreeing, spread)
 
 
 @dataclass
@@ -127,7 +127,7 @@ class Sources:
     Attributes
     ----------
     cameras : list of PinholeCamera
-    maps : sequence of DepthMap
+    maps : sequence of HeightMap
     images : list of (height, width, 3) uint8
     water : FlatWater or None
     absorption, veil : (3,) floats, optional
@@ -135,7 +135,7 @@ class Sources:
     """
 
     cameras: list[PinholeCamera]
-    maps: Sequence[DepthMap]
+    maps: Sequence[HeightMap]
     images: list[np.ndarray]
     water: FlatWater | None
     absorption: tuple[float, ...] | None = None
@@ -145,8 +145,8 @@ class Sources:
     def pixels(self) -> list[np.ndarray]:
         """Flat indices of the trusted pixels of each map, inside its image."""
         found = []
-        for camera, depth_map in zip(self.cameras, self.maps, strict=True):
-            keep = trusted(depth_map)
+        for camera, height_map in zip(self.cameras, self.maps, strict=True):
+            keep = trusted(height_map)
             keep[camera.height :], keep[:, camera.width :] = False, False
             found.append(np.flatnonzero(keep))
         return found

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from fields.sweep.block import Block
-from fields.sweep.maps import DepthMap, trusted
+from fields.sweep.maps import HeightMap, trusted
 
 # Wider images are reduced to this: structure of some pixels is compared, not noise.
 _WIDTH_PX = 800
@@ -42,7 +42,7 @@ class Consistency:
     contrast: float
 
 
-def photo_consistency(block: Block, maps: Sequence[DepthMap]) -> list[Consistency]:
+def photo_consistency(block: Block, maps: Sequence[HeightMap]) -> list[Consistency]:
     """Each photograph of a block, in its order, against the trusted points of the height maps of others."""
     scale = min(1.0, _WIDTH_PX / max(camera.width for camera in block.cameras))
     cameras = [camera.scaled(scale) for camera in block.cameras]
@@ -61,7 +61,7 @@ def photo_consistency(block: Block, maps: Sequence[DepthMap]) -> list[Consistenc
 
 
 def _points(
-    block: Block, maps: Sequence[DepthMap], bands: Sequence[np.ndarray], scale: float
+    block: Block, maps: Sequence[HeightMap], bands: Sequence[np.ndarray], scale: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points (N, 3) [m], local, their grey levels (N,) in the band, and the views (N,) they come from."""
     rng = np.random.default_rng(0)

@@ -9,10 +9,10 @@ from fields.sweep.kernels.arrays import floats, host
 from fields.sweep.kernels.backend import kernels
 from fields.sweep.kernels.rays import point_at
 from fields.sweep.kernels.stack import ViewStack
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import HeightMap
 
 
-def places_in_plan(block: Block, m: DepthMap) -> np.ndarray:
+def places_in_plan(block: Block, m: HeightMap) -> np.ndarray:
     """Places (height, width, 2) float32 [m], local, of the points that a height map shows."""
     stack = ViewStack.build(block.device, [block.cameras[m.view]], [m.height], block.water, block.skips)
     rays = kernels(block.device).rays_of_rows(stack, 0, 0, stack.height)

@@ -21,7 +21,7 @@ from fields.sweep.images import images
 from fields.sweep.kernels.backend import kernels
 from fields.sweep.kernels.queue import Job, run_jobs
 from fields.sweep.kernels.stack import ViewStack, largest
-from fields.sweep.maps import DepthMap, Keep, OrderedMaps, trusted, upsample_map
+from fields.sweep.maps import HeightMap, Keep, OrderedMaps, trusted, upsample_map
 from fields.sweep.passes import PASSES, POINTS_SHARE, Pass
 from fields.sweep.tiles import PART_SIDE_PX
 from fields.sweep.view_pass import Area, ViewPass, match_pass, pixels_of, refine_part, view_passes
@@ -41,7 +41,7 @@ def sweep(
     passes: tuple[Pass, ...] = PASSES,
     area: Area | None = None,
     *,
-    before: Mapping[int, DepthMap] | None = None,
+    before: Mapping[int, HeightMap] | None = None,
     again: Collection[int] = (),
     keep: Keep = dict,
 ) -> OrderedMaps:
@@ -50,7 +50,7 @@ def sweep(
     Parameters
     ----------
     block : Block
-    chosen : indices of the views that get a depth map
+    chosen : indices of the views that get a height map
     bound : (low, high) [m] over the water plane
         Spanned by the hypotheses of the first pass.
     progress : called with the share done, 0 to 1
@@ -58,7 +58,7 @@ def sweep(
     passes : tuple of Pass
     area : (x0, y0, x1, y1) [m], local, optional
         Where heights are wanted: other pixels get no height of their own.
-    before : mapping of view to DepthMap, optional
+    before : mapping of view to HeightMap, optional
         Of an earlier sweep of the same bound, at a smaller scale or the same. Views that have one keep its heights and
         confirm those of the others.
     again : views of ``before``
@@ -68,7 +68,7 @@ def sweep(
 
     Returns
     -------
-    OrderedMaps of DepthMap at the scale of the last pass, in the order of `chosen`
+    OrderedMaps of HeightMap at the scale of the last pass, in the order of `chosen`
         Views that overlap with no other are left out.
     """
     size = (block.cameras[0].width, block.cameras[0].height)
@@ -102,7 +102,7 @@ def sweep(
         parts = {each.view for each in work[number] if each.view in wanted and not wider[each.view]}
         total = done + sum(fused[number:]) + _samples(passes[number:], work[number:], wider)
         # A generator: each job holds a map.
-        jobs: Iterator[Job[tuple[DepthMap, Any]]] = (
+        jobs: Iterator[Job[tuple[HeightMap, Any]]] = (
             refine_part(block, p, each, maps[each.view], wanted[each.view])
             if each.view in parts
             else match_pass(block, p, each, bound, maps.get(each.view), area, wider[each.view])
@@ -158,7 +158,7 @@ def _takes_part(size: tuple[int, int], p: Pass, width: int | None, again: bool) 
     return width is None or (again and p.scale * size[0] > _FINER * width)
 
 
-def predict_selected_pixels(block: Block, maps: Mapping[int, DepthMap]) -> dict[int, np.ndarray]:
+def predict_selected_pixels(block: Block, maps: Mapping[int, HeightMap]) -> dict[int, np.ndarray]:
     """Parts of each view that will become points, (height, width) bool at a quarter of the size.
 
     They have trusted pixels, and no steeper view has trusted ones that agree with them. Empty where images are smaller
@@ -170,7 +170,7 @@ def predict_selected_pixels(block: Block, maps: Mapping[int, DepthMap]) -> dict[
     cameras = [block.cameras[view].scaled(_SCALE) for view in order]
     backend, shapes = images(block.device), [(camera.height, camera.width) for camera in cameras]
 
-    def trusted_heights(m: DepthMap, shape: tuple[int, int]) -> Any:
+    def trusted_heights(m: HeightMap, shape: tuple[int, int]) -> Any:
         """Mean of the trusted heights in each part of a map [m]; NaN without any."""
         return backend.masked_means(m.height, trusted(m), shape)
 

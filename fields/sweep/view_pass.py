@@ -12,7 +12,7 @@ from fields.sweep.block import Block
 from fields.sweep.images import images
 from fields.sweep.kernels.queue import Job
 from fields.sweep.kernels.stack import Hypotheses
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import HeightMap
 from fields.sweep.matching import LEAST_KNOWN, Reference, match_tiles, match_view, match_with_adaptive_windows
 from fields.sweep.passes import MATCHED_NCC, Pass
 from fields.sweep.steps import search_steps
@@ -82,10 +82,10 @@ def match_pass(
     p: Pass,
     of_view: ViewPass,
     bound: tuple[float, float],
-    before: DepthMap | None,
+    before: HeightMap | None,
     area: Area | None,
     wider: int,
-) -> Job[tuple[DepthMap, int]]:
+) -> Job[tuple[HeightMap, int]]:
     """One pass over one view, with the hypotheses of the bound or those about the heights of the pass before.
 
     Windows are by so many pixels ``wider`` than those of the pass, or more where this pass finds that they have to be,
@@ -118,8 +118,8 @@ def match_pass(
 
 
 def refine_part(
-    block: Block, p: Pass, of_view: ViewPass, before: DepthMap, part: np.ndarray
-) -> Job[tuple[DepthMap, Any]]:
+    block: Block, p: Pass, of_view: ViewPass, before: HeightMap, part: np.ndarray
+) -> Job[tuple[HeightMap, Any]]:
     """One pass over a part of a view, (height, width) bool at a share of the size, and its pixels, flat.
 
     Those are of all tiles that hold some of the part; the others stay as they were ``before``.

@@ -17,7 +17,7 @@ import numpy as np
 from fields.sweep.block import Block
 from fields.sweep.fusion import PEERS
 from fields.sweep.height_std import small_sample_factor
-from fields.sweep.maps import DepthMap, Keep, OrderedMaps, trusted, upsample_map
+from fields.sweep.maps import HeightMap, Keep, OrderedMaps, trusted, upsample_map
 from fields.sweep.passes import Pass
 from fields.sweep.sweep import sweep
 from fields.sweep.view_pass import Area
@@ -87,7 +87,7 @@ def _smoothed(block: Block) -> Block:
     return Block(block.device, block.cameras, images, block.water, block.height, skips=block.skips)
 
 
-def _merged(narrow: DepthMap, wide: DepthMap) -> DepthMap:
+def _merged(narrow: HeightMap, wide: HeightMap) -> HeightMap:
     """The narrow map with the heights of the wide one where that is under water."""
     wide = upsample_map(wide, narrow.height.shape[::-1])
     wet = wide.height < 0.0
@@ -99,7 +99,7 @@ def _merged(narrow: DepthMap, wide: DepthMap) -> DepthMap:
     return replace(narrow, **merged)
 
 
-def averaged(m: DepthMap, alike_m: float = 0.0) -> DepthMap:
+def averaged(m: HeightMap, alike_m: float = 0.0) -> HeightMap:
     """Map of wide windows with heights averaged over as much as a window, and the spread that their std asks for.
 
     ``alike_m`` [m] is the standard deviation that windows beside each other share.
@@ -117,7 +117,7 @@ def averaged(m: DepthMap, alike_m: float = 0.0) -> DepthMap:
     return replace(m, height=mean.astype(np.float32), spread=spread.astype(np.float16))
 
 
-def window_std(m: DepthMap) -> np.ndarray:
+def window_std(m: HeightMap) -> np.ndarray:
     """Standard deviation (height, width) [m] of the heights of windows, by those beside it that share no pixel.
 
     From second differences of heights a window apart, around each pixel: by ripples, and by relief that is no plane

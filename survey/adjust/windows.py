@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from fields.sweep.block import Block
-from fields.sweep.maps import DepthMap, trusted
+from fields.sweep.maps import HeightMap, trusted
 from fields.sweep.passes import PASSES
 from fields.sweep.sweep import sweep
 from fields.sweep.view_pass import view_passes
@@ -108,7 +108,7 @@ def measure(
         shares.append(share)
 
     maps = sweep(block, chosen, bound, swept, _SWEPT)
-    windows = [w for w in (_windows_of(block, depth_map, area, density) for depth_map in maps) if len(w.corners)]
+    windows = [w for w in (_windows_of(block, height_map, area, density) for height_map in maps) if len(w.corners)]
     parts: list[list[tuple[np.ndarray, int, np.ndarray]]] = [
         [(np.arange(len(w.corners)), w.view, w.corners)] for w in windows
     ]
@@ -143,23 +143,23 @@ def _found_in(block: Block, windows: list[_Windows], other: int) -> list[tuple[i
     return parts
 
 
-def _windows_of(block: Block, depth_map: DepthMap, area: Area | None, density: Density) -> _Windows:
-    view, water = depth_map.view, block.water
+def _windows_of(block: Block, height_map: HeightMap, area: Area | None, density: Density) -> _Windows:
+    view, water = height_map.view, block.water
     camera, image = block.cameras[view], block.images[view]
-    corners, height = _corners(image, camera, depth_map, _able(block, depth_map, area), density)
+    corners, height = _corners(image, camera, height_map, _able(block, height_map, area), density)
     points = camera.paths(corners, water).at_height(height, water)
     templates, slopes = _templates(image, corners)
     others = _others(block, view, points) if len(points) else []
     return _Windows(view, corners, height, points, templates, slopes, others)
 
 
-def _able(block: Block, depth_map: DepthMap, area: Area | None) -> np.ndarray:
-    """Pixels of a depth map (height, width) bool whose height is trusted, without a step beside it, in the area."""
-    camera, height = block.cameras[depth_map.view], depth_map.height
-    parallax = block.parallax(depth_map.view, block.neighbours(depth_map.view, 8), float(np.median(height)))
+def _able(block: Block, height_map: HeightMap, area: Area | None) -> np.ndarray:
+    """Pixels of a height map (height, width) bool whose height is trusted, without a step beside it, in the area."""
+    camera, height = block.cameras[height_map.view], height_map.height
+    parallax = block.parallax(height_map.view, block.neighbours(height_map.view, 8), float(np.median(height)))
     kernel = np.ones((7, 7))
     relief = cv2.dilate(height, kernel) - cv2.erode(height, kernel)
-    able = trusted(depth_map) & (relief * parallax < 2 * _RELIEF_PX)
+    able = trusted(height_map) & (relief * parallax < 2 * _RELIEF_PX)
     if area is not None:
         small = camera.scaled(_SWEPT[-1].scale)
         points = small.paths(small.pixel_centres(), block.water).at_height(height, block.water)
@@ -167,8 +167,8 @@ def _able(block: Block, depth_map: DepthMap, area: Area | None) -> np.ndarray:
     return able
 
 
-def _corners(image: np.ndarray, camera: PinholeCamera, depth_map: DepthMap, able: np.ndarray, density: Density):
-    """Textured pixel centres (K, 2) of a view at the able pixels of its depth map, and heights (K,)."""
+def _corners(image: np.ndarray, camera: PinholeCamera, height_map: HeightMap, able: np.ndarray, density: Density):
+    """Textured pixel centres (K, 2) of a view at the able pixels of its height map, and heights (K,)."""
     size = (camera.width, camera.height)
     mask = cv2.resize(able.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
     # A window and the slopes at its rim lie inside the photograph and hold no masked pixel.
@@ -179,7 +179,7 @@ def _corners(image: np.ndarray, camera: PinholeCamera, depth_map: DepthMap, able
     grey = np.nan_to_num(image)
     found = cv2.goodFeaturesToTrack(grey, density.most, 0.02, density.apart_px, mask=mask, blockSize=2 * RADIUS + 1)
     corners = np.zeros((0, 2)) if found is None else found[:, 0].astype(np.float64)
-    full = cv2.resize(depth_map.height, size, interpolation=cv2.INTER_LINEAR)
+    full = cv2.resize(height_map.height, size, interpolation=cv2.INTER_LINEAR)
     columns, lines = corners.T.astype(int)
     return corners + 0.5, full[lines, columns].astype(np.float64)
 

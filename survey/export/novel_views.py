@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from fields.solver.solver import SolvedMap
-from fields.sweep.maps import DepthMap, trusted
+from fields.sweep.maps import HeightMap, trusted
 from fields.views.image_based import ImageBasedField, Source, heights_over
 from refract import PinholeCamera
 from survey.errors import SurveyError
@@ -83,7 +83,7 @@ class _HeightMaps:
 
     def __init__(self, run: LoadedRun, flight: Flight):
         self._flight = flight
-        self._swept = Stored(run.folder.load_stage("sweep") / MAPS, DepthMap)
+        self._swept = Stored(run.folder.load_stage("sweep") / MAPS, HeightMap)
         solved = run.folder.load_stage("solver") / SOLVED if "solver" in run.stages else None
         self._solved = None if solved is None else Stored(solved, SolvedMap)
         self._scale = float(read_json_object(run.folder.plan_path)["image_scale"])
@@ -94,13 +94,13 @@ class _HeightMaps:
     def source(self, number: int) -> Source:
         """The photograph of the map of a number."""
         view = self._flight.views[self.views[number]]
-        depth_map = self._swept[number]
-        confirmed = trusted(depth_map)
+        height_map = self._swept[number]
+        confirmed = trusted(height_map)
         if self._solved is not None:
-            depth_map, _ = self._solved[number].over(depth_map)
+            height_map, _ = self._solved[number].over(height_map)
         # Maps of smaller photographs are padded.
         camera = view.camera.scaled(self._scale)
-        heights = np.where(confirmed, depth_map.height, np.float32(np.nan))[: camera.height, : camera.width]
+        heights = np.where(confirmed, height_map.height, np.float32(np.nan))[: camera.height, : camera.width]
         return Source(view.camera, load_image(view), load_mask(view), self._scale, heights)
 
 

@@ -18,7 +18,7 @@ from survey.report.verdict import Verdict
 
 if TYPE_CHECKING:
     from fields.sweep.bed import BedPoints
-    from fields.sweep.maps import DepthMap
+    from fields.sweep.maps import HeightMap
     from survey.compare.result import Comparison
 
 
@@ -38,7 +38,7 @@ class ReportFacts:
         Local frame, N points.
     points_crs : (N, 3) float64
         The same points, in crs.
-    depth_maps : sequence of DepthMap or None
+    height_maps : sequence of HeightMap or None
         One of them is shown beside its photograph, see `survey.report.maps.representative`.
     comparison : Comparison or None
         Of the cloud of these points with a reference, from `survey.compare.comparison.compare_surfaces`.
@@ -68,7 +68,7 @@ class ReportFacts:
     timings: dict[str, float]
     bed: BedPoints
     points_crs: np.ndarray
-    depth_maps: Sequence[DepthMap] | None = None
+    height_maps: Sequence[HeightMap] | None = None
     comparison: Comparison | None = None
     sweep_comparison: Comparison | None = None
     notes: tuple[str, ...] = ()

@@ -24,7 +24,7 @@ from survey.report.profile import draw_line
 from survey.report.raster import Picture, shaded_bed, without_pinholes
 
 if TYPE_CHECKING:
-    from fields.sweep.maps import DepthMap
+    from fields.sweep.maps import HeightMap
 
 # Of a height map, along its longer side, at most.
 _PIXELS = 2000
@@ -33,9 +33,9 @@ _OF_SOLVER = "from the normal matrix of the solver"
 _OF_SWEEP = "from how far the views that agree differ around it, and how the bed bends there"
 
 
-def representative(depth_maps: Sequence[DepthMap]) -> int:
-    """Which depth map to show: the one with the most pixels that another view confirms."""
-    return int(np.argmax([np.count_nonzero(m.agreeing) for m in depth_maps]))
+def representative(height_maps: Sequence[HeightMap]) -> int:
+    """Which height map to show: the one with the most pixels that another view confirms."""
+    return int(np.argmax([np.count_nonzero(m.agreeing) for m in height_maps]))
 
 
 def draw_orthophoto(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
@@ -108,17 +108,17 @@ def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     return Picture(path, title, words)
 
 
-def draw_view(path: Path, facts: ReportFacts, depth_maps: Sequence[DepthMap]) -> Picture:
-    """One photograph beside its depth map, of those that there are."""
-    depth_map = depth_maps[representative(depth_maps)]
-    view = facts.survey.views[depth_map.view]
-    share_confirmed = float((depth_map.agreeing > 0).mean())
+def draw_view(path: Path, facts: ReportFacts, height_maps: Sequence[HeightMap]) -> Picture:
+    """One photograph beside its height map as depths, of those that there are."""
+    height_map = height_maps[representative(height_maps)]
+    view = facts.survey.views[height_map.view]
+    share_confirmed = float((height_map.agreeing > 0).mean())
     # Of a large map every so manieth pixel: matplotlib takes some 100 bytes for each.
-    every = -(-max(depth_map.height.shape) // _PIXELS)
+    every = -(-max(height_map.height.shape) // _PIXELS)
     thin = np.s_[::every, ::every]
-    rows, columns = depth_map.height[thin].shape
+    rows, columns = height_map.height[thin].shape
     scale_of_map = columns / view.camera.width
-    height = np.where(depth_map.agreeing[thin] > 0, depth_map.height[thin], np.nan).astype(np.float64)
+    height = np.where(height_map.agreeing[thin] > 0, height_map.height[thin], np.nan).astype(np.float64)
     depth = None if facts.survey.water is None else np.where(height < 0.0, -height, np.nan)
     image, scale = shaded_bed(depth, height, facts.plan.gsd_m * facts.plan.image_scale / scale_of_map)
 

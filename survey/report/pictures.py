@@ -77,8 +77,8 @@ def draw_pictures(
             drawings["profile"] = partial(profile.draw_profile, facts=facts, cut=cut)
     if facts.comparison is not None:
         drawings |= _of_comparison(facts, facts.comparison)
-    if facts.depth_maps:
-        drawings["view"] = partial(maps.draw_view, facts=facts, depth_maps=facts.depth_maps)
+    if facts.height_maps:
+        drawings["view"] = partial(maps.draw_view, facts=facts, height_maps=facts.height_maps)
     if len(facts.bed):
         drawings["views"] = partial(maps.draw_num_views, facts=facts, grid=grid)
         drawings["std"] = partial(maps.draw_std, facts=facts, grid=grid)

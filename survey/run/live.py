@@ -13,7 +13,7 @@ from survey.run.flight import FLIGHT, save_flight
 from survey.run.stored import save_arrays
 
 if TYPE_CHECKING:
-    from fields.sweep.maps import DepthMap
+    from fields.sweep.maps import HeightMap
     from survey.run.job import Job
 
 # In a run folder, made by who looks: it holds points of each map as they are by now, and the cameras.
@@ -38,7 +38,7 @@ class LiveMaps:
     def __init__(self, run: Path, job: Job, stage: str):
         self._folder, self._job, self._stage = run / LIVE, job, stage
 
-    def show(self, m: DepthMap) -> None:
+    def show(self, m: HeightMap) -> None:
         """Write the points of a map, if somebody looks; a disk that takes no more does not end the run."""
         if not self._folder.is_dir():
             return
@@ -48,7 +48,7 @@ class LiveMaps:
             xyz, rgb = self._points(m)
             save_arrays(self._folder / f"{self._stage}-{m.view}.npz", xyz=xyz, rgb=rgb)
 
-    def _points(self, m: DepthMap) -> tuple[np.ndarray, np.ndarray]:
+    def _points(self, m: HeightMap) -> tuple[np.ndarray, np.ndarray]:
         """Points (K, 3) [m], local, and their colours (K, 3) uint8."""
         survey, rows, columns = self._job.survey, *m.height.shape
         step = int(np.ceil(np.sqrt(m.height.size / _MOST_PIXELS)))

@@ -11,7 +11,7 @@ import numpy as np
 
 from fields.solver.solver import SolvedMap
 from fields.sweep.bed import BedPoints
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import HeightMap
 from fields.sweep.photo_consistency import Consistency
 from survey.files.json_values import read_json_object, write_json
 from survey.plan.block import cameras_of_block
@@ -33,7 +33,7 @@ def merge_sweeps(
     """Height maps of whole photographs: each pixel from the tile that has its point."""
     swept = of_tiles["sweep"]
     views = sorted({tile.windows[view].view for tile, place in _found(tiles, swept) for view in _maps(place).views})
-    save_maps(folder / MAPS, DepthMap, _whole_maps(job, tiles, swept, views))
+    save_maps(folder / MAPS, HeightMap, _whole_maps(job, tiles, swept, views))
     low, high = tiles[0].bound
     write_json(folder / BOUND, {"low_m": low, "high_m": high})
     names = [view.name for view in job.survey.views]
@@ -73,8 +73,8 @@ def _found(tiles: Sequence[TileJob], swept: Sequence[Path]) -> Iterator[tuple[Ti
     return zip(tiles, swept, strict=True)
 
 
-def _maps(place: Path) -> Stored[DepthMap]:
-    return Stored(place / MAPS, DepthMap)
+def _maps(place: Path) -> Stored[HeightMap]:
+    return Stored(place / MAPS, HeightMap)
 
 
 def _by_view(tiles: Sequence[TileJob], swept: Sequence[Path]) -> dict[int, list[tuple[int, int, Window]]]:
@@ -87,7 +87,7 @@ def _by_view(tiles: Sequence[TileJob], swept: Sequence[Path]) -> dict[int, list[
     return found
 
 
-def _whole_maps(job: Job, tiles: Sequence[TileJob], swept: Sequence[Path], views: list[int]) -> Iterator[DepthMap]:
+def _whole_maps(job: Job, tiles: Sequence[TileJob], swept: Sequence[Path], views: list[int]) -> Iterator[HeightMap]:
     camera = cameras_of_block(job.survey, job.plan)[0]
     shape, maps = (camera.height, camera.width), [_maps(place) for place in swept]
     own, of_view = [load_masks(place / MASKS, OWN) for place in swept], _by_view(tiles, swept)
@@ -102,7 +102,7 @@ def _whole_maps(job: Job, tiles: Sequence[TileJob], swept: Sequence[Path], views
             known[window.part] |= mask
         # Where no tile looked, no other view confirms the height.
         height[~known] = np.median(height[known]) if known.any() else np.float32(0.0)
-        yield DepthMap(view, height, score, agreeing, spread)
+        yield HeightMap(view, height, score, agreeing, spread)
 
 
 def _whole_solved(

@@ -17,7 +17,7 @@ from fields.solver.solver import SolvedMap
 from fields.sweep.bed import BedPoints, has_neighbours, is_supported, points_of, unique_pixels, with_slope_std
 from fields.sweep.block import AGREEMENT_PX
 from fields.sweep.fusion import PEERS
-from fields.sweep.maps import DepthMap, trusted
+from fields.sweep.maps import HeightMap, trusted
 from survey.adjust.adjustment import Adjustment, read_adjustment
 from survey.adjust.std_of_block import std_of_block
 from survey.plan.area import within
@@ -55,7 +55,7 @@ def with_std_of_block(
 
 def bed_points(
     job: Job,
-    maps: Sequence[DepthMap],
+    maps: Sequence[HeightMap],
     field: TensorField | None,
     advance: Callable[[float], None],
     solved: Sequence[SolvedMap] | None = None,
@@ -73,21 +73,21 @@ def bed_points(
     parts, sources, tides, moved, area = [], [], [], 0, job.ground
     if kept is None:
         kept = unique_pixels(block, maps, plan.gsd_m)
-    for number, (depth_map, keep) in enumerate(zip(maps, kept, strict=True)):
-        view = survey.views[depth_map.view]
+    for number, (height_map, keep) in enumerate(zip(maps, kept, strict=True)):
+        view = survey.views[height_map.view]
         camera = camera_of(view, plan)
         rgb = job.photographs.load(view, scale=plan.image_scale) if coloured else _black(camera)
-        parallax = _parallax(block, depth_map)
+        parallax = _parallax(block, height_map)
         tolerance = AGREEMENT_PX / parallax
-        if len(block.neighbours(depth_map.view, PEERS)) == 1:
-            keep = keep & is_supported(depth_map.height, trusted(depth_map), tolerance)
+        if len(block.neighbours(height_map.view, PEERS)) == 1:
+            keep = keep & is_supported(height_map.height, trusted(height_map), tolerance)
         keep = keep[: camera.height, : camera.width]
         if field is not None:
             from fields.slab.refine import refine
 
-            height, taken = refine(field, camera, depth_map, rgb, survey.water, keep)
-            depth_map, moved = replace(depth_map, height=height), moved + taken
-        final, std = (depth_map, None) if solved is None else solved[number].over(depth_map)
+            height, taken = refine(field, camera, height_map, rgb, survey.water, keep)
+            height_map, moved = replace(height_map, height=height), moved + taken
+        final, std = (height_map, None) if solved is None else solved[number].over(height_map)
         points = points_of(camera, survey.water, final, keep, rgb, tolerance, std)
         points = with_slope_std(points, final.height, keep, plan.gsd_m, survey.water)
         # Floor of std at 0.01 px of parallax: heights that agree exactly do so by chance.
@@ -106,6 +106,6 @@ def _black(camera: PinholeCamera) -> np.ndarray:
     return np.broadcast_to(np.uint8(0), (camera.height, camera.width, 3))
 
 
-def _parallax(block: Block, depth_map: DepthMap) -> float:
+def _parallax(block: Block, height_map: HeightMap) -> float:
     """Of the bed of a map in the views that confirm its heights [px/m]."""
-    return block.parallax(depth_map.view, block.neighbours(depth_map.view, PEERS), median(depth_map.height))
+    return block.parallax(height_map.view, block.neighbours(height_map.view, PEERS), median(height_map.height))

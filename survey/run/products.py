@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import HeightMap
 from fields.sweep.photo_consistency import Consistency
 from survey.adjust.adjustment import Adjustment, read_adjustment
 from survey.compare.result import Comparison
@@ -96,7 +96,7 @@ def _write_report(
         timings=timings,
         bed=stored.bed,
         points_crs=stored.points_crs,
-        depth_maps=Stored(done["sweep"] / MAPS, DepthMap),
+        height_maps=Stored(done["sweep"] / MAPS, HeightMap),
         comparison=comparison,
         sweep_comparison=of_sweep,
         versions=_versions(done),

@@ -9,11 +9,11 @@ from fields.sweep.maps import Sources
 from survey.plan.block import camera_of
 
 if TYPE_CHECKING:
-    from fields.sweep.maps import DepthMap
+    from fields.sweep.maps import HeightMap
     from survey.run.job import Job
 
 
-def sources_of(job: Job, maps: Sequence[DepthMap]) -> Sources:
+def sources_of(job: Job, maps: Sequence[HeightMap]) -> Sources:
     """Cameras, maps and colour images at the plan's scale, in the order of the maps."""
     survey, plan = job.survey, job.plan
     given = survey.config.water

@@ -15,7 +15,7 @@ import numpy as np
 
 from fields.solver.solver import SolvedMap
 from fields.sweep.bed import unique_pixels
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import HeightMap
 from survey.files.json_values import write_json
 from survey.run.cell_std import CellStd, std_cells
 from survey.run.folder import seconds_of
@@ -69,7 +69,7 @@ def _take_pace(aimed: AimedRun, found: dict) -> None:
 
 def _cells(job: Job, needs: Mapping[str, Path], solved: Sequence[SolvedMap]) -> CellStd:
     """Of the points that the run would have if it ended now, those of the sweep's heights among them."""
-    maps = Stored(needs["sweep"] / MAPS, DepthMap)
+    maps = Stored(needs["sweep"] / MAPS, HeightMap)
     look_at_bed(job, needs["sweep"])
     kept = job.once(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m))
     bed, _, _ = bed_points(job, maps, None, lambda _done: None, solved, kept, coloured=False)

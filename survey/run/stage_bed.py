@@ -11,7 +11,7 @@ import numpy as np
 
 from fields.solver.solver import SolvedMap
 from fields.sweep.bed import unique_pixels
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import HeightMap
 from survey.adjust.std_common import BASIS_ADJUSTED, BASIS_STATED, std_common
 from survey.display.quantities import length
 from survey.errors import SurveyError
@@ -47,7 +47,7 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
 def points_of_bed(job: Job, needs: Mapping[str, Path]) -> BedPoints:
     """Points of the bed in their colours, with the std of their own."""
     survey = job.survey
-    maps = Stored(needs["sweep"] / MAPS, DepthMap)
+    maps = Stored(needs["sweep"] / MAPS, HeightMap)
     field = _field_of(job, needs["field"]) if "field" in needs else None
     solved = Stored(needs["solver"] / SOLVED, SolvedMap) if "solver" in needs else None
     look_at_bed(job, needs["sweep"])

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import HeightMap
 from survey.plan.area import AREA_MARGIN_M, grown, local_area
 from survey.plan.block import backend
 from survey.progress import shares
@@ -25,7 +25,7 @@ def train_field(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     # Imported where it is needed, as below: it takes torch, whose import takes seconds.
     from survey.run.stored_field import save_field, save_place
 
-    maps = Stored(needs["sweep"] / MAPS, DepthMap)
+    maps = Stored(needs["sweep"] / MAPS, HeightMap)
     with job.progress.stage("Field", 1.0) as stage:
         field, figures = trained(job, maps, shares(stage))
     job.progress.note(f"field: {figures.psnr_db:.1f} dB after {figures.rays:,} rays")
@@ -33,7 +33,7 @@ def train_field(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     save_place(folder, job.survey.frame, job.survey.water)
 
 
-def trained(job: Job, maps: Sequence[DepthMap], progress: Callable[[float], None]) -> tuple[TensorField, FieldFigures]:
+def trained(job: Job, maps: Sequence[HeightMap], progress: Callable[[float], None]) -> tuple[TensorField, FieldFigures]:
     """The field inside the bound of the sweep, and the figures of its training."""
     from fields.slab.from_sweep import slab_of
     from fields.slab.tensor_field import FieldSettings

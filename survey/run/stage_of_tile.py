@@ -13,7 +13,7 @@ from fields.solver.correlation import NoiseShares
 from fields.solver.shifts import Shifts
 from fields.solver.solver import SolvedMap, SolverFigures, count_in_squares, figures_of, solve_sample, spread
 from fields.sweep.bed import BedPoints, unique_pixels
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import HeightMap
 from fields.sweep.places import places_in_plan
 from survey.files.json_values import read_json_object, write_json
 from survey.plan.area import grown
@@ -37,7 +37,7 @@ def sweep_tile(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
     """Sweep the views of a tile, and choose the pixels that become points."""
     tile = cast(TileJob, job)
     if tile.is_void:
-        save_maps(folder / MAPS, DepthMap, [])
+        save_maps(folder / MAPS, HeightMap, [])
         for name in (SATURATED, CONSISTENCY):
             write_json(folder / name, {})
         write_json(folder / BOUND, {"low_m": tile.bound[0], "high_m": tile.bound[1]})
@@ -45,7 +45,7 @@ def sweep_tile(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
         save_arrays(folder / MASKS, **pack_masks({KEPT: [], OWN: []}))
         return
     sweep_views(tile, folder, {})
-    maps = Stored(folder / MAPS, DepthMap)
+    maps = Stored(folder / MAPS, HeightMap)
     kept, own = [], []
     beside = grown(tile.cell, _BESIDE_GSD * tile.plan.gsd_m)
     for m, unique in zip(maps, unique_pixels(tile.block, maps, tile.plan.gsd_m), strict=True):
@@ -57,7 +57,7 @@ def sweep_tile(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
 
 def solve_tile(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """Solve the points of a tile with what the solver has learned of the whole survey."""
-    tile, maps = cast(TileJob, job), Stored(needs["sweep"] / MAPS, DepthMap)
+    tile, maps = cast(TileJob, job), Stored(needs["sweep"] / MAPS, HeightMap)
     if not len(maps):
         save_maps(folder / SOLVED, SolvedMap, [])
         write_json(folder / SIGHTINGS, {})
@@ -68,7 +68,7 @@ def solve_tile(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
 def find_points(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """Points of the bed in a tile, by the places of the points."""
     tile = cast(TileJob, job)
-    bed = points_of_bed(tile, needs) if len(Stored(needs["sweep"] / MAPS, DepthMap)) else BedPoints.empty()
+    bed = points_of_bed(tile, needs) if len(Stored(needs["sweep"] / MAPS, HeightMap)) else BedPoints.empty()
     bed = bed[inside(bed.xyz, tile.cell)]
     save_arrays(folder / POINTS, **{each.name: getattr(bed, each.name) for each in fields(BedPoints)})
 
@@ -90,7 +90,7 @@ def learn_figures(
     with job.progress.stage("Sample of the solver"):
         filled, maps_of = [], []
         for tile, place in zip(tiles, swept, strict=True):
-            maps = Stored(place / MAPS, DepthMap)
+            maps = Stored(place / MAPS, HeightMap)
             if len(maps):
                 look_at_bed(tile, place)
                 filled += count_in_squares(tile.block, maps, _own(place))
@@ -105,7 +105,7 @@ def learn_figures(
                 if places:
                     look_at_bed(tile, place)
                     sample += solve_sample(
-                        tile.block, Stored(place / MAPS, DepthMap), _own(place), places, tile.plan.gsd_m
+                        tile.block, Stored(place / MAPS, HeightMap), _own(place), places, tile.plan.gsd_m
                     )
                     tile.drop()
             figures = figures_of(sample, job.plan.gsd_m, is_wet=job.survey.water is not None)

@@ -10,7 +10,7 @@ import numpy as np
 
 from fields.solver.solver import SolvedMap, SolverFigures, solve_maps
 from fields.sweep.bed import unique_pixels
-from fields.sweep.maps import ByView, DepthMap, upsample_map
+from fields.sweep.maps import ByView, HeightMap, upsample_map
 from fields.sweep.wide_windows import wet_pairs
 from survey.files.json_values import write_json
 from survey.progress import shares
@@ -34,7 +34,7 @@ def solve_heights(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
 
 def solve_with(job: Job, folder: Path, needs: Mapping[str, Path], figures: SolverFigures | None) -> None:
     """The same with figures of the solver that are known, or learned here."""
-    maps = Stored(needs["sweep"] / MAPS, DepthMap)
+    maps = Stored(needs["sweep"] / MAPS, HeightMap)
     if not _has_time(job):
         job.progress.note("solver: left out, there is no time for it")
         _save(job, folder, [SolvedMap.empty() for _ in maps], None)
@@ -87,12 +87,12 @@ def _goes_on(job: Job) -> bool:
     return aimed is None or aimed.clock is None or aimed.clock.left_s > aimed.tail_s
 
 
-def _carried(maps: Sequence[DepthMap], kept: Masks, needs: Mapping[str, Path]) -> list[SolvedMap | None]:
+def _carried(maps: Sequence[HeightMap], kept: Masks, needs: Mapping[str, Path]) -> list[SolvedMap | None]:
     """Of each map that a later round left as it was, what the round before solved, at the size of this one."""
     if EARLIER_SOLVER not in needs or EARLIER_SWEEP not in needs:
         return [None for _ in maps]
     swept = views_swept(needs["sweep"])
-    of_sweep = Stored(needs[EARLIER_SWEEP] / MAPS, DepthMap)
+    of_sweep = Stored(needs[EARLIER_SWEEP] / MAPS, HeightMap)
     before = ByView(of_sweep, of_sweep.views)
     solved = ByView(Stored(needs[EARLIER_SOLVER] / SOLVED, SolvedMap), of_sweep.views)
     return [
@@ -101,7 +101,7 @@ def _carried(maps: Sequence[DepthMap], kept: Masks, needs: Mapping[str, Path]) -
     ]
 
 
-def _enlarged(before: DepthMap, solved: SolvedMap, now: DepthMap, keep: np.ndarray) -> SolvedMap:
+def _enlarged(before: HeightMap, solved: SolvedMap, now: HeightMap, keep: np.ndarray) -> SolvedMap:
     """What was solved of a smaller map as pixels of a larger one; heights that were not solved stay the sweep's."""
     with_heights, std = solved.over(before)
     # Each pixel has the std of the one that it is a part of.

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fields.sweep.fusion import remove_free_space_violations
-from fields.sweep.maps import ByView, DepthMap
+from fields.sweep.maps import ByView, HeightMap
 from fields.sweep.passes import PASSES, before_solver, passes_from
 from fields.sweep.photo_consistency import photo_consistency
 from fields.sweep.sweep import sweep
@@ -68,7 +68,7 @@ def sweep_views(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         passes = PASSES if job.aimed is None else passes_from(job.aimed.first_search)
         passes = before_solver(passes) if job.plan.refines_points_only else passes
         start = time.monotonic()
-        with kept_aside(folder / SCRATCH, DepthMap, show=_live(job, folder)) as keep:
+        with kept_aside(folder / SCRATCH, HeightMap, show=_live(job, folder)) as keep:
             maps = sweep(block, chosen, heights, shares(stage), passes, job.swept_ground, keep=keep)
             if not maps and job.tiling is None:
                 raise SurveyError("no two views overlap; check that the poses belong to the images")
@@ -78,7 +78,7 @@ def sweep_views(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     write_json(folder / BOUND, {"low_m": low, "high_m": high})
 
 
-def _live(job: Job, folder: Path) -> Callable[[DepthMap], None]:
+def _live(job: Job, folder: Path) -> Callable[[HeightMap], None]:
     """What shows maps to who looks at the run, in whose folder of stages the stage has its own."""
     return LiveMaps(folder.parent.parent, job, folder.stem.strip(".")).show
 
@@ -94,7 +94,7 @@ def _go_on(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """The heights of the round before at the size of this one; its views go on where they have to."""
     bound = json.loads((needs[EARLIER_SWEEP] / BOUND).read_text(encoding="utf-8"))
     write_json(folder / BOUND, bound)
-    before = Stored(needs[EARLIER_SWEEP] / MAPS, DepthMap)
+    before = Stored(needs[EARLIER_SWEEP] / MAPS, HeightMap)
     earlier_scale = _swept(needs[EARLIER_SWEEP])["image_scale"]
     if earlier_scale == job.plan.image_scale:
         _save(job, folder, before, before.views, 0.0, 0.0, earlier_scale)
@@ -106,7 +106,7 @@ def _go_on(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     job.progress.note(f"sweep: {len(again)} of {len(before)} views go on at image scale {job.plan.image_scale:g}")
     start, aimed = time.monotonic(), job.aimed
     try:
-        scratch = kept_aside(folder / SCRATCH, DepthMap, show=_live(job, folder))
+        scratch = kept_aside(folder / SCRATCH, HeightMap, show=_live(job, folder))
         with job.progress.stage("Sweep", 1.0) as stage, scratch as keep:
             report = shares(stage)
 
@@ -149,11 +149,11 @@ def _to_sweep_again(job: Job, views: list[int], needs: Mapping[str, Path]) -> li
 
 
 def _save(
-    job: Job, folder: Path, maps: Sequence[DepthMap], swept: list[int], seconds: float, images_s: float,
+    job: Job, folder: Path, maps: Sequence[HeightMap], swept: list[int], seconds: float, images_s: float,
     before: float | None, *, scale: float | None = None,
 ) -> None:  # fmt: skip
     """The maps, and what they took; ``scale`` is that of the maps where it is not the plan's."""
-    save_maps(folder / MAPS, DepthMap, maps)
+    save_maps(folder / MAPS, HeightMap, maps)
     scale = job.plan.image_scale if scale is None else scale
     share = len(swept) / max(len(maps), 1)
     num_samples = 0.0 if job.aimed is None else share * job.aimed.samples(scale, before)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import HeightMap
 from survey.run.sources import sources_of
 from survey.run.stage_sweep import MAPS
 from survey.run.stored_maps import Stored
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 def estimate_colour(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """Estimate what the water absorbs, from the photographs that have a height map."""
-    maps = Stored(needs["sweep"] / MAPS, DepthMap)
+    maps = Stored(needs["sweep"] / MAPS, HeightMap)
     with job.progress.stage("Water colour"):
         save_colour(folder, sources_of(job, maps))
 

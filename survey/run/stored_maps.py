@@ -15,7 +15,7 @@ from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import HeightMap
 from geo.files import disk_refusals
 from survey.run.stored import load_arrays, unreadable, write_arrays
 
@@ -43,7 +43,7 @@ class Scratch(MutableMapping[int, Kind]):
     ----------
     folder : Path
         Made here, and empty.
-    kind : type of the maps, DepthMap or SolvedMap
+    kind : type of the maps, HeightMap or SolvedMap
     room : _Room
     show : callable, optional
         Called with each map that comes.
@@ -120,12 +120,12 @@ def kept_aside(
 
 
 def save_maps(path: str | Path, kind: type[Kind], maps: Iterable[Kind]) -> None:
-    """Write depth maps or solved maps, of any sizes, into one .npz file, one after the other."""
+    """Write height maps or solved maps, of any sizes, into one .npz file, one after the other."""
     views = []
 
     def named() -> Iterator[tuple[str, np.ndarray]]:
         for number, each in enumerate(maps):
-            views.append(each.view if isinstance(each, DepthMap) else number)
+            views.append(each.view if isinstance(each, HeightMap) else number)
             yield from ((f"{name}_{number}", getattr(each, name)) for name in _names(kind))
         yield "views", np.array(views, dtype=np.int64)
 
@@ -138,7 +138,7 @@ class Stored(Sequence[Kind]):
     Attributes
     ----------
     views : list of int
-        Of depth maps; of others their numbers.
+        Of height maps; of others their numbers.
 
     Raises
     ------
@@ -183,4 +183,4 @@ def _names(kind: type) -> list[str]:
 def _made(kind: type[Kind], view: int, array: Callable[[str], np.ndarray]) -> Kind:
     """A map of arrays by their names."""
     arrays: dict[str, Any] = {name: array(name) for name in _names(kind)}
-    return kind(**({"view": view} if kind is DepthMap else {}), **arrays)
+    return kind(**({"view": view} if kind is HeightMap else {}), **arrays)

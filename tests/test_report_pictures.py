@@ -14,6 +14,7 @@ from small_report import PLAN, facts_of
 from small_survey import TOML, small_survey
 
 from geo import LocalFrame
+from survey.display.palette import RED
 from survey.display.plan_grid import PlanGrid
 from survey.folder.survey import load_survey
 from survey.photos.exif import read_exif
@@ -22,6 +23,8 @@ from survey.report.cut import choose_cut
 from survey.report.flight import draw_plan, flight_lines
 from survey.report.maps import draw_std
 from survey.report.profile import _medians, draw_profile, has_profile, two_digits
+from survey.report.seen_cells import SeenCells
+from survey.report.unseen_map import codes_of, draw_unseen, unseen_cells
 from survey.run.folder import RunDir
 
 
@@ -44,7 +47,7 @@ def test_the_picture_of_the_std_says_where_it_comes_from(shallow_survey, tmp_pat
 def test_all_pictures_are_drawn_and_are_whole(plane_report):
     paths = sorted(plane_report.run.pictures_path.iterdir())
     errors = "error error_bands error_depth error_histogram"
-    names = f"completeness depth {errors} histograms orthophoto plan profile std view views"
+    names = f"completeness depth {errors} histograms orthophoto plan profile std unseen view views"
     assert [path.name for path in paths] == [f"{name}.png" for name in names.split()]
     # There is no adjustment, which has four, and no control.
     assert plane_report.num_steps == len(paths) == NUM_STEPS - 5
@@ -150,3 +153,21 @@ def test_the_plan_of_a_flight_has_its_lines(shallow_survey, tmp_path):
     draw_plan(tmp_path / "without.png", facts)
     draw_plan(tmp_path / "with.png", replace(facts, heads=heads))
     assert (tmp_path / "with.png").read_bytes() != (tmp_path / "without.png").read_bytes()
+
+
+def test_ground_without_points_is_told_apart_by_the_views_that_see_it():
+    has_point, num_views = np.array([[True, False], [False, False]]), np.array([[3, 4], [1, 0]])
+    cells = SeenCells(np.zeros(2), 1.0, has_point, num_views, np.zeros((2, 2)))
+    assert codes_of(cells).tolist() == [[1, 2], [3, 0]]
+
+
+def test_the_map_of_what_was_not_found_says_how_much_of_the_ground_it_is(shallow_survey, tmp_path):
+    bed = plane_bed(shallow_survey, num=40)
+    half = bed[bed.xyz[:, 0] < np.median(bed.xyz[:, 0])]
+    whole, part = (codes_of(unseen_cells(facts_of(shallow_survey, each))) for each in (bed, half))
+    assert (part == 2).sum() > (whole == 2).sum()
+    draw_unseen(tmp_path / "unseen.png", facts_of(shallow_survey, half))
+    with Image.open(tmp_path / "unseen.png") as image:
+        colours = np.asarray(image.convert("RGB")).reshape(-1, 3)
+    red = np.array([int(RED[k : k + 2], 16) for k in (1, 3, 5)])
+    assert (np.abs(colours - red.astype(int)).sum(axis=1) < 6).mean() > 0.02

@@ -9,7 +9,7 @@ import numpy as np
 from geo.vectors import Layer
 from survey.export.unseen import REASONS, unseen_of
 from survey.progress import current
-from survey.run.seen_cells import cells_seen
+from survey.report.seen_cells import cells_seen
 
 if TYPE_CHECKING:
     from pyproj import CRS
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from refract import FlatWater, PinholeCamera
     from survey.export.loaded import LoadedRun
     from survey.export.product import ExportOptions
-    from survey.run.seen_cells import SeenCells
+    from survey.report.seen_cells import SeenCells
 
 _PLACES_OF_SIDE = 12
 # Of the search for the place where a ray meets the bed; the last moves it by less than a cell.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from survey.plan.area import local_area
-from survey.run.seen_cells import SeenCells, cells_seen
+from survey.report.seen_cells import SeenCells, cells_seen
 
 if TYPE_CHECKING:
     from geo.frames import LocalFrame
@@ -60,7 +60,7 @@ class Unseen:
 def unseen_of(run: LoadedRun) -> Unseen:
     """The cells of a run, made once for the products of a command.
 
-    A cell is ten ground sampling distances wide (`survey.run.seen_cells`), counts as water where the nearest bed lies
+    A cell is ten ground sampling distances wide (`survey.report.seen_cells`), counts as water where the nearest bed lies
     under the water, and as seen where its middle is.
 
     Raises

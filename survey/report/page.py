@@ -17,7 +17,7 @@ from survey.report.raster import Picture
 # Headings of the pictures with the names of their files.
 _GROUPS = (
     ("The bed", ("depth", "orthophoto", "profile")),
-    ("How sure it is", ("views", "std", "histograms")),
+    ("How sure it is", ("unseen", "views", "std", "histograms")),
     ("Against the reference", ("error", "completeness", "error_histogram", "error_depth", "error_bands")),
     ("What the adjustment left", ("parts", "control", "residuals_ground", "residuals_image", "correlation")),
     ("The flight", ("view", "plan")),

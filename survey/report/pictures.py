@@ -24,6 +24,7 @@ from survey.report.checkpoints import CheckpointFigures
 from survey.report.cut import choose_cut
 from survey.report.facts import ReportFacts, distances_of
 from survey.report.raster import Picture
+from survey.report.unseen_map import draw_unseen
 
 if TYPE_CHECKING:
     from survey.adjust.adjustment import Adjustment
@@ -80,6 +81,7 @@ def draw_pictures(
     if facts.height_maps:
         drawings["view"] = partial(maps.draw_view, facts=facts, height_maps=facts.height_maps)
     if len(facts.bed):
+        drawings["unseen"] = partial(draw_unseen, facts=facts)
         drawings["views"] = partial(maps.draw_num_views, facts=facts, grid=grid)
         drawings["std"] = partial(maps.draw_std, facts=facts, grid=grid)
         drawings["histograms"] = partial(draw_histograms, facts=facts)

@@ -22,7 +22,7 @@ from survey.plan.limits import MAX_STD_GSD, max_height_std
 from survey.report.collect import height_std
 from survey.report.verdict import Gate, Verdict
 from survey.run.cell_std import std_cells
-from survey.run.seen_cells import SeenCells, cells_seen
+from survey.report.seen_cells import SeenCells, cells_seen
 
 if TYPE_CHECKING:
     from fields.sweep.bed import BedPoints

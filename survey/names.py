@@ -8,3 +8,5 @@ RUN_FOLDER = "bathynerf"
 SFM_FOLDER = "sfm"
 # Positions of photographs, as OpenDroneMap has them.
 GEO_TXT = "geo.txt"
+# Where OpenDroneMap looks for control points.
+GCP_LIST = "gcp_list.txt"

@@ -112,6 +112,20 @@ def test_nothing_to_infer_a_survey_from_is_an_error_with_an_example(tmp_path):
         load_survey(tmp_path / "b")
 
 
+def test_the_control_points_of_opendronemap_tell_the_crs_where_nothing_else_does(tmp_path):
+    folder = small_survey(tmp_path / "s", toml=None)
+    (folder / "cameras.csv").unlink()
+    line = "676120.0 5311480.0 584.2 30.0 20.0 0000.jpg a"
+    (folder / "gcp_list.txt").write_text(f"+proj=utm +zone=32 +datum=WGS84 +units=m +no_defs\n{line}\n")
+    found = find_survey(folder)
+    assert found.config.crs == "EPSG:32632+5773"
+    assert found.control is not None
+    assert any("that of gcp_list.txt" in text for text in found.assumptions)
+    (folder / "gcp_list.txt").write_text("EPSG:4326\n10.1 47.9 584.2 30.0 20.0 0000.jpg a\n")
+    with pytest.raises(ConfigError, match=r"not in a projected CRS .* \[control\] gcps"):
+        find_survey(folder)
+
+
 def test_without_poses_and_positions_there_is_nothing_to_start_from(tmp_path):
     folder = small_survey(tmp_path / "s", toml=replaced(('poses = "cameras.csv"', "")))
     (folder / "cameras.csv").unlink()

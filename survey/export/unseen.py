@@ -60,8 +60,8 @@ class Unseen:
 def unseen_of(run: LoadedRun) -> Unseen:
     """The cells of a run, made once for the products of a command.
 
-    A cell is ten ground sampling distances wide (`survey.report.seen_cells`), counts as water where the nearest bed lies
-    under the water, and as seen where its middle is.
+    A cell is ten ground sampling distances wide (`survey.report.seen_cells`), counts as water where the nearest bed
+    lies under the water, and as seen where its middle is.
 
     Raises
     ------

@@ -22,6 +22,7 @@ from survey.folder.level_observation import LevelObservation
 from survey.folder.tides import Tide
 from survey.folder.water_level import with_level
 from survey.folder.water_place import doubts_of_water_places
+from survey.names import GCP_LIST
 from survey.photos.exif import Exif, position_sources, read_exif
 from survey.photos.images import list_images
 from survey.pose_files import find_poses, find_unread
@@ -31,8 +32,6 @@ from survey.sfm.gps import datum_doubts, ways_into_crs
 MIN_VIEWS = 2
 # Where a survey may have the grid of the geoid under its heights.
 GRIDS_FOLDER = "geoid"
-# Where OpenDroneMap looks for control points.
-_GCP_LIST = "gcp_list.txt"
 
 
 @dataclass(frozen=True)
@@ -145,8 +144,8 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
             "[cameras] rotation_std_deg is not used: it is that of poses from a file or of attitudes in XMP, and there "
             "are neither; remove it, or name the poses in [cameras] poses"
         )
-    if not config.control.gcp_files and (folder / _GCP_LIST).is_file():
-        warnings.append(f'{_GCP_LIST} is not used; for its control points write gcps = "{_GCP_LIST}" in [control]')
+    if not config.control.gcp_files and (folder / GCP_LIST).is_file():
+        warnings.append(f'{GCP_LIST} is not used; for its control points write gcps = "{GCP_LIST}" in [control]')
     control = None
     if config.control.files:
         control = find_control(folder, config.control, crs, heads, assumptions, warnings, _one_level(config, crs))

@@ -10,11 +10,12 @@ import numpy as np
 from pyproj import CRS
 
 from geo.crs import crs_code, utm_code
+from survey.control.gcp_list import read_gcp_list
 from survey.errors import FILE_NAME, ConfigError
 from survey.folder.config import ImagesConfig, SurveyConfig
 from survey.folder.plausible import distances_to_exif
 from survey.folder.posed import middle_of_geocentric, points_in_crs
-from survey.names import GEO_TXT
+from survey.names import GCP_LIST, GEO_TXT
 from survey.photos.exif import SUFFIXES, Exif, position_sources, utm_code_of
 from survey.photos.names import ImageNames
 from survey.photos.poses import PoseFile, PoseFrame
@@ -71,6 +72,14 @@ def config_of_images(
     if code is None and file is not None and file.frame is PoseFrame.GEOCENTRIC:
         lon, lat = middle_of_geocentric(file)
         code = utm_code(lat, lon)
+    control = folder / GCP_LIST
+    if code is None and file is None and control.is_file():
+        crs = f"EPSG:{_code_of_control(control)}+{_EGM96_HEIGHT}"
+        assumptions.append(
+            f'crs = "{crs}", that of {GCP_LIST}, with its heights taken as above mean sea level; its points place the '
+            "photographs"
+        )
+        return replace(config, crs=crs, control=replace(config.control, gcps=GCP_LIST))
     if code is None:
         raise ConfigError(
             f"{folder} has no {FILE_NAME}, and no image has a GPS position to infer it from; write {FILE_NAME} with "
@@ -92,6 +101,18 @@ def config_of_images(
     if config.water is not None and config.water.gives_level:
         assumptions.append("the level of the water counts from mean sea level, too, as [water] comes without a crs")
     return replace(config, crs=crs)
+
+
+def _code_of_control(path: Path) -> int:
+    """EPSG code of the projected CRS of gcp_list.txt."""
+    crs = read_gcp_list(path).points[0].crs
+    code = crs.to_epsg() if crs is not None and crs.is_projected else None
+    if code is None:
+        raise ConfigError(
+            f"{path} is not in a projected CRS of EPSG, and nothing else tells where the survey lies; write "
+            f'{FILE_NAME} with {_EXAMPLE}, and [control] gcps = "{path.name}"'
+        )
+    return code
 
 
 def table_crs(heads: Mapping[str, Exif]) -> str | None:

@@ -41,7 +41,7 @@ def draw_unseen(path: Path, facts: ReportFacts) -> Picture:
     figure, axes = map_canvas(extent, survey.frame.crs, below_in=0.3)
     show(axes, _image(cells, codes, facts, extent), extent)
     figure.legend(
-        handles=[Patch(color=colour, label=words) for code, (colour, words) in _LEGEND.items() if (codes == code).any()],
+        handles=[Patch(color=_LEGEND[code][0], label=_LEGEND[code][1]) for code in _LEGEND if (codes == code).any()],
         loc="lower center", ncols=3, frameon=False, fontsize=8,
     )  # fmt: skip
     title = "Where no bed was found"

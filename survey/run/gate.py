@@ -20,9 +20,9 @@ from survey.plan.aim import SHARE
 from survey.plan.area import local_area
 from survey.plan.limits import MAX_STD_GSD, max_height_std
 from survey.report.collect import height_std
+from survey.report.seen_cells import SeenCells, cells_seen
 from survey.report.verdict import Gate, Verdict
 from survey.run.cell_std import std_cells
-from survey.report.seen_cells import SeenCells, cells_seen
 
 if TYPE_CHECKING:
     from fields.sweep.bed import BedPoints

@@ -13,9 +13,8 @@ import numpy as np
 import tomli_w
 from without_gps import copy_without_gps
 
-from survey.adjust.applied import apply_adjustment
+from survey.adjust.applied import apply_adjustment, write_cameras
 from survey.adjust.refine import adjust_survey
-from survey.adjust.written import write_cameras
 from survey.folder.survey import load_survey
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -13,8 +13,8 @@ from pyproj import Transformer
 from geo import read_cloud
 from survey.adjust.adjustment import Adjustment, ControlResidual
 from survey.adjust.applied import apply_adjustment
-from survey.adjust.common_error import place_moves
 from survey.adjust.refine import adjust_survey
+from survey.adjust.std_common import place_moves
 from survey.folder.survey import Survey, load_survey
 from survey.photos.tie_points import TiePoints
 

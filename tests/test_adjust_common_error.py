@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from adjusted_block import drawn_adjustment, plane_of
 
-from survey.adjust.common_error import _places, common_error, height_moves
 from survey.adjust.prediction import linearise, predict
 from survey.adjust.priors import parameters_of
 from survey.adjust.state import Layout, State
+from survey.adjust.std_common import _places, common_error, height_moves
 
 
 def _along(found, step: dict[str, float]) -> np.ndarray:

@@ -10,13 +10,13 @@ import pytest
 
 from survey.adjust.adjustment import HELD
 from survey.adjust.bundle import inverse
-from survey.adjust.common_error import common_error
-from survey.adjust.common_height import placed_by_level
+from survey.adjust.common_height import apply_level_datum
 from survey.adjust.observed import MATCH, observed
 from survey.adjust.priors import known_of
 from survey.adjust.refine import adjust_survey
 from survey.adjust.rounds import Adjusted, adjust
 from survey.adjust.state import POSE
+from survey.adjust.std_common import common_error
 from survey.folder.level_observation import LevelObservation
 from survey.folder.place import water_plane
 from survey.folder.pose_priors import PosePrior
@@ -99,7 +99,7 @@ def test_the_covariance_is_that_of_a_block_with_the_error_as_one_more_unknown(co
     block = draw_block(3, num_points=120, num_views=10, dry_share=0.3, num_control=0, position_std=POSITION_STD_M)
     survey = lifted(block, (0.0, 0.0, 0.8), common_up_std)
     done = adjusted(survey)
-    placed, common = placed_by_level(done)
+    placed, common = apply_level_datum(done)
     size, of_level = len(done.known.layout), known_of(lifted(block, (0.0, 0.0, 0.8), 0.0), 0.02).std[0] ** 2
     of_error = common_up_std**2
     unit = np.zeros(size + 1)
@@ -130,7 +130,7 @@ def test_the_covariance_is_that_of_a_block_with_the_error_as_one_more_unknown(co
 def test_residuals_stay_when_a_block_is_lowered():
     block = bank_block(4)
     done = adjusted(lifted(block, (0.0, 0.0, 3.0)))
-    placed, _ = placed_by_level(done)
+    placed, _ = apply_level_datum(done)
     before, after = done.solution.state, placed.solution.state
     assert np.ptp(before.points[:, 2] - after.points[:, 2]) < 1e-9
     np.testing.assert_allclose(after.water.depth(after.points), before.water.depth(before.points), atol=1e-9)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from survey.adjust.far_poses import FoundAnew, _onto, find_anew, windows_or_search
+from survey.adjust.far_poses import RecoveredPoses, _onto, find_anew, windows_or_search
 from survey.adjust.refine import adjust_survey
 from survey.errors import SurveyError
 from survey.folder.survey import load_survey
@@ -17,7 +17,7 @@ from survey.photos.tie_points import TiePoints
 from survey.simulate.drawn import DrawnScene, draw_survey
 
 VIEWS = SimpleNamespace(views=range(10))
-ANEW = FoundAnew(None, None, None)
+ANEW = RecoveredPoses(None, None, None)
 
 
 def windows_in(views: int) -> TiePoints:
@@ -41,7 +41,7 @@ def test_windows_in_nine_of_ten_photographs_are_taken_and_nothing_is_sought():
 @pytest.mark.parametrize("measure", [lambda: windows_in(8), raising("only 3 thumbnail pixels match")])
 def test_photographs_without_windows_are_sought_anew(measure):
     found = windows_or_search(VIEWS, measure, lambda _survey: ANEW)
-    assert isinstance(found, FoundAnew)
+    assert isinstance(found, RecoveredPoses)
     assert "off by more than a few pixels" in found.warning
     assert "8 of 10 photographs" in found.warning or "3 thumbnail pixels" in found.warning
 

@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 
 from refract import FlatWater
-from survey.adjust.brown import distort
-from survey.adjust.prediction import predict, relief_sides
-from survey.adjust.sight import lines_of_sight, sights
-from survey.adjust.state import RELIEF, WATER, Layout, State, with_parameters
+from survey.adjust.prediction import bent_lines_of_sight, lines_of_sight, predict, relief_sides
+from survey.adjust.state import RELIEF, WATER, Layout, State, distort, with_parameters
 from survey.photos.tie_points import TiePoints
 from tests.block_state import require_derivatives, state_of
 from tests.drawn_block import draw_block
@@ -38,7 +36,7 @@ def rays(rng, water: FlatWater) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("water", [None, LEVEL, TILTED], ids=["dry", "level", "tilted"])
 def test_derivatives_of_lines_of_sight_are_those_of_differences(rng, water):
     centres, points = rays(rng, water or LEVEL)
-    sight = sights(centres, points, water)
+    sight = bent_lines_of_sight(centres, points, water)
     for axis in range(3):
         step = STEP * np.eye(3)[axis]
         by_point = lines_of_sight(centres, points + step, water) - lines_of_sight(centres, points - step, water)
@@ -59,7 +57,7 @@ def test_derivatives_of_lines_of_sight_are_those_of_differences(rng, water):
 
 def test_straight_below_the_camera_rays_are_straight_and_their_derivatives_finite():
     centre, point = np.array([[1.0, 2.0, 20.0]]), np.array([[1.0, 2.0, -3.0]])
-    sight = sights(centre, point, LEVEL)
+    sight = bent_lines_of_sight(centre, point, LEVEL)
     np.testing.assert_allclose(sight.line[0, :2], 0.0, atol=1e-12)
     assert all(np.isfinite(values).all() for values in (sight.by_point, sight.by_centre, sight.by_water))
     # From H = 19.7 m over the water, the crossing of a point h = 3.3 m deep moves by H / (H + h / n) of its step.

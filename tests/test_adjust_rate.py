@@ -12,9 +12,9 @@ from drawn_block import DrawnBlock, draw_block
 
 from survey.adjust.adjustment import read_adjustment, write_adjustment
 from survey.adjust.applied import apply_adjustment
-from survey.adjust.common_error import common_error
 from survey.adjust.prediction import predict, relief_sides
 from survey.adjust.refine import adjust_survey
+from survey.adjust.std_common import common_error
 from survey.folder.tides import Tide
 
 # The water rises by 0.3 m in the hour of the flight.

@@ -11,11 +11,11 @@ from refract.lens import Lens, distorted, undistorted
 from survey.adjust import verdicts
 from survey.adjust.adjustment import FREE, HELD, UNKNOWN, read_adjustment, write_adjustment
 from survey.adjust.applied import apply_adjustment
-from survey.adjust.common_error import common_error
 from survey.adjust.observed import rows_taken
 from survey.adjust.prediction import predict
 from survey.adjust.refine import adjust_survey
 from survey.adjust.state import LENS, RELIEF
+from survey.adjust.std_common import common_error
 from survey.photos.tie_points import TiePoints
 from tests.block_state import require_derivatives, state_of
 from tests.block_survey import pose_errors, rms, survey_of

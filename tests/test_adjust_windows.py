@@ -15,7 +15,7 @@ from refract.lens import Lens
 from survey.adjust import refine
 from survey.adjust.matching import RADIUS, match, prepared, window
 from survey.adjust.waterline import WaterEstimate, calibrate_water
-from survey.adjust.windows_of_survey import measure_windows
+from survey.adjust.windows import measure_windows
 from survey.folder.survey import Survey, load_survey
 from survey.photos.tie_points import TiePoints
 from survey.simulate.drawn import DrawnScene, stage_drawing

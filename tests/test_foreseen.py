@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from survey.adjust.foreseen import DEPTH_M, MATCH_STD_PX, foresee, heights_by_depth
-from survey.adjust.foreseen_text import foreseen_section
+from survey.adjust.foreseen import DEPTH_M, MATCH_STD_PX, foresee, foreseen_section, heights_by_depth
 from survey.adjust.std_common import std_common
 from survey.folder.survey import load_survey
 from survey.plan.choices import Choices

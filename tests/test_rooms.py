@@ -92,7 +92,7 @@ DISK_FILES = {
     "fields/device.py",
     "survey/adjust/adjustment.py",
     "survey/adjust/waterline.py",
-    "survey/adjust/written.py",
+    "survey/adjust/applied.py",
     "survey/change/surveys.py",
     "survey/compare/canvas.py",
     "survey/compare/comparison.py",

@@ -1,20 +1,37 @@
-"""A survey with the poses, lenses and water that an adjustment found, or is at."""
+"""An adjustment applied to its survey, and its cameras as files of other programs."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
+from geo.crs import is_geographic
+from geo.files import write_whole
 from refract.lens import Lens
 from survey.adjust.adjustment import Adjustment
 from survey.adjust.assembling import lens_with
+from survey.adjust.observed import pixels_taken
 from survey.adjust.priors import Known
 from survey.adjust.state import Layout, State
 from survey.folder.place import water_plane
+from survey.folder.shutter import rows_between
 from survey.folder.survey import Survey, View
 from survey.folder.tides import with_shift
+from survey.photos.cameras import CAM_FROM_OPK_CAM
+from survey.photos.colmap_text import FILES, model_texts, name_with_space
+from survey.photos.tie_points import TiePoints
+
+# Decimals of coordinates in metres and in degrees: to a tenth of a micrometre, so that nothing is lost.
+_DECIMALS_M, _DECIMALS_DEG = 7, 12
+# Reciprocal condition below which rays are parallel.
+_PARALLEL = 1e-9
+_HEAD = "# tie points where straight rays meet: those under water lie deeper\n"
+CAMERAS = "cameras.csv"
+MODEL = tuple(f"sparse/{name}" for name in FILES)
 
 
 def apply_adjustment(survey: Survey, found: Adjustment) -> Survey:
@@ -62,3 +79,77 @@ def _views(
             camera = replace(camera, motion=layout.flow[number] * readouts[layout.lens_of[number]])
         views.append(replace(view, camera=camera, lens=lens))
     return tuple(views)
+
+
+def write_cameras(folder: Path, survey: Survey, found: Adjustment | None = None) -> None:
+    """Write cameras.csv (positions in crs; omega, phi, kappa) and a COLMAP model (topocentric) into a folder.
+
+    The points of the model are those of the adjustment, if it is there, with their tracks, but where straight rays from
+    the adjusted cameras meet: programs that read the model know no others, and would find the true places of points
+    under water several pixels off. The true ones are in adjustment.npz.
+
+    The model says in its first lines how survey.toml gives it back. Where shutters roll, cameras.csv has further
+    columns, how far each camera flew from the first row to the last [m], true east, north and up.
+    """
+    (folder / "sparse").mkdir(exist_ok=True)
+    ties = None if found is None else _straight_ties(survey, found)
+    model = model_texts(survey.views, head=_given_back(survey), points=_HEAD, ties=ties)
+    texts = {CAMERAS: _opk(survey)} | {f"sparse/{name}": text for name, text in model.items()}
+    for name, text in texts.items():
+        with write_whole(folder / name) as stream:
+            stream.write(text.encode())
+
+
+def _straight_ties(survey: Survey, found: Adjustment) -> TiePoints:
+    """The points of an adjustment, and what it measured of them, with the places where straight rays meet."""
+    order = np.argsort(found.residual_point, kind="stable")
+    point, view = found.residual_point[order].astype(np.int64), found.residual_view[order].astype(np.int64)
+    ties = TiePoints(found.points, point, view, found.residual_at_px[order])
+    pixel = pixels_taken(ties, found.lenses, found.lens_of)
+    centres, rays = np.empty((len(point), 3)), np.empty((len(point), 3))
+    for number, each in enumerate(survey.views):
+        mine = view == number
+        centres[mine], rays[mine] = each.camera.centres(pixel[mine]), each.camera.directions(pixel[mine])
+    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+    # From where the point truly is, so that distant centres cost no digits.
+    away = centres - found.points[point]
+    normal, right = np.zeros((len(found.points), 3, 3)), np.zeros((len(found.points), 3))
+    np.add.at(normal, point, across)
+    np.add.at(right, point, np.einsum("nij,nj->ni", across, away))
+    eigenvalues = np.linalg.eigvalsh(normal)
+    sound = eigenvalues[:, 0] > _PARALLEL * eigenvalues[:, 2]
+    places = found.points.copy()
+    places[sound] += np.linalg.solve(normal[sound], right[sound][..., None])[..., 0]
+    return TiePoints(places, point, view, pixel).only(sound[point] & np.isfinite(places[point]).all(axis=1))
+
+
+def _given_back(survey: Survey) -> str:
+    origin = ", ".join(repr(float(v)) for v in survey.frame.origin)
+    shutter = ""
+    if any(view.camera.motion is not None for view in survey.views):
+        shutter = f", rolling_shutter_s = {survey.config.cameras.rolling_shutter_s!r}"
+    spaced = name_with_space(survey.views)
+    cut = "" if spaced is None else f'# Names such as "{spaced}" have spaces, at which other programs cut them\n'
+    return f'# In survey.toml: [cameras] poses = "sparse"{shutter} and [local] origin = [{origin}]\n{cut}'
+
+
+def _opk(survey: Survey) -> str:
+    centres = survey.frame.crs_from_local(np.array([view.camera.centre for view in survey.views]))
+    decimals = _DECIMALS_DEG if is_geographic(survey.frame.crs) else _DECIMALS_M
+    places = (decimals, decimals, _DECIMALS_M)
+    rolls = any(view.camera.motion is not None for view in survey.views)
+    lines = ["image,easting,northing,height,omega,phi,kappa" + (",flown_east,flown_north,flown_up" if rolls else "")]
+    for view, centre, axes in zip(survey.views, centres, survey.frame.local_from_grid(centres), strict=True):
+        r = axes.T @ view.camera.cam_from_local.T @ CAM_FROM_OPK_CAM
+        angles = (math.atan2(-r[1, 2], r[2, 2]), math.asin(r[0, 2]), math.atan2(-r[0, 1], r[0, 0]))
+        numbers = [f"{v:.{digits}f}" for v, digits in zip(centre, places, strict=True)]
+        numbers += [f"{math.degrees(v):.10f}" for v in angles]
+        numbers += [f"{v:.{_DECIMALS_M}f}" for v in _flown(view)] if rolls else []
+        lines.append(",".join([view.name, *numbers]))
+    return "\n".join([*lines, ""])
+
+
+def _flown(view: View) -> np.ndarray:
+    """From the first row of a photograph to the last (3,) [m], local."""
+    motion = view.camera.motion
+    return np.zeros(3) if motion is None else motion * rows_between(view.lens.height)

@@ -9,22 +9,31 @@ import numpy as np
 from refract.lens import Lens, is_affine
 from survey.adjust.adjustment import Adjustment, ControlResidual, Parameter
 from survey.adjust.control_check import control_warnings
-from survey.adjust.free_water import Lost
-from survey.adjust.holding import not_observable
+from survey.adjust.observability import Unobservable, not_observable
 from survey.adjust.observed import KINDS, MARK, Observed
 from survey.adjust.priors import Known, is_held
 from survey.adjust.rounds import Adjusted
-from survey.adjust.state import LENS_NAMES, RATE_NAME, READOUT_NAME, WATER, WATER_NAMES, Layout, State
+from survey.adjust.state import (
+    LENS_NAMES,
+    RATE_NAME,
+    READOUT_NAME,
+    WATER,
+    WATER_NAMES,
+    Layout,
+    State,
+    settings_by_local,
+    settings_of,
+    with_settings,
+)
 from survey.adjust.verdicts import (
     lens_verdicts,
-    lost_verdict,
     rate_verdict,
     readout_limits,
     readout_verdict,
+    unobservable_verdict,
     water_limits,
     water_verdicts,
 )
-from survey.adjust.water_settings import settings_by_local, settings_of, with_settings
 from survey.folder.config import WaterConfig
 from survey.folder.survey import Survey
 
@@ -50,7 +59,7 @@ def result(
     done: Adjusted,
     total: int,
     *,
-    lost: dict[str, Lost] | None = None,
+    lost: dict[str, Unobservable] | None = None,
     contradicted: Sequence[int] = (),
     hold: Callable[[np.ndarray], Adjusted] | None = None,
 ) -> Adjustment:
@@ -62,7 +71,7 @@ def result(
     done : Adjusted
     total : int
         Observations before any was left out.
-    lost : dict of name to Lost, optional
+    lost : dict of name to Unobservable, optional
         Of water of which nothing was known: what is not observable, and why.
     contradicted : sequence of int, optional
         Parameters of the water that the block contradicts: however uncertain, what was found is used.
@@ -161,7 +170,7 @@ def _judged(
     done: Adjusted,
     first: np.ndarray,
     held: np.ndarray,
-    lost: dict[str, Lost] | None,
+    lost: dict[str, Unobservable] | None,
     contradicted: Sequence[int],
 ) -> tuple[tuple[Parameter, ...], WaterConfig | None]:
     """Parameters of water and lenses with their verdicts, and the water; ``first`` tells of those that are held."""
@@ -213,7 +222,7 @@ def _water(
     state: State,
     covariances: tuple[np.ndarray, np.ndarray],
     held: np.ndarray,
-    lost: dict[str, Lost] | None,
+    lost: dict[str, Unobservable] | None,
     contradicted: Sequence[int],
 ) -> tuple[list[Parameter], WaterConfig]:
     """Level, slopes and index as survey.toml counts them, with verdicts; the second covariance tells of the held."""
@@ -229,7 +238,7 @@ def _water(
     found = water_verdicts(values, np.where(held, held_std, std), given, given_std, limits)
     for i, row in enumerate(found):
         if lost and row.name in lost:
-            found[i] = lost_verdict(row.name, lost[row.name].std, row.given, lost[row.name].reason)
+            found[i] = unobservable_verdict(row.name, lost[row.name].std, row.given, lost[row.name].reason)
     return found, with_settings(given, np.array([row.value for row in found]))
 
 

@@ -1,21 +1,43 @@
-"""Correlated errors of neighbouring tie points in one photograph: waves, relief and lens residuals.
+"""Correlated errors of neighbouring observations: the design effect of cluster samples.
 
-Matches near each other in a photograph look through the same wave and lie on the same relief, so that their errors are
-alike and hundreds of them say less than as many independent ones. In a square of a photograph with m observations whose
-errors correlate by rho, the variance of their mean is ``(1 + (m - 1) rho) / m`` of that of one (the design effect of
-cluster samples, L. Kish, Survey Sampling, 1965, section 5.4).
+`inflation`
+    Of neighbours in one photograph, which look through the same wave and lie on the same relief. In a square of a
+    photograph with m observations whose errors correlate by rho, the variance of their mean is that of one times
+    ``(1 + (m - 1) rho) / m`` (L. Kish, Survey Sampling, 1965, section 5.4).
+`terrain_design_effect`
+    Of neighbouring ground, over all photographs that show it. A window is matched with the same piece of the bed in
+    each, and next to another piece of it, so that what a block does as a whole (lift, tilt, bend, shift) varies by more
+    than its normal equations say. How much more the residuals tell, summed over squares of the ground (the covariance
+    that is robust against clusters, K.-Y. Liang and S. Zeger, Longitudinal data analysis using generalized linear
+    models, 1986). With a change a of the whole block, d the change of the predictions that goes with it while points
+    follow, w the weights and r the residuals, a square has the sum ``s = sum of w d . r``. Of independent errors s^2
+    has the mean ``sum of w d^2 - g' C g``, with g the sum of w d by the parameters and C their covariance: the second
+    part is what the parameters have taken of it, more of larger squares.
 """
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
 
-from survey.photos.tie_points import TiePoints
+import numpy as np
+from scipy.sparse import csr_array
+
+from survey.adjust.bundle import Problem, Solution
+from survey.adjust.prediction import linearise
+from survey.adjust.state import RELIEF, WATER, State
+from survey.adjust.std_common import moves_of
+from survey.photos.tie_points import MIN_TRACK, TiePoints
 
 # Sides of the squares, as shares of the longer side of a photograph: the one in which most is shared counts.
 _SIDES = (0.04, 0.08, 0.16)
 # Residuals of more standard deviations count as that many.
 _MOST = 3.0
+# Sides of the squares, as shares of what the longer side of a photograph shows: that in which most is shared counts.
+_SIDES_ON_GROUND = (0.08, 0.16, 0.32)
+# Fewer squares tell nothing.
+_FEWEST = 20
+# Places along the longer side of the block, at each of which one point says what a change of the parameters does.
+_PLACES = 8
 
 
 def inflation(ties: TiePoints, residuals: np.ndarray, std_px: np.ndarray, kind: np.ndarray, sizes) -> np.ndarray:
@@ -56,3 +78,89 @@ def _design_effect(view: np.ndarray, pixel: np.ndarray, normal: np.ndarray, side
     square = float(np.sum(normal**2))
     correlation = (float(np.sum(sums**2)) - square) / (pairs * square / len(normal))
     return 1.0 + (float((count**2).sum() / count.sum()) - 1.0) * max(correlation, 0.0)
+
+
+def terrain_design_effect(problem: Problem, solution: Solution, sizes, kinds: np.ndarray) -> float:
+    """Factor on the variance of what the block does as a whole, over what its normal equations say.
+
+    Parameters
+    ----------
+    problem : Problem
+    solution : Solution
+        Of it.
+    sizes : (width, height) [px] of each photograph
+    kinds : (N,) bool
+        Which observations are asked.
+
+    Returns
+    -------
+    float
+        One where too little ground is seen to tell.
+    """
+    ties, state = problem.ties, solution.state
+    linear = linearise(problem.layout, state, ties, problem.sides, problem.rows)
+    weights = np.where(kinds, solution.weights, 0.0)
+    used = weights > 0.0
+    residuals = np.where(used[:, None], solution.residuals, 0.0)
+    design = csr_array(linear.by_parameters.multiply(np.repeat(used, 2)[:, None]))
+    by_point = np.where(used[:, None, None], linear.by_point, 0.0)
+    whole = _of_block(problem, state) @ solution.covariance
+    changes = [_followed(ties, weights, by_point, (design @ change).reshape(-1, 2)) for change in whole]
+    found = []
+    for share in _SIDES_ON_GROUND:
+        side = share * _footprint(problem, state, sizes)
+        _, square = np.unique(np.floor(state.points[:, :2] / side), axis=0, return_inverse=True)
+        square = square.ravel()[ties.point]
+        if len(np.unique(square[used])) >= _FEWEST:
+            parts = (weights, residuals, design, solution.covariance)
+            found.append(float(np.mean([_ratio(square, change, *parts) for change in changes])))
+    return max(found, default=1.0)
+
+
+def _of_block(problem: Problem, state: State) -> np.ndarray:
+    """What the parameters do to the block (6, P): its mean height, tilt and bend, and its shift in plan."""
+    layout, ties = problem.layout, problem.ties
+    # A control point may have a single mark, which tells of no move.
+    tracked = np.flatnonzero(np.bincount(ties.point, minlength=len(ties)) >= MIN_TRACK)
+    plan = state.points[:, :2]
+    side = max(float(np.ptp(plan, axis=0).max()), 1e-9) / _PLACES
+    _, first = np.unique(np.floor(plan[tracked] / side), axis=0, return_index=True)
+    chosen = np.sort(tracked[first])
+    kept = np.isin(ties.point, chosen)
+    rows = ties.pixel[kept, 1] if problem.rows is None else problem.rows[kept]
+    some = ties.only(kept)
+    moves = moves_of(layout, replace(state, points=state.points[chosen]), some, rows)
+    east, north = (plan[chosen] - plan[chosen].mean(axis=0)).T
+    level = np.column_stack([np.ones_like(east), east, north])
+    bent = np.linalg.pinv(np.column_stack([level, east**2 + north**2]))[3]
+    rises = np.vstack([np.linalg.pinv(level), bent]) @ moves[:, 2]
+    found = np.vstack([rises, moves[:, :2].mean(axis=0)])
+    return np.insert(found, [WATER] * RELIEF, 0.0, axis=1)
+
+
+def _followed(ties: TiePoints, weights: np.ndarray, by_point: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """A change (N, 2) of the predictions once the points have followed it."""
+    weighted = by_point * weights[:, None, None]
+    own, pull = np.zeros((len(ties), 3, 3)), np.zeros((len(ties), 3))
+    np.add.at(own, ties.point, np.einsum("nai,naj->nij", weighted, by_point))
+    np.add.at(pull, ties.point, np.einsum("nai,na->ni", weighted, change))
+    step = np.einsum("mij,mj->mi", np.linalg.pinv(own, hermitian=True), pull)
+    return change - np.einsum("nai,ni->na", by_point, step[ties.point])
+
+
+def _footprint(problem: Problem, state: State, sizes) -> float:
+    """What the longer side of a photograph shows of the ground [m], as if there were no water."""
+    ties, layout = problem.ties, problem.layout
+    away = np.linalg.norm(state.points[ties.point] - state.centres[ties.view], axis=1)
+    longer = np.array([max(size) for size in sizes], dtype=np.float64)
+    return float(np.median(away * (longer / state.lenses[layout.lens_of, 0])[ties.view]))
+
+
+def _ratio(square: np.ndarray, change: np.ndarray, weights, residuals, design, covariance) -> float:
+    """Squares of the sums of squares of ground, over what they would be on average if errors were independent."""
+    weighted = weights[:, None] * change
+    sums = np.bincount(square, np.sum(weighted * residuals, axis=1))
+    rows = np.repeat(square, 2)
+    taken = csr_array((weighted.ravel(), (rows, np.arange(len(rows)))), shape=(len(sums), len(rows))) @ design
+    left = np.sum(weighted * change) - float((taken.T @ taken).multiply(covariance).sum())
+    return float(np.sum(sums**2)) / max(left, 1e-12 * float(np.sum(weighted * change)) + 1e-300)

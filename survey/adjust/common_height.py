@@ -17,14 +17,13 @@ import numpy as np
 from refract import FlatWater
 from survey.adjust.adjustment import Adjustment
 from survey.adjust.bundle import NotConvergedError, Problem, Solution, cost, solve
-from survey.adjust.common_error import common_error
-from survey.adjust.contradiction import MOST
 from survey.adjust.observed import KINDS, MARK, Observed, rows_taken
 from survey.adjust.prediction import relief_sides
 from survey.adjust.priors import Known, priors_for, shared_height_std
 from survey.adjust.rounds import Adjusted
 from survey.adjust.state import POSE, State, with_parameters
-from survey.adjust.verdicts import MOST_STD_LEVEL_M
+from survey.adjust.std_common import common_error
+from survey.adjust.verdicts import MOST_SIGMAS, MOST_STD_LEVEL_M
 from survey.folder.place import over_points
 from survey.sfm.datum_std import WELL_KNOWN_M
 
@@ -120,8 +119,8 @@ def without_common(known: Known, done: Adjusted) -> Known | None:
 
     None where they do not: single positions, in plan, show its accuracy, and the level of the water agrees with them.
     """
-    placed, common = placed_by_level(done)
-    if common is None or not _is_corrected(done) or abs(common.error) > MOST * common.std:
+    placed, common = apply_level_datum(done)
+    if common is None or not _is_corrected(done) or abs(common.error) > MOST_SIGMAS * common.std:
         return None
     state = replace(done.solution.state, points=np.zeros((0, 3)))
     std = known.std.copy()
@@ -129,7 +128,7 @@ def without_common(known: Known, done: Adjusted) -> Known | None:
     return replace(known, state=state, std=std, common_up_std=0.0)
 
 
-def placed_by_level(done: Adjusted) -> tuple[Adjusted, CommonHeight | None]:
+def apply_level_datum(done: Adjusted) -> tuple[Adjusted, CommonHeight | None]:
     """The block at the height that the level of its water tells, where its positions have an error in common."""
     known, covariance = done.known, done.solution.covariance
     if known.common_up_std == 0.0:

@@ -9,7 +9,7 @@ from pathlib import Path
 from survey.adjust.adjustment import Adjustment
 from survey.adjust.pose_check import PoseCheck, check_of_windows
 from survey.adjust.refine import adjust_survey
-from survey.adjust.windows_of_survey import loaded
+from survey.adjust.windows import loaded
 from survey.errors import SurveyError
 from survey.folder.survey import load_survey
 from survey.plan.check import Section

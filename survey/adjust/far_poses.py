@@ -28,7 +28,7 @@ _MOST_LOST = 0.1
 
 
 @dataclass(frozen=True)
-class FoundAnew:
+class RecoveredPoses:
     """A block by structure from motion where the poses of its views say that it lies.
 
     Attributes
@@ -51,10 +51,12 @@ class FoundAnew:
 
 
 # Finds the poses of a survey anew.
-Search = Callable[[Survey], FoundAnew]
+Search = Callable[[Survey], RecoveredPoses]
 
 
-def windows_or_search(survey: Survey, measure: Callable[[], TiePoints], search: Search | None) -> TiePoints | FoundAnew:
+def windows_or_search(
+    survey: Survey, measure: Callable[[], TiePoints], search: Search | None
+) -> TiePoints | RecoveredPoses:
     """The windows of a survey with poses of a file, or its block found anew where these are out of their reach.
 
     Without a search they are what they are.
@@ -96,7 +98,7 @@ def without_windows(windows: TiePoints, num_views: int) -> int:
     return int((np.bincount(windows.view, minlength=num_views) < FEW_MATCHES).sum())
 
 
-def find_anew(survey: Survey, workspace: Path, say: Callable[[str], None]) -> FoundAnew:
+def find_anew(survey: Survey, workspace: Path, say: Callable[[str], None]) -> RecoveredPoses:
     """The block of a survey by structure from motion, brought to its poses.
 
     Raises
@@ -125,7 +127,7 @@ def find_anew(survey: Survey, workspace: Path, say: Callable[[str], None]) -> Fo
         all_centres[numbers], all_rotations[numbers] = onto(centres), rotations @ onto.rotation.T
         ties = found.ties.renumbered(numbers)
         parts.append(replace(ties, start=onto(ties.start)))
-    return FoundAnew(TiePoints.together(parts), all_centres, all_rotations)
+    return RecoveredPoses(TiePoints.together(parts), all_centres, all_rotations)
 
 
 def _onto(centres: np.ndarray, rotations: np.ndarray, given: np.ndarray, turned: np.ndarray) -> Similarity:

@@ -8,23 +8,28 @@ a run says that keeps them.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_array
 
+from evaluation.standards import TO_95, TVU
 from survey.adjust.bundle import Problem, covariance_at
-from survey.adjust.observed import KINDS, WINDOW
+from survey.adjust.observed import CELLS, KINDS, PER_CELL, WINDOW
 from survey.adjust.prediction import linearise, predict, relief_sides
-from survey.adjust.priors import known_of, priors_for
+from survey.adjust.priors import EXACT_STD_DEG, EXACT_STD_M, INDEX_STD, LEVEL_STD_M, known_of, priors_for
 from survey.adjust.state import RELIEF, WATER
 from survey.adjust.std_common import std_common
-from survey.adjust.thinning import CELLS, PER_CELL
+from survey.adjust.verdicts import MOST_STD_FOCAL, MOST_STD_INDEX, MOST_STD_LEVEL_M
 from survey.folder.survey import Survey
+from survey.folder.water import ASSUMED_INDEX_STD
 from survey.photos.tie_points import TiePoints
+from survey.plan.check import Section
 from survey.plan.choices import USUAL, Choices
 from survey.plan.places import in_the_middle, places_of
 from survey.plan.plan import Plan, make_plan
+from survey.plan.verdict import Verdict, by_limits, judged
 
 # What is assumed [px] of the windows of an adjustment and of the pixels of the cloud, in clear and still water: on
 # drawn surveys level and index are then found up to twice as well as foreseen (docs/adjustment.md).
@@ -37,6 +42,13 @@ RELIEF_SHARE, _SEED = 0.3, 20_261_122
 DEPTH_SHARES, _DEEPEST_SHARE = (0.25, 0.5, 1.0, 2.0, 4.0), 0.5
 # A place of the bed is in so many frames, at most, that count for its height.
 _MOST_VIEWS = 12
+# Good and fair: photographs that the worst tenth of the places is in; angles between rays to a place.
+OVERLAP, ANGLES_DEG = (5.0, 3.0), (30.0, 15.0)
+_ADJUSTED = "poses and lens adjusted"
+_KEPT = (
+    "for heights poses and lens kept, as good as those of an adjusted block "
+    f"({100 * EXACT_STD_M:g} cm, {EXACT_STD_DEG:g} degrees) where nothing is said"
+)
 
 
 @dataclass(frozen=True)
@@ -222,3 +234,78 @@ def _angles(survey: Survey, ties: TiePoints) -> np.ndarray:
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         found[number] = math.degrees(math.acos(float(np.clip((rays @ rays.T).min(), -1.0, 1.0))))
     return found
+
+
+def foreseen_section(survey: Survey, *, depth_m: float = DEPTH_M, chosen: Choices = USUAL) -> Section | None:
+    """What is foreseen, for `check`; None where too few views overlap."""
+    found = foresee(survey, depth_m=depth_m, chosen=chosen)
+    if found is None:
+        return None
+    return Section("Foreseen from the poses", rows_of(found, heights_by_depth(survey, depth_m, chosen=chosen)))
+
+
+def rows_of(found: Foreseen, by_depth: Sequence[HeightStds]) -> tuple[tuple[str, str], ...]:
+    """What is foreseen, as labelled sentences."""
+    is_wet = math.isfinite(found.level_std_m)
+    place = f"a rough bed {found.heights.depth_m:g} m under the water" if is_wet else "rough ground"
+    assumed = (
+        f"{place}, tie points good to {TIE_STD_PX:g} px, matches to {MATCH_STD_PX:g} px of what is worked on, "
+        f"{_ADJUSTED if found.is_adjusted else _KEPT}, level and index known to {LEVEL_STD_M:g} m and {INDEX_STD:g} "
+        f"where nothing is said, an index that is not given to {ASSUMED_INDEX_STD:g}, still and clear water "
+        "without glitter"
+    )
+    rows = [("overlap", _overlap_text(*found.views_of_place)), ("angles", _angles_text(found.angle_deg))]
+    if is_wet:
+        rows += [
+            ("level", _use(f"to {100.0 * found.level_std_m:.1f} cm", found.level_std_m, MOST_STD_LEVEL_M)),
+            ("index", _use(f"to {found.index_std:.4f}", found.index_std, MOST_STD_INDEX)),
+        ]
+    rows += [
+        ("focal length", _use(f"to {100.0 * found.focal_std:.2f} %", found.focal_std, MOST_STD_FOCAL)),
+        ("heights", _heights_text(found.heights, by_depth)),
+        ("assumed", assumed),
+    ]
+    return tuple(rows)
+
+
+def _overlap_text(low: float, median: float) -> str:
+    return judged(
+        by_limits(low, *OVERLAP),
+        f"a place is in {median:.0f} photographs (median), the worst tenth in {low:.0f} or fewer",
+        "fly 80 % of overlap ahead and 70 % aside, or a smaller area",
+    )
+
+
+def _angles_text(angle_deg: float) -> str:
+    return judged(
+        by_limits(angle_deg, *ANGLES_DEG),
+        f"rays to a place differ by up to {angle_deg:.0f} degrees (median)",
+        "add views tilted by 25 to 35 degrees that cross",
+    )
+
+
+def _use(words: str, std: float, limit: float) -> str:
+    if std <= limit:
+        return judged(Verdict.good, f"the photographs can tell it {words}", "")
+    return judged(
+        Verdict.poor, f"not observable by this flight: {words}", "it has to be given, or add oblique views that cross"
+    )
+
+
+def _heights_text(main: HeightStds, by_depth: Sequence[HeightStds]) -> str:
+    """Standard deviations by depth, and what S-44 says of those at the main depth."""
+    each = [f"{_mm(std.of_point_m)} / {_mm(std.of_all_m)} mm at {std.depth_m:.2g} m of depth" for std in by_depth]
+    said = ", ".join(each) or f"{_mm(main.of_point_m)} / {_mm(main.of_all_m)} mm"
+    total = TO_95 * math.hypot(main.of_point_m, main.of_all_m)
+    allowed = [(name, math.hypot(a, b * main.depth_m)) for name, a, b in TVU]
+    orders = [name for name, most in allowed if total <= most]
+    order = f"; enough for S-44 {orders[0]} at {main.depth_m:.2g} m" if orders and by_depth else ""
+    return judged(
+        by_limits(total, allowed[0][1], allowed[1][1]),
+        f"one sigma, of a point by matching / of all in common by water, lens and poses: {said}{order}",
+        "fly lower, with more overlap and oblique views",
+    )
+
+
+def _mm(metres: float) -> str:
+    return f"{1000.0 * metres:.0f}" if metres >= 0.001 else f"{1000.0 * metres:.1f}"

@@ -13,7 +13,7 @@ import numpy as np
 
 from refract import FlatWater
 from survey.adjust.adjustment import Adjustment
-from survey.adjust.common_error import moves_over_area
+from survey.adjust.std_common import moves_over_area
 from survey.display.quantities import length
 from survey.photos.tie_points import parts_of
 

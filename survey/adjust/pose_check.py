@@ -2,7 +2,7 @@
 
 Poses, lens and water that are exact leave residuals with no mean over a photograph. Errors of a pose move all that its
 photograph shows in one direction; what points can follow of them does no harm to the bed. Points follow a
-wrong level, and the bed with them: it is asked for apart (`survey.adjust.given_check`).
+wrong level, and the bed with them: it is asked for apart (`survey.adjust.given_values`).
 """
 
 from __future__ import annotations
@@ -15,14 +15,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from survey.adjust.bundle import NotConvergedError, Problem, solve
-from survey.adjust.flooding import dry_bed_error, level_over
-from survey.adjust.given_check import most_contradicted, told_of_given
-from survey.adjust.misfit import misfit
+from survey.adjust.given_values import check_dry_bed, check_given_values, dry_bed_error, misfit, most_contradicted
 from survey.adjust.observed import KINDS, MATCH, WINDOW, observed, rows_taken
 from survey.adjust.prediction import relief_sides
 from survey.adjust.priors import FREE_WATER, HELD, known_of, priors_for
 from survey.adjust.state import State
-from survey.adjust.windows_of_survey import windows_of_block
+from survey.adjust.windows import windows_of_block
 from survey.folder.contradiction import Contradiction
 from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints
@@ -114,7 +112,7 @@ def check_of_ties(survey: Survey, plan: Plan, kind: int, ties: TiePoints) -> Pos
     problem = Problem(known.layout, seen.ties, seen.kind, priors, np.full(len(KINDS), np.nan), sides, rows)
     solution = solve(replace(problem, holds_parameters=True), state)
     found = misfit(solution.residuals, seen.ties.view)
-    flooded = level_over(survey, problem, solution.state, plan.gsd_m)
+    flooded = check_dry_bed(survey, problem, solution.state, plan.gsd_m)
     if flooded is not None:
         return PoseCheck(found, flooded=flooded)
     of_poses = found
@@ -123,7 +121,7 @@ def check_of_ties(survey: Survey, plan: Plan, kind: int, ties: TiePoints) -> Pos
     if of_poses is None or of_poses > MOST_MISFIT_PX:
         # Errors of poses look like those of the water; all is adjusted together then.
         return PoseCheck(found)
-    return PoseCheck(found, tuple(told_of_given(survey, problem, solution.state, of_poses, plan.gsd_m)))
+    return PoseCheck(found, tuple(check_given_values(survey, problem, solution.state, of_poses, plan.gsd_m)))
 
 
 def _under_best_level(problem: Problem, state: State) -> float | None:

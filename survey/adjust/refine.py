@@ -17,25 +17,27 @@ from survey.adjust.adjustment import UNKNOWN, Adjustment
 from survey.adjust.applied import at_state
 from survey.adjust.assembling import result
 from survey.adjust.bundle import NotConvergedError
-from survey.adjust.common_height import height_doubts, placed_by_level, water_start, with_common, without_common
-from survey.adjust.contradiction import MOST_OF_FOUR, released, worst_contradiction
+from survey.adjust.common_height import apply_level_datum, height_doubts, water_start, with_common, without_common
 from survey.adjust.far_poses import Search, windows_or_search
-from survey.adjust.flooding import dry_bed_error, level_over_block
-from survey.adjust.free_water import Lost, adjust_free, dry_or_within_bounds, water_std, within_bounds
-from survey.adjust.given_check import LEVEL, LEVEL_NAME
-from survey.adjust.holding import adjusted_with
+from survey.adjust.given_values import LEVEL, LEVEL_NAME, check_dry_block, dry_bed_error, released, worst_contradiction
 from survey.adjust.lone_control import contradicted_points, is_lone, lone_warning
-from survey.adjust.observed import MATCH, WINDOW, Observed, observed
+from survey.adjust.observability import (
+    Unobservable,
+    adjust_free,
+    adjusted_with,
+    dry_or_within_bounds,
+    water_std,
+    within_bounds,
+)
+from survey.adjust.observed import CELLS, MATCH, PER_CELL, WINDOW, Observed, observed, thinned
 from survey.adjust.parts import parts_warning
 from survey.adjust.priors import Known, known_of
 from survey.adjust.roll_notes import open_roll_named, roll_notes
 from survey.adjust.rounds import Adjusted, adjust
-from survey.adjust.state import WATER
-from survey.adjust.thinning import CELLS, PER_CELL, thinned
+from survey.adjust.state import WATER, WATER_PARAMETERS
 from survey.adjust.unnamed_water import water_seen
-from survey.adjust.verdicts import MOST_STD_LEVEL_M
-from survey.adjust.water_settings import WATER_PARAMETERS
-from survey.adjust.windows_of_survey import measure_windows
+from survey.adjust.verdicts import MOST_SIGMAS_OF_FOUR, MOST_STD_LEVEL_M
+from survey.adjust.windows import measure_windows
 from survey.errors import SurveyError
 from survey.folder.contradiction import Contradiction
 from survey.folder.survey import Survey
@@ -106,7 +108,7 @@ def _adjusted(
     free_water: bool = False,
 ) -> Adjustment:
     """See `adjust_survey`; with the windows, where they were measured already."""
-    gathered = _Gathered(survey, known, free_water)
+    gathered = _BlockAdjustment(survey, known, free_water)
     done: Adjusted | None = None
     shares = [0.0, 0.9, 0.1]
     if survey.ties is not None:
@@ -172,13 +174,13 @@ def _windows_at(survey: Survey, done: Adjusted | None, device: str, advance: Cal
     """Windows of an adjusted block, of a survey as it came where there is none."""
     if done is None:
         return measure_windows(survey, device=device, advance=advance)
-    placed, common = placed_by_level(done)
+    placed, common = apply_level_datum(done)
     windows = measure_windows(at_state(survey, done.known, placed.solution.state), device=device, advance=advance)
     up = np.array([0.0, 0.0, 0.0 if common is None else common.error])
     return replace(windows, start=windows.start + up)
 
 
-class _Gathered:
+class _BlockAdjustment:
     """What is observed of a survey, as more of it is measured, and the adjustments of all that there is."""
 
     def __init__(self, survey: Survey, known: Known, free_water: bool):
@@ -186,7 +188,7 @@ class _Gathered:
         self._sizes = [(view.lens.width, view.lens.height) for view in survey.views]
         self.marks_std = _MARKS_STD_PX if survey.control is None else survey.control.marks_std_px
         self._parts: list[tuple[int, TiePoints]] = []
-        self._lost: dict[str, Lost] = {}
+        self._lost: dict[str, Unobservable] = {}
 
     @property
     def _observed(self) -> Observed:
@@ -203,7 +205,7 @@ class _Gathered:
             return self._at_level(start)
         done = adjust(start, self._observed, self._sizes, self.marks_std)
         if len(self._parts) == 1 and self._survey.is_level_known:
-            level = level_over_block(self._survey, start, self._observed, done, self.marks_std)
+            level = check_dry_block(self._survey, start, self._observed, done, self.marks_std)
             if level is not None:
                 raise dry_bed_error(level, "leave out [water] if the bed is dry")
         return done
@@ -250,7 +252,7 @@ class _Gathered:
             return []
         kind, ties = self._parts[0]
         try:
-            free = placed_by_level(_Gathered(alone, known, free_water=False).with_more(kind, ties, known))[0]
+            free = apply_level_datum(_BlockAdjustment(alone, known, free_water=False).with_more(kind, ties, known))[0]
         except NotConvergedError:
             return []
         against = contradicted_points(control, self.marks_std, self._survey, free)
@@ -262,10 +264,10 @@ class _Gathered:
         total = sum(len(ties.view) for _, ties in self._parts) + (0 if control is None else len(control.marks))
         if self._free_water:
             return result(self._survey, done, total, lost=self._lost)
-        placed, common = placed_by_level(done)
+        placed, common = apply_level_datum(done)
 
         def hold(held: np.ndarray) -> Adjusted:
-            return placed_by_level(adjusted_with(done, held, self.known.std, self._sizes, self.marks_std))[0]
+            return apply_level_datum(adjusted_with(done, held, self.known.std, self._sizes, self.marks_std))[0]
 
         used = {WATER_PARAMETERS.index(each.name) for each in against} | (set() if common is None else {LEVEL})
         found = result(self._survey, placed, total, contradicted=sorted(used), hold=hold)
@@ -283,8 +285,8 @@ def _against(found: Adjustment, each: Contradiction) -> str:
     return (
         f"{row.name} is given as {row.given:.{digits}f} +- {each.given_std:.2g}{unit}, and the photographs say "
         f"{row.value:.{digits}f} +- {row.std:.2g}{unit}: the two contradict each other by more than "
-        f"{MOST_OF_FOUR:.1f} standard deviations; what the photographs say is used. Correct the value, its vertical "
-        "datum, or its standard deviation"
+        f"{MOST_SIGMAS_OF_FOUR:.1f} standard deviations; what the photographs say is used. Correct the value, its "
+        "vertical datum, or its standard deviation"
     )
 
 

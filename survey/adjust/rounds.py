@@ -6,16 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from survey.adjust.bundle import NotConvergedError, Problem, Solution, solve
-from survey.adjust.clusters import inflation
+from survey.adjust.bundle import NotConvergedError, Problem, Solution, System, inverse, solve, system_with
+from survey.adjust.clusters import inflation, terrain_design_effect
 from survey.adjust.control_check import checked_points, given_points
-from survey.adjust.ground_clusters import shared_by_ground
 from survey.adjust.observed import KINDS, MARK, Observed, rows_taken
 from survey.adjust.pose_std import judged
 from survey.adjust.prediction import relief_sides
 from survey.adjust.priors import Known, priors_for
-from survey.adjust.shore_side import covariance_over_shore
-from survey.adjust.state import State
+from survey.adjust.state import State, with_parameters
 
 # Observations of more standard deviations than this are left out.
 _OUTLIER = 4.0
@@ -24,6 +22,48 @@ _ROUNDS = 4
 _STRATA = 3
 # Under this share of observations left out in a round, there are no more outliers to find.
 _FEW = 0.002
+# The water is raised by so many standard deviations, so often at most.
+_RAISED, _MOST_STEPS = 2.0, 6
+# The level is as uncertain as it was, to this share.
+_STEADY = 0.1
+
+
+def covariance_over_shore(problem: Problem, solution: Solution) -> np.ndarray:
+    """Covariance (P, P) of the parameters with a free level, where points near it may be wet or dry.
+
+    The derivative of the rays of a point by the level jumps at the surface. Points just above a level that was found
+    have none, and tell the level against the wet ones all the better; were it a little higher, they would tell nothing.
+    Over a bed that is wet all over, photographs may tell the level to no better than a metre, and the adjustment ends
+    where the first points come dry, with a standard deviation of centimetres. So the normal equations are taken with
+    the water raised by two standard deviations, until these no longer grow. Where no point is near the surface, the
+    covariance is that of the solution.
+
+    Parameters
+    ----------
+    problem : Problem
+    solution : Solution
+        Of the problem; its weights are kept.
+    """
+    system, covariance, state = solution.system, solution.covariance, solution.state
+    std = std_over_points(system, covariance)
+    for _ in range(_MOST_STEPS):
+        parameters = state.water_parameters()
+        parameters[0] += _RAISED * std
+        raised = replace(state, water=with_parameters(state.water, parameters))
+        system = system_with(problem, raised, solution.weights)
+        again = inverse(system.normal)
+        before, std = std, std_over_points(system, again)
+        if std <= (1.0 + _STEADY) * before:
+            break
+        covariance = again
+    return covariance
+
+
+def std_over_points(system: System, covariance: np.ndarray) -> float:
+    """Standard deviation [m] of the height of the water over the points, in the mean."""
+    depth = -system.heights_by_parameters()
+    depth[0] += 1.0
+    return float(np.sqrt(depth @ covariance @ depth))
 
 
 @dataclass(frozen=True)
@@ -115,7 +155,7 @@ def _factors(problem: Problem, solution: Solution, sizes, before: np.ndarray) ->
     is_tie = kind % len(KINDS) != MARK
     if is_tie.any():
         # Errors of the ground are in all photographs, so that they are not told from those of one photograph.
-        lacking = shared_by_ground(problem, solution, sizes, is_tie)
+        lacking = terrain_design_effect(problem, solution, sizes, is_tie)
         shared *= max(1.0, lacking * float(np.mean((before[kind] / shared)[is_tie])))
     factors = np.array([_first(shared[kind == number]) for number in range(len(before))])
     factors[MARK :: len(KINDS)] = 1.0

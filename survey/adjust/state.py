@@ -19,8 +19,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from refract import FlatWater
-from survey.adjust.brown import COEFFICIENTS
+from survey.folder.config import WaterConfig
+from survey.folder.place import water_plane
+from survey.folder.survey import Survey
 
+COEFFICIENTS = ("k1", "k2", "k3", "p1", "p2")
 WATER_NAMES = ("height_m", "slope_x", "slope_y", "refractive_index")
 LENS_NAMES = ("f", "cx", "cy", *COEFFICIENTS)
 READOUT_NAME = "readout_s"
@@ -28,6 +31,44 @@ RATE_NAME = "level_rate_m_per_h"
 WATER, RELIEF, LENS, POSE = 4, 3, 8, 6
 # An index outside these is no water; a step never leaves them.
 _INDEX_RANGE = (1.0, 2.0)
+# The water as survey.toml counts it: level at `level_at`, slopes along the grid axes.
+WATER_PARAMETERS = ("level_m", "slope_east", "slope_north", "refractive_index")
+# Of the four parameters, for derivatives by differences: the plane is linear in them.
+_STEPS = (1e-3, 1e-6, 1e-6, 1e-6)
+
+
+def distort(xy: np.ndarray, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Distorted coordinates (N, 2), and their derivatives by xy (N, 2, 2) and by the coefficients (N, 2, 5).
+
+    With x, y where a ray meets the plane at depth 1 in cam, and r^2 = x^2 + y^2,
+
+        x_d = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2), and y likewise with p1 and p2 in turn,
+
+    as OpenCV and COLMAP have it (D. C. Brown, Photogrammetric Engineering 32(3), 1966).
+
+    Parameters
+    ----------
+    xy : (N, 2)
+    coefficients : (N, 5)
+        In the order of `COEFFICIENTS`.
+    """
+    x, y = xy.T
+    k1, k2, k3, p1, p2 = coefficients.T
+    xx, yy, xy2 = x * x, y * y, 2.0 * x * y
+    r2 = xx + yy
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))
+    out = np.stack(
+        [x * radial + p1 * xy2 + p2 * (r2 + 2.0 * xx), y * radial + p2 * xy2 + p1 * (r2 + 2.0 * yy)], axis=-1
+    )
+    mixed = x * y * slope + 2.0 * (p1 * x + p2 * y)
+    by_x = radial + xx * slope + 2.0 * p1 * y + 6.0 * p2 * x
+    by_y = radial + yy * slope + 2.0 * p2 * x + 6.0 * p1 * y
+    by_xy = np.stack([np.stack([by_x, mixed], axis=-1), np.stack([mixed, by_y], axis=-1)], axis=-2)
+    powers = r2[:, None] ** np.arange(1, 4)
+    along_x = np.column_stack([x[:, None] * powers, xy2, r2 + 2.0 * xx])
+    along_y = np.column_stack([y[:, None] * powers, r2 + 2.0 * yy, xy2])
+    return out, by_xy, np.stack([along_x, along_y], axis=1)
 
 
 @dataclass(frozen=True)
@@ -150,3 +191,27 @@ def with_parameters(water: FlatWater | None, parameters: np.ndarray) -> FlatWate
     x, y, _ = water.point
     index = min(max(index, _INDEX_RANGE[0]), _INDEX_RANGE[1])
     return replace(water, point=(x, y, height), slope_x=slope_x, slope_y=slope_y, n_water=index)
+
+
+def settings_by_local(survey: Survey, place: np.ndarray) -> np.ndarray:
+    """Derivative (4, 4) of the settings by height at a place (x, y), slopes and index in local; it is constant."""
+    _, given = survey.require_water()
+    start, values = _at(survey, given, place), settings_of(given)
+    moved = [_at(survey, with_settings(given, values + step), place) - start for step in np.diag(_STEPS)]
+    return np.linalg.inv(np.stack(moved, axis=-1) / _STEPS)
+
+
+def settings_of(water: WaterConfig) -> np.ndarray:
+    """The four parameters as numbers."""
+    return np.array([float(getattr(water, name)) for name in WATER_PARAMETERS])
+
+
+def with_settings(water: WaterConfig, values: np.ndarray) -> WaterConfig:
+    """The water with other numbers (4,)."""
+    level, east, north, index = np.asarray(values).tolist()
+    return replace(water, level_m=level, slope_east=east, slope_north=north, refractive_index=index)
+
+
+def _at(survey: Survey, water: WaterConfig, place: np.ndarray) -> np.ndarray:
+    plane = water_plane(survey.frame, water)
+    return np.array([float(plane.height(*place)), plane.slope_x, plane.slope_y, plane.n_water])

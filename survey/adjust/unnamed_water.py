@@ -15,12 +15,11 @@ import numpy as np
 
 from refract import FlatWater
 from survey.adjust.bundle import NotConvergedError, Problem, cost, solve
-from survey.adjust.free_water import FEWEST_WET
+from survey.adjust.observability import FEWEST_WET
 from survey.adjust.observed import KINDS, MARK, Observed, rows_taken
 from survey.adjust.prediction import relief_sides
 from survey.adjust.priors import Known, priors_for
-from survey.adjust.rounds import Adjusted
-from survey.adjust.shore_side import std_over_points
+from survey.adjust.rounds import Adjusted, std_over_points
 from survey.adjust.state import State
 
 # Fresh water and the sea, in the light of photographs, and how far they differ; what a river falls [m/m].

@@ -9,11 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from survey.adjust.adjustment import FREE, HELD, UNKNOWN, Parameter
-from survey.adjust.state import LENS_NAMES, RATE_NAME, READOUT_NAME, Layout, State
-from survey.adjust.water_settings import WATER_PARAMETERS
+from survey.adjust.state import LENS_NAMES, RATE_NAME, READOUT_NAME, WATER_PARAMETERS, Layout, State
 from survey.folder.config import WaterConfig
 from survey.folder.shutter import rows_between
 
+# Beyond this many standard deviations of their difference, two values contradict each other. Where four parameters are
+# tested, one of them is beyond the latter by chance in one survey of a thousand (docs/adjustment.md).
+MOST_SIGMAS, MOST_SIGMAS_OF_FOUR = 3.0, 3.66
 # One sigma beyond which a parameter is of no use. 5 cm of level move the bed by 2 cm, and so does 0.01 of index in 3 m
 # of water; 0.5 % of the focal length moves the ground by 0.5 % of the flying height.
 MOST_STD_LEVEL_M, MOST_STD_INDEX, MOST_STD_FOCAL = 0.05, 0.01, 0.005
@@ -43,7 +45,7 @@ def judge(name: str, value: float, std: float, given: float, given_std: float, l
     return Parameter(name, value, std, given, prior, FREE, f"found: {shown}{_against(std, given, prior, unit)}")
 
 
-def lost_verdict(name: str, std: float, given: float, reason: str) -> Parameter:
+def unobservable_verdict(name: str, std: float, given: float, reason: str) -> Parameter:
     """A parameter of the water that keeps its given value for a reason."""
     kept = f"{given:.5f}" + (" m" if name == "level_m" else "")
     return Parameter(name, given, std, given, None, UNKNOWN, f"not observable: {reason}; {kept} is kept")

@@ -12,11 +12,10 @@ import numpy as np
 from geo.files import write_whole
 from survey.adjust.adjustment import Adjustment, Parameter
 from survey.adjust.bundle import NotConvergedError
-from survey.adjust.free_water import all_lost
+from survey.adjust.observability import none_observable
 from survey.adjust.refine import adjust_survey
-from survey.adjust.state import WATER
-from survey.adjust.verdicts import lost_verdict
-from survey.adjust.water_settings import WATER_PARAMETERS, settings_by_local, settings_of
+from survey.adjust.state import WATER, WATER_PARAMETERS, settings_by_local, settings_of
+from survey.adjust.verdicts import unobservable_verdict
 from survey.errors import SurveyError
 from survey.files.json_values import json_text
 from survey.files.outputs import is_json, require_file
@@ -222,8 +221,8 @@ def _covariance(survey: Survey, found: Adjustment) -> tuple[tuple[float, ...], .
 def _nothing(survey: Survey, reason: str) -> WaterEstimate:
     """The estimate where nothing was adjusted."""
     _, given = survey.require_water()
-    rows = zip(all_lost(reason).items(), settings_of(given).tolist(), strict=True)
-    parameters = tuple(lost_verdict(name, lost.std, value, lost.reason) for (name, lost), value in rows)
+    rows = zip(none_observable(reason).items(), settings_of(given).tolist(), strict=True)
+    parameters = tuple(unobservable_verdict(name, lost.std, value, lost.reason) for (name, lost), value in rows)
     covariance = _rows(np.diag([row.std**2 for row in parameters]))
     return WaterEstimate(given, parameters, covariance, 0, 0, 0, 0, None)
 

@@ -22,8 +22,13 @@ from fields.sweep.sweep import sweep
 from fields.sweep.view_pass import view_passes
 from refract import FlatWater, PinholeCamera
 from survey.adjust.matching import RADIUS, match, prepared, window
+from survey.errors import SurveyError
+from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints
-from survey.plan.area import within
+from survey.plan.area import limits, local_area, within
+from survey.plan.block import camera_of, load_block
+from survey.plan.choices import Choices
+from survey.plan.plan import Plan, make_plan
 from survey.plan.rates import STEPS_PER_CORE_S, search_s
 
 # The coarse sweep: approximate heights of the bed. Beside steps, where there are no windows, nothing more is searched.
@@ -249,3 +254,54 @@ def _joined(windows: list[_Windows], parts) -> TiePoints:
     points = np.concatenate([w.points for w in windows])
     ties = TiePoints(points, point[order], view[order], pixel[order])
     return ties.only(np.isfinite(points).all(axis=1)[ties.point])
+
+
+def measure_windows(survey: Survey, *, device: str = "auto", advance: Callable[[float], None]) -> TiePoints:
+    """The windows of a survey as tie points.
+
+    Raises
+    ------
+    SurveyError
+        If the photographs do not match.
+    """
+    plan = make_plan(survey, Choices(device=device))
+    return windows_of_block(survey, plan, *loaded(survey, plan), advance)
+
+
+def loaded(survey: Survey, plan: Plan) -> tuple[Block, tuple[float, float]]:
+    """The photographs of a survey, and the range of heights over the water plane [m] in which its bed lies.
+
+    Raises
+    ------
+    SurveyError
+        If the photographs do not match.
+    """
+    # Starts Dr.Jit, which the adjustment does not need.
+    from fields.sweep.ranging import find_range
+
+    block = load_block(survey, plan, lambda _amount: None)
+    try:
+        return block, find_range(block, limits(survey))
+    except ValueError as error:
+        raise SurveyError(str(error)) from error
+
+
+def windows_of_block(
+    survey: Survey,
+    plan: Plan,
+    block: Block,
+    bound: tuple[float, float],
+    advance: Callable[[float], None],
+    *,
+    sparse: bool = False,
+) -> TiePoints:
+    """The same of a survey whose photographs are loaded, and of which the range of heights is known.
+
+    ``sparse`` takes fewer windows: as many as means over photographs need.
+    """
+    from survey.adjust.windows import DENSE, SPARSE, measure
+
+    ties = measure(block, bound, local_area(survey), advance, SPARSE if sparse else DENSE)
+    full = [(view.camera, camera_of(view, plan)) for view in survey.views]
+    enlarge = np.array([(camera.fx / used.fx, camera.fy / used.fy) for camera, used in full])
+    return replace(ties, pixel=ties.pixel * enlarge[ties.view])

@@ -26,7 +26,7 @@ _READERS = {
     "cameras.bin": files.cameras_bin, "images.bin": files.images_bin, "points3D.bin": files.points_bin,
     "rigs.bin": files.rigs_bin, "frames.bin": files.frames_bin,
 }  # fmt: skip
-# How models begin that come from an adjustment with bent rays, see `survey.adjust.written`.
+# How models begin that come from an adjustment with bent rays, see `survey.adjust.applied`.
 _OWN_FIRST_WORDS = b"# In survey.toml:"
 # Poses of a rig and of its images are written with 17 digits; further apart than this they are not the same.
 _SAME_POSE = 1e-6

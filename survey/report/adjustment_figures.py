@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from survey.adjust.adjustment import Adjustment, ControlResidual, Parameter
-from survey.adjust.common_error import CommonError, common_error
 from survey.adjust.parts import Part, parts_of_adjustment
 from survey.adjust.state import RELIEF
+from survey.adjust.std_common import CommonError, common_error
 from survey.display.quantities import length
 from survey.folder.survey import Survey
 from survey.report.stated import CE90, LE90

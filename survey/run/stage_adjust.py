@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 from survey.adjust import refine
 from survey.adjust.adjustment import ARRAYS, JSON, read_adjustment, write_adjustment
-from survey.adjust.applied import apply_adjustment
-from survey.adjust.written import CAMERAS, MODEL, write_cameras
+from survey.adjust.applied import CAMERAS, MODEL, apply_adjustment, write_cameras
 
 if TYPE_CHECKING:
     from survey.run.job import Job

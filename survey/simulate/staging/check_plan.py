@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from geo.sun import sun_at
-from survey.adjust.foreseen import DEPTH_M
-from survey.adjust.foreseen_text import foreseen_section
+from survey.adjust.foreseen import DEPTH_M, foreseen_section
 from survey.display.quantities import length
 from survey.errors import FILE_NAME, SurveyError
 from survey.folder.config import AreaConfig, SurveyConfig, WaterConfig

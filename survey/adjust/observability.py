@@ -1,22 +1,38 @@
-"""Adjustment of a survey without prior knowledge of its water.
+"""Observability: which parameters of water, lens and shutter a block determines, and adjustment with the others held.
 
-What the photographs cannot tell of it is held: the worst parameter first, and the others adjusted again. Without the
-level nothing is observable, and the block is adjusted under the given water.
+`adjust_free`
+    Of a survey without prior knowledge of its water. The worst parameter is held first, and the others are adjusted
+    again. Without the level nothing is observable, and the block is adjusted under the given water.
+`adjusted_with`
+    With parameters held at their stated values. Where neither photographs nor survey know one well enough, the value
+    that was found follows the noise of the block. With C the covariance with all parameters free, U those that are
+    held, and S the covariance of what was given of them, the others follow them by ``G = C[:, U] C[U, U]^-1``, and the
+    covariance of the block is ``C + G (S - C[U, U]) G^T``.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from survey.adjust.adjustment import UNKNOWN, Parameter
 from survey.adjust.bundle import NotConvergedError
 from survey.adjust.observed import Observed
 from survey.adjust.priors import FREE_WATER, HELD, Known
 from survey.adjust.rounds import Adjusted, adjust
-from survey.adjust.state import WATER, State
+from survey.adjust.state import (
+    LENS_NAMES,
+    RATE_NAME,
+    READOUT_NAME,
+    WATER,
+    WATER_PARAMETERS,
+    Layout,
+    State,
+    settings_by_local,
+)
 from survey.adjust.verdicts import water_limits
-from survey.adjust.water_settings import WATER_PARAMETERS, settings_by_local
 from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints
 
@@ -29,7 +45,7 @@ _HELD_STD = np.array([HELD, 1e-3, 1e-3, 3e-3])
 
 
 @dataclass(frozen=True)
-class Lost:
+class Unobservable:
     """Why a parameter of the water is not observable, and its standard deviation before it was held."""
 
     std: float
@@ -38,7 +54,7 @@ class Lost:
 
 def adjust_free(
     survey: Survey, known: Known, seen: Observed, sizes, marks_std_px: float
-) -> tuple[Adjusted, dict[str, Lost]]:
+) -> tuple[Adjusted, dict[str, Unobservable]]:
     """Adjust a block with free water (`known`), and say by name what of it is not observable.
 
     Raises
@@ -47,22 +63,22 @@ def adjust_free(
         If the adjustment does not converge with the water held either.
     """
 
-    def under_given_water(lost: dict[str, Lost]) -> tuple[Adjusted, dict[str, Lost]]:
+    def under_given_water(lost: dict[str, Unobservable]) -> tuple[Adjusted, dict[str, Unobservable]]:
         return adjust(_held(known, np.arange(WATER), HELD), seen, sizes, marks_std_px), lost
 
     few = _too_few(replace(known.state, points=seen.ties.start))
     if few is not None:
-        return under_given_water(all_lost(few))
+        return under_given_water(none_observable(few))
     try:
         done = adjust(known, seen, sizes, marks_std_px)
     except NotConvergedError as error:
-        return under_given_water(all_lost(str(error)))
+        return under_given_water(none_observable(str(error)))
     few = _too_few(done.solution.state)
     if few is not None:
-        return under_given_water(all_lost(few))
+        return under_given_water(none_observable(few))
     limits = water_limits(done.solution.state.points)
     first = std = water_std(survey, done)
-    lost: dict[str, Lost] = {}
+    lost: dict[str, Unobservable] = {}
     for _ in WATER_PARAMETERS:
         ratio = np.array([0.0 if name in lost else std[i] / limits[i] for i, name in enumerate(WATER_PARAMETERS)])
         if not ratio[0] <= 1.0:
@@ -70,7 +86,9 @@ def adjust_free(
         worst = int(np.argmax(ratio))
         if ratio[worst] <= 1.0:
             break
-        lost[WATER_PARAMETERS[worst]] = Lost(float(first[worst]), _too_uncertain(worst, first[worst], limits[worst]))
+        lost[WATER_PARAMETERS[worst]] = Unobservable(
+            float(first[worst]), _too_uncertain(worst, first[worst], limits[worst])
+        )
         known = _held(done.known, np.array([worst]), _HELD_STD[worst])
         known = replace(known, state=replace(done.solution.state, points=np.zeros((0, 3))))
         done = adjust(known, done.used, sizes, marks_std_px)
@@ -78,10 +96,13 @@ def adjust_free(
     return done, lost
 
 
-def all_lost(reason: str) -> dict[str, Lost]:
+def none_observable(reason: str) -> dict[str, Unobservable]:
     """Nothing is observable, for a reason that is said once, with the level."""
     reasons = (reason, *["the level is not"] * (WATER - 1))
-    return {name: Lost(float(std), text) for name, std, text in zip(WATER_PARAMETERS, FREE_WATER, reasons, strict=True)}
+    return {
+        name: Unobservable(float(std), text)
+        for name, std, text in zip(WATER_PARAMETERS, FREE_WATER, reasons, strict=True)
+    }
 
 
 def within_bounds(survey: Survey, ties: TiePoints) -> TiePoints:
@@ -132,17 +153,84 @@ def water_std(survey: Survey, done: Adjusted) -> np.ndarray:
     return np.sqrt(np.diag(by_local @ done.solution.covariance[:WATER, :WATER] @ by_local.T))
 
 
-def _without_level(std: np.ndarray, limits: np.ndarray) -> dict[str, Lost]:
+def _without_level(std: np.ndarray, limits: np.ndarray) -> dict[str, Unobservable]:
     lost = {}
     for i, name in enumerate(WATER_PARAMETERS):
         reason = _too_uncertain(i, std[i], limits[i])
         if std[i] <= limits[i]:
             # What it seems to be depends on where the level is kept.
             reason = f"the level is not, and {name} cannot be separated from it"
-        lost[name] = Lost(float(std[i]), reason)
+        lost[name] = Unobservable(float(std[i]), reason)
     return lost
 
 
 def _too_uncertain(number: int, std: float, limit: float) -> str:
     unit = " m" if number == 0 else ""
     return f"1 sigma is {std:.2g}{unit}, at most {limit:.2g}{unit} would be of use"
+
+
+def not_observable(parameters: Sequence[Parameter], layout: Layout) -> np.ndarray:
+    """Which parameters of the vector (P,) bool have the verdict that they are not observable."""
+    held = np.zeros(len(layout), dtype=bool)
+    for row in parameters:
+        if row.status == UNKNOWN:
+            held[_place(row.name, layout)] = True
+    return held
+
+
+def _place(name: str, layout: Layout) -> int:
+    if name in WATER_PARAMETERS:
+        return WATER_PARAMETERS.index(name)
+    if name == RATE_NAME:
+        return layout.first_rate
+    camera, parameter = name.split(".")
+    number = int(camera.removeprefix("camera"))
+    if parameter == READOUT_NAME:
+        return layout.first_readout + number
+    return layout.lens(number).start + LENS_NAMES.index(parameter)
+
+
+def adjusted_with(done: Adjusted, held: np.ndarray, stated_std: np.ndarray, sizes, marks_std_px: float) -> Adjusted:
+    """The block with parameters (P,) bool held at their given values.
+
+    Parameters
+    ----------
+    done : Adjusted
+        With all parameters free.
+    held : (P,) bool
+    stated_std : (P,)
+        Of the given values.
+    sizes, marks_std_px
+        As for `survey.adjust.rounds.adjust`.
+
+    Raises
+    ------
+    NotConvergedError
+        If the adjustment does not converge.
+    """
+    known, covariance = done.known, done.solution.covariance
+    kept = replace(
+        known,
+        state=done.solution.state.moved(known.layout, *_step(done, held)),
+        std=np.where(held, HELD * known.std, known.std),
+    )
+    again = adjust(kept, done.used.at(kept.state.points), sizes, marks_std_px)
+    follow = covariance[:, held] @ np.linalg.inv(covariance[np.ix_(held, held)])
+    more = np.diag(stated_std[held] ** 2) - covariance[np.ix_(held, held)]
+    solution = replace(again.solution, covariance=covariance + follow @ more @ follow.T)
+    blunders = done.blunders | again.blunders
+    return replace(again, known=replace(again.known, std=known.std), solution=solution, blunders=blunders)
+
+
+def _step(done: Adjusted, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Steps of parameters and points to where the held ones have their given values and the others follow."""
+    layout, state, covariance = done.known.layout, done.solution.state, done.solution.covariance
+    water = done.known.mean.water_parameters() - state.water_parameters()
+    lenses = (done.known.mean.lenses - state.lenses).ravel()
+    back = np.zeros(len(layout))
+    back[: len(water)], back[layout.first_lens : layout.first_readout] = water, lenses
+    if layout.finds_readouts:
+        back[layout.first_readout : layout.first_rate] = done.known.mean.readouts - state.readouts
+    back[layout.first_rate : layout.first_pose] = done.known.mean.rate - state.rate
+    step = covariance[:, held] @ np.linalg.solve(covariance[np.ix_(held, held)], back[held])
+    return step, done.solution.system.point_steps(step)

@@ -13,7 +13,7 @@ from small_survey import TOML, replaced, small_survey
 
 from refract.lens import Lens
 from survey.adjust.adjustment import read_adjustment, write_adjustment
-from survey.adjust.written import write_cameras
+from survey.adjust.applied import write_cameras
 from survey.folder.survey import Survey, load_survey
 
 LENS = Lens("FULL_OPENCV", (101.3, 101.2, 31.7, 24.4, 0.02, -0.01, 1e-4, -2e-4, 0.003, 0.0, 0.0, 0.0), 64, 48)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -9,14 +10,17 @@ import pytest
 from scipy.stats import norm
 
 from survey.adjust import pose_check
-from survey.adjust.contradiction import MOST_OF_FOUR, worst_contradiction
+from survey.adjust.given_values import worst_contradiction
 from survey.adjust.observed import WINDOW
+from survey.adjust.refine import adjust_survey
+from survey.adjust.verdicts import MOST_SIGMAS_OF_FOUR
+from survey.errors import SurveyError
 from survey.folder.contradiction import Contradiction
 from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints
 from survey.plan.plan import make_plan
 from survey.plan.poses import pose_choice
-from tests.block_survey import survey_of, with_water
+from tests.block_survey import ORIGIN, survey_of, with_water
 from tests.drawn_block import DrawnBlock, draw_block
 
 # As good as windows are [px].
@@ -162,4 +166,36 @@ def test_a_dry_survey_contradicts_no_water():
 
 
 def test_one_survey_of_a_thousand_is_doubted_by_chance():
-    assert 1.0 - (1.0 - 2.0 * norm.sf(MOST_OF_FOUR)) ** 4 == pytest.approx(1e-3, rel=0.02)
+    assert 1.0 - (1.0 - 2.0 * norm.sf(MOST_SIGMAS_OF_FOUR)) ** 4 == pytest.approx(1e-3, rel=0.02)
+
+
+def block(seed: int, dry_share: float) -> DrawnBlock:
+    return draw_block(
+        seed, num_points=200, num_views=16, nadir_only=False, dry_share=dry_share, num_control=0, pixel_std=0.15,
+        height=25.0, depth=2.5,
+    )  # fmt: skip
+
+
+def lowered(drawn: DrawnBlock, down: float):
+    return with_water(survey_of(drawn), level_m=ORIGIN[2] + float(drawn.water[0]) - down)
+
+
+@pytest.mark.parametrize("down", [6.0, 45.0])
+def test_the_level_that_photographs_show_is_named(down):
+    missed = []
+    for seed in range(2):
+        drawn = block(seed, 0.3)
+        with pytest.raises(SurveyError, match=r"leaves all of the bed dry.*or leave out \[water\] if") as error:
+            adjust_survey(lowered(drawn, down), use_windows=False)
+        found, std = map(float, re.search(r"level is ([\d.]+) \+- ([\d.]+) m", str(error.value)).groups())
+        assert std < 0.3
+        # The text has centimetres.
+        missed.append((found - ORIGIN[2] - float(drawn.water[0])) / np.hypot(std, 0.005))
+    assert np.abs(missed).max() < 4.5
+
+
+def test_a_block_that_is_dry_stays_so():
+    for seed in range(2):
+        drawn = block(seed, 1.0)
+        found = adjust_survey(lowered(drawn, 8.0), use_windows=False)
+        assert found.parameter("level_m").value == pytest.approx(ORIGIN[2] + float(drawn.water[0]) - 8.0)

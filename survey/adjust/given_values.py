@@ -1,0 +1,299 @@
+"""Tests of given values of water and lens against the photographs.
+
+`check_given_values`
+    Under poses that photographs confirm. Points follow a wrong level, and photographs agree under it as well as under
+    the true one, to some thousandths of a pixel in the mean; the residuals of windows in many photographs tell it. One
+    Gauss-Newton step from the given values, with points and one parameter free: level, index, focal length or radial
+    distortion. The others are as good as stated, or as those of an adjusted block. Where the given value is true the
+    step is small, so that the test does not hang on how far the equations are linear. The one that is contradicted the
+    most is the one that is wrong: errors of the others leave other residuals.
+`worst_contradiction`
+    Of the water, by an adjusted block.
+`check_dry_bed`, `check_dry_block`
+    Whether a given level leaves a bed dry that photographs show under water. A level in another vertical datum may be
+    tens of metres too low. Where all rays are straight, no derivative tells of water any more; so the water is raised
+    over the points, and the adjustment may bring it back to the dry bed or find it in between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from refract import FlatWater
+from survey.adjust.bundle import NotConvergedError, Problem, System, inverse, solve, std_of_kinds, system_at
+from survey.adjust.clusters import inflation
+from survey.adjust.common_height import water_start
+from survey.adjust.observability import FEWEST_WET
+from survey.adjust.observed import Observed
+from survey.adjust.priors import HELD, Known, is_held, known_of, priors_for
+from survey.adjust.rounds import Adjusted, adjust, std_over_points
+from survey.adjust.state import LENS_NAMES, WATER, WATER_PARAMETERS, Layout, State
+from survey.adjust.verdicts import MOST_SIGMAS, MOST_SIGMAS_OF_FOUR, MOST_STD_INDEX
+from survey.errors import SurveyError
+from survey.folder.contradiction import Contradiction
+from survey.folder.pose_priors import BAROMETER_STD_M
+from survey.folder.survey import Survey
+from survey.plan.poses import MOST_MISFIT_PX
+
+# What is asked: of the water, and of each lens.
+LEVEL, _INDEX = 0, WATER - 1
+LEVEL_NAME, _INDEX_NAME = WATER_PARAMETERS[LEVEL], WATER_PARAMETERS[_INDEX]
+_OF_LENS = tuple(LENS_NAMES.index(name) for name in ("f", "k1"))
+# A focal length counts as wrong only beyond this share of it: small errors of poses look like one (docs/adjustment.md).
+_FOCAL_SHARE = 0.001
+# A rough bed looks as if the index were off by about so much (docs/adjustment.md).
+_ROUGH_INDEX = 0.01
+# Errors of poses [px]: a multiple of the misfit, as points follow a part of them; and the least.
+_OF_MISFIT, _LEAST_PX = 2.0, 0.01
+# With less of its own than this share of the knowledge beforehand, a block cannot contradict it.
+_LEAST_OWN = 0.02
+# Fewest windows of a photograph whose mean counts.
+_FEWEST_OF_VIEW = 10
+# The water is raised over most of the windows, and on by this share of the distance to the cameras.
+_COVERED, _SHARE = 0.95, 0.1
+# Windows, each in many photographs; there are few of them where the level is far below the bed, as a pixel seems to
+# cover more of it.
+_FEWEST_WINDOWS = 10
+
+
+def most_contradicted(told: Sequence[Contradiction]) -> Contradiction | None:
+    """The parameter that photographs contradict the most, if any; ``told`` as `check_given_values` has it."""
+    worst = max(told, key=lambda each: each.sigmas, default=None)
+    return worst if worst is not None and worst.sigmas > MOST_SIGMAS_OF_FOUR else None
+
+
+def check_given_values(
+    survey: Survey, problem: Problem, state: State, misfit_px: float, gsd: float, *, fewest_wet: int = FEWEST_WET
+) -> list[Contradiction]:
+    """What photographs say of level, index and lenses, whether they contradict it or not.
+
+    Without what they do not tell: of water that little lies under, of an index that is of no use.
+
+    Parameters
+    ----------
+    survey : Survey
+        Of the photographs that were measured.
+    problem : Problem
+        Of their windows, with everything held but points.
+    state : State
+        Its solution.
+    misfit_px : [px]
+        See `misfit`.
+    gsd : [m]
+        Ground sampling distance.
+    fewest_wet : int
+        Windows under water, with which level and index are asked for.
+    """
+    known = known_of(survey, gsd, free_water=True)
+    std = known.std.copy()
+    std[:WATER] = known_of(survey, gsd).std[:WATER]
+    std[known.layout.first_pose :] = _pose_std(known.layout, state, misfit_px, gsd)
+    asked = _asked(known, state, fewest_wet)
+    given = {number: float(std[number]) for number in asked}
+    focals = known.layout.first_lens + np.arange(len(known.lenses)) * len(LENS_NAMES)
+    least = dict(zip(focals.tolist(), _FOCAL_SHARE * state.lenses[:, 0], strict=True))
+    std[asked] = np.inf
+    problem = replace(problem, priors=replace(priors_for(known, problem.ties), state=state, std=std))
+    std_px = std_of_kinds(problem, problem.residuals(state), 0.0)
+    system = system_at(problem, state, std_px)
+    sizes = [(view.lens.width, view.lens.height) for view in survey.views]
+    told = []
+    for number in asked:
+        name, value = _name_and_value(survey, known, number)
+        given_std = max(given[number], least.get(number, 0.0))
+        told.append(Contradiction(name, value, given_std, *_told(problem, state, system, std_px, given, number, sizes)))
+    return [each for each in told if each.name != _INDEX_NAME or each.std <= np.hypot(MOST_STD_INDEX, _ROUGH_INDEX)]
+
+
+def _asked(known: Known, state: State, fewest_wet: int) -> list[int]:
+    """Numbers of the parameters that photographs are asked for."""
+    is_wet = state.water is not None and int((state.water.depth(state.points) > 0.0).sum()) >= fewest_wet
+    starts = [known.layout.lens(number).start for number, lens in enumerate(known.lenses) if not is_held(lens)]
+    return [*((LEVEL, _INDEX) if is_wet else ()), *(start + each for start in starts for each in _OF_LENS)]
+
+
+def _told(
+    problem: Problem,
+    state: State,
+    system: System,
+    std_px: np.ndarray,
+    given: Mapping[int, float],
+    number: int,
+    sizes: list[tuple[int, int]],
+) -> tuple[float, float]:
+    """Difference to what is given and standard deviation that a step finds for one parameter, all others as given."""
+    std = problem.priors.std.copy()
+    others = [each for each in given if each != number]
+    std[others] = [given[each] for each in others]
+    strength = np.zeros(len(std))
+    strength[others] = std[others] ** -2.0
+    covariance = inverse(system.normal + np.diag(strength))
+    step = covariance @ system.right
+    # The scatter is that about what was found: a wrong level is no noise.
+    left = problem.residuals(state.moved(problem.layout, step, system.point_steps(step)))
+    taken = float(np.sum(1.0 - np.diag(covariance) / std**2))
+    after = std_of_kinds(problem, left, taken)
+    shared = inflation(problem.ties, left, after, problem.kind, sizes)
+    factor = float(np.max(shared * (after / std_px)[problem.kind] ** 2))
+    variance = factor * float(covariance[number, number]) + (_ROUGH_INDEX**2 if number == _INDEX else 0.0)
+    return float(step[number]), float(np.sqrt(variance))
+
+
+def _pose_std(layout: Layout, state: State, misfit_px: float, gsd: float) -> np.ndarray:
+    """Standard deviations (6 V,) of poses: errors that move what photographs show by about as much as they miss."""
+    error_px = max(_OF_MISFIT * misfit_px, _LEAST_PX)
+    turn = error_px / state.lenses[layout.lens_of, 0]
+    return np.column_stack([np.full((len(turn), 3), error_px * gsd), *[turn] * 3]).ravel()
+
+
+def _name_and_value(survey: Survey, known: Known, number: int) -> tuple[str, float]:
+    """Of a parameter, as the survey gives it."""
+    if number < WATER:
+        name = WATER_PARAMETERS[number]
+        return name, float(getattr(survey.require_water()[1], name))
+    lens, parameter = divmod(number - known.layout.first_lens, len(LENS_NAMES))
+    return f"camera{lens}.{LENS_NAMES[parameter]}", float(known.state.lenses[lens, parameter])
+
+
+def worst_contradiction(survey: Survey, done: Adjusted) -> Contradiction | None:
+    """Of level, slopes and index the one that the block contradicts by the most standard deviations, if any.
+
+    One that is wrong draws the others with it, so that only the worst is surely wrong: it is released, and the block
+    asked again.
+
+    Notes
+    -----
+    Of a value of standard deviation s from a prior of standard deviation p, the block alone has told
+    ``1 / s^2 - 1 / p^2``, and its own value follows from the weighted mean.
+    """
+    if survey.water is None:
+        return None
+    worst, most = None, MOST_SIGMAS_OF_FOUR
+    _, water = survey.require_water()
+    moved = done.solution.state.water_parameters() - done.known.mean.water_parameters()
+    for number, name in enumerate(WATER_PARAMETERS):
+        prior = float(done.known.std[number])
+        both = float(done.solution.covariance[number, number])
+        own = 1.0 / both - 1.0 / prior**2
+        if prior <= 10.0 * HELD or own < _LEAST_OWN / prior**2:
+            continue
+        difference = float(moved[number]) / (both * own)
+        each = Contradiction(name, float(getattr(water, name)), prior, difference, own**-0.5)
+        if each.sigmas > most:
+            worst, most = each, each.sigmas
+    return worst
+
+
+def released(known: Known, found: Contradiction) -> Known:
+    """What is known, with the contradicted value as uncertain as it proved to be."""
+    std = known.std.copy()
+    std[WATER_PARAMETERS.index(found.name)] = max(abs(found.difference), found.given_std)
+    return replace(known, std=std)
+
+
+def misfit(residuals: np.ndarray, view: np.ndarray) -> float | None:
+    """Reprojection misfit under fixed poses [px], less its noise: see `PoseCheck`.
+
+    ``residuals`` (N, 2) [px] are those of observations in photographs ``view`` (N,).
+    """
+    squares = []
+    for number in np.unique(view):
+        mine = residuals[(view == number) & np.isfinite(residuals).all(axis=1)]
+        if len(mine) < _FEWEST_OF_VIEW:
+            continue
+        middle = np.median(mine, axis=0)
+        # The variance of a median is pi / 2 times that of a mean.
+        noise = np.square(1.4826 * np.median(np.abs(mine - middle), axis=0)) * (0.5 * np.pi / len(mine))
+        squares.append(middle**2 - noise)
+    return float(np.sqrt(max(float(np.mean(squares)), 0.0))) if squares else None
+
+
+def check_dry_bed(survey: Survey, problem: Problem, state: State, gsd: float) -> Contradiction | None:
+    """The level that photographs ask for, in place of one under which all is dry; None where they do not.
+
+    Parameters
+    ----------
+    survey : Survey
+        Of the photographs that were measured.
+    problem : Problem
+        Of their windows, with everything held but points.
+    state : State
+        Its solution.
+    gsd : [m]
+        Ground sampling distance.
+    """
+    if state.water is None or (state.water.depth(state.points) > 0.0).any():
+        return None
+    over = -state.water.depth(state.points)
+    distance = float(np.median(state.centres[:, 2]) - np.median(state.points[:, 2]))
+    step, std = np.zeros(len(problem.priors.std)), problem.priors.std.copy()
+    step[LEVEL], std[LEVEL] = np.quantile(over, _COVERED) + _SHARE * distance, np.inf
+    raised = state.moved(problem.layout, step, np.zeros_like(state.points))
+    with suppress(NotConvergedError):
+        found = solve(replace(problem, holds_parameters=False, priors=replace(problem.priors, std=std)), raised)
+        missed = misfit(found.residuals, problem.ties.view)
+        if missed is None or missed > MOST_MISFIT_PX:
+            return None
+        for each in check_given_values(survey, problem, found.state, missed, gsd, fewest_wet=_FEWEST_WINDOWS):
+            depth = np.median(_water(found.state).depth(found.state.points)) + each.difference
+            if each.name == LEVEL_NAME and depth > MOST_SIGMAS * each.std:
+                given = survey.require_water()[1].known_level_m
+                raised_by = float(_water(found.state).point[2] - state.water.point[2]) + each.difference
+                return replace(each, given=given, difference=raised_by)
+    return None
+
+
+def dry_bed_error(level: Contradiction, way_out: str) -> SurveyError:
+    """What ends a run whose level leaves dry what photographs show under water, with a way out beside mending it."""
+    return SurveyError(
+        f"[water] level_m is {level.given:.3f} m, which leaves all of the bed dry, and the photographs show it under "
+        f"water whose level is {level.found:.2f} +- {level.std:.2g} m; correct level_m in survey.toml, whose vertical "
+        "datum has to be that of the poses (heights over the ellipsoid and over the geoid differ by up to 100 m), or "
+        f"{way_out}"
+    )
+
+
+def check_dry_block(
+    survey: Survey, known: Known, seen: Observed, done: Adjusted, marks_std_px: float
+) -> Contradiction | None:
+    """The level that an adjusted block asks for, in place of one under which all of it is dry; None where it does not.
+
+    Parameters
+    ----------
+    survey : Survey
+    known : Known
+        What the block was adjusted with.
+    seen : Observed
+        All of it.
+    done : Adjusted
+        The block.
+    marks_std_px : float
+        As for `survey.adjust.rounds.adjust`.
+    """
+    dry = done.solution.state
+    if dry.water is None or (dry.water.depth(dry.points) > 0.0).any():
+        return None
+    std = known.std.copy()
+    std[0] = BAROMETER_STD_M
+    free = replace(known, std=std, common_up_std=BAROMETER_STD_M)
+    with suppress(NotConvergedError):
+        start, points = water_start(free, seen, marks_std_px)
+        wet = adjust(
+            start, seen.at(points), [(view.lens.width, view.lens.height) for view in survey.views], marks_std_px
+        )
+        water, covariance = _water(wet.solution.state), wet.solution.covariance
+        over = float(np.median(water.depth(wet.solution.state.points)))
+        if over > MOST_SIGMAS * std_over_points(wet.solution.system, covariance):
+            given, level = survey.require_water()[1].known_level_m, float(np.sqrt(covariance[0, 0]))
+            raised = float(water.point[2]) - float(known.mean.water_parameters()[0])
+            return Contradiction(LEVEL_NAME, given, float(known.std[0]), raised, level)
+    return None
+
+
+def _water(state: State) -> FlatWater:
+    assert state.water is not None
+    return state.water

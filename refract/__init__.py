@@ -2,21 +2,27 @@
 
 # Part of bathynerf.
 
-from refract._ranges import OutsideFit
+from refract._numbers import OutsideFit
 from refract.absorption import channel_absorption, leg_transmittance
-from refract.air import air_index
 from refract.any_surface import AnySurface
-from refract.apparent import apparent_depth, apparent_depth_tangential, tangential_shift, true_depth
 from refract.bicubic import BicubicWater
 from refract.camera import PinholeCamera
 from refract.fresnel import fresnel_coefficients, radiance_factor
 from refract.height_field import HeightFieldWater
 from refract.layers import LayeredPath, ParallelLayers
-from refract.media import channel_indices, water_index, water_index_iapws, water_index_parrish
+from refract.media import air_index, channel_indices, water_index, water_index_iapws, water_index_parrish
 from refract.paths import BentPaths, trace
 from refract.projection import Projection, crossing_point, project
-from refract.regimes import Regime, counts
-from refract.snell import bend, bend_regime
+from refract.snell import (
+    Regime,
+    apparent_depth,
+    apparent_depth_tangential,
+    bend,
+    bend_regime,
+    counts,
+    tangential_shift,
+    true_depth,
+)
 from refract.spherical import SphericalWater, curvature_drop, gaussian_radius
 from refract.surfaces import FlatWater, WaterSurface
 from refract.tidal import TidalWater

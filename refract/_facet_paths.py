@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from refract import _facet_walk, fermat, kernels
+from refract import _triangulation, fermat, kernels
 from refract._array import namespace
 from refract._disc import search_disc
 from refract._numbers import read
@@ -107,7 +107,7 @@ def _shortest(surface, camera, point, owner, triangle):
     ]
     owner, x, y, z, triangle = (np.concatenate(parts) for parts in zip(*paths, strict=True))
     ends = tuple(c[owner] for c in camera), tuple(p[owner] for p in point)
-    clear = _facet_walk.clear(surface, ends[0], (x, y, z), ends[1])
+    clear = _triangulation.clear(surface, ends[0], (x, y, z), ends[1])
     owner, x, y, z, triangle = (a[clear] for a in (owner, x, y, z, triangle))
     to_camera, to_point = (kernels.minus(tuple(c[owner] for c in end), (x, y, z)) for end in (camera, point))
     length = np.sqrt(kernels.dot(to_camera, to_camera)) + surface.n_water * np.sqrt(kernels.dot(to_point, to_point))

@@ -1,14 +1,24 @@
-"""The numbers of a water surface: plain ones, or arrays of any library, which may carry gradients."""
+"""Arguments of this package: numbers of a water surface, their ranges, and empty arrays.
+
+Numbers are plain ones, or arrays of any library, which may carry gradients. A range is an error for what cannot be, a
+warning where a formula was not fitted. Dr.Jit combines empty arrays with no numbers: functions are called with one NaN
+(or zero) instead; numpy and torch need none of this.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import fields, replace
+import copy
+import math
+import sys
+import warnings
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import fields, is_dataclass, replace
+from functools import wraps
 from typing import Any
 
 import numpy as np
 
-from refract._array import as_like, as_numpy, namespace, solve, transformed
+from refract._array import as_like, as_numpy, compiling, namespace, solve, transformed
 
 
 def number(value):
@@ -88,3 +98,75 @@ def read(solver: Callable, surface, arrays: tuple) -> tuple:
         return solve(solver.__name__, type(surface).__name__, surface.numbers, arrays)
     found = solver(surface.detached(), *(as_numpy(array) for array in arrays))
     return tuple(as_like(each, arrays[0]) for each in found)
+
+
+class OutsideFit(UserWarning):
+    """A formula is used outside the range of values that it was fitted to."""
+
+
+def require(name: str, values, holds, expected: str) -> None:
+    """Raise where `values`, but for NaN, are not what ``holds(values)`` says.
+
+    Raises
+    ------
+    ValueError
+        With the first of the wrong values, and what was `expected`.
+    """
+    values = as_numpy(values)
+    wrong = values[~(holds(values) | np.isnan(values))]
+    if wrong.size:
+        raise ValueError(f"{name} is {wrong[0]:g}, expected {expected}; check its unit and its sign")
+
+
+def warn_outside(model: str, ranges: Mapping[str, tuple[float, float]], *, stacklevel: int, **given) -> None:
+    """Warn `OutsideFit`, naming the range of `model`, for each of the `given` values that lies outside it."""
+    for name, (low, high) in ranges.items():
+        values = as_numpy(given[name])
+        outside = values[(values < low) | (values > high)]
+        if outside.size:
+            message = f"{name} is {outside[0]:g}, outside the range {low:g} to {high:g} of {model}"
+            warnings.warn(message, OutsideFit, stacklevel=stacklevel)
+
+
+def of_any_size(function):
+    """Decorator: where an array of Dr.Jit among the arguments, or in one of them, is empty, all of the result are."""
+
+    @wraps(function)
+    def call(*args, **options):
+        drjit = None if compiling() else sys.modules.get("drjit")
+        if drjit is None or not any(_has_empty(drjit, each) for each in (*args, *options.values())):
+            return function(*args, **options)
+
+        def filled(array):
+            if drjit.width(array):
+                return array
+            return type(array)(math.nan) if drjit.is_float_v(array) else drjit.zeros(type(array), 1)
+
+        found = function(
+            *(_mapped(drjit, each, filled) for each in args),
+            **{name: _mapped(drjit, each, filled) for name, each in options.items()},
+        )
+        return _mapped(drjit, found, lambda array: drjit.zeros(type(array), 0))
+
+    return call
+
+
+def _has_empty(drjit, value) -> bool:
+    if isinstance(value, tuple | list):
+        return any(_has_empty(drjit, each) for each in value)
+    if is_dataclass(value) and not isinstance(value, type):
+        return any(_has_empty(drjit, getattr(value, each.name)) for each in fields(value))
+    return drjit.is_array_v(value) and drjit.width(value) == 0
+
+
+def _mapped(drjit, value, change):
+    """The same value with its Dr.Jit arrays changed; a dataclass without asking it whether that is right."""
+    if isinstance(value, tuple | list):
+        changed = [_mapped(drjit, each, change) for each in value]
+        return type(value)(*changed) if hasattr(value, "_fields") else type(value)(changed)
+    if is_dataclass(value) and not isinstance(value, type):
+        other = copy.copy(value)
+        for each in fields(value):
+            object.__setattr__(other, each.name, _mapped(drjit, getattr(value, each.name), change))
+        return other
+    return change(value) if drjit.is_array_v(value) else value

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from refract._array import alike, namespace
-from refract._empty import of_any_size
-from refract._ranges import require
+from refract._numbers import of_any_size, require
 
 # Between the wavelengths at which the channels of a camera with a colour filter array change over.
 CHANNEL_BANDS_NM = ((580.0, 660.0), (500.0, 580.0), (420.0, 500.0))

@@ -15,7 +15,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from refract._array import namespace
-from refract._empty import of_any_size
+from refract._numbers import of_any_size
 
 
 class Fresnel(NamedTuple):

@@ -9,7 +9,7 @@ from typing import Any, final
 
 import numpy as np
 
-from refract import _facet_paths, _facet_walk, fermat
+from refract import _facet_paths, _triangulation, fermat
 from refract._array import alike, as_like, as_numpy, compiling, namespace, transformed
 from refract._disc import Bounds
 from refract._numbers import moved, number, plain, read, require_index
@@ -201,7 +201,7 @@ class HeightFieldWater:
         """The plane at each place, as `planes`, and whether there is water."""
         _needs_numpy_or_torch(x)
         xp, (x, y) = namespace(x, y), _of_one_shape(x, y)
-        triangle, wet = read(_facet_walk.triangle_at, self, (xp.double(x), xp.double(y)))
+        triangle, wet = read(_triangulation.triangle_at, self, (xp.double(x), xp.double(y)))
         return *self.planes(xp.whole(triangle), x), wet > 0.0
 
     def height(self, x, y):
@@ -225,9 +225,9 @@ class HeightFieldWater:
         like = origin[0] + direction[0]
         origin, direction = fermat.together(origin, direction)
         xp = namespace(*origin)
-        triangle, meets = read(_facet_walk.triangle_met, self, origin + direction)
+        triangle, meets = read(_triangulation.triangle_met, self, origin + direction)
         corner, slopes = self.planes(xp.whole(triangle), origin[0])
-        over, rate = _facet_walk.clearance(corner, slopes, origin, direction)
+        over, rate = _triangulation.clearance(corner, slopes, origin, direction)
         t = -over / xp.where(meets > 0.0, rate, -1.0)
         return xp.like(xp.where(meets > 0.0, xp.maximum(t, 0.0), math.nan), like)
 

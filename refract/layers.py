@@ -15,9 +15,8 @@ import numpy as np
 
 from refract import kernels
 from refract._array import common, components, namespace, quiet, root, spread, stack
-from refract._empty import of_any_size
-from refract._numbers import hold, least, moved, number
-from refract.regimes import Regime, counts
+from refract._numbers import hold, least, moved, number, of_any_size
+from refract.snell import Regime, counts
 
 # Newton's steps: 12 reach the last bits of float64 over indices 1 to 1.6, layers of 1 mm to 1 km and points to 100
 # times as far aside (20 000 stacks); a housing takes 5.

@@ -8,10 +8,9 @@ from typing import Any, final, overload
 
 from refract import kernels
 from refract._array import common, components, namespace, quiet, spread, stack
-from refract._empty import of_any_size
-from refract._numbers import in_library
+from refract._numbers import in_library, of_any_size
 from refract.layers import LayeredPath, ParallelLayers
-from refract.regimes import Regime, counts
+from refract.snell import Regime, counts
 from refract.surfaces import FlatWater, WaterSurface, derivable, height_over, require_surface
 
 

@@ -8,9 +8,9 @@ from typing import Any, final
 
 from refract import kernels
 from refract._array import common, components, namespace, quiet, spread, stack
-from refract._empty import of_any_size
+from refract._numbers import of_any_size
 from refract.layers import ParallelLayers
-from refract.regimes import Regime, counts
+from refract.snell import Regime, counts
 from refract.surfaces import FlatWater, WaterSurface, derivable, height_over, require_surface
 
 # More than any surface needs for the last bits of float64; a plane takes four at most (docs/optics.md).

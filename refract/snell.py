@@ -1,14 +1,42 @@
-"""Snell's law in vector form."""
+"""Snell's law in vector form, the regime of each ray, and apparent depth in closed form."""
 
 from __future__ import annotations
 
 import math
+from enum import IntEnum
+
+import numpy as np
 
 from refract import kernels
-from refract._array import common, components, namespace, quiet, stack
-from refract._empty import of_any_size
-from refract._numbers import hold
-from refract.regimes import Regime
+from refract._array import alike, as_numpy, common, components, namespace, quiet, stack
+from refract._numbers import hold, of_any_size
+
+
+class Regime(IntEnum):
+    """How a ray meets the water, as `BentPaths.regime`, `Projection.regime` and `bend_regime` say it."""
+
+    BENT = 0
+    """It passes through the surface."""
+    STRAIGHT = 1
+    """It never meets the water, or comes from a point that is not below it."""
+    PARALLEL = 2
+    """It never meets the water because it runs along the surface."""
+    UNDER_WATER = 3
+    """The camera is on or below the surface: straight."""
+    REFLECTED = 4
+    """Totally reflected, or on the wrong side of the surface: NaN."""
+    CRITICAL = 5
+    """It passes, but so near the critical angle that its gradient is set to zero."""
+    UNSEEN = 6
+    """No path leads from the point to the camera: NaN."""
+    INVALID = 7
+    """A coordinate is NaN or beyond 1e15 m (`kernels.REACH`), or camera and point coincide: NaN."""
+
+
+def counts(regime) -> dict[str, int]:
+    """How many rays there are of each `Regime`, by its name in lower case; `regime` is an array of any library."""
+    found = np.bincount(as_numpy(regime).ravel().astype(np.int64), minlength=len(Regime))
+    return {kind.name.lower(): int(found[kind]) for kind in Regime}
 
 
 @of_any_size
@@ -76,3 +104,42 @@ def bend_regime(ray, normal, *, n_from, n_to):
     code = xp.where(xp.isnan(bent), int(Regime.REFLECTED), code)
     code = xp.where(cos_from == 0.0, int(Regime.PARALLEL), code)
     return xp.where(unit, code, int(Regime.INVALID))
+
+
+@of_any_size
+def apparent_depth(depth, angle, *, n_water: float):
+    """Sagittal apparent depth [m]: ``h cos(a) / sqrt(n^2 - sin^2 a)``; ``h / n`` at nadir.
+
+    What straight rays make of a bed under flat water; ``angle`` is the incidence in air [rad]; numpy, torch or floats.
+    Two cameras on opposite sides at equal incidence (any symmetric ring) see the *sagittal* image straight above the
+    point; cameras in one vertical plane through the point see the *tangential* image on the caustic. A real network of
+    views lies between the two, and always above the bed: straight rays make the bed too shallow.
+    """
+    depth, angle = alike(depth, angle)
+    xp = namespace(depth, angle)
+    return depth * xp.cos(angle) / xp.sqrt(n_water**2 - xp.sin(angle) ** 2)
+
+
+@of_any_size
+def true_depth(apparent, angle, *, n_water: float):
+    """Inverse of `apparent_depth`: true depth [m] of a point whose sagittal image lies at `apparent` [m]."""
+    apparent, angle = alike(apparent, angle)
+    xp = namespace(apparent, angle)
+    return apparent * xp.sqrt(n_water**2 - xp.sin(angle) ** 2) / xp.cos(angle)
+
+
+@of_any_size
+def apparent_depth_tangential(depth, angle, *, n_water: float):
+    """Tangential apparent depth [m]: ``h n^2 cos^3(a) / (n^2 - sin^2 a)^(3/2)``."""
+    depth, angle = alike(depth, angle)
+    xp = namespace(depth, angle)
+    return depth * n_water**2 * xp.cos(angle) ** 3 / (n_water**2 - xp.sin(angle) ** 2) ** 1.5
+
+
+@of_any_size
+def tangential_shift(depth, angle, *, n_water: float):
+    """Shift [m] of the tangential image toward the camera: ``h (n^2 - 1) tan^3(angle in water)``."""
+    depth, angle = alike(depth, angle)
+    xp = namespace(depth, angle)
+    sine = xp.sin(angle) / n_water
+    return depth * (n_water**2 - 1.0) * (sine / xp.sqrt(1.0 - sine**2)) ** 3

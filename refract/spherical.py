@@ -11,8 +11,7 @@ import numpy as np
 from refract import fermat, kernels
 from refract._array import namespace
 from refract._disc import Bounds
-from refract._empty import of_any_size
-from refract._numbers import hold, moved, number, plain, require_index
+from refract._numbers import hold, moved, number, of_any_size, plain, require_index
 from refract._solvers import solved
 from refract.kernels import GRAZING
 

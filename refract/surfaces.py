@@ -14,8 +14,7 @@ import numpy as np
 
 from refract import kernels
 from refract._array import components, namespace, root
-from refract._empty import of_any_size
-from refract._numbers import hold, in_library, moved, number, require_index
+from refract._numbers import hold, in_library, moved, number, of_any_size, require_index
 from refract.kernels import GRAZING
 
 # Of `kernels.air_share`, for the last bits over all heights, depths and distances (docs/optics.md).

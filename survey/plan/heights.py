@@ -5,7 +5,7 @@ So the range is the one in survey.toml, else that of the matched points that cam
 the flying height.
 
 Matched points under water come from straight rays and seem too shallow: two rays from the same side meet between their
-tangential images, two from opposite sides between their sagittal ones (`refract.apparent`), and the least squares of
+tangential images, two from opposite sides between their sagittal ones (`refract.snell`), and the least squares of
 many is a weighted mean of where the pairs meet. The tangential image of the most oblique view is the highest of all
 these, so that its share of the true depth gives the greatest depth at which the point can lie.
 """

@@ -17,10 +17,9 @@ from survey.errors import OutputError
 from survey.files.outputs import ReadFiles
 from survey.folder.survey import load_survey
 from survey.viewer.clicks import DISTANCE, RAYS, SLICE
-from survey.viewer.facts import facts_of, way_between
 from survey.viewer.page import require_page, thinned, write_page
-from survey.viewer.reference import Reference, load_reference
-from survey.viewer.slices import picture_of, slice_of
+from survey.viewer.sightings import facts_of, way_between
+from survey.viewer.slices import Reference, load_reference, picture_of, slice_of
 from survey.viewer.surfaces import OnDemand, grid_faces
 from survey.viewer.tree import build_tree
 

@@ -20,7 +20,7 @@ from survey.run.folder import RunDir
 from survey.run.live import LIVE, LiveMaps
 from survey.run.stored import load_arrays
 from survey.viewer.browser import close_server, open_server
-from survey.viewer.live import LiveRun
+from survey.viewer.session import LiveRun
 
 
 @pytest.fixture

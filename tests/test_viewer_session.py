@@ -70,7 +70,7 @@ def test_a_browser_gets_the_cloud_and_then_its_colours(shown):
 
 
 def test_a_browser_never_draws_more_points_than_the_limit(shown, monkeypatch):
-    for module in (detail, sys.modules["survey.viewer.viewpoint"]):
+    for module in (detail, sys.modules["survey.viewer.tree"]):
         monkeypatch.setattr(module, "MOST_POINTS", 60_000)
     monkeypatch.setattr(detail, "select_nodes", lambda tree, view: SELECT(tree, view, 60_000))
     browser = Browser(20.0)

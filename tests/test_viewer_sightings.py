@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from refract import trace
-from survey.viewer.colours import SCALES, UNKNOWN, Scale
-from survey.viewer.photographs import ENLARGED, WINDOW_PX, Photographs, mosaic, thumbnail
-from survey.viewer.sightings import sightings_of
+from survey.viewer.shown import SCALES, UNKNOWN, Scale
+from survey.viewer.sightings import ENLARGED, WINDOW_PX, Photographs, mosaic, sightings_of, thumbnail
 
 # From the centre of the small survey: 0.3 m under water, within the first frames.
 POINT = np.array([1.0, -0.5, -0.8])

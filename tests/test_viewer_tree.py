@@ -7,9 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from survey.viewer.picking import pick
-from survey.viewer.tree import CloudTree, build_tree
-from survey.viewer.viewpoint import Viewpoint, point_sizes, seen_nodes, select_nodes, spacing_px
+from survey.viewer.tree import CloudTree, Viewpoint, build_tree, pick, point_sizes, seen_nodes, select_nodes, spacing_px
 
 # Straight down: x to the east, y of the image to the south.
 DOWN = np.diag([1.0, -1.0, -1.0])

@@ -10,12 +10,10 @@ import numpy as np
 
 from survey.errors import SurveyError
 from survey.viewer.detail import Style, viewpoint_of
-from survey.viewer.facts import facts_of, markdown, way_between
-from survey.viewer.photographs import Photographs, mosaic
-from survey.viewer.picking import pick
 from survey.viewer.shown import Shown
-from survey.viewer.sightings import Sighting, sightings_of
+from survey.viewer.sightings import Photographs, Sighting, facts_of, markdown, mosaic, sightings_of, way_between
 from survey.viewer.slices import picture_of, slice_of
+from survey.viewer.tree import pick
 
 if TYPE_CHECKING:
     import viser

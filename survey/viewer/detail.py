@@ -10,7 +10,7 @@ import numpy as np
 
 from survey.photos.cameras import rotation_from_quaternion
 from survey.viewer.shown import Shown
-from survey.viewer.viewpoint import MOST_POINTS, Viewpoint, point_sizes, select_nodes
+from survey.viewer.tree import MOST_POINTS, Viewpoint, point_sizes, select_nodes
 
 if TYPE_CHECKING:
     import viser

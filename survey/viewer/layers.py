@@ -12,8 +12,8 @@ import numpy as np
 from survey.errors import SurveyError
 from survey.photos.cameras import View
 from survey.progress import current
-from survey.viewer.photographs import thumbnail
 from survey.viewer.shown import Shown
+from survey.viewer.sightings import thumbnail
 
 if TYPE_CHECKING:
     import viser

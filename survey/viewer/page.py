@@ -13,9 +13,8 @@ from survey.display.quantities import number
 from survey.errors import OutputError
 from survey.files.outputs import ReadFiles, require_file
 from survey.viewer.browser import close_server, open_server
-from survey.viewer.colours import SCALES
 from survey.viewer.layers import add_cameras, add_water, look_from
-from survey.viewer.shown import Shown
+from survey.viewer.shown import SCALES, Shown
 from survey.viewer.tree import CloudTree
 
 if TYPE_CHECKING:

@@ -7,9 +7,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from survey.display.quantities import count, number
-from survey.viewer.colours import SCALES
 from survey.viewer.detail import Style
-from survey.viewer.shown import Shown
+from survey.viewer.shown import SCALES, Shown
 
 if TYPE_CHECKING:
     import viser

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from survey.viewer.colours import SCALES
-from survey.viewer.reference import Reference
-from survey.viewer.shown import Shown
+from survey.viewer.shown import SCALES, Shown
+from survey.viewer.slices import Reference
 
 if TYPE_CHECKING:
     import viser

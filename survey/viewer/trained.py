@@ -11,7 +11,7 @@ import numpy as np
 
 from refract import PinholeCamera
 from survey.viewer.detail import viewpoint_of
-from survey.viewer.viewpoint import Viewpoint
+from survey.viewer.tree import Viewpoint
 
 if TYPE_CHECKING:
     import viser

@@ -20,8 +20,7 @@ from geo.frames import LocalFrame
 from refract import FlatWater, PinholeCamera, WavyWater
 from refract.fresnel import fresnel_coefficients
 from refract.lens import Lens, normalised
-from survey.simulate.ground.extent import seen_area
-from survey.simulate.ground.ground import BED, Ground, Look, shade_of_map
+from survey.simulate.ground.ground import BED, Ground, Look, seen_area, shade_of_map
 from survey.simulate.ground.paint import in_texels, light_of_bed, noise, sand
 from survey.simulate.ground.shapes import BedGrid
 from survey.simulate.ground.skin import skin_from_above

@@ -23,8 +23,7 @@ from survey.simulate.water import WaterColour
 pytest.importorskip("mitsuba", reason="the physical mode needs the extra [simulate]: pip install 'bathynerf[simulate]'")
 
 from survey.simulate.render.mitsuba_scene import load_mitsuba, solid_scene, water_scene
-from survey.simulate.render.path_tracer import PathTracer
-from survey.simulate.render.sunlight import Sunlight
+from survey.simulate.render.path_tracer import PathTracer, Sunlight
 
 # What the two modes may differ by on the image [px].
 SAME_PX = 0.02

@@ -10,7 +10,7 @@ import dataclasses
 from pathlib import Path
 
 from survey.progress import Progress
-from survey.simulate.drawn.drawing import stage_drawing
+from survey.simulate.drawn.ground import stage_drawing
 from survey.simulate.drawn.settings import DrawnScene
 from survey.simulate.output.writing import write_survey
 

@@ -1,12 +1,13 @@
-"""Everything solid in a scene: the bed, the bodies on it, their appearance, and the first hit of a ray."""
+"""Everything solid in a scene: the bed, the bodies on it, their appearance, the first hit of a ray, and the extent."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from refract import PinholeCamera
 from survey.simulate.ground.shapes import BedGrid, Solid, near_solids
 from survey.simulate.ground.skin import ImageSkin, VertexSkin, look_up
 from survey.simulate.ground.triangles import TriangleMesh
@@ -17,6 +18,8 @@ BED, NOTHING = -1, -2
 
 Shape = BedGrid | Solid | TriangleMesh
 Shade = Callable[[np.ndarray, np.ndarray], np.ndarray]
+# Margin beyond the view of the outermost pixels [m].
+_MARGIN_M = 0.5
 
 
 @dataclass(frozen=True)
@@ -112,3 +115,25 @@ def shade_beside_bed(solid: Solid | TriangleMesh, bed: BedGrid | TriangleMesh, l
         return lit[face] * (0.6 + 0.4 * np.clip(over_bed, 0.0, 1.0))
 
     return shade
+
+
+def seen_area(
+    cameras: Sequence[PinholeCamera], size_m: tuple[float, float], lowest: float
+) -> tuple[float, float, float, float]:
+    """West, south, east and north [m], local, of an area about the origin and all that cameras see of a plane.
+
+    Parameters
+    ----------
+    size_m : (east, north) [m]
+        Of the area.
+    lowest : [m]
+        Height of a plane below all of the bed; rays count as straight, which reaches further than under water.
+    """
+    corners = [0.5 * np.array(size_m), -0.5 * np.array(size_m)]
+    for camera in cameras:
+        u, v = np.meshgrid([0.0, camera.width], [0.0, camera.height])
+        rays = camera.directions(np.stack([u.ravel(), v.ravel()], axis=-1))
+        t = (camera.centre[2] - lowest) / -rays[:, 2]
+        corners.extend((camera.centre + t[:, None] * rays)[:, :2])
+    low, high = np.min(corners, axis=0) - _MARGIN_M, np.max(corners, axis=0) + _MARGIN_M
+    return float(low[0]), float(low[1]), float(high[0]), float(high[1])

@@ -20,11 +20,9 @@ from survey.files.outputs import ReadFiles, require_folder
 from survey.progress import current
 from survey.simulate.drawn.ground import build_ground
 from survey.simulate.drawn.settings import DrawnScene
-from survey.simulate.flight.coverage import Coverage, coverage
-from survey.simulate.flight.picture import picture
+from survey.simulate.flight.coverage import Coverage, coverage, picture
 from survey.simulate.ground.bed import plane
-from survey.simulate.ground.extent import seen_area
-from survey.simulate.ground.ground import Ground, Look, shade_of_normals
+from survey.simulate.ground.ground import Ground, Look, seen_area, shade_of_normals
 from survey.simulate.ground.objects import place_object, require_texels, skin_of_bed
 from survey.simulate.ground.shapes import BedGrid
 from survey.simulate.ground.triangles import TriangleMesh
@@ -188,8 +186,7 @@ def _surface(plan: Plan) -> WaterSurface | None:
 def _path_tracer(plan: Plan, renderer: DirectRenderer, light: Light) -> PathTracer:
     mi = load_mitsuba()
     # Only now: it takes Mitsuba's Dr.Jit to be there.
-    from survey.simulate.render.path_tracer import PathTracer
-    from survey.simulate.render.sunlight import Sunlight
+    from survey.simulate.render.path_tracer import PathTracer, Sunlight
 
     water, mean = renderer.water, plan.site.water
     plane = None if mean is None else (np.array(mean.point), np.array(mean.up), float(mean.n_water))

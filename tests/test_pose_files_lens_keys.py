@@ -9,8 +9,8 @@ import pytest
 
 from refract.lens import LensError
 from survey.errors import PosesError
-from survey.pose_files import metashape_lens, opensfm, read_poses
-from survey.pose_files.lens_keys import is_lens_key, require_understood
+from survey.pose_files import opensfm, read_poses
+from survey.pose_files.lens_keys import is_lens_key, read_lens, require_understood
 
 NOTHING = [0, 0.0, False, None, "", "0", "0 0.0 0", "False", [], {}, [0.0, 0.0], [[0], 0.0], {"x": 0.0}]
 SOMETHING = [1, -1e-9, True, "0.1", "0 0 1", "fisheye", [0.0, 0.1], {"x": 2}]
@@ -86,9 +86,9 @@ height="48"/><f>100</f><date>2026-05-01T10:00:00Z</date>{more}</calibration><cov
 @pytest.mark.parametrize("kind", ["frame", "fisheye"])
 @pytest.mark.parametrize("key", ["p3", "p4", "k5", "fx", "fy", "skew", "tau1", "anything"])
 def test_metashape(kind, key):
-    assert metashape_lens.read_lens(fromstring(SENSOR.format(kind=kind, more=f"<{key}>0.0</{key}>"))).width == 64
+    assert read_lens(fromstring(SENSOR.format(kind=kind, more=f"<{key}>0.0</{key}>"))).width == 64
     with pytest.raises(LensError, match=f"{key} is 0.1, a part of the lens that is not read"):
-        metashape_lens.read_lens(fromstring(SENSOR.format(kind=kind, more=f"<{key}>0.1</{key}>")))
+        read_lens(fromstring(SENSOR.format(kind=kind, more=f"<{key}>0.1</{key}>")))
 
 
 def test_columns_of_a_lens_in_a_table_of_poses_are_named(tmp_path):

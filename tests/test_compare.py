@@ -38,7 +38,7 @@ SAMPLING = 6 * 0.5 / NUM_SAMPLES**0.5
 
 @pytest.fixture(autouse=True)
 def _fewer_samples(monkeypatch):
-    monkeypatch.setattr("survey.compare.scene.NUM_SAMPLES", NUM_SAMPLES)
+    monkeypatch.setattr("survey.compare.measure.NUM_SAMPLES", NUM_SAMPLES)
 
 
 @pytest.fixture

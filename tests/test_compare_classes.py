@@ -20,7 +20,7 @@ RAISED_M = 1.5
 
 @pytest.fixture(autouse=True)
 def _fewer_samples(monkeypatch):
-    monkeypatch.setattr("survey.compare.scene.NUM_SAMPLES", 2000)
+    monkeypatch.setattr("survey.compare.measure.NUM_SAMPLES", 2000)
 
 
 def with_flags(path, *, classes=None, withheld=None):

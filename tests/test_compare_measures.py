@@ -16,7 +16,7 @@ from survey.compare.text import _short, limits_label, sections_of
 
 @pytest.fixture(autouse=True)
 def _fewer_samples(monkeypatch):
-    monkeypatch.setattr("survey.compare.scene.NUM_SAMPLES", NUM_SAMPLES)
+    monkeypatch.setattr("survey.compare.measure.NUM_SAMPLES", NUM_SAMPLES)
 
 
 @pytest.fixture

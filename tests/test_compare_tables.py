@@ -14,7 +14,7 @@ OFF_M = 0.05
 
 @pytest.fixture(autouse=True)
 def _fewer_samples(monkeypatch):
-    monkeypatch.setattr("survey.compare.scene.NUM_SAMPLES", 2000)
+    monkeypatch.setattr("survey.compare.measure.NUM_SAMPLES", 2000)
 
 
 def points() -> np.ndarray:

@@ -20,7 +20,7 @@ from survey.benchmark.cases import Case
 from survey.benchmark.records import Errors
 from survey.compare.area import to_local
 from survey.compare.comparison import CompareOptions, compare_surfaces
-from survey.compare.result import Comparison
+from survey.compare.figures import Comparison
 
 TOLERANCES_M = (0.05, 0.1, 0.2)
 _INNER = 0.9

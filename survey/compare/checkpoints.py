@@ -12,7 +12,7 @@ from geo.compatibility import require_same_place
 from geo.files import existing_file
 from survey.compare.area import CompareError, to_local
 from survey.compare.figures import Checkpoints
-from survey.compare.scene import Scene
+from survey.compare.measure import Scene
 from survey.compare.tables import GIVE_LEVEL
 from survey.files.point_table import PLACE, read_points
 

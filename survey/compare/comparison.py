@@ -28,13 +28,12 @@ from geo.shapes import vertices_of
 from survey.compare import measure
 from survey.compare.area import Bounds, metres_in_crs, to_local, within
 from survey.compare.checkpoints import checkpoint_accuracy, read_checkpoints
-from survey.compare.figures import M3C2, Circumstances, CloudToCloud, Figures
+from survey.compare.figures import M3C2, Circumstances, CloudToCloud, Comparison, Figures
 from survey.compare.inputs import Inputs, Paths, load_inputs
 from survey.compare.json_numbers import numbers_of
+from survey.compare.measure import Scene
 from survey.compare.options import CompareOptions, check_options, check_outputs, outlier_filter
 from survey.compare.pictures import write_report
-from survey.compare.result import Comparison
-from survey.compare.scene import Scene
 from survey.compare.tables import is_table, level_of_cloud
 from survey.files.json_values import write_json
 from survey.files.point_table import has_depths

@@ -1,4 +1,4 @@
-"""The figures of a comparison."""
+"""The figures of a comparison, and its result."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from evaluation import AsprsAccuracy, Band, DepthParts, DistanceStatistics, IhoS44, ReachedBand, Scores, Summary
 from evaluation.c2m import Sign
 from survey.compare.area import Bounds
+from survey.compare.inputs import Inputs
 
 
 @dataclass(frozen=True)
@@ -210,3 +211,42 @@ class Figures:
         """Of the points under water: their vertical differences."""
         depth = self.parts.depth if self.vertical is None else self.vertical.depth
         return None if depth is None else depth.wet
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A finished comparison.
+
+    Attributes
+    ----------
+    figures : Figures
+    points : (N, 3), in crs
+        The compared points.
+    distances : (N,) [m]
+        Theirs, signed; NaN where a reference of points does not surround them.
+    nearest : (N, 3) [m], local
+        The nearest points of the reference, or those of its surface straight above or below.
+    depth : (N,) [m] or None
+        Of the reference below the water at those, where it is known.
+    targets : (M, 3), in crs
+        What should be reached: the visible points, else samples of the reference.
+    is_reached : (M,) bool
+        At the first tolerance.
+    inputs : Inputs
+    """
+
+    figures: Figures
+    points: np.ndarray
+    distances: np.ndarray
+    nearest: np.ndarray
+    depth: np.ndarray | None
+    targets: np.ndarray
+    is_reached: np.ndarray
+    inputs: Inputs
+
+    @property
+    def distances_of_cloud(self) -> np.ndarray:
+        """Distances of all points of the file [m], in its order, NaN outside the bounds."""
+        distances = np.full(len(self.inputs.inside), np.nan)
+        distances[self.inputs.inside] = self.distances
+        return distances

@@ -23,8 +23,7 @@ from survey.display.quantities import LengthUnit, count, length, share
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from survey.compare.figures import Figures
-    from survey.compare.result import Comparison
+    from survey.compare.figures import Comparison, Figures
 
 # Points that a cell should have on average: few where a hole is a hole, more where points lie at random.
 _POINTS_PER_CELL, _SAMPLES_PER_CELL = 3.0, 6.0

@@ -11,7 +11,7 @@ from refract import FlatWater, crossing_point
 from survey.report.figures import BaselineRow, Baselines
 
 if TYPE_CHECKING:
-    from survey.compare.result import Comparison
+    from survey.compare.figures import Comparison
     from survey.folder.survey import Survey
     from survey.report.facts import ReportFacts
 

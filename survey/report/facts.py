@@ -19,7 +19,7 @@ from survey.report.verdict import Verdict
 if TYPE_CHECKING:
     from fields.sweep.bed import BedPoints
     from fields.sweep.maps import HeightMap
-    from survey.compare.result import Comparison
+    from survey.compare.figures import Comparison
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from survey.report.unseen_map import draw_unseen
 
 if TYPE_CHECKING:
     from survey.adjust.adjustment import Adjustment
-    from survey.compare.result import Comparison
+    from survey.compare.figures import Comparison
 
 # Cells of the orthophoto and of the maps along the longer side, at most.
 _ORTHO_CELLS, _MAP_CELLS = 2000, 900

@@ -18,7 +18,7 @@ from survey.report.facts import ReportFacts
 from survey.report.raster import Picture
 
 if TYPE_CHECKING:
-    from survey.compare.result import Comparison
+    from survey.compare.figures import Comparison
 
 # The strip that is looked at, and the steps along it, in ground sampling distances; steps at most.
 _STRIP_GSD, _STEP_GSD, _MOST_STEPS = 4.0, 2.0, 600

@@ -12,7 +12,7 @@ from pathlib import Path
 from fields.sweep.maps import HeightMap
 from fields.sweep.photo_consistency import Consistency
 from survey.adjust.adjustment import Adjustment, read_adjustment
-from survey.compare.result import Comparison
+from survey.compare.figures import Comparison
 from survey.display.quantities import length
 from survey.files.json_values import read_json_object, write_json
 from survey.folder.survey import Survey

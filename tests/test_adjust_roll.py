@@ -17,8 +17,7 @@ from survey.adjust.roll import rolls_of
 from survey.adjust.state import POSE
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
-from survey.sfm.gps_fit import Line
-from survey.sfm.roll import Across, roll_by_attitudes, roll_by_control, roll_by_ground
+from survey.sfm.gps_fit import Across, Line, roll_by_attitudes, roll_by_control, roll_by_ground
 
 POSITION_STD_M = (0.5, 0.5, 0.8)
 # Of the start, and of what attitudes have in common and of their own.

@@ -100,7 +100,7 @@ DISK_FILES = {
     "survey/report/__init__.py",
     "survey/report/page.py",
     "survey/simulate/ground/objects.py",
-    "survey/viewer/live.py",
+    "survey/viewer/session.py",
     "survey/viewer/page.py",
 }
 # The files that import a module by a name that they put together, which no other test here can follow.

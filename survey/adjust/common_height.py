@@ -25,7 +25,7 @@ from survey.adjust.state import POSE, State, with_parameters
 from survey.adjust.std_common import common_error
 from survey.adjust.verdicts import MOST_SIGMAS, MOST_STD_LEVEL_M
 from survey.folder.place import over_points
-from survey.sfm.datum_std import WELL_KNOWN_M
+from survey.sfm.datum import WELL_KNOWN_M
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey

@@ -24,8 +24,7 @@ import numpy as np
 from survey.adjust.state import POSE, Layout
 from survey.photos.tie_points import parts_of
 from survey.sfm.control_fit import line_of_control
-from survey.sfm.gps_fit import Line, gps_std, line_of
-from survey.sfm.roll import Across, roll_by_attitudes
+from survey.sfm.gps_fit import Across, Line, gps_std, line_of, roll_by_attitudes
 
 if TYPE_CHECKING:
     from survey.folder.pose_priors import PosePrior

@@ -24,7 +24,7 @@ from survey.photos.names import ImageNames
 from survey.photos.poses import Pose, PoseFile, SecondPose
 from survey.photos.tie_points import MIN_TRACK
 from survey.pose_files import read_poses, read_ties
-from survey.sfm.datum_std import EXACT, DatumStd, plan_std, require_as_good
+from survey.sfm.datum import EXACT, DatumStd, plan_std, require_as_good
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from survey.names import GCP_LIST
 from survey.photos.exif import Exif, position_sources, read_exif
 from survey.photos.images import list_images
 from survey.pose_files import find_poses, find_unread
-from survey.sfm.datum_std import EXACT, DatumStd, least, plan_std
+from survey.sfm.datum import EXACT, DatumStd, least, plan_std
 from survey.sfm.gps import datum_doubts, ways_into_crs
 
 MIN_VIEWS = 2

@@ -14,9 +14,9 @@ from survey.folder.config import CamerasConfig
 from survey.folder.config_std import per_axis
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
-from survey.sfm.datum_std import EXACT, WELL_KNOWN_M, DatumStd
+from survey.sfm.datum import EXACT, WELL_KNOWN_M, DatumStd
 from survey.sfm.gps import datum_stds, positions_in_crs
-from survey.sfm.roll import attitudes_of
+from survey.sfm.gps_fit import attitudes_of
 
 if TYPE_CHECKING:
     from survey.folder.found import Found

@@ -26,7 +26,7 @@ from geo.projection import MapProjection
 from geo.transformation import Transformation, height_scale
 from survey.errors import PosesError
 from survey.photos.poses import Pose, PoseFile, PoseFrame
-from survey.sfm.geoid import area_at, height_transformer
+from survey.sfm.datum import area_at, height_transformer
 
 _WGS84 = CRS("EPSG:4979")
 _HEIGHTS = "the heights of the poses"

@@ -28,7 +28,7 @@ from survey.photos.images import require_all_complete
 from survey.photos.opening import HEIC_SUFFIXES
 from survey.photos.tie_points import TiePoints
 from survey.sfm.control_fit import line_of_control
-from survey.sfm.datum_std import require_as_good
+from survey.sfm.datum import require_as_good
 from survey.sfm.gps import MIN_POSITIONS, gps_positions, is_whole, positions_in_crs, ways_into_crs
 from survey.sfm.gps_fit import HOLD_THE_ROLL, MIN_STD_M, contradicted, line_of
 from survey.sfm.marked import BlockControl

@@ -24,7 +24,7 @@ from survey.photos.exif import Exif, position_sources, utm_code_of
 from survey.photos.names import ImageNames
 from survey.photos.poses import PoseFile, PoseFrame
 from survey.photos.xmp import ELLIPSOIDAL
-from survey.sfm.geoid import area_at, height_transformer
+from survey.sfm.datum import area_at, height_transformer
 from survey.sfm.gps import positions_in_crs
 
 _EGM96_HEIGHT, _WGS84_3D = 5773, 4979

@@ -28,7 +28,7 @@ from survey.plan.plan import Plan, device_decision, make_plan
 from survey.plan.skipped import Decision
 from survey.plan.tile_choice import choose_tiles
 from survey.plan.workload import Workload, room_doubts, workload_of, workload_of_images
-from survey.sfm.datum_std import WELL_KNOWN_M
+from survey.sfm.datum import WELL_KNOWN_M
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,7 @@ from geo.transformation import WGS84, Transformation, height_scale, lon_lat
 from survey.errors import FILE_NAME, ConfigError, PosesError
 from survey.names import GEO_TXT
 from survey.photos.exif import Exif, utm_code_of
-from survey.sfm.datum_std import WELL_KNOWN_M, DatumStd, plan_std
-from survey.sfm.geoid import area_at, height_transformer
+from survey.sfm.datum import WELL_KNOWN_M, DatumStd, area_at, height_transformer, plan_std
 
 # Mean sea level by EGM96: the heights of consumer receivers and drones.
 _EGM96_HEIGHT = 5773

@@ -1,13 +1,23 @@
-"""Fit of a block to GPS positions: residuals, and whether they determine its orientation."""
+"""Fit of a block to GPS positions: residuals, whether they determine its orientation, and its roll about one line.
+
+Attitudes of the camera in XMP tell the roll about the one line that positions lie on, and control points by where they
+lie across it. Without either, a block is taken to look straight down across the line, or, where its ground would then
+be steep, to lie over level ground. The adjustment finds the roll from all that tells it, and how well
+(`survey.adjust.roll`).
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from geo.similarity import gross_error
+from geo.similarity import Similarity, gross_error
+from survey.photos.cameras import level_from_yaw_pitch_roll
+from survey.photos.exif import Exif
 
 # Accuracy of a receiver with carrier-phase corrections: the smallest standard deviation that is assumed.
 MIN_STD_M = 0.02
@@ -22,6 +32,10 @@ HOLD_THE_ROLL = (
 _ONE_WRONG_OF, _FAR = 5, 8.0
 # Fewer residuals do not tell a wrong one.
 _FEWEST = 4
+# Steeper across the line than this [rad], ground that seems so is one that the cameras looked at from aside.
+_STEEP = math.radians(25.0)
+# Steps of the fit of a line to ground points across the strip, each without those farther off than the median by this.
+_STEPS, _FAR_ACROSS = 5, 3.0
 
 
 def gps_std(residuals) -> np.ndarray:
@@ -98,3 +112,110 @@ def contradicted(residuals) -> np.ndarray:
         num = max(int((~is_wrong).sum()), num)
     wrong[known] = is_wrong
     return wrong
+
+
+@dataclass(frozen=True)
+class Across:
+    """Axes across a line, which with its direction make a right-handed frame.
+
+    Attributes
+    ----------
+    centre, along : (3,) [m], (3,)
+    beside, up : (3,)
+        `beside` is horizontal where the line is.
+    """
+
+    centre: np.ndarray
+    along: np.ndarray
+    beside: np.ndarray
+    up: np.ndarray
+
+    @classmethod
+    def of(cls, line: Line) -> Across:
+        """Those of a line."""
+        along = line.direction
+        up = np.array([0.0, 0.0, 1.0]) - along[2] * along
+        # Of a line that goes straight up, any side will do.
+        up = up if np.linalg.norm(up) > 1e-6 else np.array([0.0, 1.0, 0.0])
+        up = up / np.linalg.norm(up)
+        return cls(line.centre, along, np.cross(up, along), up)
+
+    def flat(self, points: np.ndarray) -> np.ndarray:
+        """Places (N, 2) [m] of points (N, 3), local, beside the line and above it."""
+        return (points - self.centre) @ np.stack([self.beside, self.up], axis=1)
+
+    def rolled(self, angle: float) -> Similarity:
+        """The rotation about the line by an angle [rad]."""
+        turn = Rotation.from_rotvec(angle * self.along).as_matrix()
+        return Similarity(1.0, turn, self.centre - turn @ self.centre)
+
+
+def attitudes_of(heads: Mapping[str, Exif]) -> dict[str, np.ndarray]:
+    """Rotations (3, 3) from true east, north, up to cam, by the attitudes of the camera in XMP, where it has them."""
+    found = {}
+    for name, head in heads.items():
+        if head.motion.gimbal_deg is not None:
+            yaw, pitch, roll = np.radians(head.motion.gimbal_deg)
+            found[name] = level_from_yaw_pitch_roll(yaw, pitch + 0.5 * math.pi, roll).T
+    return found
+
+
+def roll_by_attitudes(across: Across, rotations: np.ndarray, attitudes: np.ndarray) -> float:
+    """Angle [rad] about the line by which a block is to be rolled to agree with the attitudes of its cameras.
+
+    Parameters
+    ----------
+    across
+    rotations, attitudes : (V, 3, 3)
+        Cam from local, as the block has them and as attitudes have them.
+    """
+    turns = Rotation.from_matrix(attitudes.transpose(0, 2, 1) @ rotations).as_quat()
+    # The twist about the line; what is left of a turn, errors of the heading above all, leaves it as it is.
+    angles = 2.0 * np.arctan2(turns[:, :3] @ across.along, turns[:, 3])
+    middle = math.atan2(float(np.sin(angles).sum()), float(np.cos(angles).sum()))
+    return middle + float(np.median((angles - middle + math.pi) % (2.0 * math.pi) - math.pi))
+
+
+def roll_by_ground(across: Across, rotations: np.ndarray, points: np.ndarray) -> float:
+    """Angle [rad] after which cameras look straight down across the line, or else the ground lies level there.
+
+    Parameters
+    ----------
+    across
+    rotations : (V, 3, 3)
+        Cam from local.
+    points : (N, 3) [m], local
+        Of the ground.
+    """
+    beside, up = rotations[:, 2].sum(axis=0) @ np.stack([across.beside, across.up], axis=1)
+    angle = -0.5 * math.pi - math.atan2(up, beside)
+    steep = _slope(across.flat(across.rolled(angle)(points)))
+    return angle - steep if abs(steep) > _STEEP else angle
+
+
+def roll_by_control(across: Across, places: np.ndarray, control: np.ndarray) -> float:
+    """Angle [rad] that takes points of a block to the control points that they are, by where these lie across the line.
+
+    Heights of positions and of control may have different datums, so that heights do not count.
+
+    Parameters
+    ----------
+    across
+    places, control : (K, 3) [m], local
+    """
+    ours, theirs = across.flat(places), across.flat(control)
+    reach = np.linalg.norm(ours, axis=1)
+    # A point at the same distance below the line, at its own place beside it.
+    below = -np.sqrt(np.maximum(reach**2 - theirs[:, 0] ** 2, (0.1 * reach) ** 2))
+    angles = np.arctan2(below, theirs[:, 0]) - np.arctan2(ours[:, 1], ours[:, 0])
+    return float(np.median((angles + math.pi) % (2.0 * math.pi) - math.pi))
+
+
+def _slope(places: np.ndarray) -> float:
+    """Angle [rad] by which most of some places (N, 2) [m], beside a line and above it, rise to the side."""
+    kept = places
+    for _ in range(_STEPS):
+        rise, start = np.polyfit(kept[:, 0], kept[:, 1], 1)
+        off = np.abs(places[:, 1] - start - rise * places[:, 0])
+        kept = places[off <= _FAR_ACROSS * np.median(off)]
+    return math.atan(rise)

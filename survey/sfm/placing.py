@@ -21,9 +21,8 @@ from survey.sfm import block as sfm_block
 from survey.sfm.block import Sensor
 from survey.sfm.control_fit import ControlFit, fit_control
 from survey.sfm.gps import GpsPositions
-from survey.sfm.gps_fit import Line, gps_std, line_of
+from survey.sfm.gps_fit import Across, Line, gps_std, line_of, roll_by_attitudes, roll_by_control, roll_by_ground
 from survey.sfm.marked import BlockControl, Met, Posed, meet
-from survey.sfm.roll import Across, roll_by_attitudes, roll_by_control, roll_by_ground
 from survey.sfm.solve import GIVE_POSES, MIN_VIEWS, Free, listed
 
 if TYPE_CHECKING:

@@ -31,9 +31,9 @@ from survey.photos.exif import Exif, read_exif
 from survey.photos.tie_points import TiePoints
 from survey.sfm import block as sfm_block
 from survey.sfm.gps import gps_positions, positions_in_crs
+from survey.sfm.gps_fit import attitudes_of
 from survey.sfm.marked import BlockControl
 from survey.sfm.placing import Placed, place_by_control, place_by_gps
-from survey.sfm.roll import attitudes_of
 from survey.sfm.settings import one_focal, require_size
 from survey.sfm.solve import Free, aliases, sensors_of, solve
 from survey.stage_key import stage_key

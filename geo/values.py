@@ -35,8 +35,15 @@ _MANY_SHARED, _RASTER = 0.1, 0.3
 # What programs write where there is no height; 0 may also be one.
 _MARKS = (-9999.0, 9999.0, -99999.0, 99999.0, -999.0, -32768.0, -32767.0, 32767.0, 65535.0, 1e6, -1e6)
 _BEYOND_EARTH = 1e7
+# In feet, too.
+_HIGHEST = 30_000.0
 _FAR, _SPREADS = 100.0, 10.0
 _SHARE = 0.01
+
+
+def is_mark_of_no_data(height: float) -> bool:
+    """Whether one height is what programs write where there is none, and none that a place on Earth has."""
+    return height in _MARKS and not 0.0 < height < _HIGHEST
 
 
 def check_values(points: np.ndarray, crs: CRS | None, path: Path) -> tuple[str, ...]:

@@ -9,7 +9,10 @@ import pytest
 from control_files import METASHAPE, POINTS, SURVEY_CRS, gathered, marks, odm, table, written
 from pyproj import CRS, Transformer
 
+from geo.crs import height_unit_m
+from survey.control.horizontal import in_crs
 from survey.control.reading import gather, read_control
+from survey.control.tables import read_checkpoints
 
 WKT = CRS("EPSG:25832").to_wkt("WKT1_GDAL")
 FORMAT_FILES = {
@@ -110,3 +113,16 @@ def test_little_control_is_doubted(tmp_path):
     flat = [(name, e, n, 0.0) for name, e, n, _ in POINTS]
     _, _, warnings = gathered(written(tmp_path, gcp_list__txt=odm(flat)))
     assert any("the height 0" in text for text in warnings)
+
+
+@pytest.mark.parametrize("crs", ["EPSG:25832+5778", "EPSG:2264+6360"])
+@pytest.mark.parametrize(("unit", "metres"), [("m", 1.0), ("ft", 0.3048), ("ftUS", 1200.0 / 3937.0)])
+def test_heights_of_control_and_check_points_have_the_unit_of_their_column(tmp_path, crs, unit, metres):
+    path, survey = tmp_path / "points.csv", CRS(crs)
+    path.write_text(f"name,easting,northing,height_{unit}\na,589012,5194736,{10.0 / metres!r}\n")
+    for given in (read_control(path).points, read_checkpoints(path)):
+        (point,) = in_crs(given, survey, [], [])
+        assert point.place[2] * height_unit_m(survey) == pytest.approx(10.0, rel=1e-12)
+    path.write_text(f"name,easting,northing,depth_{unit}\na,589012,5194736,{10.0 / metres!r}\n")
+    (point,) = in_crs(read_checkpoints(path, 30.0 / height_unit_m(survey), survey), survey, [], [])
+    assert point.place[2] * height_unit_m(survey) == pytest.approx(20.0, rel=1e-12)

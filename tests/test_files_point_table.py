@@ -7,6 +7,7 @@ from itertools import permutations, product
 import pytest
 
 from survey.errors import SurveyError
+from survey.files.column_units import Units
 from survey.files.csv_table import read_table
 from survey.files.json_values import finite_number
 from survey.files.point_table import PLACE, read_points
@@ -122,3 +123,41 @@ def test_numbers_of_no_place_on_earth_are_refused_at_the_edge(tmp_path, number):
 def test_settings_that_are_nested_too_deep_are_refused():
     with pytest.raises(SurveyError, match=r"nested too deep|not valid TOML"):
         parse_config("a = " + "[" * 5000 + "]" * 5000)
+
+
+UNITS = {"ft": 0.3048, "m": 1.0, "cm": 0.01, "US survey foot": 1200.0 / 3937.0, "ftUS": 1200.0 / 3937.0, "Feet": 0.3048}
+
+
+@pytest.mark.parametrize(("pattern", "word"), list(product(["{}_{}", "{} [{}]", "{}({})", "{} ({})"], ["Z", "height"])))
+@pytest.mark.parametrize("ours_m", [1.0, 1200.0 / 3937.0])
+def test_a_unit_in_the_name_of_a_column_counts(tmp_path, pattern, word, ours_m):
+    path, places = tmp_path / "points.csv", {"x": 10.5, "y": 20.5}
+    for unit, metres in UNITS.items():
+        header = [*places, pattern.format(word, unit), pattern.format("std", unit)]
+        written(path, header, [[*places.values(), 30.25, 0.5]], ",")
+        (row,) = read_points(path, optional=("std",), units=Units(ours_m, ours_m), error=SurveyError)
+        assert row.number("height") * ours_m == pytest.approx(30.25 * metres, rel=1e-12)
+        assert row.number("std") == pytest.approx(0.5 * metres, rel=1e-12)
+        written(path, [*places, pattern.format("Depth", unit)], [[*places.values(), 2.5]], ",")
+        (row,) = read_points(path, level=100.0, units=Units(ours_m, ours_m), error=SurveyError)
+        assert (100.0 - row.number("height")) * ours_m == pytest.approx(2.5 * metres, rel=1e-12)
+        written(path, [pattern.format("X", unit), "y", "z"], [[1, 2, 3]], ",")
+        if abs(metres / ours_m - 1.0) > 1e-9:
+            with pytest.raises(SurveyError, match="eastings and northings are in units of"):
+                read_points(path, units=Units(ours_m, ours_m), error=SurveyError)
+
+
+@pytest.mark.parametrize("height", ["-9999", "-99999.0", "-32767", "1e6", "65535"])
+def test_a_mark_of_no_data_is_no_height(tmp_path, height):
+    path = tmp_path / "points.csv"
+    written(path, PLACE, [[1.0, 2.0, height]], ",")
+    with pytest.raises(SurveyError, match=r"line 2: the height is .*, a mark of no data; remove the line"):
+        read_points(path, error=SurveyError)
+
+
+@pytest.mark.parametrize("header", ["x,y,easting,northing,height", "e,n,depth,depth_m", "e,n,n,h", "lon,x,y,z,e"])
+def test_two_columns_of_one_meaning_are_refused(tmp_path, header):
+    path = tmp_path / "points.csv"
+    path.write_text(f"{header}\n" + ",".join(["1.5"] * len(header.split(","))) + "\n")
+    with pytest.raises(SurveyError, match="columns that may be the"):
+        read_points(path, level=5.0, error=SurveyError)

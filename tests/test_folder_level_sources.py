@@ -226,3 +226,10 @@ def test_a_click_at_another_spot_costs_its_place_and_is_said(clicked, rng):
     survey = load_survey(folder)
     assert len(survey.levels) == 5
     assert any("1 places of clicks.csv tell no level (first: p3)" in text for text in survey.warnings)
+
+
+@pytest.mark.parametrize("mark", [-9999.0, -32768.0, 1e6])
+def test_a_mark_of_no_data_is_no_level(tmp_path, mark):
+    ring = [[x, y, mark] for x, y, *_ in RING]
+    with pytest.raises(ConfigError, match="a mark of no data; remove those points"):
+        points_of_geojson(written(tmp_path, feature("LineString", ring)), CRS, [])

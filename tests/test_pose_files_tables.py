@@ -68,6 +68,9 @@ TABLES = {
     "tab, units": lambda block: table(
         "#Label\tX/Easting\tY/Northing\tZ/Altitude\tOmega (deg)\tPhi (deg)\tKappa (deg)", rows(block, opk_deg), "\t"
     ),
+    "heights in feet": lambda block: table(
+        "image,E [m],N [m],Z [ft],omega,phi,kappa", rows(block, opk_deg, in_utm(block.centres) / [1.0, 1.0, 0.3048])
+    ),
     "yaw, pitch, roll": lambda block: table("photo,east,north,alt,yaw,pitch,roll", rows(block, ypr_deg)),
     "gimbal": lambda block: table(
         "file,x,y,z,gimbal_yaw,gimbal_pitch,gimbal_roll",
@@ -209,3 +212,10 @@ def test_other_texts_are_no_poses(tmp_path, text):
     assert find_poses(tmp_path) == []
     with pytest.raises(PosesError, match="is not a known kind of poses file"):
         read_poses(tmp_path / "gcp_list.txt")
+
+
+def test_eastings_in_another_unit_than_the_crs_are_refused(tmp_path, block):
+    lines = rows(block, opk_deg, in_utm(block.centres) / [0.3048, 0.3048, 1.0])
+    (tmp_path / "poses.csv").write_text(table("image,x_ft,y_ft,z_m,omega,phi,kappa", lines))
+    with pytest.raises(PosesError, match=r"eastings and northings are in units of 0.3048"):
+        load(tmp_path, block, "poses.csv", cameras=lens_toml(block))

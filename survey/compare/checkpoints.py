@@ -5,19 +5,24 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from pyproj import CRS
 
 from evaluation import asprs_vertical, height_at
 from evaluation.standards import MIN_CHECKPOINTS
-from geo.compatibility import require_same_place
+from geo.compatibility import require_same_crs, require_same_place
 from geo.files import existing_file
 from survey.compare.area import CompareError, to_local
 from survey.compare.figures import Checkpoints
 from survey.compare.measure import Scene
 from survey.compare.tables import GIVE_LEVEL
+from survey.files.column_units import Units
+from survey.files.crs_comment import crs_of_comment
 from survey.files.point_table import PLACE, read_points
 
 
-def read_checkpoints(path: Path, water_level: float | None = None) -> np.ndarray:
+def read_checkpoints(
+    path: Path, water_level: float | None = None, crs: CRS | None = None, units: Units | None = None
+) -> np.ndarray:
     """Check points (K, 4) of a CSV: easting, northing, height in the CRS of the cloud, standard deviation [m].
 
     The last column may be missing (0 then). A first line names the columns, in any order; numbers alone have this
@@ -26,16 +31,19 @@ def read_checkpoints(path: Path, water_level: float | None = None) -> np.ndarray
     Raises
     ------
     GeoError
-        If the file does not exist.
+        If the file does not exist, or names another CRS than that of the cloud.
     CompareError
         If a line has other columns, or no line is left.
     """
+    existing_file(path)
+    require_same_crs(crs, crs_of_comment(path, CompareError), "the cloud", str(path))
     rows = read_points(
-        existing_file(path),
+        path,
         optional=("std",),
         by_place=True,
         level=water_level,
         give_level=GIVE_LEVEL,
+        units=units,
         error=CompareError,
     )
     table = np.array([[*(row.number(name) for name in PLACE), row.number("std", default=0.0)] for row in rows])

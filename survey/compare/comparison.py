@@ -35,8 +35,8 @@ from survey.compare.measure import Scene
 from survey.compare.options import CompareOptions, check_options, check_outputs, outlier_filter
 from survey.compare.pictures import write_report
 from survey.compare.tables import is_table, level_of_cloud
+from survey.files.column_units import Units
 from survey.files.json_values import write_json
-from survey.files.point_table import has_depths
 from survey.progress import current
 
 __all__ = ["CompareOptions", "Comparison", "compare_files", "compare_surfaces"]
@@ -90,12 +90,15 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
         if path is not None:
             existing_file(path)
     # Before the clouds and meshes, which take longer to read.
-    waits = places is not None and options.water_level is None and has_depths(places)
-    checkpoints = None if places is None or waits else read_checkpoints(places, options.water_level)
+    if places is not None:
+        # Units and depths need the cloud.
+        read_checkpoints(places, 0.0)
     with current().stage("Reading"):
         inputs = load_inputs(paths, options.bounds, options.water_level)
-    if places is not None and waits:
-        checkpoints = read_checkpoints(places, level_of_cloud(inputs.cloud))
+    checkpoints = None
+    if places is not None:
+        level = level_of_cloud(inputs.cloud) if options.water_level is None else options.water_level
+        checkpoints = read_checkpoints(places, level, inputs.crs, Units.of(inputs.crs))
     notes = list(inputs.notes)
     inputs, is_left = _without_outliers(inputs, options, notes)
     scene = Scene.of(inputs, options.bounds, is_left, max(options.tolerances_m))

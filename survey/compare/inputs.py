@@ -80,7 +80,9 @@ def load_inputs(paths: Paths, bounds: Bounds | None, water_level: float | None =
     notes: list[str] = []
     compared = read_shape(paths.cloud, water_level)
     level = level_of_cloud(compared) if water_level is None else water_level
-    given = {path: read_shape(path, level) for path in (paths.reference, paths.visible) if path is not None}
+    given = {
+        path: read_shape(path, level, compared.crs) for path in (paths.reference, paths.visible) if path is not None
+    }
     for path, other in given.items():
         require_same_crs(compared.crs, other.crs, str(paths.cloud), str(path))
     notes += [note for shape in (compared, *given.values()) for note in shape.notes]

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from pyproj import CRS
 
 from geo.crs import has_height, height_unit_m
 from geo.files import existing_file
@@ -13,6 +14,7 @@ from geo.reading import read_reference
 from geo.shapes import Cloud, Mesh
 from geo.values import check_values
 from survey.compare.area import CompareError
+from survey.files.column_units import Units
 from survey.files.crs_comment import crs_of_comment
 from survey.files.csv_table import Row
 from survey.files.point_table import PLACE, read_points
@@ -32,7 +34,7 @@ def is_table(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES
 
 
-def read_shape(path: Path, water_level: float | None) -> Mesh | Cloud:
+def read_shape(path: Path, water_level: float | None, crs: CRS | None = None) -> Mesh | Cloud:
     """A mesh or cloud as `geo.read_reference`, or the points of a table, depths below the level of the water.
 
     Parameters
@@ -40,6 +42,8 @@ def read_shape(path: Path, water_level: float | None) -> Mesh | Cloud:
     path : Path
     water_level : float, optional
         In the CRS of the comparison.
+    crs : pyproj.CRS, optional
+        Of a table that names none.
 
     Raises
     ------
@@ -48,17 +52,18 @@ def read_shape(path: Path, water_level: float | None) -> Mesh | Cloud:
     """
     if not is_table(path):
         return read_reference(path)
+    own = crs_of_comment(existing_file(path), CompareError)
     rows = read_points(
-        existing_file(path),
+        path,
         optional=("std",),
         by_place=True,
         level=water_level,
         give_level=GIVE_LEVEL,
+        units=Units.of(own or crs),
         error=CompareError,
     )
     points = places_of(rows, path)
-    crs = crs_of_comment(path, CompareError)
-    return Cloud(points=points, crs=crs, notes=check_values(points, crs, path))
+    return Cloud(points=points, crs=own, notes=check_values(points, own, path))
 
 
 def places_of(rows: Sequence[Row], path: Path) -> np.ndarray:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from pyproj import CRS
 
 from survey.errors import ControlError
+from survey.files.column_units import Units
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,7 @@ class GivenPoint:
     where : str
         File and line, for messages.
     place : (easting or longitude, northing or latitude, height)
-        Horizontally in `crs`; the height is one in the crs of the survey.
+        Horizontally in `crs`; the height is one in the crs of the survey, or in the unit that the file says.
     crs : CRS or None
         None where it is that of the survey.
     std_m : (east, north, up) [m] or None
@@ -31,6 +32,8 @@ class GivenPoint:
         The point as its file has it, once `place` was taken to the crs of the survey.
     datum_std_m : float
         What that way adds in plan, alike for all points of a file.
+    units : Units
+        That the file gives its coordinates beside a CRS.
     """
 
     name: str
@@ -41,6 +44,7 @@ class GivenPoint:
     is_check: bool = False
     as_read: GivenPoint | None = None
     datum_std_m: float = 0.0
+    units: Units = field(default_factory=Units)
 
 
 @dataclass(frozen=True)

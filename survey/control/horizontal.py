@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from pyproj import CRS
 
 from geo.crs import called, horizontal_crs
 from geo.errors import GeoError
+from geo.stated import height_unit_said
 from geo.transformation import Transformation, height_scale
 from survey.control.content import GivenPoint
 from survey.errors import ControlError
+from survey.files.column_units import Units
 
 
 def in_crs(points: Sequence[GivenPoint], crs: CRS, assumptions: list[str], warnings: list[str]) -> list[GivenPoint]:
@@ -28,10 +31,12 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS, assumptions: list[str], warni
         If heights count from another datum or have no unit, or a grid of the best transformation is missing.
     """
     done = list(points)
-    for source in dict.fromkeys(point.crs for point in points if point.crs is not None):
-        of_source = [i for i, point in enumerate(points) if point.crs == source]
-        first = points[of_source[0]]
-        scale = height_scale(source, crs, f"{first.where}: the heights of points in {called(source)}")
+    for source, units in dict.fromkeys((point.crs, point.units) for point in points):
+        if source is None and units == Units():
+            continue
+        of_source = [i for i, point in enumerate(points) if (point.crs, point.units) == (source, units)]
+        first, source = points[of_source[0]], crs if source is None else source
+        scale = _height_scale(first, source, crs)
         places, added = np.array([points[i].place for i in of_source]), 0.0
         if not horizontal_crs(source).equals(horizontal_crs(crs), ignore_axis_order=True):
             mend = "or give the points in crs"
@@ -46,6 +51,10 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS, assumptions: list[str], warni
                 f"points in {called(source)} ({first.where}) are transformed to {horizontal_crs(crs).name}; their "
                 f"heights {heights}"
             )
+        elif scale != 1.0:
+            assumptions.append(
+                f"heights of {first.where} are converted by {scale:.7g}, as its columns or CRS name units"
+            )
         places[:, 2] *= scale
         for i, place in zip(of_source, places.tolist(), strict=True):
             if not np.isfinite(place).all():
@@ -56,6 +65,18 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS, assumptions: list[str], warni
                 )
             done[i] = replace(points[i], place=tuple(place), crs=None, as_read=points[i], datum_std_m=added)
     return done
+
+
+def _height_scale(first: GivenPoint, source: CRS, crs: CRS) -> float:
+    """Units of height of crs in one of a file, of which this is a point, by what its header and its CRS say."""
+    where = Path(first.where)
+    fault = first.units.plan_fault(Units.of(source))
+    if fault is not None:
+        raise ControlError(f"{first.where}: {fault}; convert them")
+    if first.crs is None:
+        return first.units.height_factor(Units.of(crs))
+    unit_m = height_unit_said(source, first.units.height_m, where, "the unit of its column of heights")
+    return height_scale(source, crs, f"{first.where}: the heights of points in {called(source)}", unit_m=unit_m)
 
 
 def swapped(point: GivenPoint, crs: CRS) -> GivenPoint | None:

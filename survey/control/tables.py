@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from pyproj import CRS
 
 from survey.control.content import Content, ControlFormat, GivenMark, GivenPoint, is_check_role, require_std
 from survey.errors import ControlError
+from survey.files.column_units import Units
 from survey.files.crs_comment import crs_of_comment
 from survey.files.csv_table import Row, column_names, read_table, shortened
-from survey.files.point_table import PLACE, STDS, SYNONYMS, read_points
+from survey.files.point_table import PLACE, STDS, SYNONYMS, has_depths, read_points, units_said
 
 # What other programs call the columns.
 _MARK_SYNONYMS = {
@@ -34,8 +36,8 @@ def read_coordinates(path: Path) -> Content:
     rows = read_points(path, optional=("name", *optional), error=ControlError)
     if rows and "name" not in column_names(path, SYNONYMS):
         raise ControlError(f"{path}: the first line has no column name, expected {','.join(columns)}; add it")
-    crs = crs_of_comment(path, ControlError)
-    return Content(points=tuple(_point(row, crs) for row in rows))
+    crs, units = crs_of_comment(path, ControlError), units_said(path, ControlError)
+    return Content(points=tuple(replace(_point(row, crs), units=units) for row in rows))
 
 
 def read_marks(path: Path) -> Content:
@@ -53,23 +55,26 @@ def read_marks(path: Path) -> Content:
     return Content(marks=tuple(marks))
 
 
-def read_checkpoints(path: Path, level: float | None = None) -> tuple[GivenPoint, ...]:
+def read_checkpoints(path: Path, level: float | None = None, survey_crs: CRS | None = None) -> tuple[GivenPoint, ...]:
     """The points of a table ``easting,northing,height``, numbered where it has no names.
 
-    Depths count from the ``level`` of the water in crs, where it has one.
+    Depths count from the ``level`` of the water in the crs of the survey, where it has one.
 
     Raises
     ------
     ControlError
         If the file has no points or one of them twice, or as `read_coordinates`.
     """
-    rows = read_points(path, level=level, give_level="give [water] level_m", error=ControlError)
     crs = crs_of_comment(path, ControlError)
+    # Depths become heights of the survey, others have the unit that the file says.
+    units = Units.of(survey_crs) if survey_crs is not None and has_depths(path) else None
+    rows = read_points(path, level=level, give_level="give [water] level_m", units=units, error=ControlError)
+    said = units_said(path, ControlError) if units is None else Units(height_m=units.height_m)
     if not rows:
         raise ControlError(f"{path} has no check points, expected lines name,easting,northing,height; add them")
     points: dict[str, GivenPoint] = {}
     for i, row in enumerate(rows, start=1):
-        point = GivenPoint(row.cells.get("name") or str(i), row.where, _place(row), crs, is_check=True)
+        point = GivenPoint(row.cells.get("name") or str(i), row.where, _place(row), crs, is_check=True, units=said)
         first = points.setdefault(point.name, point)
         if first is not point:
             raise ControlError(

@@ -1,7 +1,7 @@
 """Tables of points: easting, northing, height, under whatever names the trade has for them, in any order of columns.
 
 One reader for check points, control and points of the water surface: columns are taken by their names, and by their
-place only where a file has numbers alone.
+place only where a file has numbers alone. A unit in the name of a column counts.
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from geo.values import is_mark_of_no_data
 from survey.errors import SurveyError
+from survey.files.column_units import Units, meaning, same_unit
 from survey.files.csv_table import Row, column_names, first_cells, read_table, shortened
 
 PLACE = ("easting", "northing", "height")
@@ -38,7 +40,8 @@ SYNONYMS = {
     **dict.fromkeys(("type", "use"), "role"),
     **dict.fromkeys(("enabled",), "enable"),
 }
-_UNITS = ("_m", " (m)", " [m]", "(m)", "[m]")
+_STDS = ("std", "std_horizontal", *STDS)
+_WORDS = SYNONYMS | {name: name for name in (*PLACE, *_STDS, "depth")}
 # Other words for a height, of which a table has one alone, or says which counts.
 _HEIGHTS = ("ellipsoidal", "orthometric", "geoid height", "ellipsoidal_height", "orthometric_height", "depth")
 _DEGREES = ("lon", "lat")
@@ -53,11 +56,12 @@ def read_points(
     by_place: bool = False,
     level: float | None = None,
     give_level: str = "",
+    units: Units | None = None,
     error: type[SurveyError],
 ) -> list[Row]:
     """Rows of a table of points with the columns of `PLACE`, and the ``optional`` ones.
 
-    Depths become heights where the level of the water is known.
+    Depths become heights where the level of the water is known; standard deviations are in metres.
 
     Parameters
     ----------
@@ -69,20 +73,28 @@ def read_points(
         Of the water that depths count from, in the heights of crs.
     give_level : str
         How it is given, for a message, e.g. "give --water-level".
+    units : Units, optional
+        Of the CRS of the points, which heights and depths get where the table has them in others. Without it heights
+        stay as they are: `units_said`.
     error : type
         What is raised.
 
     Raises
     ------
     SurveyError
-        Where columns are missing, or two have the same meaning; as `survey.files.csv_table.read_table`.
+        Where columns are missing, two have the same meaning, or eastings are in another unit; as
+        `survey.files.csv_table.read_table`.
     """
-    synonyms = _synonyms_for(path, error)
+    synonyms, said = _synonyms_for(path, error), units_said(path, error)
     if by_place and _is_of_numbers(path, error):
-        return read_table(path, PLACE, optional=("std",), header=False, error=error)
+        return _with_heights(read_table(path, PLACE, optional=("std",), header=False, error=error), error)
     names = column_names(path, synonyms)
     found = shortened(", ".join(names)) or "nothing"
-    _require_one_height(path, synonyms, error)
+    _require_one_column(path, synonyms, error)
+    fault = None if units is None else said.plan_fault(units)
+    if fault is not None:
+        raise error(f"{path}: {fault}; convert them")
+    factor = 1.0 if units is None else said.height_factor(units)
     if has_depths(path):
         if level is None:
             mend = f"{give_level}, or subtract" if give_level else "subtract"
@@ -92,19 +104,63 @@ def read_points(
             )
         columns = (*PLACE[:2], "depth")
         rows = read_table(path, columns, optional=optional, synonyms=synonyms, error=error)
-        return _above(rows, level, path, error)
+        return _in_metres(_above(_scaled(rows, "depth", factor), level, path, error), path, error)
     missing = [name for name in PLACE if name not in names]
     if missing:
         raise error(
             f"{path}: the first line has no column {', '.join(missing)}; expected easting, northing, height (or E, N, "
             f"Z; X, Y, Z; longitude, latitude, altitude), in any order, found {found}"
         )
-    return read_table(path, PLACE, optional=optional, synonyms=synonyms, error=error)
+    rows = _with_heights(read_table(path, PLACE, optional=optional, synonyms=synonyms, error=error), error)
+    return _in_metres(_scaled(rows, "height", factor), path, error)
+
+
+def units_said(path: Path, error: type[SurveyError]) -> Units:
+    """Units that the names of the columns of a table give its coordinates, depths among them.
+
+    Raises
+    ------
+    SurveyError
+        Where easting and northing have two units.
+    """
+    found = {said[0]: said[1] for cell in first_cells(path, error) if (said := meaning(cell, _WORDS)) is not None}
+    east, north = (found.get(name) for name in PLACE[:2])
+    if east is not None and north is not None and not same_unit(east, north):
+        raise error(f"{path}: easting is in units of {east:.10g} m and northing of {north:.10g} m; convert one")
+    return Units(east or north, found.get("height") or found.get("depth"))
+
+
+def _in_metres(rows: Sequence[Row], path: Path, error: type[SurveyError]) -> list[Row]:
+    """Rows with standard deviations in metres, whose columns may name another unit."""
+    units = {said[0]: said[1] for cell in first_cells(path, error) if (said := meaning(cell, _WORDS)) is not None}
+    done = list(rows)
+    for name in _STDS:
+        done = _scaled(done, name, units.get(name) or 1.0)
+    return done
+
+
+def _scaled(rows: Sequence[Row], name: str, factor: float) -> list[Row]:
+    """Rows with the numbers of a column times a factor; empty cells stay."""
+    if factor == 1.0:
+        return list(rows)
+    return [
+        replace(row, cells=row.cells | {name: repr(row.number(name) * factor)}) if row.cells.get(name) else row
+        for row in rows
+    ]
+
+
+def _with_heights(rows: Sequence[Row], error: type[SurveyError]) -> list[Row]:
+    """Rows as they are; raises where a height is what programs write that have none."""
+    for row in rows:
+        *_, height = (row.number(name) for name in PLACE)
+        if is_mark_of_no_data(height):
+            raise error(f"{row.where}: the height is {row.cells['height']}, a mark of no data; remove the line")
+    return list(rows)
 
 
 def _synonyms_for(path: Path, error: type[SurveyError]) -> dict[str, str]:
     """The names that count in a table: of one with grid coordinates and degrees, those of the grid."""
-    synonyms = _with_units()
+    synonyms = _with_units(first_cells(path, error))
     called = {cell for cell in first_cells(path, error) if synonyms.get(cell, cell) in PLACE[:2]}
     degrees = {cell for cell in called if cell.startswith(_DEGREES)}
     if {synonyms.get(cell, cell) for cell in called - degrees} >= set(PLACE[:2]):
@@ -115,7 +171,10 @@ def _synonyms_for(path: Path, error: type[SurveyError]) -> dict[str, str]:
 
 def has_depths(path: Path) -> bool:
     """Whether a table has depths and no heights."""
-    names = column_names(path, _with_units())
+    try:
+        names = column_names(path, _with_units(first_cells(path, SurveyError)))
+    except SurveyError:
+        return False
     return "depth" in names and "height" not in names
 
 
@@ -132,14 +191,22 @@ def _above(rows: Sequence[Row], level: float, path: Path, error: type[SurveyErro
     ]
 
 
-def _with_units() -> dict[str, str]:
-    words = {**SYNONYMS, **{name: name for name in (*PLACE, "std", "depth")}}
-    return SYNONYMS | {f"{word}{unit}": name for word, name in words.items() for unit in _UNITS}
+def _with_units(cells: Sequence[str]) -> dict[str, str]:
+    """The words that columns are known by, with these names of columns that have a unit behind them."""
+    return SYNONYMS | {cell: said[0] for cell in cells if (said := meaning(cell, _WORDS)) is not None}
 
 
-def _require_one_height(path: Path, synonyms: dict[str, str], error: type[SurveyError]) -> None:
-    """Raise where two columns are heights, or one is and another a depth."""
-    called = [cell for cell in first_cells(path, error) if synonyms.get(cell, cell) == "height" or cell in _HEIGHTS]
+def _require_one_column(path: Path, synonyms: dict[str, str], error: type[SurveyError]) -> None:
+    """Raise where two columns have one meaning: of heights also where one is a height and another a depth."""
+    cells = first_cells(path, error)
+    for name in (*PLACE[:2], "depth"):
+        twice = [cell for cell in cells if synonyms.get(cell, cell) == name]
+        if len(twice) > 1:
+            raise error(
+                f"{path} has {len(twice)} columns that may be the {name}, {' and '.join(twice)}; keep the one that "
+                f"counts in crs, and call it {name}"
+            )
+    called = [cell for cell in cells if synonyms.get(cell, cell) == "height" or cell in _HEIGHTS]
     if len(called) > 1:
         raise error(
             f"{path} has {len(called)} columns of heights, {' and '.join(called)}; keep the one that counts in the "

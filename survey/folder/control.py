@@ -68,7 +68,8 @@ def find_control(
     """
     checkpoints: tuple[GivenPoint, ...] = ()
     if config.checkpoints is not None:
-        checkpoints = tuple(in_crs(read_checkpoints(folder / config.checkpoints, level), crs, assumptions, warnings))
+        given = read_checkpoints(folder / config.checkpoints, level, crs)
+        checkpoints = tuple(in_crs(given, crs, assumptions, warnings))
     if not config.gcp_files:
         return FoundControl(config, None, checkpoints)
     contents = [read_control(folder / name) for name in config.gcp_files]

@@ -14,6 +14,7 @@ from pyproj.exceptions import CRSError
 
 from geo.crs import horizontal_crs, is_geographic
 from geo.transformation import transformed
+from geo.values import is_mark_of_no_data
 from survey.errors import ConfigError
 
 _LARGEST_BYTES = 100_000_000
@@ -57,6 +58,8 @@ def points_of_geojson(path: Path, crs: CRS, notes: list[str]) -> np.ndarray:
     content = _content(path)
     vertices = list(_vertices(path, content, {}, 0))
     points = np.array(list(dict.fromkeys(_with_heights(path, vertices, notes)))).reshape(-1, 3)
+    if (wrong := next((height for height in points[:, 2].tolist() if is_mark_of_no_data(height)), None)) is not None:
+        raise ConfigError(f"{path} has the height {wrong:g}, a mark of no data; remove those points")
     source = _crs_of(path, content)
     if source is None:
         in_degrees = len(points) == 0 or bool((np.abs(points[:, :2]) <= (180.0, 90.0)).all())

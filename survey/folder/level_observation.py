@@ -18,6 +18,7 @@ from pyproj import CRS
 
 from geo.crs import height_unit_m
 from survey.errors import ConfigError
+from survey.files.column_units import Units
 from survey.files.csv_table import Row, read_table
 from survey.files.point_table import read_points
 from survey.folder.level_geojson import points_of_geojson
@@ -69,7 +70,7 @@ def points_of_surface(path: Path, source: str, crs: CRS, notes: list[str]) -> tu
     if path.suffix.lower() in _GEOJSON:
         points = points_of_geojson(path, crs, notes)
         return tuple(LevelObservation(h * unit, STD_M[source], (e, n), None, source) for e, n, h in points.tolist())
-    rows = read_points(path, optional=("std",), error=ConfigError)
+    rows = read_points(path, optional=("std",), units=Units.of(crs), error=ConfigError)
     places = [(row.number("easting"), row.number("northing")) for row in rows]
     return tuple(
         LevelObservation(row.number("height") * unit, std_of(row, source), place, None, source)

@@ -101,8 +101,8 @@ class PoseFile:
     crs : pyproj.CRS or None
         Of GRID and LEVEL: that of the positions; of GEOCENTRIC: the one on whose datum they are. None: the crs of the
         survey, or WGS 84 for GEOCENTRIC.
-    height_unit_m : float or None
-        Unit of the heights [m], where the program tells it and ``crs`` does not.
+    height_unit_m, plan_unit_m : float or None
+        Units of heights, and of eastings and northings [m], where the file tells them beside ``crs``.
     tool : str or None
         The program that adjusted the poses, which knows straight rays only; None where the format does not tell.
     masks : Path or None
@@ -119,6 +119,7 @@ class PoseFile:
     notes: tuple[str, ...] = field(default=(), compare=False)
     warnings: tuple[str, ...] = field(default=(), compare=False)
     height_unit_m: float | None = None
+    plan_unit_m: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

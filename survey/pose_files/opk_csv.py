@@ -6,12 +6,14 @@ Omega, phi and kappa count about the grid axes at the camera, yaw from true nort
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from pyproj import CRS
 
 from survey.errors import PosesError
+from survey.files.column_units import meaning
 from survey.files.crs_comment import crs_of_comment
 from survey.files.csv_table import Row, column_names, read_table
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk, level_from_yaw_pitch_roll
@@ -25,7 +27,6 @@ _YPR, _GIMBAL = ("yaw", "pitch", "roll"), ("gimbal_yaw", "gimbal_pitch", "gimbal
 # As Metashape calls the poses that it found, beside the positions of its reference.
 _ESTIMATED = {name: f"{name}_est" for name in (*_PLACE, *_OPK, *_YPR)}
 _STDS = ("std_east", "std_north", "std_height")
-_UNITS = ("", "_deg", " (deg)", " [deg]", "(deg)", "[deg]", "_m", " (m)", " [m]", "(m)", "[m]")
 _WORDS = {
     "image": ("photo", "photograph", "file", "filename", "file_name", "imagename", "image_name", "name", "label",
               "camera", "photoid", "#label", "#name", "#image"),
@@ -40,14 +41,14 @@ _WORDS = {
     "std": ("accuracy", "sigma", "std_position"), "std_east": ("std_e", "sx", "std_easting", "accuracy_x"),
     "std_north": ("std_n", "sy", "std_northing", "accuracy_y"), "std_height": ("std_h", "sz", "std_up", "accuracy_z"),
 }  # fmt: skip
-_SYNONYMS = {word + unit: name for name, words in _WORDS.items() for word in (name, *words) for unit in _UNITS}
+_NAMES = {word: name for name, words in _WORDS.items() for word in (name, *words)}
 # A camera that looks straight down has this pitch by its gimbal, and 0 by the convention of photogrammetry.
 _GIMBAL_DOWN_DEG = -90.0
 
 
 def is_opk_csv(path: Path) -> bool:
     """Whether the first line of a file has the columns of a table of poses."""
-    return _columns(column_names(path, _SYNONYMS)) is not None
+    return _columns(column_names(path, _synonyms(path))) is not None
 
 
 def read_opk_csv(path: Path) -> PoseFile:
@@ -62,12 +63,14 @@ def read_opk_csv(path: Path) -> PoseFile:
         Where a column is missing, a number is missing or not finite, a pitch is that of a gimbal, or an image has two
         lines.
     """
-    columns = _columns(column_names(path, _SYNONYMS)) or dict(zip(COLUMNS, COLUMNS, strict=True))
+    synonyms = _synonyms(path)
+    columns = _columns(column_names(path, synonyms)) or dict(zip(COLUMNS, COLUMNS, strict=True))
     names = tuple(columns.values())
-    rows = read_table(path, names, optional=("std", *_STDS), synonyms=_SYNONYMS, error=PosesError)
+    units = _units(path)
+    rows = read_table(path, names, optional=("std", *_STDS), synonyms=synonyms, error=PosesError)
     poses: dict[str, Pose] = {}
     for row in rows:
-        pose = _pose(row, names)
+        pose = _pose(row, names, units)
         if pose.name in poses:
             raise SecondPose(pose.name, row.where)
         poses[pose.name] = pose
@@ -75,14 +78,41 @@ def read_opk_csv(path: Path) -> PoseFile:
     doubt = f"columns of a lens in {path.name} ({', '.join(of_lens[:10])}) are not read: give it in [cameras]"
     warnings = (doubt,) if of_lens else ()
     crs = crs_of_comment(path, PosesError) or (CRS("EPSG:4326") if names[1] == "longitude" else None)
+    height_m, plan_m = (units.get(name) for name in (names[3], names[1]))
     if "omega" in columns:
-        return PoseFile(tuple(poses.values()), PoseFrame.GRID, crs, warnings=warnings)
+        return PoseFile(
+            tuple(poses.values()),
+            PoseFrame.GRID,
+            crs,
+            warnings=warnings,
+            height_unit_m=height_m,
+            plan_unit_m=plan_m,
+        )
     is_of_gimbal = "gimbal_yaw" in columns
     if not is_of_gimbal:
         _require_photogrammetric(path, rows, names[5])
     down = "-90 looks" if is_of_gimbal else "0 looks"
     notes = (f"yaw in {path.name} counts from true north, not from the grid's, and a pitch of {down} straight down",)
-    return PoseFile(tuple(poses.values()), PoseFrame.LEVEL, crs, notes=notes, warnings=warnings)
+    return PoseFile(
+        tuple(poses.values()),
+        PoseFrame.LEVEL,
+        crs,
+        notes=notes,
+        warnings=warnings,
+        height_unit_m=height_m,
+        plan_unit_m=plan_m,
+    )
+
+
+def _synonyms(path: Path) -> dict[str, str]:
+    """The meanings of the columns of a table, by their names in it, units among them."""
+    return {cell: said[0] for cell in column_names(path, {}) if (said := meaning(cell, _NAMES)) is not None}
+
+
+def _units(path: Path) -> dict[str, float]:
+    """Units [m] that the names of the columns of a table have, by meaning."""
+    found = [said for cell in column_names(path, {}) if (said := meaning(cell, _NAMES)) is not None]
+    return {name: unit for name, unit in found if unit is not None}
 
 
 def _columns(names: list[str]) -> dict[str, str] | None:
@@ -99,7 +129,7 @@ def _columns(names: list[str]) -> dict[str, str] | None:
     return None
 
 
-def _pose(row: Row, names: tuple[str, ...]) -> Pose:
+def _pose(row: Row, names: tuple[str, ...], units: Mapping[str, float]) -> Pose:
     e, n, h, *degrees = (row.number(name) for name in names[1:])
     angles = [math.radians(angle) for angle in degrees]
     centre = np.array([e, n, h])
@@ -108,14 +138,15 @@ def _pose(row: Row, names: tuple[str, ...]) -> Pose:
     else:
         lift = math.radians(_GIMBAL_DOWN_DEG) if names[4] == "gimbal_yaw" else 0.0
         world_from_cam = level_from_yaw_pitch_roll(angles[0], angles[1] - lift, angles[2])
-    return Pose(row.text("image"), centre, world_from_cam.T, given=_given(row, centre))
+    return Pose(row.text("image"), centre, world_from_cam.T, given=_given(row, centre, units))
 
 
-def _given(row: Row, centre: np.ndarray) -> GivenPosition | None:
+def _given(row: Row, centre: np.ndarray, units: Mapping[str, float]) -> GivenPosition | None:
     stds = [row.cells.get(name) or row.cells.get("std") for name in _STDS]
     if any(not std for std in stds):
         return None
-    values = np.array([row.number(name if row.cells.get(name) else "std") for name in _STDS])
+    called = [name if row.cells.get(name) else "std" for name in _STDS]
+    values = np.array([row.number(name) * units.get(name, 1.0) for name in called])
     if not (values > 0.0).all():
         raise PosesError(
             f"{row.where}: the accuracy of the position is {values.tolist()}, expected above 0; correct it"

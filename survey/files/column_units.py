@@ -1,0 +1,93 @@
+"""Units in the names of columns: height_ft, Z [m], depth (cm), lon (deg)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from pyproj import CRS
+
+from geo.crs import has_height, height_unit_m, horizontal_unit, is_geographic
+from geo.stated import unit_named
+
+_IN_BRACKETS = re.compile(r"(.*?)[\s_]*[(\[]\s*([^()\[\]]+?)\s*[)\]]")
+_DEGREES = ("deg", "degree", "degrees", "°", "dd", "decimal degrees")
+# Of two feet, which differ by 2e-6.
+_SAME_UNIT = 1e-9
+
+
+@dataclass(frozen=True)
+class Units:
+    """Units of the coordinates of a table.
+
+    Attributes
+    ----------
+    plan_m, height_m : [m] or None
+        None where nothing says them, and of degrees.
+    """
+
+    plan_m: float | None = None
+    height_m: float | None = None
+
+    @staticmethod
+    def of(crs: CRS | None) -> Units:
+        """Those of a CRS; metres where there is none."""
+        if crs is None:
+            return Units(1.0, 1.0)
+        plan = None if is_geographic(crs) else horizontal_unit(crs)
+        return Units(plan, height_unit_m(crs) if has_height(crs) else 1.0)
+
+    def height_factor(self, target: Units) -> float:
+        """Units of height of the target in one of these; 1 where either is not known."""
+        return 1.0 if self.height_m is None or target.height_m is None else self.height_m / target.height_m
+
+    def plan_fault(self, target: Units) -> str | None:
+        """What is wrong with the unit of eastings and northings, whose CRS has those of the target; None for nothing.
+
+        Examples
+        --------
+        >>> Units(plan_m=0.3048).plan_fault(Units(1.0, 1.0))
+        'eastings and northings are in units of 0.3048 m by the names of their columns, expected 1 m as in the CRS'
+        """
+        if self.plan_m is None or (target.plan_m is not None and same_unit(self.plan_m, target.plan_m)):
+            return None
+        said = "degrees" if target.plan_m is None else f"{target.plan_m:.10g} m"
+        return (
+            f"eastings and northings are in units of {self.plan_m:.10g} m by the names of their columns, expected "
+            f"{said} as in the CRS"
+        )
+
+
+def same_unit(a: float, b: float) -> bool:
+    """Whether two units [m] are one."""
+    return abs(a / b - 1.0) < _SAME_UNIT
+
+
+def meaning(cell: str, words: Mapping[str, str]) -> tuple[str, float | None] | None:
+    """What a column means and its unit [m], by its name in lower case; None where the name is none of the words.
+
+    Examples
+    --------
+    >>> words = {"z": "height", "depth": "depth", "std_m": "std"}
+    >>> meaning("depth_ft", words), meaning("z [m]", words), meaning("std_m", words), meaning("z_up", words)
+    (('depth', 0.3048), ('height', 1.0), ('std', None), None)
+    """
+    if cell in words:
+        return words[cell], None
+    for bare, unit in _parts(cell):
+        if bare in words and unit in _DEGREES:
+            return words[bare], None
+        metres = unit_named(unit) if bare in words else None
+        if metres is not None:
+            return words[bare], metres
+    return None
+
+
+def _parts(cell: str) -> Iterator[tuple[str, str]]:
+    """A name and what may be its unit: in brackets, or behind an underscore or blank."""
+    if (found := _IN_BRACKETS.fullmatch(cell)) is not None:
+        yield found[1], found[2]
+    for i, letter in enumerate(cell):
+        if letter in "_ " and 0 < i < len(cell) - 1:
+            yield cell[:i], cell[i + 1 :]

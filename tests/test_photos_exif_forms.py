@@ -11,7 +11,7 @@ from PIL import ExifTags, Image
 from PIL.TiffImagePlugin import IFDRational
 
 from survey.folder.head_doubts import head_doubts
-from survey.photos.exif import read_exif
+from survey.photos.exif import _altitude_reference, _position_of_gps, read_exif
 from survey.photos.exif_focal import focal_px, resized_doubt
 from survey.photos.xmp import height_datum, rtk_of, xmp_place
 
@@ -92,13 +92,15 @@ def test_a_position_without_its_hemisphere_is_none_and_that_is_said(head, missin
     [
         (b"\x00", 12.5, 12.5, None), (b"\x01", 12.5, -12.5, None), (b"\x02", 12.5, 12.5, "mean sea level"),
         (b"\x03", 12.5, -12.5, "mean sea level"), (b"1", 12.5, -12.5, None), (b"3", 12.5, -12.5, "mean sea level"),
-        (b"0", 12.5, 12.5, None), (None, 12.5, 12.5, None),
+        (b"0", 12.5, 12.5, None), (None, 12.5, 12.5, None), (b"\x01\x00", 12.5, -12.5, None),
+        (b"\x00\x00", 12.5, 12.5, None), (b"\x03\0\0\0", 12.5, -12.5, "mean sea level"), (b"1\0", 12.5, -12.5, None),
+        (b"\x01", 4294967295.0, math.nan, None), (1, 12.5, -12.5, None),
     ],
 )  # fmt: skip
 def test_one_height_in_all_its_forms(head, reference, altitude, height, datum):
     gps = gps_of() | {GPS.GPSAltitude: IFDRational(round(10 * altitude), 10)}
     found = head(gps | ({} if reference is None else {GPS.GPSAltitudeRef: reference}))
-    assert found.lat_lon_height[2] == pytest.approx(height)
+    assert found.lat_lon_height[2] == pytest.approx(height, nan_ok=True)
     assert found.height_datum == datum
 
 
@@ -204,3 +206,65 @@ def test_a_calibration_of_another_size_is_not_used_and_said(film, xmp, expected,
     assert focal_px((512, 384), details, xmp) == expected
     assert words in resized_doubt((512, 384), details, xmp)
     assert bool(words) == bool(resized_doubt((512, 384), details, xmp))
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        ("Below Sea Level", 1),
+        ("above sea level", 0),
+        ("\x01", 1),
+        ((1,), 1),
+        ([3, 0], 3),
+        (1.0, 1),
+        ("", None),
+        ("?", None),
+    ],
+)
+def test_the_reference_of_a_height_in_other_types(value, expected):
+    assert _altitude_reference({GPS.GPSAltitudeRef: value}) == expected
+
+
+@pytest.mark.parametrize(
+    "value", [IFDRational(0, 0), (IFDRational(47), IFDRational(1, 0), IFDRational(0)), "47 N", b"\xff", (), "478 5"]
+)
+def test_a_latitude_that_cannot_be_read_is_said(value):
+    position, fault = _position_of_gps(gps_of() | {GPS.GPSLatitude: value})
+    assert position is None
+    assert fault == "a latitude and longitude that can be read"
+
+
+@pytest.mark.parametrize(
+    "value", [IFDRational(338567844, 10**7), "33.8567844", b"33.8567844\0", (IFDRational(338567844, 10**7),)]
+)
+def test_a_latitude_as_one_number_is_in_degrees(value):
+    assert _position_of_gps(gps_of() | {GPS.GPSLatitude: value})[0][0] == pytest.approx(LAT)
+
+
+@pytest.mark.parametrize("prefix", ["drone-dji", "ns1", "d-x"])
+@pytest.mark.parametrize("quote", ['"', "'"])
+def test_the_prefix_of_a_namespace_is_free(head, prefix, quote):
+    xmp = XMP.format(q=quote).replace("drone-dji:", f"{prefix}:")
+    xmp = xmp.replace(
+        "<rdf:Description", f"<rdf:Description xmlns:{prefix}={quote}http://www.dji.com/drone-dji/1.0/{quote}"
+    )
+    assert head(xmp=xmp).lat_lon_height == (-33.85678441, -151.21529672, 12.5)
+    assert head(xmp=xmp).rtk.std_m == (0.01, 0.02, 0.03)
+
+
+@pytest.mark.parametrize(
+    ("latitude", "longitude"),
+    [
+        ("33,51.407064S", "151,12.917802W"),
+        ("33,51,24.42384S", "151,12,55.06812W"),
+        ("33,51.407064s", "151,12,55.06812w"),
+    ],
+)
+@pytest.mark.parametrize(("reference", "height"), [("0", 12.5), ("1", -12.5), ("3", -12.5)])
+@pytest.mark.parametrize("form", ['exif:{}="{}"', "<exif:{0}>{1}</exif:{0}>"])
+def test_a_position_that_a_program_rewrote_as_xmp_is_read(head, latitude, longitude, reference, height, form):
+    values = {"GPSLatitude": latitude, "GPSLongitude": longitude, "GPSAltitude": "125/10", "GPSAltitudeRef": reference}
+    found = head(xmp="<x>" + " ".join(form.format(*each) for each in values.items()) + "</x>").lat_lon_height
+    assert found == pytest.approx((LAT, LON, height), abs=1e-7)
+    skydio = XMP.format(q='"').replace("drone-dji:Gps", "drone-skydio:").replace("drone-dji:Abs", "drone-skydio:Abs")
+    assert head(xmp=skydio).lat_lon_height == (-33.85678441, -151.21529672, 12.5)

@@ -29,6 +29,7 @@ from survey.photos.xmp import (
     rtk_of,
     serial_of,
     stated_std,
+    with_known_prefixes,
     xmp_number,
     xmp_place,
 )
@@ -40,6 +41,8 @@ _LONGEST_XMP, _LONGEST_WORDS = 1_000_000, 60
 _LONGEST_EXPOSURE_S = 60.0
 # Clocks on Earth differ from UTC by up to 14 hours.
 _MOST_OFFSET_H = 14
+# No drone flies higher; receivers without a height write the largest number.
+_HIGHEST_M = 20_000.0
 # Of GPSAltitudeRef: below the ellipsoid, below the sea.
 _BELOW = (1, 3)
 # A position in XMP that differs from that in EXIF by less (a tenth of a second and half) is the same with more digits.
@@ -188,7 +191,7 @@ def read_exif(path: Path) -> Exif:
 def _text_of_xmp(value: Any) -> str:
     if isinstance(value, bytes):
         value = value[:_LONGEST_XMP].decode("utf-8", errors="replace")
-    return value[:_LONGEST_XMP] if isinstance(value, str) else ""
+    return with_known_prefixes(value[:_LONGEST_XMP]) if isinstance(value, str) else ""
 
 
 def _words(value: Any) -> str:
@@ -229,18 +232,32 @@ def _position_of_gps(gps: dict) -> tuple[tuple[float, float, float] | None, str]
     if latitude == longitude == 0.0:
         return None, "a fix (latitude and longitude are 0)"
     if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
-        return None, ""
-    height = number(gps.get(ExifTags.GPS.GPSAltitude))
+        given = [tag for tag in (ExifTags.GPS.GPSLatitude, ExifTags.GPS.GPSLongitude) if tag in gps]
+        return None, "a latitude and longitude that can be read" if given else ""
+    height = number(_first(gps.get(ExifTags.GPS.GPSAltitude)))
+    height = height if abs(height) < _HIGHEST_M else math.nan
     return (latitude, longitude, -abs(height) if _altitude_reference(gps) in _BELOW else height), ""
 
 
 def _altitude_reference(gps: dict) -> int | None:
     """0 and 1: above and below the ellipsoid, or the sea before Exif 3.0; 2 and 3: above and below the sea."""
-    value = gps.get(ExifTags.GPS.GPSAltitudeRef)
-    if isinstance(value, bytes) and len(value) == 1 and value[0] < 0x20:
-        return value[0]
-    found = number(_plain(value) if isinstance(value, bytes | str) else value)
+    value = _first(gps.get(ExifTags.GPS.GPSAltitudeRef))
+    if isinstance(value, str):
+        value = value.encode("ascii", errors="replace")
+    if isinstance(value, bytes):
+        bare = value.strip(b"\0 ")
+        if not bare:
+            return 0 if value else None
+        # The number itself, its digit, or words that begin like it.
+        words = {b"above": 0, b"below": 1}
+        value = bare[0] if len(bare) == 1 and bare[0] < 0x20 else words.get(bare[:5].lower(), _plain(bare))
+    found = number(value)
     return int(found) if found in (0.0, 1.0, 2.0, 3.0) else None
+
+
+def _first(value: Any) -> Any:
+    """The first of several values, which some programs write where the standard has one."""
+    return value[0] if isinstance(value, tuple | list) and value else value
 
 
 def _plain(value: Any) -> str:
@@ -315,11 +332,13 @@ def _exposure(details: dict) -> float | None:
 
 
 def _degrees(parts) -> float:
+    if isinstance(parts, bytes | str):
+        return number(_plain(parts))
     try:
         values = [number(part) for part in parts[:3]]
     except TypeError:
-        return math.nan
-    size = sum(abs(value) / 60.0**i for i, value in enumerate(values))
+        return number(parts)
+    size = sum(abs(value) / 60.0**i for i, value in enumerate(values)) if values else math.nan
     return -size if any(value < 0.0 for value in values) else size
 
 

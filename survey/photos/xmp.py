@@ -1,7 +1,8 @@
 """What XMP says of an exposure: accuracy and datum of the position, attitudes of drone and camera, speed, shutter.
 
-DJI, Parrot and Autel have namespaces of their own; senseFly, Parrot, older Autel and many others write that of Pix4D,
-`Camera`. Texts are searched, not parsed as XML: there are no entities to expand, and damaged XMP costs what it lacks.
+DJI, Parrot, Autel and Skydio have namespaces of their own; senseFly, Parrot, older Autel and many others write that of
+Pix4D, `Camera`; programs that rewrite XMP put the position into that of EXIF. Texts are searched, not parsed as XML:
+there are no entities to expand, and damaged XMP costs what it lacks.
 """
 
 from __future__ import annotations
@@ -13,7 +14,19 @@ from typing import Any
 
 import numpy as np
 
-_DJI, _AUTEL, _PARROT, _PIX4D = "drone-dji", "drone", "drone-parrot", "Camera"
+_DJI, _AUTEL, _PARROT, _PIX4D, _SKYDIO, _EXIF = "drone-dji", "drone", "drone-parrot", "Camera", "drone-skydio", "exif"
+# What the addresses of namespaces contain, whatever prefix a program gives them.
+_ADDRESSES = {
+    "drone-dji": _DJI,
+    "autel": _AUTEL,
+    "drone-parrot": _PARROT,
+    "pix4d.com/camera": _PIX4D,
+    "skydio": _SKYDIO,
+    "ns.adobe.com/exif/1": _EXIF,
+}
+_PREFIX = re.compile(r"xmlns:([\w-]{1,40})\s*=\s*[\"']([^\"'<>]{1,200})[\"']")
+# Degrees, minutes and perhaps seconds, with the hemisphere behind them.
+_ANGLE = re.compile(r"(\d{1,3}),(\d{1,2}(?:\.\d*)?)(?:,(\d{1,2}(?:\.\d*)?))?([NSEWnsew])")
 # XML allows both quotes.
 _VALUE = r"(?<![\w-]){}:{}\s{{0,40}}(?:=\s{{0,40}}[\"']|>)\s{{0,40}}([^\"'<]{{1,60}})[\"'<]"
 _NUMBER = re.compile(r"[+-]?[0-9.]+(?:[eE][+-]?[0-9]{1,3})?")
@@ -113,22 +126,58 @@ def height_datum(xmp: str) -> str | None:
     return ELLIPSOIDAL if said.upper().startswith(_ELLIPSOIDS) else said
 
 
-def xmp_place(xmp: str) -> XmpPlace | None:
-    """The position in DJI's or Autel's XMP; None where it has none.
+def with_known_prefixes(xmp: str) -> str:
+    """XMP with the prefixes that namespaces have here, where a program gave them others."""
+    for prefix, address in _PREFIX.findall(xmp):
+        known = next((name for part, name in _ADDRESSES.items() if part in address.lower()), prefix)
+        if known != prefix:
+            xmp = re.sub(rf"(?<![\w-]){re.escape(prefix)}:(?=\w)", f"{known}:", xmp)
+    return xmp
 
-    Older firmware spells the longitude GpsLongtitude.
+
+def xmp_place(xmp: str) -> XmpPlace | None:
+    """The position in XMP, by a drone or as programs rewrite it; None where it has none.
+
+    Older firmware of DJI spells the longitude GpsLongtitude.
     """
     texts = [
-        next((text for space in (_DJI, _AUTEL) for name in names if (text := _text_in(xmp, space, name))), None)
-        for names in (("GpsLatitude",), ("GpsLongitude", "GpsLongtitude"))
+        next((text for space, name in names if (text := _text_in(xmp, space, name))), None)
+        for names in (
+            ((_DJI, "GpsLatitude"), (_AUTEL, "GpsLatitude"), (_SKYDIO, "Latitude")),
+            ((_DJI, "GpsLongitude"), (_DJI, "GpsLongtitude"), (_AUTEL, "GpsLongitude"), (_SKYDIO, "Longitude")),
+        )
     ]
     if any(text is None or not _NUMBER.fullmatch(text) for text in texts):
-        return None
+        return _rewritten_place(xmp)
     latitude, longitude = (number(text) for text in texts)
-    if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0) or latitude == longitude == 0.0:
-        return None
+    height = xmp_number(xmp, "AbsoluteAltitude")
+    height = _number_in(xmp, _SKYDIO, "AbsoluteAltitude") if height is None else height
     digits = min(len(str(text).partition(".")[2]) for text in texts)
-    return XmpPlace(latitude, longitude, xmp_number(xmp, "AbsoluteAltitude"), 10.0**-digits)
+    return _on_earth(XmpPlace(latitude, longitude, height, 10.0**-digits))
+
+
+def _rewritten_place(xmp: str) -> XmpPlace | None:
+    """The position in the namespace of EXIF: "47,52.1234N", with the height as a fraction."""
+    found = [_ANGLE.fullmatch(_text_in(xmp, _EXIF, f"GPS{name}") or "") for name in ("Latitude", "Longitude")]
+    if found[0] is None or found[1] is None or found[0][4] not in "NSns" or found[1][4] not in "EWew":
+        return None
+    latitude, longitude = (
+        (-1.0 if each[4] in "SsWw" else 1.0) * (float(each[1]) + float(each[2]) / 60.0 + float(each[3] or 0.0) / 3600.0)
+        for each in found
+        if each is not None
+    )
+    steps = [(60.0 if each[3] is None else 3600.0, each[3] or each[2]) for each in found if each is not None]
+    step = max(10.0 ** -len(text.partition(".")[2]) / parts for parts, text in steps)
+    height = _number_in(xmp, _EXIF, "GPSAltitude")
+    if height is not None and _text_in(xmp, _EXIF, "GPSAltitudeRef") in ("1", "3"):
+        height = -abs(height)
+    return _on_earth(XmpPlace(latitude, longitude, height, step))
+
+
+def _on_earth(place: XmpPlace) -> XmpPlace | None:
+    """The place, unless it is none, or that of a receiver without a fix."""
+    is_fix = place.latitude != 0.0 or place.longitude != 0.0
+    return place if is_fix and abs(place.latitude) <= 90.0 and abs(place.longitude) <= 180.0 else None
 
 
 def motion_of(xmp: str) -> Motion:

@@ -1,13 +1,13 @@
 """Which field draws a scene best, how true is its surface, and what does it cost?
 
-    python benchmarks/bench_field.py WORK [--objects wreck ship hull] [--models tensorf dw m mdw ...] [--steps N]
+    python benchmarks/bench_field.py WORK [--objects wreck ship hull] [--models vm dw m mdw ...] [--steps N]
                                      [--scale S] [--cells N_MAX] [--rays N] [--write]
 
-TensoRF, DW, M and MDW-NeRF are one code with four settings, compared with NeRF, TinyNeRF, a hash grid with proposals
-(as Nerfacto) and a signed distance (as NeuS). All see the same photographs, paths and steps, and sample alike (the
-hash grid by its proposals). One photograph in eight is held out. Every row is a file in WORK; what is there is not
-computed again. With --write the tables and pictures go to docs/notes/field.md. The defaults are for two cores; full
-size is --scale 1 --cells 256 --steps 30000 --rays 4096.
+VM (planes times vectors, TensoRF's decomposition), DW, M and MDW-NeRF are one code with four settings, compared with
+TensoRF as published, NeRF, TinyNeRF, a hash grid with proposals (as Nerfacto) and a signed distance (as NeuS). All see
+the same photographs, paths and steps, and sample alike (the hash grid by its proposals). One photograph in eight is
+held out. Every row is a file in WORK; what is there is not computed again. With --write the tables and pictures go to
+docs/notes/field.md. The defaults are for two cores; full size is --scale 1 --cells 256 --steps 30000 --rays 4096.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ from fields.volume.train import Training, train_volume
 from fields.volume.view import render_volume
 from fields.water_column import WaterColumn
 
-ABLATION = ("tensorf", "dw", "m", "mdw")
+ABLATION = ("vm", "dw", "m", "mdw")
 # Beside them. The hash grid is one for processors: a step of Nerfacto's own takes 5.6 s.
-BASELINES = ("nerf", "tinynerf", "hash", "neus")
+BASELINES = ("tensorf", "nerf", "tinynerf", "hash", "neus")
 # Steps of each model in turn, to compare their times: (rounds, steps of a round). After the switch from coarse to fine
 # density, where a model has one: most steps of a training are such.
 TIMED = (4, 8)
@@ -51,22 +51,22 @@ TIMED = (4, 8)
 MEMORY_RUNS = 3
 
 
-def build(model: str, scene: ObjectScene, cells: int) -> VolumeRenderer:
+def build(model: str, scene: ObjectScene, cells: int, steps: int) -> VolumeRenderer:
     """An untrained scene of one of the models, ``cells`` along the longest edge at the finest scale."""
     column = WaterColumn() if scene.train.water is not None else None
     # What an orbit sees beside the box is black; from above, every path ends in it.
     background = Backdrop((0.0, 0.0, 0.0)) if scene.name == "ship" else None
     proposal = proposal_for(model, scene.box, cells)
-    return VolumeRenderer(_volume(model, scene, cells), column=column, background=background, proposal=proposal)
+    return VolumeRenderer(_volume(model, scene, cells, steps), column=column, background=background, proposal=proposal)
 
 
-def _volume(model: str, scene: ObjectScene, cells: int) -> VolumeModel:
+def _volume(model: str, scene: ObjectScene, cells: int, steps: int) -> VolumeModel:
     if model not in ABLATION + BASELINES:
         raise SystemExit(f"there is no model {model}; expected one of {', '.join(ABLATION + BASELINES)}")
     if model == "neus":
         # Objects are closed.
         return SdfVolume(scene.box, SdfSettings.small())
-    return build_model(model, scene.box, cells, choose_device("auto"))
+    return build_model(model, scene.box, cells, choose_device("auto"), steps=steps)
 
 
 def switch_to_fine(scene: VolumeRenderer) -> None:
@@ -85,7 +85,7 @@ def scene_of(name: str, options) -> ObjectScene:
 
 def row(model: str, scene: ObjectScene, options, folder: Path) -> dict:
     """Train one model on one object, and measure it."""
-    built = build(model, scene, options.cells)
+    built = build(model, scene, options.cells, options.steps)
     training = Training(steps=options.steps, rays=options.rays, samples=options.samples)
     start = time.perf_counter()
     cells, figures = train_volume(built, scene.train, training, lambda share: None)
@@ -127,7 +127,7 @@ def surface_of(built: VolumeRenderer, scene: ObjectScene, cells: Cells, samples:
 
 def step_times(models: tuple[str, ...], scene: ObjectScene, options) -> dict[str, float]:
     """Seconds of a training step of each model in its fine stage, median of rounds in which all take their turn."""
-    scenes = {model: build(model, scene, options.cells) for model in models}
+    scenes = {model: build(model, scene, options.cells, options.steps) for model in models}
     for built in scenes.values():
         switch_to_fine(built)
     training = Training(steps=TIMED[1], rays=options.rays, samples=options.samples, refresh=())
@@ -143,7 +143,7 @@ def step_times(models: tuple[str, ...], scene: ObjectScene, options) -> dict[str
 
 def inference_mb(model: str, scene: str, options) -> float:
     """Memory [MB] to render a view, with parameters: median over separate processes."""
-    numbers = [f"--{name}={getattr(options, name)}" for name in ("scale", "cells", "samples")]
+    numbers = [f"--{name}={getattr(options, name)}" for name in ("scale", "cells", "samples", "steps")]
     command = [sys.executable, __file__, str(options.work), "--memory", scene, model, *numbers]
     runs = [subprocess.run(command, check=True, capture_output=True, text=True) for _ in range(MEMORY_RUNS)]
     return statistics.median(float(run.stdout.split()[-1]) for run in runs)
@@ -153,11 +153,11 @@ def print_memory(scene: str, model: str, options) -> None:
     """For `inference_mb`: the most that was held while a view was rendered, over what was held before."""
     loaded = scene_of(scene, options)
     camera = replace(loaded.held.cameras[0], width=64, height=64)
-    tiny = build("mdw", loaded, 16)  # compilers and libraries are loaded once, for all models alike
+    tiny = build("mdw", loaded, 16, options.steps)  # compilers and libraries are loaded once, for all models alike
     render_volume(tiny, camera, None, Cells.everywhere(loaded.box, 16), samples=options.samples)
     before = _resident_mb("VmRSS")
     Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
-    built = build(model, loaded, options.cells)
+    built = build(model, loaded, options.cells, options.steps)
     switch_to_fine(built)
     render_volume(
         built, loaded.held.cameras[0], loaded.held.water, Cells.everywhere(loaded.box, 32), samples=options.samples

@@ -12,7 +12,7 @@ from survey.display.palette import INK, SOFT
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 LABELS = {
-    "tensorf": "TensoRF", "dw": "DW", "m": "M", "mdw": "MDW", "nerf": "NeRF", "tinynerf": "TinyNeRF",
+    "vm": "VM", "dw": "DW", "m": "M", "mdw": "MDW", "tensorf": "TensoRF", "nerf": "NeRF", "tinynerf": "TinyNeRF",
     "hash": "hash grid, proposals", "neus": "signed distance",
 }  # fmt: skip
 # What the object fills of its held-out photograph, in shares of its sides: left, right, top, bottom.

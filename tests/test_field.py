@@ -114,7 +114,7 @@ def test_a_folder_with_other_files_is_left_alone(folder, run):
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"model": "gaussians"}, "there is no model gaussians; expected one of tensorf"),
+        ({"model": "gaussians"}, "there is no model gaussians; expected one of mdw"),
         ({"steps": 0}, "steps is 0, expected at least 1"),
         ({"image_scale": 2.0}, "the image scale is 2, expected more than 0 and at most 1"),
         ({"density": -1.0}, "the density is -1, expected more than 0"),

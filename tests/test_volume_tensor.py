@@ -1,4 +1,4 @@
-"""TensoRF, DW, M and MDW-NeRF as one model: what differs, the switch from coarse to fine, and what is stored."""
+"""VM, DW, M and MDW-NeRF as one model: what differs, the switch from coarse to fine, and what is stored."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def anywhere(count: int = 200, seed: int = 0) -> torch.Tensor:
 
 
 def test_the_four_models_differ_by_scales_and_weighting_alone():
-    table = {k: (s.scales, s.weighting) for k in ("tensorf", "dw", "m", "mdw") if (s := getattr(TensorSettings, k)())}
-    assert table == {"tensorf": (1, False), "dw": (1, True), "m": (6, False), "mdw": (6, True)}
+    table = {k: (s.scales, s.weighting) for k in ("vm", "dw", "m", "mdw") if (s := getattr(TensorSettings, k)())}
+    assert table == {"vm": (1, False), "dw": (1, True), "m": (6, False), "mdw": (6, True)}
     assert (TensorSettings.mdw().n_min, TensorSettings.mdw().n_max) == (64, 256)
     assert TensorSettings.mdw(channels=24).channels == 24
 
@@ -79,7 +79,7 @@ def test_the_weighting_network_takes_over_without_a_step_and_with_its_own_rates(
     assert not model.observe(still * 4)
 
 
-@pytest.mark.parametrize("kind", ["m", "tensorf"])
+@pytest.mark.parametrize("kind", ["m", "vm"])
 def test_models_without_weighting_never_switch(kind):
     model = volume(kind, switch_window=5)
     assert not model.observe([1.0, 2.0, 1.0, 2.0, 1.0] + [1.0] * 5)

@@ -2,8 +2,9 @@
 
 | name | field | source |
 |---|---|---|
-| tensorf | planes times vectors at one scale, density linear in the features | Chen et al. 2022 |
-| m, dw, mdw | the same at several scales, with weighted density, with both | MDW-NeRF |
+| tensorf | planes times vectors, of density and of colour apart, refined in steps | Chen et al. 2022 |
+| mdw | planes times vectors at several scales, with weighted density | MDW-NeRF |
+| m, dw, vm | the same without the weighting, without the scales, without both | its ablation |
 | nerf, tinynerf | a multilayer perceptron of sines of the position | Mildenhall et al. 2020 |
 | nerfacto | a hash grid with two rounds of proposals | Tancik et al. 2023; Müller et al. 2022 |
 | hash | the same at a size for processors, with one round | |
@@ -13,6 +14,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import torch
 
@@ -24,6 +26,7 @@ from fields.volume.paths import Box
 from fields.volume.proposal import Proposal, ProposalSettings
 from fields.volume.sdf import SdfSettings, SdfVolume
 from fields.volume.tensor import TensorSettings, TensorVolume
+from fields.volume.tensorf import TensorfSettings, TensorfVolume
 
 # A vector of this length for each photograph, where appearance is learned.
 APPEARANCE = 16
@@ -31,39 +34,16 @@ APPEARANCE = 16
 # they hardly change in some thousands.
 FINE_RATE = 0.02
 
-Make = Callable[[Box, int, Device, int], VolumeModel]
+# Cells of TensoRF at first, of those at last.
+_COARSEST = 128 / 300
 
 
-def _tensor(name: str) -> Make:
-    def make(box: Box, cells: int, device: Device, appearance: int) -> VolumeModel:
-        settings = getattr(TensorSettings, name)(n_min=max(cells // 4, 2), n_max=cells, fine_rate=FINE_RATE)
-        return TensorVolume(box, settings, device, appearance=appearance)
+@dataclass(frozen=True)
+class Setup:
+    """What any model is built for.
 
-    return make
-
-
-# Each takes a box, the cells along its longest edge, a device and the length of appearance vectors.
-MODELS: dict[str, Make] = {
-    **{name: _tensor(name) for name in ("tensorf", "m", "dw", "mdw")},
-    "nerf": lambda box, _cells, _device, more: MlpVolume(box, MlpSettings.nerf(), appearance=more),
-    "tinynerf": lambda box, _cells, _device, more: MlpVolume(box, MlpSettings.tiny_nerf(), appearance=more),
-    "nerfacto": lambda box, cells, _device, more: HashVolume(box, HashSettings(n_max=4 * cells), appearance=more),
-    "hash": lambda box, cells, _device, more: HashVolume(
-        box, HashSettings(levels=8, log2_table=15, n_max=4 * cells), appearance=more
-    ),
-    # A bed is open, with water above.
-    "neus": lambda box, _cells, _device, more: SdfVolume(
-        box, SdfSettings.small(start="plane", start_at=0.0), appearance=more
-    ),
-}
-
-
-def build_model(name: str, box: Box, cells: int, device: Device, *, appearance: int = 0, seed: int = 0) -> VolumeModel:
-    """An untrained model.
-
-    Parameters
+    Attributes
     ----------
-    name : key of `MODELS`
     box : Box
     cells : int
         Along the longest edge of the box at the finest scale; models without cells ignore it.
@@ -71,10 +51,58 @@ def build_model(name: str, box: Box, cells: int, device: Device, *, appearance: 
         For the lookups of those with planes.
     appearance : int
         Length of the vectors of photographs; 0 for none.
-    seed : int
+    steps : int
+        Of the training that follows.
     """
+
+    box: Box
+    cells: int
+    device: Device
+    appearance: int = 0
+    steps: int = 2000
+
+
+Make = Callable[[Setup], VolumeModel]
+
+
+def _tensor(name: str) -> Make:
+    def make(of: Setup) -> VolumeModel:
+        settings = getattr(TensorSettings, name)(n_min=max(of.cells // 4, 2), n_max=of.cells, fine_rate=FINE_RATE)
+        return TensorVolume(of.box, settings, of.device, appearance=of.appearance)
+
+    return make
+
+
+def _tensorf(of: Setup) -> VolumeModel:
+    settings = TensorfSettings(n_min=max(round(_COARSEST * of.cells), 2), n_max=of.cells, steps=of.steps)
+    return TensorfVolume(of.box, settings, of.device, appearance=of.appearance)
+
+
+def _hash(of: Setup, **sizes: int) -> VolumeModel:
+    return HashVolume(of.box, HashSettings(n_max=4 * of.cells, **sizes), appearance=of.appearance)
+
+
+MODELS: dict[str, Make] = {
+    "mdw": _tensor("mdw"),
+    "m": _tensor("m"),
+    "dw": _tensor("dw"),
+    "vm": _tensor("vm"),
+    "tensorf": _tensorf,
+    "nerf": lambda of: MlpVolume(of.box, MlpSettings.nerf(), appearance=of.appearance),
+    "tinynerf": lambda of: MlpVolume(of.box, MlpSettings.tiny_nerf(), appearance=of.appearance),
+    "nerfacto": _hash,
+    "hash": lambda of: _hash(of, levels=8, log2_table=15),
+    # A bed is open, with water above.
+    "neus": lambda of: SdfVolume(of.box, SdfSettings.small(start="plane", start_at=0.0), appearance=of.appearance),
+}
+
+
+def build_model(
+    name: str, box: Box, cells: int, device: Device, *, appearance: int = 0, seed: int = 0, steps: int = Setup.steps
+) -> VolumeModel:
+    """An untrained model, key of `MODELS`, drawn from a seed; the others are those of `Setup`."""
     torch.manual_seed(seed)
-    return MODELS[name](box, cells, device, appearance)
+    return MODELS[name](Setup(box, cells, device, appearance, steps))
 
 
 def proposal_for(name: str, box: Box, cells: int) -> Proposal | None:

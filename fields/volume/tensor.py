@@ -74,8 +74,8 @@ class TensorSettings:
         return replace(TensorSettings(scales=1, channels=24), **changes)
 
     @staticmethod
-    def tensorf(**changes) -> TensorSettings:
-        """One scale, density a linear map of the features: TensoRF's vector-matrix decomposition.
+    def vm(**changes) -> TensorSettings:
+        """One scale, density a linear map of the features: the vector-matrix decomposition alone.
 
         As many features a sample as six scales of four channels have.
         """

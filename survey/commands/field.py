@@ -27,9 +27,10 @@ class Model(StrEnum):
     """See `fields.volume.models`, which takes torch to import."""
 
     mdw = "mdw"
-    tensorf = "tensorf"
     m = "m"
     dw = "dw"
+    vm = "vm"
+    tensorf = "tensorf"
     nerf = "nerf"
     tinynerf = "tinynerf"
     nerfacto = "nerfacto"

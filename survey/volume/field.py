@@ -204,7 +204,9 @@ def _targets(run: LoadedRun, flight: Flight, output: Path, options: VolumeOption
 
 def _train(folder: VolumeFolder, scene: Scene, flight: Flight, options: VolumeOptions) -> _Trained:
     device, appearance = choose_device(options.device), APPEARANCE if options.appearance else 0
-    model = build_model(options.model, scene.box, options.cells, device, appearance=appearance, seed=options.seed)
+    model = build_model(
+        options.model, scene.box, options.cells, device, appearance=appearance, seed=options.seed, steps=options.steps
+    )
     wet = flight.water is not None and not options.straight
     renderer = VolumeRenderer(
         model,

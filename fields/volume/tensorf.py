@@ -1,0 +1,214 @@
+"""TensoRF at full strength: vector-matrix factors of density and of colour, refined in steps (Chen et al. 2022).
+
+    raw     = sum over directions m and R_s channels of v_m(x_m) M_m(x_a, x_b);  density as all models here          (1)
+    feature = B [v'_m M'_m], R_c channels for each of three directions, B linear to 27 numbers without a constant    (2)
+    colour  = MLP(feature, sines of it, direction, sines of it), two hidden layers of 128                            (3)
+    L1      = mean |M| + mean |v| of density, summed over directions                                                 (4)
+    TV      = mean squared difference of neighbouring cells of M along both axes, doubled, summed over directions    (5)
+
+Sizes, rates, weights and the steps of refinement are those of the authors' configurations. Different here: softplus
+per finest cell and linear radiance, as in all models of this folder; the proxy takes the part of their alpha mask; and
+rates fall over the whole training where theirs begin anew at each refinement.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from fields.device import Device
+from fields.factors import Factors, Grid, geometric_scales
+from fields.training import Rates
+from fields.volume.model import VolumeModel, density_of
+from fields.volume.paths import Box
+from fields.volume.tensor import grid_of
+
+DIRECTIONS = "xyz"
+# Standard deviation of untrained planes and vectors.
+_START = 0.1
+
+
+@dataclass(frozen=True)
+class TensorfSettings:
+    """Settings of a TensoRF volume; the defaults are those for outdoor photographs (Tanks and Temples).
+
+    Attributes
+    ----------
+    density_channels, colour_channels : int
+        R_s and R_c, multiples of 4.
+    features, hidden, frequencies : int
+        Length of (2), width of (3), and octaves of its sines.
+    n_min, n_max : int
+        Cells along the longest edge at first, and after the last refinement.
+    refined_at : tuple of float
+        Shares of the training after which cells become smaller, in geometric steps.
+    l1 : (float, float)
+        Weight of (4) up to the first refinement, and after it.
+    tv_density, tv_colour : float
+        Weights of (5) at first; they fall as the rates do.
+    steps : int
+        Of the training.
+    """
+
+    density_channels: int = 16
+    colour_channels: int = 48
+    features: int = 27
+    hidden: int = 128
+    frequencies: int = 2
+    n_min: int = 128
+    n_max: int = 300
+    refined_at: tuple[float, ...] = (1 / 15, 1 / 10, 2 / 15, 11 / 60, 7 / 30)
+    l1: tuple[float, float] = (0.0, 0.0)
+    tv_density: float = 0.1
+    tv_colour: float = 0.01
+    steps: int = 30_000
+
+    @property
+    def cells(self) -> list[float]:
+        """Cells along the longest edge between the refinements."""
+        return geometric_scales(self.n_min, self.n_max, len(self.refined_at) + 1)
+
+
+class TensorfVolume(VolumeModel):
+    """Density and colour of TensoRF; its features are box coordinates, so that colour is looked up where it counts.
+
+    Parameters
+    ----------
+    box : Box
+    settings : TensorfSettings
+    device : Device
+        Dr.Jit for fused lookups; "torch" for their twin.
+    appearance : int
+        Length of the appearance vectors; 0 without.
+    """
+
+    # Of planes and vectors, and of the networks; to what share rates and `tv_density` fall.
+    FACTORS, NETWORKS, FALL = 0.02, 0.001, 0.1
+
+    def __init__(self, box: Box, settings: TensorfSettings, device: Device, *, appearance: int = 0, seed: int = 0):
+        super().__init__(box)
+        self.settings, self.device = settings, device
+        self._step, self._level = 0, 0
+        grid = grid_of(box, settings.cells[0])
+        self.density = self._factors(grid, settings.density_channels, seed)
+        self.colour = self._factors(grid, settings.colour_channels, seed + 1)
+        length = settings.features
+        self.basis = nn.Linear(len(DIRECTIONS) * settings.colour_channels, length, bias=False)
+        seen = (length + 3) * (1 + 2 * settings.frequencies) + appearance
+        self.network = nn.Sequential(
+            nn.Linear(seen, settings.hidden),
+            nn.ReLU(),
+            nn.Linear(settings.hidden, settings.hidden),
+            nn.ReLU(),
+            nn.Linear(settings.hidden, 3),
+        )
+
+    def _factors(self, grid: Grid, channels: int, seed: int) -> Factors:
+        factors = Factors([grid], DIRECTIONS, channels, self.device)
+        generator = torch.Generator().manual_seed(seed)
+        with torch.no_grad():
+            for table in (factors.planes, factors.vectors):
+                table.normal_(std=_START, generator=generator)
+        return factors
+
+    def evaluate(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        u = self.box.unit(x)
+        return density_of(self.density(u).sum(dim=1), self.settings.n_max, self.box.edge), u
+
+    def radiance(self, features: Tensor, direction: Tensor, appearance: Tensor | None) -> Tensor:
+        feature = self.basis(self.colour(features))
+        seen = [self._with_sines(feature), self._with_sines(-direction)]
+        if appearance is not None:
+            seen.append(appearance)
+        return nn.functional.softplus(self.network(torch.cat(seen, dim=1)), beta=4.0)
+
+    def _with_sines(self, v: Tensor) -> Tensor:
+        waves = [wave(2.0**k * v) for k in range(self.settings.frequencies) for wave in (torch.sin, torch.cos)]
+        return torch.cat([v, *waves], dim=1)
+
+    def rates(self) -> list[Rates]:
+        factors = [*self.density.parameters(), *self.colour.parameters()]
+        return [
+            Rates(factors, self.FACTORS),
+            Rates([*self.basis.parameters(), *self.network.parameters()], self.NETWORKS),
+        ]
+
+    def observe(self, losses: list[float]) -> bool:
+        self._step = len(losses)
+        level = bisect_right(self.settings.refined_at, self._step / self.settings.steps)
+        if level == self._level:
+            return False
+        self._refine(level)
+        return True
+
+    def penalty(self, x: Tensor) -> Tensor:
+        of, fall = self.settings, self.FALL ** (self._step / self.settings.steps)
+        total = torch.zeros(())
+        if weight := of.l1[min(self._level, 1)]:
+            total = total + weight * mean_magnitude(self.density)
+        if of.tv_density:
+            total = total + fall * of.tv_density * total_variation(self.density)
+        if of.tv_colour:
+            total = total + fall * of.tv_colour * total_variation(self.colour)
+        return total
+
+    def _refine(self, level: int) -> None:
+        """Cells of a level in place of those of today, interpolated linearly between their middles."""
+        grid, self._level = grid_of(self.box, self.settings.cells[level]), level
+        self.density, self.colour = (resampled(each, grid) for each in (self.density, self.colour))
+
+    def get_extra_state(self) -> dict:
+        return {"step": self._step, "level": self._level}
+
+    def set_extra_state(self, state: dict) -> None:
+        self._step = state["step"]
+
+    def _load_from_state_dict(self, state_dict, prefix, *args) -> None:
+        # The tables that follow have the sizes of their level.
+        level = state_dict[f"{prefix}_extra_state"]["level"]
+        if level != self._level:
+            self._refine(level)
+        super()._load_from_state_dict(state_dict, prefix, *args)
+
+
+def planes_of(factors: Factors) -> list[Tensor]:
+    """Planes (cells along b, along a, channels) of each direction of factors of one scale."""
+    return [
+        factors.planes[plane : plane + n_a * n_b].view(n_b, n_a, -1)
+        for _, _, _, _, n_a, n_b, plane, _ in factors.cells()
+    ]
+
+
+def vectors_of(factors: Factors) -> list[Tensor]:
+    """Vectors (cells, channels) of each direction of factors of one scale."""
+    return [factors.vectors[vector : vector + n] for _, _, _, n, _, _, _, vector in factors.cells()]
+
+
+def mean_magnitude(factors: Factors) -> Tensor:
+    """Equation (4)."""
+    tables = zip(planes_of(factors), vectors_of(factors), strict=True)
+    return torch.stack([plane.abs().mean() + vector.abs().mean() for plane, vector in tables]).sum()
+
+
+def total_variation(factors: Factors) -> Tensor:
+    """Equation (5), times 0.01 as in the authors' code."""
+    found = [(plane.diff(dim=0) ** 2).mean() + (plane.diff(dim=1) ** 2).mean() for plane in planes_of(factors)]
+    return 0.02 * torch.stack(found).sum()
+
+
+@torch.no_grad()
+def resampled(factors: Factors, grid: Grid) -> Factors:
+    """Factors of one scale on other cells, linear between the middles of the old ones."""
+    found = Factors([grid], factors.directions, factors.channels, factors.device)
+    for old, new in zip(planes_of(factors), planes_of(found), strict=True):
+        new.copy_(_resized(old.permute(2, 0, 1), tuple(new.shape[:2]), "bilinear").permute(1, 2, 0))
+    for old, new in zip(vectors_of(factors), vectors_of(found), strict=True):
+        new.copy_(_resized(old.T, (len(new),), "linear").T)
+    return found
+
+
+def _resized(table: Tensor, size: tuple[int, ...], mode: str) -> Tensor:
+    return nn.functional.interpolate(table[None], size, mode=mode, align_corners=False)[0]

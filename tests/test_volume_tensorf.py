@@ -1,0 +1,136 @@
+"""TensoRF at full strength: its equations transcribed, its refinements, and a state that comes back at any level."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from volume_models import check_interface, check_learning, directions, positions
+from volume_scenes import BOX
+
+from fields.device import choose_device
+from fields.factors import Factors, Grid
+from fields.volume.tensorf import (
+    TensorfSettings,
+    TensorfVolume,
+    mean_magnitude,
+    planes_of,
+    resampled,
+    total_variation,
+    vectors_of,
+)
+
+TORCH = choose_device("torch")
+SMALL = TensorfSettings(4, 8, features=5, hidden=16, n_min=6, n_max=24, refined_at=(0.25, 0.5), steps=8)
+
+
+def volume(settings: TensorfSettings = SMALL, *, appearance: int = 0, seed: int = 0) -> TensorfVolume:
+    torch.manual_seed(seed)
+    return TensorfVolume(BOX, settings, TORCH, appearance=appearance, seed=seed)
+
+
+def linear(table: np.ndarray, at: float) -> np.ndarray:
+    """Value of a table (cells, ...) at a coordinate from 0 to 1; values lie in the middle of the cells."""
+    place = min(max(at * len(table) - 0.5, 0.0), len(table) - 1.0)
+    left = min(int(place), len(table) - 2)
+    return (1.0 - (place - left)) * table[left] + (place - left) * table[left + 1]
+
+
+def products(factors: Factors, u: np.ndarray) -> np.ndarray:
+    """v_m(x_m) M_m(x_a, x_b) of each direction (3, channels)."""
+    found = []
+    for m, plane, vector in zip(range(3), planes_of(factors), vectors_of(factors), strict=True):
+        a, b = (k for k in range(3) if k != m)
+        rows = linear(plane.detach().double().numpy(), u[b])
+        found.append(linear(vector.detach().double().numpy(), u[m]) * linear(rows, u[a]))
+    return np.stack(found)
+
+
+def test_density_and_colour_are_those_of_the_equations():
+    model = volume().double()
+    x, d = positions(6, dtype=torch.float64), directions(6, dtype=torch.float64)
+    density, features = model.evaluate(x)
+    colour = model.radiance(features, d, None).detach().numpy()
+    weights = [(k.weight.detach().numpy(), k.bias.detach().numpy()) for k in model.network if hasattr(k, "weight")]
+    for i in range(6):
+        u = (x[i].numpy() - BOX.low) / BOX.size
+        raw = products(model.density, u).sum() + np.log(np.expm1(1.0 / 24))
+        assert density[i].item() == pytest.approx(np.log1p(np.exp(raw)) * 24 / BOX.edge, rel=1e-6)
+        feature = model.basis.weight.detach().numpy() @ products(model.colour, u).ravel()
+        h = np.concatenate(
+            [np.concatenate([v, np.sin(v), np.cos(v), np.sin(2 * v), np.cos(2 * v)]) for v in (feature, -d[i].numpy())]
+        )
+        for number, (weight, bias) in enumerate(weights):
+            h = weight @ h + bias
+            h = np.maximum(h, 0.0) if number < 2 else np.log1p(np.exp(4.0 * h)) / 4.0
+        np.testing.assert_allclose(colour[i], h, rtol=1e-6)
+
+
+def test_the_penalties_are_those_of_the_equations():
+    factors = Factors([Grid(3, 4, 5)], "xyz", 4, TORCH, seed=3)
+    planes, vectors = ([t.detach().numpy() for t in of(factors)] for of in (planes_of, vectors_of))
+    expected = sum(np.abs(p).mean() + np.abs(v).mean() for p, v in zip(planes, vectors, strict=True))
+    assert mean_magnitude(factors).item() == pytest.approx(expected, rel=1e-5)
+    expected = 0.01 * sum(2.0 * (((p[1:] - p[:-1]) ** 2).mean() + ((p[:, 1:] - p[:, :-1]) ** 2).mean()) for p in planes)
+    assert total_variation(factors).item() == pytest.approx(expected, rel=1e-5)
+
+
+def test_smaller_cells_hold_the_same_linear_function():
+    factors = Factors([Grid(6, 6, 6)], "xyz", 4, TORCH)
+    with torch.no_grad():
+        middle = (torch.arange(6) + 0.5) / 6
+        factors.vectors.fill_(1.0)
+        for plane in planes_of(factors):
+            plane.copy_((2.0 * middle[:, None] - middle[None, :])[..., None].expand(-1, -1, 4))
+    u = torch.rand(50, 3, generator=torch.Generator().manual_seed(0)) * 0.6 + 0.2
+    torch.testing.assert_close(resampled(factors, Grid(12, 15, 18))(u), factors(u), rtol=0, atol=1e-5)
+
+
+def test_cells_become_smaller_at_their_shares_of_the_training():
+    model, losses, levels = volume(), [], []
+    for step in range(8):
+        losses.append(1.0)
+        changed = model.observe(losses)
+        levels.append(model.density.grids[0].nx)
+        assert changed == (step + 1 in (2, 4))
+    assert levels == [6, 12, 12, 24, 24, 24, 24, 24]
+    assert {id(p) for g in model.rates() for p in g.parameters} == {id(p) for p in model.parameters()}
+
+
+def test_the_published_sizes():
+    model = volume(TensorfSettings(n_min=8, n_max=16))
+    assert model.basis.weight.shape == (27, 144)
+    assert [k.in_features for k in model.network if hasattr(k, "weight")] == [150, 128, 128]
+    assert [round(30_000 * share) for share in TensorfSettings().refined_at] == [2000, 3000, 4000, 5500, 7000]
+    assert [g.rate for g in model.rates()] == [0.02, 0.001]
+
+
+def test_a_state_comes_back_at_any_level():
+    first = volume(seed=1)
+    first.observe([1.0] * 5)
+    second = volume(seed=2)
+    second.load_state_dict(first.state_dict())
+    x = positions(20)
+    assert torch.equal(first.evaluate(x)[0], second.evaluate(x)[0])
+    assert torch.equal(first.penalty(x), second.penalty(x))
+
+
+def test_weights_fall_and_change_with_the_first_refinement():
+    model = volume(TensorfSettings(4, 4, n_min=6, n_max=6, refined_at=(0.5,), l1=(1.0, 0.5), tv_density=0.0,
+                                   tv_colour=0.0, steps=10))  # fmt: skip
+    before = model.penalty(positions(1)).item()
+    model.observe([1.0] * 5)
+    assert model.penalty(positions(1)).item() == pytest.approx(0.5 * before, rel=1e-6)
+    model = volume(TensorfSettings(4, 4, n_min=6, n_max=6, refined_at=(), tv_colour=0.0, steps=10))
+    before = model.penalty(positions(1)).item()
+    model.observe([1.0] * 10)
+    assert model.penalty(positions(1)).item() == pytest.approx(0.1 * before, rel=1e-6)
+
+
+def test_it_is_a_volume_model():
+    check_interface(lambda appearance: TensorfVolume(BOX, SMALL, TORCH, appearance=appearance))
+
+
+def test_it_learns_a_bed_under_water():
+    settings = TensorfSettings(4, 12, n_min=12, n_max=24, steps=40)
+    check_learning(lambda appearance: TensorfVolume(BOX, settings, TORCH, appearance=appearance), steps=40, share=0.6)

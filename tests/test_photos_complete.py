@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import zlib
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -73,7 +75,7 @@ def test_a_file_of_its_full_length_whose_end_became_zeros_is_refused(tmp_path, p
     last = tags[273][0] + tags[279][0]
     first = int(share * last)
     path.write_bytes(whole[:first] + bytes(last - first) + whole[last:])
-    with pytest.raises(ImageError, match=r"damaged or cut off \((the checksum|zeros stand where)"):
+    with pytest.raises(ImageError, match=r"damaged or cut off \((the checksum|zeros stand where|its compressed)"):
         require_complete(path)
 
 
@@ -84,3 +86,84 @@ def test_damage_beside_the_pixels_of_a_png_does_not_matter(tmp_path, pixels):
     path = tmp_path / "a.png"
     path.write_bytes(path.read_bytes().replace(b"a photograph", b"a photo-raph"))
     require_complete(path)
+
+
+MODES = ["RGB", "L", "P", "LA", "RGBA", "I;16", "1"]
+
+
+def drawn(rng, mode: str) -> Image.Image:
+    if mode == "I;16":
+        return Image.fromarray(rng.integers(0, 65535, (48, 64), dtype=np.uint16))
+    return Image.fromarray(rng.integers(0, 255, (48, 64, 4), dtype=np.uint8), "RGBA").convert(mode)
+
+
+def chunks(data: bytes) -> list[tuple[bytes, bytes]]:
+    found, at = [], 8
+    while at < len(data):
+        length = int.from_bytes(data[at : at + 4], "big")
+        found.append((data[at + 4 : at + 8], data[at + 8 : at + 8 + length]))
+        at += 12 + length
+    return found
+
+
+def png_of(parts) -> bytes:
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        len(content).to_bytes(4, "big") + kind + content + zlib.crc32(kind + content).to_bytes(4, "big")
+        for kind, content in parts
+    )
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.99])
+def test_a_png_with_good_checksums_whose_pixels_end_early_is_refused(tmp_path, rng, mode, share):
+    path = tmp_path / "a.png"
+    drawn(rng, mode).save(path)
+    require_complete(path)
+    parts = chunks(path.read_bytes())
+    short = [(kind, content[: int(share * len(content))] if kind == b"IDAT" else content) for kind, content in parts]
+    path.write_bytes(png_of(short))
+    with pytest.raises(ImageError, match=r"damaged or cut off \(the compressed pixels end early"):
+        require_complete(path)
+    # A stream that is whole, of fewer rows than the header says.
+    taller = [(kind, content[:4] + (96).to_bytes(4, "big") + content[8:] if kind == b"IHDR" else content)
+              for kind, content in parts]  # fmt: skip
+    path.write_bytes(png_of(taller))
+    with pytest.raises(ImageError, match="end early"):
+        require_complete(path)
+
+
+@pytest.mark.parametrize("compression", ["tiff_adobe_deflate", "tiff_lzw", "packbits", "jpeg"])
+@pytest.mark.parametrize("mode", ["RGB", "L", "CMYK"])
+def test_a_tiff_with_a_sector_of_zeros_within_is_refused(tmp_path, rng, compression, mode):
+    path = tmp_path / "a.tif"
+    Image.fromarray(rng.integers(0, 255, (96, 128, 3), dtype=np.uint8)).convert(mode).save(
+        path, compression=compression
+    )
+    require_complete(path)
+    with Image.open(path) as image:
+        start, count = image.tag_v2[273][0], image.tag_v2[279][0]
+    data = bytearray(path.read_bytes())
+    data[start + count // 3 : start + count // 3 + 512] = bytes(512)
+    path.write_bytes(data)
+    with pytest.raises(ImageError, match=r"damaged or cut off \((zeros stand where|its compressed)"):
+        require_complete(path)
+
+
+@pytest.mark.parametrize("lossless", [True, False])
+def test_a_webp_with_a_sector_of_zeros_is_refused(tmp_path, rng, lossless):
+    path = tmp_path / "a.webp"
+    Image.fromarray(rng.integers(0, 255, (96, 128, 3), dtype=np.uint8)).save(path, lossless=lossless, quality=95)
+    require_complete(path)
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2 : len(data) // 2 + 512] = bytes(512)
+    path.write_bytes(data)
+    with pytest.raises(ImageError, match="zeros stand where compressed pixels should"):
+        require_complete(path)
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif", "webp"])
+def test_a_black_photograph_is_whole(tmp_path, suffix):
+    Image.new("RGB", (512, 384)).save(
+        tmp_path / f"a.{suffix}", **({"compression": "tiff_lzw"} if suffix == "tif" else {})
+    )
+    require_complete(tmp_path / f"a.{suffix}")

@@ -19,7 +19,12 @@ _PNG_END = b"IEND\xae\x42\x60\x82"
 _NEAR_END = 64
 # Where a TIFF has its pixels, and how many bytes of them: in strips, or in tiles.
 _TIFF_COMPRESSION = 259
-_ZEROS = bytes(64)
+_DEFLATE = (8, 32946)
+_ZEROS, _SECTOR = bytes(64), bytes(512)
+_ZEROS_SAID = "zeros stand where compressed pixels should"
+_WEBP_BEGIN = b"RIFF"
+# Channels of a PNG by the type of its colours, and how much of it is decompressed at once.
+_PNG_CHANNELS, _AT_ONCE = {2: 3, 4: 2, 6: 4}, 1 << 24
 _TIFF_PIXELS = ((273, 279), (324, 325))
 
 
@@ -35,38 +40,68 @@ def fault_of(path: Path) -> str | None:
     """
     if path.suffix.lower() in (".tif", ".tiff"):
         with open_image(path) as image, path.open("rb") as file:
-            return _zeros_of_tiff(image, file)
+            return _damage_of_tiff(image, file)
     with path.open("rb") as file:
         begin = file.read(len(_PNG_BEGIN))
         if begin == _PNG_BEGIN:
             return _damage_of_png(file)
+        if begin.startswith(_WEBP_BEGIN):
+            return _ZEROS_SAID if file.read().find(_SECTOR) >= 0 else None
         return jpeg_fault(begin + file.read()) if begin.startswith(_JPEG_BEGIN) else None
 
 
 def _damage_of_png(file: BinaryIO) -> str | None:
-    """By the checksums of the chunks that pixels come from."""
+    """By the checksums of the chunks that pixels come from, and by how many pixels these hold."""
+    header, stream, num_bytes = b"", zlib.decompressobj(), 0
     while len(head := file.read(8)) == 8 and head[4:] != b"IEND":
         length = int.from_bytes(head[:4], "big")
         if head[4:] not in _PNG_PIXELS:
             file.seek(length + 4, 1)
             continue
         content = file.read(length)
-        if len(content) == length and zlib.crc32(content, zlib.crc32(head[4:])) != int.from_bytes(file.read(4), "big"):
+        if len(content) < length or zlib.crc32(content, zlib.crc32(head[4:])) != int.from_bytes(file.read(4), "big"):
             return "the checksum of a part does not fit"
-    return None
+        if head[4:] == b"IHDR":
+            header = content
+        while head[4:] == b"IDAT" and content and not stream.eof:
+            try:
+                num_bytes += len(stream.decompress(content, _AT_ONCE))
+            except zlib.error:
+                return "its compressed pixels cannot be decoded"
+            content = stream.unconsumed_tail
+    return None if stream.eof and num_bytes >= _bytes_of_png(header) else "the compressed pixels end early"
 
 
-def _zeros_of_tiff(image: Image.Image, file: BinaryIO) -> str | None:
-    """By zeros at the end of compressed strips or tiles, which none of the compressions writes."""
+def _bytes_of_png(header: bytes) -> int:
+    """How many bytes the pixels of a PNG have with a filter for each row; those of the first pass if interlaced."""
+    if len(header) < 13:
+        return 0
+    width, height = (int.from_bytes(header[i : i + 4], "big") for i in (0, 4))
+    if header[12]:
+        width, height = -(-width // 8), -(-height // 8)
+    return height * (1 + -(-width * header[8] * _PNG_CHANNELS.get(header[9], 1) // 8))
+
+
+def _damage_of_tiff(image: Image.Image, file: BinaryIO) -> str | None:
+    """By zeros in compressed strips or tiles, which no compression writes so many of, and by deflate's checksum."""
     tags = getattr(image, "tag_v2", {})
-    if tags.get(_TIFF_COMPRESSION, 1) == 1:
+    compression = tags.get(_TIFF_COMPRESSION, 1)
+    if compression == 1:
         return None
     for where, length in _TIFF_PIXELS:
         for start, count in zip(tags.get(where, ()), tags.get(length, ()), strict=False):
-            if count > len(_ZEROS):
-                file.seek(start + count - len(_ZEROS))
-                if file.read(len(_ZEROS)) == _ZEROS:
-                    return "zeros stand where compressed pixels should"
+            file.seek(start)
+            strip = file.read(count)
+            if compression not in _DEFLATE:
+                if strip.endswith(_ZEROS) or strip.find(_SECTOR) >= 0:
+                    return _ZEROS_SAID
+                continue
+            if strip.endswith(_ZEROS):
+                return _ZEROS_SAID
+            try:
+                zlib.decompress(strip)
+            except zlib.error:
+                return "its compressed pixels cannot be decoded"
     return None
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from geo.errors import UnreadableFile
 from geo.files import existing_file
 from geo.ply import CRS_COMMENT, SCALAR, WKT_COMMENT
-from geo.shapes import Cloud, Mesh, triangulated
+from geo.shapes import Cloud, Mesh, as_classes, triangulated
 from geo.stated import crs_named
 
 _TYPES = {
@@ -32,6 +32,7 @@ _TYPES = {
 }  # fmt: skip
 _ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 _COLOURS = ("red", "green", "blue")
+_WITHHELD = ("withheld", "withheld_flag", "withheldflag")
 # A coordinate of 5,194,743 in single precision steps by 0.5 m; at 5 mm it begins to spoil a comparison.
 _COARSEST_STEP = 0.005
 
@@ -225,12 +226,15 @@ def _shape(tables: dict[str, dict]) -> Mesh | Cloud:
     if isinstance(corners, _Lists) and len(corners.counts):
         return Mesh(points, triangulated(corners.counts, corners.values), rgb=_rgb(vertex))
     scalars = _scalars(vertex)
-    classes = next((values for name, values in scalars.items() if name.lower() == "classification"), None)
-    if classes is not None and ((classes < 0) | (classes > 255) | (classes % 1 != 0)).any():
-        classes = None
-    # As CloudCompare keeps the classes of LAS.
+    # As CloudCompare and PDAL keep the classes and flags of LAS.
+    by_name = {name.lower().replace(" ", "_"): values for name, values in scalars.items()}
+    withheld = next((by_name[name] for name in _WITHHELD if name in by_name), None)
     return Cloud(
-        points, rgb=_rgb(vertex), extra=scalars, classification=None if classes is None else classes.astype(np.uint8)
+        points,
+        rgb=_rgb(vertex),
+        extra=scalars,
+        classification=as_classes(by_name.get("classification")),
+        withheld=None if withheld is None or not np.isin(withheld, (0, 1)).all() else withheld.astype(bool),
     )
 
 

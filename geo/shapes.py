@@ -79,6 +79,13 @@ NOT_GROUND = {
 }
 
 
+def as_classes(values: np.ndarray | None) -> np.ndarray | None:
+    """Classes (N,) uint8 of LAS that a column (N,) of numbers holds; None where it is none of classes."""
+    if values is None or not (np.isin(values % 1, 0) & (values >= 0) & (values <= 255)).all():
+        return None
+    return values.astype(np.uint8)
+
+
 def left_out(cloud: Cloud) -> tuple[np.ndarray, str]:
     """Which points (N,) bool are not of the ground by what their own file says, and how many of what, in words."""
     out = np.zeros(len(cloud.points), dtype=bool)

@@ -37,7 +37,7 @@ _MARKS = (-9999.0, 9999.0, -99999.0, 99999.0, -999.0, -32768.0, -32767.0, 32767.
 _BEYOND_EARTH = 1e7
 # In feet, too.
 _HIGHEST = 30_000.0
-_FAR, _SPREADS = 100.0, 10.0
+_FAR, _FAR_UNKNOWN, _SPREADS = 100.0, 1000.0, 10.0
 _SHARE = 0.01
 
 
@@ -169,20 +169,22 @@ def _marks_of_no_data(height: np.ndarray, path: Path) -> tuple[str, ...]:
     for mark in {float(height.min()), float(height.max())}:
         is_mark = height == mark
         rest = height[~is_mark]
-        known = mark in _MARKS or abs(mark) >= _BEYOND_EARTH
-        if not len(rest) or not (known or mark == 0.0):
+        known, num = mark in _MARKS or abs(mark) >= _BEYOND_EARTH, int(is_mark.sum())
+        # Marks go through scales and datums with the heights.
+        if not len(rest) or not (known or mark == 0.0 or num >= _FEWEST):
             continue
         low, high = np.quantile(rest, [0.01, 0.99])
-        gap, num = max(low - mark, mark - high), int(is_mark.sum())
+        gap = max(low - mark, mark - high)
         said = (
             f"{num} of the {len(height)} heights of {path} are exactly {mark:.10g}, most of the others from "
             f"{low:.6g} to {high:.6g}"
         )
-        if gap > max(_SPREADS * (high - low), _FAR) and (known or num > 2):
+        far = _FAR if known or mark == 0.0 else _FAR_UNKNOWN
+        if gap > max(_SPREADS * (high - low), far) and (known or num > 2):
             raise UnreadableFile(
                 f"{said}: a mark of no data that the file does not declare; declare it (of a raster: gdal_translate "
                 f"-a_nodata {mark:.10g} {path.name} new.tif), or remove those points."
             )
-        if num > max(_SHARE * len(height), 20) and len(np.unique(rest)) > 0.5 * len(rest):
+        if (known or mark == 0.0) and num > max(_SHARE * len(height), 20) and len(np.unique(rest)) > 0.5 * len(rest):
             return (f"{said}: if that is a mark of no data, declare it (gdal_translate -a_nodata {mark:.10g})",)
     return ()

@@ -12,6 +12,7 @@ from geo import read_reference, write_ply
 from geo.las import WITHHELD_STD_M, write_cloud
 from geo.shapes import NOT_GROUND, left_out
 from survey.compare.area import CompareError
+from survey.compare.tables import read_shape
 
 # Of LAS 1.4 and its topo-bathy profile: what is ground, an object, or not said, and every other one.
 KEPT = [code for code in range(256) if code not in {7, 9, 18, 41, 42, 45}]
@@ -113,3 +114,19 @@ def test_points_that_may_be_metres_off_are_withheld_and_others_not(tmp_path):
         std_m=std, num_views=np.full(5, 3), incidence_deg=np.zeros(5), is_wet=np.ones(5, bool),
     )  # fmt: skip
     assert np.asarray(laspy.read(tmp_path / "c.laz").withheld).tolist() == [0, 0, 1, 1, 0]
+
+
+@pytest.mark.parametrize("name", ["Withheld", "withheld_flag", "WithheldFlag"])
+def test_a_flag_of_las_that_a_ply_keeps_counts_too(tmp_path, name):
+    at = grid(1.0)
+    scalars = {name: (np.arange(len(at)) < 5).astype(np.uint8)}
+    write_ply(tmp_path / "c.ply", at, rgb=np.zeros((len(at), 3), np.uint8), scalars=scalars)
+    assert left_out(read_reference(tmp_path / "c.ply"))[1] == "5 flagged withheld"
+
+
+@pytest.mark.parametrize("name", ["classification", "Class", "Scalar_Classification"])
+@pytest.mark.parametrize("code", [7, 9, 45])
+def test_classes_of_a_table_count_too(tmp_path, name, code):
+    lines = [f"{e},{n},{h},{code if i < 5 else 2}" for i, (e, n, h) in enumerate(grid(1.0).tolist())]
+    (tmp_path / "c.xyz").write_text("\n".join([f"x,y,z,{name}", *lines]))
+    assert left_out(read_shape(tmp_path / "c.xyz", None))[0].sum() == 5

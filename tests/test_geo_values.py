@@ -13,7 +13,7 @@ from pyproj import CRS
 from geo import read_reference
 from geo.errors import UnreadableFile
 from geo.ply import write_ply
-from geo.values import check_values
+from geo.values import check_values, is_mark_of_no_data
 from survey.compare.inputs import Paths, load_inputs
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*trimesh.*")
@@ -195,3 +195,27 @@ def test_ground_about_the_datum_is_no_mark_and_a_plate_at_zero_is_named(level):
     (note,) = check_values(points, None, Path("r.tif"))
     assert "are exactly 0" in note
     assert "if that is a mark" in note
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.3048, 1200.0 / 3937.0])
+@pytest.mark.parametrize("shift", [0.0, 47.123])
+@pytest.mark.parametrize("mark", [-9999.0, -32768.0, 3.4028234663852886e38])
+def test_a_mark_that_went_through_a_unit_or_a_datum_is_one(factor, shift, mark):
+    points = ground(PLACES["utm"], 0.5)
+    points[:20, 2] = mark * factor + shift
+    with pytest.raises(UnreadableFile, match="a mark of no data that the file does not declare"):
+        check_values(points, None, Path("d.tif"))
+
+
+@pytest.mark.parametrize("below", [5.0, 60.0, 300.0])
+def test_a_level_lake_below_the_ground_is_no_mark(below):
+    points = ground(PLACES["utm"], 0.5)
+    points[:100, 2] = points[:, 2].min() - below
+    check_values(points, None, Path("d.tif"))
+
+
+@pytest.mark.parametrize("height", [-9999.0, -99999.0, -999.0, -32768.0, -32767.0, 32767.0, 65535.0, 1e6, -1e6])
+def test_one_height_is_a_mark_only_where_no_place_has_it(height):
+    assert is_mark_of_no_data(height)
+    assert not is_mark_of_no_data(height + 0.5)
+    assert not any(is_mark_of_no_data(each) for each in (0.0, 9999.0, -10.0, 8848.86, -430.0))

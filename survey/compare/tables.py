@@ -11,7 +11,7 @@ from pyproj import CRS
 from geo.crs import has_height, height_unit_m
 from geo.files import existing_file
 from geo.reading import read_reference
-from geo.shapes import Cloud, Mesh
+from geo.shapes import Cloud, Mesh, as_classes
 from geo.values import check_values
 from survey.compare.area import CompareError
 from survey.files.column_units import Units
@@ -55,15 +55,17 @@ def read_shape(path: Path, water_level: float | None, crs: CRS | None = None) ->
     own = crs_of_comment(existing_file(path), CompareError)
     rows = read_points(
         path,
-        optional=("std",),
+        optional=("std", "classification"),
         by_place=True,
         level=water_level,
         give_level=GIVE_LEVEL,
         units=Units.of(own or crs),
         error=CompareError,
     )
-    points = places_of(rows, path)
-    return Cloud(points=points, crs=own, notes=check_values(points, own, path))
+    points, classes = places_of(rows, path), None
+    if rows[0].cells.get("classification"):
+        classes = as_classes(np.array([row.number("classification") for row in rows]))
+    return Cloud(points=points, crs=own, classification=classes, notes=check_values(points, own, path))
 
 
 def places_of(rows: Sequence[Row], path: Path) -> np.ndarray:

@@ -37,6 +37,7 @@ SYNONYMS = {
         ("std_h", "std_up", "accuracy_z_(m)", "accuracy_z/altitude_(m)", "accuracy_z", "std_z"), "std_height"
     ),
     **dict.fromkeys(("depths", "true_depth", "water_depth", "sounding"), "depth"),
+    **dict.fromkeys(("class", "classification", "scalar_classification"), "classification"),
     **dict.fromkeys(("type", "use"), "role"),
     **dict.fromkeys(("enabled",), "enable"),
 }

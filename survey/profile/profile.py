@@ -15,7 +15,7 @@ from geo import Cloud, Mesh, read_cloud
 from geo.crs import has_height, height_unit_m
 from geo.lines import Line
 from geo.projection import ground_units_m
-from geo.shapes import left_out, part_of
+from geo.shapes import in_height_unit, left_out, part_of
 from survey.compare.inputs import Paths, load_inputs
 from survey.errors import SurveyError
 from survey.export.bed_cells import LevelFit
@@ -111,6 +111,9 @@ class Bed:
         if crs is None:
             raise ProfileError(f"{file} does not say its CRS, in which lines are looked up; give a run folder")
         self.crs = crs if has_height(crs) else crs.to_3d()
+        # A file alone may give its heights in another unit than metres beside its CRS.
+        shape = in_height_unit(self._cloud, height_unit_m(self.crs))
+        self._cloud = shape if isinstance(shape, Cloud) else self._cloud
         self._middle = self._cloud.points[:, :2].mean(axis=0)
         self._metres = ground_units_m(self.crs, self._middle)
         self._tree = cKDTree(self._plan(self._cloud.points[:, :2]))

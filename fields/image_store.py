@@ -93,12 +93,23 @@ class GreyImages(LazyImages):
         *,
         of_one_size: bool = True,
     ):
-        self._kept = kept = [_GreyImage(image, keep) for image in images]
-        shapes = {each.levels.shape for each in self._kept}
+        kept = [_GreyImage(image, keep) for image in images]
+        shapes = {each.levels.shape for each in kept}
         if of_one_size and len(shapes) > 1:
             raise ValueError(f"expected images of one size, got {sorted(shapes)}")
-        largest = tuple(max(sides) for sides in zip(*shapes, strict=True)) or (0, 0)
-        super().__init__(lambda view: kept[view].whole(), len(self._kept), largest)
+        self._hold(kept)
+
+    def _hold(self, kept: list[_GreyImage]) -> None:
+        self._kept = kept
+        largest = tuple(max(sides) for sides in zip(*(each.levels.shape for each in kept), strict=True)) or (0, 0)
+        super().__init__(lambda view: kept[view].whole(), len(kept), largest)
+
+    def __getstate__(self) -> list[_GreyImage]:
+        """What another process needs: of images that are stored elsewhere no pixel."""
+        return self._kept
+
+    def __setstate__(self, kept: list[_GreyImage]) -> None:
+        self._hold(kept)
 
     def window(self, view: int, rows: slice, columns: slice) -> np.ndarray:
         """Window of an image."""

@@ -35,6 +35,8 @@ VALUES = {
     "true_colour": (True, False),
     "tiles": (4, 2),
     "memory": ("8GB", "500MB"),
+    "workers": (2, 3),
+    "scheduler": ("tcp://one:8786", "tcp://two:8786"),
 }
 AIM, RECIPE = {"target_std_m", "time_budget_s"}, {"quality", "field", "image_scale"}
 

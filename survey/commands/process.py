@@ -84,6 +84,16 @@ def run(
             metavar="SIZE", help="What the run may take, as 8GB; default: most of what is free.", rich_help_panel=HOW
         ),
     ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            metavar="NUMBER", help="Processes for tiles; default: by tiles, cores, memory.", rich_help_panel=HOW
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Dask scheduler whose workers compute tiles.", rich_help_panel=HOW),
+    ] = None,
     reference: Annotated[
         Path | None, typer.Option(metavar="FILE", help="True surface, for the report only.", rich_help_panel=COMPARED)
     ] = None,
@@ -117,6 +127,8 @@ def run(
             true_colour=true_colour,
             tiles=tiles,
             memory=memory,
+            workers=workers,
+            scheduler=scheduler,
         )
         code = process(
             survey,

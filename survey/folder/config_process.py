@@ -31,6 +31,8 @@ class ProcessConfig:
     true_colour: bool | None = None
     tiles: int | None = None
     memory: str | None = key(None, "a size such as 8GB")
+    workers: int | None = None
+    scheduler: str | None = key(None, "the address of a Dask scheduler, such as tcp://host:8786")
 
     def over(self, lower: ProcessConfig) -> ProcessConfig:
         """These, and what `lower` says of those that are open; an aim displaces a recipe, and a recipe an aim."""

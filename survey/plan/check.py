@@ -116,7 +116,7 @@ def check_survey(
         workload = workload if slowness is None else workload.on_busy(slowness)
         tiles = choose_tiles(survey, plan, chosen, workload, is_aimed=False)
         workload = replace(workload, memory_bytes=int(tiles.memory_bytes))
-        plan = replace(plan, decisions=(*plan.decisions, tiles.decision))
+        plan = replace(plan, decisions=(*plan.decisions, *tiles.decisions))
     except SurveyError as error:
         if survey.reprojection is None:
             raise

@@ -26,6 +26,10 @@ class Choices:
         Of the ground that are worked on one after the other; default: as the memory asks for.
     memory : str, optional
         That the run may take, as "8GB"; default: most of what is free.
+    workers : int, optional
+        Processes that compute tiles; default: by tiles, cores and memory. Of a scheduler those that are waited for.
+    scheduler : str, optional
+        Address of a Dask scheduler whose workers compute the tiles, as "tcp://host:8786".
 
     Raises
     ------
@@ -43,6 +47,8 @@ class Choices:
     true_colour: bool = False
     tiles: int | None = None
     memory: str | None = None
+    workers: int | None = None
+    scheduler: str | None = None
 
     def __post_init__(self) -> None:
         for name, words in (
@@ -61,6 +67,8 @@ class Choices:
             raise SurveyError(f"--tiles is {self.tiles}, expected a number from 1 on")
         if self.memory is not None:
             bytes_of(self.memory)
+        if self.workers is not None and self.workers < 1:
+            raise SurveyError(f"--workers is {self.workers}, expected a number from 1 on")
 
 
 # Where nothing was chosen.

@@ -1,8 +1,9 @@
-"""How many tiles a survey is worked on in: as many as the memory asks for."""
+"""How many tiles a survey is worked on in, as many as the memory asks for, and how many processes compute them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,6 +28,8 @@ SHARED = "shared.json"
 _SHARE_OF_FREE = 0.8
 # Tiles are no smaller than this many footprints: rims and windows would be most of the work.
 _LEAST_FOOTPRINTS = 0.5
+# Cores that one process makes good use of: the solver has no more threads.
+_CORES_OF_WORKER = 4
 # Beside the points while bed and report are made.
 _REPORT_BYTES = 480e6
 
@@ -41,12 +44,23 @@ class TileChoice:
         None for one piece.
     decision : Decision
     memory_bytes : float
-        At the peak of the run.
+        At the peak of the run, of all its processes.
+    workers : int
+        Processes that compute tiles; 1 for that of the run itself.
+    of_workers : Decision or None
+        None where there is one piece, or one process because nothing else was asked for.
     """
 
     tiling: Tiling | None
     decision: Decision
     memory_bytes: float
+    workers: int = 1
+    of_workers: Decision | None = None
+
+    @property
+    def decisions(self) -> tuple[Decision, ...]:
+        """Lines of the plan."""
+        return (self.decision,) if self.of_workers is None else (self.decision, self.of_workers)
 
 
 def choose_tiles(
@@ -57,13 +71,15 @@ def choose_tiles(
     Raises
     ------
     SurveyError
-        If tiles are asked for where a run has to be in one piece.
+        If tiles, or workers for them, are asked for where a run has to be in one piece.
     """
     one = float(workload.memory_bytes)
     whole = "with an aim" if is_aimed else "with --field slab" if plan.field == "slab" else None
     if whole is not None:
-        if chosen.tiles is not None and chosen.tiles > 1:
-            raise SurveyError(f"--tiles {chosen.tiles}, but a run {whole} is in one piece; leave one out")
+        for name in ("tiles", "workers"):
+            number = getattr(chosen, name)
+            if number is not None and number > 1:
+                raise SurveyError(f"--{name} {number}, but a run {whole} is in one piece; leave one out")
         return TileChoice(None, Decision("tiles", "1", f"a run {whole} is in one piece"), one)
     rim = RIM_GSD * plan.gsd_m
     if chosen.tiles is not None:
@@ -71,29 +87,57 @@ def choose_tiles(
             return TileChoice(None, Decision("tiles", "1", "set by --tiles"), one)
         tiling = Tiling.of(ground_of(survey, plan), chosen.tiles, rim)
         reason = f"set by --tiles, {_size_of(tiling)} each"
-        return TileChoice(tiling, Decision("tiles", str(chosen.tiles), reason), _memory(survey, plan, tiling))
+        choice = TileChoice(tiling, Decision("tiles", str(chosen.tiles), reason), _memory(survey, plan, tiling))
+        return _with_workers(choice, chosen)
+    least = 1 if chosen.scheduler is None else 2
+    least = max(least, chosen.workers or 1)
     budget, source = _budget(chosen)
     needed = f"in one piece the run takes about {size(one)} of memory, and {room(budget)} {source}"
-    if one <= budget:
+    if one <= budget and least == 1:
         # How much is free changes from one moment to the next, the plan of a survey does not.
         is_free = "free" if chosen.memory is None else f"within the {room(budget)} of --memory"
         fits = f"in one piece the run takes about {size(one)} of memory, which is {is_free}"
         return TileChoice(None, Decision("tiles", "1", fits), one)
+    if least > 1:
+        needed = "one for each worker at least" if one <= budget else needed
+        budget /= chosen.workers or 1
     ground = ground_of(survey, plan)
     most = max(
-        int((ground[2] - ground[0]) * (ground[3] - ground[1]) / (_LEAST_FOOTPRINTS * np.prod(plan.footprint_m))), 1
+        int((ground[2] - ground[0]) * (ground[3] - ground[1]) / (_LEAST_FOOTPRINTS * np.prod(plan.footprint_m))), least
     )
     best = TileChoice(None, Decision("tiles", "1", f"{needed}; the ground is too small for tiles"), one)
     counts = [*([] if earlier is None else [earlier]), *_counts(ground, most)]
-    for count in counts:
+    for count in (each for each in counts if each >= least):
         tiling = Tiling.of(ground, count, rim)
         memory = _memory(survey, plan, tiling)
-        if memory < 0.98 * best.memory_bytes:
+        if best.tiling is None or memory < 0.98 * best.memory_bytes:
             reason = f"{needed}; in tiles of {_size_of(tiling)} about {size(memory)}"
             best = TileChoice(tiling, Decision("tiles", str(count), reason), memory)
         if memory <= budget:
             break
-    return best
+    return _with_workers(best, chosen)
+
+
+def _with_workers(choice: TileChoice, chosen: Choices) -> TileChoice:
+    """The same with the processes that compute its tiles."""
+    if choice.tiling is None:
+        return choice
+    if chosen.scheduler is not None:
+        return replace(
+            choice, of_workers=Decision("workers", "of a scheduler", f"set by --scheduler {chosen.scheduler}")
+        )
+    if chosen.workers is not None:
+        number, reason = min(chosen.workers, len(choice.tiling)), "set by --workers"
+        if number < chosen.workers:
+            reason = f"--workers {chosen.workers}, but there are no more tiles"
+    else:
+        cores = machine.num_cores()
+        number = min(cores // _CORES_OF_WORKER, len(choice.tiling), int(_budget(chosen)[0] // choice.memory_bytes))
+        reason = f"{cores} cores, of which a process uses {_CORES_OF_WORKER}, and {size(choice.memory_bytes)} for each"
+        if number < 2 or find_spec("distributed") is None:
+            return choice
+    found = Decision("workers", str(number), reason)
+    return replace(choice, workers=number, of_workers=found, memory_bytes=number * choice.memory_bytes)
 
 
 def _counts(ground: tuple[float, float, float, float], most: int) -> list[int]:

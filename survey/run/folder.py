@@ -215,10 +215,13 @@ class RunDir:
         self._started[folder] = time.monotonic()
         return folder
 
-    def finish_stage(self, name: str, key: Key, temp: Path) -> Path:
-        """Put the folder of `open_stage` in its place, with a record of key, seconds and versions; return it."""
-        seconds = round(time.monotonic() - self._started.pop(temp), 3)
-        record = {"key": key.digest, "parts": key.parts, "seconds": seconds, "versions": versions()}
+    def finish_stage(self, name: str, key: Key, temp: Path, seconds: float | None = None) -> Path:
+        """Put the folder of `open_stage` in its place, with a record of key, seconds and versions; return it.
+
+        ``seconds`` are those of another process, which made the folder.
+        """
+        seconds = time.monotonic() - self._started.pop(temp) if seconds is None else seconds
+        record = {"key": key.digest, "parts": key.parts, "seconds": round(seconds, 3), "versions": versions()}
         self.write_text(temp / _RECORD, json.dumps(record, indent=2))
         place = self._place(name, key)
         with disk_refusals(place):

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from survey.folder.survey import Survey
     from survey.plan.choices import Choices
     from survey.plan.plan import Plan
-    from survey.plan.skipped import Decision
+    from survey.plan.tile_choice import TileChoice
     from survey.plan.tiling import Area, Tiling
     from survey.progress import Progress
     from survey.run.aimed_run import AimedRun
@@ -51,6 +51,8 @@ class Job:
         Folder for photographs that do not stay in memory; needed for tiles.
     tiling : Tiling or None
         Of a survey that is worked on in tiles; set by `take_tiles`.
+    tiles : TileChoice or None
+        The same with its reasons, and how many processes compute them.
     whole : Job
         Itself; of a tile the job of the whole survey.
     waits_for_kernels : Event
@@ -71,7 +73,7 @@ class Job:
         self.aimed, self.workspace, self.scratch = aimed, workspace, scratch
         self.whole: Job = self
         self.tiling: Tiling | None = None
-        self.tiles: Decision | None = None
+        self.tiles: TileChoice | None = None
         self.waits_for_kernels = Event()
         self._found: dict[Path, Masks] = {}
         self.plan = self._planned()
@@ -84,9 +86,9 @@ class Job:
         if self._sight() != before:
             self._forget()
 
-    def take_tiles(self, tiling: Tiling | None, decision: Decision) -> None:
+    def take_tiles(self, tiles: TileChoice) -> None:
         """Work in tiles, or in one, and say so in the plan."""
-        self.tiling, self.tiles = tiling, decision
+        self.tiling, self.tiles = tiles.tiling, tiles
         self.plan = self._planned()
 
     def _forget(self) -> None:
@@ -107,7 +109,7 @@ class Job:
     def _planned(self) -> Plan:
         if self.aimed is None:
             plan = make_plan(self.survey, self.chosen)
-            return plan if self.tiles is None else replace(plan, decisions=(*plan.decisions, self.tiles))
+            return plan if self.tiles is None else replace(plan, decisions=(*plan.decisions, *self.tiles.decisions))
         plan = make_plan(self.survey, self.chosen, recipe=self.aimed.recipe)
         return replace(plan, decisions=(*plan.decisions, *self.aimed.decisions))
 

@@ -64,6 +64,8 @@ def process(
     true_colour: bool | None = None,
     tiles: int | None = None,
     memory: str | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
     reference: str | Path | None = None,
     visible: str | Path | None = None,
 ) -> int:
@@ -105,6 +107,11 @@ def process(
         Rectangles of the ground that are worked on one after the other; default: as the memory asks for.
     memory : str, optional
         Memory that the run may take, as "8GB"; default: most of what is free.
+    workers : int, optional
+        Processes that compute tiles; default: by tiles, cores and memory. Of a scheduler those that are waited for. A
+        script that gives more than one needs ``if __name__ == "__main__":``.
+    scheduler : str, optional
+        Address of a Dask scheduler whose workers compute the tiles, as "tcp://host:8786".
     reference, visible : str or Path, optional
         True surface and the points of it that cameras see, for the report; the reconstruction never reads them.
 
@@ -135,6 +142,8 @@ def process(
         true_colour=true_colour,
         tiles=tiles,
         memory=memory,
+        workers=workers,
+        scheduler=scheduler,
     )
     aim, chosen = aim_and_choices(given.over(process_config(survey_folder)))
     require_some_time(aim)
@@ -158,7 +167,7 @@ def process(
         from survey.run.job import Job
 
         job = Job(survey, chosen, progress, aimed=aimed, workspace=run.sfm_path, scratch=run.scratch_path)
-        job.take_tiles(tiles_chosen.tiling, tiles_chosen.decision)
+        job.take_tiles(tiles_chosen)
         return _to_the_end(run, job, resume, truth)
 
 
@@ -211,7 +220,7 @@ def _announce(progress: Progress, survey: Survey, chosen: Choices, aimed: AimedR
     earlier = run.found_before(SHARED).get("tiles")
     in_one = workload_of(survey, plan)
     tiles = choose_tiles(survey, plan, chosen, in_one, is_aimed=aimed is not None, earlier=earlier)
-    for decision in (*plan.decisions, tiles.decision):
+    for decision in (*plan.decisions, *tiles.decisions):
         progress.note(f"plan: {decision.name}: {decision.choice} ({decision.reason})")
     if aimed is not None:
         # An aim may come to need its largest recipe.

@@ -47,6 +47,8 @@ def command_of(job: Job, truth: Truth) -> str:
         "true-colour": chosen.true_colour,
         "tiles": chosen.tiles,
         "memory": chosen.memory,
+        "workers": chosen.workers,
+        "scheduler": chosen.scheduler,
         "reference": truth.reference,
         "visible": truth.visible,
     }

@@ -66,20 +66,32 @@ def run_stage(
     ``explains`` says why it is computed again where the run has results of it.
     """
     key = stage.key(job, done)
-    folder = run.finished_stage(stage.name, key, stage.leaves) if resume else None
-    if folder is not None:
-        job.progress.note(f"{stage.name}: used again, nothing that it depends on has changed")
-    else:
-        why = run.why_again(stage.name, key) if resume else "--no-resume"
-        if explains and why is not None:
-            job.progress.note(f"{stage.name}: computed again: {why}")
+    folder = finished(stage, key, job, run, resume=resume, explains=explains)
+    if folder is None:
         temp = run.open_stage(stage.name)
         stage.compute(job, temp, {name: done[name] for name in stage.needs if name in done})
-        missing = [name for name in stage.leaves if not (temp / name).is_file()]
-        if missing:
-            raise RuntimeError(f"the stage {stage.name} left no {', '.join(missing)}")
-        folder = run.finish_stage(stage.name, key, temp)
+        folder = finish(stage, key, run, temp)
         job.give_back()
     if stage.apply is not None:
         stage.apply(job, folder)
     return folder
+
+
+def finished(stage: Stage, key: Key, job: Job, run: RunDir, *, resume: bool, explains: bool = True) -> Path | None:
+    """The folder of a stage in the run where it is still right; None, and why, where it has to be computed."""
+    folder = run.finished_stage(stage.name, key, stage.leaves) if resume else None
+    if folder is not None:
+        job.progress.note(f"{stage.name}: used again, nothing that it depends on has changed")
+        return folder
+    why = run.why_again(stage.name, key) if resume else "--no-resume"
+    if explains and why is not None:
+        job.progress.note(f"{stage.name}: computed again: {why}")
+    return None
+
+
+def finish(stage: Stage, key: Key, run: RunDir, temp: Path, seconds: float | None = None) -> Path:
+    """Give what a stage has left in a folder its place in the run; ``seconds`` where a worker made it."""
+    missing = [name for name in stage.leaves if not (temp / name).is_file()]
+    if missing:
+        raise RuntimeError(f"the stage {stage.name} left no {', '.join(missing)}")
+    return run.finish_stage(stage.name, key, temp, seconds)

@@ -10,6 +10,7 @@ for all tiles. What tiles find is put together in the form that a run in one pie
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
@@ -23,6 +24,7 @@ from survey.run.stage import Stage, run_stage
 from survey.run.stage_of_tile import FIGURES, POINTS, find_points, learn_figures, solve_tile, sweep_tile
 from survey.run.stage_sweep import MAPS
 from survey.run.stage_tiles import find_shared, read_shared
+from survey.run.team import Team
 from survey.run.tile_job import MASKS, TileJob
 
 # Gets the job, the folder to write to, the tiles, the folders of their stages by name, and those of other stages.
@@ -38,7 +40,7 @@ _BED = replace(_OF["bed"], needs=("sweep", "solver"), leaves=(POINTS,), compute=
 
 def run_tiled(job: Job, run: RunDir, *, resume: bool) -> dict[str, Path]:
     """Run the stages of a job with a tiling; the folders of the stages by name."""
-    if job.tiling is None:
+    if job.tiling is None or job.tiles is None:
         raise ValueError("expected a job with tiles")
     done: dict[str, Path] = {}
     tiles: list[TileJob] = []
@@ -47,27 +49,34 @@ def run_tiled(job: Job, run: RunDir, *, resume: bool) -> dict[str, Path]:
         if stage.is_on(of):
             done[stage.name] = run_stage(stage, of, run, done, resume=resume)
 
-    def step_of_tiles(stage: Stage) -> None:
-        for tile in tiles:
-            step(_of_tile(stage, tile), tile)
-            tile.drop()
+    with ExitStack() as stack:
+        team = Team(job, run, stack) if job.tiles.workers > 1 or job.chosen.scheduler is not None else None
 
-    for stage in STAGES:
-        if stage.name == "sweep":
-            step(_TILES)
-            shared = read_shared(done["tiles"])
-            tiles += [TileJob(job, number, shared) for number in range(len(job.tiling))]
-            step_of_tiles(_SWEEP)
-            step(_over(stage, merge_sweeps, tiles, ("sweep",)))
-        elif stage.name == "solver" and stage.is_on(job):
-            step(_over(replace(stage, name="figures", leaves=(FIGURES,)), learn_figures, tiles, ("sweep",)))
-            step_of_tiles(_SOLVER)
-            step(_over(stage, merge_solved, tiles, ("sweep", "solver")))
-        elif stage.name == "bed":
-            step_of_tiles(_BED)
-            step(_over(stage, merge_points, tiles, ("bed",)))
-        elif stage.name != "solver":
-            step(stage)
+        def step_of_tiles(stage: Stage) -> None:
+            if team is not None:
+                parts = [(_of_tile(stage, tile), tile) for tile in tiles]
+                done.update(team.run(stage, parts, done, shared, resume=resume))
+                return
+            for tile in tiles:
+                step(_of_tile(stage, tile), tile)
+                tile.drop()
+
+        for stage in STAGES:
+            if stage.name == "sweep":
+                step(_TILES)
+                shared = read_shared(done["tiles"])
+                tiles += [TileJob(job, number, shared) for number in range(len(job.tiling))]
+                step_of_tiles(_SWEEP)
+                step(_over(stage, merge_sweeps, tiles, ("sweep",)))
+            elif stage.name == "solver" and stage.is_on(job):
+                step(_over(replace(stage, name="figures", leaves=(FIGURES,)), learn_figures, tiles, ("sweep",)))
+                step_of_tiles(_SOLVER)
+                step(_over(stage, merge_solved, tiles, ("sweep", "solver")))
+            elif stage.name == "bed":
+                step_of_tiles(_BED)
+                step(_over(stage, merge_points, tiles, ("bed",)))
+            elif stage.name != "solver":
+                step(stage)
     return done
 
 

@@ -20,6 +20,7 @@ adjustment; without one the parameters count as independent, as good as survey.t
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -43,7 +44,7 @@ _SQUARES = 14
 _VIEWS = 12
 # Places that a point is interpolated from.
 _NEAREST = 4
-# Points at a time: 200 bytes each.
+# Points at a time: 300 bytes each.
 _PORTION = 200_000
 # Cells along the longer side of the grid that tells what a shift of the cloud does.
 _MOST_CELLS = 1000
@@ -183,12 +184,14 @@ def std_common(xyz: np.ndarray, wet: np.ndarray, survey: Survey, found: Adjustme
         NaN where no place of the same kind, wet or dry, is seen by two views.
     """
     std = np.full(len(xyz), np.nan, dtype=np.float32)
-    for kind in (wet, ~wet):
-        places = places_of(xyz[kind])
-        ties = seen_places(places, survey)
-        if len(ties):
-            variance = _variance(survey, found, ties, gsd)
-            std[kind] = np.sqrt(interpolated(ties.start[:, :2], variance, xyz[kind, :2]))
+    for is_wet in (True, False):
+        ties = seen_places(places_of(xyz, wet == is_wet), survey)
+        if not len(ties):
+            continue
+        variance = _variance(survey, found, ties, gsd)
+        for part in portions(len(xyz)):
+            kind = wet[part] == is_wet
+            std[part][kind] = np.sqrt(interpolated(ties.start[:, :2], variance, xyz[part][kind, :2]))
     if survey.plan_std_m > 0.0:
         std = np.hypot(std, shift_std(xyz, survey.plan_std_m)).astype(np.float32)
     return np.maximum(std, np.float32(_LEAST_M))
@@ -231,18 +234,42 @@ def shift_std(xyz: np.ndarray, plan_std_m: float) -> np.ndarray:
     return np.where(np.isfinite(std), std, whole).ravel()[flat]
 
 
-def places_of(xyz: np.ndarray) -> np.ndarray:
-    """Points (K, 3) of a cloud spread over its plan: of each square the one nearest to its middle."""
-    if len(xyz) == 0:
-        return xyz
-    low = xyz[:, :2].min(axis=0)
-    side = max(float(np.ptp(xyz[:, :2], axis=0).max()), 1e-9) / _SQUARES
-    square, within = np.divmod((xyz[:, :2] - low) / side, 1.0)
-    order = np.argsort(np.sum((within - 0.5) ** 2, axis=1), kind="stable")
-    # One number for each square: rows of two take three times as long.
-    number = square @ np.array([_SQUARES + 1.0, 1.0])
-    _, first = np.unique(number[order], return_index=True)
-    return xyz[np.sort(order[first])]
+def portions(count: int) -> Iterator[slice]:
+    """Parts of so many points."""
+    return (slice(first, first + _PORTION) for first in range(0, count, _PORTION))
+
+
+def places_of(xyz: np.ndarray, among: np.ndarray | None = None) -> np.ndarray:
+    """Points (K, 3) of a cloud, or ``among`` (N,) bool of them, spread over its plan.
+
+    Of each square the one nearest to its middle; the first of equally near ones.
+    """
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for part in portions(len(xyz)):
+        here = xyz[part, :2] if among is None else xyz[part, :2][among[part]]
+        if len(here):
+            low, high = np.minimum(low, here.min(axis=0)), np.maximum(high, here.max(axis=0))
+    if not np.isfinite(low).all():
+        return np.empty((0, 3))
+    side = max(float((high - low).max()), 1e-9) / _SQUARES
+    # Index, square and distance to its middle of the nearest of each portion.
+    nearest = np.empty((3, 0))
+    for part in portions(len(xyz)):
+        count = len(xyz[part])
+        index = part.start + (np.arange(count) if among is None else np.flatnonzero(among[part]))
+        square, within = np.divmod((xyz[index, :2] - low) / side, 1.0)
+        # One number for each square: rows of two take three times as long.
+        number = square @ np.array([_SQUARES + 1.0, 1.0])
+        found = np.stack([index, number, np.sum((within - 0.5) ** 2, axis=1)])
+        nearest = _first_of_squares(np.concatenate([nearest, found], axis=1))
+    return xyz[np.sort(nearest[0].astype(np.int64))]
+
+
+def _first_of_squares(found: np.ndarray) -> np.ndarray:
+    """Of each square the nearest, by columns of index, square and distance."""
+    order = np.lexsort((found[0], found[2]))
+    _, first = np.unique(found[1, order], return_index=True)
+    return found[:, order[first]]
 
 
 def seen_places(places: np.ndarray, survey: Survey) -> TiePoints:

@@ -18,15 +18,13 @@ import numpy as np
 from scipy import ndimage
 
 from survey.adjust.adjustment import Adjustment
-from survey.adjust.std_common import interpolated, place_moves, places_of, seen_places
+from survey.adjust.std_common import interpolated, place_moves, places_of, portions, seen_places
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey
 
 # The slope of the bed is that over cells of so many ground sampling distances: single heights are noisy.
 _CELL_GSD = 2.0
-# Points at a time: 300 bytes each.
-_PORTION = 200_000
 # Points whose variances along both axes multiply to less than this, in cells, lie in a row.
 _LEAST_SPREAD = 1e-3
 # No more cells than this for each point, of a cloud with single points far away.
@@ -61,26 +59,26 @@ def std_of_block(xyz: np.ndarray, survey: Survey, found: Adjustment, gsd: float)
     moves[:, 2] -= moves[:, 2].mean(axis=0)
     covariance = np.einsum("kai,ij,kbj->kab", moves, found.covariance, moves).reshape(len(ties), 9)
     cells = BedCells.of(xyz, _CELL_GSD * gsd)
-    towards = np.column_stack([-cells.slopes, np.ones(len(xyz))])
     rise, reached = cells.squared_rise(np.sqrt(np.maximum(covariance.mean(axis=0)[[0, 4]], 0.0)))
-    not_by_slopes = rise - (cells.slopes**2 * reached).sum(axis=1)
+    not_by_slopes = rise - (cells.slope**2 * reached).sum(axis=0)
     std = np.empty(len(xyz), dtype=np.float32)
-    for first in range(0, len(xyz), _PORTION):
-        part = slice(first, first + _PORTION)
-        there = interpolated(ties.start[:, :2], covariance, xyz[part, :2]).reshape(-1, 3, 3)
-        by_slopes = np.einsum("na,nab,nb->n", towards[part], there, towards[part])
-        std[part] = np.sqrt(np.maximum(by_slopes + not_by_slopes[part], 0.0))
+    for part in portions(len(xyz)):
+        here = xyz[part]
+        there = interpolated(ties.start[:, :2], covariance, here[:, :2]).reshape(-1, 3, 3)
+        towards = np.column_stack([-cells.at(cells.slope, here), np.ones(len(here))])
+        by_slopes = np.einsum("na,nab,nb->n", towards, there, towards)
+        std[part] = np.sqrt(np.maximum(by_slopes + cells.at(not_by_slopes, here), 0.0))
     return std
 
 
 @dataclass(frozen=True)
 class BedCells:
-    """Planes through the points of 3 x 3 square cells, about each cell; of N points.
+    """Planes through the points of 3 x 3 square cells, about each cell.
 
     Attributes
     ----------
-    place : (N, 2) int64
-        Column and row of the cell of each point.
+    low : (2,) [m]
+        Where the first column and row begin.
     side : [m]
     seen : (columns, rows) bool
         Whether there are points.
@@ -90,7 +88,7 @@ class BedCells:
         Rise along x and y; 0 where points lie in a row.
     """
 
-    place: np.ndarray
+    low: np.ndarray
     side: float
     seen: np.ndarray
     height: np.ndarray
@@ -101,22 +99,20 @@ class BedCells:
         """Cells of points (N, 3) [m], with sides [m] of that length, or longer where single points lie far away."""
         low, wide = xyz[:, :2].min(axis=0), np.ptp(xyz[:, :2], axis=0)
         side = max(side, float(np.sqrt(wide.prod() / (_MOST_CELLS * len(xyz)))))
-        place = np.floor((xyz[:, :2] - low) / side).astype(np.int64)
-        shape = place.max(axis=0) + 1
-        flat, number = place[:, 0] * shape[1] + place[:, 1], int(shape.prod())
-
-        def about(weights: np.ndarray) -> np.ndarray:
-            """Means over the nine cells about each cell, of what its points add up to."""
-            return ndimage.uniform_filter(np.bincount(flat, weights, number).reshape(shape), 3, mode="constant")
-
+        shape = _cells_of(xyz[:, :2].max(axis=0), low, side) + 1
         origin = xyz.mean(axis=0)
-        x, y, z = (xyz - origin).T
-        count = about(np.ones(len(xyz)))
-        seen = count > 0.5 / 9.0
-        count = np.maximum(count, 1.0 / 9.0)
-        mean_x, mean_y, mean_z = (about(each) / count for each in (x, y, z))
-        xx, yy, xy = about(x * x) / count - mean_x**2, about(y * y) / count - mean_y**2, about(x * y) / count
-        xy, xz, yz = xy - mean_x * mean_y, about(x * z) / count, about(y * z) / count
+        # Of each cell the sums of what is in `_products`.
+        sums = np.zeros((9, int(shape.prod())))
+        for part in portions(len(xyz)):
+            place = _cells_of(xyz[part, :2], low, side)
+            for total, weights in zip(sums, _products(xyz[part] - origin), strict=True):
+                np.add.at(total, place[:, 0] * shape[1] + place[:, 1], weights)
+        # Means over the nine cells about each cell.
+        about = [ndimage.uniform_filter(each.reshape(shape), 3, mode="constant") for each in sums]
+        seen = about[0] > 0.5 / 9.0
+        count = np.maximum(about[0], 1.0 / 9.0)
+        mean_x, mean_y, mean_z, xx, yy, xy, xz, yz = (each / count for each in about[1:])
+        xx, yy, xy = xx - mean_x**2, yy - mean_y**2, xy - mean_x * mean_y
         xz, yz = xz - mean_x * mean_z, yz - mean_y * mean_z
         size = xx * yy - xy**2
         size = np.where(size > _LEAST_SPREAD * side**4, size, np.inf)
@@ -126,15 +122,15 @@ class BedCells:
             for start, middle, cells in zip(low, origin, shape, strict=False)
         )
         height = mean_z + slope[0] * (middle_x[:, None] - mean_x) + slope[1] * (middle_y - mean_y)
-        return cls(place, side, seen, np.where(seen, height, 0.0), slope)
+        return cls(low, side, seen, np.where(seen, height, 0.0), slope)
 
-    @property
-    def slopes(self) -> np.ndarray:
-        """Rise (N, 2) along x and y at the points."""
-        return self._at(np.moveaxis(self.slope, 0, -1))
+    def at(self, values: np.ndarray, xyz: np.ndarray) -> np.ndarray:
+        """Values (..., columns, rows) of the cells at some of the points (N, 3) [m], (N, ...)."""
+        place = _cells_of(xyz[:, :2], self.low, self.side)
+        return np.moveaxis(values, (-2, -1), (0, 1))[place[:, 0], place[:, 1]]
 
     def squared_rise(self, std: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Mean squares of the rise from each point to places beside it, over normal displacements.
+        """Mean squares of the rise from each cell to places beside it, over normal displacements.
 
         Parameters
         ----------
@@ -143,9 +139,9 @@ class BedCells:
 
         Returns
         -------
-        (N,) [m^2]
+        (columns, rows) [m^2]
             Of the bed as far as it is seen.
-        (N, 2) [m^2]
+        (2, columns, rows) [m^2]
             Mean squares of the displacements that whole cells make of it: much less than a cell is none.
         """
         kernels = [_kernel(each / self.side) for each in std]
@@ -155,11 +151,18 @@ class BedCells:
         mean, square = (_filtered(each, kernels) / share for each in (self.height, self.height**2))
         rise = np.maximum(square - 2.0 * self.height * mean + self.height**2, 0.0)
         reached = [_filtered(seen, each) / share for each in ([squares[0], kernels[1]], [kernels[0], squares[1]])]
-        return self._at(rise), self.side**2 * self._at(np.stack(reached, axis=-1))
+        return rise, self.side**2 * np.stack(reached)
 
-    def _at(self, values: np.ndarray) -> np.ndarray:
-        """Values (columns, rows, ...) of the cells at the points, (N, ...)."""
-        return values[self.place[:, 0], self.place[:, 1]]
+
+def _cells_of(xy: np.ndarray, low: np.ndarray, side: float) -> np.ndarray:
+    """Column and row (..., 2) of the cells of places (..., 2) [m]."""
+    return np.floor((xy - low) / side).astype(np.int64)
+
+
+def _products(xyz: np.ndarray) -> tuple[np.ndarray, ...]:
+    """1, x, y, z, xx, yy, xy, xz and yz of points (N, 3)."""
+    x, y, z = xyz.T
+    return np.ones(len(x)), x, y, z, x * x, y * y, x * y, x * z, y * z
 
 
 def _kernel(std: float) -> np.ndarray:

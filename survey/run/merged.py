@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fields.solver.solver import SolvedMap
-from fields.sweep.bed import BedPoints
 from fields.sweep.maps import HeightMap
 from fields.sweep.photo_consistency import Consistency
 from survey.files.json_values import read_json_object, write_json
 from survey.plan.block import cameras_of_block
 from survey.run.stage_bed import finish_bed
-from survey.run.stage_of_tile import read_points
+from survey.run.stage_of_tile import gather_points
 from survey.run.stage_solver import SIGHTINGS, SOLVED
 from survey.run.stage_sweep import BOUND, CONSISTENCY, MAPS, SATURATED, SWEPT
 from survey.run.stored_maps import Stored, save_maps
@@ -25,6 +24,9 @@ from survey.run.tile_job import MASKS, OWN, TileJob, load_masks
 if TYPE_CHECKING:
     from survey.run.job import Job
     from survey.run.windows import Window
+
+# In the folder of the stage, while it lasts: the points of all tiles.
+GATHERED = "points.npz"
 
 
 def merge_sweeps(
@@ -64,9 +66,9 @@ def merge_points(
 ) -> None:
     """The bed of all tiles."""
     with job.progress.stage("Bed"):
-        parts = [read_points(place) for place in of_tiles["bed"]]
-        bed, _ = BedPoints.concatenate_where(parts, lambda xyz: np.ones(len(xyz), dtype=bool))
-        finish_bed(job, folder, needs, bed)
+        gathered = folder / GATHERED
+        finish_bed(job, folder, needs, gather_points(of_tiles["bed"], gathered))
+        gathered.unlink()
 
 
 def _found(tiles: Sequence[TileJob], swept: Sequence[Path]) -> Iterator[tuple[TileJob, Path]]:

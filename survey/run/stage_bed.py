@@ -19,7 +19,7 @@ from survey.plan.block import backend
 from survey.run.points import adjustment_of, bed_points, is_placed, with_std_of_block
 from survey.run.stage_solver import SOLVED
 from survey.run.stage_sweep import MAPS, look_at_bed
-from survey.run.stored import BED_FILE, SURVEY_FILE, StoredBed, save_bed
+from survey.run.stored import BED_FILE, SURVEY_FILE, Column, StoredBed, save_bed
 from survey.run.stored_maps import Stored
 from survey.run.water_colour import colour_of
 
@@ -92,9 +92,8 @@ def finish_bed(job: Job, folder: Path, needs: Mapping[str, Path], bed: BedPoints
         std_placed = of_block if is_placed(survey) else None
     basis = BASIS_STATED if found is None else BASIS_ADJUSTED
     job.progress.note(f"std_common: {length(float(np.nanmedian(common)))} (median), by {basis}")
-    points_crs = np.empty_like(bed.xyz)
-    for first in range(0, len(bed), _PORTION):
-        points_crs[first : first + _PORTION] = survey.frame.crs_from_local(bed.xyz[first : first + _PORTION])
+    parts = (survey.frame.crs_from_local(bed.xyz[first : first + _PORTION]) for first in range(0, len(bed), _PORTION))
+    points_crs = Column(np.dtype(np.float64), bed.xyz.shape, parts)
     save_bed(folder, StoredBed(bed, points_crs, survey.frame.crs, survey.name, job.plan.gsd_m, common, std_placed))
 
 

@@ -21,7 +21,7 @@ from survey.plan.tiling import inside
 from survey.run.stage_bed import points_of_bed
 from survey.run.stage_solver import SIGHTINGS, SOLVED, solve_with
 from survey.run.stage_sweep import BOUND, CONSISTENCY, MAPS, SATURATED, SWEPT, look_at_bed, sweep_views
-from survey.run.stored import load_arrays, save_arrays
+from survey.run.stored import Column, mapped_arrays, save_arrays, write_arrays
 from survey.run.stored_maps import Stored, save_maps
 from survey.run.tile_job import KEPT, MASKS, OWN, TileJob, load_masks, pack_masks
 
@@ -73,9 +73,17 @@ def find_points(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     save_arrays(folder / POINTS, **{each.name: getattr(bed, each.name) for each in fields(BedPoints)})
 
 
-def read_points(folder: Path) -> BedPoints:
-    """What `find_points` found."""
-    return BedPoints(**load_arrays(folder / POINTS))
+def gather_points(folders: Sequence[Path], path: Path) -> BedPoints:
+    """What `find_points` found in tiles, gathered in a file, where it stays."""
+    names = [each.name for each in fields(BedPoints)]
+
+    def column(name: str) -> Column:
+        found = [mapped_arrays(folder / POINTS, (name,))[name] for folder in folders]
+        count = sum(map(len, found))
+        return Column(found[0].dtype, (count, *found[0].shape[1:]), found)
+
+    write_arrays(path, ((name, column(name)) for name in names))
+    return BedPoints(**mapped_arrays(path))
 
 
 def learn_figures(

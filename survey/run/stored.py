@@ -1,14 +1,19 @@
-"""Arrays on disk between the stages of a run: written whole, read back as they were."""
+"""Arrays on disk between the stages of a run: written whole, read back as they were.
+
+The points of a bed stay there: their columns are mapped into memory, of which the system keeps what is in use.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import json
+import os
+import struct
 import zipfile
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 from pyproj import CRS
@@ -19,9 +24,22 @@ from survey.errors import SurveyError
 if TYPE_CHECKING:
     from fields.sweep.bed import BedPoints
 
+# In the header of a file in a zip archive: the lengths of name and extra field, which follow it.
+LENGTHS_AT = 26
+# Bytes that are read at a time.
+_PORTION = 4_000_000
 BED_FILE, SURVEY_FILE = "bed.npz", "survey.json"
 # Of the stage of the field; `survey.run.stored_field` reads and writes them.
 FIELD_FILES = FIELD_FILE, FIGURES_FILE, PLACE_FILE = "field.pt", "field.json", "place.json"
+
+
+@dataclass(frozen=True)
+class Column:
+    """An array that is written part by part: its parts follow each other along the first axis."""
+
+    dtype: np.dtype
+    shape: tuple[int, ...]
+    parts: Iterable[np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -41,7 +59,7 @@ class StoredBed:
     ----------
     bed : BedPoints
         Local frame.
-    points_crs : (N, 3) float64
+    points_crs : (N, 3) float64, or a column of them to write
         The same points, in crs.
     crs : pyproj.CRS
     name : str
@@ -56,7 +74,7 @@ class StoredBed:
     """
 
     bed: BedPoints
-    points_crs: np.ndarray
+    points_crs: Any
     crs: CRS
     name: str
     gsd_m: float
@@ -81,12 +99,27 @@ def save_arrays(path: str | Path, **arrays: np.ndarray) -> None:
     write_arrays(path, arrays.items())
 
 
-def write_arrays(path: str | Path, arrays: Iterable[tuple[str, np.ndarray]]) -> None:
+def write_arrays(path: str | Path, arrays: Iterable[tuple[str, np.ndarray | Column]]) -> None:
     """As `save_arrays`, of names with their arrays one after the other: they need not be in memory together."""
     with write_whole(path) as stream, zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
         for name, array in arrays:
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
+                if isinstance(array, Column):
+                    _write_column(member, array)
+                else:
+                    np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
+
+
+def _write_column(stream: IO[bytes], column: Column) -> None:
+    descr = np.lib.format.dtype_to_descr(column.dtype)
+    header = {"descr": descr, "fortran_order": False, "shape": column.shape}
+    np.lib.format.write_array_header_1_0(stream, header)
+    written = 0
+    for part in column.parts:
+        stream.write(np.ascontiguousarray(part, dtype=column.dtype).data)
+        written += len(part)
+    if written != column.shape[0]:
+        raise ValueError(f"the parts of a column have {written} rows, expected {column.shape[0]}")
 
 
 def load_arrays(path: str | Path, names: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
@@ -104,6 +137,39 @@ def load_arrays(path: str | Path, names: tuple[str, ...] | None = None) -> dict[
         raise unreadable(path, error) from error
 
 
+def mapped_arrays(path: str | Path, names: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
+    """As `load_arrays`, with arrays that stay in the file; what is written to them does not reach it."""
+    try:
+        with Path(path).open("rb") as stream, zipfile.ZipFile(stream) as archive:
+            found = {}
+            for member in archive.infolist():
+                name = member.filename.removesuffix(".npy")
+                if names is None or name in names:
+                    _require_whole(archive, member)
+                    found[name] = _mapped(Path(path), stream, member.header_offset)
+            return found
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+        raise unreadable(path, error) from error
+
+
+def _require_whole(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> None:
+    """Read all of a member, at whose end its checksum is compared."""
+    with archive.open(member) as whole:
+        while whole.read(_PORTION):
+            pass
+
+
+def _mapped(path: Path, stream: IO[bytes], start: int) -> np.ndarray:
+    """An array of a zip file that does not compress, whose local header begins there."""
+    stream.seek(start + LENGTHS_AT)
+    stream.seek(sum(struct.unpack("<HH", stream.read(4))), os.SEEK_CUR)
+    np.lib.format.read_magic(stream)
+    shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+    if 0 in shape:
+        return np.empty(shape, dtype)
+    return np.memmap(path, dtype, "c", stream.tell(), shape).view(np.ndarray)
+
+
 def unreadable(path: str | Path, why: Exception | str) -> SurveyError:
     """The error for a file that an earlier stage left."""
     return SurveyError(f"{path} cannot be read ({why}); delete its folder and give `bathynerf process` again")
@@ -112,12 +178,13 @@ def unreadable(path: str | Path, why: Exception | str) -> SurveyError:
 def save_bed(folder: str | Path, stored: StoredBed) -> None:
     """Write what an export needs into the folder of the bed's stage: bed.npz and survey.json."""
     folder = Path(folder)
-    columns = {f.name: getattr(stored.bed, f.name) for f in dataclasses.fields(stored.bed)}
+    columns: dict[str, np.ndarray | Column] = {"points_crs": stored.points_crs}
+    columns |= {f.name: getattr(stored.bed, f.name) for f in dataclasses.fields(stored.bed)}
     if stored.std_common is not None:
         columns["std_common"] = stored.std_common
     if stored.std_placed is not None:
         columns["std_placed"] = stored.std_placed
-    save_arrays(folder / BED_FILE, points_crs=stored.points_crs, **columns)
+    write_arrays(folder / BED_FILE, columns.items())
     said = {"crs_wkt": stored.crs.to_wkt(), "name": stored.name, "gsd_m": stored.gsd_m}
     with write_whole(folder / SURVEY_FILE) as stream:
         stream.write(json.dumps(said, indent=2, ensure_ascii=False).encode())
@@ -133,7 +200,7 @@ def load_bed(folder: str | Path) -> StoredBed:
     """
     from fields.sweep.bed import BedPoints
 
-    arrays = load_arrays(Path(folder) / BED_FILE)
+    arrays = mapped_arrays(Path(folder) / BED_FILE)
     place = load_bed_place(folder)
     try:
         points_crs = arrays.pop("points_crs")
@@ -173,4 +240,4 @@ def load_bed_columns(folder: str | Path, *names: str) -> dict[str, np.ndarray]:
     SurveyError
         If the file is missing or damaged.
     """
-    return load_arrays(Path(folder) / BED_FILE, names)
+    return mapped_arrays(Path(folder) / BED_FILE, names)

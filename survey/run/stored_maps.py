@@ -17,10 +17,8 @@ import numpy as np
 
 from fields.sweep.maps import HeightMap
 from geo.files import disk_refusals
-from survey.run.stored import load_arrays, unreadable, write_arrays
+from survey.run.stored import LENGTHS_AT, load_arrays, unreadable, write_arrays
 
-# In the header of a file in a zip archive: the lengths of name and extra field, which follow it.
-_LENGTHS_AT = 26
 # Bytes of maps that are worked on in memory; files for the others take a twentieth of the time of the sweep.
 IN_MEMORY = 75_000_000
 
@@ -171,7 +169,7 @@ class Stored(Sequence[Kind]):
 
 def _read(stream: BinaryIO, start: int) -> np.ndarray:
     """An array of a zip file that does not compress, whose local header begins there: in one go, not by parts."""
-    stream.seek(start + _LENGTHS_AT)
+    stream.seek(start + LENGTHS_AT)
     stream.seek(sum(struct.unpack("<HH", stream.read(4))), os.SEEK_CUR)
     return np.load(stream, allow_pickle=False)
 

@@ -12,8 +12,8 @@ import pickle
 import shutil
 import time
 import uuid
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 _MOST_ENDED = 3
 # How long workers of a cluster may take to come [s].
 _PATIENCE_S = 60.0
+# How often is looked whether any is left [s].
+_LOOK_EVERY_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -75,13 +77,13 @@ class Workers:
         SurveyError
             If the workers of a task end again and again.
         """
-        from distributed import KilledWorker, as_completed
+        from distributed import KilledWorker
 
         futures = {
             self._client.submit(_compute, job, self._folder, task, pure=False, key=f"{task.name}-{uuid.uuid4().hex}"): n
             for n, task in enumerate(tasks)
         }
-        for future in as_completed(futures):
+        for future in self._as_they_end(futures):
             try:
                 folder, seconds, said = future.result()
             except KilledWorker as error:
@@ -91,6 +93,24 @@ class Workers:
                     "with fewer --workers, or more --tiles"
                 ) from error
             yield futures[future], folder, seconds, said
+
+    def _as_they_end(self, futures: Collection[Any]) -> Iterator[Any]:
+        """The futures, as they end; raise where no worker is left to end one."""
+        from distributed import wait
+
+        left, last_seen = set(futures), time.monotonic()
+        while left:
+            with suppress(TimeoutError):
+                ended = wait(left, timeout=_LOOK_EVERY_S, return_when="FIRST_COMPLETED").done
+                left -= ended
+                yield from ended
+            if self._client.scheduler_info()["workers"]:
+                last_seen = time.monotonic()
+            elif time.monotonic() - last_seen > _PATIENCE_S:
+                raise SurveyError(
+                    f"no worker is left, and none came back within {_PATIENCE_S:.0f} s; {len(left)} of {len(futures)} "
+                    "tiles are missing: give the same command again, it goes on with what is finished"
+                )
 
 
 @contextmanager

@@ -66,6 +66,5 @@ def written(tmp_path, **files: str | bytes) -> list[Path]:
 
 
 def gathered(paths, crs=SURVEY_CRS):
-    assumptions, warnings = [], []
-    found = gather([read_control(path) for path in paths], crs, SIZES, assumptions, warnings)
-    return found, assumptions, warnings
+    found, said = gather([read_control(path) for path in paths], crs, SIZES)
+    return found, list(said.assumptions), list(said.warnings)

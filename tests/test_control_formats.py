@@ -67,9 +67,8 @@ def test_lines_without_names_are_of_one_point_where_their_coordinates_are_the_sa
 
 
 def test_a_name_of_an_image_with_a_space_is_whole_between_tabs(tmp_path):
-    assumptions, warnings = [], []
     (path,) = written(tmp_path, gcp_list__txt=odm(images=("my photo.jpg",)).replace(" ", "\t").replace("my\t", "my "))
-    found = gather([read_control(path)], SURVEY_CRS, {"my photo.jpg": (64, 48)}, assumptions, warnings)
+    found, _ = gather([read_control(path)], SURVEY_CRS, {"my photo.jpg": (64, 48)})
     assert {mark.view for mark in found.marks} == {"my photo.jpg"}
 
 

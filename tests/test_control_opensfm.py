@@ -26,9 +26,8 @@ def written(folder, content) -> object:
 
 
 def gathered(path):
-    warnings: list[str] = []
-    found = gather([read_control(path)], CRS("EPSG:4326+5773"), SIZES, [], warnings)
-    return found, warnings
+    found, said = gather([read_control(path)], CRS("EPSG:4326+5773"), SIZES)
+    return found, list(said.warnings)
 
 
 def test_marks_count_from_the_middle_in_units_of_the_longer_side(tmp_path):

@@ -181,11 +181,10 @@ def test_real_marks_of_photographs_that_were_halved_lie_outside_and_doubled_they
     names = sorted(path.name for path in (folder / "images").iterdir())
     crs = parse_crs("EPSG:32611+5773")
     with pytest.raises(ControlError, match=r"lies outside .* if the photographs were reduced, reduce the marks too"):
-        gather([content], crs, dict.fromkeys(names, (2136, 1424)), [], [])
-    warnings = []
-    found = gather([content], crs, dict.fromkeys(names, (4272, 2848)), [], warnings)
+        gather([content], crs, dict.fromkeys(names, (2136, 1424)))
+    found, said = gather([content], crs, dict.fromkeys(names, (4272, 2848)))
     assert (len(found.points), len(found.marks)) == (len({mark.point for mark in found.marks}), 27)
-    assert warnings == ["all control points have the height 0; check that the file has their heights"]
+    assert said.warnings == ("all control points have the height 0; check that the file has their heights",)
 
 
 def seen_marks(survey, shift=(0.0, 0.0)) -> str:

@@ -74,7 +74,7 @@ def test_positions_and_accuracies_are_those_of_the_file_in_every_form(tmp_path, 
     folder = unposed(tmp_path / "s")
     (folder / "geo.txt").write_text(geo_txt(header, TAILS[tail]))
     found = find_survey(folder)
-    positions = positions_in_crs(found.heads, found.crs, "crs", [])
+    positions, _ = positions_in_crs(found.heads, found.crs, "crs")
     expected = PLACES.copy()
     if tail == "no height":
         expected[:, 2] = LEVEL + 20.0  # that of EXIF
@@ -127,7 +127,7 @@ def test_photographs_and_lines_without_each_other_are_named(tmp_path):
     found = find_survey(folder)
     assert "1 image of geo.txt not among the photographs: other.jpg" in found.warnings
     assert "1 image not in geo.txt, which keep what EXIF has: 0003.jpg" in found.warnings
-    positions = positions_in_crs(found.heads, found.crs, "crs", [])
+    positions, _ = positions_in_crs(found.heads, found.crs, "crs")
     assert list(positions) == NAMES
     assert abs(positions["0003.jpg"][2] - (LEVEL + 20.0)) < 1e-9
 
@@ -203,14 +203,14 @@ def test_two_files_are_refused(tmp_path):
 def test_heights_of_another_datum_or_of_no_unit_are_refused(header, gps_height, error, words):
     head = at(header, (10.17, 46.9, 2126.0) if header == "EPSG:4979" else (1e6, 2e5, 10.0))
     with pytest.raises(error, match=words):
-        positions_in_crs({"a.jpg": head}, CRS("EPSG:25832+5778"), gps_height, [])
+        positions_in_crs({"a.jpg": head}, CRS("EPSG:25832+5778"), gps_height)
 
 
 @pytest.mark.parametrize(("header", "factor"), [("EPSG:26915+5703", 1.0), ("EPSG:26915+6360", 1200.0 / 3937.0)])
 @pytest.mark.parametrize("gps_height", ["crs", "ellipsoidal"])
 def test_heights_of_the_datum_of_the_survey_are_brought_to_its_unit(header, factor, gps_height):
     head = at(header, (5e5, 5e6, 200.0))
-    found = positions_in_crs({"a.jpg": head}, CRS("EPSG:26915+5703"), gps_height, [])
+    found, _ = positions_in_crs({"a.jpg": head}, CRS("EPSG:26915+5703"), gps_height)
     assert np.abs(found["a.jpg"] - [5e5, 5e6, 200.0 * factor]).max() < 1e-9
 
 

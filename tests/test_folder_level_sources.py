@@ -30,8 +30,7 @@ def written(folder, content) -> object:
 
 
 def test_the_ring_of_a_polygon_counts_each_vertex_once(tmp_path):
-    notes = []
-    points = points_of_geojson(written(tmp_path, feature("Polygon", [RING])), CRS, notes)
+    points, notes = points_of_geojson(written(tmp_path, feature("Polygon", [RING])), CRS)
     np.testing.assert_array_equal(points, RING[:3])
     assert "taken as crs" in notes[0]
 
@@ -43,7 +42,7 @@ def test_longitude_and_latitude_are_taken_to_crs(tmp_path):
         "type": "FeatureCollection",
         "features": [feature("LineString", line), {"type": "Feature", "geometry": None}],
     }
-    points = points_of_geojson(written(tmp_path, content), CRS, [])
+    points, _ = points_of_geojson(written(tmp_path, content), CRS)
     # Degrees of JSON have all their digits.
     np.testing.assert_allclose(points, RING[:3], atol=1e-6)
 
@@ -56,7 +55,7 @@ def test_an_older_file_names_its_crs_and_a_contour_line_its_height(tmp_path):
         "crs": {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::25831"}},
         "features": [feature("MultiLineString", [line], ELEV=LEVEL)],
     }
-    points = points_of_geojson(written(tmp_path, content), CRS, [])
+    points, _ = points_of_geojson(written(tmp_path, content), CRS)
     np.testing.assert_allclose(points, np.array(RING[:3])[:, :2].tolist() @ np.eye(2, 3) + [0, 0, LEVEL], atol=1e-4)
 
 
@@ -72,15 +71,14 @@ def test_a_property_is_the_height_where_all_third_coordinates_are_zero(tmp_path,
     nested = {"Point": ring[0], "MultiPoint": ring, "LineString": ring, "MultiLineString": [ring]}
     coordinates = nested.get(kind, [ring] if kind == "Polygon" else [[ring]])
     features = [feature(kind, coordinates, **{name: value, "name": "west"}, id=7)]
-    notes = []
-    points = points_of_geojson(written(tmp_path, {"type": "FeatureCollection", "features": features}), CRS, notes)
+    points, notes = points_of_geojson(written(tmp_path, {"type": "FeatureCollection", "features": features}), CRS)
     assert set(points[:, 2].tolist()) == {LEVEL}
     assert f"are 0: heights are those of its property {name}" in notes[0]
     # Heights that are there stay what they are, and so does a level of 0 that nothing else contradicts.
     high = feature("MultiPoint", [[*ring[0][:2], 1.5], ring[1]], **{name: value})
-    assert points_of_geojson(written(tmp_path, high), CRS, [])[:, 2].tolist() == [1.5, 0.0]
+    assert points_of_geojson(written(tmp_path, high), CRS)[0][:, 2].tolist() == [1.5, 0.0]
     sea = feature("MultiPoint", ring, name="west", id=7)
-    assert set(points_of_geojson(written(tmp_path, sea), CRS, [])[:, 2].tolist()) == {0.0}
+    assert set(points_of_geojson(written(tmp_path, sea), CRS)[0][:, 2].tolist()) == {0.0}
 
 
 @pytest.mark.parametrize("third", [[], [0.0]])
@@ -97,7 +95,7 @@ def test_a_property_is_the_height_where_all_third_coordinates_are_zero(tmp_path,
 def test_properties_that_may_be_heights_are_refused_by_name(tmp_path, properties, named, third):
     ring = [[e, n, *third] for e, n, _ in RING]
     with pytest.raises(ConfigError, match="keep one property level") as refused:
-        points_of_geojson(written(tmp_path, feature("LineString", ring, **properties)), CRS, [])
+        points_of_geojson(written(tmp_path, feature("LineString", ring, **properties)), CRS)
     assert all(name in str(refused.value) for name in [*named, "all 0" if third else "property"])
 
 
@@ -105,7 +103,7 @@ def test_a_feature_without_the_property_is_refused_where_third_coordinates_are_z
     ring = [[e, n, 0.0] for e, n, _ in RING]
     features = [feature("LineString", ring, level=2.0), feature("LineString", ring)]
     with pytest.raises(ConfigError, match="features without a height"):
-        points_of_geojson(written(tmp_path, {"type": "FeatureCollection", "features": features}), CRS, [])
+        points_of_geojson(written(tmp_path, {"type": "FeatureCollection", "features": features}), CRS)
 
 
 def test_a_shoreline_in_geojson_gives_a_survey_its_level(tmp_path):
@@ -137,7 +135,7 @@ def test_a_shoreline_in_geojson_gives_a_survey_its_level(tmp_path):
 def test_other_content_is_refused_by_name(tmp_path, content, message):
     path = written(tmp_path, content)
     with pytest.raises(ConfigError, match=message) as refused:
-        points_of_geojson(path, CRS, [])
+        points_of_geojson(path, CRS)
     assert "shore.geojson" in str(refused.value)
     assert len(str(refused.value)) < 600
 

@@ -38,7 +38,7 @@ def heads_at(*minutes, without=()):
 
 def tide_of(folder, text, heads):
     """The level and the tide by lines of [water]."""
-    config, _, tide = with_level(folder, parse_config(f"[water]\n{text}\n"), heads, CRS, [])
+    config, _, tide, _ = with_level(folder, parse_config(f"[water]\n{text}\n"), heads, CRS)
     return config.water.level_m, tide
 
 
@@ -56,7 +56,7 @@ def test_levels_in_files_have_the_unit_of_crs(tmp_path, source):
              "gauge": ["time,level", "2024-06-01T10:00:00Z,100", "2024-06-01T10:10:00Z,101"]}[source]  # fmt: skip
     (tmp_path / "levels.csv").write_text("\n".join(lines) + "\n")
     config = parse_config(f'[water]\n{source} = "levels.csv"\n')
-    config, levels, tide = with_level(tmp_path, config, heads_at(0, 10), parse_crs("EPSG:6344+6360"), [])
+    config, levels, tide, _ = with_level(tmp_path, config, heads_at(0, 10), parse_crs("EPSG:6344+6360"))
     foot = 1200.0 / 3937.0
     assert config.water.level_m == pytest.approx(100.5 * foot)
     assert tide.over == pytest.approx({"a.jpg": -0.5 * foot, "b.jpg": 0.5 * foot})

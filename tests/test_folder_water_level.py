@@ -87,8 +87,7 @@ def write_gauge(folder, *rows):
 
 def test_a_gauge_is_interpolated_at_the_photographs(tmp_path):
     write_gauge(tmp_path, "2024-06-01T10:00:00Z,1.0", "2024-06-01T13:00:00+02:00,1.6")
-    notes = []
-    config, readings, tide = with_level(tmp_path, gauge_config(), heads_at(10, 20), CRS, notes)
+    config, readings, tide, said = with_level(tmp_path, gauge_config(), heads_at(10, 20), CRS)
     assert [reading.level_m for reading in readings] == [1.0, 1.6]
     assert readings[1].time == datetime(2024, 6, 1, 11, tzinfo=UTC)
     # A reading and the zero of the gauge are known to 1 cm each.
@@ -98,19 +97,19 @@ def test_a_gauge_is_interpolated_at_the_photographs(tmp_path):
     assert config.water.gauge is None
     assert tide.over == pytest.approx({"10.jpg": -0.05, "20.jpg": 0.05})
     assert tide.hours == pytest.approx({"10.jpg": -1.0 / 12.0, "20.jpg": 1.0 / 12.0})
-    assert "100 mm" in notes[0]
+    assert "100 mm" in said.assumptions[0]
 
 
 def test_a_gauge_that_does_not_cover_the_flight_is_refused(tmp_path):
     write_gauge(tmp_path, "2024-06-01T10:00:00Z,1.0", "2024-06-01T10:15:00Z,1.1")
     with pytest.raises(ConfigError, match="add the readings around the flight"):
-        with_level(tmp_path, gauge_config(), heads_at(10, 20), CRS, [])
+        with_level(tmp_path, gauge_config(), heads_at(10, 20), CRS)
 
 
 def test_images_without_a_time_are_refused(tmp_path):
     write_gauge(tmp_path, "2024-06-01T10:00:00Z,1.0", "2024-06-01T10:15:00Z,1.1")
     with pytest.raises(ConfigError, match="no image has its time of exposure"):
-        with_level(tmp_path, gauge_config(), {"a.jpg": HEAD}, CRS, [])
+        with_level(tmp_path, gauge_config(), {"a.jpg": HEAD}, CRS)
 
 
 @pytest.mark.parametrize(
@@ -132,9 +131,9 @@ def test_a_damaged_gauge_is_named(tmp_path, rows, message):
 def test_missing_columns_and_files_are_named(tmp_path):
     (tmp_path / "p.csv").write_text("x,y,q\n1,2,3\n")
     with pytest.raises(ConfigError, match="expected easting, northing, height"):
-        points_of_surface(tmp_path / "p.csv", "shoreline", CRS, [])
+        points_of_surface(tmp_path / "p.csv", "shoreline", CRS)
     with pytest.raises(ConfigError, match="cannot be read"):
-        points_of_surface(tmp_path / "none.csv", "shoreline", CRS, [])
+        points_of_surface(tmp_path / "none.csv", "shoreline", CRS)
 
 
 def test_two_sources_of_the_level_contradict_each_other():
@@ -144,7 +143,7 @@ def test_two_sources_of_the_level_contradict_each_other():
 
 def test_a_survey_with_a_level_is_left_as_it_is(tmp_path):
     config = parse_config(TOML)
-    same, (level,), tide = with_level(tmp_path, config, {}, CRS, [])
+    same, (level,), tide, _ = with_level(tmp_path, config, {}, CRS)
     assert (same, tide) == (config, None)
     assert (level.level_m, level.std_m, level.place, level.source) == (LEVEL, 0.02, (E0, N0), "level_m")
 
@@ -169,15 +168,15 @@ def test_points_count_as_much_as_they_are_sure(tmp_path):
     assert fit.level_m == pytest.approx(1.0 + 0.3 * 0.01 / 2.01, abs=1e-3)
     assert fit.covariance[0, 0] ** 0.5 >= 0.01 / 2.01**0.5
     (tmp_path / "p.csv").write_text("easting,northing,height,std\n1,2,3,0.005\n1,2,3,\n")
-    stds = [each.std_m for each in points_of_surface(tmp_path / "p.csv", "shoreline", CRS, [])]
+    stds = [each.std_m for each in points_of_surface(tmp_path / "p.csv", "shoreline", CRS)[0]]
     assert stds == [0.005, 0.03]
     (tmp_path / "p.csv").write_text("easting,northing,height,std\n1,2,3,0\n")
     with pytest.raises(ConfigError, match="std is 0, expected a standard deviation above 0"):
-        points_of_surface(tmp_path / "p.csv", "shoreline", CRS, [])
+        points_of_surface(tmp_path / "p.csv", "shoreline", CRS)
 
 
 def test_heights_of_points_in_feet_become_metres(tmp_path):
     (tmp_path / "p.csv").write_text("easting,northing,height\n600000,4500000,100\n")
     feet = parse_crs("EPSG:6344+6360")  # NAD83(2011) UTM 15N, NAVD88 in US survey feet
-    (point,) = points_of_surface(tmp_path / "p.csv", "shoreline", feet, [])
+    ((point,), _) = points_of_surface(tmp_path / "p.csv", "shoreline", feet)
     assert point.level_m == pytest.approx(30.48006)

@@ -216,8 +216,8 @@ def test_poses_and_lenses_of_a_block_project_as_pycolmap_does():
 
 def test_a_focal_length_that_parallel_views_cannot_tell_is_put_back(rng):
     block, centres = synthetic_block(rng, focal=1130.0)
-    notes = []
-    assert sfm_placing.reset_focals(block, dict.fromkeys(centres, 889.0), notes)
+    is_reset, notes = sfm_placing.reset_focals(block, dict.fromkeys(centres, 889.0))
+    assert is_reset
     assert sfm_block.focal_of(block, "00.jpg") == 889.0
     assert "889 px, is kept instead of the solved 1130 px" in notes[0]
 
@@ -232,8 +232,8 @@ def test_a_focal_length_that_parallel_views_cannot_tell_is_put_back(rng):
 )
 def test_other_focal_lengths_are_left_alone(rng, focal, tilt_deg, nominal, said):
     block, centres = synthetic_block(rng, focal=focal, tilt_deg=tilt_deg)
-    notes = []
-    assert not sfm_placing.reset_focals(block, dict.fromkeys(centres, nominal), notes)
+    is_reset, notes = sfm_placing.reset_focals(block, dict.fromkeys(centres, nominal))
+    assert not is_reset
     assert sfm_block.focal_of(block, "00.jpg") == focal
     assert len(notes) == said
 

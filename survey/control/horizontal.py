@@ -16,12 +16,13 @@ from geo.transformation import Transformation, height_scale
 from survey.control.content import GivenPoint
 from survey.errors import ControlError
 from survey.files.column_units import Units
+from survey.findings import Findings
 
 
-def in_crs(points: Sequence[GivenPoint], crs: CRS, assumptions: list[str], warnings: list[str]) -> list[GivenPoint]:
+def in_crs(points: Sequence[GivenPoint], crs: CRS) -> tuple[list[GivenPoint], Findings]:
     """Points with their coordinates in the crs of a survey; heights keep their datum.
 
-    Assumptions are added to the first list, to the second how little well known the way of points into crs is.
+    The findings say what was transformed, and how little well known a transformation is.
 
     Raises
     ------
@@ -30,7 +31,7 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS, assumptions: list[str], warni
     GeoError
         If heights count from another datum or have no unit, or a grid of the best transformation is missing.
     """
-    done = list(points)
+    done, said = list(points), Findings()
     for source, units in dict.fromkeys((point.crs, point.units) for point in points):
         if source is None and units == Units():
             continue
@@ -40,21 +41,20 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS, assumptions: list[str], warni
         places, added = np.array([points[i].place for i in of_source]), 0.0
         if not horizontal_crs(source).equals(horizontal_crs(crs), ignore_axis_order=True):
             mend = "or give the points in crs"
-            said = f"{first.where}: points in {called(source)}"
+            what = f"{first.where}: points in {called(source)}"
             way = Transformation.between(source, crs, places)
-            way.require_best(said, mend)
+            way.require_best(what, mend)
             places = np.column_stack([*way(places[:, 0], places[:, 1]), places[:, 2]])
-            added, doubt = way.accuracy_m or 0.0, way.doubt(said)
-            warnings += [] if doubt is None else [doubt]
+            added, doubt = way.accuracy_m or 0.0, way.doubt(what)
             heights = "are converted to the unit of crs" if scale != 1.0 else "are taken as heights in crs"
-            assumptions.append(
+            assumption = (
                 f"points in {called(source)} ({first.where}) are transformed to {horizontal_crs(crs).name}; their "
                 f"heights {heights}"
             )
+            said += Findings((assumption,), () if doubt is None else (doubt,))
         elif scale != 1.0:
-            assumptions.append(
-                f"heights of {first.where} are converted by {scale:.7g}, as its columns or CRS name units"
-            )
+            assumption = f"heights of {first.where} are converted by {scale:.7g}, as its columns or CRS name units"
+            said += Findings((assumption,))
         places[:, 2] *= scale
         for i, place in zip(of_source, places.tolist(), strict=True):
             if not np.isfinite(place).all():
@@ -64,7 +64,7 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS, assumptions: list[str], warni
                     "first) or the CRS of the file"
                 )
             done[i] = replace(points[i], place=tuple(place), crs=None, as_read=points[i], datum_std_m=added)
-    return done
+    return done, said
 
 
 def _height_scale(first: GivenPoint, source: CRS, crs: CRS) -> float:
@@ -84,6 +84,6 @@ def swapped(point: GivenPoint, crs: CRS) -> GivenPoint | None:
     given = point.as_read or point
     first, second, height = given.place
     try:
-        return in_crs([replace(given, place=(second, first, height))], crs, [], [])[0]
+        return in_crs([replace(given, place=(second, first, height))], crs)[0][0]
     except (ControlError, GeoError):
         return None

@@ -17,6 +17,7 @@ from survey.control.points import Mark
 from survey.display.words import named
 from survey.errors import ControlError
 from survey.files.csv_table import text_lines
+from survey.findings import Findings
 from survey.photos.names import ImageNames
 
 # Asked in this order which of them a file is of; COORDINATES takes every .csv that MARKS does not.
@@ -67,13 +68,7 @@ def read_control(path: Path) -> Content:
     return known.read(path)
 
 
-def gather(
-    contents: Sequence[Content],
-    crs: CRS,
-    sizes: Mapping[str, tuple[int, int]],
-    assumptions: list[str],
-    warnings: list[str],
-) -> Gathered:
+def gather(contents: Sequence[Content], crs: CRS, sizes: Mapping[str, tuple[int, int]]) -> tuple[Gathered, Findings]:
     """Points and marks of several files, in the crs of a survey and under the names of its photographs.
 
     Parameters
@@ -81,8 +76,6 @@ def gather(
     contents : of each file
     crs : CRS
     sizes : name of a photograph to (width, height) [px]
-    assumptions, warnings : lists of sentences
-        Added to: what is missing or left out.
 
     Raises
     ------
@@ -90,17 +83,19 @@ def gather(
         If a point has two places, a mark lies outside its photograph or has two places in it, or nothing is left.
     """
     given = [point for content in contents for point in content.points]
-    points = _points(in_crs(given, crs, assumptions, warnings), crs)
-    marks = _marks([content.marks for content in contents], points, sizes, warnings)
+    given, said = in_crs(given, crs)
+    points = _points(given, crs)
+    marks, warnings = _marks([content.marks for content in contents], points, sizes)
     marked = {mark.point for mark in marks}
     unmarked = [point for name, point in points.items() if name not in marked]
     lost = [f"{point.name} ({point.where})" for point in unmarked if not point.is_check]
     warnings += named(lost, "control point", "without a mark in a photograph, left out")
     kept = tuple(point for name, point in points.items() if name in marked)
-    _doubt(kept, warnings)
+    warnings += _doubts(kept)
     order = {point.name: i for i, point in enumerate(kept)}
     marks.sort(key=lambda mark: (order[mark.point], mark.view))
-    return Gathered(kept, tuple(marks), tuple(point for point in unmarked if point.is_check))
+    gathered = Gathered(kept, tuple(marks), tuple(point for point in unmarked if point.is_check))
+    return gathered, said + Findings(warnings=tuple(warnings))
 
 
 def _points(given: Sequence[GivenPoint], crs: CRS) -> dict[str, GivenPoint]:
@@ -126,11 +121,9 @@ def _points(given: Sequence[GivenPoint], crs: CRS) -> dict[str, GivenPoint]:
 
 
 def _marks(
-    of_files: Sequence[Sequence[GivenMark]],
-    points: Mapping[str, GivenPoint],
-    sizes: Mapping[str, tuple[int, int]],
-    warnings: list[str],
-) -> list[Mark]:
+    of_files: Sequence[Sequence[GivenMark]], points: Mapping[str, GivenPoint], sizes: Mapping[str, tuple[int, int]]
+) -> tuple[list[Mark], list[str]]:
+    """Marks of points in photographs, and warnings about those of unknown names."""
     if not any(of_files):
         raise ControlError(
             "[control] names points without marks, expected where photographs show them; name a table "
@@ -167,9 +160,9 @@ def _marks(
             f"{example.where}: no {what}, and none of the {len(called)} marks belongs to one; use the names that they "
             f'have, e.g. "{like}"'
         )
-    warnings += _left_out(strangers, "photograph", "that the survey does not have")
+    warnings = _left_out(strangers, "photograph", "that the survey does not have")
     warnings += _left_out(nameless, "point", "without coordinates")
-    return [Mark(point, image, mark.pixel) for (point, image), mark in marks.items()]
+    return [Mark(point, image, mark.pixel) for (point, image), mark in marks.items()], warnings
 
 
 def _left_out(found: Mapping[str, GivenMark], noun: str, why: str) -> list[str]:
@@ -192,8 +185,9 @@ def _require_inside(mark: GivenMark, image: str, size: tuple[int, int]) -> None:
         )
 
 
-def _doubt(points: Sequence[GivenPoint], warnings: list[str]) -> None:
+def _doubts(points: Sequence[GivenPoint]) -> list[str]:
     """Warnings about control that is too little, or has no heights."""
+    warnings = []
     num = sum(not point.is_check for point in points)
     if 0 < num < _ENOUGH:
         warnings.append(
@@ -202,6 +196,7 @@ def _doubt(points: Sequence[GivenPoint], warnings: list[str]) -> None:
         )
     if len(points) >= _ENOUGH and all(point.place[2] == 0.0 for point in points):
         warnings.append("all control points have the height 0; check that the file has their heights")
+    return warnings
 
 
 def _shown(point: GivenPoint) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 
 from geo.frames import LocalFrame
 from survey.control.points import Checkpoint, Control
+from survey.findings import Findings
 from survey.folder.checked_control import checked_parts
 from survey.folder.control import place_control
 from survey.folder.file_poses import read_file_poses
@@ -51,30 +52,27 @@ class Block:
     checkpoints: tuple[Checkpoint, ...]
 
 
-def block_of_file(found: Found, path: Path, assumptions: list[str], warnings: list[str]) -> Block:
-    """The block of a poses file; its assumptions and warnings are added to the lists.
+def block_of_file(found: Found, path: Path) -> tuple[Block, Findings]:
+    """The block of a poses file.
 
     Raises
     ------
     SurveyError, GeoError
         Where something is missing, damaged or contradictory.
     """
-    file = read_file_poses(found, path, assumptions, warnings)
+    file, said = read_file_poses(found, path)
     found, frame = file.found, file.frame
-    views = _with_images(found, file.views, file.masks, assumptions, warnings)
-    control, checkpoints = place_control(found.control, frame, [view.name for view in views], warnings)
+    views, of_images = _with_images(found, file.views, file.masks)
+    control, checkpoints, of_control = place_control(found.control, frame, [view.name for view in views])
     priors = file.priors if control is None else _held_by_control(file.priors)
-    return Block(found, frame, views, file.points, None, file.tool, file.reprojection, priors, control, checkpoints)
+    block = Block(found, frame, views, file.points, None, file.tool, file.reprojection, priors, control, checkpoints)
+    return block, said + of_images + of_control
 
 
 def block_of_photographs(
-    found: Found,
-    workspace: Path | None,
-    report: Callable[[str], None] | None,
-    assumptions: list[str],
-    warnings: list[str],
-) -> Block:
-    """The block that structure from motion finds; its assumptions and warnings are added to the lists.
+    found: Found, workspace: Path | None, report: Callable[[str], None] | None
+) -> tuple[Block, Findings]:
+    """The block that structure from motion finds.
 
     Raises
     ------
@@ -85,31 +83,27 @@ def block_of_photographs(
     frame, points = solved.frame, solved.ties.start
     views = sorted(solved.views, key=lambda view: view.name)
     ties = solved.ties.renumbered(np.array([views.index(view) for view in solved.views]))
-    assumptions += solved.assumptions
-    warnings += solved.warnings
-    views = _with_images(found, views, None, assumptions, warnings)
+    views, of_images = _with_images(found, views, None)
     priors: Mapping[str, PosePrior] = priors_of_gps(found, frame, views, solved.rejected)
-    control, checkpoints = place_control(found.control, frame, [view.name for view in views], warnings)
+    control, checkpoints, of_control = place_control(found.control, frame, [view.name for view in views])
+    said = Findings(tuple(solved.assumptions), tuple(solved.warnings)) + of_images + of_control
     block = Block(found, frame, views, points, ties, None, None, priors, control, checkpoints)
     if control is None:
-        return block
+        return block, said
     priors = _held_by_control(priors)
-    views, ties, control, priors = checked_parts(found, frame, views, ties, control, priors, warnings)
-    return replace(block, views=views, points=ties.start, ties=ties, control=control, priors=priors)
+    views, ties, control, priors, of_parts = checked_parts(found, frame, views, ties, control, priors)
+    block = replace(block, views=views, points=ties.start, ties=ties, control=control, priors=priors)
+    return block, said + of_parts
 
 
 def _held_by_control(priors: Mapping[str, PosePrior]) -> dict[str, PosePrior]:
     return {name: prior.held_by_control() for name, prior in priors.items()}
 
 
-def _with_images(
-    found: Found, views: list[View], masks: Path | None, assumptions: list[str], warnings: list[str]
-) -> list[View]:
+def _with_images(found: Found, views: list[View], masks: Path | None) -> tuple[list[View], Findings]:
     """The views by name with their masks, whose images are held against their lenses."""
     views, said = with_masks(found, sorted(views, key=lambda view: view.name), masks)
-    assumptions += said.assumptions
-    warnings += said.warnings
     for view in views:
         require_image(view, found.heads[view.name])
     require_all_complete([path for view in views for path in (view.path, view.mask_path) if path is not None])
-    return views
+    return views, said

@@ -12,6 +12,7 @@ from geo.similarity import Similarity
 from survey.control.points import Control
 from survey.display.words import named
 from survey.errors import ControlError
+from survey.findings import Findings
 from survey.folder.block_control import of_block
 from survey.folder.found import Found
 from survey.folder.pose_priors import PosePrior
@@ -55,11 +56,10 @@ def checked_parts(
     ties: TiePoints,
     control: Control,
     priors: Mapping[str, PosePrior],
-    warnings: list[str],
-) -> tuple[list[View], TiePoints, Control | None, Mapping[str, PosePrior]]:
+) -> tuple[list[View], TiePoints, Control | None, Mapping[str, PosePrior], Findings]:
     """Views, tie points, control and priors of a survey, with control held against each part of its block by itself.
 
-    Parts share no points: each has a place, a tilt and a scale of its own. Warnings are added to.
+    Parts share no points: each has a place, a tilt and a scale of its own.
 
     Raises
     ------
@@ -70,6 +70,7 @@ def checked_parts(
     part = np.maximum(parts_of(len(views), ties.point, ties.view), 0)
     moved_views, priors, marks = list(views), dict(priors), []
     refusals: list[ControlError] = []
+    said = Findings()
     for number in range(int(part.max()) + 1):
         mine = np.flatnonzero(part == number)
         names = {views[k].name for k in mine}
@@ -78,10 +79,11 @@ def checked_parts(
             continue
         own_priors = {name: prior for name, prior in priors.items() if name in names}
         try:
-            checked = checked_control(found, frame, [views[k] for k in mine], own, own_priors, warnings)
+            checked, of_part = checked_control(found, frame, [views[k] for k in mine], own, own_priors)
         except ControlError as error:
             refusals.append(error)
             continue
+        said += of_part
         priors |= checked.priors
         marks += [] if checked.control is None else list(checked.control.marks)
         if checked.move is not None:
@@ -90,12 +92,13 @@ def checked_parts(
                 moved_views[k] = _moved(views[k], checked.move)
     if refusals and not marks:
         raise refusals[0]
-    warnings += [f"control of a part of the photographs that shares no points with the others: {e}" for e in refusals]
+    what = "control of a part of the photographs that shares no points with the others"
+    said += Findings(warnings=tuple(f"{what}: {error}" for error in refusals))
     kept = {mark.point for mark in marks}
     points = tuple(point for point in control.points if point.name in kept)
     order = {mark: place for place, mark in enumerate(control.marks)}
     marks.sort(key=order.__getitem__)
-    return moved_views, ties, replace(control, points=points, marks=tuple(marks)) if points else None, priors
+    return moved_views, ties, replace(control, points=points, marks=tuple(marks)) if points else None, priors, said
 
 
 def _of_views(control: Control, names: set[str]) -> Control:
@@ -111,9 +114,8 @@ def checked_control(
     views: Sequence[View],
     control: Control,
     priors: Mapping[str, PosePrior],
-    warnings: list[str],
-) -> CheckedControl:
-    """Hold control against the block; warnings are added to: what is left out.
+) -> tuple[CheckedControl, Findings]:
+    """Hold control against the block; the warnings say what is left out.
 
     Raises
     ------
@@ -126,7 +128,7 @@ def checked_control(
     require_meeting(block, posed, met)
     fit = agreed(met, posed) if _can_be_compared(met) else None
     wrong = {} if fit is None else fit.wrong
-    warnings += _left_out(met, wrong)
+    warnings = _left_out(met, wrong)
     lost = {*met.apart, *wrong}
     points = tuple(point for point in control.points if point.name not in lost)
     bad = {(mark.point, mark.view) for mark in met.wrong_marks}
@@ -136,15 +138,19 @@ def checked_control(
     if good:
         places, theirs, stds = (np.array(column) for column in zip(*good, strict=True))
         reach, std = float(np.median(met.ranges)), np.median(stds, axis=0)
-        if not _is_one_datum(np.median(places - theirs, axis=0), std, reach, priors, warnings):
+        other_datum = _other_datum(np.median(places - theirs, axis=0), std, reach, priors)
+        if other_datum is not None:
+            warnings.append(other_datum)
             move = None if fit is None else fit.similarity
             priors = {
                 name: replace(prior, position_std=None, source="none" if prior.position is None else "GPS EXIF")
                 for name, prior in priors.items()
             }
         elif _are_few(priors):
-            priors = _without_far(views, std, reach, priors, warnings)
-    return CheckedControl(replace(control, points=points, marks=marks) if points else None, priors, move)
+            priors, far = _without_far(views, std, reach, priors)
+            warnings += far
+    checked = CheckedControl(replace(control, points=points, marks=marks) if points else None, priors, move)
+    return checked, Findings(warnings=tuple(warnings))
 
 
 def _can_be_compared(met: Met) -> bool:
@@ -171,10 +177,8 @@ def _left_out(met: Met, wrong: Mapping[str, float]) -> list[str]:
     ]
 
 
-def _is_one_datum(
-    common: np.ndarray, std: np.ndarray, reach: float, priors: Mapping[str, PosePrior], warnings: list[str]
-) -> bool:
-    """Whether control and positions agree; a warning where they do not.
+def _other_datum(common: np.ndarray, std: np.ndarray, reach: float, priors: Mapping[str, PosePrior]) -> str | None:
+    """A warning where control and positions do not agree; None where they do.
 
     Parameters
     ----------
@@ -193,12 +197,11 @@ def _is_one_datum(
     stated = [prior.position_std for prior in priors.values() if prior.position_std is not None]
     of_positions = np.median(stated, axis=0) if stated else np.full(3, _GPS_STD_M)
     if (np.abs(common) <= bent + _MOST_STD * np.hypot(of_positions, std)).all():
-        return True
-    warnings.append(
+        return None
+    return (
         f"{said}, more than the accuracy of both explains: control decides, and the block tells how good the positions "
         "are; check the base station, and the datum of the heights"
     )
-    return False
 
 
 def _are_few(priors: Mapping[str, PosePrior]) -> bool:
@@ -207,9 +210,9 @@ def _are_few(priors: Mapping[str, PosePrior]) -> bool:
 
 
 def _without_far(
-    views: Sequence[View], std: np.ndarray, reach: float, priors: Mapping[str, PosePrior], warnings: list[str]
-) -> Mapping[str, PosePrior]:
-    """The priors without positions that lie elsewhere than where the block has the camera."""
+    views: Sequence[View], std: np.ndarray, reach: float, priors: Mapping[str, PosePrior]
+) -> tuple[Mapping[str, PosePrior], list[str]]:
+    """The priors without positions that lie elsewhere than where the block has the camera, and a warning of these."""
     kept, far = dict(priors), []
     for view in views:
         prior = priors[view.name]
@@ -222,8 +225,7 @@ def _without_far(
         if off > limit:
             kept[view.name] = replace(prior, position=None, position_std=None, source="none", common_up_std=0.0)
             far.append(f"{view.name} (by {off:.0f} m)")
-    warnings += named(far, "GPS position", "that the block contradicts, left out")
-    return kept
+    return kept, named(far, "GPS position", "that the block contradicts, left out")
 
 
 def _moved(view: View, move: Similarity) -> View:

@@ -16,6 +16,7 @@ from survey.control.points import Checkpoint, Control
 from survey.control.reading import Gathered, gather, read_control
 from survey.control.tables import read_checkpoints
 from survey.display.words import named
+from survey.findings import Findings
 from survey.folder.config_control import DEFAULT_MARKS_STD_PX, DEFAULT_STD_M, ControlConfig, per_direction
 from survey.photos.exif import Exif
 
@@ -53,11 +54,9 @@ def find_control(
     config: ControlConfig,
     crs: CRS,
     heads: Mapping[str, Exif],
-    assumptions: list[str],
-    warnings: list[str],
     level: float | None = None,
-) -> FoundControl:
-    """Read the files of [control]; assumptions and warnings are added to.
+) -> tuple[FoundControl, Findings]:
+    """Read the files of [control].
 
     Depths of check points count from ``level``, the one height of the water in crs, where there is one.
 
@@ -66,37 +65,41 @@ def find_control(
     ControlError
         If a file is missing or damaged, or its points or marks cannot be true.
     """
-    checkpoints: tuple[GivenPoint, ...] = ()
+    checkpoints: list[GivenPoint] = []
+    said = Findings()
     if config.checkpoints is not None:
         given = read_checkpoints(folder / config.checkpoints, level, crs)
-        checkpoints = tuple(in_crs(given, crs, assumptions, warnings))
+        checkpoints, said = in_crs(given, crs)
     if not config.gcp_files:
-        return FoundControl(config, None, checkpoints)
+        return FoundControl(config, None, tuple(checkpoints)), said
     contents = [read_control(folder / name) for name in config.gcp_files]
     if config.marks is not None:
         # Metashape's XML has coordinates too, which are not those that were asked for.
         contents.append(Content(marks=read_control(folder / config.marks).marks))
     sizes = {name: head.size_px for name, head in heads.items()}
-    gathered = gather(contents, crs, sizes, assumptions, warnings)
-    warnings += _untold_accuracy(config, gathered)
-    return FoundControl(_with_stds(config, gathered, assumptions), gathered, (*checkpoints, *gathered.unmarked))
+    gathered, of_files = gather(contents, crs, sizes)
+    untold = _untold_accuracy(config, gathered)
+    config, assumed = _with_stds(config, gathered)
+    said += of_files + Findings(assumed, untold)
+    return FoundControl(config, gathered, (*checkpoints, *gathered.unmarked)), said
 
 
-def _untold_accuracy(config: ControlConfig, gathered: Gathered) -> list[str]:
+def _untold_accuracy(config: ControlConfig, gathered: Gathered) -> tuple[str, ...]:
     """A warning where neither the settings nor a file says how accurate control points are."""
     untold = [point for point in gathered.points if point.std_m is None]
     if config.std_m is not None or not untold:
-        return []
-    return [
+        return ()
+    return (
         f"nothing says how accurate {len(untold)} of {len(gathered.points)} control points are: {DEFAULT_STD_M:g} m is "
         "taken, which GNSS with corrections or a total station has, and the block follows them as closely; give "
-        "[control] std_m, e.g. 0.03, or [0.02, 0.03] horizontally and vertically"
-    ]
+        "[control] std_m, e.g. 0.03, or [0.02, 0.03] horizontally and vertically",
+    )
 
 
-def _with_stds(config: ControlConfig, gathered: Gathered, assumptions: list[str]) -> ControlConfig:
+def _with_stds(config: ControlConfig, gathered: Gathered) -> tuple[ControlConfig, tuple[str, ...]]:
     """The settings with the standard deviations that count, of which those that nobody gave are assumed."""
     std_m, marks_std_px = config.std_m, config.marks_std_px
+    assumptions = []
     if std_m is None:
         std_m = DEFAULT_STD_M
         if any(point.std_m is None for point in gathered.points):
@@ -106,12 +109,12 @@ def _with_stds(config: ControlConfig, gathered: Gathered, assumptions: list[str]
         assumptions.append(
             f"[control] marks_std_px = {marks_std_px:g}, the standard deviation of their marks in pixels"
         )
-    return ControlConfig(config.gcps, config.checkpoints, std_m, config.marks, marks_std_px)
+    return ControlConfig(config.gcps, config.checkpoints, std_m, config.marks, marks_std_px), tuple(assumptions)
 
 
 def place_control(
-    found: FoundControl | None, frame: LocalFrame, views: Sequence[str], warnings: list[str]
-) -> tuple[Control | None, tuple[Checkpoint, ...]]:
+    found: FoundControl | None, frame: LocalFrame, views: Sequence[str]
+) -> tuple[Control | None, tuple[Checkpoint, ...], Findings]:
     """Control and check points in the local frame of the views.
 
     Parameters
@@ -119,8 +122,6 @@ def place_control(
     found : FoundControl or None
     frame : LocalFrame
     views : names of those with a pose
-    warnings : list of sentences
-        Added to.
 
     Raises
     ------
@@ -128,17 +129,17 @@ def place_control(
         If a point does not lie on the map of crs.
     """
     if found is None:
-        return None, ()
+        return None, (), Findings()
     checkpoints = checkpoints_in_local(found.checkpoints, frame)
     if found.gathered is None:
-        return None, checkpoints
+        return None, checkpoints, Findings()
     std, marks_std_px = per_direction(found.config.std_m), found.config.marks_std_px
     if marks_std_px is None:
         raise ValueError("[control] marks_std_px is not filled in; expected what `find_control` returns")
-    warnings += named(
+    warnings = named(
         without_pose(found.gathered.marks, views), "photograph", "with marks of control has no pose, its marks left out"
     )
     control = control_in_local(found.gathered, frame, views, std, marks_std_px)
     if control is None:
         warnings.append("no view with a pose shows a control point: they are not used")
-    return control, checkpoints
+    return control, checkpoints, Findings(warnings=tuple(warnings))

@@ -10,6 +10,7 @@ import numpy as np
 
 from geo.frames import LocalFrame
 from survey.control.placing import require_near
+from survey.findings import Findings
 from survey.folder import place
 from survey.folder.camera_faults import angle_doubts
 from survey.folder.config_std import per_axis
@@ -56,8 +57,8 @@ class FilePoses:
     priors: dict[str, PosePrior]
 
 
-def read_file_poses(found: Found, path: Path, assumptions: list[str], warnings: list[str]) -> FilePoses:
-    """Read the poses file of a survey; its assumptions and warnings are added to the lists.
+def read_file_poses(found: Found, path: Path) -> tuple[FilePoses, Findings]:
+    """Read the poses file of a survey.
 
     Raises
     ------
@@ -70,16 +71,13 @@ def read_file_poses(found: Found, path: Path, assumptions: list[str], warnings: 
         # Two photographs of this name are the reason that a user can mend.
         ImageNames(found.images).find(error.called, str(path))
         raise
-    assumptions += file.notes
-    warnings += file.warnings
     paired, of_pairs = pair(found, file.poses)
     poses, of_lenses = with_lenses(found, list(paired.values()))
-    said = of_pairs + of_lenses
-    assumptions += said.assumptions
-    warnings += said.warnings
-    warnings += angle_doubts(poses, file.frame)
-    datum = _datum(found, file, warnings)
-    found = _with_clicks(found, file, poses, assumptions, warnings)
+    said = Findings(tuple(file.notes), tuple(file.warnings)) + of_pairs + of_lenses
+    datum, of_datum = _datum(found, file)
+    found, of_clicks = _with_clicks(found, file, poses)
+    said += Findings(warnings=tuple(angle_doubts(poses, file.frame))) + of_datum + of_clicks
+    warnings = []
     frame, views = place.views_in_local(found, file, poses)
     if file.tool is not None and found.config.water is not None:
         warnings.append(
@@ -92,11 +90,12 @@ def read_file_poses(found: Found, path: Path, assumptions: list[str], warnings: 
     by_name = {view.name: view for view in views}
     points, misses = _ties(found, path, file, frame, {called: by_name[pose.name] for called, pose in paired.items()})
     priors = priors_of_poses(found.config.cameras, views, _given(found, file, poses, frame), datum)
-    return FilePoses(found, frame, views, points, file.tool, file.masks, misses, priors)
+    of_file = FilePoses(found, frame, views, points, file.tool, file.masks, misses, priors)
+    return of_file, said + Findings(warnings=tuple(warnings))
 
 
-def _datum(found: Found, file: PoseFile, warnings: list[str]) -> DatumStd:
-    """What the way of the poses into crs adds to their accuracy; a warning is added where it does.
+def _datum(found: Found, file: PoseFile) -> tuple[DatumStd, Findings]:
+    """What the way of the poses into crs adds to their accuracy, with a warning where it does.
 
     Raises
     ------
@@ -105,29 +104,26 @@ def _datum(found: Found, file: PoseFile, warnings: list[str]) -> DatumStd:
     """
     way = way_into_crs(file, found.crs)
     if way is None:
-        return EXACT
+        return EXACT, Findings()
     std = found.config.cameras.position_std_m
     stated = 0.0 if std is None else max(per_axis(std)[:2])
     require_as_good(way, stated, "the poses", 0 if found.control is None else found.control.num_given)
     doubt = way.doubt("the poses")
-    warnings += [] if doubt is None else [doubt]
-    return DatumStd(plan_std(way))
+    return DatumStd(plan_std(way)), Findings(warnings=() if doubt is None else (doubt,))
 
 
-def _with_clicks(found: Found, file: PoseFile, poses: list[Pose], assumptions: list[str], warnings: list[str]) -> Found:
+def _with_clicks(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[Found, Findings]:
     """The contents with the level that clicks in the photographs give, where [water] names them.
 
     The local frame of a survey lies at its level, which is not known before the poses are: another frame serves here.
     """
     water = found.config.water
     if water is None or water.clicks is None:
-        return found
+        return found, Findings()
     dry = replace(found, config=replace(found.config, water=None))
     frame, views = place.views_in_local(dry, file, poses)
     config, clicked, said = with_level_of_clicks(found.folder, found.config, views, frame)
-    assumptions += said.assumptions
-    warnings += said.warnings
-    return replace(found, config=config, levels=found.levels + clicked)
+    return replace(found, config=config, levels=found.levels + clicked), said
 
 
 def _ties(

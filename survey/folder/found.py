@@ -106,10 +106,10 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
         what = "is a file" if folder.exists() else "does not exist"
         raise SurveyError(f"the survey folder {folder} {what}; expected a folder with images and {FILE_NAME}")
     toml = folder / FILE_NAME
-    assumptions: list[str] = []
     if config is None:
         config = read_config(toml) if toml.is_file() else infer.config_of_folder(folder)
-    poses_path = _poses_path(folder, config, assumptions)
+    poses_path, assumption = _poses_path(folder, config)
+    assumptions = [] if assumption is None else [assumption]
     images = list_images(folder / config.images.dir, deep=config.images.dir != ".")
     warnings: list[str] = []
     heads = {name: read_exif(path) for name, path in images.items()}
@@ -119,12 +119,14 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
         assumptions += said.assumptions
         warnings += said.warnings
     if not toml.is_file() or (config.crs is None and infer.says_no_place(config)):
-        config = infer.config_of_images(folder, config, heads, poses_path, assumptions)
+        config, said = infer.config_of_images(folder, config, heads, poses_path)
+        assumptions += said.assumptions
     if config.crs is None:
         raise ConfigError(f"{toml}: crs is missing; {infer.crs_advice(heads)}")
     use_grids(folder / GRIDS_FOLDER)
     crs = parse_crs(config.crs, where=f"crs in {toml}" if toml.is_file() else "the inferred crs")
-    config, levels, tide = with_level(folder, config, heads, crs, assumptions)
+    config, levels, tide, said = with_level(folder, config, heads, crs)
+    assumptions += said.assumptions
     if poses_path is not None and config.water is not None:
         config.water.require_level()
     warnings += head_doubts(heads)
@@ -148,7 +150,9 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
         warnings.append(f'{GCP_LIST} is not used; for its control points write gcps = "{GCP_LIST}" in [control]')
     control = None
     if config.control.files:
-        control = find_control(folder, config.control, crs, heads, assumptions, warnings, _one_level(config, crs))
+        control, said = find_control(folder, config.control, crs, heads, _one_level(config, crs))
+        assumptions += said.assumptions
+        warnings += said.warnings
         config = replace(config, control=control.config)
     datum = least([DatumStd(plan_std(way.plan), way.up_std_m) for way in ways])
     sentences = tuple(assumptions), tuple(warnings)
@@ -163,11 +167,12 @@ def _one_level(config: SurveyConfig, crs: CRS) -> float | None:
     return water.level_m / height_unit_m(crs)
 
 
-def _poses_path(folder: Path, config: SurveyConfig, assumptions: list[str]) -> Path | None:
+def _poses_path(folder: Path, config: SurveyConfig) -> tuple[Path | None, str | None]:
+    """The file of poses, and what is assumed where the settings do not name it."""
     if config.cameras.poses is not None:
         path = folder / config.cameras.poses
         if path.exists():
-            return path
+            return path, None
         raise PosesError(f"the poses {path} do not exist; correct [cameras] poses in {folder / FILE_NAME}")
     paths = find_poses(folder)
     if len(paths) > 1:
@@ -176,6 +181,5 @@ def _poses_path(folder: Path, config: SurveyConfig, assumptions: list[str]) -> P
             f"{folder} has several files of poses ({names}); name one of them in [cameras] poses in {FILE_NAME}"
         )
     if not paths:
-        return None
-    assumptions.append(f"the poses are those in {paths[0].relative_to(folder).as_posix()}, the only poses found")
-    return paths[0]
+        return None, None
+    return paths[0], f"the poses are those in {paths[0].relative_to(folder).as_posix()}, the only poses found"

@@ -12,6 +12,7 @@ from pyproj import CRS
 from geo.crs import crs_code, utm_code
 from survey.control.gcp_list import read_gcp_list
 from survey.errors import FILE_NAME, ConfigError
+from survey.findings import Findings
 from survey.folder.config import ImagesConfig, SurveyConfig
 from survey.folder.plausible import distances_to_exif
 from survey.folder.posed import middle_of_geocentric, points_in_crs
@@ -52,9 +53,8 @@ def config_of_images(
     config: SurveyConfig,
     heads: dict[str, Exif],
     poses_path: Path | None,
-    assumptions: list[str],
-) -> SurveyConfig:
-    """Settings from the GPS positions in EXIF, else from geocentric poses; every assumption is added to the list.
+) -> tuple[SurveyConfig, Findings]:
+    """Settings from the GPS positions in EXIF, else from geocentric poses, and what is assumed.
 
     Raises
     ------
@@ -66,8 +66,8 @@ def config_of_images(
     table = table_crs(heads)
     if table is not None and file is None:
         crs, name = (table, "") if "+" in table else (f"{table}+{_EGM96_HEIGHT}", ": above mean sea level")
-        assumptions.append(f'crs = "{crs}", that of {GEO_TXT}, with heights taken as they are there{name}')
-        return replace(config, crs=crs)
+        said = f'crs = "{crs}", that of {GEO_TXT}, with heights taken as they are there{name}'
+        return replace(config, crs=crs), Findings((said,))
     code = by_exif
     if code is None and file is not None and file.frame is PoseFrame.GEOCENTRIC:
         lon, lat = middle_of_geocentric(file)
@@ -75,11 +75,11 @@ def config_of_images(
     control = folder / GCP_LIST
     if code is None and file is None and control.is_file():
         crs = f"EPSG:{_code_of_control(control)}+{_EGM96_HEIGHT}"
-        assumptions.append(
+        said = (
             f'crs = "{crs}", that of {GCP_LIST}, with its heights taken as above mean sea level; its points place the '
             "photographs"
         )
-        return replace(config, crs=crs, control=replace(config.control, gcps=GCP_LIST))
+        return replace(config, crs=crs, control=replace(config.control, gcps=GCP_LIST)), Findings((said,))
     if code is None:
         raise ConfigError(
             f"{folder} has no {FILE_NAME}, and no image has a GPS position to infer it from; write {FILE_NAME} with "
@@ -94,13 +94,13 @@ def config_of_images(
     if by_exif is not None and file is not None and poses_path is not None:
         _require_same_place(CRS(crs), file, poses_path, heads)
     source = position_sources(heads) if poses_path is None else poses_path.name
-    assumptions += [
+    assumptions = [
         f'crs = "{crs}", the UTM zone of the {"GPS positions" if by_exif is not None else "poses"}, with heights '
         f"taken as they are in {source}: above mean sea level",
     ]
     if config.water is not None and config.water.gives_level:
         assumptions.append("the level of the water counts from mean sea level, too, as [water] comes without a crs")
-    return replace(config, crs=crs)
+    return replace(config, crs=crs), Findings(tuple(assumptions))
 
 
 def _code_of_control(path: Path) -> int:

@@ -40,8 +40,8 @@ _DEPTH_OF_COORDINATES = {
 }  # fmt: skip
 
 
-def points_of_geojson(path: Path, crs: CRS, notes: list[str]) -> np.ndarray:
-    """Easting, northing, height (N, 3) in crs of all vertices, each once.
+def points_of_geojson(path: Path, crs: CRS) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Easting, northing, height (N, 3) in crs of all vertices, each once, and what was assumed of them.
 
     A third coordinate is the height, in the heights of crs; else, or where all third coordinates are 0, a property such
     as level or ELEV is (programs write 0 where a layer has a third coordinate and no heights). Coordinates are
@@ -57,7 +57,8 @@ def points_of_geojson(path: Path, crs: CRS, notes: list[str]) -> np.ndarray:
     """
     content = _content(path)
     vertices = list(_vertices(path, content, {}, 0))
-    points = np.array(list(dict.fromkeys(_with_heights(path, vertices, notes)))).reshape(-1, 3)
+    name, notes = _height_property(path, vertices)
+    points = np.array(list(dict.fromkeys(_with_heights(path, vertices, name)))).reshape(-1, 3)
     if (wrong := next((height for height in points[:, 2].tolist() if is_mark_of_no_data(height)), None)) is not None:
         raise ConfigError(f"{path} has the height {wrong:g}, a mark of no data; remove those points")
     source = _crs_of(path, content)
@@ -65,15 +66,15 @@ def points_of_geojson(path: Path, crs: CRS, notes: list[str]) -> np.ndarray:
         in_degrees = len(points) == 0 or bool((np.abs(points[:, :2]) <= (180.0, 90.0)).all())
         if not in_degrees or is_geographic(crs):
             if not in_degrees:
-                notes.append(f"{path.name} names no CRS, and its coordinates are too large for degrees: taken as crs")
-            return points
+                notes += (f"{path.name} names no CRS, and its coordinates are too large for degrees: taken as crs",)
+            return points, notes
         source = CRS("EPSG:4326")
     target = horizontal_crs(crs)
     if len(points) and not source.equals(target, ignore_axis_order=True):
         points = transformed(source, target, points, str(path), "or give the points in crs.")
         if not np.isfinite(points).all():
             raise ConfigError(f"{path} has coordinates that are not on the map of {source.name} and {target.name}")
-    return points
+    return points, notes
 
 
 def _content(path: Path) -> dict:
@@ -128,18 +129,27 @@ def _coordinates(path: Path, position: Any) -> list[float]:
     return numbers
 
 
-def _with_heights(
-    path: Path, vertices: list[tuple[list[float], dict]], notes: list[str]
-) -> Iterator[tuple[float, float, float]]:
-    """Vertices with their heights: the third coordinates, unless these are 0 throughout and a property has a height."""
+def _is_flat(vertices: list[tuple[list[float], dict]]) -> bool:
+    """Whether there are third coordinates, all of them 0."""
     thirds = [numbers[2] for numbers, _ in vertices if len(numbers) > 2]
-    is_flat = bool(thirds) and not any(thirds)
+    return bool(thirds) and not any(thirds)
+
+
+def _height_property(path: Path, vertices: list[tuple[list[float], dict]]) -> tuple[str | None, tuple[str, ...]]:
+    """A property that has the heights where third coordinates are 0 throughout, and a note of it."""
     names = sorted({name for _, properties in vertices for name in _names_like_heights(properties)})
-    by_property = is_flat and bool(names)
-    if by_property:
-        notes.append(f"all third coordinates of {path.name} are 0: heights are those of its property {names[0]}")
+    if not names or not _is_flat(vertices):
+        return None, ()
+    return names[0], (f"all third coordinates of {path.name} are 0: heights are those of its property {names[0]}",)
+
+
+def _with_heights(
+    path: Path, vertices: list[tuple[list[float], dict]], name: str | None
+) -> Iterator[tuple[float, float, float]]:
+    """Vertices with their heights: the third coordinates, unless a property ``name`` has them."""
+    is_flat = _is_flat(vertices)
     for numbers, properties in vertices:
-        if len(numbers) > 2 and not by_property:
+        if len(numbers) > 2 and name is None:
             yield numbers[0], numbers[1], numbers[2]
         else:
             yield numbers[0], numbers[1], _height_of(path, properties, is_flat)

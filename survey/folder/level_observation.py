@@ -58,8 +58,8 @@ class LevelObservation:
     source: str
 
 
-def points_of_surface(path: Path, source: str, crs: CRS, notes: list[str]) -> tuple[LevelObservation, ...]:
-    """Points of the water surface in a CSV or GeoJSON file; a sentence is added to the notes where crs was assumed.
+def points_of_surface(path: Path, source: str, crs: CRS) -> tuple[tuple[LevelObservation, ...], tuple[str, ...]]:
+    """Points of the water surface in a CSV or GeoJSON file, and what was assumed of them.
 
     Raises
     ------
@@ -68,14 +68,16 @@ def points_of_surface(path: Path, source: str, crs: CRS, notes: list[str]) -> tu
     """
     unit = height_unit_m(crs)
     if path.suffix.lower() in _GEOJSON:
-        points = points_of_geojson(path, crs, notes)
-        return tuple(LevelObservation(h * unit, STD_M[source], (e, n), None, source) for e, n, h in points.tolist())
+        points, notes = points_of_geojson(path, crs)
+        found = (LevelObservation(h * unit, STD_M[source], (e, n), None, source) for e, n, h in points.tolist())
+        return tuple(found), notes
     rows = read_points(path, optional=("std",), units=Units.of(crs), error=ConfigError)
     places = [(row.number("easting"), row.number("northing")) for row in rows]
-    return tuple(
+    measured = [
         LevelObservation(row.number("height") * unit, std_of(row, source), place, None, source)
         for row, place in zip(rows, places, strict=True)
-    )
+    ]
+    return tuple(measured), ()
 
 
 def readings_of_gauge(path: Path, unit_m: float = 1.0) -> tuple[LevelObservation, ...]:

@@ -114,7 +114,7 @@ def priors_of_gps(
     As accurate as [cameras] says, else as XMP does, where the receiver had a fixed solution.
     """
     cameras = found.config.cameras
-    positions = positions_in_crs(found.heads, found.crs, cameras.gps_height, [])
+    positions, _ = positions_in_crs(found.heads, found.crs, cameras.gps_height)
     local = {name: frame.local_from_crs(place) for name, place in positions.items() if name not in rejected}
     datums = datum_stds(found.heads, found.crs, cameras.gps_height)
     attitudes = attitudes_of({view.name: found.heads[view.name] for view in views})

@@ -165,11 +165,11 @@ def load_survey(
         Where something is missing, damaged or contradictory.
     """
     found = find_survey(Path(folder)) if found is None else found
-    assumptions, warnings = list(found.assumptions), list(found.warnings)
     if found.poses_path is None:
-        block = block_of_photographs(found, workspace, report, assumptions, warnings)
+        block, said = block_of_photographs(found, workspace, report)
     else:
-        block = block_of_file(found, found.poses_path, assumptions, warnings)
+        block, said = block_of_file(found, found.poses_path)
+    assumptions, warnings = [*found.assumptions, *said.assumptions], [*found.warnings, *said.warnings]
     found, frame = block.found, block.frame
     places = {view.name: view.camera.centre for view in block.views}
     velocities = velocities_of(places, found.heads, found.config.cameras.speed_m_s)

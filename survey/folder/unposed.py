@@ -75,7 +75,7 @@ def require_solvable(found: Found) -> list[str]:
     require_size(found.images, found.heads, cameras.size_px)
     focal = one_focal(cameras.focal_px)
     placing_control(found)
-    positions = positions_in_crs(found.heads, found.crs, cameras.gps_height, [])
+    positions, _ = positions_in_crs(found.heads, found.crs, cameras.gps_height)
     warnings: list[str] = []
     if positions:
         cameras_crs = np.array(list(positions.values()))

@@ -83,11 +83,11 @@ class SurfaceFit:
 
 
 def with_level(
-    folder: Path, config: SurveyConfig, heads: Mapping[str, Exif], crs: CRS, notes: list[str]
-) -> tuple[SurveyConfig, tuple[LevelObservation, ...], Tide | None]:
+    folder: Path, config: SurveyConfig, heads: Mapping[str, Exif], crs: CRS
+) -> tuple[SurveyConfig, tuple[LevelObservation, ...], Tide | None, Findings]:
     """Settings with the water level read from the file that [water] names, what was measured, and how it moved.
 
-    Clicks are left for `with_level_of_clicks`. Sentences are added to the notes.
+    Clicks are left for `with_level_of_clicks`.
 
     Raises
     ------
@@ -96,25 +96,28 @@ def with_level(
     """
     water = config.water
     if water is None:
-        return config, (), None
+        return config, (), None, Findings()
     tide = None if water.level_rate_m_per_h is None else tide_of_rate(water, heads)
     if water.level_m is not None:
         std = STAFF_STD_M if water.level_std_m is None else water.level_std_m
-        return config, (LevelObservation(water.level_m, std, water.level_at, None, "level_m"),), tide
+        return config, (LevelObservation(water.level_m, std, water.level_at, None, "level_m"),), tide, Findings()
     if water.gauge is not None:
         readings = readings_of_gauge(folder / water.gauge, height_unit_m(crs))
         level, tide, count = tide_of_gauge(folder / water.gauge, readings, heads)
         note = f"mean at {count} of {len(heads)} images, over which it changes by {1000.0 * tide.moves_m:.0f} mm"
-        return replace(config, water=_of_tide(water, level, readings, note, notes)), readings, tide
+        water, said = _of_tide(water, level, readings, note)
+        return replace(config, water=water), readings, tide, said
     if water.image_levels is not None:
         level, tide, found = tide_of_levels(folder / water.image_levels, heads, height_unit_m(crs))
         note = f"mean of {len(found)} images, over which it changes by {1000.0 * tide.moves_m:.0f} mm"
-        return replace(config, water=_of_tide(water, level, found, note, notes)), found, tide
+        water, said = _of_tide(water, level, found, note)
+        return replace(config, water=water), found, tide, said
     name = next((source for source in _POINTS if getattr(water, source) is not None), None)
     if name is None:
-        return config, (), tide
-    points = points_of_surface(folder / getattr(water, name), name, crs, notes)
-    return replace(config, water=_of_points(water, points, crs, notes)), points, tide
+        return config, (), tide, Findings()
+    points, notes = points_of_surface(folder / getattr(water, name), name, crs)
+    water, said = _of_points(water, points, crs)
+    return replace(config, water=water), points, tide, Findings(notes) + said
 
 
 def with_level_of_clicks(
@@ -134,12 +137,11 @@ def with_level_of_clicks(
     if water is None or water.clicks is None:
         return config, (), Findings()
     places, said = levels_of_clicks(folder / water.clicks, views, frame)
-    notes: list[str] = []
-    water = _of_points(water, places, frame.crs, notes)
-    return replace(config, water=water), places, said + Findings(tuple(notes))
+    water, of_level = _of_points(water, places, frame.crs)
+    return replace(config, water=water), places, said + of_level
 
 
-def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS, notes: list[str]) -> WaterConfig:
+def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS) -> tuple[WaterConfig, Findings]:
     """The water through points of its surface, with the standard deviation of its level at ``level_at``."""
     source = points[0].source if points else "points"
     coordinates = np.array([(*each.place, each.level_m) for each in points if each.place is not None]).reshape(-1, 3)
@@ -162,11 +164,11 @@ def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS,
     common = COMMON_STD_M.get(source, 0.0)
     std = math.hypot(math.sqrt(np.array([1.0, *away]) @ fit.covariance @ np.array([1.0, *away])), common)
     shared = f", of which {common:g} m that all of them share" if common else ""
-    notes.append(
+    said = (
         f"level_m = {level:.3f} +- {std:.3f} from {fit.num_points} points in [water] {source}, slope "
         f"{fit.slope_east:.5f} east and {fit.slope_north:.5f} north{shared}"
     )
-    return replace(
+    water = replace(
         water,
         level_m=level,
         level_at=level_at,
@@ -175,6 +177,7 @@ def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS,
         level_std_m=water.level_std_m or min(std, MOST_LEVEL_STD_M),
         **dict.fromkeys((*_POINTS, "clicks"), None),
     )
+    return water, Findings((said,))
 
 
 def fit_surface(
@@ -240,14 +243,14 @@ def _robust(design: np.ndarray, heights: np.ndarray, stds: np.ndarray) -> tuple[
 
 
 def _of_tide(
-    water: WaterConfig, level: float, found: Sequence[LevelObservation], note: str, notes: list[str]
-) -> WaterConfig:
-    """The water with the mean level over the photographs; a sentence on it is added to the notes.
+    water: WaterConfig, level: float, found: Sequence[LevelObservation], note: str
+) -> tuple[WaterConfig, Findings]:
+    """The water with the mean level over the photographs, and a sentence on it.
 
     Its standard deviation has that of a reading, and the zero from which all of them count.
     """
     source = found[0].source
     std = math.hypot(float(np.median([each.std_m for each in found])), COMMON_STD_M[source])
-    notes.append(f"level_m = {level:.3f} +- {std:.3f} from [water] {source}: {note}")
+    said = Findings((f"level_m = {level:.3f} +- {std:.3f} from [water] {source}: {note}",))
     level_std = water.level_std_m or min(std, MOST_LEVEL_STD_M)
-    return replace(water, level_m=level, level_std_m=level_std, gauge=None, image_levels=None)
+    return replace(water, level_m=level, level_std_m=level_std, gauge=None, image_levels=None), said

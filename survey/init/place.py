@@ -217,7 +217,7 @@ def write_origin(photographs: Photographs, answers: Answers, crs: CRS, local: Ta
         local.set("origin", list(answers.origin))
         return
     where = f"the poses in {photographs.poses_path}"
-    positions = positions_in_crs(photographs.heads, crs, "crs", [])
+    positions, _ = positions_in_crs(photographs.heads, crs, "crs")
     centres = photographs.centres
     both = sorted(positions.keys() & centres.keys())
     if len(both) < 3:

@@ -248,7 +248,7 @@ class Book:
 
     def _placed(self, points: list[GivenPoint]) -> dict[str, GivenPoint]:
         found: dict[str, GivenPoint] = {}
-        for point in in_crs(points, self._found.crs, [], []):
+        for point in in_crs(points, self._found.crs)[0]:
             found.setdefault(point.name, point)
         return found
 

@@ -66,15 +66,14 @@ def survey_to_mark(folder: Path) -> tuple[SurveyConfig, Found]:
     return config, find_survey(folder, config=bare)
 
 
-def poses_to_mark(found: Found, run: Path | None, notes: list[str]) -> Posed | None:
-    """The best poses that there are; None where there are none. What lacks is added to the notes.
+def poses_to_mark(found: Found, run: Path | None) -> tuple[Posed | None, str | None]:
+    """The best poses that there are, None where there are none, and then a note of what lacks.
 
     Parameters
     ----------
     found : Found
     run : Path or None
         A run folder whose poses are wanted; None: the one in the survey folder, if it has come to its end.
-    notes : list of sentences
 
     Raises
     ------
@@ -84,29 +83,27 @@ def poses_to_mark(found: Found, run: Path | None, notes: list[str]) -> Posed | N
     folder = found.folder / RUN_FOLDER if run is None else run
     if run is not None or (folder / FLIGHT).is_file():
         flight = load_flight(folder)
-        return Posed(f"the run {folder}", flight.frame, {view.name: view for view in flight.views}, flight.water)
+        return Posed(f"the run {folder}", flight.frame, {view.name: view for view in flight.views}, flight.water), None
     if found.poses_path is None:
-        notes.append(
+        return None, (
             "no poses are known yet, so no places are predicted; after `bathynerf process --quality draft` they are"
         )
-        return None
     try:
-        return _of_file(found, found.poses_path)
+        return _of_file(found, found.poses_path), None
     except (SurveyError, GeoError) as error:
-        notes.append(f"no places are predicted, the poses cannot be used: {error}")
-        return None
+        return None, f"no places are predicted, the poses cannot be used: {error}"
 
 
 def _of_file(found: Found, path: Path) -> Posed:
     """The photographs as the poses file of a survey places them, without the checks that `check` makes."""
     try:
-        file = read_file_poses(found, path, [], [])
+        file, _ = read_file_poses(found, path)
     except SurveyError:
         if found.config.water is None or found.config.water.clicks is None:
             raise
         # Clicks that tell no level yet.
         found = replace(found, config=replace(found.config, water=None))
-        file = read_file_poses(found, path, [], [])
+        file, _ = read_file_poses(found, path)
     found, frame, views = file.found, file.frame, file.views
     places = {view.name: view.camera.centre for view in views}
     velocities = velocities_of(places, found.heads, found.config.cameras.speed_m_s)

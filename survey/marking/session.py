@@ -16,7 +16,7 @@ from survey.folder.config_control import DEFAULT_MARKS_STD_PX
 from survey.folder.level_clicks import CLICK_STD_PX
 from survey.marking.book import GROUND, WATER, Book, Key, Pixel
 from survey.marking.geometry import by_gain, crossing, epipolar_curve, seen_at
-from survey.marking.poses import Posed, poses_to_mark, survey_to_mark
+from survey.marking.poses import poses_to_mark, survey_to_mark
 from survey.photos.cameras import View
 from survey.photos.intersection import Intersection, intersect
 
@@ -59,8 +59,8 @@ class Session:
         self.name = config.name or folder.resolve().name
         self.book = Book(config, self._found, points)
         self.images = self._found.images
-        self.notes: list[str] = []
-        self._posed: Posed | None = poses_to_mark(self._found, run, self.notes)
+        self._posed, note = poses_to_mark(self._found, run)
+        self.notes: list[str] = [] if note is None else [note]
         given = config.control.marks_std_px
         self._std_px = {GROUND: DEFAULT_MARKS_STD_PX if given is None else given, WATER: CLICK_STD_PX}
         self._met: dict[tuple, Intersection | None] = {}

@@ -80,7 +80,8 @@ def gps_positions(heads: Mapping[str, Exif], crs: CRS | None, gps_height: str) -
         crs = parse_crs(code)
         notes.append(f'crs = "{code}", the UTM zone of the GPS positions with heights above mean sea level (EGM96)')
     crs = parse_crs(crs)
-    positions = positions_in_crs(heads, crs, gps_height, notes)
+    positions, of_heights = positions_in_crs(heads, crs, gps_height)
+    notes += of_heights
     points = np.array(list(positions.values()))
     frame = LocalFrame(crs, _origin(crs, points))
     missing = len(heads) - num_with_height
@@ -99,15 +100,15 @@ def what_is_missing(heads: Mapping[str, Exif]) -> str:
     return f", as {' and '.join(said)}" if said else ""
 
 
-def positions_in_crs(heads: Mapping[str, Exif], crs: CRS, gps_height: str, notes: list[str]) -> dict[str, np.ndarray]:
-    """The positions (3,) in crs of the photographs that have one with a height, by name; there may be none.
+def positions_in_crs(heads: Mapping[str, Exif], crs: CRS, gps_height: str) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Positions (3,) in crs of photographs that have one with a height, by name, and what heights are taken for.
+
+    There may be none.
 
     Parameters
     ----------
     heads, crs, gps_height
         As for `gps_positions`.
-    notes : list of sentences
-        Added to: what the heights are taken for.
 
     Raises
     ------
@@ -116,9 +117,11 @@ def positions_in_crs(heads: Mapping[str, Exif], crs: CRS, gps_height: str, notes
     """
     given = {name: _given(head) for name, head in heads.items() if is_whole(head.lat_lon_height)}
     found: dict[str, np.ndarray] = {}
+    notes: list[str] = []
     for source in dict.fromkeys(source for source, _ in given.values()):
         of_source = {name: place for name, (own, place) in given.items() if own == source}
-        points = _in_crs(crs, source, np.array(list(of_source.values())), gps_height, notes)
+        points, said = _in_crs(crs, source, np.array(list(of_source.values())), gps_height)
+        notes += said
         if not np.isfinite(points).all():
             name = list(of_source)[int(np.argmin(np.isfinite(points).all(axis=1)))]
             raise ConfigError(
@@ -126,7 +129,7 @@ def positions_in_crs(heads: Mapping[str, Exif], crs: CRS, gps_height: str, notes
                 f"in {FILE_NAME}"
             )
         found |= dict(zip(of_source, points, strict=True))
-    return {name: found[name] for name in given}
+    return {name: found[name] for name in given}, notes
 
 
 @dataclass(frozen=True)
@@ -217,8 +220,8 @@ def is_whole(position: tuple[float, float, float] | None) -> bool:
     return position is not None and math.isfinite(position[2])
 
 
-def _in_crs(crs: CRS, source: _Source, places: np.ndarray, gps_height: str, notes: list[str]) -> np.ndarray:
-    """Places (N, 3) in the CRS of their source as points (N, 3) in crs."""
+def _in_crs(crs: CRS, source: _Source, places: np.ndarray, gps_height: str) -> tuple[np.ndarray, list[str]]:
+    """Places (N, 3) in the CRS of their source as points (N, 3) in crs, and what their heights are taken for."""
     # Two dimensions only: the height is not touched by any change of datum.
     way = Transformation.between(source.crs, crs, places)
     east, north = way(places[:, 0], places[:, 1])
@@ -234,18 +237,17 @@ def _in_crs(crs: CRS, source: _Source, places: np.ndarray, gps_height: str, note
     if gps_height == "crs" or own is not None:
         scale = height_scale(source.crs, crs, said)
         above = f"above {vertical.name}" if vertical is not None else "above the ellipsoid"
-        if not has_height(source.crs):
-            notes.append(f'gps_height = "crs": {said} are taken as heights in crs, {above}')
-        return np.stack([east, north, places[:, 2] * scale], axis=-1)
+        taken = f'gps_height = "crs": {said} are taken as heights in crs, {above}'
+        return np.stack([east, north, places[:, 2] * scale], axis=-1), [] if has_height(source.crs) else [taken]
     lon, lat = lon_lat(source.crs, places).T
     to_height = height_transformer(crs, area_at(lon, lat))
     steps = [step for step in to_height.description.split(" + ") if not step.startswith("axis order change")]
-    notes.append(
+    taken = (
         f'gps_height = "ellipsoidal": {said} are taken as heights above the WGS 84 ellipsoid '
         f"({' + '.join(steps) or 'no change'})"
     )
     metres = places[:, 2] * height_scale(source.crs, _WGS84_3D, said)
-    return np.stack([east, north, to_height.transform(lon, lat, metres)[2]], axis=-1)
+    return np.stack([east, north, to_height.transform(lon, lat, metres)[2]], axis=-1), [taken]
 
 
 def _origin(crs: CRS, points: np.ndarray) -> tuple[float, float, float]:

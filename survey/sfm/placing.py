@@ -197,7 +197,7 @@ def _place(
                 f"nothing places: {error}; left out: {listed(lost)}"
             )
             continue
-        _reset(block, sensors, notes)
+        notes += _reset(block, sensors)
         placed.append(block)
         found.append(f"{_found(block, len(alias_of))}; {by}")
     if not placed:
@@ -280,12 +280,12 @@ def _roll(block: pycolmap.Reconstruction, line: Line, attitudes: Mapping[str, np
     return "with photographs that look straight down across it"
 
 
-def _reset(block: pycolmap.Reconstruction, sensors: list[Sensor], notes: list[str]) -> None:
-    reset_focals(block, {alias: sensor.focal_px for sensor in sensors for alias in sensor.names}, notes)
+def _reset(block: pycolmap.Reconstruction, sensors: list[Sensor]) -> list[str]:
+    return reset_focals(block, {alias: sensor.focal_px for sensor in sensors for alias in sensor.names})[1]
 
 
-def reset_focals(block: pycolmap.Reconstruction, nominal: Mapping[str, float | None], notes: list[str]) -> bool:
-    """Reset focal lengths that the block does not determine to those in EXIF; return whether that was done.
+def reset_focals(block: pycolmap.Reconstruction, nominal: Mapping[str, float | None]) -> tuple[bool, list[str]]:
+    """Reset focal lengths that the block does not determine to those in EXIF; whether that was done, and notes.
 
     Parameters
     ----------
@@ -293,8 +293,6 @@ def reset_focals(block: pycolmap.Reconstruction, nominal: Mapping[str, float | N
         Changed in place.
     nominal : mapping of name to float or None
         Focal lengths [px] in EXIF, by name in the block.
-    notes : list
-        Added to: a sentence on the result.
 
     Notes
     -----
@@ -305,18 +303,18 @@ def reset_focals(block: pycolmap.Reconstruction, nominal: Mapping[str, float | N
     axes = np.array([rotation[2] for _, rotation in poses.values()])
     mean = axes.mean(axis=0) / np.linalg.norm(axes.mean(axis=0))
     if np.degrees(np.arccos(np.clip(axes @ mean, -1.0, 1.0))).max() > _PARALLEL_DEG:
-        return False
+        return False, []
     found = {alias: sfm_block.focal_of(block, alias) for alias in poses}
     in_exif = {alias: focal for alias in found if (focal := nominal[alias]) is not None}
     wrong = [alias for alias, focal in in_exif.items() if abs(found[alias] / focal - 1.0) > _FOCAL_SHARE]
-    scales = "heights and depths scale with it"
+    scales, notes = "heights and depths scale with it", []
     if not in_exif:
         notes.append(
             f"all images look the same way and EXIF has no focal length: the solved one may be wrong, and {scales}; "
             "give [cameras] focal_px if it is known"
         )
     if not wrong:
-        return False
+        return False, notes
     notes.append(
         "all images look the same way, which does not determine focal length and flying height separately; the "
         f"focal length in EXIF, {in_exif[wrong[0]]:.0f} px, is kept instead of the solved {found[wrong[0]]:.0f} px; "
@@ -324,7 +322,7 @@ def reset_focals(block: pycolmap.Reconstruction, nominal: Mapping[str, float | N
     )
     for alias in wrong:
         sfm_block.set_focal(block, alias, in_exif[alias])
-    return True
+    return True, notes
 
 
 def _residuals(block: pycolmap.Reconstruction, positions: Mapping[str, np.ndarray]) -> np.ndarray:

@@ -156,7 +156,7 @@ def solve_poses(
         frame, place = gps.frame, partial(place_by_gps, gps=gps, spare=spare_control, attitudes=attitudes_of(known))
     else:
         frame, place = control.frame, partial(place_by_control, control=control, attitudes=attitudes_of(known))
-    positions = positions_in_crs(known, frame.crs, gps_height, [])
+    positions, _ = positions_in_crs(known, frame.crs, gps_height)
     local = {name: frame.local_from_crs(position) for name, position in positions.items()}
     free = _solved(images, known, local, focal_px, workspace, say)
     alias_of = aliases(images)

@@ -182,7 +182,7 @@ def test_any_json_is_a_shoreline_or_refused(folder, content):
     path = folder / "shore.geojson"
     path.write_bytes(content if isinstance(content, bytes) else json.dumps(content).encode())
     try:
-        points = points_of_geojson(path, CRS, [])
+        points, _ = points_of_geojson(path, CRS)
         assert np.isfinite(points).all()
     except ConfigError as error:
         require_one_line(error)
@@ -196,9 +196,7 @@ def test_any_json_is_a_shoreline_or_refused(folder, content):
 def test_any_table_is_a_level_or_refused(folder, text, title):
     path = folder / "level.csv"
     path.write_text(f"{title}\n{text}\n", encoding="utf-8")
-    read = (
-        readings_of_gauge if title.startswith("time") else lambda table: points_of_surface(table, "shoreline", CRS, [])
-    )
+    read = readings_of_gauge if title.startswith("time") else lambda table: points_of_surface(table, "shoreline", CRS)
     try:
         for each in read(path):
             assert np.isfinite(each.level_m)

@@ -120,8 +120,8 @@ def test_heights_of_control_and_check_points_have_the_unit_of_their_column(tmp_p
     path, survey = tmp_path / "points.csv", CRS(crs)
     path.write_text(f"name,easting,northing,height_{unit}\na,589012,5194736,{10.0 / metres!r}\n")
     for given in (read_control(path).points, read_checkpoints(path)):
-        (point,) = in_crs(given, survey, [], [])
+        (point,), _ = in_crs(given, survey)
         assert point.place[2] * height_unit_m(survey) == pytest.approx(10.0, rel=1e-12)
     path.write_text(f"name,easting,northing,depth_{unit}\na,589012,5194736,{10.0 / metres!r}\n")
-    (point,) = in_crs(read_checkpoints(path, 30.0 / height_unit_m(survey), survey), survey, [], [])
+    (point,), _ = in_crs(read_checkpoints(path, 30.0 / height_unit_m(survey), survey), survey)
     assert point.place[2] * height_unit_m(survey) == pytest.approx(20.0, rel=1e-12)

@@ -230,4 +230,4 @@ def test_a_click_at_another_spot_costs_its_place_and_is_said(clicked, rng):
 def test_a_mark_of_no_data_is_no_level(tmp_path, mark):
     ring = [[x, y, mark] for x, y, *_ in RING]
     with pytest.raises(ConfigError, match="a mark of no data; remove those points"):
-        points_of_geojson(written(tmp_path, feature("LineString", ring)), CRS, [])
+        points_of_geojson(written(tmp_path, feature("LineString", ring)), CRS)

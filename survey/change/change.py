@@ -89,17 +89,16 @@ def change_between(first: Path, second: Path, options: ChangeOptions) -> Change:
         If a file or an option cannot be used.
     """
     _require_options(first, second, options)
-    notes: list[str] = []
     with current().stage("Reading"):
-        differences, cells = differences_of(
-            first, second, stated=options.stated, shared=options.shared, side_m=options.resolution_m, notes=notes
+        differences, cells, notes = differences_of(
+            first, second, stated=options.stated, shared=options.shared, side_m=options.resolution_m
         )
         inside = differences.is_known
         if options.area is not None:
             inside &= cells_inside(read_polygons(options.area, cells.crs), cells.transform, cells.shape)
     if not inside.any():
         raise ChangeError(f"no cell that both surveys cover lies in {options.area}; correct the polygon or its CRS")
-    correlation = _correlation(differences, inside, options, notes)
+    correlation, of_scatter = _correlation(differences, inside, options)
     is_beyond = differences.is_significant & inside
     change = Change(
         differences,
@@ -109,7 +108,7 @@ def change_between(first: Path, second: Path, options: ChangeOptions) -> Change:
         volume_of(differences, is_beyond & (differences.height < 0.0), correlation),
         volume_of(differences, is_beyond & (differences.height > 0.0), correlation),
         correlation,
-        tuple(notes),
+        (*notes, *of_scatter),
     )
     _write(change, first, second, options)
     return change
@@ -176,21 +175,22 @@ def _volume(volume: Volume) -> str:
     return f"{text} m³ ± {half:.2g} m³ (95 %) over {volume.area_m2:.4g} m²"
 
 
-def _correlation(differences: Differences, inside: np.ndarray, options: ChangeOptions, notes: list[str]) -> Correlation:
+def _correlation(differences: Differences, inside: np.ndarray, options: ChangeOptions) -> tuple[Correlation, list[str]]:
+    """The correlation of errors of cells, and a note where these scatter by more than is stated."""
     if options.correlation_length_m is not None:
-        return Correlation(1.0, options.correlation_length_m)
+        return Correlation(1.0, options.correlation_length_m), []
     try:
         found = measured_correlation(differences, inside)
     except ValueError as error:
         raise ChangeError(
             f"how errors of cells are correlated cannot be measured ({error}); give --correlation-length METRES"
         ) from error
-    if found.scatter is not None and found.scatter > _WORTH_SAYING:
-        notes.append(
-            f"cells that did not change scatter {found.scatter:.1f} times as much as their standard deviations say: "
-            "these are too small, or most of the bed has changed"
-        )
-    return found
+    if found.scatter is None or found.scatter <= _WORTH_SAYING:
+        return found, []
+    return found, [
+        f"cells that did not change scatter {found.scatter:.1f} times as much as their standard deviations say: "
+        "these are too small, or most of the bed has changed"
+    ]
 
 
 def _require_options(first: Path, second: Path, options: ChangeOptions) -> None:

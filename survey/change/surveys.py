@@ -69,9 +69,9 @@ def cloud_path(path: Path) -> Path:
 
 
 def differences_of(
-    first: Path, second: Path, *, stated: StatedStd, shared: float, side_m: float | None, notes: list[str]
-) -> tuple[Differences, PlanCells]:
-    """The second survey minus the first, and the cells.
+    first: Path, second: Path, *, stated: StatedStd, shared: float, side_m: float | None
+) -> tuple[Differences, PlanCells, list[str]]:
+    """The second survey minus the first, the cells, and notes on the surveys.
 
     Raises
     ------
@@ -81,8 +81,12 @@ def differences_of(
         If the surveys have no CRS or no cell in common, or standard deviations are missing.
     """
     clouds = [_cloud(path) for path in (first, second)]
-    crs = _common_crs(clouds, (first, second), notes)
-    sounded = [_sounded(cloud, path, crs, stated, notes) for cloud, path in zip(clouds, (first, second), strict=True)]
+    crs, notes = _common_crs(clouds, (first, second))
+    sounded = []
+    for cloud, path in zip(clouds, (first, second), strict=True):
+        each, said = _sounded(cloud, path, crs, stated)
+        sounded.append(each)
+        notes += said
     require_same_place(sounded[0].points, sounded[1].points, str(first), str(second))
     low = np.max([each.points[:, :2].min(axis=0) for each in sounded], axis=0)
     high = np.min([each.points[:, :2].max(axis=0) for each in sounded], axis=0)
@@ -98,7 +102,7 @@ def differences_of(
             f"{first} and {second} have no cell of {side:g} m in common that points of both cover; give a larger "
             "--resolution, or surveys that overlap"
         )
-    return differences, cells
+    return differences, cells, notes
 
 
 def _cloud(path: Path) -> Cloud:
@@ -111,7 +115,7 @@ def _cloud(path: Path) -> Cloud:
     return part_of(shape, ~out)
 
 
-def _common_crs(clouds: list[Cloud], paths: tuple[Path, Path], notes: list[str]) -> CRS:
+def _common_crs(clouds: list[Cloud], paths: tuple[Path, Path]) -> tuple[CRS, list[str]]:
     """The CRS of the first cloud, else of the second, with heights."""
     known = [cloud.crs for cloud in clouds if cloud.crs is not None]
     if not known:
@@ -119,17 +123,19 @@ def _common_crs(clouds: list[Cloud], paths: tuple[Path, Path], notes: list[str])
             f"neither {paths[0]} nor {paths[1]} states its CRS, in which the differences are written; write it into "
             "the files, e.g. by pdal translate --writers.las.a_srs=EPSG:25832+7837"
         )
+    notes = []
     for cloud, path in zip(clouds, paths, strict=True):
         if cloud.crs is None:
             notes.append(f"{path} does not say its CRS: taken to be {known[0].name}")
         elif not has_height(cloud.crs):
             notes.append(f"the CRS of {path} does not say what heights count from: taken as those of the other survey")
     crs = next((each for each in known if has_height(each)), known[0])
-    return crs if has_height(crs) else crs.to_3d()
+    return crs if has_height(crs) else crs.to_3d(), notes
 
 
-def _sounded(cloud: Cloud, path: Path, crs: CRS, stated: StatedStd, notes: list[str]) -> Sounded:
-    own = cloud.crs
+def _sounded(cloud: Cloud, path: Path, crs: CRS, stated: StatedStd) -> tuple[Sounded, list[str]]:
+    """The points of a survey with their standard deviations, in the common CRS, and notes on them."""
+    own, notes = cloud.crs, []
     if own is not None and has_height(own) and not same_crs(own, crs):
         way = Reprojection.between(own, crs, where=f"the CRS of {path}", places=cloud.points)
         cloud = replace(cloud, points=way(cloud.points))
@@ -146,24 +152,23 @@ def _sounded(cloud: Cloud, path: Path, crs: CRS, stated: StatedStd, notes: list[
             cloud = replace(cloud, points=cloud.points * [1.0, 1.0, height_unit_m(own) / unit_m])
         shape = in_height_unit(cloud, unit_m)
         cloud = shape if isinstance(shape, Cloud) else cloud
-    std = _values(cloud, "std", stated.own_m, path, "--std", notes)
-    common = _values(cloud, "std_common", stated.common_m, path, "--std-common", notes)
+    std, of_own = _values(cloud, "std", stated.own_m, path, "--std")
+    common, of_common = _values(cloud, "std_common", stated.common_m, path, "--std-common")
     keep = np.isfinite(std) & np.isfinite(common) & np.isfinite(cloud.points).all(axis=1)
     if not keep.any():
         raise ChangeError(f"no point of {path} has a standard deviation; give --std and --std-common")
-    return Sounded(path, cloud.points[keep], std[keep], common[keep])
+    return Sounded(path, cloud.points[keep], std[keep], common[keep]), notes + of_own + of_common
 
 
-def _values(cloud: Cloud, name: str, stated: float | None, path: Path, option: str, notes: list[str]) -> np.ndarray:
-    """Standard deviations (N,) that a cloud carries, else the one that is stated."""
+def _values(cloud: Cloud, name: str, stated: float | None, path: Path, option: str) -> tuple[np.ndarray, list[str]]:
+    """Standard deviations (N,) that a cloud carries, else the one that is stated, with a note."""
     carried = cloud.extra.get(name)
     if carried is not None and np.isfinite(carried).any():
-        return np.asarray(carried, dtype=np.float64)
+        return np.asarray(carried, dtype=np.float64), []
     if stated is None:
         what = "of its heights" if name == "std" else "that its heights have in common (level, datum, poses)"
         raise ChangeError(f"{path} carries no {name}, the standard deviation {what}; give it in metres, {option} 0.02")
-    notes.append(f"{path} carries no {name}: taken as {stated:g} m ({option})")
-    return np.full(len(cloud.points), stated)
+    return np.full(len(cloud.points), stated), [f"{path} carries no {name}: taken as {stated:g} m ({option})"]
 
 
 def _spacing_m(points: np.ndarray, metres: np.ndarray) -> float:

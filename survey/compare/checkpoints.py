@@ -55,14 +55,14 @@ def read_checkpoints(
     return table
 
 
-def checkpoint_accuracy(scene: Scene, table: np.ndarray, path: Path, notes: list[str]) -> Checkpoints:
-    """Vertical accuracy of the compared cloud at check points (K, 4); notes list its shortcomings as a test."""
+def checkpoint_accuracy(scene: Scene, table: np.ndarray, path: Path) -> tuple[Checkpoints, list[str]]:
+    """Vertical accuracy of the compared cloud at check points (K, 4), and its shortcomings as a test."""
     places = to_local(scene.inputs.frame, table[:, :3], path)
     residuals = height_at(scene.points, places[:, :2]) - places[:, 2]
     if not np.isfinite(residuals).any():
         require_same_place(scene.points, places, "the cloud", path.name)
         raise CompareError(f"none of the {len(places)} check points of {path.name} has points of the cloud around it")
-    accuracy = asprs_vertical(residuals, table[:, 3])
+    accuracy, notes = asprs_vertical(residuals, table[:, 3]), []
     if not accuracy.is_enough:
         notes.append(
             f"{accuracy.n_checkpoints} check points of {path.name} lie on the cloud: ASPRS (Edition 2) requires "
@@ -70,4 +70,4 @@ def checkpoint_accuracy(scene: Scene, table: np.ndarray, path: Path, notes: list
         )
     if not table[:, 3].any():
         notes.append(f"{path.name} gives no standard deviations: its check points are taken as free of error")
-    return Checkpoints(accuracy, table[:, :3], residuals)
+    return Checkpoints(accuracy, table[:, :3], residuals), notes

@@ -99,18 +99,20 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
     if places is not None:
         level = level_of_cloud(inputs.cloud) if options.water_level is None else options.water_level
         checkpoints = read_checkpoints(places, level, inputs.crs, Units.of(inputs.crs))
-    notes = list(inputs.notes)
-    inputs, is_left = _without_outliers(inputs, options, notes)
+    inputs, is_left, of_outliers = _without_outliers(inputs, options)
     scene = Scene.of(inputs, options.bounds, is_left, max(options.tolerances_m))
-    distances, surface = measure.distances_of(scene, options.sign, notes)
+    distances, surface, of_distances = measure.distances_of(scene, options.sign)
     blocks = spatial_blocks(scene.points[:, :2], distances.signed)
     depth = measure.bed_depth(scene, distances.nearest, options.water_level)
     reaches = _reaches(scene, options.tolerances_m)
-    _note_unseen(inputs, notes)
-    _note_extent(inputs, options.bounds, notes)
     first = reaches[0]
     vertical, errors = measure.vertical(scene, depth, blocks)
-    _note_beside(inputs, errors, notes)
+    notes = [*inputs.notes, *of_outliers, *of_distances, *_unseen(inputs), *_outside(inputs, options.bounds)]
+    notes += _beside(inputs, errors)
+    found = None
+    if places is not None and checkpoints is not None:
+        found, of_checkpoints = checkpoint_accuracy(scene, checkpoints, places)
+        notes += of_checkpoints
     figures = Figures(
         summary=summarise(
             distances.signed,
@@ -125,13 +127,10 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
         reached=measure.reached_by_slope_of(scene, reaches),
         vertical=vertical,
         uncertainty=measure.uncertainty(distances, errors, depth),
-        checkpoints=None
-        if places is None or checkpoints is None
-        else checkpoint_accuracy(scene, checkpoints, places, notes),
+        checkpoints=found,
         c2c=cloud_to_cloud(scene) if options.c2c else None,
         m3c2=None if options.m3c2_radius_m is None else m3c2(scene, options.m3c2_radius_m),
         reference_surface=surface,
-        # Last: the others add to the notes.
         circumstances=_circumstances(scene, options, blocks, notes),
     )
     points, targets = inputs.cloud.points[inputs.inside], inputs.frame.crs_from_local(scene.targets)
@@ -148,13 +147,12 @@ def _reaches(scene: Scene, tolerances_m: Sequence[float]) -> list[measure.Reach]
     return reaches
 
 
-def _circumstances(scene: Scene, options: CompareOptions, blocks: Blocks, notes: list[str]) -> Circumstances:
+def _circumstances(scene: Scene, options: CompareOptions, blocks: Blocks, notes: Sequence[str]) -> Circumstances:
     is_mesh, crs, paths = isinstance(scene.inputs.reference, Mesh), scene.inputs.crs, scene.inputs.paths
-    if blocks.is_narrow:
-        notes.append(
-            f"the errors are correlated over {blocks.correlation_m:.3g} m, too far for the extent of the cloud: the "
-            "intervals of confidence may be too short"
-        )
+    narrow = (
+        f"the errors are correlated over {blocks.correlation_m:.3g} m, too far for the extent of the cloud: the "
+        "intervals of confidence may be too short"
+    )
     return Circumstances(
         outliers=options.outliers,
         block_m=blocks.size_m,
@@ -170,59 +168,64 @@ def _circumstances(scene: Scene, options: CompareOptions, blocks: Blocks, notes:
         visible=None if paths.visible is None else str(paths.visible),
         n_samples=len(scene.samples),
         seed=SEED if is_mesh else None,
-        notes=tuple(notes),
+        notes=(*notes, narrow) if blocks.is_narrow else tuple(notes),
     )
 
 
-def _without_outliers(inputs: Inputs, options: CompareOptions, notes: list[str]) -> tuple[Inputs, np.ndarray]:
-    """The inputs without outliers among what is compared, and which points of the file (N,) are left."""
+def _without_outliers(inputs: Inputs, options: CompareOptions) -> tuple[Inputs, np.ndarray, list[str]]:
+    """The inputs without outliers among what is compared, which points of the file (N,) are left, and a note."""
     is_left = np.ones(len(inputs.inside), dtype=bool)
     if options.outliers is None:
-        return inputs, is_left
+        return inputs, is_left, []
     neighbours, num_std = outlier_filter(options.outliers)
     with current().stage("Outliers"):
         points = to_local(inputs.frame, inputs.cloud.points, inputs.paths.cloud)
         is_left = ~is_outlier(points, neighbours=neighbours, num_std=num_std)
     lost = int((inputs.inside & ~is_left).sum())
-    notes.append(
+    note = (
         f"{lost} of {int(inputs.inside.sum())} points were left out as outliers ({options.outliers}: mean distance to "
         f"{neighbours} neighbours over its mean plus {num_std:g} standard deviations)"
     )
-    return replace(inputs, inside=inputs.inside & is_left), is_left
+    return replace(inputs, inside=inputs.inside & is_left), is_left, [note]
 
 
-def _note_unseen(inputs: Inputs, notes: list[str]) -> None:
-    if isinstance(inputs.reference, Mesh) and inputs.visible is None:
-        notes.append(
-            f"completeness counts all of {inputs.paths.reference.name}, also what no camera sees (undersides, ground "
-            "beside the photographs): give the points that cameras see as --visible; --bounds crops the cloud alone"
-        )
+def _unseen(inputs: Inputs) -> list[str]:
+    """A note where it is not known what of a mesh cameras see."""
+    if not isinstance(inputs.reference, Mesh) or inputs.visible is not None:
+        return []
+    return [
+        f"completeness counts all of {inputs.paths.reference.name}, also what no camera sees (undersides, ground "
+        "beside the photographs): give the points that cameras see as --visible; --bounds crops the cloud alone"
+    ]
 
 
-def _note_beside(inputs: Inputs, errors: np.ndarray | None, notes: list[str]) -> None:
-    """Note points beside the mesh: what stands for their distance is how far the mesh's edge is."""
+def _beside(inputs: Inputs, errors: np.ndarray | None) -> list[str]:
+    """A note on points beside the mesh: what stands for their distance is how far the mesh's edge is."""
     if errors is None:
-        return
+        return []
     beside = float(np.mean(np.isnan(errors)))
-    if beside > _BESIDE_SHARE:
-        low, high = (corner(vertices_of(inputs.reference), axis=0)[:2] for corner in (np.min, np.max))
-        notes.append(
-            f"{100.0 * beside:.1f} % of the points have no surface of {inputs.paths.reference.name} above or below: "
-            "their distance is that to its edge, no error of the cloud; leave them out by --bounds "
-            f"{low[0]:.3f} {low[1]:.3f} {high[0]:.3f} {high[1]:.3f}, all of the reference, or less"
-        )
+    if beside <= _BESIDE_SHARE:
+        return []
+    low, high = (corner(vertices_of(inputs.reference), axis=0)[:2] for corner in (np.min, np.max))
+    return [
+        f"{100.0 * beside:.1f} % of the points have no surface of {inputs.paths.reference.name} above or below: "
+        "their distance is that to its edge, no error of the cloud; leave them out by --bounds "
+        f"{low[0]:.3f} {low[1]:.3f} {high[0]:.3f} {high[1]:.3f}, all of the reference, or less"
+    ]
 
 
-def _note_extent(inputs: Inputs, bounds: Bounds | None, notes: list[str]) -> None:
+def _outside(inputs: Inputs, bounds: Bounds | None) -> list[str]:
+    """A note on a reference that reaches beyond the bounds."""
     if bounds is None:
-        return
+        return []
     vertices = vertices_of(inputs.reference)
     outside = 1.0 - float(np.mean(within(vertices, bounds, metres_in_crs(inputs.frame, 0.01))))
-    if outside > 0.001:
-        notes.append(
-            f"{100.0 * outside:.1f} % of {inputs.paths.reference.name} lies outside the bounds: completeness counts it "
-            "as not reached where the cropped cloud does not reach it"
-        )
+    if outside <= 0.001:
+        return []
+    return [
+        f"{100.0 * outside:.1f} % of {inputs.paths.reference.name} lies outside the bounds: completeness counts it "
+        "as not reached where the cropped cloud does not reach it"
+    ]
 
 
 def cloud_to_cloud(scene: Scene) -> CloudToCloud:

@@ -86,16 +86,21 @@ def load_inputs(paths: Paths, bounds: Bounds | None, water_level: float | None =
     for path, other in given.items():
         require_same_crs(compared.crs, other.crs, str(paths.cloud), str(path))
     notes += [note for shape in (compared, *given.values()) for note in shape.notes]
-    crs = _common_crs(compared, paths.cloud, given, notes)
+    crs, of_crs = _common_crs(compared, paths.cloud, given)
+    notes += of_crs
     for path, shape in ({paths.cloud: compared} | given).items():
         if shape.crs is None and crs is not None and is_geographic(crs):
             # Only now it is known that they are degrees, of which a tenth of a metre is six decimals.
             notes += rounded_coordinates(vertices_of(shape), crs, path)
-    cloud = _as_cloud(_in_common_unit(compared, paths.cloud, crs, notes), paths.cloud, notes)
-    others = {
-        path: _surface(_of_the_ground(_in_common_unit(shape, path, crs, notes), path, notes), path)
-        for path, shape in given.items()
-    }
+    compared, of_unit = _in_common_unit(compared, paths.cloud, crs)
+    cloud, of_mesh = _as_cloud(compared, paths.cloud)
+    notes += of_unit + of_mesh
+    others = {}
+    for path, shape in given.items():
+        shape, of_unit = _in_common_unit(shape, path, crs)
+        shape, of_ground = _of_the_ground(shape, path)
+        others[path] = _surface(shape, path)
+        notes += of_unit + of_ground
     reference, visible = others[paths.reference], None if paths.visible is None else others[paths.visible]
     for path, other in others.items():
         require_same_place(cloud.points, vertices_of(other), str(paths.cloud), str(path))
@@ -112,7 +117,8 @@ def load_inputs(paths: Paths, bounds: Bounds | None, water_level: float | None =
             f"{as_text(bounds)}; it reaches from {as_text(low[:2])} to {as_text(high[:2])}: correct "
             "--bounds (E0 N0 E1 N1 in its CRS)"
         )
-    inside = ~cropped & _is_ground(cloud, paths.cloud, notes)
+    ground, of_ground = _is_ground(cloud, paths.cloud)
+    inside = ~cropped & ground
     kept = cloud.points[inside]
     if not len(kept):
         raise CompareError(f"no point of {paths.cloud} within the bounds is of the ground, by its class or flag")
@@ -120,22 +126,22 @@ def load_inputs(paths: Paths, bounds: Bounds | None, water_level: float | None =
     east, north, height = (float(v) for v in 0.5 * (kept.min(axis=0) + kept.max(axis=0)))
     origin = (east, north, height)
     frame = ShiftedFrame(origin) if crs is None else LocalFrame(crs, origin)
-    _check_heights(kept, vertices_of(reference), paths, frame, notes)
+    notes += of_ground + _height_doubts(kept, vertices_of(reference), paths, frame)
     return Inputs(paths, cloud, inside, int(cropped.sum()), reference, visible, crs, frame, tuple(notes))
 
 
-def _in_common_unit(shape: Mesh | Cloud, path: Path, crs: CRS | None, notes: list[str]) -> Mesh | Cloud:
+def _in_common_unit(shape: Mesh | Cloud, path: Path, crs: CRS | None) -> tuple[Mesh | Cloud, list[str]]:
     """A shape with heights in the unit of the common CRS, where its file gives a unit beside its own CRS."""
-    unit_m = 1.0 if crs is None else height_unit_m(crs)
+    unit_m, notes = 1.0 if crs is None else height_unit_m(crs), []
     if shape.height_unit_m is not None and abs(shape.height_unit_m - unit_m) > 1e-9:
         notes.append(
             f"{path.name} gives its heights in units of {shape.height_unit_m:.10g} m: converted to units of "
             f"{unit_m:.10g} m"
         )
-    return in_height_unit(shape, unit_m)
+    return in_height_unit(shape, unit_m), notes
 
 
-def _is_ground(cloud: Cloud, path: Path, notes: list[str]) -> np.ndarray:
+def _is_ground(cloud: Cloud, path: Path) -> tuple[np.ndarray, list[str]]:
     """Which points (N,) are compared, by the classes and flags of their file; a note counts the others.
 
     Raises
@@ -146,20 +152,21 @@ def _is_ground(cloud: Cloud, path: Path, notes: list[str]) -> np.ndarray:
     out, said = left_out(cloud)
     if out.all():
         raise CompareError(f"no point of {path} is of the ground: it holds {said}; give it with the points of the bed")
-    if said:
-        notes.append(f"{int(out.sum())} of {len(out)} points of {path.name} are not of the ground and left out: {said}")
-    return ~out
+    note = f"{int(out.sum())} of {len(out)} points of {path.name} are not of the ground and left out: {said}"
+    return ~out, [note] if said else []
 
 
-def _of_the_ground(shape: Mesh | Cloud, path: Path, notes: list[str]) -> Mesh | Cloud:
-    return shape if isinstance(shape, Mesh) else part_of(shape, _is_ground(shape, path, notes))
+def _of_the_ground(shape: Mesh | Cloud, path: Path) -> tuple[Mesh | Cloud, list[str]]:
+    if isinstance(shape, Mesh):
+        return shape, []
+    ground, notes = _is_ground(shape, path)
+    return part_of(shape, ground), notes
 
 
-def _as_cloud(shape: Mesh | Cloud, path: Path, notes: list[str]) -> Cloud:
+def _as_cloud(shape: Mesh | Cloud, path: Path) -> tuple[Cloud, list[str]]:
     if isinstance(shape, Cloud):
-        return shape
-    notes.append(f"{path.name} is a mesh: its vertices are compared")
-    return Cloud(points=shape.vertices, crs=shape.crs)
+        return shape, []
+    return Cloud(points=shape.vertices, crs=shape.crs), [f"{path.name} is a mesh: its vertices are compared"]
 
 
 def _surface(shape: Mesh | Cloud, path: Path) -> Mesh | Cloud:
@@ -174,31 +181,30 @@ def _surface(shape: Mesh | Cloud, path: Path) -> Mesh | Cloud:
     return replace(shape, vertices=vertices, faces=faces, rgb=None)
 
 
-def _common_crs(cloud: Mesh | Cloud, path: Path, others: dict[Path, Mesh | Cloud], notes: list[str]) -> CRS | None:
+def _common_crs(cloud: Mesh | Cloud, path: Path, others: dict[Path, Mesh | Cloud]) -> tuple[CRS | None, list[str]]:
     """The CRS of all files, None if none has one: the first that has heights, else the first."""
     known = {path: cloud.crs} | {other_path: other.crs for other_path, other in others.items()}
     said = {file: crs for file, crs in known.items() if crs is not None}
     if not said:
         names = " nor ".join(dict.fromkeys(file.name for file in known))
-        notes.append(
+        return None, [
             f"neither {names} has a CRS: coordinates are taken as metres, and the scale of a map grid is not corrected"
-        )
-        return None
+        ]
     source = next((file for file, crs in said.items() if has_height(crs)), next(iter(said)))
-    crs = said[source]
+    crs, notes = said[source], []
     for file, own in known.items():
         if own is None:
             notes.append(f"{file.name} does not say its CRS: taken to be that of {source.name}, {crs.name}")
         elif not has_height(own):
             like = f"those of {source.name}" if has_height(crs) else "metres above one datum in all files"
             notes.append(f"the CRS of {file.name} does not say what heights count from: taken as {like}")
-    return crs if has_height(crs) else crs.to_3d()
+    return crs if has_height(crs) else crs.to_3d(), notes
 
 
-def _check_heights(
-    points: np.ndarray, vertices: np.ndarray, paths: Paths, frame: LocalFrame | ShiftedFrame, notes: list[str]
-) -> None:
-    """Refuse heights that are of another place, and note those that do not meet."""
+def _height_doubts(
+    points: np.ndarray, vertices: np.ndarray, paths: Paths, frame: LocalFrame | ShiftedFrame
+) -> list[str]:
+    """Refuse heights that are of another place; a note on those that do not meet."""
     # Two points give the size in metres, whatever the units of the CRS.
     corners = frame.local_from_crs(np.array([points.min(axis=0), points.max(axis=0)]))
     size_m = max(float(np.linalg.norm(corners[1] - corners[0])), 1.0)
@@ -206,7 +212,7 @@ def _check_heights(
     ref_low, ref_high = vertices[:, 2].min(), vertices[:, 2].max()
     gap = max(low - ref_high, ref_low - high)
     if gap <= 0.0:
-        return
+        return []
     said = (
         f"the heights of {paths.cloud} ({low:.10g} to {high:.10g}) and of {paths.reference} ({ref_low:.10g} to "
         f"{ref_high:.10g}) do not meet"
@@ -214,4 +220,4 @@ def _check_heights(
     mend = "check that both count from the same vertical datum"
     if gap > _FARTHEST_HEIGHT * size_m:
         raise CompareError(f"{said}; {mend}, and in the same unit")
-    notes.append(f"{said}: {mend}")
+    return [f"{said}: {mend}"]

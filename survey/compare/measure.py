@@ -146,8 +146,8 @@ class Reach:
         return scores(distances, tolerance_m=self.tolerance_m, is_reached=self.samples, is_reached_visible=self.visible)
 
 
-def distances_of(scene: Scene, sign: Sign, notes: list[str]) -> tuple[Distances, ReferenceSurface | None]:
-    """Distances of the compared points to the reference, and what the surface through a reference of points is like.
+def distances_of(scene: Scene, sign: Sign) -> tuple[Distances, ReferenceSurface | None, list[str]]:
+    """Distances of the compared points, what the surface through a reference of points is like, and notes on both.
 
     Raises
     ------
@@ -158,9 +158,10 @@ def distances_of(scene: Scene, sign: Sign, notes: list[str]) -> tuple[Distances,
     with current().stage("Distances", len(scene.points)) as stage:
         if not isinstance(reference, Mesh):
             surface = local_surface(scene.reference, scene.points[:, :2], advance=stage.advance)
-            return _over_surface(scene, surface, notes)
+            return _over_surface(scene, surface)
         result = distance_to_mesh(scene.points, scene.reference, reference.faces, sign=sign, advance=stage.advance)
     turned = num_wound_against(reference.faces) if sign == "winding" else 0
+    notes = []
     if turned:
         notes.append(
             f"triangles of {scene.inputs.paths.reference.name} are wound against each other along {turned} edges: "
@@ -168,10 +169,10 @@ def distances_of(scene: Scene, sign: Sign, notes: list[str]) -> tuple[Distances,
         )
     if result.num_degenerate:
         notes.append(f"{result.num_degenerate} triangles of the reference have no area and were left out")
-    return Distances(result.signed, result.nearest, result.slope_deg), None
+    return Distances(result.signed, result.nearest, result.slope_deg), None, notes
 
 
-def _over_surface(scene: Scene, surface: LocalSurface, notes: list[str]) -> tuple[Distances, ReferenceSurface]:
+def _over_surface(scene: Scene, surface: LocalSurface) -> tuple[Distances, ReferenceSurface, list[str]]:
     name, known = scene.inputs.paths.reference.name, np.isfinite(surface.height)
     if not known.any():
         raise CompareError(
@@ -181,17 +182,17 @@ def _over_surface(scene: Scene, surface: LocalSurface, notes: list[str]) -> tupl
         )
     std = surface.std[known]
     found = ReferenceSurface(surface.spacing_m, float(np.median(std)), float(np.quantile(std, 0.95)))
-    notes.append(
+    notes = [
         f"{name} is a cloud, its points about {found.spacing_m:.2g} m apart: distances are heights over the plane "
         f"through its twelve nearest points in plan, positive above; such a height is known to ± "
         f"{1e3 * found.std_median_m:.2g} mm (median, one sigma) by the scatter of the points about the plane"
-    )
+    ]
     if not known.all():
         notes.append(
             f"{int((~known).sum())} of {len(known)} points are not compared: points of {name} do not surround them"
         )
     nearest = np.column_stack([scene.points[:, :2], surface.height])
-    return Distances(scene.points[:, 2] - surface.height, nearest, None, surface.std), found
+    return Distances(scene.points[:, 2] - surface.height, nearest, None, surface.std), found, notes
 
 
 def reached_at(scene: Scene, tolerance_m: float) -> Reach:

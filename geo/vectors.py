@@ -1,9 +1,10 @@
-"""Lines and polygons in plan, written as GeoJSON (RFC 7946) or GeoPackage."""
+"""Lines and polygons in plan, written as GeoJSON (RFC 7946), GeoPackage or zipped shapefile."""
 
 from __future__ import annotations
 
 import json
 import struct
+import zipfile
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -24,6 +25,8 @@ MARK = b'"made_by": "bathynerf"'
 # Of a degree: a tenth of a millimetre.
 _DECIMALS = 9
 _WKB_TYPES = {"LineString": 2, "Polygon": 3}
+_WITH_HEIGHTS = 1000
+SHAPEFILE_MARK = b"bathynerf"
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,8 @@ class Layer:
         Attributes of the features, by name.
     notes : str
         What the features are.
+    heights : list
+        Of each line its heights (N,), in crs; None where it has none. Shapefiles and DXF have them.
     """
 
     name: str
@@ -52,6 +57,7 @@ class Layer:
     crs: CRS
     columns: dict[str, list] = field(default_factory=dict)
     notes: str = ""
+    heights: list | None = None
 
 
 def write_geojson(path: str | Path, layer: Layer) -> str | None:
@@ -154,10 +160,52 @@ def write_geopackage(path: str | Path, layer: Layer) -> None:
         copy.replace(part)
 
 
+def write_shapefile(path: str | Path, layer: Layer) -> None:
+    """Write a layer as a shapefile in its own CRS, its files in one ZIP, whole or not at all; lines with heights.
+
+    Raises
+    ------
+    UnwritableFile
+        If the file cannot be written, or pyogrio is not installed.
+    """
+    pyogrio = library_for(path, "pyogrio.raw", "vector", to_write=True)
+    crs = horizontal_crs(layer.crs)
+    shapes = layer.shapes
+    if layer.heights is not None:
+        shapes = [np.column_stack([line, z]) for line, z in zip(shapes, layer.heights, strict=True)]
+    is_3d = layer.heights is not None
+    with TemporaryDirectory() as work:
+        pyogrio.write(
+            Path(work) / f"{layer.name}.shp",
+            geometry=np.array([_wkb(layer.kind, shape) for shape in shapes], dtype=object),
+            field_data=[np.array(values) for values in layer.columns.values()],
+            fields=np.array(list(layer.columns), dtype=object),
+            driver="ESRI Shapefile",
+            geometry_type=f"{layer.kind} Z" if is_3d else layer.kind,
+            crs=crs_code(crs) or crs.to_wkt(),
+        )
+        content = BytesIO()
+        with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.comment = SHAPEFILE_MARK
+            for part in sorted(Path(work).iterdir()):
+                archive.writestr(zipfile.ZipInfo(part.name), part.read_bytes(), zipfile.ZIP_DEFLATED)
+    with write_whole(path) as stream:
+        stream.write(content.getvalue())
+
+
+def is_our_shapefile(path: Path) -> bool:
+    """Whether a file is a ZIP that `write_shapefile` wrote."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return archive.comment == SHAPEFILE_MARK
+    except zipfile.BadZipFile:
+        return False
+
+
 def _wkb(kind: str, shape) -> bytes:
     """A shape as well-known binary, little-endian."""
     rings = [np.asarray(line, dtype="<f8") for line in (shape if kind == "Polygon" else [shape])]
-    parts = [struct.pack("<BI", 1, _WKB_TYPES[kind])]
+    parts = [struct.pack("<BI", 1, _WKB_TYPES[kind] + (_WITH_HEIGHTS if rings[0].shape[1] == 3 else 0))]
     if kind == "Polygon":
         parts.append(struct.pack("<I", len(rings)))
     for ring in rings:

@@ -6,8 +6,10 @@ import json
 import sqlite3
 from dataclasses import replace
 
+import ezdxf
 import laspy
 import numpy as np
+import pyogrio.raw
 import pytest
 from pyproj import CRS, Transformer
 from scipy import ndimage
@@ -15,6 +17,8 @@ from small_bed import SLOPE
 from small_survey import small_survey
 from stored_run import plane_stored, run_of
 
+from geo.dxf import DxfLine, write_dxf
+from geo.errors import UnwritableFile
 from geo.vectors import Layer, write_geojson, write_geopackage
 from survey.errors import SurveyError
 from survey.export.export import export
@@ -28,6 +32,8 @@ from survey.run.flight import save_flight
 TO_CRS = Transformer.from_crs("EPSG:4326", "EPSG:25832", always_xy=True)
 # Cells of 0.2 m on the rim of the hole have points in one half only.
 RIM_M = 0.5 * 0.2 * SLOPE
+# The level surface falls by so much over the survey, and LAS rounds to 1 mm.
+LEVEL_M = 1.1e-3
 HOLE_AT, HOLE_M = np.array([1.0, -1.0]), 1.0
 
 
@@ -65,6 +71,49 @@ def test_the_shoreline_is_where_the_plane_meets_the_water(block, tmp_path):
     assert len(lines) == 1
     np.testing.assert_allclose(lines[0][:, 0], 0.3 / SLOPE, atol=0.01)
     assert np.ptp(lines[0][:, 1]) > 13.0
+
+
+def test_a_drawing_has_the_shoreline_at_the_height_of_the_water(block, tmp_path):
+    path, survey = block
+    export(path, options=ExportOptions(resolution_m=0.2), shoreline=tmp_path / "s.dxf")
+    drawing = ezdxf.readfile(tmp_path / "s.dxf")
+    assert drawing.header["$INSUNITS"] == 6
+    assert drawing.header.custom_vars.get("crs") == "EPSG:25832+5778"
+    (line,) = drawing.modelspace().query('POLYLINE[layer=="shoreline"]')
+    places = np.array([vertex.dxf.location for vertex in line.vertices])
+    np.testing.assert_allclose(survey.frame.local_from_crs(places)[:, 0], 0.3 / SLOPE, atol=0.01)
+    np.testing.assert_allclose(places[:, 2], survey.config.water.level_m, atol=LEVEL_M)
+    # It is replaced, and a drawing of somebody else is not.
+    export(path, options=ExportOptions(resolution_m=0.4), shoreline=tmp_path / "s.dxf")
+    ezdxf.new().saveas(tmp_path / "mine.dxf")
+    with pytest.raises(SurveyError, match=r"mine\.dxf"):
+        export(path, shoreline=tmp_path / "mine.dxf")
+
+
+def test_a_shapefile_of_contours_has_heights_and_the_crs(block, tmp_path):
+    path, survey = block
+    options = ExportOptions(resolution_m=0.2, interval_m=0.1)
+    export(path, options=options, contours=tmp_path / "c.shp.zip")
+    meta, _, shapes, columns = pyogrio.raw.read(f"/vsizip/{tmp_path / 'c.shp.zip'}")
+    assert (CRS(meta["crs"]).to_epsg(), meta["geometry_type"], list(meta["fields"])) == (
+        25832, "LineString Z", ["depth_m"],
+    )  # fmt: skip
+    for shape, depth in zip(shapes, columns[0], strict=True):
+        heights = np.frombuffer(shape[9:], "<f8").reshape(-1, 3)[:, 2]
+        np.testing.assert_allclose(heights, survey.config.water.level_m - depth, atol=LEVEL_M)
+
+
+@pytest.mark.parametrize(("crs", "said"), [("EPSG:4258+5778", "in degrees"), ("EPSG:2263+5703", "one unit")])
+def test_a_drawing_needs_one_unit_of_length(tmp_path, crs, said):
+    with pytest.raises(UnwritableFile, match=said):
+        write_dxf(tmp_path / "x.dxf", [DxfLine("a", np.zeros((2, 3)))], CRS(crs))
+
+
+def test_a_drawing_in_feet_says_so(tmp_path):
+    write_dxf(tmp_path / "x.dxf", [DxfLine("a/b", np.eye(3))], CRS("EPSG:2263+6360"))
+    drawing = ezdxf.readfile(tmp_path / "x.dxf")
+    assert drawing.header["$INSUNITS"] == 21
+    assert "a_b" in drawing.layers
 
 
 def test_contours_have_the_depth_of_the_plane_and_the_interval_that_was_asked_for(block, tmp_path):

@@ -7,6 +7,7 @@ import json
 import re
 import struct
 
+import ezdxf
 import numpy as np
 import pyogrio.raw
 import pytest
@@ -194,3 +195,22 @@ def test_the_command_prints_and_writes_profiles(tmp_path):
     assert profiles_along(cloud, lines, csv_path=table)
     refused = bathynerf("profile", cloud, "--lines", lines, "--csv", lines)
     assert (refused.exit_code, "would overwrite the input" in refused.stderr) == (2, True)
+
+
+def test_a_drawing_has_bed_and_water_of_each_profile(tmp_path):
+    cloud, lines, path = plane_cloud(tmp_path / "c.las"), tmp_path / "l.geojson", tmp_path / "p.dxf"
+    geometry = {"type": "LineString", "coordinates": places_of("EPSG:25832+7837", LINES["across"]).tolist()}
+    crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::25832"}}
+    feature = {"type": "Feature", "properties": {"name": "across"}, "geometry": geometry}
+    lines.write_text(json.dumps({"type": "FeatureCollection", "crs": crs, "features": [feature]}))
+    profiles_along(cloud, lines, dxf_path=path)
+    space = ezdxf.readfile(path).modelspace()
+    (bed,) = space.query('POLYLINE[layer=="bed across"]')
+    places = np.array([vertex.dxf.location for vertex in bed.vertices])
+    plan = (places[:, :2] - AT["EPSG:25832+7837"]) * metres_of("EPSG:25832+7837")
+    # Off the cloud the line ends.
+    assert np.abs(plan[:, 0]).max() < 8.3
+    inner = np.abs(plan[:, 0]) < 7.5
+    np.testing.assert_allclose(places[inner, 2], MIDDLE_M + plan[inner] @ [EAST, NORTH], atol=0.011)
+    (water,) = space.query('POLYLINE[layer=="water across"]')
+    np.testing.assert_allclose([v.dxf.location.z for v in water.vertices], LEVEL_M, atol=2e-3)

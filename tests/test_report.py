@@ -55,8 +55,9 @@ def test_the_figures_of_a_plane_are_those_of_its_geometry(plane_report):
 def test_a_bed_that_lies_above_the_water_all_over_is_a_warning(shallow_survey):
     (warning,) = figures_of(facts_of(shallow_survey, plane_bed(shallow_survey, num=20, depth_m=-4.0))).warnings
     # The lowest of 20 columns, SPACING_M apart.
-    assert f"above the water, whose level is 2105.000 m: the lowest point by {4.0 - 9.5 * SPACING_M * SLOPE:.2f}" in (
-        warning
+    assert (
+        f"above the water, whose level is 2105.00\u00a0m: the lowest point by {4.0 - 9.5 * SPACING_M * SLOPE:.2f}"
+        in (warning)
     )
     assert "vertical datum" in warning
     assert figures_of(facts_of(shallow_survey, plane_bed(shallow_survey, num=20))).warnings == ()

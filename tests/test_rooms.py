@@ -99,6 +99,7 @@ DISK_FILES = {
     "survey/plan/workload.py",
     "survey/report/__init__.py",
     "survey/report/page.py",
+    "survey/report/pdf.py",
     "survey/simulate/ground/objects.py",
     "survey/viewer/session.py",
     "survey/viewer/page.py",

@@ -12,7 +12,7 @@ from survey.commands.options import FILES, Quiet, Verbose
 
 EXAMPLES = """
     bathynerf profile RUN --lines sections.geojson
-    bathynerf profile RUN --lines axis.dxf --csv axis.csv
+    bathynerf profile RUN --lines axis.dxf --dxf cut.dxf
     bathynerf profile bed.laz --lines sections.gpkg \\
         --reference lidar.laz --picture sections.png
 """
@@ -36,12 +36,18 @@ def run(
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE", help="PNG of the profiles.", rich_help_panel=FILES)
     ] = None,
+    dxf: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Bed, water and reference as lines in space.", rich_help_panel=FILES),
+    ] = None,
     verbose: Verbose = 0,
     quiet: Quiet = 0,
 ) -> None:
     """Draw profiles of the bed along lines: bed, water, standard deviation, reference."""
-    with command(verbose, quiet, csv or picture or run) as results:
+    with command(verbose, quiet, csv or picture or dxf or run) as results:
         from survey.profile.profiles import profiles_along, subtitle_of
 
-        found = profiles_along(run, lines, step_m=step, reference=reference, csv_path=csv, picture_path=picture)
+        found = profiles_along(
+            run, lines, step_m=step, reference=reference, csv_path=csv, picture_path=picture, dxf_path=dxf
+        )
         results.columns(None, [(profile.name, subtitle_of(profile)) for profile in found])

@@ -1,9 +1,14 @@
-"""Quantities as text for people: sensible digits, and a unit that no line break takes from its number."""
+"""Quantities as text for people: sensible digits, and a unit that no line break takes from its number.
+
+Lengths are in metres unless a caller is within `lengths_in_feet`.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import TypeGuard
 
@@ -12,6 +17,18 @@ NO_BREAK, NARROW = "\u00a0", "\u202f"
 MINUS, UNKNOWN = "−", "unknown"
 # Lengths below this are written in millimetres [m].
 _SMALL_M = 0.5
+# Length of the foot in use [m]; None for metres.
+_FOOT_M: ContextVar[float | None] = ContextVar("foot_m", default=None)
+
+
+@contextmanager
+def lengths_in_feet(foot_m: float | None) -> Iterator[None]:
+    """Within this block lengths are shown in feet of so many metres; None: in metres."""
+    token = _FOOT_M.set(foot_m)
+    try:
+        yield
+    finally:
+        _FOOT_M.reset(token)
 
 
 @dataclass(frozen=True)
@@ -31,11 +48,19 @@ class LengthUnit:
 
     @staticmethod
     def of(values_m: Iterable[float | None]) -> LengthUnit:
-        """The unit for values [m] of one column, by the largest: millimetres below half a metre, else metres."""
+        """The unit for values [m] of one column, by the largest: millimetres below half a metre, else metres; feet."""
         largest = max((abs(value) for value in values_m if is_known(value)), default=0.0)
+        if (foot_m := _FOOT_M.get()) is not None:
+            return LengthUnit("ft", 1.0 / foot_m, 3 if largest < 10.0 else 2)
         if largest >= _SMALL_M:
             return LengthUnit("m", 1.0, 3 if largest < 10.0 else 2)
         return LengthUnit("mm", 1000.0, 1 if largest < 0.1 else 0)
+
+    @staticmethod
+    def of_heights() -> LengthUnit:
+        """The unit of heights and depths, to the centimetre or the hundredth of a foot."""
+        foot_m = _FOOT_M.get()
+        return LengthUnit("m", 1.0, 2) if foot_m is None else LengthUnit("ft", 1.0 / foot_m, 2)
 
     def number(self, value_m: float | None) -> str:
         """A length without its unit."""
@@ -71,9 +96,42 @@ def count(value: float) -> str:
     return f"{round(value):,}".replace(",", NARROW)
 
 
-def metres(value: float) -> str:
-    """A height or depth as surveyors write it, to the centimetre."""
-    return f"{number(value, 2)}{NO_BREAK}m"
+def height(value_m: float) -> str:
+    """A height or depth as surveyors write it, to the centimetre or the hundredth of a foot."""
+    return LengthUnit.of_heights().text(value_m)
+
+
+def cell_size(value_m: float) -> str:
+    """The side of a cell, in centimetres or feet."""
+    unit = LengthUnit.of_heights()
+    value, name = (100.0 * value_m, "cm") if unit.name == "m" else (value_m * unit.per_metre, unit.name)
+    return f"{number(value, 1 if name == 'cm' else 3)}{NO_BREAK}{name}"
+
+
+def distance(value_m: float) -> str:
+    """A distance over ground or through the air, to the decimetre or the tenth of a foot."""
+    unit = LengthUnit.of_heights()
+    return f"{number(value_m * unit.per_metre, 1)}{NO_BREAK}{unit.name}"
+
+
+def area(value_m2: float) -> str:
+    """An area, in whole square metres or feet."""
+    unit = LengthUnit.of_heights()
+    return f"{count(value_m2 * unit.per_metre**2)}{NO_BREAK}{unit.name}²"
+
+
+def volume(value_m3: float) -> str:
+    """A volume, in cubic metres or feet."""
+    unit = LengthUnit.of_heights()
+    value = value_m3 * unit.per_metre**3
+    return f"{count(value) if abs(value) >= 100.0 else number(value, 1)}{NO_BREAK}{unit.name}³"
+
+
+def density(value_per_m2: float) -> str:
+    """Points on an area of one."""
+    unit = LengthUnit.of_heights()
+    value = value_per_m2 / unit.per_metre**2
+    return f"{count(value) if value >= 10.0 else number(value, 1)} per {unit.name}²"
 
 
 def with_unit(text: str, unit: str) -> str:

@@ -54,7 +54,7 @@ def contours(run: LoadedRun, options: ExportOptions) -> Layer:
         depths += [round(level, 6)] * len(found)
     name = "height_m" if is_dry else "depth_m"
     about = f"every {step:g} m, in cells of {grid.cells.side_m:g} m; depths count down from the water"
-    return Layer("contours", "LineString", lines, grid.cells.crs, {name: depths}, about)
+    return Layer("contours", "LineString", lines, grid.cells.crs, {name: depths}, about, _heights(grid, lines, depths))
 
 
 def shoreline(run: LoadedRun, options: ExportOptions) -> Layer:
@@ -70,7 +70,18 @@ def shoreline(run: LoadedRun, options: ExportOptions) -> Layer:
         raise SurveyError(f"{run.place.name} is a dry survey and has no shoreline; leave --shoreline out")
     lines = _lines(grid, grid.depths(_whole(grid)), 0.0)
     about = f"where the bed meets the water of the survey, in cells of {grid.cells.side_m:g} m"
-    return Layer("shoreline", "LineString", lines, grid.cells.crs, {"depth_m": [0.0] * len(lines)}, about)
+    depths = [0.0] * len(lines)
+    heights = _heights(grid, lines, depths)
+    return Layer("shoreline", "LineString", lines, grid.cells.crs, {"depth_m": depths}, about, heights)
+
+
+def _heights(grid: Gridded, lines: list[np.ndarray], values: list[float]) -> list[np.ndarray]:
+    """Heights (N,) in crs along lines of one depth, or of one height in a dry survey [m]."""
+    level = grid.level
+    return [
+        (np.full(len(line), value) if level is None else level(line) - value) / grid.height_unit_m
+        for line, value in zip(lines, values, strict=True)
+    ]
 
 
 def _whole(grid: Gridded) -> Window:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from survey.export.cameras import CAMERAS
 from survey.export.clouds import CLOUDS
+from survey.export.documents import DOCUMENTS
 from survey.export.hydrography import HYDROGRAPHY
 from survey.export.meshes import MESHES
 from survey.export.orthophoto import ORTHOPHOTO
 from survey.export.product import Product
+from survey.export.qgis_project import QGIS
 from survey.export.soundings import SOUNDINGS
 from survey.export.terrain import TERRAIN
 from survey.export.vectors import VECTORS
@@ -19,5 +21,6 @@ FAMILIES: dict[str, tuple[Product, ...]] = {
     "Meshes": MESHES,
     "Lines and areas": VECTORS,
     "Cameras": CAMERAS,
+    "Documents and projects": (*DOCUMENTS, *QGIS),
 }
 PRODUCTS: tuple[Product, ...] = tuple(product for members in FAMILIES.values() for product in members)

@@ -62,7 +62,11 @@ def of_orders(_path: Path) -> str:
 
 
 def _ramp(path: Path, colours: Colormap) -> str:
-    """Colours between the ends of the values of the first band."""
+    return _document(ramp(path, colours))
+
+
+def ramp(path: Path, colours: Colormap, band: int = 1) -> str:
+    """The renderer of a raster: colours between the ends of the values of a band."""
     import numpy as np
     import rasterio
     from matplotlib.colors import to_hex
@@ -70,7 +74,7 @@ def _ramp(path: Path, colours: Colormap) -> str:
     with rasterio.open(path) as raster:
         scale = max(max(raster.shape) / _MOST_SIDE, 1.0)
         shape = tuple(max(int(side / scale), 1) for side in raster.shape)
-        values = raster.read(1, out_shape=shape, masked=True).compressed()
+        values = raster.read(band, out_shape=shape, masked=True).compressed()
     values = values[np.isfinite(values)].astype(np.float64)
     low, high = np.quantile(values, _ENDS).tolist() if len(values) else (0.0, 1.0)
     high = high if high > low else low + 1.0
@@ -80,8 +84,8 @@ def _ramp(path: Path, colours: Colormap) -> str:
         for step, value in zip(steps, low + steps * (high - low), strict=True)
     )
     ends = f'minimumValue="{low:.9g}" maximumValue="{high:.9g}"'
-    return _document(
-        f'<rasterrenderer type="singlebandpseudocolor" band="1" opacity="1" alphaBand="-1" nodataColor="" '
+    return (
+        f'<rasterrenderer type="singlebandpseudocolor" band="{band}" opacity="1" alphaBand="-1" nodataColor="" '
         f'classificationMin="{low:.9g}" classificationMax="{high:.9g}"><rasterTransparency/><rastershader>'
         f'<colorrampshader colorRampType="INTERPOLATED" classificationMode="1" clip="0" {ends}>{items}'
         "</colorrampshader></rastershader></rasterrenderer>"

@@ -17,14 +17,32 @@ _SQLITE = begins_with(b"SQLite format 3\0", b"bathynerf ")
 
 
 def _is_ours(path: Path) -> bool:
+    if path.suffix.lower() == ".zip":
+        from geo.vectors import is_our_shapefile
+
+        return is_our_shapefile(path)
+    if path.suffix.lower() == ".dxf":
+        from geo.dxf import is_our_dxf
+
+        return is_our_dxf(path)
     return (_SQLITE if path.suffix.lower() == ".gpkg" else _GEOJSON)(path)
+
+
+def _write_dxf(path: Path, layer: Layer) -> None:
+    import numpy as np
+
+    from geo.dxf import DxfLine, write_dxf
+
+    heights = layer.heights or []
+    lines = [np.column_stack([line, z]) for line, z in zip(layer.shapes, heights, strict=True)]
+    write_dxf(path, [DxfLine(layer.name, line) for line in lines], layer.crs)
 
 
 def _writer(make: Callable[[LoadedRun, ExportOptions], Layer]) -> Callable[[Path, LoadedRun, ExportOptions], None]:
     """The function of a product that writes the layer that ``make`` gives."""
 
     def write(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-        from geo.vectors import write_geojson, write_geopackage
+        from geo.vectors import write_geojson, write_geopackage, write_shapefile
         from survey.progress import current
 
         layer = make(run, options)
@@ -32,6 +50,10 @@ def _writer(make: Callable[[LoadedRun, ExportOptions], Layer]) -> Callable[[Path
             current().note(f"{path}: nothing to show, the layer {layer.name} is empty")
         if path.suffix.lower() == ".gpkg":
             write_geopackage(path, layer)
+        elif path.suffix.lower() == ".dxf":
+            _write_dxf(path, layer)
+        elif path.suffix.lower() == ".zip":
+            write_shapefile(path, layer)
         elif (doubt := write_geojson(path, layer)) is not None:
             current().warn(doubt)
 
@@ -63,13 +85,19 @@ def _unseen(run: LoadedRun, options: ExportOptions) -> Layer:
 
 
 def _product(
-    option: str, what: str, example: str, takes: tuple[str, ...], make: Callable[[LoadedRun, ExportOptions], Layer]
+    option: str,
+    what: str,
+    example: str,
+    takes: tuple[str, ...],
+    make: Callable[[LoadedRun, ExportOptions], Layer],
+    *,
+    has_heights: bool = False,
 ) -> Product:
     return Product(
         option=option,
-        suffixes=(".geojson", ".gpkg"),
+        suffixes=(".geojson", ".gpkg", *((".dxf", ".zip") if has_heights else ())),
         kind="a layer that bathynerf wrote",
-        help=f"{what}: GeoJSON or (extra vector) GeoPackage.",
+        help=f"{what}: GeoJSON, {'DXF (extra dxf), ' if has_heights else ''}{_BY_GDAL[has_heights]} (extra vector).",
         example=f"--{option} {example}",
         takes=takes,
         is_ours=_is_ours,
@@ -92,12 +120,22 @@ def _write_unseen(path: Path, run: LoadedRun, options: ExportOptions) -> None:
         _writer(_unseen)(path, run, options)
 
 
+_BY_GDAL = {False: "GeoPackage", True: "GPKG, zipped shapefile"}
 _CELLS = ("crs", "resolution_m", "fill_m")
 _RASTERS = (".tif", ".tiff")
 VECTORS = (
     _product("footprints", "What each photograph shows of the bed", "images.geojson", ("crs",), _footprints),
-    _product("shoreline", "Where the bed meets the water", "shore.gpkg --fill 0.5", _CELLS, _shoreline),
-    _product("contours", "Lines of equal depth", "deep.gpkg --interval 0.5", (*_CELLS, "interval_m"), _contours),
+    _product(
+        "shoreline", "Where the bed meets the water", "shore.gpkg --fill 0.5", _CELLS, _shoreline, has_heights=True
+    ),
+    _product(
+        "contours",
+        "Lines of equal depth",
+        "deep.dxf --interval 0.5",
+        (*_CELLS, "interval_m"),
+        _contours,
+        has_heights=True,
+    ),
     Product(
         option="unseen",
         suffixes=(".geojson", ".gpkg", *_RASTERS),

@@ -16,6 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from geo.crs import crs_code, height_unit_m, is_geographic
+from geo.dxf import DxfLine, write_dxf
 from geo.files import write_whole
 from geo.lines import read_lines
 from survey.compare.canvas import save, write_title
@@ -45,6 +46,7 @@ def profiles_along(
     reference: str | Path | None = None,
     csv_path: str | Path | None = None,
     picture_path: str | Path | None = None,
+    dxf_path: str | Path | None = None,
 ) -> list[Profile]:
     """Profiles of a run or a cloud along the lines of a file.
 
@@ -58,8 +60,8 @@ def profiles_along(
         Between places; by default some spacings of the points.
     reference : str or Path, optional
         Mesh, GeoTIFF or points.
-    csv_path, picture_path : str or Path, optional
-        Where the table and the picture go.
+    csv_path, picture_path, dxf_path : str or Path, optional
+        Where the table, the picture and the drawing go.
 
     Raises
     ------
@@ -67,21 +69,36 @@ def profiles_along(
         If a file cannot be read or written, or is of another place.
     """
     path, lines = Path(path), Path(lines)
-    truth, table, picture = (None if each is None else Path(each) for each in (reference, csv_path, picture_path))
+    given = (reference, csv_path, picture_path, dxf_path)
+    truth, table, picture, drawing = (None if each is None else Path(each) for each in given)
     read = ReadFiles.of(path if path.is_file() else None, lines, truth)
     if path.is_dir():
         read += RunDir(path).inputs()
     # A table that bathynerf wrote begins with its CRS.
     require_file("--csv", table, read, kind="a table of profiles", is_of_kind=lambda head: head[:2] in (b"# ", b""))
     require_file("--picture", picture, read, kind="a PNG", is_of_kind=lambda head: head[:4] in (_PNG, b""))
+    require_file("--dxf", drawing, read, kind="a DXF", is_of_kind=lambda head: b"SECTION" in head[:64] or not head)
     bed = Bed(path, truth)
     found = [bed.along(line, step_m) for line in read_lines(lines, bed.crs)]
-    if table is not None or picture is not None:
-        if table is not None:
-            write_csv(table, found)
-        if picture is not None:
-            write_picture(picture, found)
+    if table is not None:
+        write_csv(table, found)
+    if picture is not None:
+        write_picture(picture, found)
+    if drawing is not None:
+        write_dxf(drawing, drawn_lines(found), found[0].crs)
     return found
+
+
+def drawn_lines(profiles: Sequence[Profile]) -> list[DxfLine]:
+    """Bed, water and reference of profiles as lines in space, a layer for each; broken where nothing is known."""
+    lines = []
+    for profile in profiles:
+        for layer, heights in (("bed", profile.bed), ("water", profile.water), ("reference", profile.reference)):
+            places = np.column_stack([profile.places, heights])
+            known = np.flatnonzero(np.isfinite(heights))
+            pieces = np.split(known, np.flatnonzero(np.diff(known) > 1) + 1)
+            lines += [DxfLine(f"{layer} {profile.name}", places[piece]) for piece in pieces if len(piece) > 1]
+    return lines
 
 
 def write_csv(path: Path, profiles: Sequence[Profile]) -> None:

@@ -30,18 +30,18 @@ def _parts(found: AdjustmentFigures) -> list[Block]:
     if not found.parts:
         return []
     stds = [std for part in found.parts for std in (part.height_std_m, part.to_first_std_m) if std is not None]
-    unit = LengthUnit.of(stds)
+    unit, far = LengthUnit.of(stds), LengthUnit.of_heights()
 
     def std(value: float | None) -> str:
         return _NO_VALUE if value is None else unit.number(value)
 
     rows = [
         (str(place), part.listed, count(len(part.names)), count(part.num_points),
-         number(part.apart_m, 1), std(part.height_std_m), std(part.to_first_std_m))
+         number(part.apart_m * far.per_metre, 1), std(part.height_std_m), std(part.to_first_std_m))
         for place, part in enumerate(found.parts, start=1)
     ]  # fmt: skip
     titles = (
-        "part", "photographs", "number", "points", "to the next part [m]", f"height, 1 sigma [{unit.name}]",
+        "part", "photographs", "number", "points", f"to the next part [{far.name}]", f"height, 1 sigma [{unit.name}]",
         f"less that of part 1, 1 sigma [{unit.name}]",
     )  # fmt: skip
     said = "No point is seen by photographs of two parts: positions, control and water alone hold these together."

@@ -82,6 +82,7 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
         adjustment=adjustment,
         photographs=facts.photographs,
         stated=stated_of(stated, np.where(facts.bed.wet, facts.bed.depth, np.nan)),
+        coverage=facts.coverage,
         taken=taken_of(survey.config.report, facts.heads, datetime.now().astimezone()) if facts.heads else None,
     )
 

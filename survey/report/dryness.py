@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from survey.display.quantities import metres
+from survey.display.quantities import height
 
 if TYPE_CHECKING:
     from fields.sweep.bed import BedPoints
@@ -15,9 +15,9 @@ def dry_doubts(survey: Survey, bed: BedPoints) -> list[str]:
     """A warning that says how far the bed lies over the water; none where a point is wet, or there is no water."""
     if survey.water is None or not len(bed) or bed.wet.any():
         return []
-    above = metres(-float(bed.depth.max()))
+    above = height(-float(bed.depth.max()))
     return [
-        f"all of the bed lies above the water, whose level is {survey.require_water()[1].known_level_m:.3f} m: the "
+        f"all of the bed lies above the water, whose level is {height(survey.require_water()[1].known_level_m)}: the "
         f"lowest point by {above}; if the ground was under water, level_m of survey.toml is wrong, or in another "
         "vertical datum than the poses"
     ]

@@ -13,6 +13,7 @@ from survey.folder.survey import Survey
 from survey.photos.exif import Exif
 from survey.photos.texture import MatchedLight
 from survey.plan.plan import Plan
+from survey.report.coverage import CoverageFigures
 from survey.report.photographs import PhotographFigures
 from survey.report.verdict import Verdict
 
@@ -60,6 +61,8 @@ class ReportFacts:
         What of each was left out; none where nobody has looked.
     heads : dict of name to Exif
         Of the photographs that are used; empty where nobody has read them.
+    coverage : CoverageFigures or None
+        What of the water was seen; None for a dry survey, or where nobody has looked.
     """
 
     survey: Survey
@@ -79,6 +82,7 @@ class ReportFacts:
     light: MatchedLight | None = None
     photographs: tuple[PhotographFigures, ...] = ()
     heads: Mapping[str, Exif] = field(default_factory=dict)
+    coverage: CoverageFigures | None = None
 
 
 def distances_of(facts: ReportFacts) -> np.ndarray | None:

@@ -8,6 +8,7 @@ from survey.compare.figures import Figures
 from survey.plan.plan import Plan
 from survey.report.adjustment_figures import AdjustmentFigures
 from survey.report.checkpoints import CheckpointFigures
+from survey.report.coverage import CoverageFigures
 from survey.report.photographs import PhotographFigures
 from survey.report.stated import StatedFigures
 from survey.report.taken import TakenFigures
@@ -279,6 +280,8 @@ class ReportFigures:
         Names of the photographs in the folder that have no pose.
     stated : StatedFigures or None
         What the cloud states of its heights; None without points.
+    coverage : CoverageFigures or None
+        What of the water was seen; None for a dry survey.
     """
 
     verdict: Verdict | None
@@ -301,6 +304,7 @@ class ReportFigures:
     taken: TakenFigures | None = None
     left_out: tuple[str, ...] = ()
     stated: StatedFigures | None = None
+    coverage: CoverageFigures | None = None
 
     @property
     def total_s(self) -> float:

@@ -16,7 +16,7 @@ from refract import PinholeCamera
 from survey.compare.canvas import map_canvas, save, show, write_title
 from survey.display.palette import BOUNDS, INK, LAND, OBLIQUE, SOFT, WATER
 from survey.display.plan_grid import PlanGrid
-from survey.display.quantities import number
+from survey.display.quantities import distance, height
 from survey.folder.survey import Survey
 from survey.report.facts import ReportFacts
 from survey.report.raster import Picture
@@ -52,7 +52,7 @@ def draw_plan(path: Path, facts: ReportFacts) -> Picture:
         axes.add_patch(frame)
     figure.legend(loc="lower center", ncols=3, frameon=False, fontsize=9)
     title = "The flight in plan"
-    write_title(axes, title, f"{len(cameras)} views, {facts.plan.height_m:.1f} m over {_over(survey)}")
+    write_title(axes, title, f"{len(cameras)} views, {distance(facts.plan.height_m)} over {_over(survey)}")
     save(figure, path)
     return Picture(path, title, f"Outlines: what each photograph covers on {_over(survey)}.")
 
@@ -140,4 +140,4 @@ def _over(survey: Survey) -> str:
     if water is None:
         return "the ground"
     slope = math.hypot(water.slope_east, water.slope_north)
-    return f"the water at {number(water.level_m, 2)} m" + (f", which rises by {100.0 * slope:.2g} %" if slope else "")
+    return f"the water at {height(water.known_level_m)}" + (f", which rises by {100.0 * slope:.2g} %" if slope else "")

@@ -6,7 +6,18 @@ from dataclasses import dataclass
 
 from evaluation import IhoS44
 from survey.compare.text import limits_label
-from survey.display.quantities import NO_BREAK, LengthUnit, count, is_known, length, metres, number, share
+from survey.display.quantities import (
+    NO_BREAK,
+    LengthUnit,
+    area,
+    count,
+    density,
+    distance,
+    height,
+    is_known,
+    length,
+    share,
+)
 from survey.report.figures import ReportFigures
 from survey.report.verdict import Gate, Verdict
 
@@ -76,12 +87,10 @@ def _of_heights(figures: ReportFigures) -> list[Card]:
 
 def _of_cloud(figures: ReportFigures) -> list[Card]:
     cloud = figures.cloud
-    area = ""
-    if cloud.density_per_m2:
-        area = f"{count(cloud.density_per_m2)} per m² over {count(cloud.covered_area_m2)}{NO_BREAK}m²"
-    found = [Card("Points of the bed", count(cloud.points), area)]
+    over = f"{density(cloud.density_per_m2)} over {area(cloud.covered_area_m2)}" if cloud.density_per_m2 else ""
+    found = [Card("Points of the bed", count(cloud.points), over)]
     if (depth := cloud.depth_m) is not None:
-        found.append(Card("Median depth", metres(depth.median), f"{number(depth.min, 2)} to {metres(depth.max)}"))
+        found.append(Card("Median depth", height(depth.median), f"{height(depth.min)} to {height(depth.max)}"))
     if (std := cloud.std_m) is not None:
         found.append(Card("Height std, median", length(std.median), f"95 % below {length(std.p95)}"))
     for gate in () if figures.verdict is None else figures.verdict.gates:
@@ -96,7 +105,7 @@ def _of_flight(figures: ReportFigures) -> list[Card]:
     left_out = f"{survey.views_left_out} left out" if survey.views_left_out else "all used"
     return [
         Card("Photographs", count(survey.views_used), left_out),
-        Card("Ground resolution", length(plan.gsd_m), f"from {number(plan.height_m, 1)} m above"),
+        Card("Ground resolution", length(plan.gsd_m), f"from {distance(plan.height_m)} above"),
     ]
 
 

@@ -27,6 +27,7 @@ def json_of(figures: ReportFigures) -> dict:
         "checkpoints": figures.checkpoints,
         "height_std_m": figures.height_std,
         "stated": figures.stated,
+        "coverage": figures.coverage,
         "adjustment": None if figures.adjustment is None else _adjustment(figures.adjustment),
         "baselines": figures.baselines,
         "photographs": figures.photographs,

@@ -10,13 +10,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import BoundaryNorm, LogNorm
+from matplotlib.colors import BoundaryNorm, LogNorm, Normalize
 from matplotlib.figure import Figure
 
+from geo.crs import height_unit_m
 from survey.compare.canvas import colour_bar, figure_of, map_canvas, plain_log_ticks, save, show, write_title
 from survey.display.palette import COUNTS, EMPTY, INK, SPREADS
 from survey.display.plan_grid import PlanGrid
-from survey.display.quantities import LengthUnit
+from survey.display.quantities import LengthUnit, cell_size
 from survey.photos.images import load_image
 from survey.report.cut import Cut
 from survey.report.facts import ReportFacts
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 
 # Of a height map, along its longer side, at most.
 _PIXELS = 2000
-_DEPTH_LABEL = "true depth below the water [m]"
 _OF_SOLVER = "from the normal matrix of the solver"
 _OF_SWEEP = "from how far the views that agree differ around it, and how the bed bends there"
 
@@ -44,7 +44,7 @@ def draw_orthophoto(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     known = np.isfinite(colours[..., :1])
     axes = _show(np.concatenate([np.where(known, colours, 0.0), known], axis=-1), facts, grid)
     title = "The bed from above"
-    write_title(axes, title, f"the cloud in its own colours, cells of {_centimetres(grid.cell_m)}")
+    write_title(axes, title, f"the cloud in its own colours, cells of {cell_size(grid.cell_m)}")
     save(figure_of(axes), path)
     return Picture(path, title, "The cloud in its own colours; where points lie above each other, the highest.")
 
@@ -52,16 +52,17 @@ def draw_orthophoto(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
 def draw_surface(path: Path, facts: ReportFacts, grid: PlanGrid, cut: Cut | None) -> Picture:
     """Depth below the water in plan, or height in a dry survey, shaded by the relief; with the line of a cut."""
     height = without_pinholes(grid.mean(facts.points_crs[:, 2]))
-    depth = None
+    depth, unit = None, LengthUnit.of_heights()
+    height = height * height_unit_m(facts.survey.frame.crs)
     title, label, words = (
         "Height of the ground",
-        "height [m]",
+        f"height [{unit.name}]",
         "Mean height of each cell, shaded by the relief.",
     )
     if facts.survey.water is not None:
         depth = without_pinholes(grid.mean(facts.bed.depth, facts.bed.wet))
         depth[2 * grid.count(facts.bed.wet) < grid.count()] = np.nan
-        title, label = "Depth of the bed", _DEPTH_LABEL
+        title, label = "Depth of the bed", _depth_label()
         ground = "" if facts.bed.wet.all() else "; dry ground in greys"
         words = f"Mean true depth of each cell, shaded by the relief{ground}."
     image, scale = shaded_bed(depth, height, grid.cell_m)
@@ -69,8 +70,8 @@ def draw_surface(path: Path, facts: ReportFacts, grid: PlanGrid, cut: Cut | None
     if cut is not None:
         draw_line(axes, facts, cut)
     axes.set_facecolor("white")  # the grey of other maps' gaps is that of dry ground here
-    _bar(axes, scale, label, is_depth=depth is not None)
-    write_title(axes, title, f"cells of {_centimetres(grid.cell_m)}")
+    _bar(axes, in_unit(scale), label, is_depth=depth is not None)
+    write_title(axes, title, f"cells of {cell_size(grid.cell_m)}")
     save(figure_of(axes), path)
     return Picture(path, title, words)
 
@@ -84,7 +85,7 @@ def draw_num_views(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     axes = _show(scale.to_rgba(np.ma.masked_invalid(values)), facts, grid)
     colour_bar(axes, scale, "views", extend="max").minorticks_off()
     title = "Views that agree"
-    write_title(axes, title, f"mean of each cell of {_centimetres(grid.cell_m)}")
+    write_title(axes, title, f"mean of each cell of {cell_size(grid.cell_m)}")
     save(figure_of(axes), path)
     return Picture(path, title, "How many views see a point at the same height; the more, the surer.")
 
@@ -101,7 +102,7 @@ def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     bar = colour_bar(axes, scale, f"standard deviation [{unit.name}]")
     plain_log_ticks(bar.ax.yaxis)
     title = "Standard deviation of the height"
-    write_title(axes, title, f"mean of each cell of {_centimetres(grid.cell_m)}")
+    write_title(axes, title, f"mean of each cell of {cell_size(grid.cell_m)}")
     save(figure_of(axes), path)
     source = _OF_SOLVER if facts.plan.field == "solver" else _OF_SWEEP
     words = f"Of each point by itself, {source}; what water, lens and poses do to all heights together is not in it."
@@ -134,8 +135,9 @@ def draw_view(path: Path, facts: ReportFacts, height_maps: Sequence[HeightMap]) 
     left.set_title(view.name, loc="left", color=INK, fontsize=12, weight="bold")
     name = "height" if depth is None else "true depth along its rays"
     right.set_title(f"Its depth map: {name}", loc="left", color=INK, fontsize=12, weight="bold")
-    label = "height over the local origin [m]" if depth is None else _DEPTH_LABEL
-    _bar(right, scale, label, is_depth=depth is not None)
+    over_origin = f"height over the local origin [{LengthUnit.of_heights().name}]"
+    label = over_origin if depth is None else _depth_label()
+    _bar(right, in_unit(scale), label, is_depth=depth is not None)
     save(figure, path)
     words = f"Another view confirms {share_confirmed:.0%} of the pixels; the others are left grey."
     return Picture(path, "A photograph and its depth map", words)
@@ -155,5 +157,12 @@ def _show(image: np.ndarray, facts: ReportFacts, grid: PlanGrid) -> Axes:
     return axes
 
 
-def _centimetres(length_m: float) -> str:
-    return f"{100.0 * length_m:.1f} cm"
+def _depth_label() -> str:
+    return f"true depth below the water [{LengthUnit.of_heights().name}]"
+
+
+def in_unit(scale: ScalarMappable) -> ScalarMappable:
+    """The colours of lengths [m] as those of lengths in the unit of heights, for a colour bar."""
+    per_metre = LengthUnit.of_heights().per_metre
+    low, high = scale.get_clim()
+    return ScalarMappable(Normalize(low * per_metre, high * per_metre), scale.get_cmap())

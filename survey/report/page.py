@@ -8,7 +8,8 @@ from functools import cache
 import jinja2
 
 from survey.display import palette
-from survey.report import adjustment_tables, photographs, reference_tables, stated, survey_tables, taken
+from survey.display.quantities import LengthUnit
+from survey.report import adjustment_tables, limits, photographs, reference_tables, stated, survey_tables, taken
 from survey.report.blocks import Block, Rows, Section, Sentences
 from survey.report.figures import ReportFigures
 from survey.report.headline import cards, headline
@@ -43,7 +44,7 @@ def render_page(figures: ReportFigures, pictures: list[Picture]) -> str:
     return _template().render(
         palette=palette,
         survey=figures.survey,
-        head_lines=taken.head_lines(figures.taken),
+        head_lines=[*taken.head_lines(figures.taken), *_unit_line()],
         verdict=headline(figures.verdict, figures.warnings),
         cards=cards(figures),
         num_warnings=len(figures.warnings),
@@ -71,6 +72,8 @@ def _sections(figures: ReportFigures) -> list[Section]:
     comparison, survey = figures.comparison, figures.survey
     uncertainty = None if comparison is None else comparison.uncertainty
     return [
+        Section("Limits", limits.limits(figures)),
+        Section("What was seen of the water", limits.seen(figures)),
         Section("Against the reference", reference_tables.comparison(comparison)),
         Section("At the check points", reference_tables.checkpoints(figures.checkpoints)),
         Section("Vertical uncertainty (IHO S-44)", reference_tables.iho_s44(uncertainty)),
@@ -88,6 +91,11 @@ def _sections(figures: ReportFigures) -> list[Section]:
         Section("Time", survey_tables.timings(figures.timings_s, figures.total_s)),
         Section("Versions", [Rows(list(figures.versions.items()))] if figures.versions else []),
     ]
+
+
+def _unit_line() -> list[str]:
+    unit = LengthUnit.of_heights()
+    return [] if unit.name == "m" else [f"Lengths are in feet of {1.0 / unit.per_metre:.10g} m."]
 
 
 def _listed(sentences: tuple[str, ...]) -> list[Block]:

@@ -13,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from geo.crs import height_unit_m
 from survey.adjust.parts import part_numbers
 from survey.compare import pictures as compare_report
 from survey.compare.canvas import canvas, nice_limit, plain_log_ticks, save, write_title
@@ -157,9 +158,13 @@ def draw_histograms(path: Path, facts: ReportFacts) -> Picture:
     bed = facts.bed
     is_dry = facts.survey.water is None
     std = LengthUnit.of([float(np.nanmedian(bed.std))] if np.isfinite(bed.std).any() else [])
+    tall = LengthUnit.of_heights()
+    up = tall.per_metre * height_unit_m(facts.survey.frame.crs)
     angle = "angle off nadir" if is_dry else "incidence at the water"
     graphs = (
-        ("height", "m", 2, facts.points_crs[:, 2]) if is_dry else ("true depth", "m", 2, bed.depth[bed.wet]),
+        ("height", tall.name, tall.decimals, up * facts.points_crs[:, 2])
+        if is_dry
+        else ("true depth", tall.name, tall.decimals, tall.per_metre * bed.depth[bed.wet]),
         (_STD, std.name, std.decimals, std.per_metre * bed.std),
         ("views that agree", "", 0, bed.num_views),
         (angle, "°", 1, np.degrees(bed.incidence)),
@@ -201,7 +206,9 @@ def _histogram(axes: Axes, values: np.ndarray, colour: str, *, is_count: bool, i
 def draw_error_over_depth(path: Path, facts: ReportFacts, distances: np.ndarray) -> Picture:
     """Median and inner 68 % of the distances (N,) [m] to a reference, in bands of depth or of height."""
     is_dry = facts.survey.water is None
-    along = np.asarray(facts.points_crs[:, 2] if is_dry else facts.bed.depth, dtype=np.float64)
+    shown = LengthUnit.of_heights()
+    up = height_unit_m(facts.survey.frame.crs)
+    along = np.asarray(facts.points_crs[:, 2] * up if is_dry else facts.bed.depth, dtype=np.float64) * shown.per_metre
     use = np.isfinite(distances) & np.isfinite(along)
     along, distances = along[use], distances[use]
     limit = nice_limit(distances)
@@ -225,7 +232,7 @@ def draw_error_over_depth(path: Path, facts: ReportFacts, distances: np.ndarray)
         axes.set_ylim(-limit * unit.per_metre, limit * unit.per_metre)
     axes.axhline(0.0, color=INK, lw=0.8)
     ground = ", dry ground negative" if (along < 0.0).any() else ""
-    name = "height [m]" if is_dry else f"true depth below the water{ground} [m]"
+    name = f"{'height' if is_dry else f'true depth below the water{ground}'} [{shown.name}]"
     axes.set(xlabel=name, ylabel=f"distance to the reference [{unit.name}]")
     title = f"Distance to the reference over {'height' if is_dry else 'depth'}"
     write_title(axes, title, f"bands with at least {_FEWEST} points")

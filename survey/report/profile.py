@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 
-from geo.crs import is_geographic
+from geo.crs import height_unit_m, is_geographic
 from survey.compare.canvas import canvas, figure_of, lay_out, save, write_title
 from survey.display.palette import BLUE, INK, LAND, RED, WATER, WATER_LINE
-from survey.display.quantities import NO_BREAK, metres, number
+from survey.display.quantities import NO_BREAK, LengthUnit, cell_size, number
 from survey.report.cut import Cut
 from survey.report.facts import ReportFacts
 from survey.report.raster import Picture
@@ -73,21 +73,25 @@ def draw_profile(path: Path, facts: ReportFacts, cut: Cut) -> Picture:
     The reference is drawn where points of the cloud are near it.
     """
     strip = _strip(facts, cut)
-    along, heights, step = strip.along, strip.heights, strip.step_m
+    unit = LengthUnit.of_heights()
+    up = height_unit_m(facts.survey.frame.crs) * unit.per_metre
+    along, heights, step = strip.along * unit.per_metre, strip.heights * up, strip.step_m * unit.per_metre
+    end = cut.length_m * unit.per_metre
     figure, axes = canvas(11.0, 3.8)
-    axes.set_xlim(0.0, max(cut.length_m, step))
+    axes.set_xlim(0.0, max(end, step))
     x, bed = _medians(along, heights, step)
-    level = _level(facts, cut, x)
-    _set_heights(axes, heights, _level(facts, cut, np.array([0.0, cut.length_m])))
+    ends_of_level = _level(facts, cut)
+    level = None if ends_of_level is None else np.interp(x, [0.0, end], ends_of_level * up)
+    _set_heights(axes, heights, None if ends_of_level is None else ends_of_level * up)
     if level is not None:
-        _draw_water(axes, x, bed, level)
+        _draw_water(axes, x, bed, level, unit)
     axes.fill_between(x, bed, axes.get_ylim()[0], color=LAND, lw=0, zorder=1)
     axes.plot(x, bed, color=INK, lw=1.1, label="bed", zorder=3)
     axes.plot(along, heights, ".", ms=1.8, color=BLUE, alpha=0.4, rasterized=True, label="points", zorder=2)
     if facts.comparison is not None:
-        reference = _reference_heights(facts.comparison, strip.inside)
+        reference = _reference_heights(facts.comparison, strip.inside) * up
         axes.plot(*_medians(along, reference, step), color=RED, lw=1.3, label="reference", zorder=4)
-    axes.set(xlabel="along the line from A to B [m]", ylabel="height [m]")
+    axes.set(xlabel=f"along the line from A to B [{unit.name}]", ylabel=f"height [{unit.name}]")
     axes.ticklabel_format(axis="y", useOffset=False)
     axes.legend(frameon=False, fontsize=9, ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0), markerscale=6.0,
                 labelcolor=INK)  # fmt: skip
@@ -95,7 +99,7 @@ def draw_profile(path: Path, facts: ReportFacts, cut: Cut) -> Picture:
         axes.text(x_end, 0.97, f" {name} ", transform=axes.transAxes, ha=side, va="top", color=INK, weight="bold")
     title = "Profile from A to B"
     scale = f"heights drawn {two_digits(_stretch(axes))} times as large as lengths"
-    write_title(axes, title, f"a strip {100.0 * strip.width_m:.0f}{NO_BREAK}cm wide, {scale}")
+    write_title(axes, title, f"a strip {cell_size(strip.width_m)} wide, {scale}")
     save(figure, path)
     ends = facts.survey.frame.crs_from_local(np.column_stack([cut.ends, np.zeros(2)]))[:, :2]
     decimals = 7 if is_geographic(facts.survey.frame.crs) else 2
@@ -114,14 +118,14 @@ def draw_line(axes: Axes, facts: ReportFacts, cut: Cut) -> None:
         axes.text(x, y, name, ha="center", va="center", fontsize=8, color=INK, bbox=frame, zorder=6, clip_on=False)
 
 
-def _level(facts: ReportFacts, cut: Cut, x: np.ndarray) -> np.ndarray | None:
-    """Height (K,) of the water in crs at places ``x`` (K,) along the cut; None for a dry survey."""
+def _level(facts: ReportFacts, cut: Cut) -> np.ndarray | None:
+    """Height (2,) of the water in crs at both ends of the cut; None for a dry survey."""
     water = facts.survey.water
     if water is None:
         return None
     places = cut.start + np.linspace(0.0, cut.length_m, 2)[:, None] * cut.direction
     on_water = np.column_stack([places, np.asarray(water.height(places[:, 0], places[:, 1]))])
-    return np.interp(x, [0.0, cut.length_m], facts.survey.frame.crs_from_local(on_water)[:, 2])
+    return facts.survey.frame.crs_from_local(on_water)[:, 2]
 
 
 def _set_heights(axes: Axes, heights: np.ndarray, level: np.ndarray | None) -> None:
@@ -134,7 +138,7 @@ def _set_heights(axes: Axes, heights: np.ndarray, level: np.ndarray | None) -> N
     axes.set_ylim(low - _BELOW * size, high + _ABOVE * size)
 
 
-def _draw_water(axes: Axes, x: np.ndarray, bed: np.ndarray, level: np.ndarray) -> None:
+def _draw_water(axes: Axes, x: np.ndarray, bed: np.ndarray, level: np.ndarray, unit: LengthUnit) -> None:
     """Water between bed and surface, and its level in words."""
     wet = np.flatnonzero(bed < level)
     axes.fill_between(x, bed, level, where=bed < level, color=WATER, alpha=0.45, lw=0, zorder=1)
@@ -142,8 +146,8 @@ def _draw_water(axes: Axes, x: np.ndarray, bed: np.ndarray, level: np.ndarray) -
     shown = np.where(bed >= level, np.nan, level) if len(wet) else level
     axes.plot(x, shown, color=WATER_LINE, lw=1.8, label="water", zorder=3)
     middle = wet[len(wet) // 2] if len(wet) else len(x) // 2
-    axes.text(x[middle], level[middle], f"▽ water {metres(level[middle])}", color=WATER_LINE, fontsize=9,
-              ha="center", va="bottom", zorder=5)  # fmt: skip
+    said = f"▽ water {number(level[middle], 2)}{NO_BREAK}{unit.name}"
+    axes.text(x[middle], level[middle], said, color=WATER_LINE, fontsize=9, ha="center", va="bottom", zorder=5)
 
 
 def two_digits(value: float) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from evaluation import Band, DistanceStatistics, Scores
 from survey.compare.figures import Figures, VerticalUncertainty
 from survey.compare.text import limits_label, tvu_in_words
@@ -123,6 +125,7 @@ def checkpoints(found: CheckpointFigures | None) -> list[Block]:
     if found is None:
         return []
     unit = LengthUnit.of([row.difference_m for row in found.rows])
+    deep = replace(LengthUnit.of_heights(), decimals=3)
     num_outside = sum(row.is_outside and row.difference_m is None for row in found.rows)
     num_without = sum(row.difference_m is None for row in found.rows) - num_outside
     method = (
@@ -145,7 +148,7 @@ def checkpoints(found: CheckpointFigures | None) -> list[Block]:
         (
             row.name,
             number(row.height, 3),
-            number(row.depth_m, 3),
+            deep.number(row.depth_m),
             unit.number(row.difference_m),
             unit.number(row.stated_m),
             "outside bounds" if row.is_outside else "",
@@ -153,7 +156,14 @@ def checkpoints(found: CheckpointFigures | None) -> list[Block]:
         for row in found.rows
     ]
     statistics = ("check points", "compared", *(f"{name} [{unit.name}]" for name in ("mean", "RMS", "largest", "LE90")))
-    each = ("check point", "height in crs", "depth [m]", f"difference [{unit.name}]", f"std stated [{unit.name}]", "")
+    each = (
+        "check point",
+        "height in crs",
+        f"depth [{deep.name}]",
+        f"difference [{unit.name}]",
+        f"std stated [{unit.name}]",
+        "",
+    )
     return [Text(method), *([Table(statistics, groups)] if groups else []), Table(each, rows, heading="Each")]
 
 

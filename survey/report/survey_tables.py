@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from survey.display.quantities import LengthUnit, count, length, metres, number, share, with_unit
+from survey.display.quantities import LengthUnit, area, count, density, distance, height, length, number, share
 from survey.plan.plan import Plan
 from survey.plan.skipped import Decision
 from survey.report.blocks import Block, Rows, Table
@@ -21,7 +21,7 @@ def cloud(found: CloudFigures, crs: CrsFigures) -> list[Block]:
     """Number of points, density, extent, and how depth, spread, views and incidence are distributed."""
     rows = [("points", f"{count(found.points)}: {count(found.points_wet)} wet, {count(found.points_dry)} dry")]
     if found.density_per_m2:
-        rows.append(("density", f"{count(found.density_per_m2)} points per m² over {count(found.covered_area_m2)} m²"))
+        rows.append(("density", f"{density(found.density_per_m2)} over {area(found.covered_area_m2)}"))
     return [Rows(rows), *_distributions(found), *_extent(found.extent, crs)]
 
 
@@ -30,7 +30,8 @@ def _distributions(found: CloudFigures) -> list[Table]:
     rows = []
     if (depth := found.depth_m) is not None:
         values = (depth.min, depth.median, depth.p95, depth.max)
-        rows.append(("true depth [m]", *(number(value, 2) for value in values)))
+        unit = LengthUnit.of_heights()
+        rows.append((f"true depth [{unit.name}]", *(unit.number(value) for value in values)))
     if (std := found.std_m) is not None:
         unit = LengthUnit.of([std.median, std.p95])
         rows.append((f"standard deviation [{unit.name}]", "", unit.number(std.median), unit.number(std.p95), ""))
@@ -39,8 +40,9 @@ def _distributions(found: CloudFigures) -> list[Table]:
         name = f"the same by water, lens and poses, in common [{unit.name}]"
         rows.append((name, "", unit.number(std.median), unit.number(std.p95), ""))
     if found.plan_std_common_m:
-        shift = number(found.plan_std_common_m, 2)
-        rows.append(("places in plan, in common, by the change of datums [m]", "", shift, shift, ""))
+        unit = LengthUnit.of_heights()
+        shift = unit.number(found.plan_std_common_m)
+        rows.append((f"places in plan, in common, by the change of datums [{unit.name}]", "", shift, shift, ""))
     if (views := found.views_per_point) is not None:
         rows.append(("views per point", number(views.min, 0), number(views.median, 0), "", number(views.max, 0)))
     if (angle := found.incidence_deg) is not None:
@@ -62,14 +64,14 @@ def _extent(extent: Extent | None, crs: CrsFigures) -> list[Table]:
 def survey(taken: SurveyFigures, water: WaterFigures | None, plan: Plan) -> list[Block]:
     """Where, with what, from how high, and through which water."""
     crs, decimals = taken.crs, _DECIMALS.get(taken.crs.unit, 2)
-    width, height = taken.image_size_px
-    size = " x ".join(number(side, 1) for side in plan.footprint_m)
+    columns, lines = taken.image_size_px
+    size = " x ".join(distance(side) for side in plan.footprint_m)
     rows = [
         ("coordinate reference system", crs.name + (f", {crs.code}" if crs.code else "")),
         ("photographs", f"{taken.views_used} used, {taken.views_left_out} left out"),
-        ("images", f"{width} x {height} px, focal length {taken.focal_px:.1f} px"),
+        ("images", f"{columns} x {lines} px, focal length {taken.focal_px:.1f} px"),
         ("poses", taken.poses),
-        ("flying height", f"{with_unit(number(plan.height_m, 1), 'm')}, one image covers {with_unit(size, 'm')}"),
+        ("flying height", f"{distance(plan.height_m)}, one image covers {size}"),
         ("ground sampling distance", length(plan.gsd_m)),
     ]
     if taken.shutter is not None:
@@ -82,7 +84,7 @@ def survey(taken: SurveyFigures, water: WaterFigures | None, plan: Plan) -> list
     at = ", ".join(number(v, decimals) for v in water.level_at)
     slope = f"{water.slope_east:g} to the east, {water.slope_north:g} to the north"
     rows += [
-        ("water level", f"{metres(water.level_m)} at {at} ({water.level_from})"),
+        ("water level", f"{height(water.level_m)} at {at} ({water.level_from})"),
         ("slope of the water", f"{slope} ({water.slope_from})"),
         ("refractive index", f"{water.refractive_index:.4f} ({water.refractive_index_from})"),
     ]

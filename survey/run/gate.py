@@ -25,7 +25,6 @@ from survey.report.verdict import Gate, Verdict
 from survey.run.cell_std import std_cells
 
 if TYPE_CHECKING:
-    from fields.sweep.bed import BedPoints
     from survey.folder.survey import Survey
     from survey.run.stored import StoredBed
 
@@ -33,11 +32,11 @@ MIN_COVERED_SHARE = 0.5
 MIN_VIEWS = 2
 
 
-def verdict_of(survey: Survey, stored: StoredBed, gsd_m: float) -> Verdict:
-    """What the gates say of the points of a bed at a ground sampling distance [m]."""
+def verdict_of(survey: Survey, stored: StoredBed, gsd_m: float, cells: SeenCells | None = None) -> Verdict:
+    """What the gates say of the points of a bed at a ground sampling distance [m], with its `cells_of` if known."""
     return Verdict(
         (
-            _completeness(survey, stored.bed, gsd_m),
+            _completeness(cells_of(survey, stored.bed.xyz, gsd_m) if cells is None else cells),
             _precision(stored.std_of_photographs(), gsd_m),
             _whole(survey, stored, gsd_m),
         )
@@ -58,8 +57,7 @@ def asked_gate(stored: StoredBed, std_m: float) -> Gate:
     return Gate("ground within the std asked for", 100.0 * reached, 100.0 * SHARE, "%", reached >= SHARE, sentence)
 
 
-def _completeness(survey: Survey, bed: BedPoints, gsd_m: float) -> Gate:
-    cells = cells_of(survey, bed.xyz, gsd_m)
+def _completeness(cells: SeenCells) -> Gate:
     seen = cells.num_views >= MIN_VIEWS
     found = float((cells.has_point & seen).sum() / seen.sum()) if seen.any() else 0.0
     sentence = (

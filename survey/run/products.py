@@ -9,24 +9,29 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
+
 from fields.sweep.maps import HeightMap
 from fields.sweep.photo_consistency import Consistency
 from survey.adjust.adjustment import Adjustment, read_adjustment
 from survey.compare.figures import Comparison
-from survey.display.quantities import length
+from survey.display.quantities import length, lengths_in_feet
+from survey.display.units import foot_m
 from survey.files.json_values import read_json_object, write_json
 from survey.folder.survey import Survey
 from survey.photos.exif import read_exif
 from survey.photos.texture import matched_light
 from survey.report import NUM_STEPS, ReportFacts, write_report
 from survey.report.checkpoints import checkpoint_doubts
+from survey.report.coverage import CoverageFigures, coverage_of
 from survey.report.dryness import dry_doubts
 from survey.report.photographs import PhotographFigures, doubts, photographs_of, summary
+from survey.report.seen_cells import SeenCells
 from survey.report.verdict import Verdict
 from survey.run.cloud import write_bed_las
 from survey.run.flight import save_flight
 from survey.run.folder import RunDir, seconds_of, versions, versions_of
-from survey.run.gate import asked_gate, verdict_of
+from survey.run.gate import asked_gate, cells_of, verdict_of
 from survey.run.job import Job
 from survey.run.repeat import options_of, settings_text
 from survey.run.stage_adjust import FILES as ADJUSTMENT_FILES
@@ -59,7 +64,8 @@ def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path]
         cloud = pool.submit(write_bed_las, folder / "cloud.las", stored)
         if truth.reference is not None:
             cloud.result()
-        verdict = _write_report(folder, run, job, done, truth, stored)
+        with lengths_in_feet(foot_m(job.survey.config.report.units, stored.crs)):
+            verdict = _write_report(folder, run, job, done, truth, stored)
         cloud.result()
     return verdict
 
@@ -79,7 +85,8 @@ def _write_report(
     timings = _timings(run, survey, done)
     if comparison is not None:
         timings["comparison"] = time.monotonic() - start
-    verdict = verdict_of(survey, stored, plan.gsd_m)
+    cells = cells_of(survey, stored.bed.xyz, plan.gsd_m)
+    verdict = verdict_of(survey, stored, plan.gsd_m, cells)
     aim = None if job.aimed is None else job.aimed.aim
     if aim is not None and aim.std_m is not None:
         verdict = Verdict((*verdict.gates, asked_gate(stored, aim.std_m)))
@@ -105,6 +112,7 @@ def _write_report(
         std_common=stored.std_common,
         photographs=photographs,
         light=None if survey.water is None else matched_light(survey.views),
+        coverage=_coverage(survey, stored, cells),
         heads={view.name: read_exif(view.path) for view in survey.views},
     )
     with job.progress.stage("Report", NUM_STEPS) as stage:
@@ -117,6 +125,18 @@ def _write_report(
     for text in figures.notes:
         job.progress.note(text)
     return verdict
+
+
+def _coverage(survey: Survey, stored: StoredBed, cells: SeenCells) -> CoverageFigures | None:
+    """What of the water was seen; None for a dry survey."""
+    if survey.water is None:
+        return None
+    x, y, height = np.moveaxis(cells.middles, -1, 0)
+    shared = None if stored.std_common is None else stored.std_common[np.isfinite(stored.std_common)]
+    std = float(np.median(shared)) if shared is not None and len(shared) else None
+    return coverage_of(
+        np.asarray(survey.water.height(x, y)) - height, cells.has_point, cells.num_views, cells.cell_m, std
+    )
 
 
 def _photographs(done: Mapping[str, Path]) -> tuple[PhotographFigures, ...]:

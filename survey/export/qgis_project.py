@@ -1,0 +1,163 @@
+"""A project of QGIS with the cloud, the terrain model, its standard deviation and the orthophoto, in one folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+from xml.sax.saxutils import escape, quoteattr
+
+from survey.export.product import ExportOptions, Product
+from survey.export.terrain import CELLS
+
+if TYPE_CHECKING:
+    from pyproj import CRS
+
+    from survey.export.loaded import LoadedRun
+
+_PROJECT, _MARK = "bed.qgs", "<!-- made by bathynerf -->"
+_CLOUD, _DEM, _PHOTO = "cloud.copc.laz", "dem.tif", "orthophoto.tif"
+# The first version of QGIS that reads COPC.
+_VERSION = "3.26.0"
+_STD_BAND = 2
+
+
+class _Layer(NamedTuple):
+    """A layer, from the top of the legend down.
+
+    Attributes
+    ----------
+    name, file, provider, kind : str
+        ``kind`` is QGIS's: "raster" or "point-cloud".
+    content : str
+        Its renderer.
+    is_shown : bool
+    """
+
+    name: str
+    file: str
+    provider: str
+    kind: str
+    content: str
+    is_shown: bool
+
+    @property
+    def key(self) -> str:
+        # QGIS gives shorter ones another name.
+        return f"bathynerf_{self.name.replace(' ', '_')}"
+
+
+def _write(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    from geo.files import write_whole
+    from survey.errors import SurveyError
+    from survey.export.clouds import CLOUDS
+    from survey.export.orthophoto import ORTHOPHOTO
+    from survey.export.terrain import TERRAIN
+    from survey.progress import current
+
+    path.mkdir(parents=True, exist_ok=True)
+    write = {product.option: product.write for product in (*CLOUDS, *TERRAIN, *ORTHOPHOTO)}
+    write["copc"](path / _CLOUD, run, options)
+    write["dem"](path / _DEM, run, options)
+    try:
+        write["orthophoto"](path / _PHOTO, run, options)
+    except SurveyError as error:
+        (path / _PHOTO).unlink(missing_ok=True)
+        current().warn(f"{path / _PROJECT} has no orthophoto: {error}")
+    with write_whole(path / _PROJECT) as stream:
+        stream.write(project(path, run.place.name).encode())
+
+
+def project(folder: Path, title: str) -> str:
+    """The text of the project for the files that lie in a folder; their paths are relative to it."""
+    import rasterio
+    from matplotlib import colormaps
+    from pyproj import CRS
+
+    from geo.crs import horizontal_crs
+    from survey.display.palette import DEPTHS, SPREADS
+    from survey.export.styles import ramp
+
+    dem = folder / _DEM
+    with rasterio.open(dem) as raster:
+        bounds, crs = raster.bounds, horizontal_crs(CRS.from_wkt(raster.crs.to_wkt()))
+    layers = [
+        _Layer("cloud", _CLOUD, "copc", "point-cloud", _CLOUD_RENDERER, False),
+        _Layer("height", _DEM, "gdal", "raster", _pipe(ramp(dem, DEPTHS.reversed())), True),
+        _Layer("standard deviation", _DEM, "gdal", "raster", _pipe(ramp(dem, colormaps[SPREADS], _STD_BAND)), False),
+    ]
+    if (folder / _PHOTO).exists():
+        layers.append(_Layer("orthophoto", _PHOTO, "gdal", "raster", _pipe(_COLOURS), True))
+    system = _system(crs)
+    tree = "".join(
+        f'<layer-tree-layer id="{layer.key}" name="{layer.name}" providerKey="{layer.provider}" '
+        f'source="./{layer.file}" checked="Qt::{"Checked" if layer.is_shown else "Unchecked"}" expanded="0"/>\n'
+        for layer in layers
+    )
+    maps = "".join(
+        f'<maplayer type="{layer.kind}"><id>{layer.key}</id><datasource>./{layer.file}</datasource>'
+        f"<layername>{layer.name}</layername><srs>{system}</srs><provider>{layer.provider}</provider>"
+        f"{layer.content}</maplayer>\n"
+        for layer in layers
+    )
+    extent = "".join(
+        f"<{name}>{value!r}</{name}>"
+        for name, value in zip(("xmin", "ymin", "xmax", "ymax"), map(float, bounds), strict=True)
+    )
+    return (
+        "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"
+        f"<qgis version={quoteattr(_VERSION)} projectname={quoteattr(title)}>{_MARK}\n<title>{escape(title)}</title>\n"
+        f"<projectCrs>{system}</projectCrs>\n<layer-tree-group>\n{tree}</layer-tree-group>\n"
+        f'<mapcanvas name="theMapCanvas"><extent>{extent}</extent><destinationsrs>{system}</destinationsrs>'
+        f"</mapcanvas>\n<projectlayers>\n{maps}</projectlayers>\n"
+        '<properties><Paths><Absolute type="bool">false</Absolute></Paths><SpatialRefSys><ProjectionsEnabled '
+        'type="int">1</ProjectionsEnabled></SpatialRefSys></properties>\n</qgis>\n'
+    )
+
+
+def _system(crs: CRS) -> str:
+    from geo.crs import crs_code
+
+    code = crs_code(crs)
+    known = "" if code is None else f"<authid>{escape(code)}</authid>"
+    return f"<spatialrefsys><wkt>{escape(crs.to_wkt())}</wkt>{known}</spatialrefsys>"
+
+
+def _pipe(renderer: str) -> str:
+    return f"<pipe>{renderer}</pipe>"
+
+
+_COLOURS = (
+    '<rasterrenderer type="multibandcolor" redBand="1" greenBand="2" blueBand="3" alphaBand="4" opacity="1" '
+    'nodataColor=""><rasterTransparency/></rasterrenderer>'
+)
+# 16 bits for each colour, as in LAS.
+_CLOUD_RENDERER = (
+    '<renderer type="rgb" red="Red" green="Green" blue="Blue" pointSize="1" pointSizeUnit="MM" pointSymbol="0" '
+    'maximumScreenError="0.3" maximumScreenErrorUnit="MM">'
+    + "".join(
+        f"<{name}ContrastEnhancement><minValue>0</minValue><maxValue>65535</maxValue>"
+        f"<algorithm>StretchToMinimumMaximum</algorithm></{name}ContrastEnhancement>"
+        for name in ("red", "green", "blue")
+    )
+    + "</renderer>"
+)
+
+
+def _is_ours(path: Path) -> bool:
+    project = path / _PROJECT
+    return project.is_file() and _MARK in project.read_text(encoding="utf-8", errors="replace")[:500]
+
+
+QGIS = (
+    Product(
+        option="qgis",
+        suffixes=("",),
+        kind="a project that bathynerf wrote",
+        help="Folder with a QGIS project: cloud, heights, std, orthophoto.",
+        example="--qgis for_qgis",
+        takes=(*CELLS, "survey"),
+        is_ours=_is_ours,
+        write=_write,
+        is_folder=True,
+    ),
+)

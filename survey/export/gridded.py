@@ -27,7 +27,7 @@ from survey.errors import SurveyError
 from survey.export.bed_cells import Gridded, LevelFit, fill_gaps
 from survey.export.cell_fit import correlated_px2, fit_cells
 from survey.export.plan_cells import PlanCells, round_side
-from survey.export.product import require_lengths
+from survey.export.product import require_lengths, require_not_too_fine
 
 if TYPE_CHECKING:
     from survey.export.loaded import LoadedRun
@@ -93,6 +93,8 @@ def gridded(run: LoadedRun, options: ExportOptions) -> Gridded:
 
 def _gridded(run: LoadedRun, options: ExportOptions) -> Gridded:
     pixel = run.place.gsd_m
+    if options.resolution_m is not None:
+        require_not_too_fine(options.resolution_m, pixel)
     columns = run.columns(*_COLUMNS)
     points, crs = columns["points_crs"], run.place.crs
     if options.crs is not None:

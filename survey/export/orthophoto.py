@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from survey.export.product import ExportOptions, Product
+from survey.export.product import ExportOptions, Product, require_not_too_fine
 from survey.export.terrain import is_our_raster, noted_if_empty
 
 if TYPE_CHECKING:
@@ -58,6 +58,7 @@ def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
     from survey.export.plan_cells import round_side
     from survey.progress import current
 
+    require_not_too_fine(side_m, run.place.gsd_m)
     grid = gridded(run, replace(options, resolution_m=None))
     if side_m > grid.cells.side_m:
         # Heights need larger cells than colours do, but not larger ones than are asked for.

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 # What --resolution may be [m]: no photograph from the air shows a tenth of a millimetre, and no survey is so wide.
 _LEAST_SIDE, _LARGEST_SIDE = 1e-4, 1e5
+# Finer cells repeat their neighbours, and fill the disk [px].
+_FINEST_PX = 0.05
 # Enough for the marks that writers leave near the beginning of their files.
 _HEAD_BYTES = 1 << 16
 
@@ -66,6 +68,15 @@ def require_lengths(options: ExportOptions) -> None:
         )
     if not (math.isfinite(fill) and fill >= 0.0):
         raise SurveyError(f"--fill is {fill:g}, expected the width of the gaps to fill in metres, e.g. 0.5")
+
+
+def require_not_too_fine(side_m: float, pixel_m: float) -> None:
+    """Raise SurveyError where cells of a side [m] are so fine that pixels [m] on the ground tell nothing of most."""
+    if side_m < _FINEST_PX * pixel_m:
+        raise SurveyError(
+            f"--resolution {side_m:g} is metres, and a pixel covers {1000.0 * pixel_m:.3g} mm, expected at least "
+            f"{_FINEST_PX:g} of that; give e.g. --resolution {pixel_m:.1g}"
+        )
 
 
 @dataclass(frozen=True)

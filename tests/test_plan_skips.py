@@ -39,7 +39,9 @@ def test_heights_are_the_same_with_terms_that_the_scene_does_not_need(device, be
 def test_rays_stay_straight_in_water_of_index_one_unless_all_is_asked_for(device):
     bed, cameras = BEDS["index one"], ring(2)
     images = [bed.photograph(camera) for camera in cameras]
-    indices = [ViewStack.build(device, cameras, images, bed.water, skips).n_water for skips in (SKIPS, NOTHING)]
+    indices = [
+        ViewStack.build(device, cameras, images, bed.water, skips).kernel_water.n_water for skips in (SKIPS, NOTHING)
+    ]
     assert indices == [None, 1.0]
 
 

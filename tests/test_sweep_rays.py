@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fields.device import choose_device
+from fields.skips import SKIPS
 from fields.sweep.kernels.rays import (
     MOST_HYPOTHESES,
     fit_curve,
@@ -17,8 +18,9 @@ from fields.sweep.kernels.rays import (
     segments,
     straddling_pixels,
 )
-from fields.sweep.kernels.stack import CameraTerms, PlaneFrame, ViewStack, camera_table
-from refract import FlatWater, PinholeCamera
+from fields.sweep.kernels.stack import CameraTerms, ViewStack, camera_table
+from fields.sweep.kernels.water import kernel_water
+from refract import FlatWater, PinholeCamera, WavyWater
 
 WATER = FlatWater((0.0, 0.0, 0.0))
 WIDTH, HEIGHT = 1000, 750
@@ -33,7 +35,7 @@ def camera(place: np.ndarray, tilt: float, toward: float, focal: float) -> Pinho
 
 def misses(water: FlatWater | None, span_px: float) -> np.ndarray:
     """How far [px] places on courses are from those of the points, in random pairs that look at one place."""
-    rng, index, found = np.random.default_rng(1), None if water is None else water.n_water, []
+    rng, surface, found = np.random.default_rng(1), kernel_water(water, SKIPS), []
     for _ in range(200):
         height = rng.uniform(10.0, 60.0)
         depth, focal = rng.uniform(0.5, 0.4 * height), WIDTH * rng.uniform(0.8, 1.6)
@@ -44,11 +46,11 @@ def misses(water: FlatWater | None, span_px: float) -> np.ndarray:
             place = np.array([*rng.normal(0.0, 0.15 * height, 2) - away, height])
             views.append(camera(place, tilt, toward, focal))
         beyond = CameraTerms.of(views)
-        own, other = camera_table(views, beyond, PlaneFrame.of(water))
-        rays = refracted_rays(own, rng.uniform(0, WIDTH, 30), rng.uniform(0, HEIGHT, 30), index or 1.0, beyond)
+        own, other = camera_table(views, beyond, surface)
+        rays = refracted_rays(own, rng.uniform(0, WIDTH, 30), rng.uniform(0, HEIGHT, 30), surface, beyond)
 
         def seen(z, rays=rays, other=other, beyond=beyond):
-            return project_with_depth(other, point_at(rays, z), index, beyond)
+            return project_with_depth(other, point_at(rays, z), surface, beyond)
 
         bed = np.full(30, -depth)
         (u, v, _), (u_up, v_up, _) = seen(bed), seen(bed + 1e-3)
@@ -91,3 +93,8 @@ def test_hypotheses_through_the_water_are_told_from_others():
     np.testing.assert_array_equal(straddling_pixels(wet, start, 0.1, part), [2])
     dry = ViewStack.build(choose_device("torch"), views, images, None)
     assert len(straddling_pixels(dry, start, 0.1, part)) == 0
+
+
+def test_a_surface_that_no_kernel_is_written_for_is_named():
+    with pytest.raises(TypeError, match="sweep and solver take FlatWater or None, got WavyWater"):
+        kernel_water(WavyWater((0.0, 0.0, 0.0), (0.05,), ((1.0, 0.5),)), SKIPS)

@@ -93,7 +93,7 @@ def test_maps_have_what_lies_between_their_four_heights_and_look_through_what_li
     sure = rng.random(SHAPE) < 0.9
     points = np.stack([*rng.uniform(-0.3, 0.3, (2, 400)), rng.uniform(-2.2, -1.8, 400)])
     found = kernels(device).vote_on_points(stack, tuple(floats(device, each) for each in points), 2, GSD, sure)
-    local = stack.frame.origin + points.T @ stack.frame.from_local
+    local = stack.kernel_water.origin + points.T @ stack.kernel_water.from_local
     u, v = (stack.cameras[2].project(local, TILTED) - 0.5).T
     # What rounds to another pixel is not asked.
     clear = (np.abs(u - np.round(u)) > 1e-2) & (np.abs(v - np.round(v)) > 1e-2)

@@ -48,7 +48,9 @@ def points_of_legs(stack: ViewStack, view: int, heights: np.ndarray) -> np.ndarr
     rays = [host(device, row) for row in images.rays_of_rows(stack, view, 0, stack.height)]
     foot, air, wet = (np.stack(rays[i : i + 2], -1).reshape(*heights.shape, 2) for i in (0, 2, 4))
     flat = foot + heights[..., None] * np.where(heights[..., None] > 0.0, air, wet)
-    return np.concatenate([flat, heights[..., None]], axis=-1) @ stack.frame.from_local + stack.frame.origin
+    return (
+        np.concatenate([flat, heights[..., None]], axis=-1) @ stack.kernel_water.from_local + stack.kernel_water.origin
+    )
 
 
 def project_all(stack: ViewStack, view: int, other: int, heights: np.ndarray):

@@ -12,11 +12,13 @@ import numpy as np
 
 from fields.device import Device
 from fields.image_store import GreyImages
+from fields.skips import SKIPS
 from fields.solver.appearance import Brightness
 from fields.solver.tile import Tile
 from fields.sweep.kernels.arrays import constant, floats, host
 from fields.sweep.kernels.rays import point_at, project, refracted_rays
-from fields.sweep.kernels.stack import CameraTerms, PlaneFrame, camera_table
+from fields.sweep.kernels.stack import CameraTerms, camera_table
+from fields.sweep.kernels.water import kernel_water
 from fields.sweep.maps import HeightMap
 from refract import FlatWater, PinholeCamera
 
@@ -199,23 +201,23 @@ class Projector:
 
     def __init__(self, device: Device, cameras: Mapping[int, PinholeCamera], water: FlatWater | None):
         self.device, self._cameras = device, cameras
-        self._frame, self._n_water = PlaneFrame.of(water), None if water is None else water.n_water
+        self._water = kernel_water(water, SKIPS)
         self._beyond = CameraTerms.of(list(cameras.values()))
-        table = camera_table(list(cameras.values()), self._beyond, self._frame)
+        table = camera_table(list(cameras.values()), self._beyond, self._water)
         self._rows = {view: [constant(device, c) for c in row] for view, row in zip(cameras, table, strict=True)}
 
     def points(self, view: int, pixels: np.ndarray, heights: np.ndarray) -> tuple[Any, ...]:
         """Points of pixels (P, 2) [px] of a photograph at heights (P,) [m], for `seen`."""
         beyond = CameraTerms.of([self._cameras[view]])
-        camera = [constant(self.device, c) for c in camera_table([self._cameras[view]], beyond, self._frame)[0]]
+        camera = [constant(self.device, c) for c in camera_table([self._cameras[view]], beyond, self._water)[0]]
         u, v, z = (floats(self.device, each) for each in (pixels[:, 0], pixels[:, 1], heights))
-        points = point_at(refracted_rays(camera, u, v, self._n_water or 1.0, beyond), z)
+        points = point_at(refracted_rays(camera, u, v, self._water, beyond), z)
         _compute(self.device, *points)
         return points
 
     def seen(self, view: int, points: tuple[Any, ...]) -> tuple[np.ndarray, np.ndarray]:
         """Positions of points in a photograph, (2, P) float32 [px], and whether inside it, (P,) bool."""
-        u, v, inside = project(self._rows[view], points, self._n_water, self._beyond, _STEPS)
+        u, v, inside = project(self._rows[view], points, self._water, self._beyond, _STEPS)
         _compute(self.device, u, v, inside)
         return np.stack([host(self.device, u), host(self.device, v)]), host(self.device, inside)
 

@@ -18,6 +18,6 @@ def places_in_plan(block: Block, m: HeightMap) -> np.ndarray:
     rays = kernels(block.device).rays_of_rows(stack, 0, 0, stack.height)
     points = point_at(rays, floats(block.device, m.height))
     in_frame = np.stack([host(block.device, each) for each in points])
-    frame = stack.frame
-    xy = (frame.from_local.T[:2] @ in_frame).T + frame.origin[:2]
+    water = stack.kernel_water
+    xy = (water.from_local.T[:2] @ in_frame).T + water.origin[:2]
     return xy.astype(np.float32).reshape(*m.height.shape, 2)

@@ -67,15 +67,15 @@ def _refracted_rays(stack: ViewStack, view: int, index):
     v = Float(line) + 0.5
     cameras = [stack.cameras[view]]
     terms = CameraTerms.of(cameras)
-    camera = [constant(stack.device, c) for c in camera_table(cameras, terms, stack.frame)[0]]
-    rays = refracted_rays(camera, u, v, stack.n_water or 1.0, terms)
+    camera = [constant(stack.device, c) for c in camera_table(cameras, terms, stack.kernel_water)[0]]
+    rays = refracted_rays(camera, u, v, stack.kernel_water, terms)
     dr.eval(rays)
     return rays
 
 
 def project_rays(stack: ViewStack, rays, z, view: int):
     """Pixel position in `view` of each ray at its height `z`, and whether inside the image."""
-    return project(stack.camera_rows[view], point_at(rays, z), stack.n_water, stack.terms)
+    return project(stack.camera_rows[view], point_at(rays, z), stack.kernel_water, stack.terms)
 
 
 def _corner(stack: ViewStack, view: int, u, v, inside):
@@ -183,7 +183,7 @@ def _curve_supports(ray_points: _RayPoints, part: range, neighbours: list[int]) 
     found = []
     for group in _groups(neighbours):
         places = [
-            in_front_of_camera(project_with_depth(stack.camera_rows[view], points, stack.n_water, stack.terms))
+            in_front_of_camera(project_with_depth(stack.camera_rows[view], points, stack.kernel_water, stack.terms))
             for view in group
         ]
         dr.eval(places)
@@ -209,7 +209,7 @@ def _warp_point_by_point(
     points = ray_points.points(Float(number), pixel)
     for group, targets in zip(_groups(neighbours), _groups(values), strict=True):
         for view, target in zip(group, targets, strict=True):
-            seen = project(stack.camera_rows[view], points, stack.n_water, stack.terms)
+            seen = project(stack.camera_rows[view], points, stack.kernel_water, stack.terms)
             dr.scatter(target, sample_packed(stack, view, *seen), at)
         dr.eval(targets)
 
@@ -313,7 +313,7 @@ def vote_on_points(
     frame of the water plane.
     """
     Float, UInt, Byte = stack.device.module.Float, stack.device.module.UInt, stack.device.module.UInt8
-    u, v, inside = project(stack.camera_rows[view], points, stack.n_water, stack.terms)
+    u, v, inside = project(stack.camera_rows[view], points, stack.kernel_water, stack.terms)
     corner, _, _ = _corner(stack, view, u, v, inside)
     width, reach, known = (
         dr.opaque(UInt, stack.width_of(view)),

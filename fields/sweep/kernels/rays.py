@@ -1,13 +1,13 @@
 """Refracted rays of pixels, and projection of their points into other views: one source for Dr.Jit and torch.
 
-All of it is in the frame of the water plane (`stack.PlaneFrame`): its z is the height over the plane.
+All of it is in the frame of the water (`fields.sweep.kernels.water`): its z is the height over the plane.
 
     camera  numbers of one camera, a row of `stack.camera_table`: rotation (9), centre (3), fx, fy, cx, cy, width,
             height, and what it has beyond a pinhole
-    beyond  what cameras have beyond pinholes (`stack.CameraTerms`); the rest is not even traced
+    terms   what cameras have beyond pinholes (`stack.CameraTerms`); the rest is not even traced
     legs    six numbers of a path: x and y of its foot on the water plane, its slope in air (2) and in water (2), both
             in metres per metre of height; at height z the path is at ``foot + z * slope``
-    n_water index of water, 1 in a dry survey
+    water   `fields.sweep.kernels.water.KernelWater`: where rays bend, and where points are seen through the surface
 
 In another photograph a straight ray is a line, along which positions are the ratio of two linear functions of the
 height. A refracted ray deviates from that little, and smoothly on one side of the water. So three points that are
@@ -29,6 +29,7 @@ import numpy as np
 
 from fields.sweep.kernels.flat import flatten, nonzero, scalar
 from fields.sweep.kernels.stack import CameraTerms, ViewStack
+from fields.sweep.kernels.water import KernelWater
 from refract import kernels
 from refract.distortion import distort, undistort
 
@@ -41,15 +42,13 @@ LEAST_DESCENT = 1e-3
 ROLLING_STEPS = 2
 # Numbers of a ray without tides.
 _RAY_NUMBERS = 6
-# The water plane in its own frame.
-_POINT, _NORMAL = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 # Hypotheses, a pixel or less apart, that one curve is good for.
 MOST_HYPOTHESES = 32
 # Chords shorter than this [px] have no direction.
 _SHORTEST_PX = 0.03
 
 
-def refracted_rays(camera, u, v, n_water, terms: CameraTerms) -> list:
+def refracted_rays(camera, u, v, water: KernelWater, terms: CameraTerms) -> list:
     """Refracted rays through pixel positions (u, v) [px]; NaN where a ray does not descend to the plane.
 
     NaN also where the lens sees nothing; ``terms`` is that of this camera alone. In a dry survey both slopes agree.
@@ -64,7 +63,7 @@ def refracted_rays(camera, u, v, n_water, terms: CameraTerms) -> list:
     ray = tuple(c * per_length for c in unscaled)
     fall = xp.where(ray[2] < -LEAST_DESCENT, ray[2], math.nan)
     air = ray[0] / fall, ray[1] / fall
-    bent = kernels.bend(ray, _NORMAL, 1.0, n_water)
+    bent = water.bend(ray)
     foot = (c - centre[2] * slope for c, slope in zip(centre[:2], air, strict=True))
     # As an array: rays are gathered pixel by pixel.
     own = [terms.tide(camera) + 0.0 * u] if terms.tides else []
@@ -84,12 +83,12 @@ def _centre_at_row(camera, v, terms: CameraTerms) -> tuple:
     return kernels.along(centre, tuple(terms.motion(camera)), v - camera[15]) if terms.moves else centre
 
 
-def project(camera, point, n_water, terms: CameraTerms, steps: int = CROSSING_STEPS) -> tuple:
+def project(camera, point, water: KernelWater, terms: CameraTerms, steps: int = CROSSING_STEPS) -> tuple:
     """Pixel position (u, v) [px] of a point in a camera, and whether inside its image.
 
     Parameters as of `project_with_depth`.
     """
-    u, v, depth = project_with_depth(camera, point, n_water, terms, steps)
+    u, v, depth = project_with_depth(camera, point, water, terms, steps)
     return u, v, is_inside(camera, u, v) & (depth > 0.0)
 
 
@@ -98,24 +97,22 @@ def is_inside(camera, u, v):
     return (u >= 0.5) & (v >= 0.5) & (u < camera[16] - 0.5) & (v < camera[17] - 0.5)
 
 
-def project_with_depth(camera, point, n_water, terms: CameraTerms, steps: int = CROSSING_STEPS) -> tuple:
+def project_with_depth(camera, point, water: KernelWater, terms: CameraTerms, steps: int = CROSSING_STEPS) -> tuple:
     """Pixel position (u, v) [px] of a point in a camera, and its depth there [m].
 
-    ``n_water`` is None in a dry survey. ``steps`` are those of `refract.kernels.air_share`.
+    ``steps`` are those of `KernelWater.crossing`.
     """
     if terms.tides:
         point = (point[0], point[1], point[2] - terms.tide(camera))
-    u, v, depth = _project_from(camera, tuple(camera[9:12]), point, n_water, terms, steps)
+    u, v, depth = _project_from(camera, tuple(camera[9:12]), point, water, terms, steps)
     for _ in range(ROLLING_STEPS if terms.moves else 0):
-        u, v, depth = _project_from(camera, _centre_at_row(camera, v, terms), point, n_water, terms, steps)
+        u, v, depth = _project_from(camera, _centre_at_row(camera, v, terms), point, water, terms, steps)
     return u, v, depth
 
 
-def _project_from(camera, centre, point, n_water, terms: CameraTerms, steps: int) -> tuple:
+def _project_from(camera, centre, point, water: KernelWater, terms: CameraTerms, steps: int) -> tuple:
     """Pixel position (u, v) [px] of a point from a given camera centre, and its depth in cam [m]."""
-    if n_water is not None:
-        point, _ = kernels.crossing_of_point(centre, point, _POINT, _NORMAL, n_water, steps)
-    d = kernels.minus(point, centre)
+    d = kernels.minus(water.crossing(centre, point, steps), centre)
     x, y, depth = (kernels.dot(camera[first : first + 3], d) for first in (0, 3, 6))
     if not terms.lenses:
         return camera[12] * x / depth + camera[14], camera[13] * y / depth + camera[15], depth
@@ -134,7 +131,7 @@ def straddling_pixels(stack: ViewStack, start: Any, step: float, part: range) ->
 
     Where the heights are, on the host or on the device.
     """
-    if stack.n_water is None:
+    if not stack.kernel_water.is_refracting:
         return np.empty(0, dtype=np.int64)
     tide = max(abs(camera.tide) for camera in stack.cameras)
     low, high = part.start * step - tide, (part.stop - 1) * step + tide

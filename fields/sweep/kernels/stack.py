@@ -14,6 +14,7 @@ from fields.device import Device, memory_bytes
 from fields.image_store import LazyImages, LruCache, num_cached
 from fields.skips import SKIPS, Skips
 from fields.sweep.kernels.arrays import constant, floats, words
+from fields.sweep.kernels.water import KernelWater, kernel_water
 from refract import FlatWater, PinholeCamera
 from refract.distortion import KINDS, kinds_of, row_of
 from refract.distortion import ROW as LENS_ROW
@@ -77,51 +78,19 @@ class CameraTerms:
         return row[len(row) - LENS_ROW :]
 
 
-@dataclass(frozen=True)
-class PlaneFrame:
-    """Frame of the water plane, in which z is the height over it; local itself in a dry survey.
-
-    Attributes
-    ----------
-    origin : (3,) [m], local
-        The point of the plane nearest to the origin of local.
-    from_local : (3, 3)
-        Rotation; ``p = from_local @ (p_in_local - origin)``.
-    """
-
-    origin: np.ndarray
-    from_local: np.ndarray
-
-    @staticmethod
-    def of(water: FlatWater | None) -> PlaneFrame:
-        """Frame of a water plane."""
-        if water is None:
-            return PlaneFrame(np.zeros(3), np.eye(3))
-        up = np.asarray(water.up, dtype=np.float64)
-        east = np.array([1.0, 0.0, 0.0]) - up[0] * up
-        east /= np.linalg.norm(east)
-        return PlaneFrame(up * (up @ np.asarray(water.point)), np.stack([east, np.cross(up, east), up]))
-
-
-def refractive_index(water: FlatWater | None, skips: Skips) -> float | None:
-    """Refractive index of the water; None where rays are straight."""
-    index = 1.0 if water is None else water.n_water
-    return None if index == 1.0 and skips.air else index
-
-
-def camera_table(cameras: list[PinholeCamera], terms: CameraTerms, frame: PlaneFrame) -> np.ndarray:
+def camera_table(cameras: list[PinholeCamera], terms: CameraTerms, water: KernelWater) -> np.ndarray:
     """Parameters of each camera: rotation (9), centre (3), fx, fy, cx, cy, width, height, and `CameraTerms`.
 
-    (cameras, 18 and more) float64, in a frame. The height of a centre is over the camera's own water, where the water
-    moves: the frame is lower by the tide.
+    (cameras, 18 and more) float64, in the frame of the water. The height of a centre is over the camera's own water,
+    where the water moves: the frame is lower by the tide.
     """
     rows = []
     for c in cameras:
-        rotation, centre = c.cam_from_local @ frame.from_local.T, frame.from_local @ (c.centre - frame.origin)
-        tide = c.tide * frame.from_local[2, 2]
+        rotation, centre = c.cam_from_local @ water.from_local.T, water.from_local @ (c.centre - water.origin)
+        tide = c.tide * water.from_local[2, 2]
         centre[2] -= tide
         inner = (c.fx, c.fy, c.cx, c.cy, c.width, c.height)
-        motion = (np.zeros(3) if c.motion is None else frame.from_local @ c.motion) if terms.moves else ()
+        motion = (np.zeros(3) if c.motion is None else water.from_local @ c.motion) if terms.moves else ()
         own = (tide,) if terms.tides else ()
         lens = row_of(c.distortion) if terms.lenses else ()
         rows.append(np.concatenate([rotation.ravel(), centre, inner, motion, own, lens]))
@@ -202,10 +171,10 @@ class ViewStack:
         """Width of the image of a view [px]."""
         return self.cameras[view].width
 
-    @property
-    def n_water(self) -> float | None:
-        """Index of the water; None where rays are straight."""
-        return refractive_index(self.water, self.skips)
+    @cached_property
+    def kernel_water(self) -> KernelWater:
+        """The water as the kernels take it."""
+        return kernel_water(self.water, self.skips)
 
     @cached_property
     def terms(self) -> CameraTerms:
@@ -213,14 +182,9 @@ class ViewStack:
         return CameraTerms.of(self.cameras, self.skips)
 
     @cached_property
-    def frame(self) -> PlaneFrame:
-        """The frame of the water plane."""
-        return PlaneFrame.of(self.water)
-
-    @cached_property
     def camera_rows(self) -> list[list]:
         """The row of `camera_table` of each camera, as constants of the device."""
-        table = camera_table(self.cameras, self.terms, self.frame)
+        table = camera_table(self.cameras, self.terms, self.kernel_water)
         return [[constant(self.device, c) for c in row] for row in table]
 
     @cached_property

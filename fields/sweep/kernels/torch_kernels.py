@@ -51,13 +51,13 @@ def _refracted_rays(stack: ViewStack, view: int, index: Tensor) -> list[Tensor]:
     u, v = (index - line * stack.width_of(view)).float() + 0.5, line.float() + 0.5
     cameras = [stack.cameras[view]]
     terms = CameraTerms.of(cameras)
-    camera = camera_table(cameras, terms, stack.frame)[0].tolist()
-    return refracted_rays(camera, u, v, stack.n_water or 1.0, terms)
+    camera = camera_table(cameras, terms, stack.kernel_water)[0].tolist()
+    return refracted_rays(camera, u, v, stack.kernel_water, terms)
 
 
 def project_rays(stack: ViewStack, rays, z: Tensor, view: int):
     """Pixel position in `view`, and whether inside it, of each path at its height of `z`."""
-    return project(stack.camera_rows[view], point_at(rays, z), stack.n_water, stack.terms)
+    return project(stack.camera_rows[view], point_at(rays, z), stack.kernel_water, stack.terms)
 
 
 def _corner(stack: ViewStack, view: int, u: Tensor, v: Tensor, inside: Tensor):
@@ -103,7 +103,7 @@ def warp(values: list[Tensor], stack: ViewStack, rays, hypotheses: Hypotheses, n
         curves = [
             fit_curve(
                 [
-                    in_front_of_camera(project_with_depth(stack.camera_rows[view], p, stack.n_water, stack.terms))
+                    in_front_of_camera(project_with_depth(stack.camera_rows[view], p, stack.kernel_water, stack.terms))
                     for p in three
                 ]
             )
@@ -120,7 +120,7 @@ def warp(values: list[Tensor], stack: ViewStack, rays, hypotheses: Hypotheses, n
             some = [leg[straddling] for leg in rays]
             points = point_at(some, begin[straddling] + step * numbers[part.start : part.stop])
             for target, view in zip(arrays, neighbours, strict=True):
-                seen = project(stack.camera_rows[view], points, stack.n_water, stack.terms)
+                seen = project(stack.camera_rows[view], points, stack.kernel_water, stack.terms)
                 target[part.start : part.stop, straddling] = sample_packed(stack, view, *seen)
 
 
@@ -189,7 +189,7 @@ def vote_on_points(
     stack: ViewStack, points: tuple, view: int, close_m: float, sure: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Votes of height map `view` on points (P); see the twin."""
-    u, v, inside = project(stack.camera_rows[view], points, stack.n_water, stack.terms)
+    u, v, inside = project(stack.camera_rows[view], points, stack.kernel_water, stack.terms)
     corner, _, _ = _corner(stack, view, u, v, inside)
     known = torch.from_numpy(sure.ravel()).to(corner.device)
     four = [corner + offset for offset in (0, 1, stack.width_of(view), stack.width_of(view) + 1)]

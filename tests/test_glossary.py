@@ -39,3 +39,9 @@ def test_a_name_of_the_glossary_is_in_the_code(name):
 
 def test_the_glossary_is_read():
     assert len(NAMES) > 30
+
+
+def test_files_that_contributing_names_exist():
+    text = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
+    named = set(re.findall(r"`((?:refract|geo|evaluation|fields|survey|tests)/[\w/]+\.py)`", text))
+    assert sorted(name for name in named if not (ROOT / name).is_file()) == []

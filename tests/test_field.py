@@ -19,10 +19,13 @@ from fields.volume.surface import Rule
 from geo import read_cloud
 from survey.commands.field import Model
 from survey.commands.field import Rule as OfferedRule
-from survey.errors import OutputError, SurveyError
+from survey.errors import ConfigError, OutputError, SurveyError
 from survey.export.loaded import LoadedRun
+from survey.folder.config import parse_config
+from survey.folder.config_field import FieldConfig, LossesConfig
 from survey.run.cloud import write_bed_ply
-from survey.volume.field import VolumeOptions, train_field
+from survey.volume.field import MONOCULAR, VolumeOptions, train_field
+from survey.volume.settings import field_config, volume_options
 
 # A signed distance begins with a level surface in the middle of the box.
 SHORT = VolumeOptions(model="neus", steps=4, rays=32, samples=8, cells=32, held_every=4, image_scale=0.5)
@@ -146,3 +149,65 @@ def test_the_command_prints_what_was_found(folder, run):
     assert found.exit_code == 0, found.stderr
     assert "neus" in found.stdout
     assert "over the run's bed" in found.stdout
+
+
+def test_the_survey_says_what_no_option_does(folder, run):
+    toml = folder / "s" / "survey.toml"
+    before = toml.read_text()
+    toml.write_text(before + '\n[field]\nmodel = "neus"\nsteps = 3\ncells = 16\n[field.losses]\ndistortion = 0.01\n')
+    try:
+        options = volume_options(FieldConfig(steps=2, rays=8).over(field_config(run, None)), seed=5)
+    finally:
+        toml.write_text(before)
+    assert (options.model, options.steps, options.rays, options.cells) == ("neus", 2, 8, 16)
+    assert (options.samples, options.seed) == (VolumeOptions().samples, 5)
+    assert options.of_losses().distortion == 0.01
+    assert field_config(run, str(folder)) == FieldConfig()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[field]\nstep = 3", r"unknown key step in \[field\]; the nearest known one is \[field\] steps"),
+        ("[field.losses]\nncc = -1.0", r"field\.losses\.ncc is -1, expected 0 or more"),
+        ("[field.losses]\npatch_px = 1", r"field\.losses\.patch_px is 1, expected 3 pixels or more"),
+    ],
+)
+def test_settings_of_fields_without_sense_are_refused(text, said):
+    with pytest.raises(ConfigError, match=said):
+        parse_config(text)
+
+
+def test_monocular_depth_and_normals_are_learned_from(folder, run):
+    priors = folder / "mono"
+    priors.mkdir()
+    with Image.open(folder / "s" / "images" / "0000.png") as picture:
+        width, height = picture.size
+    np.save(priors / "0000_depth.npy", np.linspace(1.0, 2.0, width * height).reshape(height, width))
+    np.save(priors / "0001_normal.npy", np.tile(np.float32([0.0, 0.0, -1.0]), (height // 2, width // 2, 1)))
+    options = replace(SHORT, monocular=priors)
+    assert (options.of_losses().priors.depth, options.of_losses().priors.normal) == MONOCULAR
+    report = train_field(run, folder / "with mono", options)
+    assert report["training"]["steps"] == 4
+    with pytest.raises(OutputError, match=r"monocular: .*mono there, None asked for"):
+        train_field(run, folder / "with mono", SHORT)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "said"),
+    [
+        ("0000_depth.npy", np.zeros((4, 4, 3)), r"holds an array \(4, 4, 3\), expected numbers \(height, width\)"),
+        ("0000_depth.npy", np.zeros((10, 100)), "is 100 x 10 px, and its photograph is"),
+        ("0000_normal.npy", np.tile([0.0, 0.0, 1.0], (48, 64, 1)), "100 % of its normals point away from the camera"),
+        ("other_depth.npy", np.zeros((48, 64)), "has no depth or normals of any of"),
+    ],
+)
+def test_priors_that_cannot_be_meant_are_refused(folder, run, tmp_path, name, values, said):
+    np.save(tmp_path / name, values)
+    with pytest.raises(SurveyError, match=said):
+        train_field(run, tmp_path / "out", replace(SHORT, monocular=tmp_path))
+
+
+def test_losses_on_priors_need_priors():
+    with pytest.raises(SurveyError, match="name their folder with --monocular DIR"):
+        VolumeOptions(losses=LossesConfig(depth=0.1))

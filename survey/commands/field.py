@@ -52,21 +52,34 @@ def run(
         Path, typer.Option("-o", "--output", metavar="DIR", help="A new folder, or one with this training begun.")
     ],
     model: Annotated[
-        Model, typer.Option(metavar="NAME", help=f"{', '.join(Model)}.", rich_help_panel=_TRAINING)
-    ] = Model.mdw,
-    steps: Annotated[int, typer.Option(metavar="N", help="Steps.", rich_help_panel=_TRAINING)] = 2000,
-    rays: Annotated[int, typer.Option(metavar="N", help="Rays of a step.", rich_help_panel=_TRAINING)] = 4096,
-    samples: Annotated[int, typer.Option(metavar="N", help="Samples of a ray.", rich_help_panel=_TRAINING)] = 48,
+        Model | None, typer.Option(metavar="NAME", help=f"{', '.join(Model)}; default: mdw.", rich_help_panel=_TRAINING)
+    ] = None,
+    steps: Annotated[
+        int | None, typer.Option(metavar="N", help="Steps; default: 2000.", rich_help_panel=_TRAINING)
+    ] = None,
+    rays: Annotated[
+        int | None, typer.Option(metavar="N", help="Rays of a step; default: 4096.", rich_help_panel=_TRAINING)
+    ] = None,
+    samples: Annotated[
+        int | None, typer.Option(metavar="N", help="Samples of a ray; default: 48.", rich_help_panel=_TRAINING)
+    ] = None,
     cells: Annotated[
-        int, typer.Option(metavar="N", help="Cells along the longest edge, finest scale.", rich_help_panel=_TRAINING)
-    ] = 256,
+        int | None,
+        typer.Option(
+            metavar="N", help="Cells along the longest edge, finest scale; default: 256.", rich_help_panel=_TRAINING
+        ),
+    ] = None,
     appearance: Annotated[
-        bool, typer.Option("--appearance", help="Learn the light of each photograph.", rich_help_panel=_TRAINING)
-    ] = False,
+        bool | None, typer.Option("--appearance", help="Learn the light of each photograph.", rich_help_panel=_TRAINING)
+    ] = None,
     from_scratch: Annotated[
-        bool,
+        bool | None,
         typer.Option("--from-scratch", help="Begin without the bed of the run.", rich_help_panel=_TRAINING),
-    ] = False,
+    ] = None,
+    monocular: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Monocular depth and normals to learn from.", rich_help_panel=_TRAINING),
+    ] = None,
     straight: Annotated[
         bool, typer.Option("--straight", help="Do not bend rays, as others do.", rich_help_panel=_TRAINING)
     ] = False,
@@ -109,24 +122,31 @@ def run(
 ) -> None:
     """Train a published radiance field on a run: surface, views and figures.
 
-    Rays are bent at the water before the field is sampled. The same command again goes on where it was stopped.
+    Rays are bent at the water before the field is sampled. The same command again goes on where it was stopped. What no
+    option says is what [field] in survey.toml says, then the default.
     """
     with command(verbose, quiet, output) as results:
         from fields.volume.surface import Rule as SurfaceRule
-        from survey.volume.field import VolumeOptions, rows_of, train_field
+        from survey.folder.config_field import FieldConfig
+        from survey.volume.field import rows_of, train_field
+        from survey.volume.settings import field_config, volume_options
 
-        options = VolumeOptions(
-            model=model.value,
+        asked = FieldConfig(
+            model=None if model is None else model.value,
             steps=steps,
             rays=rays,
             samples=samples,
             cells=cells,
             image_scale=image_scale,
-            bounds=bounds,
             held_every=held_every,
-            from_scratch=from_scratch,
-            straight=straight,
             appearance=appearance,
+            from_scratch=from_scratch,
+            monocular=None if monocular is None else str(monocular.absolute()),
+        )
+        options = volume_options(
+            asked.over(field_config(run, survey)),
+            bounds=bounds,
+            straight=straight,
             rule=SurfaceRule(extract.value),
             density=density,
             reference=reference,

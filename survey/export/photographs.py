@@ -110,9 +110,18 @@ def flight_of(run: LoadedRun, folder: str | None) -> Flight:
     return replace(flight, views=views)
 
 
+def survey_folder(run: LoadedRun, folder: str | None) -> Path:
+    """The folder of a run's survey: the one that is named, or where it lay when the run was made."""
+    return _folder_of(run.flight.views[0], run.config.images.dir) if folder is None else Path(folder)
+
+
+def _folder_of(view: View, images: str) -> Path:
+    return view.path.parents[len(Path(images, view.name).parts) - 1]
+
+
 def _elsewhere(view: View, folder: Path, images: str) -> View:
     """A view whose survey folder lies elsewhere now."""
-    before = view.path.parents[len(Path(images, view.name).parts) - 1]
+    before = _folder_of(view, images)
     mask = view.mask_path
     if mask is not None and mask.is_relative_to(before):
         mask = folder / mask.relative_to(before)

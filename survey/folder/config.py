@@ -11,6 +11,7 @@ import tomli_w
 from survey.errors import ConfigError
 from survey.files.toml_table import key, parse_toml, read_toml, require_one_of, require_positive
 from survey.folder.config_control import ControlConfig
+from survey.folder.config_field import FieldConfig
 from survey.folder.config_process import ProcessConfig
 from survey.folder.config_report import ReportConfig
 from survey.folder.config_std import require_std
@@ -176,6 +177,8 @@ class SurveyConfig:
     local: LocalConfig = field(default_factory=LocalConfig)
     process: ProcessConfig = field(default_factory=ProcessConfig)
     report: ReportConfig = field(default_factory=ReportConfig)
+    # The last: it hides the function of its name.
+    field: FieldConfig = dataclasses.field(default_factory=FieldConfig)
 
     def __post_init__(self):
         if self.dry and self.water is not None:

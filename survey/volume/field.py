@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +14,12 @@ from fields.device import choose_device
 from fields.views.image_based import heights_over, normals_of
 from fields.views.novel_view import NovelView
 from fields.volume.appearance import appearance_vectors
+from fields.volume.losses import Losses, PatchWeights, PriorWeights
 from fields.volume.models import APPEARANCE, MODELS, build_model, proposal_for
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
 from fields.volume.surface import LEAST_OPACITY, Rule, Surface, surface_of
-from fields.volume.train import Training, VolumeFigures, train_volume
+from fields.volume.train import Checkpoints, Training, VolumeFigures, train_volume
 from fields.volume.view import render_volume
 from fields.water_column import WaterColumn
 from geo import read_reference
@@ -33,11 +34,14 @@ from survey.export.loaded import LoadedRun
 from survey.export.photographs import flight_of
 from survey.export.render import Target, targets_of, write_views
 from survey.files.json_values import write_json
+from survey.folder.config_field import LossesConfig
 from survey.progress import current, shares
 from survey.run.flight import Flight
 from survey.volume.scene import Scene, VolumeFolder, load_scene
 
 CLOUD, REPORT, VIEWS, HELD = "cloud.las", "report.json", "views", "held out"
+# Weights of depth and of normals (MonoSDF, Yu et al. 2022).
+MONOCULAR = (0.1, 0.05)
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,10 @@ class VolumeOptions:
         Folder of the survey, if it was moved since the run.
     device : "auto", "cpu", "cuda" or "torch"
     seed : int
+    monocular : Path, optional
+        Folder of monocular depth and normals, see `survey.volume.monocular`.
+    losses : LossesConfig
+        Where none of depth and normal has a weight, those of MonoSDF count with ``monocular``.
     """
 
     model: str = "mdw"
@@ -96,6 +104,8 @@ class VolumeOptions:
     survey: str | None = None
     device: str = "auto"
     seed: int = 0
+    monocular: Path | None = None
+    losses: LossesConfig = field(default_factory=LossesConfig)
 
     def __post_init__(self):
         if self.model not in MODELS:
@@ -108,15 +118,40 @@ class VolumeOptions:
             raise SurveyError(f"the image scale is {self.image_scale:g}, expected more than 0 and at most 1")
         if self.density is not None and not 0.0 < self.density < np.inf:
             raise SurveyError(f"the density is {self.density:g}, expected more than 0, in 1/m")
+        if self.monocular is None and (self.losses.depth or self.losses.normal):
+            raise SurveyError(
+                "losses on monocular depth or normals have a weight, but there are none; name their folder with "
+                "--monocular DIR"
+            )
 
     def of_training(self, run: LoadedRun) -> dict[str, Any]:
         """What the trained field depends on."""
         made = ("rule", "density", "reference", "cameras", "dry", "survey", "device")
-        return {"result": run.stages} | {k: v for k, v in asdict(self).items() if k not in made}
+        settings = {k: v for k, v in asdict(self).items() if k not in made}
+        return (
+            {"result": run.stages} | settings | {"monocular": None if self.monocular is None else str(self.monocular)}
+        )
+
+    def of_losses(self) -> Losses:
+        """The weights of the losses."""
+        of = self.losses
+        depth, normal = of.depth, of.normal
+        if self.monocular is not None and not (depth or normal):
+            depth, normal = MONOCULAR
+        return Losses(
+            transparency=of.transparency,
+            distortion=of.distortion,
+            orientation=of.orientation,
+            density=of.density,
+            gaussian_density=of.gaussian_density,
+            virtual_views=of.virtual_views,
+            patches=PatchWeights(of.patch_px, of.ncc, of.ssim, of.smooth_normals),
+            priors=PriorWeights(depth=depth, normal=normal),
+        )
 
 
 @dataclass(frozen=True)
-class _Trained:
+class Trained:
     """A field with what it was trained on."""
 
     renderer: VolumeRenderer
@@ -174,9 +209,10 @@ def train_field(run: str | Path, output: str | Path, options: VolumeOptions | No
                 image_scale=options.image_scale,
                 held_every=options.held_every,
                 straight=options.straight,
+                monocular=options.monocular,
                 advance=stage.advance,
             )
-        trained = _train(folder, scene, flight, options)
+        trained = train(scene, flight, options, folder)
         surface = _surface(trained)
         _write_cloud(output / CLOUD, surface, loaded, flight)
         report = {
@@ -202,7 +238,8 @@ def _targets(run: LoadedRun, flight: Flight, output: Path, options: VolumeOption
     return [] if options.cameras is None else targets_of(run.folder, flight.frame, options.cameras, output / VIEWS)
 
 
-def _train(folder: VolumeFolder, scene: Scene, flight: Flight, options: VolumeOptions) -> _Trained:
+def train(scene: Scene, flight: Flight, options: VolumeOptions, checkpoints: Checkpoints | None = None) -> Trained:
+    """Train the field of the options on a scene of a flight, or go on from a checkpoint."""
     device, appearance = choose_device(options.device), APPEARANCE if options.appearance else 0
     model = build_model(
         options.model, scene.box, options.cells, device, appearance=appearance, seed=options.seed, steps=options.steps
@@ -215,7 +252,9 @@ def _train(folder: VolumeFolder, scene: Scene, flight: Flight, options: VolumeOp
         proposal=proposal_for(options.model, scene.box, options.cells),
     )
     cells = min(Training.cells, options.cells)
-    training = Training(steps=options.steps, rays=options.rays, samples=options.samples, cells=cells)
+    training = Training(
+        steps=options.steps, rays=options.rays, samples=options.samples, cells=cells, losses=options.of_losses()
+    )
     start = None if options.from_scratch else scene.cells_about_bed(training.cells, training.margin)
     with current().stage("Training", 1.0) as stage:
         proxy, figures = train_volume(
@@ -225,12 +264,12 @@ def _train(folder: VolumeFolder, scene: Scene, flight: Flight, options: VolumeOp
             shares(stage),
             cells=start,
             seed=options.seed,
-            checkpoints=folder,
+            checkpoints=checkpoints,
         )
-    return _Trained(renderer, proxy, figures, scene, flight, options)
+    return Trained(renderer, proxy, figures, scene, flight, options)
 
 
-def _surface(trained: _Trained) -> Surface:
+def _surface(trained: Trained) -> Surface:
     """The surface in cells of a pixel, or of half a cell of the field where that is more."""
     of, scene = trained.options, trained.scene
     cell = scene.box.edge / of.cells
@@ -269,7 +308,7 @@ def _over_bed(surface: Surface, scene: Scene) -> dict[str, Any]:
     return asdict(distance_statistics(surface.xyz[:, 2] - scene.bed[nearest, 2]))
 
 
-def _held_out(trained: _Trained, folder: Path) -> dict[str, float]:
+def _held_out(trained: Trained, folder: Path) -> dict[str, float]:
     """PSNR [dB] of the photographs that were left out, over the pixels that show the box; their pictures go there."""
     held, found = trained.scene.held, {}
     targets = [
@@ -288,7 +327,7 @@ def _held_out(trained: _Trained, folder: Path) -> dict[str, float]:
     return found
 
 
-def _view(trained: _Trained, camera: PinholeCamera, *, dry: bool = False) -> NovelView:
+def _view(trained: Trained, camera: PinholeCamera, *, dry: bool = False) -> NovelView:
     seen = render_volume(
         trained.renderer,
         camera,

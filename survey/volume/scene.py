@@ -28,6 +28,7 @@ from survey.export.photographs import Photograph, at_scale
 from survey.files.json_values import read_json_object
 from survey.files.outputs import ReadFiles, require_folder
 from survey.run.flight import Flight
+from survey.volume.monocular import monocular_priors
 
 # A box reaches over and under the inner part of the heights by a share of their range and some cells.
 _INNER_PERCENT, _REACH, _REACH_CELLS = 0.1, 0.1, 3.0
@@ -88,6 +89,7 @@ def load_scene(
     image_scale: float | None,
     held_every: int | None,
     straight: bool,
+    monocular: Path | None,
     advance: Callable[[], object],
 ) -> Scene:
     """The photographs of a run about its bed.
@@ -107,6 +109,8 @@ def load_scene(
         Every so many photographs one is left out.
     straight : bool
         Rays are not bent.
+    monocular : Path, optional
+        Folder of priors of those that are learned from.
     advance : callable
         Called after each photograph.
 
@@ -133,7 +137,10 @@ def load_scene(
             f"at least {LEAST_VIEWS} to learn from; give larger --bounds, or a smaller --cells"
         )
     inside = ((bed > box.low) & (bed < box.high)).all(axis=1)
-    return Scene(box, bed[inside], _named(train, water), _named(held, water), gsd_m / scale)
+    learned = _named(train, water)
+    if monocular is not None:
+        learned.photographs.priors = monocular_priors(monocular, learned.names, learned.photographs.cameras)
+    return Scene(box, bed[inside], learned, _named(held, water), gsd_m / scale)
 
 
 @dataclass(frozen=True)

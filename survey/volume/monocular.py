@@ -1,0 +1,108 @@
+"""Monocular depth and normals of photographs, from the files of networks that predict them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from fields.volume.priors import PriorImages
+from refract import PinholeCamera
+from survey.errors import SurveyError
+
+# After a photograph's name without its suffix, with what each holds.
+DEPTH, DISPARITY, NORMAL = "_depth", "_disparity", "_normal"
+SUFFIXES = (".npy", ".tif", ".tiff", ".png")
+# By which the shapes of a prior and of its photograph may differ: networks take multiples of 14 or 32 pixels.
+_MOST_STRETCH = 0.05
+
+
+def monocular_priors(folder: Path, names: list[str], cameras: list[PinholeCamera]) -> list[PriorImages]:
+    """Priors of photographs, empty where a photograph has no file.
+
+    Of the photograph ``a/0001.jpg`` they are ``a/0001_depth``, or ``a/0001_disparity`` for its inverse, and
+    ``a/0001_normal``, each ``.npy``, ``.tif`` or ``.png``. Depth is true up to a scale and a shift, and unknown where
+    it is not finite, or 0 in a PNG. Normals (height, width, 3) have the axes of the camera, x right, y down, z ahead,
+    and point at the camera; of a PNG they are ``2 value / 255 - 1``.
+
+    Raises
+    ------
+    SurveyError
+        If the folder has nothing for any photograph, or a file is none of these.
+    """
+    if not folder.is_dir():
+        raise SurveyError(f"{folder} is no folder; expected one with monocular depth or normals of the photographs")
+    found = [_priors(folder, name, camera) for name, camera in zip(names, cameras, strict=True)]
+    if all(each.depth is None and each.normal is None for each in found):
+        stem = Path(names[0]).with_suffix("")
+        raise SurveyError(
+            f"{folder} has no depth or normals of any of {len(names)} photographs; expected files such as "
+            f"{stem}{DEPTH}.npy, {stem}{DISPARITY}.png or {stem}{NORMAL}.npy"
+        )
+    return found
+
+
+def _priors(folder: Path, name: str, camera: PinholeCamera) -> PriorImages:
+    depth, disparity, normal = (_file(folder, name, kind) for kind in (DEPTH, DISPARITY, NORMAL))
+    if depth is not None and disparity is not None:
+        raise SurveyError(f"{depth} and {disparity} are both there; keep one of depth and its inverse")
+    given = depth or disparity
+    return PriorImages(
+        depth=None if given is None else _resized(_depth(given), given, camera),
+        is_inverse=disparity is not None,
+        normal=None if normal is None else _normals(normal, camera),
+    )
+
+
+def _file(folder: Path, name: str, kind: str) -> Path | None:
+    stem = folder / Path(name).with_suffix("")
+    return next((path for suffix in SUFFIXES if (path := stem.with_name(stem.name + kind + suffix)).is_file()), None)
+
+
+def _read(path: Path, dimensions: int) -> np.ndarray:
+    try:
+        values = np.load(path, allow_pickle=False) if path.suffix == ".npy" else cv2.imread(str(path), -1)
+    except (OSError, ValueError, EOFError) as error:
+        raise SurveyError(f"{path} cannot be read ({error})") from error
+    if values is None or np.ndim(values) != dimensions or not np.issubdtype(np.asarray(values).dtype, np.number):
+        shape = "nothing" if values is None else f"an array {np.shape(values)}"
+        wanted = "(height, width)" if dimensions == 2 else "(height, width, 3)"
+        raise SurveyError(f"{path} holds {shape}, expected numbers {wanted}")
+    return values
+
+
+def _depth(path: Path) -> np.ndarray:
+    values = _read(path, 2)
+    known = np.isfinite(values) if np.issubdtype(values.dtype, np.floating) else values > 0
+    return np.where(known, values, np.nan).astype(np.float32)
+
+
+def _normals(path: Path, camera: PinholeCamera) -> np.ndarray:
+    """Unit normals (height, width, 3), local, of the camera's size."""
+    values = _read(path, 3)
+    if values.shape[2] != 3:
+        raise SurveyError(f"{path} holds {values.shape[2]} channels, expected x, y and z")
+    if path.suffix == ".npy":
+        given = values.astype(np.float32)
+    else:  # OpenCV has blue first
+        given = np.float32(2.0 / np.iinfo(values.dtype).max) * values[..., ::-1] - np.float32(1.0)
+    length = np.linalg.norm(given, axis=-1, keepdims=True)
+    normals = np.asarray(given / np.where(length > 0.5, length, np.nan), dtype=np.float32)
+    away = np.nanmean(normals[..., 2] > 0.0)
+    if away > 0.5:
+        raise SurveyError(
+            f"{path}: {100 * away:.0f} % of its normals point away from the camera; expected axes x right, y down, "
+            "z ahead, in which z of a normal that points at the camera is negative"
+        )
+    return _resized(normals, path, camera) @ camera.cam_from_local.astype(np.float32)
+
+
+def _resized(values: np.ndarray, path: Path, camera: PinholeCamera) -> np.ndarray:
+    height, width = values.shape[:2]
+    if abs(width * camera.height / (height * camera.width) - 1.0) > _MOST_STRETCH:
+        raise SurveyError(
+            f"{path} is {width} x {height} px, and its photograph is {camera.width} x {camera.height}: expected the "
+            "same shape"
+        )
+    return cv2.resize(values, (camera.width, camera.height), interpolation=cv2.INTER_NEAREST)

@@ -90,7 +90,7 @@ def heads(positions: np.ndarray) -> dict[str, Exif]:
 
 @pytest.mark.parametrize(
     ("axis", "value", "words"),
-    [(2, 0.0, "far from the others by its GPS height"), (1, 9000.0, "far from all others by its GPS position")],
+    [(2, 0.0, "far from the others by its GPS height"), (1, 2000.0, "far from all others by its GPS position")],
 )
 def test_check_names_the_photograph_that_is_far_from_the_others(rng, axis, value, words):
     positions = strips(rng, 20, 0.1)
@@ -99,6 +99,17 @@ def test_check_names_the_photograph_that_is_far_from_the_others(rng, axis, value
     (doubt,) = position_doubts(heads(positions))
     assert words in doubt
     assert "0007.jpg" in doubt
+
+
+def test_photographs_of_another_place_are_named_however_many_they_are(rng):
+    positions = strips(rng, 20, 0.1)
+    positions[13:] += [0.0, 30_000.0, 0.0]
+    (doubt,) = position_doubts(heads(positions))
+    assert doubt.startswith("7 images kilometres away from the others by GPS")
+    assert "0013.jpg" in doubt
+    # Parts of one survey that lie two kilometres apart.
+    positions[13:] -= [0.0, 28_000.0, 0.0]
+    assert position_doubts(heads(positions)) == []
 
 
 def test_two_flying_heights_are_no_doubt(rng):

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from geo.crs import EARTH_RADIUS_M
@@ -15,6 +17,8 @@ from survey.photos.exif import Exif
 # share of positions is another part of the flight.
 _FAR, _FAR_HEIGHT_M, _FAR_PLAN_M, _MOST_FAR = 10.0, 10.0, 50.0, 0.1
 _FEWEST = 4
+# Between parts of one survey [m]: no flight leaves so much out.
+_ELSEWHERE_M = 5000.0
 
 
 def head_doubts(heads: Mapping[str, Exif]) -> list[str]:
@@ -50,9 +54,11 @@ def position_doubts(heads: Mapping[str, Exif]) -> list[str]:
     names, places = np.array(list(known)), np.array(list(known.values()))
     plan = EARTH_RADIUS_M * np.radians(places[:, :2])
     plan[:, 1] *= np.cos(np.radians(np.median(places[:, 0])))
+    main = _largest_group(plan)
+    warnings = named(names[~main].tolist(), "image", "kilometres away from the others by GPS: of another survey?")
     apart = KDTree(plan).query(plan, k=2)[0][:, 1]
-    warnings = named(
-        _few(names, apart > max(_FAR * float(np.median(apart)), _FAR_PLAN_M)),
+    warnings += named(
+        _few(names, main & (apart > max(_FAR * float(np.median(apart)), _FAR_PLAN_M))),
         "image",
         "far from all others by its GPS position",
     )
@@ -69,6 +75,15 @@ def position_doubts(heads: Mapping[str, Exif]) -> list[str]:
         "image",
         f"far from the others by its GPS height, which are at {low:.1f} to {high:.1f} m",
     )
+
+
+def _largest_group(plan: np.ndarray) -> np.ndarray:
+    """Which places (N, 2) [m] are of the largest group: (N,) bool. Groups are at least `_ELSEWHERE_M` apart."""
+    squares, square = np.unique(np.floor(plan / _ELSEWHERE_M), axis=0, return_inverse=True)
+    beside = np.array(list(KDTree(squares).query_pairs(1.0, p=np.inf))).reshape(-1, 2)
+    linked = coo_array((np.ones(len(beside)), tuple(beside.T)), shape=(len(squares), len(squares)))
+    group = connected_components(linked, directed=False)[1][square.ravel()]
+    return group == np.bincount(group).argmax()
 
 
 def _few(names: np.ndarray, far: np.ndarray) -> list[str]:

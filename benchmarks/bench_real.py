@@ -6,6 +6,7 @@ Measures, each into real.json of the work folder, which keeps those that are not
 
 greenland    `process` on real/greenland_lake as it is, and with straight rays (index 1); depth against the lidar
 targets      real/swindale adjusted by its matches, with each of its targets left out in turn
+shutter      real/swindale asked for a rolling shutter
 streams      real/pyBathySfM and real/palau_coral_heights by bench_real_points.py
 
 --publish writes benchmarks/results/real.json and the tables of docs/real.md. BATHYNERF_DATA names the folder of the
@@ -24,8 +25,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from published import publish
-from real_measures import left_out, profile, streams
-from real_tables import profile_rows, stream_rows, target_rows
+from real_measures import left_out, profile, shutter, streams
+from real_tables import profile_rows, shutter_rows, stream_rows, target_rows
 
 from survey.benchmark.running import run_bathynerf
 
@@ -58,9 +59,10 @@ def greenland(folder: Path) -> dict:
 MEASURES: dict[str, Callable[[Path], dict]] = {
     "greenland": greenland,
     "targets": lambda folder: left_out(DATA / "swindale", folder),
+    "shutter": lambda folder: shutter(DATA / "swindale", folder, folder.parent / "targets" / "sfm"),
     "streams": lambda folder: streams(DATA),
 }
-TABLES = {"greenland": profile_rows, "targets": target_rows, "streams": stream_rows}
+TABLES = {"greenland": profile_rows, "targets": target_rows, "shutter": shutter_rows, "streams": stream_rows}
 
 
 def main() -> None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import csv
 import shutil
+import tomllib
 from pathlib import Path
 
 import numpy as np
+import tomli_w
 from bench_real_points import corrected, palau, read_stream
 from pyproj import Transformer
 
@@ -79,6 +81,34 @@ def left_out(source: Path, folder: Path) -> dict:
         rows[name] = {"off_m": list(residual.residual_m), "std_m": std.tolist(), "marks": residual.num_marks}
         warnings += [text for text in found.warnings if "control" in text and text not in warnings]
     return {"targets": rows, "warnings": warnings}
+
+
+# What a rolling shutter is asked with: its readout, known to as much, and the speed of a small aircraft.
+SHUTTER = {"rolling_shutter_s": 0.03, "rolling_shutter_std_s": 0.03, "speed_m_s": 12.0}
+
+
+def shutter(source: Path, folder: Path, workspace: Path) -> dict:
+    """The readout that a block finds, and heights of check targets with a global and with a rolling shutter."""
+    with (source / "gcps.csv").open(encoding="utf-8") as stream:
+        checks = {target["name"] for target in csv.DictReader(stream) if target["role"] == "check"}
+    found: dict = {}
+    for name, asked in {"global": {}, "rolling": SHUTTER}.items():
+        survey = folder / name
+        if not survey.is_dir():
+            survey.mkdir(parents=True)
+            (survey / "images").symlink_to((source / "images").resolve())
+            for each in ("marks.csv", "gcps.csv"):
+                shutil.copy(source / each, survey / each)
+            table = tomllib.loads((source / "survey.toml").read_text(encoding="utf-8"))
+            table["cameras"] |= asked
+            (survey / "survey.toml").write_text(tomli_w.dumps(table), encoding="utf-8")
+        adjusted = adjust_survey(load_survey(survey, workspace=workspace), use_windows=False)
+        up = [each.residual_m[2] for each in adjusted.control if each.name in checks]
+        found[name] = {"check_up_m": up}
+        if asked:
+            readout = adjusted.parameter("camera0.readout_s")
+            found[name] |= {"readout_s": readout.value, "std_s": readout.std}
+    return found
 
 
 def _without(source: Path, folder: Path, targets: list[dict], name: str) -> Path:

@@ -55,6 +55,18 @@ def target_rows(found: dict) -> list[str]:
     return [*lines, "", *fill(" ".join([within, *named]), WIDTH).split("\n")]
 
 
+def shutter_rows(found: dict) -> list[str]:
+    """What a block says of its shutter."""
+    rolling = found["rolling"]
+    rms = {name: 1000.0 * float(np.sqrt(np.mean(np.square(each["check_up_m"])))) for name, each in found.items()}
+    said = (
+        f"Asked for a rolling shutter (a readout of 30 ms, known to 30 ms, at 12 m/s), the block answers "
+        f"{1000 * rolling['readout_s']:.1f} ms ± {1000 * rolling['std_s']:.1f} ms; heights of the check targets have "
+        f"an rms of {rms['global']:.0f} mm with a global shutter and {rms['rolling']:.0f} mm with that."
+    )
+    return fill(said, WIDTH).split("\n")
+
+
 def stream_rows(found: dict) -> list[str]:
     """Points of other programs."""
     apart, ratio = found["per_camera_apart_m"], found["bent_over_straight"]

@@ -1,4 +1,4 @@
-"""What reading a survey finds out beside what it returns: sentences for the log, the plan and the report."""
+"""Findings of readers: assumptions and warnings, for the log, the plan and the report."""
 
 from __future__ import annotations
 

@@ -12,8 +12,7 @@ from survey.control.gcp_list import read_gcp_list
 from survey.errors import SurveyError
 from survey.folder.found import find_survey
 from survey.marking.book import GROUND, WATER, Book, Key
-from survey.marking.clicks_file import read_clicks, with_click
-from survey.marking.gcp_file import ControlMark, header_of, points_without_mark, with_marks
+from survey.marking.gcp_file import ControlMark, header_of, points_without_mark, read_clicks, with_click, with_marks
 from survey.marking.poses import survey_to_mark
 
 CRS = parse_crs("EPSG:25832+5778")

@@ -24,9 +24,8 @@ from survey.errors import SurveyError
 from survey.folder.found import find_survey
 from survey.folder.survey import load_survey
 from survey.marking.book import Book, Key
-from survey.marking.server import TOKEN_HEADER, MarkingServer
+from survey.marking.server import TILE_PX, TOKEN_HEADER, MarkingServer, Tiles, pyramid
 from survey.marking.session import Session
-from survey.marking.tiles import TILE_PX, Tiles, pyramid
 from survey.run.flight import save_flight
 
 CONTROL = '[control]\ngcps = "gcp_list.txt"\n'

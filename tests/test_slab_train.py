@@ -12,7 +12,7 @@ from plane_survey import TILTED, PlaneBed, ring
 
 from fields.device import choose_device
 from fields.slab import train as training
-from fields.slab.from_sweep import draw_rays, slab_of
+from fields.slab.rays import draw_rays, slab_of
 from fields.slab.refine import refine
 from fields.slab.tensor_field import FieldSettings, TensorField
 from fields.slab.train import Schedule, train

@@ -1,4 +1,4 @@
-"""How alike two images are: by formula, or to a trained network whose weights the user supplies.
+"""Image similarity: by formula, or by a trained network whose weights the user supplies.
 
 The measures are written out here, after the equations of their papers, rather than taken from a library:
 

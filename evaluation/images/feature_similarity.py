@@ -1,4 +1,4 @@
-"""How alike the features of two images are: FSIM by phase congruency, VSI by visual saliency.
+"""Feature similarity of images: FSIM by phase congruency, VSI by visual saliency.
 
 Images are (H, W) or (H, W, 3), 0 to 1. Both measures look at images whose shorter side is about 256 pixels: larger ones
 are averaged over squares of pixels first.

@@ -1,4 +1,4 @@
-"""What is measured: two images of one shape, (H, W) or (H, W, 3), 0 to 1, and the rectangle that a mask leaves."""
+"""Inputs of image measures: two images (H, W) or (H, W, 3), 0 to 1, and the rectangle that a mask leaves."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How alike two images are to a trained network: LPIPS and DISTS, by weights that the user supplies.
+"""Learned image similarity: LPIPS and DISTS, by weights that the user supplies.
 
 No weights come with this package. They are the arrays of a state dict: the convolutions of VGG16 or AlexNet as
 torchvision names them (``features.0.weight``, ...), and beside them the few numbers that each measure learned

@@ -1,4 +1,4 @@
-"""How alike two images are: PSNR, SSIM, MS-SSIM, GMSD, MS-GMSD; no network and no weights.
+"""Image quality measures: PSNR, SSIM, MS-SSIM, GMSD, MS-GMSD; no network and no weights.
 
 FSIM and VSI are in `evaluation.images.feature_similarity`, LPIPS and DISTS in `evaluation.images.learned_similarity`.
 Images are (H, W) or (H, W, 3), 0 to 1.

@@ -1,4 +1,4 @@
-"""What any camera would see of a trained field: through the water, or with the water taken away."""
+"""Novel views of a trained field: through the water, or with the water taken away."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fields.slab.from_sweep import slab_rays
+from fields.slab.rays import slab_rays
 from fields.slab.tensor_field import TensorField
 from fields.sweep.maps import HeightMap
 from fields.threads import half_the_threads

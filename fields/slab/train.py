@@ -9,8 +9,7 @@ import numpy as np
 import torch
 
 from fields.device import Device
-from fields.slab.from_sweep import draw_rays
-from fields.slab.rays import Rays
+from fields.slab.rays import Rays, draw_rays
 from fields.slab.slab import Slab
 from fields.slab.tensor_field import FieldSettings, TensorField
 from fields.sweep.maps import Sources

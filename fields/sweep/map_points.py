@@ -80,14 +80,6 @@ def far_from(stack: ViewStack, kept: Iterable[np.ndarray], xyz: np.ndarray, dist
     return np.isinf(tree.query(xyz.T, distance_upper_bound=distance)[0])
 
 
-def num_within(points: np.ndarray, xyz: np.ndarray, distance: float) -> np.ndarray:
-    """Number (N,) of points (M, 3) within a distance of each of points (3, N)."""
-    if not len(points) or not xyz.size:
-        return np.zeros(xyz.shape[1], dtype=np.int64)
-    tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
-    return tree.query_ball_point(xyz.T, distance, return_length=True, workers=-1)
-
-
 def points_about(stack: ViewStack, masks: Iterable[np.ndarray], xyz: np.ndarray, distance: float) -> np.ndarray:
     """Points (M, 3) of the pixels of masks, all that are within a distance of points (3, N), N at least 1, and more."""
     # Few of all points are near any.

@@ -8,24 +8,34 @@ marks alone put the point at ``place + (X' X)^-1 X' r``. This less its coordinat
 with S that of the coordinates, s the standard deviation of the marks and C the covariance of the parameters. Where the
 block leans on the point, C counts it too, and the sum is too large. The adjusted place less the coordinates tells more
 then; its covariance is S less that of the place.
+
+One or two control points are held against a block placed without them, by positions and water (`contradicted_points`).
+Three points or more check each other; of fewer, each pulls the whole block after it, and its own residual stays small.
+So the block is adjusted without control; marks less those that the coordinates predict have the covariance
+``X S X' + s^2 + B C B'``, which a test of chi-square takes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from scipy.special import chdtrc
 
 from survey.adjust.bundle import Problem, Solution
-from survey.adjust.observed import MARK, Observed
+from survey.adjust.observed import MARK, Observed, rows_taken
 from survey.adjust.prediction import linearise
-from survey.adjust.state import POSE, State
+from survey.adjust.priors import Known
+from survey.adjust.state import POSE, RELIEF, State
 from survey.control.points import Control
 from survey.display.words import named
 from survey.photos.cameras import View
 from survey.photos.tie_points import TiePoints
+
+if TYPE_CHECKING:
+    from survey.folder.survey import Survey
 
 # Coordinates further off than this, in standard deviations, and by this factor more than most points, are wrong: a
 # wrong point pulls the block away from the others. Once these are known to be as inaccurate, it may come back.
@@ -38,6 +48,10 @@ _FEWEST, _OVERSTATED = 4, 2.0
 PLACE_A_BLOCK = 3
 # What the adjustment leaves of an error is no measure of it where it is a smaller part.
 _LEAST_REDUNDANCY = 0.2
+# Beyond this probability the two contradict each other: 3.66 standard deviations of a normal deviate.
+_LEAST_PROBABILITY = 2.5e-4
+# Fewer positions do not place a block.
+_FEWEST_POSITIONS = 3
 
 
 class Given(NamedTuple):
@@ -183,3 +197,84 @@ def control_warnings(control: Control | None, views: Sequence[View], used: Obser
             "count as that much less accurate; correct [control] std_m, or the coordinates"
         )
     return warnings
+
+
+@dataclass(frozen=True)
+class Apart:
+    """A control point that a block without control contradicts.
+
+    Attributes
+    ----------
+    name : str
+    east_north, std : (2,) [m]
+        Where the block has it, at its height, less its coordinates; and the standard deviations of that.
+    """
+
+    name: str
+    east_north: np.ndarray
+    std: np.ndarray
+
+
+def is_lone(survey: Survey) -> bool:
+    """Whether a survey has control that cannot check itself, and positions that place the block without it."""
+    points = () if survey.control is None else survey.control.points
+    num = sum(not point.is_check for point in points)
+    placed = sum(prior.position is not None for prior in survey.priors.values())
+    return 0 < num < PLACE_A_BLOCK and placed >= _FEWEST_POSITIONS
+
+
+def contradicted_points(
+    control: Control, marks_std_px: float, views: Sequence[View], known: Known, solution: Solution
+) -> list[Apart]:
+    """The control points that a block without control contradicts.
+
+    Parameters
+    ----------
+    control
+    marks_std_px : [px]
+    views : sequence of View
+        That the marks are in.
+    known, solution
+        Of the block without control.
+    """
+    number = {view.name: k for k, view in enumerate(views)}
+    layout, state, covariance = known.layout, solution.state, solution.covariance
+    against = []
+    for point in control.points:
+        marks = [mark for mark in control.marks if mark.point == point.name and mark.view in number]
+        if point.is_check or not marks:
+            continue
+        shown_by = np.array([number[mark.view] for mark in marks])
+        place = np.asarray(point.local, dtype=np.float64)[None]
+        ties = TiePoints(
+            place, np.zeros(len(marks), dtype=np.int64), shown_by, np.array([mark.pixel for mark in marks])
+        )
+        rows = rows_taken(ties, known.lenses, layout.lens_of)
+        linear = linearise(layout, replace(state, points=place), ties, np.zeros((len(marks), RELIEF)), rows)
+        residual = (ties.pixel - linear.pixels).ravel()
+        if not np.isfinite(residual).all():
+            continue
+        by_point = linear.by_point.reshape(-1, 3)
+        by_parameters = linear.by_parameters.toarray()
+        variance = (by_point * np.asarray(point.std) ** 2) @ by_point.T
+        variance += by_parameters @ covariance @ by_parameters.T + marks_std_px**2 * np.eye(len(residual))
+        square = float(residual @ np.linalg.solve(variance, residual))
+        if chdtrc(len(residual), square) < _LEAST_PROBABILITY:
+            level = np.linalg.pinv(by_point[:, :2])
+            std = np.sqrt(np.einsum("ai,ij,aj->a", level, variance, level))
+            against.append(Apart(point.name, level @ residual, std))
+    return against
+
+
+def lone_warning(against: list[Apart]) -> str:
+    """The contradiction in words."""
+    listed = " and ".join(
+        f"{each.name} by {each.east_north[0]:.2f} m east and {each.east_north[1]:.2f} m north "
+        f"(+- {each.std[0]:.2g} and {each.std[1]:.2g} m)"
+        for each in against
+    )
+    return (
+        f"positions and water, which place the block without control, have another place for control: {listed}. "
+        "Control is followed, and nothing else tells which is right: positions without corrections may share an error "
+        "of metres; else coordinates, name or mark are wrong. A third control point would tell"
+    )

@@ -18,9 +18,9 @@ from survey.adjust.applied import at_state
 from survey.adjust.assembling import result
 from survey.adjust.bundle import NotConvergedError
 from survey.adjust.common_height import apply_level_datum, height_doubts, water_start, with_common, without_common
+from survey.adjust.control_check import contradicted_points, is_lone, lone_warning
 from survey.adjust.far_poses import Search, windows_or_search
 from survey.adjust.given_values import LEVEL, LEVEL_NAME, check_dry_block, dry_bed_error, released, worst_contradiction
-from survey.adjust.lone_control import contradicted_points, is_lone, lone_warning
 from survey.adjust.observability import (
     Unobservable,
     adjust_free,
@@ -255,7 +255,7 @@ class _BlockAdjustment:
             free = apply_level_datum(_BlockAdjustment(alone, known, free_water=False).with_more(kind, ties, known))[0]
         except NotConvergedError:
             return []
-        against = contradicted_points(control, self.marks_std, self._survey, free)
+        against = contradicted_points(control, self.marks_std, self._survey.views, free.known, free.solution)
         return [lone_warning(against)] if against else []
 
     def result(self, done: Adjusted, against: Sequence[Contradiction]) -> Adjustment:

@@ -1,4 +1,4 @@
-"""Two results of the benchmark: what became better or worse beyond noise.
+"""Comparison of two benchmark results: changes beyond noise.
 
 Errors and means are paired block by block of the plan: both clouds come from the same photographs and share most of
 their noise. Times and memory are compared where both were measured on the same machine and often enough. Completeness

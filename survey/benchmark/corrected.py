@@ -1,4 +1,4 @@
-"""A cloud of straight rays, its depths corrected afterwards: what is done without rays that bend."""
+"""Baseline of the benchmark: straight rays, depths corrected afterwards."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Run time over error: which records nothing else beats in both, and the picture of it."""
+"""Pareto front of run time and error, and its picture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A cloud against the truth of its survey, in the figures of a benchmark.
+"""Accuracy of a cloud against the truth of its survey, in the figures of a benchmark.
 
 The methods that are compared: the whole chain, parts of it, and what there was before it.
 

@@ -1,4 +1,4 @@
-"""What one process of the benchmark cost and how far its cloud is from the truth; the file of all of them."""
+"""Records of a benchmark: cost and accuracy of each process, and their file."""
 
 from __future__ import annotations
 

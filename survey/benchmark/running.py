@@ -1,4 +1,4 @@
-"""One process, with its run time, processor time and memory; and the machine it runs on."""
+"""Run time, processor time and memory of one process, and the machine it runs on."""
 
 from __future__ import annotations
 

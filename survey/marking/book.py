@@ -1,4 +1,4 @@
-"""The points and marks of a survey as its files have them, and one mark after another put into these files.
+"""Points and marks of a survey, edited one at a time in the files that hold them.
 
 The files are the state: each is read again where it has changed, a mark is put into what is there, and the whole file
 is replaced, so that what another program writes meanwhile stays.
@@ -21,8 +21,7 @@ from survey.control.tables import read_checkpoints
 from survey.errors import SurveyError
 from survey.folder.config import SurveyConfig
 from survey.folder.found import Found
-from survey.marking.clicks_file import read_clicks, with_click
-from survey.marking.gcp_file import ControlMark, points_without_mark, with_marks
+from survey.marking.gcp_file import ControlMark, points_without_mark, read_clicks, with_click, with_marks
 from survey.photos.names import ImageNames
 
 GCP_LIST, CLICKS = "gcp_list.txt", "clicks.csv"

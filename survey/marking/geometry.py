@@ -1,4 +1,4 @@
-"""Where other photographs show a place: predictions, epipolar curves bent under water, and what a mark would add."""
+"""Predicted places, epipolar curves through the water, and the information of a further mark."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the page of `bathynerf mark` shows, as plain values: points, marks, residuals, and where to look next."""
+"""State of the page of `bathynerf mark` as plain values: points, marks, residuals, and the next photograph."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ def train_field(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
 
 def trained(job: Job, maps: Sequence[HeightMap], progress: Callable[[float], None]) -> tuple[TensorField, FieldFigures]:
     """The field inside the bound of the sweep, and the figures of its training."""
-    from fields.slab.from_sweep import slab_of
+    from fields.slab.rays import slab_of
     from fields.slab.tensor_field import FieldSettings
     from fields.slab.train import Schedule, train
 

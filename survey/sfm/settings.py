@@ -1,4 +1,4 @@
-"""What structure from motion takes from [cameras], checked before it starts."""
+"""Settings of structure from motion from [cameras], checked before it starts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The camera's inside: a lens that distorts, an exposure that takes time, and the grey levels of a sensor."""
+"""Sensor of the camera: lens distortion, exposure time, and grey levels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stands still in the scene: the water and the cameras with their photographs."""
+"""Static layers of the scene: the water, and the cameras with their photographs."""
 
 from __future__ import annotations
 

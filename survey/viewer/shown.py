@@ -1,4 +1,4 @@
-"""What is shown of a run: its points with their values and colours, its cameras and its water, in the local frame."""
+"""Data of the viewer: points with values and colours, cameras and water, in the local frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a volume is trained from: the photographs of a run that look into a box about its bed.
+"""Training data of a volume: the photographs of a run that look into a box about its bed.
 
 In a folder it has a state in training, from which it goes on after an interruption, and one when it is trained.
 """

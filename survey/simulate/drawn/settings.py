@@ -1,4 +1,4 @@
-"""What a drawn survey shows and how it is flown."""
+"""Settings of a drawn survey: scene, water and flight."""
 
 from __future__ import annotations
 

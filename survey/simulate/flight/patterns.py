@@ -1,4 +1,4 @@
-"""Where photographs are taken from, for the patterns that surveys fly: [flight] of a scene file."""
+"""Flight patterns: exposure stations by [flight] of a scene file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What goes with simulated photographs: survey.toml, cameras.csv, EXIF and XMP."""
+"""Sidecars of simulated photographs: survey.toml, cameras.csv, EXIF and XMP."""
 
 from __future__ import annotations
 

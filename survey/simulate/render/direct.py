@@ -1,4 +1,4 @@
-"""What rays see of a ground through water, exact in geometry and free of noise: refracted rays and simple light.
+"""Direct rendering through water: refracted rays and simple light, exact in geometry and free of noise.
 
 Rays cross a flat surface by formulas of this module, not by those of `refract`, so that the photographs test the
 optics there. Other surfaces are crossed by `refract`.

@@ -1,4 +1,4 @@
-"""What the sun does on the waves of one photograph: a moving net of light on the bed (caustics), and glint.
+"""Caustics and glint: the sun on the waves of one photograph.
 
 The waves are a tile of a random surface that repeats, with slopes of equal variance in each octave of wavelengths.
 Rays of view are not bent by them, so that the ground truth is that of still water. Symbols: ``n`` index, ``d`` depth,

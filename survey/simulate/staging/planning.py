@@ -1,4 +1,4 @@
-"""A scene file before anything is built: its place on Earth, lens, flight and inputs."""
+"""Plan of a scene file: its place on Earth, lens, flight and inputs."""
 
 from __future__ import annotations
 

@@ -10,23 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from survey.commands.console import Results, command
+from survey.commands.grouped import PlanOptions, grouped
 from survey.commands.memory import address_space_shortage, require_address_space
-from survey.commands.options import (
-    AIM,
-    AskedDevice,
-    AskedField,
-    AskedPlan,
-    AskedPoses,
-    ImageScale,
-    Quiet,
-    TargetStd,
-    TimeBudget,
-    Verbose,
-    words_of,
-)
+from survey.commands.options import Quiet, Verbose
 from survey.errors import SurveyError
 from survey.plan.choices import Choices
-from survey.words import Quality
 
 if TYPE_CHECKING:
     from survey.folder.config_process import ProcessConfig
@@ -42,6 +30,7 @@ EXAMPLES = """
 """
 
 
+@grouped
 def run(
     survey: Annotated[
         Path,
@@ -49,17 +38,7 @@ def run(
             metavar="SURVEY|PLAN", help="Folder with images and survey.toml, or the TOML of a planned flight."
         ),
     ],
-    quality: Annotated[
-        Quality | None,
-        typer.Option(metavar=words_of(Quality), help="Plan for this quality; default: standard.", rich_help_panel=AIM),
-    ] = None,
-    device: AskedDevice = None,
-    field: AskedField = None,
-    poses: AskedPoses = None,
-    plan: AskedPlan = None,
-    image_scale: ImageScale = None,
-    target_std: TargetStd = None,
-    time_budget: TimeBudget = None,
+    asked: PlanOptions = PlanOptions(),
     deep: Annotated[
         bool, typer.Option("--deep", help="Also hold survey.toml against the photographs; takes minutes.")
     ] = False,
@@ -80,24 +59,12 @@ def run(
     (docs/check.md, examples/flight.toml).
     """
     with command(verbose, quiet, json or survey) as results:
-        from survey.commands.environment import asked_of_environment
         from survey.files.json_values import write_json
-        from survey.folder.config_process import ProcessConfig
 
-        asked = ProcessConfig(
-            quality=quality,
-            target_std_m=target_std,
-            time_budget_s=time_budget,
-            device=device,
-            field=field,
-            poses=poses,
-            plan=plan,
-            image_scale=image_scale,
-        ).over(asked_of_environment())
         require_json("--json", json, survey)
         look = _sections_of_plan if is_plan(survey) else _sections
         shown = []
-        for section in look(survey, asked, wind, deep):
+        for section in look(survey, asked.config(), wind, deep):
             show(results, section)
             shown.append(section)
         if json is not None:

@@ -20,7 +20,7 @@ from geo.compatibility import crs_difference
 from geo.crs import has_height
 from geo.errors import UnwritableFile
 
-_PORTION = 2_000_000
+_PORTION = 500_000
 # A transform went through decimals in some formats: of a cell.
 _SAME_CELL = 1e-6
 

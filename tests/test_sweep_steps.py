@@ -39,19 +39,19 @@ class Terrace:
         return np.where(height == HIGH, texture(points[..., 0], points[..., 1]), ground).astype(np.float32)
 
 
-def searched_by(stack, neighbours, found, parallax, search):
+def searched_by(stack, neighbours, found, parallax, search, among=None):
     """What the search makes of height, score and curvature, all on the host."""
     placed = tuple(images(stack.device).to_device(stack.device, each) for each in found)
-    return found_by(stack.device, search_steps(Reference(stack, 0, neighbours, 2), placed, parallax, search))
+    return found_by(stack.device, search_steps(Reference(stack, 0, neighbours, 2), placed, parallax, search, among))
 
 
-def searched(device, height, truth, *, score=0.9, search=SEARCH):
+def searched(device, height, truth, *, score=0.9, search=SEARCH, among=None):
     """What the search makes of a height map of the middle view."""
     cameras = ring(8)
     stack = ViewStack.build(device, cameras, [Terrace().photograph(c) for c in cameras], WATER)
     found = (height, np.full_like(truth, score), np.full_like(truth, 5.0))
     parallax = PlaneBed(WATER, LOW).block(device, cameras).parallax(0, list(range(1, 9)), LOW)
-    return found, searched_by(stack, list(range(1, 9)), found, parallax, search)
+    return found, searched_by(stack, list(range(1, 9)), found, parallax, search, among)
 
 
 @pytest.fixture
@@ -150,3 +150,15 @@ def test_a_wall_is_found_better_by_upright_windows_than_by_level_ones(device):
     assert len(errors[0]) > 300
     level, upright = (np.mean(error < 0.02) for error in errors)
     assert upright > level + 0.05
+
+
+def test_beyond_what_was_matched_nothing_is_searched(device, fattened):
+    truth, height = fattened
+    among, middle, beyond = np.zeros(truth.shape, dtype=bool), len(truth) // 2, SEARCH.tile_px
+    among[:middle] = True
+    _, (whole, *_) = searched(device, height, truth)
+    _, (part, *_) = searched(device, height, truth, among=among)
+    np.testing.assert_array_equal(part[middle:], height[middle:])
+    assert (whole[middle:] != height[middle:]).any()
+    # A tile has the heights of its wanted pixels alone.
+    np.testing.assert_array_equal(part[: middle - beyond], whole[: middle - beyond])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from plane_survey import TILTED, PlaneBed, match, ring
 
-from fields.sweep.view_pass import columns_seeing_area
+from fields.sweep.view_pass import columns_over_area, columns_seeing_area
 
 AREA, BOUND = (-0.35, -0.25, 0.2, 0.3), (-2.3, -1.9)
 BED = PlaneBed(TILTED, -2.0)
@@ -25,6 +25,23 @@ def test_columns_hold_every_pixel_that_sees_the_area_within_the_bound_and_not_al
         assert sees.any()
         assert inside[sees].all()
         assert inside.mean() < sees.mean() + 0.5
+
+
+@pytest.mark.parametrize("water", [TILTED, None], ids=["wet", "dry"])
+def test_columns_by_heights_hold_the_pixels_over_the_area_and_fewer_than_those_of_the_bound(water):
+    for camera in ring(6):
+        coarse, across = camera.scaled(0.5), np.arange(camera.width)
+        # Half of a step of 0.4 m: both heights count beside it.
+        before = np.where(np.arange(coarse.width) < coarse.width // 2, *BOUND) + np.zeros((coarse.height, 1))
+        columns = columns_over_area(camera, water, AREA, before.astype(np.float32))
+        path = camera.paths(camera.pixel_centres(), water)
+        x, y, _ = np.moveaxis(path.at_height(np.where(across < camera.width // 2, *BOUND), water), -1, 0)
+        over = (x > AREA[0]) & (x < AREA[2]) & (y > AREA[1]) & (y < AREA[3])
+        inside = (across >= columns[:, :1]) & (across < columns[:, 1:])
+        bound = columns_seeing_area(camera, water, AREA, BOUND, 1)
+        assert inside[over].all()
+        assert over.any()
+        assert over.mean() < inside.mean() < (bound[:, 1] - bound[:, 0]).sum() / inside.size
 
 
 def test_an_area_beside_the_image_needs_no_pixel():

@@ -57,6 +57,8 @@ class Pass:
     search : after the pass, how heights beyond its hypotheses are searched; None: not at all
     points_only : whether only pixels predicted to become points take part: others confirm with the heights that they
         have
+    in_area : whether of a sweep with an area only pixels take part whose heights of the pass before lie there, not all
+        that see it at some height of the bound
     """
 
     scale: float
@@ -67,6 +69,7 @@ class Pass:
     fuse: bool
     search: StepSearch | None = None
     points_only: bool = False
+    in_area: bool = False
 
     @property
     def refines(self) -> bool:
@@ -105,3 +108,8 @@ def before_solver(passes: tuple[Pass, ...]) -> tuple[Pass, ...]:
     """
     first = next(number for number, p in enumerate(passes) if p.scale == 1.0)
     return (*passes[: first + 1], *(replace(p, points_only=True) for p in passes[first + 1 :]))
+
+
+def in_area(passes: tuple[Pass, ...]) -> tuple[Pass, ...]:
+    """The same passes for a tile: the first looks for its heights, the others follow what the one before found."""
+    return (passes[0], *(replace(p, in_area=True) for p in passes[1:]))

@@ -26,7 +26,9 @@ _STEP_M = 0.1
 _LEAST_COSINE = 0.3
 
 
-def search_steps(reference: Reference, found: Found, parallax: float, search: StepSearch) -> Job[Found]:
+def search_steps(
+    reference: Reference, found: Found, parallax: float, search: StepSearch, among: np.ndarray | None = None
+) -> Job[Found]:
     """Height, score and curvature of a pass, with those of the search where heights around differ.
 
     Parameters
@@ -37,13 +39,19 @@ def search_steps(reference: Reference, found: Found, parallax: float, search: St
     parallax : [px/m]
         At the scale of the stack, per metre of height.
     search : StepSearch
+    among : (height, width) bool, optional
+        Pixels that are searched: those that were matched, of a view of which parts were not.
     """
     stack, height, score = reference.stack, found[0], found[1]
     backend = images(stack.device)
-    if min(height.shape) < search.tile_px + 2 * search.radius or backend.median(score) < search.least_score:
+    typical = backend.median(score) if among is None else backend.median_above(score, -1.0)
+    if typical is None or typical < search.least_score or min(height.shape) < search.tile_px + 2 * search.radius:
         return found
     low, high = backend.local_min_max(height, search.around_px)
     wanted = backend.exceeds_parallax(low, high, parallax, search.reach_px)
+    if among is not None:
+        # Beyond what was matched heights continue, and lines between them look like steps.
+        wanted = wanted & backend.to_device(stack.device, among)
     if not backend.any_true(wanted):
         return found
     nearby = Reference(stack, reference.view, reference.neighbours[: search.neighbours], search.radius)

@@ -22,7 +22,7 @@ from fields.sweep.kernels.backend import kernels
 from fields.sweep.kernels.queue import Job, run_jobs
 from fields.sweep.kernels.stack import ViewStack, largest
 from fields.sweep.maps import HeightMap, Keep, OrderedMaps, trusted, upsample_map
-from fields.sweep.passes import PASSES, POINTS_SHARE, Pass
+from fields.sweep.passes import MATCHED_NCC, PASSES, POINTS_SHARE, Pass
 from fields.sweep.tiles import PART_SIDE_PX
 from fields.sweep.view_pass import Area, ViewPass, match_pass, pixels_of, refine_part, view_passes
 from fields.sweep.views import Footprint
@@ -124,6 +124,10 @@ def sweep(
             progress(told)
         if fused[number]:
             block.release(p.scale)
+            if p.in_area:
+                # The others neither confirm nor are confirmed.
+                for view in taking_part[number] - set(taken):
+                    taken[view] = images(block.device).indices_of(maps[view].score > MATCHED_NCC)
             compared = {view: peers[view] for view in taking_part[number] if view not in taken or len(taken[view])}
             maps = fuse(block, maps, p.scale, compared, store, goes_on=number + 1 < len(passes), only=taken)
             done += fused[number]

@@ -16,7 +16,7 @@ from fields.sweep.maps import HeightMap
 from fields.sweep.matching import LEAST_KNOWN, Reference, match_tiles, match_view, match_with_adaptive_windows
 from fields.sweep.passes import MATCHED_NCC, Pass
 from fields.sweep.steps import search_steps
-from fields.sweep.tiles import PART_SIDE_PX, Tiles
+from fields.sweep.tiles import PART_SIDE_PX, Tiles, in_tiles
 from refract import FlatWater, PinholeCamera
 
 Area = tuple[float, float, float, float]
@@ -25,6 +25,8 @@ Area = tuple[float, float, float, float]
 _PLACES = 17
 # Pixels added on every side, beside a window: of the straight outline, and for the surroundings of the last points.
 _RIM_PX = 6
+# Side of the squares of a height map whose heights decide together what is seen of an area [px].
+_SQUARE_PX = 4
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,11 @@ def match_pass(
         start = backend.subtract(backend.upsample(before.height, shape), step * (of_view.count // 2))
 
     def columns(radius: int) -> np.ndarray | None:
-        return None if area is None else columns_seeing_area(stack.cameras[view], block.water, area, bound, radius)
+        if area is None:
+            return None
+        if p.in_area and before is not None:
+            return columns_over_area(stack.cameras[view], block.water, area, backend.to_host(before.height))
+        return columns_seeing_area(stack.cameras[view], block.water, area, bound, radius)
 
     radius = p.radius + wider
     reference = Reference(stack, view, of_view.neighbours, radius, _least_known(block))
@@ -112,7 +118,8 @@ def match_pass(
         found, radius = yield from match_with_adaptive_windows(reference, hypotheses, columns)
     # The search has windows of its own, narrower than those that were too narrow here.
     if p.search is not None and radius == p.radius:
-        found = yield from search_steps(reference, found, p.step_px / step, p.search)
+        among = _mask_of(columns(radius), shape[1]) if p.in_area else None
+        found = yield from search_steps(reference, found, p.step_px / step, p.search, among)
     height, score, _ = found
     return backend.new_map(view, height, _of_shown(block, p, view, score)), radius - p.radius
 
@@ -179,13 +186,58 @@ def columns_seeing_area(
         Of the window about a pixel.
     """
     seen = camera.project(outline_of(area, water, bound), water)
-    columns = np.tile([0, camera.width], (camera.height, 1))
     if not np.isfinite(seen).all():  # a part of the area is behind the camera
-        return columns
+        return np.tile([0, camera.width], (camera.height, 1))
     size = np.array([camera.width, camera.height])
     hull = cv2.convexHull(np.clip(seen, -4.0 * size, 5.0 * size).astype(np.int32))
     mask = cv2.fillConvexPoly(np.zeros((camera.height, camera.width), np.uint8), hull, 1)
     mask = cv2.dilate(mask, np.ones((2 * (radius + _RIM_PX) + 1,) * 2, np.uint8)).astype(bool)
-    columns[:, 0] = np.where(mask.any(axis=1), mask.argmax(axis=1), 0)
-    columns[:, 1] = np.where(mask.any(axis=1), camera.width - mask[:, ::-1].argmax(axis=1), 0)
-    return columns
+    return _columns_of(mask)
+
+
+def columns_over_area(camera: PinholeCamera, water: FlatWater | None, area: Area, height: np.ndarray) -> np.ndarray:
+    """As `columns_seeing_area`, of pixels that see the area at heights (height, width) [m] of a map, or around them.
+
+    The map may be smaller than the image of the camera. Heights around a pixel are those of its square of `_SQUARE_PX`
+    in the map and of the squares beside it.
+    """
+    shape = camera.height, camera.width
+    low, high = (
+        choose(choose(in_tiles(height, _SQUARE_PX, beyond), axis=3), axis=1)
+        for choose, beyond in ((np.min, np.inf), (np.max, -np.inf))
+    )
+    # Of the squares about each corner of a square, where their pixels see.
+    ends = [
+        _of_corners(choose, np.pad(each, 1, mode="edge")) for choose, each in ((np.minimum, low), (np.maximum, high))
+    ]
+    row, column = (
+        np.minimum(np.arange(count) * _SQUARE_PX, length) * whole / length
+        for count, length, whole in zip(ends[0].shape, height.shape, shape, strict=True)
+    )
+    paths = camera.paths(np.stack(np.meshgrid(column, row), axis=-1).reshape(-1, 2), water)
+    places = [paths.at_height(each.ravel(), water)[:, :2].reshape(*each.shape, 2) for each in ends]
+    least, most = _of_corners(np.fmin, np.fmin(*places)), _of_corners(np.fmax, np.fmax(*places))
+    meets = np.asarray(((least <= area[2:]) & (most >= area[:2])).all(axis=-1))
+    of_row, of_column = (
+        ((np.arange(whole) + 0.5) * length / whole).astype(int) // _SQUARE_PX
+        for whole, length in zip(shape, height.shape, strict=True)
+    )
+    return _columns_of(meets[np.ix_(of_row, of_column)])
+
+
+def _of_corners(choose: np.ufunc, value: np.ndarray) -> np.ndarray:
+    """Least or largest of the values of each two by two neighbours."""
+    pairs = choose(value[:-1], value[1:])
+    return choose(pairs[:, :-1], pairs[:, 1:])
+
+
+def _mask_of(columns: np.ndarray | None, width: int) -> np.ndarray | None:
+    """Mask of the columns of each row."""
+    across = np.arange(width)
+    return None if columns is None else (across >= columns[:, :1]) & (across < columns[:, 1:])
+
+
+def _columns_of(mask: np.ndarray) -> np.ndarray:
+    """First column, and the one after the last, of each row of a mask; equal ones of none."""
+    first, last = mask.argmax(axis=1), mask.shape[1] - mask[:, ::-1].argmax(axis=1)
+    return np.where(mask.any(axis=1, keepdims=True), np.stack([first, last], axis=1), [0, 0])

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from fields.sweep.fusion import remove_free_space_violations
 from fields.sweep.maps import ByView, HeightMap
-from fields.sweep.passes import PASSES, before_solver, passes_from
+from fields.sweep.passes import PASSES, before_solver, in_area, passes_from
 from fields.sweep.photo_consistency import photo_consistency
 from fields.sweep.sweep import sweep
 from fields.sweep.wide_windows import with_wide_windows
@@ -67,6 +67,7 @@ def sweep_views(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         heights = (low, high) if job.plan.skips.heights else job.limits
         passes = PASSES if job.aimed is None else passes_from(job.aimed.first_search)
         passes = before_solver(passes) if job.plan.refines_points_only else passes
+        passes = passes if job.tiling is None else in_area(passes)
         start = time.monotonic()
         with kept_aside(folder / SCRATCH, HeightMap, show=_live(job, folder)) as keep:
             maps = sweep(block, chosen, heights, shares(stage), passes, job.swept_ground, keep=keep)

@@ -56,6 +56,7 @@ def test_an_error_of_the_index_scales_depths_seen_from_above():
     assert np.median(rise / expected) == pytest.approx(1.0, abs=0.25)
 
 
+@pytest.mark.slow
 def test_the_standard_deviation_is_that_of_heights_under_random_parameters():
     block, found = drawn_adjustment(4)
     water = plane_of(block)

@@ -63,6 +63,7 @@ def test_exact_poses_that_are_adjusted_stay_exact():
     assert np.degrees(rms(rotations)) < 0.005
 
 
+@pytest.mark.slow
 def test_the_tilt_of_a_block_is_held_by_unstated_rotations_and_lies_within_what_it_states():
     scaled, turned = [], {None: [], "a program": []}
     for seed in range(6):

@@ -79,6 +79,7 @@ def require_as_good(found, survey: Survey, pinhole) -> None:
     assert level.std < 1.5 * theirs.std
 
 
+@pytest.mark.slow
 def test_a_lens_with_distortion_ends_in_verdicts_as_good_as_those_of_a_pinhole(pincushion, pinhole):
     survey = pincushion
     ties = measured(survey)

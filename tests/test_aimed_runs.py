@@ -50,6 +50,7 @@ def reached(tmp_path_factory) -> tuple[DrawnRun, int, str]:
     return run, *run_with(run, target_std_m=0.6 * GSD)
 
 
+@pytest.mark.slow
 def test_a_target_that_small_images_reach_is_reached_by_them(reached):
     run, code, _ = reached
     assert code == 0
@@ -159,6 +160,7 @@ def test_with_time_for_all_a_run_ends_where_nothing_is_left_to_win(tmp_path, clo
     assert len(read_cloud(run.run.cloud_path).points) == whole
 
 
+@pytest.mark.slow
 def test_when_the_time_is_over_a_run_still_writes_its_cloud(tmp_path, clock):
     run = drawn(tmp_path / "survey", **FINER)
     # Much of the time goes each time that the clock is asked.

@@ -112,6 +112,7 @@ def test_a_file_of_poses_is_the_flight_that_it_was_written_from(tmp_path):
     assert rows[0]["overlap"] == rows[1]["overlap"]
 
 
+@pytest.mark.slow
 def test_oblique_views_and_better_positions_tell_the_level_and_nadir_alone_does_not(tmp_path):
     crossing = said(checked(plan_file(tmp_path)), "Foreseen from the poses")
     assert crossing["level"].startswith("good: ")

@@ -55,6 +55,7 @@ def shore(tmp_path_factory):
         yield drawn(tmp_path_factory.mktemp("shore") / "survey", shore=True, **small)
 
 
+@pytest.mark.slow
 def test_beds_of_one_colour_agree_at_every_depth_without_their_water(shore):
     raw, true = (processed(shore, true_colour=wanted) for wanted in (False, True))
     np.testing.assert_array_equal(true.bed.xyz, raw.bed.xyz)

@@ -35,6 +35,7 @@ def ignored(tmp_path_factory):
     return processed(run, 0, 3)
 
 
+@pytest.mark.slow
 def test_with_the_key_the_bed_is_found_as_with_a_global_shutter(known):
     mean, std = inner90(known.distances.signed)
     assert abs(mean) < BIAS_M
@@ -46,6 +47,7 @@ def test_with_the_key_the_bed_is_found_as_with_a_global_shutter(known):
     assert "rolls in 35 ms" in known.run.report_html_path.read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_without_the_key_the_bed_is_off_and_the_report_says_why(ignored):
     mean, std = inner90(ignored.distances.signed)
     assert abs(mean) > 4.0 * BIAS_M or std > 2.0 * STD_M

@@ -73,6 +73,7 @@ def test_a_sun_that_waves_cannot_mirror_into_the_photographs_is_refused():
         suns_of([down], PLANE, low, seed=1, depth_m=1.0, glint_share=0.1, contrast=0.0)
 
 
+@pytest.mark.slow
 def test_a_survey_with_glint_saturates_the_asked_share_and_keeps_its_truth(tmp_path):
     draw_survey(tmp_path / "still", DrawnScene.tiny())
     draw_survey(tmp_path / "lit", DrawnScene.tiny(glint_share=SHARE, caustic_contrast=CONTRAST))

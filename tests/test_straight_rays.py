@@ -124,6 +124,7 @@ def test_the_amount_follows_the_depth_point_by_point(plumb):
     assert inner90(left)[1] < 0.3 * GSD
 
 
+@pytest.mark.slow
 def test_straight_rays_of_convergent_views_end_between_the_nadir_limit_and_the_least_squares(convergent):
     """They do not meet, and matching takes the half of the views that agree best: the steep ones."""
     nadir = np.median(convergent.depth) * (1.0 - 1.0 / convergent.run.scene.n_water)

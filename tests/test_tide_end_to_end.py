@@ -33,6 +33,7 @@ def ignored(tmp_path_factory):
     return processed(run)
 
 
+@pytest.mark.slow
 def test_by_its_gauge_the_bed_is_found_as_under_still_water(known):
     mean, std = inner90(known.distances.signed)
     assert abs(mean) < BIAS_M
@@ -40,6 +41,7 @@ def test_by_its_gauge_the_bed_is_found_as_under_still_water(known):
     assert known.completeness(2.0 * GSD) > 0.99
 
 
+@pytest.mark.slow
 def test_with_one_level_the_bed_is_off(known, ignored):
     mean, std = inner90(ignored.distances.signed)
     assert abs(mean) > 4.0 * BIAS_M or std > 1.5 * inner90(known.distances.signed)[1]

@@ -1,12 +1,13 @@
 """What of the bed lies in the cloud where something hangs over it?
 
-    python benchmarks/bench_overhang.py SURVEY [RUN] [--draw pier|boulders SEED]
+    python benchmarks/bench_overhang.py SURVEY [RUN] [--draw pier|boulders SEED] [--windows N]
 
 SURVEY is a folder with known truth (reference.ply and visible.ply in it, or in truth/); RUN a run folder of it, by
 default SURVEY/bathynerf. Prints rows of Markdown: of the points of the surface that three cameras see, those that have
 another surface above them and all others, the share within 0.05 m of the cloud; of the points of the cloud, under a
 surface and in all, the share farther than 0.05 m from the truth. ``--draw`` draws the survey first
-(`benchmarks/overhang_scenes.py`); it is then for `bathynerf process`.
+(`benchmarks/overhang_scenes.py`); it is then for `bathynerf process`. ``--windows`` sweeps the survey and says at which
+share of N points of each kind the right height wins (`benchmarks/overhang_windows.py`).
 """
 
 from __future__ import annotations
@@ -18,7 +19,9 @@ from pathlib import Path
 
 import laspy
 import numpy as np
+from bench_sweep import Case
 from overhang_scenes import KINDS, OverhangSurvey
+from overhang_windows import Windows, table
 
 from evaluation.c2m import distance_to_mesh
 from evaluation.completeness import is_reached
@@ -95,7 +98,13 @@ def main() -> None:
     parser.add_argument("survey", type=Path)
     parser.add_argument("run", type=Path, nargs="?")
     parser.add_argument("--draw", nargs=2, metavar=("KIND", "SEED"), help=f"one of {', '.join(KINDS)}, and a number")
+    parser.add_argument("--windows", type=int, metavar="N", help="points of each kind")
     options = parser.parse_args()
+    if options.windows is not None:
+        case, truth = Case(options.survey, "standard"), Truth.of(options.survey)
+        windows = Windows(case, case.maps()[0], truth.surface)
+        sys.stdout.write(table(windows, truth.visible, truth.under, options.windows) + "\n")
+        return
     if options.draw is not None:
         kind, seed = options.draw
         OverhangSurvey(kind, int(seed)).draw(options.survey)

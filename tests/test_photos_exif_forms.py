@@ -268,3 +268,17 @@ def test_a_position_that_a_program_rewrote_as_xmp_is_read(head, latitude, longit
     assert found == pytest.approx((LAT, LON, height), abs=1e-7)
     skydio = XMP.format(q='"').replace("drone-dji:Gps", "drone-skydio:").replace("drone-dji:Abs", "drone-skydio:Abs")
     assert head(xmp=skydio).lat_lon_height == (-33.85678441, -151.21529672, 12.5)
+
+
+@pytest.mark.parametrize("datum", ["TOKYO", "NAD27", "OSGB 36", "GCJ-02", "PZ-90"])
+def test_a_position_on_another_datum_is_named(head, datum):
+    found = head(gps_of() | {GPS.GPSMapDatum: datum})
+    assert found.gps_datum == datum
+    assert any(f"on {datum} by EXIF or XMP, which is taken as WGS 84" in said for said in head_doubts({"a.jpg": found}))
+    assert head(gps_of(), xmp='<x Camera:HorizCS="EPSG:2056"/>').gps_datum == "EPSG:2056"
+
+
+@pytest.mark.parametrize("datum", ["WGS-84", "WGS84\0", "wgs 84", "", "  ", "ITRF2014", "ETRS89", "unknown"])
+def test_wgs_84_by_any_name_is_no_other_datum(head, datum):
+    assert head(gps_of() | {GPS.GPSMapDatum: datum}).gps_datum == ""
+    assert head(gps_of(), xmp='<x Camera:HorizCS="EPSG:4326"/>').gps_datum == ""

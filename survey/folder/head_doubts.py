@@ -30,6 +30,9 @@ def head_doubts(heads: Mapping[str, Exif]) -> list[str]:
     for fault in dict.fromkeys(head.gps_fault for head in heads.values() if head.gps_fault):
         without = [name for name, head in heads.items() if head.gps_fault == fault]
         warnings += named(without, "image", f"without {fault} in EXIF, whose GPS position is not used")
+    for datum in dict.fromkeys(head.gps_datum for head in heads.values() if head.gps_datum):
+        such = [name for name, head in heads.items() if head.gps_datum == datum and head.table_place is None]
+        warnings += named(such, "image", f"with a GPS position on {datum} by EXIF or XMP, which is taken as WGS 84")
     for doubt in dict.fromkeys(head.focal_doubt for head in heads.values() if head.focal_doubt):
         such = [name for name, head in heads.items() if head.focal_doubt == doubt]
         warnings += named(such, "image", f"with {doubt}; give [cameras] focal_px if it is known")

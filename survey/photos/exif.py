@@ -24,6 +24,7 @@ from survey.photos.xmp import (
     Motion,
     Rtk,
     height_datum,
+    horizontal_datum,
     motion_of,
     number,
     rtk_of,
@@ -41,6 +42,19 @@ _LONGEST_XMP, _LONGEST_WORDS = 1_000_000, 60
 _LONGEST_EXPOSURE_S = 60.0
 # Clocks on Earth differ from UTC by up to 14 hours.
 _MOST_OFFSET_H = 14
+# Frames that agree to a metre, as a receiver's corrections have them, by the beginning of their bare names.
+_LIKE_WGS84 = (
+    "WGS84",
+    "EPSG4326",
+    "EPSG4979",
+    "ITRF",
+    "ETRS89",
+    "EPSG4258",
+    "CGCS2000",
+    "EPSG4490",
+    "EPSG6318",
+    "NAD832011",
+)
 # No drone flies higher; receivers without a height write the largest number.
 _HIGHEST_M = 20_000.0
 # Of GPSAltitudeRef: below the ellipsoid, below the sea.
@@ -114,6 +128,8 @@ class Exif:
         What EXIF lacks for a GPS position, of which it has a part.
     focal_doubt : str
         Where a calibration in XMP belongs to another size of the photograph, or nothing tells to which.
+    gps_datum : str
+        What the file says that its position is on, where that is not WGS 84 or alike; empty otherwise.
     serial : str
         Serial number of the camera; empty where nothing tells it.
     table_place : TablePlace or None
@@ -137,6 +153,7 @@ class Exif:
     clock: datetime | None = None
     exposure_s: float | None = None
     gps_fault: str = ""
+    gps_datum: str = ""
     focal_doubt: str = ""
     serial: str = ""
     table_place: TablePlace | None = None
@@ -183,6 +200,7 @@ def read_exif(path: Path) -> Exif:
         clock=_clock(details),
         exposure_s=_exposure(details),
         gps_fault=fault,
+        gps_datum=_other_datum(gps, xmp) if position is not None else "",
         focal_doubt=resized_doubt(size, details, xmp),
         serial=_words(details.get(ExifTags.Base.BodySerialNumber, "")) or _words(serial_of(xmp)),
     )
@@ -237,6 +255,15 @@ def _position_of_gps(gps: dict) -> tuple[tuple[float, float, float] | None, str]
     height = number(_first(gps.get(ExifTags.GPS.GPSAltitude)))
     height = height if abs(height) < _HIGHEST_M else math.nan
     return (latitude, longitude, -abs(height) if _altitude_reference(gps) in _BELOW else height), ""
+
+
+def _other_datum(gps: dict, xmp: str) -> str:
+    """The datum of a position by its name in EXIF or XMP; empty where there is none, or it is WGS 84 or alike."""
+    for said in (_words(_plain(gps.get(ExifTags.GPS.GPSMapDatum))), horizontal_datum(xmp)):
+        bare = "".join(letter for letter in said.upper() if letter.isalnum())
+        if bare and not bare.startswith(_LIKE_WGS84) and bare not in ("NONE", "UNKNOWN", "UNDEFINED"):
+            return said
+    return ""
 
 
 def _altitude_reference(gps: dict) -> int | None:

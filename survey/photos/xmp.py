@@ -126,6 +126,11 @@ def height_datum(xmp: str) -> str | None:
     return ELLIPSOIDAL if said.upper().startswith(_ELLIPSOIDS) else said
 
 
+def horizontal_datum(xmp: str) -> str:
+    """What XMP says that longitude and latitude are on, e.g. "EPSG:4326"; empty where it says nothing."""
+    return _text_in(xmp, "CRSInfo", "HORIZCRS") or _text_in(xmp, _PIX4D, "HorizCS") or ""
+
+
 def with_known_prefixes(xmp: str) -> str:
     """XMP with the prefixes that namespaces have here, where a program gave them others."""
     for prefix, address in _PREFIX.findall(xmp):

@@ -19,6 +19,7 @@ from geo.crs import (
     AREA_MARGIN_DEG,
     called,
     degrees_outside_area,
+    ellipsoid,
     geodetic_crs,
     has_height,
     height_unit_m,
@@ -37,6 +38,8 @@ _AREA_DEG = 0.01
 _UNCHANGED_DEG = 1e-9
 # Two feet differ by 2e-6: units that differ by less are one.
 _SAME_UNIT = 1e-9
+# GRS 80 and WGS 84 differ by 0.1 mm, others by metres.
+_SAME_ELLIPSOID_M = 0.001
 
 
 @dataclass(frozen=True)
@@ -69,12 +72,14 @@ class Transformation:
         UnsupportedCRS
             If PROJ knows no way.
         """
+        ends = _with_its_way(source), _with_its_way(target)
         source, target = horizontal_crs(source), horizontal_crs(target)
         middle = _middle(source, np.asarray(places, dtype=np.float64))
         if middle is None:
-            return Transformation(source, target, 0.0, (), Transformer.from_crs(source, target, always_xy=True))
-        transformer, accuracy, missing = _chosen(source, target, middle)
-        if accuracy != 0.0 and not missing and _keeps_degrees(source, target, transformer, middle):
+            return Transformation(source, target, 0.0, (), Transformer.from_crs(*ends, always_xy=True))
+        transformer, accuracy, missing = _chosen(*ends, middle)
+        is_known = accuracy is not None or _may_be_one_datum(source, target)
+        if is_known and accuracy != 0.0 and not missing and _keeps_degrees(source, target, transformer, middle):
             # By convention a receiver's WGS 84 is the frame of its corrections; a survey is then as good as these.
             accuracy = 0.0
         return Transformation(source, target, accuracy, missing, transformer)
@@ -255,6 +260,29 @@ def lon_lat(crs: CRS, points: np.ndarray) -> np.ndarray:
     """
     points = np.asarray(points, dtype=np.float64)
     return np.column_stack(Transformation.between(crs, WGS84, points)(points[:, 0], points[:, 1]))
+
+
+def _with_its_way(crs: CRS) -> CRS:
+    """The horizontal part of a CRS, with the way to WGS 84 that its text gives (TOWGS84) where its datum has no name.
+
+    For a datum that PROJ knows its own operations are better.
+    """
+    part = crs.sub_crs_list[0] if crs.is_compound else crs
+    return part.to_2d() if part.is_bound and _is_nameless(part) else horizontal_crs(crs)
+
+
+def _is_nameless(crs: CRS) -> bool:
+    datum = geodetic_crs(crs).datum
+    return datum is None or datum.name.lower().startswith(("unknown", "unnamed"))
+
+
+def _may_be_one_datum(a: CRS, b: CRS) -> bool:
+    """Whether nothing says that two CRSs are of two datums: one has no name, and their ellipsoids are alike."""
+    first, second = ellipsoid(a), ellipsoid(b)
+    apart_m = max(
+        abs(first.semi_major_metre - second.semi_major_metre), abs(first.semi_minor_metre - second.semi_minor_metre)
+    )
+    return (_is_nameless(a) or _is_nameless(b)) and apart_m < _SAME_ELLIPSOID_M
 
 
 def _middle(source: CRS, places: np.ndarray) -> np.ndarray | None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pyproj import CRS
+from pyproj import CRS, Transformer
 
 from geo.errors import CRSMismatch, MissingGrid, PlaceMismatch, UnknownUnit
 from geo.projection import metres_per_unit
@@ -108,3 +108,44 @@ def test_longitudes_and_latitudes_to_look_at():
     found = lon_lat(CRS("EPSG:25832"), np.array([[5e5, 5.2e6], [np.nan, 0.0]]))
     np.testing.assert_allclose(found[0], [9.0, 46.953], atol=1e-3)
     assert not np.isfinite(found[1]).all()
+
+
+BESSEL = "+proj=utm +zone=32 +ellps=bessel"
+HELMERT = "+towgs84=598.1,73.7,418.2,0.202,0.045,-2.455,6.7"
+
+
+@pytest.mark.parametrize(
+    ("source", "accuracy"),
+    [
+        # Far outside its area PROJ knows no operation of this datum; nor of one without a name, on another ellipsoid.
+        ("EPSG:27700", None), (BESSEL, None), (f"{BESSEL} {HELMERT}", None), ("+proj=longlat +ellps=intl", None),
+        ("+proj=utm +zone=32 +ellps=GRS80", 0.0), ("+proj=utm +zone=32 +ellps=WGS84", 0.0), ("EPSG:32632", 0.0),
+        ("EPSG:25833", 0.0), ("EPSG:4326", 0.0),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("is_back", [False, True])
+def test_what_proj_knows_no_operation_for_is_not_called_exact(source, accuracy, is_back):
+    ends, place = (CRS(source), CRS("EPSG:25832+7837")), np.array([[589012.0, 5194736.0]])
+    if not is_back:
+        place = np.column_stack(Transformer.from_crs("EPSG:25832", ends[0], always_xy=True).transform(*place.T))
+    way = Transformation.between(*(ends[::-1] if is_back else ends), place)
+    assert way.accuracy_m == accuracy
+    assert (way.doubt("places") is None) == (accuracy == 0.0)
+
+
+@pytest.mark.parametrize("vertical", ["", " +vunits=m"])
+def test_the_way_to_wgs_84_that_a_nameless_crs_gives_is_taken(vertical):
+    source = CRS(f"{BESSEL} {HELMERT}{vertical} +no_defs")
+    at = Transformer.from_crs("EPSG:25832", f"{BESSEL} {HELMERT}", always_xy=True).transform(589012.0, 5194736.0)
+    assert np.hypot(at[0] - 589012.0, at[1] - 5194736.0) > 100.0
+    way = Transformation.between(source, CRS("EPSG:25832+7837"), np.array([at]))
+    assert np.column_stack(way(*np.array([at]).T)) == pytest.approx(np.array([[589012.0, 5194736.0]]), abs=1e-3)
+    # A datum with a name has better operations than those of its text.
+    text, spheroid = CRS("EPSG:31468").to_wkt("WKT1_GDAL"), 'AUTHORITY["EPSG","7004"]]'
+    named = CRS.from_wkt(text.replace(spheroid, f"{spheroid},TOWGS84[600,70,420,0,0,0,0]"))
+    assert named.is_bound
+    known = Transformation.between(CRS("EPSG:31468"), CRS("EPSG:25832"), np.array([[4468000.0, 5311480.0]]))
+    by_text = Transformation.between(named, CRS("EPSG:25832"), np.array([[4468000.0, 5311480.0]]))
+    assert np.column_stack(by_text(4468000.0, 5311480.0)) == pytest.approx(
+        np.column_stack(known(4468000.0, 5311480.0)), abs=0.01
+    )

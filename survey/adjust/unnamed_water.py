@@ -4,6 +4,10 @@ The block is adjusted with straight rays, and again over a water plane that was 
 that of water. Where the bed lies dry the second adjustment gains nothing. Where it lies under water the squares of
 residuals fall: a tie point that photographs see from several sides has no one place on straight rays. Lens and poses
 are free in both, so that what they can take of the bend does not count.
+
+Colour, glint and smooth areas of the photographs are no evidence. Shade on a dry road is bluer than the lake beside it
+(8.7 against 0.7 % of a photograph, at most), a dry street has more saturated pixels (0.7 against 0.04 %), and dry dunes
+larger areas without texture (47 against 19 %): `benchmarks/water_by_colour.py` on real photographs.
 """
 
 from __future__ import annotations

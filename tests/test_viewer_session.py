@@ -9,13 +9,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import viser
 from command_line import bathynerf
 from shown_run import served, shown_of, small_run
 
 from survey.commands.faults import BAD_INPUT
 from survey.errors import SurveyError
 from survey.viewer import detail, session
-from survey.viewer.browser import address, open_server
+from survey.viewer.browser import address, close_server, is_own_page, open_server
 from survey.viewer.detail import CloudInBrowser, Style, node_arrays
 from survey.viewer.shown import Shown
 
@@ -150,3 +151,35 @@ def test_what_is_no_run_is_refused(tmp_path):
     refused = bathynerf("view", tmp_path)
     assert refused.exit_code == BAD_INPUT
     assert "is no run folder" in refused.stderr
+
+
+@pytest.mark.parametrize(
+    ("host", "headers", "is_own"),
+    [
+        ("localhost", {"Host": "localhost:8080", "Origin": "http://localhost:8080"}, True),
+        ("localhost", {"Host": "127.0.0.1:9000"}, True),
+        ("localhost", {"Host": "localhost:8080", "Origin": "https://elsewhere.example"}, False),
+        ("localhost", {"Host": "localhost:8080", "Origin": "null"}, False),
+        ("localhost", {"Host": "elsewhere.example:8080", "Origin": "http://elsewhere.example:8080"}, False),
+        ("localhost", {}, False),
+        ("0.0.0.0", {"Host": "survey-pc:8080", "Origin": "http://survey-pc:8080"}, True),
+        ("0.0.0.0", {"Host": "survey-pc:8080", "Origin": "http://localhost:8080"}, False),
+    ],
+)
+def test_pages_of_other_sites_are_not_own(host, headers, is_own):
+    assert is_own_page(headers, host) is is_own
+
+
+def test_a_page_of_another_site_gets_no_connection():
+    from websockets.exceptions import InvalidStatus
+    from websockets.sync.client import connect
+
+    server = open_server("localhost", 8790, "run")
+    try:
+        place = f"ws://localhost:{server.get_port()}"
+        with pytest.raises(InvalidStatus, match="403"):
+            connect(place, origin="https://elsewhere.example")
+        with connect(place, origin=place.replace("ws", "http"), subprotocols=[f"viser-v{viser.__version__}"]) as own:
+            assert own.recv()
+    finally:
+        close_server(server)

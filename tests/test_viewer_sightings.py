@@ -9,7 +9,8 @@ import pytest
 
 from refract import trace
 from survey.viewer.shown import SCALES, UNKNOWN, Scale
-from survey.viewer.sightings import ENLARGED, WINDOW_PX, Photographs, mosaic, sightings_of, thumbnail
+from survey.viewer.sightings import ENLARGED, WINDOW_PX, Photographs, mosaic, sightings_of, thumbnail, unhidden
+from survey.viewer.tree import build_tree
 
 # From the centre of the small survey: 0.3 m under water, within the first frames.
 POINT = np.array([1.0, -0.5, -0.8])
@@ -50,6 +51,29 @@ def test_a_photograph_that_does_not_show_the_point_is_left_out(survey):
     raised = [replace(view, camera=replace(view.camera, tide=0.05)) for view in survey.views]
     higher = sightings_of(raised, POINT, survey.water)
     assert all(s.crossing[2] == pytest.approx(survey.water.height(*s.crossing[:2]) + 0.05) for s in higher)
+
+
+def test_photographs_from_behind_a_wall_do_not_show_the_point(survey):
+    gsd, seen = 0.05, sightings_of(survey.views, POINT, survey.water)
+    x, y = np.meshgrid(np.arange(-3.0, 5.0, gsd), np.arange(-4.0, 3.0, gsd))
+    slope = np.tan(np.radians(30.0))
+    bed = np.column_stack([x.ravel(), y.ravel(), POINT[2] + slope * (x.ravel() - POINT[0])])
+    # The bed itself hides nothing, though it rises at 30 degrees.
+    assert unhidden(seen, build_tree(bed), gsd) == seen
+    # A small roof half way to one camera, beside the rays of the others; or in the water, where they are together.
+    blocked = seen[-1]
+    at = 0.5 * (blocked.crossing + blocked.camera)
+    u, v = np.meshgrid(np.arange(-0.1, 0.1, gsd), np.arange(-0.1, 0.1, gsd))
+    roof = np.column_stack([at[0] + u.ravel(), at[1] + v.ravel(), np.full(u.size, at[2])])
+    found = unhidden(seen, build_tree(np.concatenate([bed, roof])), gsd)
+    assert blocked not in found
+    apart = [s for s in seen if np.abs(0.5 * (s.crossing + s.camera) - at)[:2].max() > 0.1 + 2.0 * gsd]
+    assert apart
+    assert all(s in found for s in apart)
+    low = roof + 0.5 * (blocked.point + blocked.crossing) - at
+    assert blocked not in unhidden(seen, build_tree(np.concatenate([bed, low])), gsd)
+    # A stray in the way is none.
+    assert unhidden(seen, build_tree(np.concatenate([bed, at[None]])), gsd) == seen
 
 
 def test_windows_have_the_point_in_their_middle(survey):

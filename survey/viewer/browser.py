@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import io
-from contextlib import redirect_stdout
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, redirect_stdout
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 from survey.errors import SurveyError
 
@@ -13,6 +15,7 @@ if TYPE_CHECKING:
     import viser
 
 _SKY, _SUN = 2.0, 1.4
+_LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
 
 def open_server(host: str, port: int, title: str) -> viser.ViserServer:
@@ -36,13 +39,49 @@ def open_server(host: str, port: int, title: str) -> viser.ViserServer:
             "of its addresses, or one of them"
         ) from error
     # viser says where it listens, which the command does itself.
-    with redirect_stdout(io.StringIO()):
+    with redirect_stdout(io.StringIO()), _own_pages_only(host):
         server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
     light(server)
     # A page in the browser could ask for a public address of the run.
     server.__dict__["request_share_url"] = lambda *_, **__: None
     return server
+
+
+@contextmanager
+def _own_pages_only(host: str) -> Iterator[None]:
+    """While a server of viser starts, its connections are made to be refused to pages of other sites.
+
+    A browser opens a WebSocket to this machine for any page; viser answers each, and has no hook for it.
+    """
+    from websockets.asyncio import server as websockets
+
+    serve = websockets.serve
+
+    def guarded(*arguments: Any, process_request: Callable[..., Any], **options: Any) -> Any:
+        def answer(connection: Any, request: Any) -> Any:
+            if not is_own_page(request.headers, host):
+                return connection.respond(403, "this page is not of the server\n")
+            return process_request(connection, request)
+
+        return serve(*arguments, process_request=answer, **options)
+
+    websockets.serve = guarded  # type: ignore[assignment, misc]
+    try:
+        yield
+    finally:
+        websockets.serve = serve  # type: ignore[misc]
+
+
+def is_own_page(headers: Mapping[str, str], host: str) -> bool:
+    """Whether a request comes from a page of this server, or from no page; by its headers.
+
+    A server of this machine alone answers to names of this machine alone, so that no other name can be led here.
+    """
+    named, origin = headers.get("Host") or "", headers.get("Origin")
+    if host in _LOOPBACK and urlsplit(f"//{named}").hostname not in _LOOPBACK:
+        return False
+    return origin is None or urlsplit(origin).netloc == named
 
 
 def light(server: viser.ViserServer) -> None:

@@ -11,7 +11,16 @@ import numpy as np
 from survey.errors import SurveyError
 from survey.viewer.detail import Style, viewpoint_of
 from survey.viewer.shown import Shown
-from survey.viewer.sightings import Photographs, Sighting, facts_of, markdown, mosaic, sightings_of, way_between
+from survey.viewer.sightings import (
+    Photographs,
+    Sighting,
+    facts_of,
+    markdown,
+    mosaic,
+    sightings_of,
+    unhidden,
+    way_between,
+)
 from survey.viewer.slices import picture_of, slice_of
 from survey.viewer.tree import pick
 
@@ -78,11 +87,12 @@ class Clicks:
     def _show_rays(self, row: int) -> None:
         self._clear()
         point = self._shown.tree.points[row]
-        seen = sightings_of(self._shown.views, point, self._shown.water)
+        framed = sightings_of(self._shown.views, point, self._shown.water)
+        seen = unhidden(framed, self._shown.tree, self._shown.gsd_m)
         self._mark(point)
         self._draw("air", [(s.camera, s.crossing) for s in seen], _AIR)
         self._draw("water", [(s.crossing, s.point) for s in seen if s.is_bent], _WATER)
-        self._text.content = markdown(facts_of(self._shown, row, seen))
+        self._text.content = markdown(facts_of(self._shown, row, seen, len(framed) - len(seen)))
         if seen and self._shown.has_photographs:
             self._show_windows(seen)
 

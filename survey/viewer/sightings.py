@@ -17,6 +17,7 @@ from survey.photos.cameras import View
 from survey.photos.images import load_image
 from survey.photos.opening import damage_named, open_image
 from survey.viewer.shown import SCALES, Shown
+from survey.viewer.tree import CloudTree, is_blocked
 
 # Longer side of a photograph that stands in its camera [px].
 THUMBNAIL_PX = 160
@@ -25,12 +26,15 @@ WINDOW_PX, ENLARGED, _BESIDE = 48, 3, 3
 # Bytes of decoded photographs that are kept for the next click.
 _MOST_BYTES = 500_000_000
 _LINE, _CROSS = 16, 6
+# Points so near to a ray block it, and those so near to its point do not, in ground sampling distances: a ray 35
+# degrees off nadir leaves a bed of that slope within them.
+_BLOCKS_GSD, _FREE_GSD = 1.0, 6.0
 _INK, _PAPER, _MARK = (34, 48, 60), (255, 255, 255), (255, 230, 0)
 
 
 @dataclass(frozen=True)
 class Sighting:
-    """One photograph in whose frame a point lies; whether something stands before it is not asked.
+    """One photograph in whose frame a point lies, see `unhidden` for what stands before it.
 
     Attributes
     ----------
@@ -59,6 +63,22 @@ def sightings_of(views: Sequence[View], point: np.ndarray, water: FlatWater | No
     """The photographs whose frames hold a point (3,) [m], local, as seen through the water; the steepest first."""
     found = [sighting for view in views if (sighting := _sighting(view, point, water)) is not None]
     return sorted(found, key=lambda sighting: sighting.incidence)
+
+
+def unhidden(seen: Sequence[Sighting], tree: CloudTree, gsd_m: float) -> list[Sighting]:
+    """The sightings whose rays no point of the cloud blocks, in the water and in the air.
+
+    Within some ground sampling distances of the point the bed that it lies on is not told from what blocks it.
+    """
+    width, free = _BLOCKS_GSD * gsd_m, _FREE_GSD * gsd_m
+
+    def is_free(sighting: Sighting) -> bool:
+        legs = [(sighting.point, sighting.crossing, free), (sighting.crossing, sighting.camera, 0.0)]
+        if not sighting.is_bent:
+            legs = [(sighting.point, sighting.camera, free)]
+        return not any(is_blocked(tree, start, end, width_m=width, free_m=gap) for start, end, gap in legs)
+
+    return [sighting for sighting in seen if is_free(sighting)]
 
 
 def _sighting(view: View, point: np.ndarray, water: FlatWater | None) -> Sighting | None:
@@ -121,8 +141,10 @@ def mosaic(windows: Sequence[np.ndarray], names: Sequence[str]) -> np.ndarray:
     return sheet
 
 
-def facts_of(shown: Shown, row: int, seen: Sequence[Sighting] | None = None) -> list[tuple[str, str]]:
-    """A point of the cloud, as labels and texts; with the photographs in whose frames it lies."""
+def facts_of(
+    shown: Shown, row: int, seen: Sequence[Sighting] | None = None, num_hidden: int = 0
+) -> list[tuple[str, str]]:
+    """A point of the cloud, as labels and texts; with the photographs that show it, and how many it is hidden from."""
     frame = shown.new_frame()
     east, north, height = frame.crs_from_local(shown.tree.points[row][None])[0]
     names, digits = (("longitude", "latitude"), 8) if is_geographic(frame.crs) else (("easting", "northing"), 3)
@@ -132,10 +154,12 @@ def facts_of(shown: Shown, row: int, seen: Sequence[Sighting] | None = None) -> 
             value = float(shown.columns[kind][row])
             rows.append((scale.label, number(value, 0) if kind == "num_views" else length(value)))
     if seen is not None and not seen:
-        rows.append(("in the frame of", "no photograph"))
+        rows.append(("shown by", "no photograph"))
     elif seen:
         low, high = (math.degrees(seen[place].incidence) for place in (0, -1))
-        rows.append(("in the frame of", f"{len(seen)} photographs, {low:.0f} to {high:.0f}° off nadir"))
+        rows.append(("shown by", f"{len(seen)} photographs, {low:.0f} to {high:.0f}° off nadir"))
+    if num_hidden:
+        rows.append(("hidden from", f"{num_hidden} more, by nearer points"))
     return rows
 
 

@@ -18,6 +18,8 @@ _STEPS = 2**30
 # Points behind the first one by so many widths of the ray are of the same surface, and the one nearest to its middle
 # is meant.
 _SAME_SURFACE = 2.0
+# So many points in the way of a ray are no stray.
+_BLOCKING = 3
 # Points that a browser draws smoothly.
 MOST_POINTS = 3_000_000
 # A node is refined until the points of it lie so close on the screen [px].
@@ -130,6 +132,29 @@ def pick(tree: CloudTree, origin: np.ndarray, direction: np.ndarray, *, angle: f
     t, off, rows = np.concatenate(found_t), np.concatenate(found_off), np.concatenate(found_rows)
     near = t <= first + _SAME_SURFACE * (least_m + angle * first)
     return int(rows[near][np.argmin(off[near])])
+
+
+def is_blocked(tree: CloudTree, start: np.ndarray, end: np.ndarray, *, width_m: float, free_m: float) -> bool:
+    """Whether points of a cloud stand in the way between two places (3,) [m], local.
+
+    Points within ``width_m`` of the line count, from ``free_m`` behind its start on, where the surface that it leaves
+    is; single ones are strays.
+    """
+    way = end - start
+    length = float(np.linalg.norm(way))
+    if length <= free_m:
+        return False
+    along, num = way / length, 0
+    for node, entry in _nodes_on(tree, start, along, 0.0, width_m):
+        if entry > length:
+            break
+        away = tree.points[tree.rows(node)] - start
+        t = away @ along
+        off = np.linalg.norm(away - t[:, None] * along, axis=1)
+        num += int(((t > free_m) & (t < length) & (off <= width_m)).sum())
+        if num >= _BLOCKING:
+            return True
+    return False
 
 
 def _nodes_on(tree: CloudTree, origin: np.ndarray, along: np.ndarray, angle: float, least_m: float):

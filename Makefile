@@ -7,6 +7,7 @@
 #   make format   let ruff mend what it can
 #   make bench    the benchmarks of minutes, on what they draw themselves: tables and figures of the documentation
 #   make stress   one thing after another made worse on a small drawn survey: where it degrades, and whether it says so
+#   make soak     damaged files of every kind (a minute of processor time; SECONDS=3600 for more): a value or a sentence
 #   make docs     the documentation as a site, its notebooks run: build/site/docs/index.html
 #   make licences the licence of everything that it needs; fails at one that does not fit Apache-2.0
 #   make clean    remove the demo and what tools left; make distclean: the environment too
@@ -31,7 +32,7 @@ ifneq ($(shell cat $(READY) 2>/dev/null),$(CURDIR))
 .PHONY: $(READY)
 endif
 
-.PHONY: help install demo test check types format bench stress docs licences clean distclean
+.PHONY: help install demo test check types format bench stress soak docs licences clean distclean
 
 help:
 	@sed -n '2,/^$$/s/^# \{0,1\}//p' Makefile
@@ -73,6 +74,9 @@ bench: $(READY)
 
 stress: $(READY)
 	@$(BIN)/python benchmarks/stress.py
+
+soak: $(READY)
+	@$(BIN)/python benchmarks/soak_inputs.py --seconds $(or $(SECONDS),60)
 
 # The source folder is the root, so that pages of docs/ and of the root link to each other; a warning fails.
 docs: $(READY)

@@ -28,6 +28,8 @@ _UNIT_TOLERANCE = 1e-9
 _SHORTEST_HEADER, _HEADER_1_4 = 227, 375
 _RECORD, _EXTENDED_RECORD = 54, 60
 _LAZ_BIT = 0x80
+# Of a writer that could not go back: the place of the table of chunks is at the end.
+_TABLE_AT_END = -1
 NO_DATA = -9999.0
 # float32 rather than scaled integers: every reader shows its true values, also those that ignore scales.
 # Names in lower case, as the registry of standard extra bytes has them; at most 32 characters each.
@@ -64,6 +66,27 @@ def length_fault(path: Path) -> str | None:
         return f"its header promises {records} records before the points, for which it is too short"
     if not point_format & _LAZ_BIT and start + count * length > size:
         return f"its header promises {count} points, of which it holds {max(size - start, 0) // max(length, 1)}"
+    return _fault_of_chunks(path, start, count, size) if point_format & _LAZ_BIT else None
+
+
+def _fault_of_chunks(path: Path, start: int, count: int, size: int) -> str | None:
+    """The claim of a LAZ file's table of chunks that its length contradicts.
+
+    The decoder takes memory for as many chunks as the table says, and ends the process where there is none.
+    """
+    with path.open("rb") as stream:
+        stream.seek(start)
+        table = struct.unpack("<q", stream.read(8).ljust(8, b"\0"))[0]
+        if table == _TABLE_AT_END:
+            stream.seek(-8, 2)
+            table = struct.unpack("<q", stream.read(8))[0]
+        if not start + 8 <= table <= size - 8:
+            return "its table of chunks lies outside of it"
+        stream.seek(table + 4)
+        chunks = struct.unpack("<I", stream.read(4))[0]
+    # Each has a point at least, and takes a byte.
+    if chunks > min(max(count, 1), size):
+        return f"its table promises {chunks} chunks, for {count} points in {size} bytes"
     return None
 
 

@@ -64,7 +64,7 @@ def _faces(lines: list[list[bytes]], vertices_before: list[int], path: Path) -> 
     counts = np.array([len(words) for words in lines])
     try:
         numbers = np.array([word.split(b"/", 1)[0] for words in lines for word in words], dtype=bytes).astype(np.int64)
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:
         raise UnreadableFile(
             f"{path} has a face line that is not whole numbers ({str(error)[:80]}); export it again."
         ) from error

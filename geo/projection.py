@@ -9,9 +9,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from pyproj import CRS, Transformer
+from pyproj.exceptions import ProjError
 
 from geo.crs import (
     angular_unit_rad,
+    called,
     ellipsoid,
     geodetic_crs,
     has_height,
@@ -20,6 +22,7 @@ from geo.crs import (
     horizontal_unit,
 )
 from geo.ellipsoid import geocentric_from_geodetic
+from geo.errors import UnsupportedCRS
 
 # Of the central differences of `metres_per_unit`: 64 m on the ground.
 _STEP_RAD = 1e-5
@@ -62,7 +65,13 @@ class MapProjection:
         transformer = None
         if not horizontal.is_geographic:
             # The one place that fixes the order of axes: easting before northing, longitude before latitude.
-            transformer = Transformer.from_crs(horizontal, geodetic_crs(self.crs), always_xy=True)
+            try:
+                transformer = Transformer.from_crs(horizontal, geodetic_crs(self.crs), always_xy=True)
+            except ProjError as error:
+                raise UnsupportedCRS(
+                    f"{called(self.crs)} has a map projection that PROJ cannot compute ({str(error)[:120]}); give one "
+                    "of EPSG, e.g. EPSG:25832"
+                ) from error
         axes = ellipsoid(self.crs)
         values = {
             "a": axes.semi_major_metre,

@@ -54,7 +54,9 @@ def check_values(points: np.ndarray, crs: CRS | None, path: Path) -> tuple[str, 
     UnreadableFile
         If their coordinates were rounded to steps far coarser than their spacing, or some heights stand for no data.
     """
-    return (*_marks_of_no_data(points[:, 2], path), *rounded_coordinates(points, crs, path))
+    # Coordinates of a damaged file may be as large as numbers go.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return (*_marks_of_no_data(points[:, 2], path), *rounded_coordinates(points, crs, path))
 
 
 def rounded_coordinates(points: np.ndarray, crs: CRS | None, path: Path) -> tuple[str, ...]:

@@ -384,3 +384,20 @@ def test_a_copy_of_a_copy_is_the_same_cloud(written, tmp_path, crs):
     np.testing.assert_allclose(second.points, first.points, rtol=0.0, atol=2e-9)
     shutil.copy(path, tmp_path / f"copy{path.suffix}")
     np.testing.assert_array_equal(read_cloud(tmp_path / f"copy{path.suffix}").points, first.points)
+
+
+def test_a_laz_table_that_promises_more_chunks_than_there_are_is_refused(tmp_path, rng, crs):
+    """The decoder would take 16 bytes for each, and end the process where there are none."""
+    path = tmp_path / "c.laz"
+    write_cloud(path, ORIGIN + rng.uniform(-20.0, 20.0, (50, 3)), crs, **values_for(50, rng))
+    data = bytearray(path.read_bytes())
+    start = struct.unpack_from("<I", data, 96)[0]
+    table = struct.unpack_from("<q", data, start)[0]
+    struct.pack_into("<I", data, table + 4, 0x4C000000)
+    path.write_bytes(data)
+    with pytest.raises(UnreadableFile, match="promises 1275068416 chunks, for 50 points"):
+        read_cloud(path)
+    struct.pack_into("<q", data, start, 2**40)
+    path.write_bytes(data)
+    with pytest.raises(UnreadableFile, match="lies outside"):
+        read_cloud(path)

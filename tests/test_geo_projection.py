@@ -8,6 +8,7 @@ from pyproj import CRS, Geod, Transformer
 from stored_run import run_of, stored_points
 
 from geo.crs import horizontal_unit
+from geo.errors import UnsupportedCRS
 from geo.projection import ground_units_m, is_to_scale
 from survey.export.export import export
 from survey.export.product import ExportOptions
@@ -58,3 +59,10 @@ def test_a_plane_is_equally_steep_in_every_crs(tmp_path, code):
         assert min(raster.shape) >= 25
         assert max(raster.shape) <= 37
     assert np.median(slope) == pytest.approx(20.0, abs=0.15)
+
+
+def test_a_map_that_proj_cannot_compute_is_a_sentence():
+    """As a damaged .prj has it: PROJ reads the text, and refuses to compute."""
+    text = CRS("EPSG:25832").to_wkt("WKT1_GDAL").replace('"scale_factor",0.9996', '"scale_factor",-0.9996')
+    with pytest.raises(UnsupportedCRS, match="PROJ cannot compute"):
+        ground_units_m(CRS.from_wkt(text), np.array([589012.0, 5194736.0]))

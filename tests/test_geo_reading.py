@@ -222,6 +222,7 @@ def test_damage_to_a_ply_file_is_named(tmp_path, old, new, words):
         ("v 589012.0", "v east", "vertex line that is not three numbers"),
         ("v 589012.0", "v inf", "1 of 5 vertices whose coordinates are not finite"),
         ("f 1 2 3", "f 1 2 three", "face line that is not whole numbers"),
+        ("f 1 2 3", f"f 1 2 {'9' * 40}", "face line that is not whole numbers"),
         ("f 1 2 3", "f 1 2 6", r"triangle 0\) that names a vertex beyond its 5"),
         ("f 1 2 3", "f 0 1 2", r"triangle 0\) that names a vertex beyond its 5"),
         ("f 1 2 3", "f 1 -9 2", r"triangle 0\) that names a vertex beyond its 5"),

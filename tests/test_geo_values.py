@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import laspy
@@ -219,3 +220,10 @@ def test_one_height_is_a_mark_only_where_no_place_has_it(height):
     assert is_mark_of_no_data(height)
     assert not is_mark_of_no_data(height + 0.5)
     assert not any(is_mark_of_no_data(each) for each in (0.0, 9999.0, -10.0, 8848.86, -430.0))
+
+
+def test_heights_as_large_as_numbers_go_are_no_fault_of_the_reader():
+    points = ground(PLACES[next(iter(PLACES))], 0.2)
+    points[0, 2], points[1, 2], points[2, 0] = 1.7e308, -1.7e308, 1e300
+    with contextlib.suppress(UnreadableFile):
+        check_values(points, None, Path("x.ply"))

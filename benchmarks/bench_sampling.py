@@ -38,7 +38,7 @@ SAMPLERS = {
     "Gauss 0.5 px, cubic spline": (0.5, 3),
 }
 # Pairs: samples of the texture per pixel, grey levels of texture and noise, heights tried and their distance [px].
-FINE, CONTRAST, NOISE, RUNGS, STEP = 10, 35.0, 1.0, (-1, 0, 1), 0.25
+FINE, CONTRAST, NOISE, HYPOTHESES, STEP = 10, 35.0, 1.0, (-1, 0, 1), 0.25
 SHIFTS = np.arange(10) / 10.0
 
 
@@ -74,7 +74,7 @@ def matched(sigma: float, order: int, pixels: int = 256) -> tuple[np.ndarray, fl
     for shift, other in zip(SHIFTS, others, strict=True):
         # The heights of the pass before, smooth and off by a quarter of a pixel.
         start = 6.0 * gaussian_filter(rng.uniform(-0.25, 0.25, x.shape), 4.0)
-        places = [(y, x - shift + start + STEP * rung) for rung in RUNGS]
+        places = [(y, x - shift + start + STEP * number) for number in HYPOTHESES]
         low, middle, high = (ncc(reference, map_coordinates(other, at, order=order, mode="nearest")) for at in places)
         bend = np.maximum(2.0 * middle - low - high, 1e-6)
         offset = np.where(middle >= np.maximum(low, high), np.clip(0.5 * (high - low) / bend, -0.5, 0.5), 0.0)

@@ -169,7 +169,7 @@ def test_index_one_gives_the_heights_of_the_dry_code(dry):
         block.judge_overlap_at(-8.2 - plane)
         maps = sweep(block, [0, 5], (-8.6 - plane, -7.2 - plane), lambda share: None, PASSES[:2])
         heights.append(np.array([m.height for m in maps]) + plane)
-    # float32 at 8 m has steps of 1e-6 m; a tie on the ladder may fall to the other rung.
+    # float32 at 8 m has steps of 1e-6 m; a tie between hypotheses may fall to the other one.
     assert (np.abs(heights[0] - heights[1]) < 1e-4).mean() > 0.999
 
 

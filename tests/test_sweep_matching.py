@@ -29,7 +29,7 @@ def is_close(error) -> bool:
     return half < HALF * STEP and most < MOST * STEP and abs(error.mean()) < BIAS_M
 
 
-def climb_plane(device, bed: PlaneBed, offset: float, *, spoil=None, cameras=None):
+def match_plane(device, bed: PlaneBed, offset: float, *, spoil=None, cameras=None):
     """True heights of view 0 and those of `match_view`, on hypotheses centred `offset` [m] off the truth."""
     cameras = cameras or ring(6)
     images = [bed.photograph(camera) for camera in cameras]
@@ -43,7 +43,7 @@ def climb_plane(device, bed: PlaneBed, offset: float, *, spoil=None, cameras=Non
 
 @pytest.mark.parametrize("bed", BEDS.values(), ids=BEDS.keys())
 def test_hypotheses_about_the_bed_find_a_plane_to_a_fraction_of_a_step(device, bed):
-    truth, height, score, curvature = climb_plane(device, bed, 0.35 * STEP)
+    truth, height, score, curvature = match_plane(device, bed, 0.35 * STEP)
     found = curvature > 0.0
     assert found.mean() > 0.85
     assert is_close((height - truth)[found])
@@ -53,7 +53,7 @@ def test_hypotheses_about_the_bed_find_a_plane_to_a_fraction_of_a_step(device, b
 @pytest.mark.parametrize("offset", [-0.5, -0.25, 0.0, 0.25, 0.5])
 def test_the_error_does_not_lean_toward_the_hypotheses(device, offset):
     """Parabolas through three scores may pull heights to a hypothesis ("pixel locking"): wherever it lies, not here."""
-    truth, height, _, curvature = climb_plane(device, BEDS["wet"], offset * STEP)
+    truth, height, _, curvature = match_plane(device, BEDS["wet"], offset * STEP)
     assert abs((height - truth)[curvature > 0.0].mean()) < BIAS_M
 
 
@@ -72,7 +72,7 @@ def test_one_range_for_a_whole_image_finds_relief_that_it_spans(device):
 
 
 def test_where_no_window_is_complete_the_score_says_so_and_the_nearest_height_stands_in(device):
-    _, height, score, curvature = climb_plane(device, BEDS["wet"], 0.0)
+    _, height, score, curvature = match_plane(device, BEDS["wet"], 0.0)
     edge = np.ones(height.shape, dtype=bool)
     edge[RADIUS:-RADIUS, RADIUS:-RADIUS] = False
     assert (score[edge] == -1.0).all()
@@ -109,7 +109,7 @@ def test_masked_pixels_match_nothing_and_leave_the_others_alone(device, spoil):
     images = [BEDS["wet"].photograph(camera) for camera in ring(6)]
     spoil(images, ring(6))
     masked = np.isnan(images[0])
-    truth, height, score, curvature = climb_plane(device, BEDS["wet"], 0.0, spoil=spoil)
+    truth, height, score, curvature = match_plane(device, BEDS["wet"], 0.0, spoil=spoil)
     assert masked.any()
     assert (score[masked] == -1.0).all()
     found = curvature > 0.0
@@ -123,14 +123,14 @@ def test_an_image_without_texture_gives_scores_near_zero(device):
         for image in images:
             image[:] = 30.0
 
-    _, _, score, _ = climb_plane(device, BEDS["wet"], 0.0, spoil=flatten)
+    _, _, score, _ = match_plane(device, BEDS["wet"], 0.0, spoil=flatten)
     # Sums of squares of 30 in float32 against the floor of 1: a tenth of the figure of 97 in test_sweep_scoring.
     assert np.abs(score[score > -1.0]).max() < 1e-3
 
 
 def test_an_image_smaller_than_the_window_matches_nothing(device):
     cameras = ring(2, size=(4, 3))
-    _, height, score, curvature = climb_plane(device, BEDS["wet"], 0.0, cameras=cameras)
+    _, height, score, curvature = match_plane(device, BEDS["wet"], 0.0, cameras=cameras)
     assert height.shape == (3, 4)
     assert (score == -1.0).all()
     assert (curvature == 0.0).all()

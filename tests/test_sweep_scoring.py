@@ -126,18 +126,18 @@ def test_best_half_agrees_with_a_slow_twin_whoever_sees_the_window(device, rng, 
     np.testing.assert_allclose(found, slow_best_half(score), atol=4 * EPS32)
 
 
-def climbed(device, hypotheses: np.ndarray, start: np.ndarray, step: float):
+def best_heights(device, hypotheses: np.ndarray, start: np.ndarray, step: float):
     found = kernels(device).best_height(
         device, floats(device, hypotheses), floats(device, start), step, len(hypotheses)
     )
     return [host(device, array) for array in found]
 
 
-def test_climb_finds_the_top_of_a_parabola(device, rng):
+def test_best_height_finds_the_top_of_a_parabola(device, rng):
     step, bend, start = 0.1, 3.0, rng.uniform(-3.0, 3.0, 200)
     top = start + rng.uniform(1.1, 6.9, 200) * step  # on a hypotheses of nine, away from its ends
     heights = start + step * np.arange(9)[:, None]
-    height, best, curvature = climbed(device, 0.9 - bend * (heights - top) ** 2, start, step)
+    height, best, curvature = best_heights(device, 0.9 - bend * (heights - top) ** 2, start, step)
     # The scores round by EPS32; their second difference is 0.06.
     np.testing.assert_allclose(height, top, atol=8 * EPS32 / 0.06)
     np.testing.assert_allclose(curvature, 2.0 * bend, rtol=16 * EPS32 / 0.06)
@@ -146,7 +146,7 @@ def test_climb_finds_the_top_of_a_parabola(device, rng):
 
 def test_no_best_height_is_trusted_at_the_end_of_the_range(device):
     hypotheses = np.array([[0.1, 0.9, NOWHERE], [0.2, 0.5, NOWHERE], [0.6, 0.2, NOWHERE], [0.8, 0.1, NOWHERE]])
-    height, best, curvature = climbed(device, hypotheses, np.zeros(3), 0.5)
+    height, best, curvature = best_heights(device, hypotheses, np.zeros(3), 0.5)
     np.testing.assert_allclose(height, [1.5, 0.0, 0.0])
     np.testing.assert_allclose(best, [0.8, 0.9, NOWHERE], rtol=EPS32)
     np.testing.assert_array_equal(curvature, 0.0)
@@ -154,7 +154,7 @@ def test_no_best_height_is_trusted_at_the_end_of_the_range(device):
 
 def test_the_first_of_equal_scores_is_taken_and_left_by_half_a_step_at_most(device):
     hypotheses = np.array([[0.0, NOWHERE], [0.7, 0.5], [0.7, 0.6], [0.0, 0.59]])
-    height, _, _ = climbed(device, hypotheses, np.zeros(2), 1.0)
+    height, _, _ = best_heights(device, hypotheses, np.zeros(2), 1.0)
     assert height[0] == 1.5
     assert 1.5 <= height[1] <= 2.5
 

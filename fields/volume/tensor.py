@@ -1,4 +1,4 @@
-"""Planes times vectors in a box: TensoRF, DW, M and MDW-NeRF are one model with four settings."""
+"""Planes times vectors in a box: VM, DW, M and MDW-NeRF are one model with four settings."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from geo.projection import ground_units_m
 from survey.adjust.adjustment import Adjustment
 from survey.compare.canvas import map_canvas, nice_limit, save, write_title
 from survey.display.palette import BLUE, INK, LAND, RED
-from survey.display.quantities import LengthUnit
+from survey.display.quantities import LengthUnit, length
 from survey.folder.survey import Survey
 from survey.report.checkpoints import CheckpointFigures
 from survey.report.raster import Picture
@@ -21,6 +21,8 @@ from survey.report.raster import Picture
 # An arrow of the length that the subtitle names is as long as this share of the map.
 _LONGEST = 0.125
 _MARGIN = 0.14
+# A point that is off by so many times the median sets no scale: its arrow is cut, and its name says by how much it is.
+_FAR, _CUT = 10.0, 1.5
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,11 @@ def draw_residuals(path: Path, survey: Survey, residuals: Sequence[Residual]) ->
     extent, width_m = _extent(places, unit_m)
     figure, axes = map_canvas(extent, crs, below_in=0.5)
     axes.set_facecolor("white")
-    longest = nice_limit(np.concatenate([np.hypot(off[:, 0], off[:, 1]), off[:, 2]]))
+    in_all = np.sqrt(np.nansum(off**2, axis=1))
+    is_far = in_all > _FAR * np.median(in_all)
+    near = off if is_far.all() else off[~is_far]
+    longest = nice_limit(np.concatenate([np.hypot(near[:, 0], near[:, 1]), near[:, 2]]))
+    off = np.where(is_far[:, None], off * np.minimum(_CUT * longest / np.maximum(in_all, 1e-9), 1.0)[:, None], off)
     times = _LONGEST * width_m / longest
     in_plan = np.isfinite(off[:, 0])
     up = np.column_stack([np.zeros(len(off)), off[:, 2]])
@@ -79,8 +85,9 @@ def draw_residuals(path: Path, survey: Survey, residuals: Sequence[Residual]) ->
     for part, mark, colour, label in ((~is_check, "^", INK, "control point"), (is_check, "s", LAND, "check point")):
         if part.any():
             axes.plot(*places[part].T, mark, ms=6.0, mfc=colour, mec=INK, mew=0.8, label=label, zorder=5)
-    for each in residuals:
-        axes.annotate(each.name, each.place, (5, 5), textcoords="offset points", fontsize=7.5, color=INK, zorder=6)
+    for each, far, whole in zip(residuals, is_far, in_all, strict=True):
+        name = f"{each.name} (cut: {length(float(whole))})" if far else each.name
+        axes.annotate(name, each.place, (5, 5), textcoords="offset points", fontsize=7.5, color=INK, zorder=6)
     figure.legend(loc="lower center", ncols=2, frameon=False, fontsize=9)
     unit = LengthUnit.of([longest])
     title = "Control and check points"

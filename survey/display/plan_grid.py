@@ -16,6 +16,8 @@ _STRAY_SHARE = 0.001
 _MARGIN = 0.05
 # Points that suffice to find the extent of all.
 _ENOUGH = 200_000
+# Points whose cells are worked out at a time, of 60 bytes each.
+_PORTION = 500_000
 # So that the outermost point, on the edge of the last cell, does not need a further one.
 _A_LITTLE_MORE = 1.0 + 1e-6
 # So that a hole in a map is a hole in the cloud, and not one by chance.
@@ -87,8 +89,11 @@ class PlanGrid:
         """Cells from the north-western corner of what lies between ``low`` and ``high`` (2,) in crs."""
         columns, rows = (math.floor(side / cell_m) + 1 for side in (high - low) * unit)
         cell = cell_m / unit
-        at = np.column_stack([(plan[:, 0] - low[0]) / cell[0], (high[1] - plan[:, 1]) / cell[1]])
-        index = cell_numbers(at, (rows, columns))
+        index = np.empty(len(plan), dtype=np.int64)
+        for first in range(0, len(plan), _PORTION):
+            x, y = plan[first : first + _PORTION].T
+            at = np.column_stack([(x - low[0]) / cell[0], (high[1] - y) / cell[1]])
+            index[first : first + _PORTION] = cell_numbers(at, (rows, columns))
         corner = (float(low[0]), float(high[1]))
         return PlanGrid(*corner, (float(cell[0]), float(cell[1])), cell_m, (rows, columns), index)
 

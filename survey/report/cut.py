@@ -48,7 +48,7 @@ def choose_cut(facts: ReportFacts) -> Cut:
 
     The bed has to have a point. Dry ground counts as depth zero, so that a cut meets the shore rather than a hill.
     """
-    xyz, is_dry = facts.bed.xyz.astype(np.float64), facts.survey.water is None
+    xyz, is_dry = facts.bed.xyz.astype(np.float64, copy=False), facts.survey.water is None
     grid = PlanGrid.over(xyz, None, max_cells=_CELLS)
     relief = grid.mean(xyz[:, 2] if is_dry else np.maximum(facts.bed.depth.astype(np.float64), 0.0))
     west, east, south, north = grid.extent

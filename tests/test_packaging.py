@@ -76,3 +76,13 @@ def test_without_pycolmap_poses_are_asked_for():
     require_solver()
     with pytest.raises(SurveyError, match=r"pycolmap.* is not installed.*Name a file of poses"):
         require_solver("no_such_module")
+
+
+def test_the_container_installs_extras_that_there_are_and_the_libraries_of_setup():
+    recipe = (ROOT / "Containerfile").read_text()
+    extras = re.search(r"bathynerf\[([a-z0-9,]+)\]", recipe).group(1).split(",")
+    assert (
+        set(extras) <= tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"].keys()
+    )
+    libraries = re.search(r"libllvm\d+", (ROOT / "scripts" / "setup.sh").read_text()).group()
+    assert libraries in recipe

@@ -1,17 +1,27 @@
-"""report.html as PDF, by WeasyPrint: a page for print without a browser."""
+"""report.html as PDF, by the Chromium, Chrome or Edge of the machine, which prints the page as it shows it."""
 
 from __future__ import annotations
 
-import logging
+import os
+import shutil
+import subprocess
+import tempfile
 from pathlib import Path
 
 from geo.errors import UnwritableFile
 from geo.files import write_whole
-from geo.optional import library_for
 
-# Near the end of a PDF, where its metadata are.
-MARK = b"bathynerf"
-_TAIL_BYTES = 1 << 16
+# After the end of the document, where readers look no further.
+MARK = b"% bathynerf\n"
+_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge", "msedge")
+# Where it is no program of the path.
+_PLACES = (
+    "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
+    "/Applications/Microsoft Edge.app/Contents/MacOS/Microsoft Edge",
+    "C:/Program Files/Google/Chrome/Application/chrome.exe",
+    "C:/Program Files (x86)/Microsoft/Edge/Application/msedge.exe",
+)
+_MOST_S = 300.0
 
 
 def write_pdf(html: Path, path: Path) -> None:
@@ -20,24 +30,43 @@ def write_pdf(html: Path, path: Path) -> None:
     Raises
     ------
     UnwritableFile
-        If the file cannot be written, or WeasyPrint or Pango is not installed.
+        If the file cannot be written, or there is no browser, or it does not print.
     """
-    # It names each rule of the page that print does not need.
-    logging.getLogger("weasyprint").setLevel(logging.ERROR)
-    logging.getLogger("fontTools").setLevel(logging.ERROR)
-    try:
-        weasyprint = library_for(path, "weasyprint", "pdf", to_write=True)
-    except OSError as error:
-        raise UnwritableFile(
-            f"{path} is set by WeasyPrint, which needs Pango, and that cannot be loaded. Debian, Ubuntu: apt-get "
-            "install libpango-1.0-0 libpangoft2-1.0-0; macOS: brew install pango; or print report.html from a browser."
-        ) from error
-    content = weasyprint.HTML(filename=str(html)).write_pdf()
+    browser = _browser(path)
+    with tempfile.TemporaryDirectory(prefix="bathynerf-pdf-") as work:
+        printed = Path(work, "report.pdf")
+        options = ["--headless", "--disable-gpu", "--no-first-run", "--no-pdf-header-footer", f"--user-data-dir={work}"]
+        if getattr(os, "geteuid", lambda: 1)() == 0:
+            # Chromium refuses its sandbox to root; the page is bathynerf's own and has no scripts.
+            options.append("--no-sandbox")
+        command = [browser, *options, f"--print-to-pdf={printed}", html.resolve().as_uri()]
+        try:
+            done = subprocess.run(command, capture_output=True, timeout=_MOST_S, check=False)
+            said = done.stderr.decode("utf-8", "replace").strip().splitlines()[-1:]
+        except (OSError, subprocess.TimeoutExpired) as error:
+            said = [str(error)]
+        if not printed.is_file():
+            raise UnwritableFile(
+                f"{path}: {browser} did not print {html} ({' '.join(said)[:200]}); open it in a browser and print it "
+                "there."
+            )
+        content = printed.read_bytes()
     with write_whole(path) as stream:
-        stream.write(content)
+        stream.write(content.rstrip(b"\n") + b"\n" + MARK)
+
+
+def _browser(path: Path) -> str:
+    found = next((place for name in _NAMES if (place := shutil.which(name)) is not None), None)
+    found = found or next((place for place in _PLACES if Path(place).is_file()), None)
+    if found is None:
+        raise UnwritableFile(
+            f"{path} is printed by Chromium, Chrome or Edge, and none was found; install one (Debian, Ubuntu: apt-get "
+            "install chromium), or print report.html from another browser."
+        )
+    return found
 
 
 def is_our_pdf(path: Path) -> bool:
     """Whether a file is a PDF that `write_pdf` wrote."""
     content = path.read_bytes()
-    return content.startswith(b"%PDF") and MARK in content[-_TAIL_BYTES:]
+    return content.startswith(b"%PDF") and content.endswith(MARK)

@@ -1,0 +1,134 @@
+"""Try the first cloud as a stranger would, in a bare system, and write the transcripts into docs/first-cloud.md.
+
+    debootstrap --variant=minbase --include=python3,python3-venv,libatomic1,libllvm19,ca-certificates bookworm ROOT
+    python -m pip wheel --no-deps -w dist .
+    python examples/exports.py SURVEYS
+    sudo .venv/bin/python scripts/first_clouds.py ROOT dist/bathynerf-*.whl SURVEYS [--find-links WHEELS]
+
+ROOT is a folder with a system in it, as a container has one, and from it nothing outside is seen: the commands run
+there in namespaces of their own (unshare), as a user without rights, with a home that holds nothing, no environment
+but HOME, PATH and LANG, and no compiler. The wheel is installed from its file with constraints.txt, in an environment
+of its own; --find-links copies a folder of wheels there first, for the CPU build of torch. Then each survey of
+examples/exports.py takes the three commands.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent.parent
+PAGE = HERE / "docs" / "first-cloud.md"
+HOME, USER = "/home/you", 1000
+LEVEL = "584.2"
+# Longer output is cut in the middle: so many of its first and last lines stay.
+HEAD, TAIL = 11, 6
+TITLES = {
+    "photographs": ("From photographs alone", "A drone's photographs with positions of RTK, and nothing else."),
+    "metashape": ("From Metashape", "Photographs, and cameras.xml of File > Export > Export Cameras."),
+    "odm": ("From OpenDroneMap", "The project folder, as far as OpenSfM made it."),
+    "colmap": ("From COLMAP", "A binary model in metres, aligned by `model_aligner` to the positions in EXIF."),
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("root", type=Path)
+    parser.add_argument("wheel", type=Path)
+    parser.add_argument("surveys", type=Path)
+    parser.add_argument("--find-links", type=Path)
+    given = parser.parse_args()
+    home = given.root / HOME.lstrip("/")
+    furnish(home, given.surveys, given.wheel, given.find_links)
+    parts = [install(given.root, given.wheel.name, given.find_links is not None)]
+    parts += [try_survey(given.root, name) for name in TITLES]
+    PAGE.write_text(page(parts), encoding="utf-8")
+
+
+def furnish(home: Path, surveys: Path, wheel: Path, wheels: Path | None) -> None:
+    """Put the surveys, the wheel and the constraints into an empty home."""
+    shutil.rmtree(home, ignore_errors=True)
+    home.mkdir(parents=True)
+    for name in TITLES:
+        shutil.copytree(surveys / name, home / name)
+    shutil.copy(wheel, home)
+    shutil.copy(HERE / "constraints.txt", home)
+    if wheels is not None:
+        shutil.copytree(wheels, home / "wheels")
+    subprocess.run(["chown", "-R", f"{USER}:{USER}", home], check=True)
+
+
+def run(root: Path, command: str) -> str:
+    """What a command prints in the system at ``root``, both streams as they come; it has to end with 0."""
+    environment = ["env", "-i", f"HOME={HOME}", "PATH=" + HOME + "/bathynerf/bin:/usr/bin:/bin", "LANG=C.UTF-8"]
+    apart = ["unshare", "--mount", "--pid", "--fork", f"--root={root}", "--mount-proc"]
+    apart += [f"--setuid={USER}", f"--setgid={USER}", f"--wd={HOME}"]
+    done = subprocess.run(
+        [*apart, *environment, "sh", "-c", command], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    sys.stderr.write(f"$ {command}\n{done.stdout}\n")
+    if done.returncode:
+        raise SystemExit(f"{shlex.quote(command)} ended with {done.returncode} in {root}")
+    return done.stdout
+
+
+def install(root: Path, wheel: str, has_wheels: bool) -> str:
+    links = " --find-links wheels" if has_wheels else ""
+    run(root, "python3 -m venv bathynerf")
+    run(root, f"bathynerf/bin/pip install -q -c constraints.txt{links} ./{wheel} 2>&1")
+    version = run(root, "python3 --version").strip()
+    return (
+        f"    $ python3 -m venv bathynerf && . bathynerf/bin/activate    # {version}\n"
+        f"    $ pip install -q -c constraints.txt {wheel}\n"
+    )
+
+
+def try_survey(root: Path, name: str) -> str:
+    title, what = TITLES[name]
+    commands = [
+        f"bathynerf init {name} --level {LEVEL}",
+        f"bathynerf check {name}",
+        f"bathynerf process {name} --quality draft",
+    ]
+    shown = [f"## {title}\n\n{what}\n"]
+    for command in commands:
+        shown.append(f"    $ {command}\n" + indented(cut(run(root, command))))
+    return "\n".join(shown)
+
+
+def cut(text: str) -> list[str]:
+    """The lines of a transcript without times of the day, the middle of a long one left out."""
+    lines = [re.sub(r"^\d{4}-\d\d-\d\d \d\d:\d\d:\d\d ", "", line.rstrip()) for line in text.splitlines()]
+    if len(lines) > HEAD + TAIL + 2:
+        return [*lines[:HEAD], f"... ({len(lines) - HEAD - TAIL} lines)", *lines[-TAIL:]]
+    return lines
+
+
+def indented(lines: list[str]) -> str:
+    out = []
+    for line in lines:
+        indent = re.match(r" *", line).group() + "    "
+        out += textwrap.wrap(line.strip(), 116, initial_indent=indent, subsequent_indent=indent + "    ") or [""]
+    return "\n".join(out).rstrip() + "\n"
+
+
+def page(parts: list[str]) -> str:
+    head = (
+        "# The first cloud, in three commands\n\n"
+        "`init` writes survey.toml from what a folder holds, `check` says what would be done, `process` does it. What "
+        "follows\nwas run in a bare Debian with Python and nothing else, by a user without rights "
+        "(`scripts/first_clouds.py`), on a drawn\nsurvey of 18 photographs of 480 x 360 px (`examples/exports.py`); "
+        "the text is the terminal's, cut where it is long. The\nwater stands at 584.2 m: `--level` is what no file "
+        "tells.\n"
+    )
+    return "\n".join([head, *parts]).rstrip() + "\n"
+
+
+if __name__ == "__main__":
+    main()

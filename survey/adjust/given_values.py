@@ -31,8 +31,9 @@ from survey.adjust.observability import FEWEST_WET
 from survey.adjust.observed import Observed
 from survey.adjust.priors import HELD, Known, is_held, known_of, priors_for
 from survey.adjust.rounds import Adjusted, adjust, std_over_points
-from survey.adjust.state import LENS_NAMES, WATER, WATER_PARAMETERS, Layout, State
+from survey.adjust.state import LENS_NAMES, WATER, Layout, State
 from survey.adjust.verdicts import MOST_SIGMAS, MOST_SIGMAS_OF_FOUR, MOST_STD_INDEX
+from survey.adjust.water_settings import WATER_PARAMETERS
 from survey.errors import SurveyError
 from survey.folder.contradiction import Contradiction
 from survey.folder.pose_priors import BAROMETER_STD_M

@@ -34,9 +34,10 @@ from survey.adjust.parts import parts_warning
 from survey.adjust.priors import Known, known_of
 from survey.adjust.roll_notes import open_roll_named, roll_notes
 from survey.adjust.rounds import Adjusted, adjust
-from survey.adjust.state import WATER, WATER_PARAMETERS
+from survey.adjust.state import WATER
 from survey.adjust.unnamed_water import water_seen
 from survey.adjust.verdicts import MOST_SIGMAS_OF_FOUR, MOST_STD_LEVEL_M
+from survey.adjust.water_settings import WATER_PARAMETERS
 from survey.adjust.windows import measure_windows
 from survey.errors import SurveyError
 from survey.folder.contradiction import Contradiction

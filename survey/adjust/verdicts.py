@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from survey.adjust.adjustment import FREE, HELD, UNKNOWN, Parameter
-from survey.adjust.state import LENS_NAMES, RATE_NAME, READOUT_NAME, WATER_PARAMETERS, Layout, State
+from survey.adjust.state import LENS_NAMES, RATE_NAME, READOUT_NAME, Layout, State
+from survey.adjust.water_settings import WATER_PARAMETERS
 from survey.folder.config import WaterConfig
 from survey.folder.shutter import rows_between
 

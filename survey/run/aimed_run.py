@@ -1,4 +1,4 @@
-"""Runs with a target std or a time budget: the recipe of each round, its duration, and the time left.
+"""Runs with a target std or a time budget: the recipe of each round, and its duration.
 
 A run goes in rounds of sweep, solver and a look at what was reached (`survey.run.rounds`). The first is cheap. Each
 later one goes on from the heights before, so that a round in between costs a few percent of the one after it.
@@ -7,8 +7,6 @@ later one goes on from the heights before, so that a round in between costs a fe
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from survey.plan.aim import SHARE, Aim
@@ -16,6 +14,7 @@ from survey.plan.pace import Ground, Pace, samples
 from survey.plan.plan import Decision
 from survey.plan.recipe import RECIPES, Recipe
 from survey.run.cell_std import CellStd
+from survey.run.clock import Clock
 
 # A point's own standard deviation with images of twice the side (docs/targets.md).
 _FINER_STD = 0.55
@@ -23,41 +22,6 @@ _FINER_STD = 0.55
 _LEAST_GAIN = 0.01
 # Foreseen times may be short by this share.
 _SLACK = 0.1
-
-
-class OutOfTimeError(Exception):
-    """Work that can be left out would take the time of what cannot."""
-
-
-class Clock:
-    """Counts down from a number of seconds.
-
-    Parameters
-    ----------
-    seconds : float
-    gone_s : float
-        How long ago the time began [s].
-    now : callable
-        Seconds that only rise.
-    """
-
-    def __init__(self, seconds: float, gone_s: float = 0.0, now: Callable[[], float] = time.monotonic):
-        self._now, self._end = now, now() + seconds - gone_s
-
-    @property
-    def left_s(self) -> float:
-        """Seconds that are left; negative when they are over."""
-        return self._end - self._now()
-
-    def keep(self, seconds: float) -> None:
-        """Raise where less is left than what has to follow takes.
-
-        Raises
-        ------
-        OutOfTimeError
-        """
-        if self.left_s < seconds:
-            raise OutOfTimeError
 
 
 @dataclass

@@ -17,7 +17,8 @@ from survey.plan.pace import ANY_RUN_S, Ground, Pace
 from survey.plan.plan import make_plan
 from survey.plan.recipe import Recipe
 from survey.progress import Progress
-from survey.run.aimed_run import AimedRun, Clock
+from survey.run.aimed_run import AimedRun
+from survey.run.clock import Clock
 
 # What the stated rates of another machine may be wrong by.
 _UNKNOWN_PACE = 1.2

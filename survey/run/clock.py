@@ -1,0 +1,41 @@
+"""The time budget of a run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+
+class OutOfTimeError(Exception):
+    """Work that can be left out would take the time of what cannot."""
+
+
+class Clock:
+    """Counts down from a number of seconds.
+
+    Parameters
+    ----------
+    seconds : float
+    gone_s : float
+        How long ago the time began [s].
+    now : callable
+        Seconds that only rise.
+    """
+
+    def __init__(self, seconds: float, gone_s: float = 0.0, now: Callable[[], float] = time.monotonic):
+        self._now, self._end = now, now() + seconds - gone_s
+
+    @property
+    def left_s(self) -> float:
+        """Seconds that are left; negative when they are over."""
+        return self._end - self._now()
+
+    def keep(self, seconds: float) -> None:
+        """Raise where less is left than what has to follow takes.
+
+        Raises
+        ------
+        OutOfTimeError
+        """
+        if self.left_s < seconds:
+            raise OutOfTimeError

@@ -156,6 +156,19 @@ def test_points_above_all_cameras_are_doubted(tmp_path):
     assert any("3 of 3 control or check points lie above all cameras" in text for text in survey.warnings)
 
 
+@pytest.mark.parametrize("height", [LEVEL / 10.0, -LEVEL, 0.0])
+def test_a_check_point_whose_height_is_far_from_the_others_is_named(tmp_path, height):
+    _, east, north, level = POINTS[0]
+    rods = [(f"p{i}", east + 0.1 * i, north, level + 0.3 * i) for i in range(6)]
+    for wrong, expected in (([], 0), ([("typo", east, north, height)], 1)):
+        survey = load_survey(
+            with_control(tmp_path / str(expected), 'checkpoints = "rods.csv"', rods__csv=table(rods + wrong))
+        )
+        said = [text for text in survey.warnings if "far from the others by its height" in text]
+        assert len(said) == expected
+        assert all(f"typo ({height:.2f} m in " in text for text in said)
+
+
 def test_check_points_are_read_with_or_without_names(tmp_path):
     survey = load_survey(with_control(tmp_path, 'checkpoints = "rods.csv"', rods__csv=table()))
     assert survey.control is None

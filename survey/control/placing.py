@@ -14,10 +14,13 @@ from survey.control.content import GivenPoint
 from survey.control.horizontal import swapped
 from survey.control.points import Checkpoint, Control, ControlPoint, Mark
 from survey.control.reading import Gathered
+from survey.display.words import named
 from survey.errors import ControlError
 
 # No photograph of a survey of shallow water shows a point further away.
 _FARTHEST_M = 3000.0
+# A height is far from the others beyond so many times what is usual among them, and this length [m].
+_FAR, _FAR_HEIGHT_M, _FEWEST = 10.0, 30.0, 4
 
 
 def require_near(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) -> list[str]:
@@ -86,16 +89,33 @@ def _degrees(said: str, crs: CRS, where: str) -> str:
 
 def _height_doubts(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) -> list[str]:
     heights = np.array([point.place[2] for point in points])
+    unit = height_unit_m(crs)
     above = heights > cameras[:, 2].max()
     if not above.any():
-        return []
+        return _far_heights(points, unit * heights)
     worst = points[int(np.argmax(heights))]
-    unit = height_unit_m(crs)
     return [
         f"{int(above.sum())} of {len(points)} control or check points lie above all cameras (highest camera "
         f"{unit * cameras[:, 2].max():.2f} m, {worst.name[:40]} {unit * worst.place[2]:.2f} m in {worst.where}); check "
         "that their heights have the vertical datum of crs"
     ]
+
+
+def _far_heights(points: Sequence[GivenPoint], heights_m: np.ndarray) -> list[str]:
+    """A warning that names points whose heights (N,) [m] lie far from those of all others."""
+    off = np.abs(heights_m - np.median(heights_m))
+    far = off > max(_FAR * float(np.median(off)), _FAR_HEIGHT_M)
+    if len(points) < _FEWEST or not far.any():
+        return []
+    low, high = heights_m[~far].min(), heights_m[~far].max()
+    said = [
+        f"{point.name[:40]} ({height:.2f} m in {point.where})"
+        for point, height, is_far in zip(points, heights_m.tolist(), far.tolist(), strict=True)
+        if is_far
+    ]
+    return named(
+        said, "control or check point", f"far from the others by its height, which are at {low:.2f} to {high:.2f} m"
+    )
 
 
 def _distance_m(place: np.ndarray, cameras: np.ndarray, crs: CRS) -> float:

@@ -5,8 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from compare_plane import FRAME, compared, grid, write_las
+from pyproj import CRS
 
+from geo.errors import CRSMismatch
 from survey.compare.area import CompareError
+from survey.compare.checkpoints import read_checkpoints
+from survey.files.column_units import Units
 
 LEVEL = 3.0  # local, over the plane of the bed at its middle
 OFF_M = 0.05
@@ -67,3 +71,15 @@ def test_a_table_of_other_columns_is_refused(tmp_path):
     path = write_table(tmp_path / "a.csv", None, np.ones((3, 6)))
     with pytest.raises(CompareError, match="has 6 columns without names"):
         compared(cloud, path)
+
+
+def test_check_points_have_the_crs_and_the_units_that_their_file_says(tmp_path):
+    cloud = CRS("EPSG:25832+7837")
+    path = tmp_path / "rods.csv"
+    path.write_text("# CoordinateSystem: EPSG:25833\ne,n,h\n1,2,3\n")
+    with pytest.raises(CRSMismatch, match=r"rods\.csv are in different coordinate reference systems"):
+        read_checkpoints(path, None, cloud, Units.of(cloud))
+    path.write_text("# CoordinateSystem: EPSG:25832\ne,n,h_ft,std_cm\n1,2,3,4\n")
+    assert read_checkpoints(path, None, cloud, Units.of(cloud)) == pytest.approx(np.array([[1, 2, 3 * 0.3048, 0.04]]))
+    path.write_text("e,n,depth_ft\n1,2,3\n")
+    assert read_checkpoints(path, 10.0, cloud, Units.of(cloud))[0, 2] == pytest.approx(10.0 - 3 * 0.3048)

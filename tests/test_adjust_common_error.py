@@ -11,7 +11,7 @@ from adjusted_block import drawn_adjustment, plane_of
 from survey.adjust.prediction import linearise, predict
 from survey.adjust.priors import parameters_of
 from survey.adjust.state import Layout, State
-from survey.adjust.std_common import _places, common_error, height_moves
+from survey.adjust.std_common import _places_of_mean, common_error, height_moves
 
 
 def _along(found, step: dict[str, float]) -> np.ndarray:
@@ -49,7 +49,7 @@ def test_an_error_of_the_index_scales_depths_seen_from_above():
     block, found = drawn_adjustment(nadir_only=True, dry_share=0.0)
     water = plane_of(block)
     change = _along(found, {"refractive_index": 0.001})
-    ties = _places(found)
+    ties = _places_of_mean(found)
     rise = height_moves(found, water, ties) @ change
     # Straight down the true depth is the apparent one times n; slanting rays add some more.
     expected = -0.001 / block.water[3] * water.depth(ties.start)
@@ -62,7 +62,7 @@ def test_the_standard_deviation_is_that_of_heights_under_random_parameters():
     water = plane_of(block)
     x, y = found.water_point
     water = replace(water, point=(x, y, float(water.height(x, y))))
-    ties = _places(found)
+    ties = _places_of_mean(found)
     layout = Layout(found.lens_of, np.array([1.0]))
     lenses = np.array([parameters_of(lens) for lens in found.lenses])
     true = State(water, np.zeros(3), lenses, found.centres, found.rotations, ties.start)

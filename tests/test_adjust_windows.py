@@ -98,6 +98,7 @@ def misses(cameras, ties: TiePoints, water) -> np.ndarray:
     return ties.pixel - np.array(found)
 
 
+@pytest.mark.slow
 def test_masked_photographs_end_in_verdicts_as_good_and_no_window_touches_a_mask(tmp_path, pinhole):
     masks = tmp_path / "masks"
     masks.mkdir()

@@ -52,10 +52,11 @@ from survey.run.folder import RunDir
 
 finish_stage = RunDir.finish_stage
 
-def finish_the_last_stage(run, name, key, folder):
-    finish_stage(run, name, key, folder)
+def finish_the_last_stage(run, name, *rest):
+    place = finish_stage(run, name, *rest)
     if name == "sweep":
         os.kill(os.getpid(), signal.SIGKILL)
+    return place
 
 RunDir.finish_stage = finish_the_last_stage
 main()

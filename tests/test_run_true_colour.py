@@ -16,6 +16,9 @@ from survey.run.process import process
 from survey.run.stored import StoredBed, load_bed
 from survey.simulate.drawn import stage_drawing
 
+# Runs of a drawn survey.
+pytestmark = pytest.mark.slow
+
 # Points further from the true bed than this [m] may have the colour of something else.
 ON_THE_BED_M = 0.03
 
@@ -55,7 +58,6 @@ def shore(tmp_path_factory):
         yield drawn(tmp_path_factory.mktemp("shore") / "survey", shore=True, **small)
 
 
-@pytest.mark.slow
 def test_beds_of_one_colour_agree_at_every_depth_without_their_water(shore):
     raw, true = (processed(shore, true_colour=wanted) for wanted in (False, True))
     np.testing.assert_array_equal(true.bed.xyz, raw.bed.xyz)

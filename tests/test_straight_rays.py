@@ -18,6 +18,9 @@ from geo import read_cloud, read_reference
 from refract import FlatWater, PinholeCamera
 from survey.simulate.drawn import stage_drawing
 
+# Runs of a drawn survey.
+pytestmark = pytest.mark.slow
+
 # Asked for are 5 %. Views that look straight down hide refraction so well that matching finds the place of the least
 # squares itself; measured 0.2 % with two seeds.
 SHARE = 0.01
@@ -124,7 +127,6 @@ def test_the_amount_follows_the_depth_point_by_point(plumb):
     assert inner90(left)[1] < 0.3 * GSD
 
 
-@pytest.mark.slow
 def test_straight_rays_of_convergent_views_end_between_the_nadir_limit_and_the_least_squares(convergent):
     """They do not meet, and matching takes the half of the views that agree best: the steep ones."""
     nadir = np.median(convergent.depth) * (1.0 - 1.0 / convergent.run.scene.n_water)

@@ -49,8 +49,12 @@ def pose_choice(survey: Survey, asked: str, *, free_water: bool) -> tuple[str, s
         return "refine", "the poses file says how well positions were known before, and poses are refined within that"
     if free_water:
         return "refine", "--calibrate-water finds the water together with what is uncertain of poses and lens"
-    if len(survey.views) < _FEWEST_VIEWS and survey.tool is not None and survey.water is not None:
-        return "refine", f"{survey.tool} adjusted them with straight rays, and there are too few views to check them"
+    if survey.tool is not None and survey.water is not None:
+        # Poses that lean on wrong rays cannot witness against the water.
+        return (
+            "refine",
+            f"{survey.tool} adjusted them with straight rays: poses, lens and water are adjusted with bent ones",
+        )
     if len(survey.views) < _FEWEST_VIEWS:
         return (
             "fixed",

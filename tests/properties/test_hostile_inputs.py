@@ -196,7 +196,9 @@ def test_any_json_is_a_shoreline_or_refused(folder, content):
 def test_any_table_is_a_level_or_refused(folder, text, title):
     path = folder / "level.csv"
     path.write_text(f"{title}\n{text}\n", encoding="utf-8")
-    read = readings_of_gauge if title.startswith("time") else lambda table: points_of_surface(table, "shoreline", CRS)
+    read = (
+        readings_of_gauge if title.startswith("time") else lambda table: points_of_surface(table, "shoreline", CRS)[0]
+    )
     try:
         for each in read(path):
             assert np.isfinite(each.level_m)

@@ -11,7 +11,7 @@ from refract._solvers import SOLVERS, SURFACES
 
 
 def transformed() -> bool:
-    """Whether torch.func, forward-mode derivatives or torch.compile look on: tensors may then have no readable value.
+    """Whether torch.func, forward-mode derivatives or torch.compile are tracing, so that tensors may have no values.
 
     A tensor under vmap cannot be asked for its tangent, so this asks torch itself whether a transform is open.
     """

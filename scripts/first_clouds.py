@@ -27,6 +27,8 @@ HERE = Path(__file__).resolve().parent.parent
 PAGE = HERE / "docs" / "first-cloud.md"
 HOME, USER = "/home/you", 1000
 LEVEL = "584.2"
+# The true bed less 30 cm at its edge.
+BOUNDS = "676115.3 5311475.8 676124.7 5311484.2"
 # Longer output is cut in the middle: so many of its first and last lines stay.
 HEAD, TAIL = 11, 6
 TITLES = {
@@ -48,6 +50,7 @@ def main() -> None:
     furnish(home, given.surveys, given.wheel, given.find_links)
     parts = [install(given.root, given.wheel.name, given.find_links is not None)]
     parts += [try_survey(given.root, name) for name in TITLES]
+    parts.append(compared(given.root))
     PAGE.write_text(page(parts), encoding="utf-8")
 
 
@@ -55,7 +58,7 @@ def furnish(home: Path, surveys: Path, wheel: Path, wheels: Path | None) -> None
     """Put the surveys, the wheel and the constraints into an empty home."""
     shutil.rmtree(home, ignore_errors=True)
     home.mkdir(parents=True)
-    for name in TITLES:
+    for name in (*TITLES, "truth"):
         shutil.copytree(surveys / name, home / name)
     shutil.copy(wheel, home)
     shutil.copy(HERE / "constraints.txt", home)
@@ -99,6 +102,16 @@ def try_survey(root: Path, name: str) -> str:
     shown = [f"## {title}\n\n{what}\n"]
     for command in commands:
         shown.append(f"    $ {command}\n" + indented(cut(run(root, command))))
+    return "\n".join(shown)
+
+
+def compared(root: Path) -> str:
+    """Each cloud against the true bed, by the two lines that tell wet ground from dry."""
+    shown = ["## Against the true bed\n\nOf what `compare` prints, the lines of wet and of dry ground.\n"]
+    for name in TITLES:
+        command = f"bathynerf compare -q {name}/bathynerf/cloud.las truth/reference.ply --bounds {BOUNDS}"
+        lines = [line for line in run(root, command).splitlines() if line.startswith(("wet", "dry"))]
+        shown.append("    $ " + command.replace(" --bounds", " \\\n        --bounds") + "\n" + indented(lines))
     return "\n".join(shown)
 
 

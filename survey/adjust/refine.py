@@ -34,6 +34,7 @@ from survey.adjust.parts import parts_warning
 from survey.adjust.priors import Known, known_of
 from survey.adjust.roll_notes import open_roll_named, roll_notes
 from survey.adjust.rounds import Adjusted, adjust
+from survey.adjust.square_pixels import with_square_pixels
 from survey.adjust.state import WATER
 from survey.adjust.unnamed_water import water_seen
 from survey.adjust.verdicts import MOST_SIGMAS_OF_FOUR, MOST_STD_LEVEL_M
@@ -83,6 +84,21 @@ def adjust_survey(
     SurveyError
         If the photographs do not match, or the adjustment does not converge.
     """
+    survey, note = with_square_pixels(survey)
+    found = _adjust(survey, device, advance, use_windows=use_windows, free_water=free_water, search=search)
+    return found if note is None else replace(found, notes=(note, *found.notes))
+
+
+def _adjust(
+    survey: Survey,
+    device: str,
+    advance: Callable[[float], None],
+    *,
+    use_windows: bool,
+    free_water: bool,
+    search: Search | None,
+) -> Adjustment:
+    """See `adjust_survey`."""
     known = known_of(survey, make_plan(survey).gsd_m, free_water=free_water)
     if survey.ties is not None or not use_windows:
         with open_roll_named(known.rolls):

@@ -1,4 +1,4 @@
-"""Photographs that show a point of the bed: rays, windows of them about it, and what is known of it as text."""
+"""Photographs that show a point of the bed: rays, windows about it, and its attributes as text."""
 
 from __future__ import annotations
 

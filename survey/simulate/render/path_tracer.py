@@ -89,13 +89,13 @@ class Sunlight:
             up = mi.Vector3f(*up.tolist())
             rise = dr.dot(in_air, up)
             along = (in_air - rise * up) / n
-            climb = dr.safe_sqrt(1.0 - dr.squared_norm(along))
-            bent = along + climb * up
-            way = dr.maximum(dr.dot(mi.Point3f(*point.tolist()) - place, up), 0.0) / climb
+            cosine = dr.safe_sqrt(1.0 - dr.squared_norm(along))
+            bent = along + cosine * up
+            way = dr.maximum(dr.dot(mi.Point3f(*point.tolist()) - place, up), 0.0) / cosine
             start = dr.select(wet, place + dr.copysign(off, dr.dot(normal, bent)) * normal, start)
             # A point of the sun below a tilted surface does not shine into the water.
             free = not_(wet) | ((rise > 0.0) & not_(self.solids.ray_test(mi.Ray3f(start, bent, way, 0.0, []), wet)))
-            passed = (1.0 - _fresnel(rise, climb, n)) * rise / climb
+            passed = (1.0 - _fresnel(rise, cosine, n)) * rise / cosine
             lost = dr.exp(-way * self.scattering) * absorbed(mi, self.colour, way)
             power = dr.select(wet, power * passed * lost, power)
             foot = dr.select(wet, place + way * bent, start)

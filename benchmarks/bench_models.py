@@ -34,7 +34,7 @@ from survey.volume.scene import load_scene
 
 # Steps whose processor time is measured, after those that compile.
 COMPILING, TIMED = 4, 24
-# NeRF's network at its published width.
+# Fewer steps show nothing.
 LEAST_STEPS = 50
 TOLERANCES_M = (0.05, 0.2)
 HEAD = (

@@ -5,18 +5,21 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 import torch
 from command_line import bathynerf
 from painted_survey import painted_survey, run_over
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from fields.device import choose_device
 from fields.volume.models import MODELS, build_model, proposal_for
 from fields.volume.paths import Box
 from fields.volume.surface import Rule
 from geo import read_cloud
+from refract import PinholeCamera
 from survey.commands.field import Model
 from survey.commands.field import Rule as OfferedRule
 from survey.errors import ConfigError, OutputError, SurveyError
@@ -24,7 +27,8 @@ from survey.export.loaded import LoadedRun
 from survey.folder.config import parse_config
 from survey.folder.config_field import FieldConfig, LossesConfig
 from survey.run.cloud import write_bed_ply
-from survey.volume.field import MONOCULAR, VolumeOptions, train_field
+from survey.volume.field import VolumeOptions, train_field
+from survey.volume.monocular import monocular_priors
 from survey.volume.settings import field_config, volume_options
 
 # A signed distance begins with a level surface in the middle of the box.
@@ -186,10 +190,11 @@ def test_monocular_depth_and_normals_are_learned_from(folder, run):
     np.save(priors / "0000_depth.npy", np.linspace(1.0, 2.0, width * height).reshape(height, width))
     np.save(priors / "0001_normal.npy", np.tile(np.float32([0.0, 0.0, -1.0]), (height // 2, width // 2, 1)))
     options = replace(SHORT, monocular=priors)
-    assert (options.of_losses().priors.depth, options.of_losses().priors.normal) == MONOCULAR
+    assert (options.of_losses().priors.depth, options.of_losses().priors.normal) == (0.1, 0.05)
     report = train_field(run, folder / "with mono", options)
-    assert report["training"]["steps"] == 4
-    with pytest.raises(OutputError, match=r"monocular: .*mono there, None asked for"):
+    plain = train_field(run, folder / "without mono", SHORT)
+    assert report["training"]["psnr_db"] != plain["training"]["psnr_db"]
+    with pytest.raises(OutputError, match=r"monocular: [0-9a-f]+ there, None asked for"):
         train_field(run, folder / "with mono", SHORT)
 
 
@@ -206,6 +211,33 @@ def test_priors_that_cannot_be_meant_are_refused(folder, run, tmp_path, name, va
     np.save(tmp_path / name, values)
     with pytest.raises(SurveyError, match=said):
         train_field(run, tmp_path / "out", replace(SHORT, monocular=tmp_path))
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".tif", ".png"])
+def test_normals_turn_with_the_camera_whatever_file_holds_them(tmp_path, suffix):
+    """A normal that points at a camera is its axis reversed, in local."""
+    turn = Rotation.from_euler("xyz", (200.0, 10.0, 40.0), degrees=True).as_matrix()
+    camera = PinholeCamera(np.zeros(3), turn, 50.0, 50.0, 32.0, 24.0, 64, 48)
+    normals = np.tile(np.float32([0.0, 0.0, -1.0]), (48, 64, 1))
+    normals[:, :40] = np.nan
+    path = tmp_path / f"a_normal{suffix}"
+    if suffix == ".npy":
+        np.save(path, normals)
+    else:
+        whole = np.tile(np.float32([-1.0, 0.0, 0.0]), (48, 64, 1))  # blue first
+        cv2.imwrite(str(path), whole if suffix == ".tif" else np.round(127.5 * (whole + 1.0)).astype(np.uint8))
+    (found,) = monocular_priors(tmp_path, ["a.jpg"], [camera])
+    # A step of 8 bits is 0.008.
+    np.testing.assert_allclose(found.normal[20, 60], -turn[2], atol=0.01)
+
+
+def test_normals_that_point_away_are_refused_where_few_are_known(tmp_path):
+    normals = np.full((48, 64, 3), np.nan, dtype=np.float32)
+    normals[:, 50:] = (0.0, 0.0, 1.0)
+    np.save(tmp_path / "a_normal.npy", normals)
+    camera = PinholeCamera(np.zeros(3), np.eye(3), 50.0, 50.0, 32.0, 24.0, 64, 48)
+    with pytest.raises(SurveyError, match="100 % of its normals point away from the camera"):
+        monocular_priors(tmp_path, ["a.jpg"], [camera])
 
 
 def test_losses_on_priors_need_priors():

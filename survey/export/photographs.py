@@ -111,8 +111,19 @@ def flight_of(run: LoadedRun, folder: str | None) -> Flight:
 
 
 def survey_folder(run: LoadedRun, folder: str | None) -> Path:
-    """The folder of a run's survey: the one that is named, or where it lay when the run was made."""
-    return _folder_of(run.flight.views[0], run.config.images.dir) if folder is None else Path(folder)
+    """The folder of a run's survey: the one that is named, or where it lay when the run was made.
+
+    Raises
+    ------
+    SurveyError
+        If none is named, and the place of the photographs does not tell it.
+    """
+    if folder is not None:
+        return Path(folder)
+    images = run.config.images.dir
+    if Path(images).is_absolute():
+        raise SurveyError(f"the photographs lie in {images}, apart from the survey; name its folder with --survey DIR")
+    return _folder_of(run.flight.views[0], images)
 
 
 def _folder_of(view: View, images: str) -> Path:

@@ -20,6 +20,8 @@ def seen(figures: ReportFigures) -> list[Block]:
     if found is None:
         return []
     whole = found.wet_m2 + found.two_views_m2 + found.one_view_m2
+    if not whole:
+        return []
     std = "" if found.water_std_m3 is None else f" ± {volume(found.water_std_m3)} (one sigma)"
     rows = [
         ("bed found", _part(found.wet_m2, whole)),
@@ -46,13 +48,13 @@ def limits(figures: ReportFigures) -> list[Block]:
     """What the cloud is good for and what not, in sentences with this run's figures."""
     said, std = [], figures.height_std
     if std is not None:
-        told = f"A single height is within {length(_SIGMAS_95 * std.whole)} of the truth in 95 of 100 cases"
+        told = f"A typical height is within {length(_SIGMAS_95 * std.whole)} of the truth in 95 of 100 cases"
         if std.shared:
             told += f"; of that, {length(_SIGMAS_95 * std.shared)} shift all heights together, and no mean removes it"
         said.append(f"{told}, if level, index and positions are as good as was stated.")
     said.append(
         f"Things smaller than about {length(_SMALLEST_GSD * figures.plan.gsd_m)} are smoothed away or missing; what "
-        "stands on a wall or under an overhang may be."
+        "stands on a wall or under an overhang may be missing too."
     )
     if figures.water is not None:
         said.append(

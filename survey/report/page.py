@@ -95,7 +95,12 @@ def _sections(figures: ReportFigures) -> list[Section]:
 
 def _unit_line() -> list[str]:
     unit = LengthUnit.of_heights()
-    return [] if unit.name == "m" else [f"Lengths are in feet of {1.0 / unit.per_metre:.10g} m."]
+    if unit.name == "m":
+        return []
+    return [
+        f"Lengths are in feet of {1.0 / unit.per_metre:.10g} m; tolerances, bands of depth and limits of S-44 are in "
+        "metres, as they say."
+    ]
 
 
 def _listed(sentences: tuple[str, ...]) -> list[Block]:

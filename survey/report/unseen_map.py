@@ -16,7 +16,7 @@ from survey.report.facts import ReportFacts
 from survey.report.raster import Picture
 from survey.report.seen_cells import SeenCells, cells_seen
 
-# Points that a bed needs.
+# Views that a point of the bed needs.
 _VIEWS = 2
 # Code of a cell, its colour and what it is; 0 is what no view sees.
 _FOUND, _NOT_FOUND, _ONE_VIEW = 1, 2, 3
@@ -47,9 +47,10 @@ def draw_unseen(path: Path, facts: ReportFacts) -> Picture:
     title = "Where no bed was found"
     write_title(axes, title, f"{share(missing)} of the ground that two or more views see")
     save(figure_of(axes), path)
+    reasons = "no texture, shadow" if survey.water is None else "water that is too deep or turbid, glint, no texture"
     words = (
-        "Ground without a point: water that is too deep or turbid, glint, no texture, or things that moved. Nothing is "
-        "filled in there. What one view alone sees cannot be measured."
+        f"Ground without a point: {reasons}, or things that moved. Nothing is filled in there. What one view alone "
+        "sees cannot be measured."
     )
     return Picture(path, title, words)
 

@@ -39,8 +39,11 @@ def open_server(host: str, port: int, title: str) -> viser.ViserServer:
             "of its addresses, or one of them"
         ) from error
     # viser says where it listens, which the command does itself.
-    with redirect_stdout(io.StringIO()), _own_pages_only(host):
+    with redirect_stdout(io.StringIO()), _own_pages_only(host) as guarded:
         server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
+    if not guarded:
+        server.stop()
+        raise RuntimeError(f"viser {viser.__version__} serves in another way than the check of origins knows")
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
     light(server)
     # A page in the browser could ask for a public address of the run.
@@ -49,14 +52,15 @@ def open_server(host: str, port: int, title: str) -> viser.ViserServer:
 
 
 @contextmanager
-def _own_pages_only(host: str) -> Iterator[None]:
+def _own_pages_only(host: str) -> Iterator[list[Any]]:
     """While a server of viser starts, its connections are made to be refused to pages of other sites.
 
-    A browser opens a WebSocket to this machine for any page; viser answers each, and has no hook for it.
+    A browser opens a WebSocket to this machine for any page; viser answers each, and has no hook for it. Yields the
+    list of what was made so: empty where viser no longer serves by this function.
     """
     from websockets.asyncio import server as websockets
 
-    serve = websockets.serve
+    serve, made = websockets.serve, []
 
     def guarded(*arguments: Any, process_request: Callable[..., Any], **options: Any) -> Any:
         def answer(connection: Any, request: Any) -> Any:
@@ -64,11 +68,12 @@ def _own_pages_only(host: str) -> Iterator[None]:
                 return connection.respond(403, "this page is not of the server\n")
             return process_request(connection, request)
 
-        return serve(*arguments, process_request=answer, **options)
+        made.append(serve(*arguments, process_request=answer, **options))
+        return made[-1]
 
     websockets.serve = guarded  # type: ignore[assignment, misc]
     try:
-        yield
+        yield made
     finally:
         websockets.serve = serve  # type: ignore[misc]
 

@@ -37,6 +37,7 @@ from survey.files.json_values import write_json
 from survey.folder.config_field import LossesConfig
 from survey.progress import current, shares
 from survey.run.flight import Flight
+from survey.volume.monocular import priors_hash
 from survey.volume.scene import Scene, VolumeFolder, load_scene
 
 CLOUD, REPORT, VIEWS, HELD = "cloud.las", "report.json", "views", "held out"
@@ -128,9 +129,8 @@ class VolumeOptions:
         """What the trained field depends on."""
         made = ("rule", "density", "reference", "cameras", "dry", "survey", "device")
         settings = {k: v for k, v in asdict(self).items() if k not in made}
-        return (
-            {"result": run.stages} | settings | {"monocular": None if self.monocular is None else str(self.monocular)}
-        )
+        priors = None if self.monocular is None else priors_hash(self.monocular)
+        return {"result": run.stages} | settings | {"monocular": priors}
 
     def of_losses(self) -> Losses:
         """The weights of the losses."""

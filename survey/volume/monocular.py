@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import cv2
@@ -10,9 +11,10 @@ import numpy as np
 from fields.volume.priors import PriorImages
 from refract import PinholeCamera
 from survey.errors import SurveyError
+from survey.stage_key import content_hash
 
 # After a photograph's name without its suffix, with what each holds.
-DEPTH, DISPARITY, NORMAL = "_depth", "_disparity", "_normal"
+DEPTH, DISPARITY, NORMAL = _KINDS = "_depth", "_disparity", "_normal"
 SUFFIXES = (".npy", ".tif", ".tiff", ".png")
 # By which the shapes of a prior and of its photograph may differ: networks take multiples of 14 or 32 pixels.
 _MOST_STRETCH = 0.05
@@ -23,8 +25,8 @@ def monocular_priors(folder: Path, names: list[str], cameras: list[PinholeCamera
 
     Of the photograph ``a/0001.jpg`` they are ``a/0001_depth``, or ``a/0001_disparity`` for its inverse, and
     ``a/0001_normal``, each ``.npy``, ``.tif`` or ``.png``. Depth is true up to a scale and a shift, and unknown where
-    it is not finite, or 0 in a PNG. Normals (height, width, 3) have the axes of the camera, x right, y down, z ahead,
-    and point at the camera; of a PNG they are ``2 value / 255 - 1``.
+    it is not finite, or 0 in whole numbers. Normals (height, width, 3) have the axes of the camera, x right, y down, z
+    ahead, and point at the camera; in whole numbers of 8 bits they are ``2 value / 255 - 1``.
 
     Raises
     ------
@@ -41,6 +43,14 @@ def monocular_priors(folder: Path, names: list[str], cameras: list[PinholeCamera
             f"{stem}{DEPTH}.npy, {stem}{DISPARITY}.png or {stem}{NORMAL}.npy"
         )
     return found
+
+
+def priors_hash(folder: Path) -> str:
+    """Hash of the priors in a folder, by name and content."""
+    files = [path for path in sorted(folder.rglob("*")) if path.is_file() and path.stem.endswith(_KINDS)]
+    return hashlib.sha256(
+        "".join(f"{path.relative_to(folder)}\0{content_hash(path)}\0" for path in files).encode()
+    ).hexdigest()
 
 
 def _priors(folder: Path, name: str, camera: PinholeCamera) -> PriorImages:
@@ -83,13 +93,16 @@ def _normals(path: Path, camera: PinholeCamera) -> np.ndarray:
     values = _read(path, 3)
     if values.shape[2] != 3:
         raise SurveyError(f"{path} holds {values.shape[2]} channels, expected x, y and z")
-    if path.suffix == ".npy":
+    if path.suffix != ".npy":  # OpenCV has blue first
+        values = values[..., ::-1]
+    if np.issubdtype(values.dtype, np.floating):
         given = values.astype(np.float32)
-    else:  # OpenCV has blue first
-        given = np.float32(2.0 / np.iinfo(values.dtype).max) * values[..., ::-1] - np.float32(1.0)
+    else:
+        given = np.float32(2.0 / np.iinfo(values.dtype).max) * values - np.float32(1.0)
     length = np.linalg.norm(given, axis=-1, keepdims=True)
     normals = np.asarray(given / np.where(length > 0.5, length, np.nan), dtype=np.float32)
-    away = np.nanmean(normals[..., 2] > 0.0)
+    ahead = normals[..., 2][np.isfinite(normals[..., 2])] > 0.0
+    away = float(ahead.mean()) if ahead.size else 0.0
     if away > 0.5:
         raise SurveyError(
             f"{path}: {100 * away:.0f} % of its normals point away from the camera; expected axes x right, y down, "

@@ -23,8 +23,8 @@ from survey.report.cut import choose_cut
 from survey.report.flight import draw_plan, flight_lines
 from survey.report.maps import draw_std
 from survey.report.profile import _medians, draw_profile, has_profile, two_digits
-from survey.report.seen_cells import SeenCells
-from survey.report.unseen_map import codes_of, draw_unseen, unseen_cells
+from survey.report.seen_cells import SeenCells, cells_of
+from survey.report.unseen_map import codes_of, draw_unseen
 from survey.run.folder import RunDir
 
 
@@ -164,9 +164,10 @@ def test_ground_without_points_is_told_apart_by_the_views_that_see_it():
 def test_the_map_of_what_was_not_found_says_how_much_of_the_ground_it_is(shallow_survey, tmp_path):
     bed = plane_bed(shallow_survey, num=40)
     half = bed[bed.xyz[:, 0] < np.median(bed.xyz[:, 0])]
-    whole, part = (codes_of(unseen_cells(facts_of(shallow_survey, each))) for each in (bed, half))
+    facts = facts_of(shallow_survey, half)
+    whole, part = (codes_of(cells_of(shallow_survey, each.xyz, facts.plan.gsd_m)) for each in (bed, half))
     assert (part == 2).sum() > (whole == 2).sum()
-    draw_unseen(tmp_path / "unseen.png", facts_of(shallow_survey, half))
+    draw_unseen(tmp_path / "unseen.png", facts)
     with Image.open(tmp_path / "unseen.png") as image:
         colours = np.asarray(image.convert("RGB")).reshape(-1, 3)
     red = np.array([int(RED[k : k + 2], 16) for k in (1, 3, 5)])

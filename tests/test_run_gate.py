@@ -14,8 +14,8 @@ from refract.distortion import BROWN, Distortion
 from survey.folder.survey import Survey, load_survey
 from survey.plan.limits import MAX_STD_GSD, STRICTEST_ORDER_M, max_height_std
 from survey.report import seen_cells
-from survey.report.seen_cells import CELL_GSD
-from survey.run.gate import cells_of, verdict_of
+from survey.report.seen_cells import CELL_GSD, cells_of
+from survey.run.gate import verdict_of
 from survey.run.stored import StoredBed
 
 DOWN = np.diag([1.0, -1.0, -1.0])

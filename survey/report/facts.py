@@ -15,6 +15,7 @@ from survey.photos.texture import MatchedLight
 from survey.plan.plan import Plan
 from survey.report.coverage import CoverageFigures
 from survey.report.photographs import PhotographFigures
+from survey.report.seen_cells import SeenCells
 from survey.report.verdict import Verdict
 
 if TYPE_CHECKING:
@@ -63,6 +64,8 @@ class ReportFacts:
         Of the photographs that are used; empty where nobody has read them.
     coverage : CoverageFigures or None
         What of the water was seen; None for a dry survey, or where nobody has looked.
+    cells : SeenCells or None
+        Of the ground, with points and without; None where nobody has looked.
     """
 
     survey: Survey
@@ -83,6 +86,7 @@ class ReportFacts:
     photographs: tuple[PhotographFigures, ...] = ()
     heads: Mapping[str, Exif] = field(default_factory=dict)
     coverage: CoverageFigures | None = None
+    cells: SeenCells | None = None
 
 
 def distances_of(facts: ReportFacts) -> np.ndarray | None:

@@ -10,9 +10,11 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from survey.display.plan_grid import PlanGrid
+from survey.plan.area import local_area
 
 if TYPE_CHECKING:
     from refract import FlatWater, PinholeCamera
+    from survey.folder.survey import Survey
 
     Area = tuple[float, float, float, float]
 
@@ -126,3 +128,8 @@ def _around(camera: PinholeCamera, x: np.ndarray, y: np.ndarray, height: np.ndar
     ends = np.concatenate([ends, camera.centre[None, :2]])
     (x0, y0), (x1, y1) = ends.min(axis=0), ends.max(axis=0)
     return slice(*np.searchsorted(y, (y0, y1))), slice(*np.searchsorted(x, (x0, x1)))
+
+
+def cells_of(survey: Survey, xyz: np.ndarray, gsd_m: float) -> SeenCells:
+    """Which cells of the ground of a survey have points (N, 3) [m], local, and how many of its views see each."""
+    return cells_seen([view.camera for view in survey.views], survey.water, local_area(survey), xyz, gsd_m)

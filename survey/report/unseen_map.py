@@ -11,10 +11,9 @@ from matplotlib.patches import Patch
 from survey.compare.canvas import figure_of, map_canvas, save, show, write_title
 from survey.display.palette import EMPTY, OBLIQUE, RED, WATER
 from survey.display.quantities import share
-from survey.plan.area import local_area
 from survey.report.facts import ReportFacts
 from survey.report.raster import Picture
-from survey.report.seen_cells import SeenCells, cells_seen
+from survey.report.seen_cells import SeenCells, cells_of
 
 # Views that a point of the bed needs.
 _VIEWS = 2
@@ -31,7 +30,8 @@ _PIXELS = 900
 
 def draw_unseen(path: Path, facts: ReportFacts) -> Picture:
     """Ground with points, and without, by the number of views that look at it."""
-    survey, cells = facts.survey, unseen_cells(facts)
+    survey = facts.survey
+    cells = cells_of(survey, facts.bed.xyz, facts.plan.gsd_m) if facts.cells is None else facts.cells
     codes = codes_of(cells)
     seen = np.isin(codes, (_FOUND, _NOT_FOUND)) & (cells.num_views >= _VIEWS)
     missing = float(np.mean(codes[seen] == _NOT_FOUND)) if seen.any() else 0.0
@@ -53,13 +53,6 @@ def draw_unseen(path: Path, facts: ReportFacts) -> Picture:
         "sees cannot be measured."
     )
     return Picture(path, title, words)
-
-
-def unseen_cells(facts: ReportFacts) -> SeenCells:
-    """The cells of the ground, as the quality gate counts them."""
-    survey = facts.survey
-    cameras = [view.camera for view in survey.views]
-    return cells_seen(cameras, survey.water, local_area(survey), facts.bed.xyz, facts.plan.gsd_m)
 
 
 def codes_of(cells: SeenCells) -> np.ndarray:

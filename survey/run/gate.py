@@ -17,10 +17,9 @@ import numpy as np
 
 from survey.display.quantities import NO_BREAK, length, share
 from survey.plan.aim import SHARE
-from survey.plan.area import local_area
 from survey.plan.limits import MAX_STD_GSD, max_height_std
 from survey.report.collect import height_std
-from survey.report.seen_cells import SeenCells, cells_seen
+from survey.report.seen_cells import SeenCells, cells_of
 from survey.report.verdict import Gate, Verdict
 from survey.run.cell_std import std_cells
 
@@ -66,11 +65,6 @@ def _completeness(cells: SeenCells) -> Gate:
     )
     passed = found >= MIN_COVERED_SHARE
     return Gate("ground with a point", 100.0 * found, 100.0 * MIN_COVERED_SHARE, "%", passed, sentence)
-
-
-def cells_of(survey: Survey, xyz: np.ndarray, gsd_m: float) -> SeenCells:
-    """Which cells of the ground of a survey have points (N, 3) [m], local, and how many of its views see each."""
-    return cells_seen([view.camera for view in survey.views], survey.water, local_area(survey), xyz, gsd_m)
 
 
 def _precision(stds: np.ndarray, gsd_m: float) -> Gate:

@@ -26,12 +26,12 @@ from survey.report.checkpoints import checkpoint_doubts
 from survey.report.coverage import CoverageFigures, coverage_of
 from survey.report.dryness import dry_doubts
 from survey.report.photographs import PhotographFigures, doubts, photographs_of, summary
-from survey.report.seen_cells import SeenCells
+from survey.report.seen_cells import SeenCells, cells_of
 from survey.report.verdict import Verdict
 from survey.run.cloud import write_bed_las
 from survey.run.flight import save_flight
 from survey.run.folder import RunDir, seconds_of, versions, versions_of
-from survey.run.gate import asked_gate, cells_of, verdict_of
+from survey.run.gate import asked_gate, verdict_of
 from survey.run.job import Job
 from survey.run.repeat import options_of, settings_text
 from survey.run.stage_adjust import FILES as ADJUSTMENT_FILES
@@ -113,6 +113,7 @@ def _write_report(
         photographs=photographs,
         light=None if survey.water is None else matched_light(survey.views),
         coverage=_coverage(survey, stored, cells),
+        cells=cells,
         heads={view.name: read_exif(view.path) for view in survey.views},
     )
     with job.progress.stage("Report", NUM_STEPS) as stage:

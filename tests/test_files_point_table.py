@@ -10,7 +10,7 @@ from survey.errors import SurveyError
 from survey.files.column_units import Units
 from survey.files.csv_table import read_table
 from survey.files.json_values import finite_number
-from survey.files.point_table import PLACE, read_points
+from survey.files.point_table import PLACE, read_points, units_said
 from survey.folder.config import parse_config
 
 POINTS = [("p1", 676120.25, 5311480.5, 581.375), ("p2", 676121.0, 5311481.25, -3.5)]
@@ -78,6 +78,9 @@ def test_depths_count_down_from_the_level_of_the_water(tmp_path, name, separator
         ("easting,northing,depth", "has depths, expected heights in crs"),
         ("easting,northing,ellipsoidal,orthometric", "has 2 columns of heights, ellipsoidal and orthometric"),
         ("easting,northing,height,elevation", "has 2 columns of heights, height and elevation"),
+        ("easting,northing,height,depth_ft", "has 2 columns of heights, height and depth_ft"),
+        ("easting,northing,height,water_depth", "has 2 columns of heights, height and water_depth"),
+        ("easting,northing,true_depth,z_ft", "has 2 columns of heights, true_depth and z_ft"),
         ("easting,northing,up_there", "has no column height"),
         ("rechts,hoch,hoehe", "has no column easting, northing, height"),
     ],
@@ -147,12 +150,20 @@ def test_a_unit_in_the_name_of_a_column_counts(tmp_path, pattern, word, ours_m):
                 read_points(path, units=Units(ours_m, ours_m), error=SurveyError)
 
 
-@pytest.mark.parametrize("height", ["-9999", "-99999.0", "-32767", "1e6", "65535"])
-def test_a_mark_of_no_data_is_no_height(tmp_path, height):
+@pytest.mark.parametrize("mark", ["-9999", "-99999.0", "-32767", "1e6", "65535"])
+@pytest.mark.parametrize("name", ["height", "height_ft", "depth", "depth_ft"])
+def test_a_mark_of_no_data_is_no_height_and_no_depth(tmp_path, mark, name):
     path = tmp_path / "points.csv"
-    written(path, PLACE, [[1.0, 2.0, height]], ",")
-    with pytest.raises(SurveyError, match=r"line 2: the height is .*, a mark of no data; remove the line"):
-        read_points(path, error=SurveyError)
+    written(path, [*PLACE[:2], name], [[1.0, 2.0, 3.0], [1.0, 2.0, mark], [1.0, 2.0, 3.0]], ",")
+    with pytest.raises(SurveyError, match=rf"line 3: the {name[:5]}.* is .*, a mark of no data; remove the line"):
+        read_points(path, level=100.0, units=Units(1.0, 1.0), error=SurveyError)
+
+
+@pytest.mark.parametrize("names", [("height", "depth_ft"), ("depth_ft", "height")])
+def test_a_table_with_heights_has_the_unit_of_the_heights(tmp_path, names):
+    path = tmp_path / "points.csv"
+    written(path, [*PLACE[:2], *names], [[1.0, 2.0, 100.0, 6.0]], ",")
+    assert units_said(path, SurveyError) == Units()
 
 
 @pytest.mark.parametrize("header", ["x,y,easting,northing,height", "e,n,depth,depth_m", "e,n,n,h", "lon,x,y,z,e"])

@@ -44,7 +44,7 @@ SYNONYMS = {
 _STDS = ("std", "std_horizontal", *STDS)
 _WORDS = SYNONYMS | {name: name for name in (*PLACE, *_STDS, "depth")}
 # Other words for a height, of which a table has one alone, or says which counts.
-_HEIGHTS = ("ellipsoidal", "orthometric", "geoid height", "ellipsoidal_height", "orthometric_height", "depth")
+_HEIGHTS = ("ellipsoidal", "orthometric", "geoid height", "ellipsoidal_height", "orthometric_height")
 _DEGREES = ("lon", "lat")
 # A standard deviation in the fourth place is no more than this [m]; a northing is.
 _MOST_STD_M = 10.0
@@ -88,7 +88,7 @@ def read_points(
     """
     synonyms, said = _synonyms_for(path, error), units_said(path, error)
     if by_place and _is_of_numbers(path, error):
-        return _with_heights(read_table(path, PLACE, optional=("std",), header=False, error=error), error)
+        return _without_marks(read_table(path, PLACE, optional=("std",), header=False, error=error), "height", error)
     names = column_names(path, synonyms)
     found = shortened(", ".join(names)) or "nothing"
     _require_one_column(path, synonyms, error)
@@ -105,6 +105,7 @@ def read_points(
             )
         columns = (*PLACE[:2], "depth")
         rows = read_table(path, columns, optional=optional, synonyms=synonyms, error=error)
+        rows = _without_marks(rows, "depth", error)
         return _in_metres(_above(_scaled(rows, "depth", factor), level, path, error), path, error)
     missing = [name for name in PLACE if name not in names]
     if missing:
@@ -112,7 +113,7 @@ def read_points(
             f"{path}: the first line has no column {', '.join(missing)}; expected easting, northing, height (or E, N, "
             f"Z; X, Y, Z; longitude, latitude, altitude), in any order, found {found}"
         )
-    rows = _with_heights(read_table(path, PLACE, optional=optional, synonyms=synonyms, error=error), error)
+    rows = _without_marks(read_table(path, PLACE, optional=optional, synonyms=synonyms, error=error), "height", error)
     return _in_metres(_scaled(rows, "height", factor), path, error)
 
 
@@ -128,7 +129,7 @@ def units_said(path: Path, error: type[SurveyError]) -> Units:
     east, north = (found.get(name) for name in PLACE[:2])
     if east is not None and north is not None and not same_unit(east, north):
         raise error(f"{path}: easting is in units of {east:.10g} m and northing of {north:.10g} m; convert one")
-    return Units(east or north, found.get("height") or found.get("depth"))
+    return Units(east or north, found.get("height" if "height" in found else "depth"))
 
 
 def _in_metres(rows: Sequence[Row], path: Path, error: type[SurveyError]) -> list[Row]:
@@ -150,12 +151,12 @@ def _scaled(rows: Sequence[Row], name: str, factor: float) -> list[Row]:
     ]
 
 
-def _with_heights(rows: Sequence[Row], error: type[SurveyError]) -> list[Row]:
-    """Rows as they are; raises where a height is what programs write that have none."""
+def _without_marks(rows: Sequence[Row], name: str, error: type[SurveyError]) -> list[Row]:
+    """Rows as they are; raises where a height, or a depth, is what programs write that have none."""
     for row in rows:
-        *_, height = (row.number(name) for name in PLACE)
-        if is_mark_of_no_data(height):
-            raise error(f"{row.where}: the height is {row.cells['height']}, a mark of no data; remove the line")
+        places = [row.number(each) for each in (*PLACE[:2], name)]
+        if is_mark_of_no_data(places[2]):
+            raise error(f"{row.where}: the {name} is {row.cells[name]}, a mark of no data; remove the line")
     return list(rows)
 
 
@@ -207,7 +208,7 @@ def _require_one_column(path: Path, synonyms: dict[str, str], error: type[Survey
                 f"{path} has {len(twice)} columns that may be the {name}, {' and '.join(twice)}; keep the one that "
                 f"counts in crs, and call it {name}"
             )
-    called = [cell for cell in cells if synonyms.get(cell, cell) == "height" or cell in _HEIGHTS]
+    called = [cell for cell in cells if synonyms.get(cell, cell) in ("height", "depth") or cell in _HEIGHTS]
     if len(called) > 1:
         raise error(
             f"{path} has {len(called)} columns of heights, {' and '.join(called)}; keep the one that counts in the "

@@ -6,6 +6,7 @@ import zlib
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
 from PIL import Image
 
 from survey.photos.jpeg import jpeg_fault
@@ -22,7 +23,9 @@ _TIFF_COMPRESSION = 259
 _DEFLATE = (8, 32946)
 _ZEROS, _SECTOR = bytes(64), bytes(512)
 _ZEROS_SAID = "zeros stand where compressed pixels should"
-_WEBP_BEGIN = b"RIFF"
+_WEBP_BEGIN, _WEBP_LOSSLESS = b"RIFF", b"VP8L"
+# A sector of zeros is so many equal pixels at least where it is whole: of a flat photograph, in codes of a few bits.
+_EQUAL_PIXELS = 1024
 # Channels of a PNG by the type of its colours, and how much of it is decompressed at once.
 _PNG_CHANNELS, _AT_ONCE = {2: 3, 4: 2, 6: 4}, 1 << 24
 _TIFF_PIXELS = ((273, 279), (324, 325))
@@ -46,7 +49,7 @@ def fault_of(path: Path) -> str | None:
         if begin == _PNG_BEGIN:
             return _damage_of_png(file)
         if begin.startswith(_WEBP_BEGIN):
-            return _ZEROS_SAID if file.read().find(_SECTOR) >= 0 else None
+            return _damage_of_webp(path, file)
         return jpeg_fault(begin + file.read()) if begin.startswith(_JPEG_BEGIN) else None
 
 
@@ -80,6 +83,27 @@ def _bytes_of_png(header: bytes) -> int:
     if header[12]:
         width, height = -(-width // 8), -(-height // 8)
     return height * (1 + -(-width * header[8] * _PNG_CHANNELS.get(header[9], 1) // 8))
+
+
+def _damage_of_webp(path: Path, file: BinaryIO) -> str | None:
+    """By a sector of zeros in pixels compressed without loss; zeros in others, or in metadata, tell nothing."""
+    file.seek(12)
+    while len(head := file.read(8)) == 8:
+        length = int.from_bytes(head[4:], "little")
+        if head[:4] == _WEBP_LOSSLESS and file.read(length).find(_SECTOR) >= 0:
+            with open_image(path) as image:
+                try:
+                    pixels = np.asarray(image.convert("RGB")).reshape(-1, 3)
+                except (OSError, ValueError):
+                    return "its compressed pixels cannot be decoded"
+            changes = np.flatnonzero((pixels[1:] != pixels[:-1]).any(axis=1))
+            longest = int(np.diff(changes, prepend=-1, append=len(pixels) - 1).max())
+            return _ZEROS_SAID if longest < _EQUAL_PIXELS else None
+        if head[:4] == _WEBP_LOSSLESS:
+            return None
+        # Chunks begin at even bytes.
+        file.seek(length + length % 2, 1)
+    return None
 
 
 def _damage_of_tiff(image: Image.Image, file: BinaryIO) -> str | None:

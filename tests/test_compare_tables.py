@@ -10,6 +10,8 @@ from pyproj import CRS
 from geo.errors import CRSMismatch
 from survey.compare.area import CompareError
 from survey.compare.checkpoints import read_checkpoints
+from survey.compare.inputs import Paths, load_inputs
+from survey.compare.tables import read_shape
 from survey.files.column_units import Units
 
 LEVEL = 3.0  # local, over the plane of the bed at its middle
@@ -83,3 +85,42 @@ def test_check_points_have_the_crs_and_the_units_that_their_file_says(tmp_path):
     assert read_checkpoints(path, None, cloud, Units.of(cloud)) == pytest.approx(np.array([[1, 2, 3 * 0.3048, 0.04]]))
     path.write_text("e,n,depth_ft\n1,2,3\n")
     assert read_checkpoints(path, 10.0, cloud, Units.of(cloud))[0, 2] == pytest.approx(10.0 - 3 * 0.3048)
+
+
+FEET = CRS("EPSG:2264+6360")
+
+
+@pytest.mark.parametrize(("header", "height"), [("e,n,height_ftUS", 1900.0), ("e,n,h_m", 1900.0 * 1200.0 / 3937.0)])
+@pytest.mark.parametrize("said", ["EPSG:2264", "EPSG:2264+6360", None])
+def test_heights_of_a_table_whose_crs_has_none_are_those_of_the_other_file(tmp_path, header, height, said):
+    comment = "" if said is None else f"# CoordinateSystem: {said}\n"
+    table = tmp_path / "t.csv"
+    table.write_text(
+        f"{comment}{header}\n1400000,600000,{height!r}\n1400010,600010,{height!r}\n1400010,600000,{height!r}\n"
+    )
+    assert read_shape(table, None, FEET).points[:, 2] == pytest.approx(1900.0, abs=1e-9)
+    # As the cloud, before the other file is read.
+    other = tmp_path / "r.csv"
+    other.write_text(
+        "# CoordinateSystem: EPSG:2264+6360\ne,n,h\n1400000,600000,1900\n1400010,600010,1900\n1400010,600000,1900\n"
+    )
+    assert load_inputs(Paths(table, other), None).cloud.points[:, 2] == pytest.approx(1900.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("cells", "classes", "note"),
+    [
+        (["rock", "2", ""], None, "the classes of t.csv are not those of LAS (rock): all its points count"),
+        (["2", "sand", ""], None, "the classes of t.csv are not those of LAS (sand): all its points count"),
+        (["2", "300", "7"], None, "the classes of t.csv are not those of LAS (300): all its points count"),
+        (["", "7", "2"], [1, 7, 2], ""),
+        (["2", "7", ""], [2, 7, 1], ""),
+        (["", "", ""], None, ""),
+    ],
+)
+def test_classes_of_a_table(tmp_path, cells, classes, note):
+    path = tmp_path / "t.csv"
+    path.write_text("e,n,h,class\n" + "".join(f"{i}.5,{i}.25,{i}.125,{cell}\n" for i, cell in enumerate(cells)))
+    shape = read_shape(path, None)
+    assert (None if shape.classification is None else shape.classification.tolist()) == classes
+    assert shape.notes == ((note,) if note else ())

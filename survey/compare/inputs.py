@@ -13,10 +13,12 @@ from evaluation.triangles import has_area
 from geo import Cloud, LocalFrame, Mesh, require_same_crs, require_same_place
 from geo.compatibility import bounds_in_other_order
 from geo.crs import has_height, height_unit_m, is_geographic
+from geo.reading import read_reference
 from geo.shapes import in_height_unit, left_out, part_of, vertices_of
 from geo.values import rounded_coordinates
 from survey.compare.area import Bounds, CompareError, ShiftedFrame, as_text, within
-from survey.compare.tables import level_of_cloud, read_shape
+from survey.compare.tables import is_table, level_of_cloud, read_shape
+from survey.files.crs_comment import crs_of_comment
 
 # Heights further apart than this many times the size of the data are another place, not an error of the bed.
 _FARTHEST_HEIGHT = 10.0
@@ -78,7 +80,7 @@ def load_inputs(paths: Paths, bounds: Bounds | None, water_level: float | None =
         If no point is within the bounds, or the heights cannot be of one place.
     """
     notes: list[str] = []
-    compared = read_shape(paths.cloud, water_level)
+    compared = read_shape(paths.cloud, water_level, _crs_of(paths.reference) if is_table(paths.cloud) else None)
     level = level_of_cloud(compared) if water_level is None else water_level
     given = {
         path: read_shape(path, level, compared.crs) for path in (paths.reference, paths.visible) if path is not None
@@ -128,6 +130,11 @@ def load_inputs(paths: Paths, bounds: Bounds | None, water_level: float | None =
     frame = ShiftedFrame(origin) if crs is None else LocalFrame(crs, origin)
     notes += of_ground + _height_doubts(kept, vertices_of(reference), paths, frame)
     return Inputs(paths, cloud, inside, int(cropped.sum()), reference, visible, crs, frame, tuple(notes))
+
+
+def _crs_of(path: Path) -> CRS | None:
+    """That a file names; its points may not be read yet, as their depths count from the water of the cloud."""
+    return crs_of_comment(path, CompareError) if is_table(path) else read_reference(path).crs
 
 
 def _in_common_unit(shape: Mesh | Cloud, path: Path, crs: CRS | None) -> tuple[Mesh | Cloud, list[str]]:

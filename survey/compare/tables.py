@@ -16,7 +16,7 @@ from geo.values import check_values
 from survey.compare.area import CompareError
 from survey.files.column_units import Units
 from survey.files.crs_comment import crs_of_comment
-from survey.files.csv_table import Row
+from survey.files.csv_table import Row, shortened
 from survey.files.point_table import PLACE, read_points
 
 # How a user tells the level that depths count from.
@@ -25,6 +25,8 @@ GIVE_LEVEL = "give --water-level"
 DEPTH_NAMES = ("depth", "depth_m")
 # Levels over the points of a cloud that differ by less are one: rounding, no slope of a river.
 _ONE_LEVEL_M = 0.02
+# The class of LAS of points that have none.
+_UNCLASSIFIED = 1.0
 # Of files that are read as tables.
 SUFFIXES = (".csv", ".xyz", ".txt", ".tsv", ".pts")
 
@@ -43,7 +45,7 @@ def read_shape(path: Path, water_level: float | None, crs: CRS | None = None) ->
     water_level : float, optional
         In the CRS of the comparison.
     crs : pyproj.CRS, optional
-        Of a table that names none.
+        Of a table that names none, and of the heights of one that names one without.
 
     Raises
     ------
@@ -59,13 +61,27 @@ def read_shape(path: Path, water_level: float | None, crs: CRS | None = None) ->
         by_place=True,
         level=water_level,
         give_level=GIVE_LEVEL,
-        units=Units.of(own or crs),
+        units=Units.of(own or crs, crs),
         error=CompareError,
     )
-    points, classes = places_of(rows, path), None
-    if rows[0].cells.get("classification"):
-        classes = as_classes(np.array([row.number("classification") for row in rows]))
-    return Cloud(points=points, crs=own, classification=classes, notes=check_values(points, own, path))
+    points = places_of(rows, path)
+    classes, notes = _classes_of(rows, path)
+    return Cloud(points=points, crs=own, classification=classes, notes=(*check_values(points, own, path), *notes))
+
+
+def _classes_of(rows: Sequence[Row], path: Path) -> tuple[np.ndarray | None, tuple[str, ...]]:
+    """Classes (N,) of LAS, and a note where a column of that name has none; empty cells are not classified."""
+    said = [row.cells.get("classification", "") for row in rows]
+    if not any(said):
+        return None, ()
+    for row, cell in zip(rows, said, strict=True):
+        try:
+            is_class = not cell or as_classes(np.array([row.number("classification")])) is not None
+        except CompareError:
+            is_class = False
+        if not is_class:
+            return None, (f"the classes of {path.name} are not those of LAS ({shortened(cell)}): all its points count",)
+    return np.array([row.number("classification", default=_UNCLASSIFIED) for row in rows]).astype(np.uint8), ()
 
 
 def places_of(rows: Sequence[Row], path: Path) -> np.ndarray:

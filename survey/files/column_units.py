@@ -31,12 +31,13 @@ class Units:
     height_m: float | None = None
 
     @staticmethod
-    def of(crs: CRS | None) -> Units:
-        """Those of a CRS; metres where there is none."""
+    def of(crs: CRS | None, heights: CRS | None = None) -> Units:
+        """Those of a CRS, with those of another one's heights where it has none; metres where nothing says them."""
+        heights = crs if heights is None or (crs is not None and has_height(crs)) else heights
+        height = height_unit_m(heights) if heights is not None and has_height(heights) else 1.0
         if crs is None:
-            return Units(1.0, 1.0)
-        plan = None if is_geographic(crs) else horizontal_unit(crs)
-        return Units(plan, height_unit_m(crs) if has_height(crs) else 1.0)
+            return Units(1.0, height)
+        return Units(None if is_geographic(crs) else horizontal_unit(crs), height)
 
     def height_factor(self, target: Units) -> float:
         """Units of height of the target in one of these; 1 where either is not known."""

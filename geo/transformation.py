@@ -263,12 +263,21 @@ def lon_lat(crs: CRS, points: np.ndarray) -> np.ndarray:
 
 
 def _with_its_way(crs: CRS) -> CRS:
-    """The horizontal part of a CRS, with the way to WGS 84 that its text gives (TOWGS84) where its datum has no name.
+    """The horizontal part of a CRS, with the way to WGS 84 that its text gives (TOWGS84) where PROJ knows no other.
 
     For a datum that PROJ knows its own operations are better.
     """
     part = crs.sub_crs_list[0] if crs.is_compound else crs
-    return part.to_2d() if part.is_bound and _is_nameless(part) else horizontal_crs(crs)
+    return part.to_2d() if part.is_bound and not _is_known(geodetic_crs(part)) else horizontal_crs(crs)
+
+
+def _is_known(geographic: CRS) -> bool:
+    """Whether PROJ has an operation to WGS 84 for a datum, be it one whose grid is missing."""
+    try:
+        group = operations(geographic, WGS84, None)
+    except ProjError:
+        return False
+    return bool(group.transformers or group.unavailable_operations)
 
 
 def _is_nameless(crs: CRS) -> bool:

@@ -149,3 +149,19 @@ def test_the_way_to_wgs_84_that_a_nameless_crs_gives_is_taken(vertical):
     assert np.column_stack(by_text(4468000.0, 5311480.0)) == pytest.approx(
         np.column_stack(known(4468000.0, 5311480.0)), abs=0.01
     )
+
+
+@pytest.mark.parametrize("name", [
+    "unknown", "Unnamed", "Unknown based on Bessel 1841 ellipsoid", "Not_specified_based_on_Bessel_1841_ellipsoid",
+    "D_Unknown_based_on_Bessel", "undefined", "user", "D_User_Defined", "local datum",
+])  # fmt: skip
+def test_the_way_to_wgs_84_counts_whatever_a_datum_is_called_that_proj_does_not_know(name):
+    text = CRS(f"{BESSEL} {HELMERT}").to_wkt("WKT1_GDAL")
+    begin = text.index('DATUM["') + len('DATUM["')
+    source = CRS.from_wkt(text[:begin] + name + text[text.index('"', begin) :])
+    assert source.is_bound
+    place = np.array([[589012.0, 5194736.0]])
+    at = np.column_stack(Transformer.from_crs("EPSG:25832", f"{BESSEL} {HELMERT}", always_xy=True).transform(*place.T))
+    way = Transformation.between(source, CRS("EPSG:25832+7837"), at)
+    assert np.column_stack(way(*at.T)) == pytest.approx(place, abs=1e-3)
+    assert way.accuracy_m is None

@@ -11,8 +11,9 @@ from placed_by_gps import solved
 from small_survey import LEVEL, camera_lines, replaced, small_survey, write_image, write_poses
 
 from refract.lens import Lens
-from survey.errors import ConfigError, PosesError
-from survey.folder.infer import NO_WATER
+from survey.errors import ConfigError, ControlError, PosesError
+from survey.folder.config import SurveyConfig
+from survey.folder.infer import NO_WATER, config_of_images
 from survey.folder.survey import find_survey, load_survey
 from survey.photos.exif import Exif
 from survey.sfm.gps import gps_positions
@@ -124,6 +125,27 @@ def test_the_control_points_of_opendronemap_tell_the_crs_where_nothing_else_does
     (folder / "gcp_list.txt").write_text("EPSG:4326\n10.1 47.9 584.2 30.0 20.0 0000.jpg a\n")
     with pytest.raises(ConfigError, match=r"not in a projected CRS .* \[control\] gcps"):
         find_survey(folder)
+
+
+@pytest.mark.parametrize(
+    ("header", "crs"),
+    [
+        ("EPSG:25832", "EPSG:25832+5773"),
+        ("EPSG:25832+7837", "EPSG:25832+7837"),
+        ("WGS84 UTM 32N", "EPSG:32632+5773"),
+        ("+proj=utm +zone=32 +datum=WGS84 +units=m +no_defs", "EPSG:32632+5773"),
+    ],
+)
+def test_the_heights_of_control_points_are_those_of_their_crs_where_it_has_some(tmp_path, header, crs):
+    folder = tmp_path / "s"
+    write_image(folder / "images" / "0000.jpg")
+    (folder / "gcp_list.txt").write_text(f"{header}\n676120 5311480 581 4 5 0000.jpg a\n")
+    config, said = config_of_images(folder, SurveyConfig(), {}, None)
+    assert config.crs == crs
+    assert ("taken as above mean sea level" in said.assumptions[0]) == crs.endswith("5773")
+    (folder / "gcp_list.txt").write_text(f"{header}\n")
+    with pytest.raises(ControlError, match="has no points after the line with its CRS; add them"):
+        config_of_images(folder, SurveyConfig(), {}, None)
 
 
 def test_without_poses_and_positions_there_is_nothing_to_start_from(tmp_path):

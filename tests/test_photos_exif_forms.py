@@ -278,7 +278,17 @@ def test_a_position_on_another_datum_is_named(head, datum):
     assert head(gps_of(), xmp='<x Camera:HorizCS="EPSG:2056"/>').gps_datum == "EPSG:2056"
 
 
-@pytest.mark.parametrize("datum", ["WGS-84", "WGS84\0", "wgs 84", "", "  ", "ITRF2014", "ETRS89", "unknown"])
+@pytest.mark.parametrize("datum", [
+    "WGS-84", "WGS84\0", "wgs 84", "", "  ", "ITRF2014", "ETRS89", "unknown", "WGS-1984", "WGS 1984", "GCS_WGS_1984",
+    "World Geodetic System 1984", "4326", "GDA2020", "EPSG:7844", "JGD2011", "SIRGAS 2000",
+])  # fmt: skip
 def test_wgs_84_by_any_name_is_no_other_datum(head, datum):
     assert head(gps_of() | {GPS.GPSMapDatum: datum}).gps_datum == ""
     assert head(gps_of(), xmp='<x Camera:HorizCS="EPSG:4326"/>').gps_datum == ""
+
+
+def test_only_the_namespace_of_exif_itself_gives_a_position(head):
+    place = '{0}:GPSLatitude="33,51.407064S" {0}:GPSLongitude="151,12.917802W"'
+    given = '<x xmlns:{0}="http://ns.adobe.com/exif/1.0/{1}" ' + place + "/>"
+    assert head(xmp=given.format("e", "")).lat_lon_height[:2] == pytest.approx((LAT, LON), abs=1e-7)
+    assert head(xmp=given.format("aux", "aux/")).lat_lon_height is None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -99,6 +101,19 @@ def test_check_names_the_photograph_that_is_far_from_the_others(rng, axis, value
     (doubt,) = position_doubts(heads(positions))
     assert words in doubt
     assert "0007.jpg" in doubt
+
+
+def test_a_survey_across_the_meridian_of_180_degrees_is_one(rng):
+    given = heads(strips(rng, 20, 0.1))
+    east = np.mean([head.lat_lon_height[1] for head in given.values()])
+    moved = {}
+    for name, head in given.items():
+        lat, lon, height = head.lat_lon_height
+        moved[name] = replace(head, lat_lon_height=(lat, (lon - east) % 360.0 - 180.0, height))
+    longitudes = [head.lat_lon_height[1] for head in moved.values()]
+    assert min(longitudes) < -179.0
+    assert max(longitudes) > 179.0
+    assert position_doubts(moved) == []
 
 
 def test_photographs_of_another_place_are_named_however_many_they_are(rng):

@@ -26,7 +26,7 @@ from geo import Mesh
 from geo.files import disk_refusals, existing_file
 from geo.shapes import vertices_of
 from survey.compare import measure
-from survey.compare.area import Bounds, metres_in_crs, to_local, within
+from survey.compare.area import Bounds, as_text, metres_in_crs, to_local, within
 from survey.compare.checkpoints import checkpoint_accuracy, read_checkpoints
 from survey.compare.figures import M3C2, Circumstances, CloudToCloud, Comparison, Figures
 from survey.compare.inputs import Inputs, Paths, load_inputs
@@ -206,11 +206,17 @@ def _beside(inputs: Inputs, errors: np.ndarray | None) -> list[str]:
     beside = float(np.mean(np.isnan(errors)))
     if beside <= _BESIDE_SHARE:
         return []
-    low, high = (corner(vertices_of(inputs.reference), axis=0)[:2] for corner in (np.min, np.max))
+    low, high = (corner(vertices_of(inputs.reference), axis=0)[:2].tolist() for corner in (np.min, np.max))
+    name, box = inputs.paths.reference.name, (*low, *high)
+    said = (
+        f"{100.0 * beside:.1f} % of the points have no surface of {name} above or below: their distance is that to its "
+        "edge, no error of the cloud"
+    )
+    around = np.isnan(errors) & ~within(inputs.cloud.points[inputs.inside], box, metres_in_crs(inputs.frame, 0.01))
+    if around.mean() > _BESIDE_SHARE:
+        return [f"{said}; leave out what is around it by --bounds {as_text(box)}, all of the reference, or less"]
     return [
-        f"{100.0 * beside:.1f} % of the points have no surface of {inputs.paths.reference.name} above or below: "
-        "their distance is that to its edge, no error of the cloud; leave them out by --bounds "
-        f"{low[0]:.3f} {low[1]:.3f} {high[0]:.3f} {high[1]:.3f}, all of the reference, or less"
+        f"{said}; they are in holes of {name}, or between its edge and the box around it: fill it, or give --bounds"
     ]
 
 

@@ -55,7 +55,9 @@ def position_doubts(heads: Mapping[str, Exif]) -> list[str]:
     if len(known) < _FEWEST:
         return []
     names, places = np.array(list(known)), np.array(list(known.values()))
-    plan = EARTH_RADIUS_M * np.radians(places[:, :2])
+    # Across the meridian of 180 degrees longitudes go on, from the first.
+    away = places[:, 1] - places[0, 1]
+    plan = EARTH_RADIUS_M * np.radians(np.column_stack([places[:, 0], (away + 180.0) % 360.0 - 180.0]))
     plan[:, 1] *= np.cos(np.radians(np.median(places[:, 0])))
     main = _largest_group(plan)
     warnings = named(names[~main].tolist(), "image", "kilometres away from the others by GPS: of another survey?")

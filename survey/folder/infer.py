@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
-from geo.crs import crs_code, utm_code
+from geo.crs import crs_code, has_height, horizontal_crs, utm_code
 from survey.control.gcp_list import read_gcp_list
-from survey.errors import FILE_NAME, ConfigError
+from survey.errors import FILE_NAME, ConfigError, ControlError
 from survey.findings import Findings
 from survey.folder.config import ImagesConfig, SurveyConfig
 from survey.folder.plausible import distances_to_exif
@@ -74,11 +74,8 @@ def config_of_images(
         code = utm_code(lat, lon)
     control = folder / GCP_LIST
     if code is None and file is None and control.is_file():
-        crs = f"EPSG:{_code_of_control(control)}+{_EGM96_HEIGHT}"
-        said = (
-            f'crs = "{crs}", that of {GCP_LIST}, with its heights taken as above mean sea level; its points place the '
-            "photographs"
-        )
+        crs, heights = _crs_of_control(control)
+        said = f'crs = "{crs}", that of {GCP_LIST}{heights}; its points place the photographs'
         return replace(config, crs=crs, control=replace(config.control, gcps=GCP_LIST)), Findings((said,))
     if code is None:
         raise ConfigError(
@@ -103,16 +100,22 @@ def config_of_images(
     return replace(config, crs=crs), Findings(tuple(assumptions))
 
 
-def _code_of_control(path: Path) -> int:
-    """EPSG code of the projected CRS of gcp_list.txt."""
-    crs = read_gcp_list(path).points[0].crs
-    code = crs.to_epsg() if crs is not None and crs.is_projected else None
-    if code is None:
+def _crs_of_control(path: Path) -> tuple[str, str]:
+    """Code of the projected CRS of gcp_list.txt, and in words how its heights are taken where it does not say it."""
+    points = read_gcp_list(path).points
+    if not points:
+        raise ControlError(f"{path} has no points after the line with its CRS; add them")
+    crs = points[0].crs
+    plan = None if crs is None else horizontal_crs(crs)
+    code = plan.to_epsg() if plan is not None and plan.is_projected else None
+    if crs is None or code is None or (has_height(crs) and crs_code(crs) is None):
         raise ConfigError(
-            f"{path} is not in a projected CRS of EPSG, and nothing else tells where the survey lies; write "
-            f'{FILE_NAME} with {_EXAMPLE}, and [control] gcps = "{path.name}"'
+            f"{path} is not in a projected CRS of EPSG, with or without heights of EPSG, and nothing else tells where "
+            f'the survey lies; write {FILE_NAME} with {_EXAMPLE}, and [control] gcps = "{path.name}"'
         )
-    return code
+    if has_height(crs):
+        return str(crs_code(crs)), ""
+    return f"EPSG:{code}+{_EGM96_HEIGHT}", ", with its heights taken as above mean sea level"
 
 
 def table_crs(heads: Mapping[str, Exif]) -> str | None:

@@ -42,18 +42,12 @@ _LONGEST_XMP, _LONGEST_WORDS = 1_000_000, 60
 _LONGEST_EXPOSURE_S = 60.0
 # Clocks on Earth differ from UTC by up to 14 hours.
 _MOST_OFFSET_H = 14
-# Frames that agree to a metre, as a receiver's corrections have them, by the beginning of their bare names.
+# Frames within 2 m of WGS 84, as a receiver's corrections have them, by the beginning of their bare names.
 _LIKE_WGS84 = (
-    "WGS84",
-    "EPSG4326",
-    "EPSG4979",
-    "ITRF",
-    "ETRS89",
-    "EPSG4258",
-    "CGCS2000",
-    "EPSG4490",
-    "EPSG6318",
-    "NAD832011",
+    *("WGS84", "WGS1984", "GCSWGS1984", "DWGS1984", "WORLDGEODETICSYSTEM1984", "ITRF"),
+    *("4326", "EPSG4326", "4979", "EPSG4979"),
+    *("ETRS89", "EPSG4258", "CGCS2000", "EPSG4490", "NAD832011", "EPSG6318"),
+    *("GDA2020", "EPSG7844", "JGD2011", "EPSG6668", "SIRGAS2000", "EPSG4674"),
 )
 # No drone flies higher; receivers without a height write the largest number.
 _HIGHEST_M = 20_000.0

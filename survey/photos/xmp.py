@@ -15,15 +15,16 @@ from typing import Any
 import numpy as np
 
 _DJI, _AUTEL, _PARROT, _PIX4D, _SKYDIO, _EXIF = "drone-dji", "drone", "drone-parrot", "Camera", "drone-skydio", "exif"
-# What the addresses of namespaces contain, whatever prefix a program gives them.
+# What the addresses of namespaces contain, and the end of Adobe's, whatever prefix a program gives them.
 _ADDRESSES = {
     "drone-dji": _DJI,
     "autel": _AUTEL,
     "drone-parrot": _PARROT,
     "pix4d.com/camera": _PIX4D,
     "skydio": _SKYDIO,
-    "ns.adobe.com/exif/1": _EXIF,
 }
+# Others go on behind it, as that of lenses does (aux/).
+_ADOBE_EXIF = "ns.adobe.com/exif/1.0/"
 _PREFIX = re.compile(r"xmlns:([\w-]{1,40})\s*=\s*[\"']([^\"'<>]{1,200})[\"']")
 # Degrees, minutes and perhaps seconds, with the hemisphere behind them.
 _ANGLE = re.compile(r"(\d{1,3}),(\d{1,2}(?:\.\d*)?)(?:,(\d{1,2}(?:\.\d*)?))?([NSEWnsew])")
@@ -135,6 +136,8 @@ def with_known_prefixes(xmp: str) -> str:
     """XMP with the prefixes that namespaces have here, where a program gave them others."""
     for prefix, address in _PREFIX.findall(xmp):
         known = next((name for part, name in _ADDRESSES.items() if part in address.lower()), prefix)
+        if address.lower().endswith(_ADOBE_EXIF):
+            known = _EXIF
         if known != prefix:
             xmp = re.sub(rf"(?<![\w-]){re.escape(prefix)}:(?=\w)", f"{known}:", xmp)
     return xmp

@@ -8,7 +8,7 @@ import pytest
 from fields.solver.solver import SolvedMap
 from fields.sweep.maps import HeightMap
 from survey.errors import SurveyError
-from survey.run.stored import load_arrays, save_arrays
+from survey.run.stored import load_arrays, mapped_arrays, save_arrays
 from survey.run.stored_maps import Stored, kept_aside, save_maps
 
 
@@ -53,15 +53,30 @@ def test_height_maps_that_lack_an_array_are_named_with_the_mend(tmp_path):
         Stored(tmp_path / "maps.npz", HeightMap)
 
 
-@pytest.mark.parametrize("spoil", ["missing", "cut", "text"])
-def test_arrays_that_cannot_be_read_are_named_with_the_mend(tmp_path, spoil):
+@pytest.mark.parametrize("load", [load_arrays, mapped_arrays])
+@pytest.mark.parametrize("spoil", ["missing", "cut", "text", "changed"])
+def test_arrays_that_cannot_be_read_are_named_with_the_mend(tmp_path, load, spoil):
     path = tmp_path / "data.npz"
     save_arrays(path, x=np.zeros(1000))
+    whole = path.read_bytes()
     if spoil == "missing":
         path.unlink()
     elif spoil == "cut":
-        path.write_bytes(path.read_bytes()[:2000])
+        path.write_bytes(whole[:2000])
+    elif spoil == "changed":
+        path.write_bytes(whole[:2000] + b"\x01" + whole[2001:])
     else:
         path.write_text("not arrays")
     with pytest.raises(SurveyError, match=r"data\.npz cannot be read.*process"):
-        load_arrays(path)
+        load(path)
+
+
+def test_arrays_that_stay_in_the_file_are_those_that_are_loaded(tmp_path, rng):
+    values = rng.normal(size=(3, 4))
+    arrays = {"c": values, "f": np.asfortranarray(values), "empty": np.empty((0, 3)), "scalar": np.array(2.5)}
+    save_arrays(tmp_path / "data.npz", **arrays)
+    loaded, mapped = load_arrays(tmp_path / "data.npz"), mapped_arrays(tmp_path / "data.npz")
+    assert list(mapped) == list(loaded) == list(arrays)
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(loaded[name], array)
+        np.testing.assert_array_equal(mapped[name], array)

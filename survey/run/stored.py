@@ -133,7 +133,7 @@ def load_arrays(path: str | Path, names: tuple[str, ...] | None = None) -> dict[
     try:
         with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             return {name: stored[name] for name in stored.files if names is None or name in names}
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, EOFError, KeyError, struct.error, zipfile.BadZipFile) as error:
         raise unreadable(path, error) from error
 
 
@@ -148,7 +148,7 @@ def mapped_arrays(path: str | Path, names: tuple[str, ...] | None = None) -> dic
                     _require_whole(archive, member)
                     found[name] = _mapped(Path(path), stream, member.header_offset)
             return found
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, EOFError, KeyError, struct.error, zipfile.BadZipFile) as error:
         raise unreadable(path, error) from error
 
 
@@ -164,10 +164,10 @@ def _mapped(path: Path, stream: IO[bytes], start: int) -> np.ndarray:
     stream.seek(start + LENGTHS_AT)
     stream.seek(sum(struct.unpack("<HH", stream.read(4))), os.SEEK_CUR)
     np.lib.format.read_magic(stream)
-    shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+    shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(stream)
     if 0 in shape:
         return np.empty(shape, dtype)
-    return np.memmap(path, dtype, "c", stream.tell(), shape).view(np.ndarray)
+    return np.memmap(path, dtype, "c", stream.tell(), shape, "F" if is_fortran else "C").view(np.ndarray)
 
 
 def unreadable(path: str | Path, why: Exception | str) -> SurveyError:

@@ -15,7 +15,7 @@ from refract import FlatWater, PinholeCamera
 from survey.folder.survey import Survey
 
 # Heights are tried up to this share of the depth over the bed.
-HIGHEST, RUNGS = 0.6, 241
+HIGHEST, NUM_HYPOTHESES = 0.6, 241
 # Points drawn evenly from the bed: enough for a median.
 POINTS = 2000
 
@@ -80,7 +80,7 @@ def matched_points(
     """
     straight = replace(water, n_water=1.0)
     seen, cells = views.coverage(cameras, straight, float(np.median(bed[:, 2])))
-    rises, found = np.linspace(0.0, HIGHEST, RUNGS) * depth[:, None], []
+    rises, found = np.linspace(0.0, HIGHEST, NUM_HYPOTHESES) * depth[:, None], []
     chosen = views.cover(seen, cells, cameras, *times_seen)
     for view in sorted(chosen, key=lambda v: cameras[v].cam_from_local[2][2]):
         others = views.neighbours(cameras, seen, cells, view, list(range(len(cameras))), PASSES[-1].neighbours)
@@ -102,19 +102,19 @@ def matched_points(
 
 
 def _best_half_meets(sight: Sight, miss: np.ndarray, view: int, others: list[int]) -> np.ndarray:
-    """Where a view's rays meet those of the neighbours that ``miss`` them least (neighbours, N, rungs): (N, 3)."""
+    """Where a view's rays meet those of the neighbours that ``miss`` them least (neighbours, N, hypotheses): (N, 3)."""
     count = np.isfinite(miss[:, :, 0]).sum(axis=0)
     keep = np.maximum((count + 1) // 2, 1)
     order = np.sort(miss, axis=0)
     among = np.arange(len(others))[:, None, None] < keep[:, None]
-    rung = np.where(among, order, 0.0).sum(axis=0).argmin(axis=1)
-    there = np.take_along_axis(miss, rung[None, :, None], axis=2)[:, :, 0]
+    nearest = np.where(among, order, 0.0).sum(axis=0).argmin(axis=1)
+    there = np.take_along_axis(miss, nearest[None, :, None], axis=2)[:, :, 0]
     rank = there.argsort(axis=0).argsort(axis=0)
     chosen = np.zeros_like(sight.seen)
     chosen[:, others] = ((rank < keep) & np.isfinite(there)).T
     chosen[:, view] = True
     points = apparent_points(sight.centres, sight.directions, chosen & sight.seen)
-    edge = (rung == 0) | (rung == miss.shape[2] - 1) | ~sight.seen[:, view] | (count == 0)
+    edge = (nearest == 0) | (nearest == miss.shape[2] - 1) | ~sight.seen[:, view] | (count == 0)
     points[edge] = np.nan
     return points
 

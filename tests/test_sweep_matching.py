@@ -9,7 +9,7 @@ from plane_survey import TILTED, PlaneBed, match, ring
 from fields.sweep.kernels.backend import kernels
 from refract import FlatWater
 
-STEP, RUNGS, RADIUS = 0.04, 9, 2
+STEP, NUM_HYPOTHESES, RADIUS = 0.04, 9, 2
 BEDS = {
     "wet": PlaneBed(TILTED, -2.0),
     "dry": PlaneBed(None, -2.0),
@@ -37,8 +37,8 @@ def match_plane(device, bed: PlaneBed, offset: float, *, spoil=None, cameras=Non
         spoil(images, cameras)
     block = bed.block(device, cameras, images)
     truth = bed.true_height(cameras[0])
-    start = truth + offset - STEP * (RUNGS // 2)
-    return truth, *match(block.stack(1.0), list(range(1, len(cameras))), start, STEP, RUNGS, RADIUS)
+    start = truth + offset - STEP * (NUM_HYPOTHESES // 2)
+    return truth, *match(block.stack(1.0), list(range(1, len(cameras))), start, STEP, NUM_HYPOTHESES, RADIUS)
 
 
 @pytest.mark.parametrize("bed", BEDS.values(), ids=BEDS.keys())

@@ -13,7 +13,7 @@ from fields.sweep.kernels.queue import run_job
 from fields.sweep.kernels.stack import Hypotheses
 from fields.sweep.matching import RADII, Reference, match_view, match_with_adaptive_windows, radius_for
 
-BED, OTHERS, STEP, RUNGS = PlaneBed(TILTED, -2.0), [1, 2, 3, 4, 5, 6], 0.04, 41
+BED, OTHERS, STEP, NUM_HYPOTHESES = PlaneBed(TILTED, -2.0), [1, 2, 3, 4, 5, 6], 0.04, 41
 
 
 @pytest.fixture(autouse=True)
@@ -27,10 +27,10 @@ def matched(device, images, match):
     """What matching with windows of 5 px finds, the last radius [px], and the errors of its heights [m]."""
     cameras = ring(6)
     truth = BED.true_height(cameras[0]).astype(np.float32)
-    start = np.full_like(truth, truth.mean() - 0.5 * STEP * (RUNGS - 1))
+    start = np.full_like(truth, truth.mean() - 0.5 * STEP * (NUM_HYPOTHESES - 1))
     stack = BED.block(device, cameras, images).stack(1.0)
     backend = images_of(device)
-    hypotheses = Hypotheses(backend.to_device(device, start), STEP, RUNGS)
+    hypotheses = Hypotheses(backend.to_device(device, start), STEP, NUM_HYPOTHESES)
     found = run_job(device, match(Reference(stack, 0, OTHERS, 2), hypotheses))
     images, radius = found if match is match_with_adaptive_windows else (found, 2)
     images = [backend.to_host(each) for each in images]

@@ -216,20 +216,11 @@ def misfit(residuals: np.ndarray, view: np.ndarray) -> float | None:
 def check_dry_bed(survey: Survey, problem: Problem, state: State, gsd: float) -> Contradiction | None:
     """The level that photographs ask for, in place of one under which all is dry; None where they do not.
 
-    Parameters
-    ----------
-    survey : Survey
-        Of the photographs that were measured.
-    problem : Problem
-        Of their windows, with everything held but points.
-    state : State
-        Its solution.
-    gsd : [m]
-        Ground sampling distance.
+    Parameters are those of `check_given_values`.
     """
-    if state.water is None or (state.water.depth(state.points) > 0.0).any():
+    if not _is_dry(state):
         return None
-    over = -state.water.depth(state.points)
+    over = -_water(state).depth(state.points)
     distance = float(np.median(state.centres[:, 2]) - np.median(state.points[:, 2]))
     step, std = np.zeros(len(problem.priors.std)), problem.priors.std.copy()
     step[LEVEL], std[LEVEL] = np.quantile(over, _COVERED) + _SHARE * distance, np.inf
@@ -243,7 +234,7 @@ def check_dry_bed(survey: Survey, problem: Problem, state: State, gsd: float) ->
             depth = np.median(_water(found.state).depth(found.state.points)) + each.difference
             if each.name == LEVEL_NAME and depth > MOST_SIGMAS * each.std:
                 given = survey.require_water()[1].known_level_m
-                raised_by = float(_water(found.state).point[2] - state.water.point[2]) + each.difference
+                raised_by = float(_water(found.state).point[2] - _water(state).point[2]) + each.difference
                 return replace(each, given=given, difference=raised_by)
     return None
 
@@ -275,11 +266,10 @@ def check_dry_block(
     marks_std_px : float
         As for `survey.adjust.rounds.adjust`.
     """
-    dry = done.solution.state
-    if dry.water is None or (dry.water.depth(dry.points) > 0.0).any():
+    if not _is_dry(done.solution.state):
         return None
     std = known.std.copy()
-    std[0] = BAROMETER_STD_M
+    std[LEVEL] = BAROMETER_STD_M
     free = replace(known, std=std, common_up_std=BAROMETER_STD_M)
     with suppress(NotConvergedError):
         start, points = water_start(free, seen, marks_std_px)
@@ -289,10 +279,15 @@ def check_dry_block(
         water, covariance = _water(wet.solution.state), wet.solution.covariance
         over = float(np.median(water.depth(wet.solution.state.points)))
         if over > MOST_SIGMAS * std_over_points(wet.solution.system, covariance):
-            given, level = survey.require_water()[1].known_level_m, float(np.sqrt(covariance[0, 0]))
-            raised = float(water.point[2]) - float(known.mean.water_parameters()[0])
-            return Contradiction(LEVEL_NAME, given, float(known.std[0]), raised, level)
+            given, level = survey.require_water()[1].known_level_m, float(np.sqrt(covariance[LEVEL, LEVEL]))
+            raised = float(water.point[2]) - float(known.mean.water_parameters()[LEVEL])
+            return Contradiction(LEVEL_NAME, given, float(known.std[LEVEL]), raised, level)
     return None
+
+
+def _is_dry(state: State) -> bool:
+    """Whether there is a water plane, and no point under it."""
+    return state.water is not None and not (state.water.depth(state.points) > 0.0).any()
 
 
 def _water(state: State) -> FlatWater:

@@ -47,7 +47,7 @@ def assess_round(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     else:
         save_arrays(folder / CELLS, xyz=cells.xyz, above=cells.std > aimed.aim.std_m)
     following, why = aimed.next_recipe(cells)
-    write_json(folder / REACHED, told | {"rung": aimed.number, "following": following, "why": why})
+    write_json(folder / REACHED, told | {"recipe": aimed.number, "following": following, "why": why})
 
 
 def use_assessment(job: Job, folder: Path) -> None:

@@ -105,7 +105,7 @@ class GreyImages(LazyImages):
         super().__init__(lambda view: kept[view].whole(), len(kept), largest)
 
     def __getstate__(self) -> list[_GreyImage]:
-        """What another process needs: of images that are stored elsewhere no pixel."""
+        """State for pickling: images kept in files are pickled by path, without pixels."""
         return self._kept
 
     def __setstate__(self, kept: list[_GreyImage]) -> None:

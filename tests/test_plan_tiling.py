@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -101,3 +102,61 @@ def test_the_ground_is_the_bounds_or_what_two_views_see(shallow_survey):
     assert bounded[2] - bounded[0] == pytest.approx(13.0 + 1.0, abs=0.5)
     assert free[0] < bounded[0]
     assert free[3] > bounded[3]
+
+
+def test_each_worker_has_a_tile_and_the_memory_of_one(planned):
+    found = choose_tiles(*planned[:2], Choices(workers=3, memory="8GB"), planned[2], is_aimed=False)
+    assert len(found.tiling) >= found.workers == 3
+    assert (found.of_workers.choice, found.of_workers.reason) == ("3", "set by --workers")
+    alone = choose_tiles(*planned[:2], Choices(tiles=len(found.tiling), workers=1), planned[2], is_aimed=False)
+    assert found.memory_bytes == pytest.approx(3 * alone.memory_bytes)
+    few = choose_tiles(*planned[:2], Choices(tiles=2, workers=5), planned[2], is_aimed=False)
+    assert (few.workers, few.of_workers.reason) == (2, "--workers 5, but there are no more tiles")
+
+
+def test_a_small_ground_has_as_many_tiles_as_workers(planned):
+    # Seven are no columns and rows of about square tiles.
+    found = choose_tiles(*planned[:2], Choices(workers=7, memory="8GB"), planned[2], is_aimed=False)
+    assert len(found.tiling) >= found.workers == 7
+
+
+def test_workers_of_a_scheduler_have_memory_of_their_own(planned):
+    survey, plan, workload = planned
+    plan, workload = replace(plan, footprint_m=(2.0, 1.5)), replace(workload, memory_bytes=4_000_000_000)
+    there = choose_tiles(survey, plan, Choices(scheduler=AT, memory="8GB"), workload, is_aimed=False)
+    assert (len(there.tiling) >= 2, there.workers, there.of_workers.choice) == (True, 1, "of a scheduler")
+    eight = choose_tiles(survey, plan, Choices(scheduler=AT, workers=2, memory="600MB"), workload, is_aimed=False)
+    alone = choose_tiles(survey, plan, Choices(memory="600MB"), workload, is_aimed=False)
+    assert len(eight.tiling) == len(alone.tiling)
+
+
+def test_processes_are_chosen_only_where_the_caller_may_start_them(planned, monkeypatch):
+    monkeypatch.setattr(tile_choice.machine, "num_cores", lambda: 8)
+    chosen = Choices(tiles=3, memory="64GB")
+    assert choose_tiles(*planned[:2], chosen, planned[2], is_aimed=False).workers == 1
+    assert choose_tiles(*planned[:2], chosen, planned[2], is_aimed=False, chooses_workers=True).workers == 2
+
+
+AT = "tcp://one:8786"
+
+
+@pytest.mark.parametrize(
+    ("chosen", "is_aimed", "said"),
+    [
+        (Choices(scheduler=AT), True, f"--scheduler {AT}, but a run with an aim is in one piece"),
+        (Choices(workers=2), True, "--workers 2, but a run with an aim is in one piece"),
+        (Choices(tiles=1, scheduler=AT), False, f"--scheduler {AT}, but --tiles 1 is one piece"),
+        (Choices(tiles=1, workers=2), False, "--workers 2, but --tiles 1 is one piece"),
+    ],
+)
+def test_workers_for_one_piece_are_refused(planned, chosen, is_aimed, said):
+    with pytest.raises(SurveyError, match=said):
+        choose_tiles(*planned[:2], chosen, planned[2], is_aimed=is_aimed)
+
+
+def test_workers_are_refused_in_the_plan_where_dask_is_missing(planned, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    for chosen in (Choices(workers=2), Choices(scheduler=AT)):
+        with pytest.raises(SurveyError, match=r"pip install 'bathynerf\[cluster\]'"):
+            choose_tiles(*planned[:2], chosen, planned[2], is_aimed=False)
+    assert choose_tiles(*planned[:2], Choices(tiles=2, workers=1), planned[2], is_aimed=False).workers == 1

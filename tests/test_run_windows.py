@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from plane_survey import TILTED, PlaneBed, ring
@@ -66,6 +68,14 @@ def test_images_in_files_are_those_in_memory(tmp_path, rng):
         part = np.s_[2:9, 4:11]
         np.testing.assert_array_equal(stored.window(view, *part), images[view][part])
     assert sum(path.stat().st_size for path in (tmp_path / "greys").iterdir()) == 12 * 17 * (1 + 1 + 4) + 12 * 3
+
+
+def test_stored_images_are_found_from_another_working_directory(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    stored = GreyImages([np.zeros((4, 5), dtype=np.float32)], ArrayFiles(Path("greys")))
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert stored[0].shape == (4, 5)
 
 
 def test_places_in_plan_are_those_of_the_points_of_a_map(device, cameras):

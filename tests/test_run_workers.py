@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import pickle
 import sys
 import time
+from concurrent.futures import Future
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from threading import Event, Thread
+from types import SimpleNamespace
 
 import psutil
 import pytest
@@ -14,9 +18,10 @@ from drawn_runs import drawn
 
 from survey.errors import SurveyError
 from survey.progress import Progress
+from survey.run import workers as of_workers
 from survey.run.folder import RunDir
 from survey.run.process import process
-from survey.run.workers import workers_for
+from survey.run.workers import Task, Workers, loaded_code, save_job, workers_for
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +40,7 @@ def points_of(survey, name: str, workers: int) -> bytes:
     with Progress(verbosity=-1):
         assert process(survey.folder, folder, tiles=3, workers=workers) == 0
     run = RunDir(folder)
+    assert f"plan: workers: {workers} (set by --workers)" in run.log_path.read_text(encoding="utf-8")
     assert not list(run.stages_path.glob(".*.part"))
     return (run.load_stage("bed") / "bed.npz").read_bytes()
 
@@ -79,16 +85,125 @@ def workers_here() -> list[psutil.Process]:
 
 def test_without_dask_the_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(SurveyError, match=r"pip install 'bathynerf\[cluster\]'"), workers_for(2, None, tmp_path, print):
+    with (
+        pytest.raises(SurveyError, match=r"pip install 'bathynerf\[cluster\]'"),
+        workers_for(2, None, tmp_path, tmp_path, print),
+    ):
         pass
 
 
 def test_a_scheduler_that_does_not_answer_is_named(tmp_path, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("survey.run.workers._PATIENCE_S", 0.5)
+    monkeypatch.setattr("survey.run.workers._WORKER_TIMEOUT_S", 0.5)
     nowhere = "tcp://127.0.0.1:9"
     with (
         pytest.raises(SurveyError, match=rf"--scheduler {nowhere} gave no 1 workers within 0 s"),
-        workers_for(1, nowhere, Path(tmp_path), print),
+        workers_for(1, nowhere, tmp_path, tmp_path, print),
     ):
         pass
+
+
+PLACE = "tcp://10.0.0.7:41"
+
+
+class ClientOfOne:
+    """Client of a scheduler with one worker, which is this process or answers as it is told."""
+
+    def __init__(self, threads: int = 1, answer: object = None):
+        self.threads, self.answer, self.cancelled, self.is_closed = threads, answer, None, False
+
+    def nthreads(self):
+        return {PLACE: self.threads}
+
+    def run(self, function, *args, on_error):
+        assert on_error == "return"
+        return {PLACE: function(*args) if self.answer is None else self.answer}
+
+    def cancel(self, futures):
+        self.cancelled = futures
+
+    def wait_for_workers(self, number, timeout):
+        raise TimeoutError(f"{number} in {timeout}")
+
+    def close(self):
+        self.is_closed = True
+
+
+@pytest.fixture
+def run_and_photograph(tmp_path):
+    photograph = tmp_path / "a.jpg"
+    photograph.touch()
+    return tmp_path, photograph
+
+
+def test_a_worker_that_is_as_it_should_be_passes(run_and_photograph):
+    of_workers._check(ClientOfOne(), *run_and_photograph)
+    assert list(run_and_photograph[0].iterdir()) == [run_and_photograph[1]]
+
+
+@pytest.mark.parametrize(
+    ("worker", "said"),
+    [
+        ({"threads": 4}, "has 4 threads, expected one.*start it with --nthreads 1"),
+        ({"answer": ModuleNotFoundError("No module named 'survey'")}, "cannot load bathynerf .*No module named"),
+        ({"answer": ("0" * 64, True, True)}, "has another version of bathynerf.*install the same"),
+        ({"answer": (loaded_code(), False, True)}, "does not see .*name a run folder with -o"),
+        ({"answer": (loaded_code(), True, False)}, r"does not see .*a\.jpg; put the survey where"),
+    ],
+)
+def test_a_worker_that_is_not_as_it_should_be_is_named(run_and_photograph, worker, said):
+    with pytest.raises(SurveyError, match=f"the worker {PLACE} {said}"):
+        of_workers._check(ClientOfOne(**worker), *run_and_photograph)
+
+
+def test_the_code_of_a_process_is_that_of_its_start_and_a_task_of_other_code_is_refused(tmp_path, monkeypatch):
+    loaded_code.cache_clear()
+    hashes = iter(["first", "of files that changed"])
+    monkeypatch.setattr(of_workers, "code_hash", lambda _name: next(hashes))
+    assert [loaded_code(), loaded_code()] == ["first", "first"]
+    with pytest.raises(SurveyError, match="has another version of bathynerf than the run"):
+        of_workers._compute(tmp_path / "job.pickle", tmp_path, Task("sweep_tile1", 0, print, {}), "of the run")
+    loaded_code.cache_clear()
+
+
+def test_each_job_is_saved_under_a_name_of_its_own_with_absolute_paths(shallow_survey, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    view = replace(shallow_survey.views[0], path=Path("images/a.jpg"), mask_path=Path("masks/a.png"))
+    survey = replace(shallow_survey, views=(view,))
+    job = SimpleNamespace(survey=survey, chosen=None, tiles=None, block=SimpleNamespace(images=[], saturated=[]))
+    first, second = (save_job(job, None, tmp_path, "sweep") for _ in range(2))
+    assert first != second
+    stored = pickle.loads(second.read_bytes())[0].views[0]
+    assert (stored.path, stored.mask_path) == (tmp_path / "images" / "a.jpg", tmp_path / "masks" / "a.png")
+
+
+@pytest.mark.parametrize(
+    ("are_started", "advice"), [(True, "fewer --workers, or more --tiles"), (False, "with more --tiles")]
+)
+def test_a_task_that_ends_its_workers_is_named_with_their_number(tmp_path, monkeypatch, are_started, advice):
+    distributed = pytest.importorskip("distributed")
+    client = ClientOfOne()
+    future = Future()
+    future.set_exception(distributed.KilledWorker("sweep_tile1", None, 1))
+    client.submit = lambda *_args, **_options: future
+    monkeypatch.setattr(Workers, "_as_they_end", lambda _self, futures: iter(futures))
+    tasks = [Task("sweep_tile1", 0, print, {})]
+    with pytest.raises(SurveyError, match=f"sweep_tile1: 2 workers that computed it .* {advice}$"):
+        list(Workers(client, tmp_path, are_started=are_started).computed(tmp_path / "job.pickle", tasks))
+    assert len(client.cancelled) == 1
+
+
+def test_a_client_with_too_few_workers_is_closed():
+    client = ClientOfOne()
+    distributed = SimpleNamespace(Client=lambda _place, timeout: client)
+    with pytest.raises(SurveyError, match="gave no 3 workers within"):
+        of_workers._client_of(distributed, PLACE, PLACE, 3)
+    assert client.is_closed
+
+
+def test_a_script_that_is_run_again_by_its_processes_is_told_how_to_stand():
+    def start(**_options):
+        raise RuntimeError("Nanny failed to start.")
+
+    with pytest.raises(SurveyError, match='`if __name__ == "__main__":` around what it does; else take workers=1'):
+        of_workers._local_cluster(SimpleNamespace(LocalCluster=start), 2)

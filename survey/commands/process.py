@@ -54,6 +54,7 @@ def run(
             output,
             **asdict(asked.config()),
             time_gone_s=process_age_s(),
+            chooses_workers=True,
             resume=resume,
             reference=reference,
             visible=visible,

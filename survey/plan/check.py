@@ -87,6 +87,7 @@ def check_survey(
     chosen: Choices = USUAL,
     checked: Checked | None = None,
     slowness: float | None = None,
+    chooses_workers: bool = False,
 ) -> list[Section]:
     """Check a survey and describe what `process` would do; nothing is computed and nothing written.
 
@@ -98,6 +99,8 @@ def check_survey(
         What `require_processable` found in the folder, where it has looked already.
     slowness : float, optional
         See `Workload.slowness`; default for idle cores.
+    chooses_workers : bool
+        See `survey.plan.tile_choice.choose_tiles`.
 
     Raises
     ------
@@ -114,7 +117,7 @@ def check_survey(
     try:
         workload = workload_of(survey, plan)
         workload = workload if slowness is None else workload.on_busy(slowness)
-        tiles = choose_tiles(survey, plan, chosen, workload, is_aimed=False)
+        tiles = choose_tiles(survey, plan, chosen, workload, is_aimed=False, chooses_workers=chooses_workers)
         workload = replace(workload, memory_bytes=int(tiles.memory_bytes))
         plan = replace(plan, decisions=(*plan.decisions, *tiles.decisions))
     except SurveyError as error:

@@ -27,7 +27,8 @@ class Choices:
     memory : str, optional
         That the run may take, as "8GB"; default: most of what is free.
     workers : int, optional
-        Processes that compute tiles; default: by tiles, cores and memory. Of a scheduler those that are waited for.
+        Processes that compute tiles; default of the command line: by tiles, cores and memory, of Python one. Of a
+        scheduler those that are waited for.
     scheduler : str, optional
         Address of a Dask scheduler whose workers compute the tiles, as "tcp://host:8786".
 

@@ -30,6 +30,8 @@ _SHARE_OF_FREE = 0.8
 _LEAST_FOOTPRINTS = 0.5
 # Cores that one process makes good use of: the solver has no more threads.
 _CORES_OF_WORKER = 4
+# What a run without Dask is told.
+NO_DASK = "--workers and --scheduler take Dask, which is not installed: pip install 'bathynerf[cluster]'"
 # Beside the points while bed and report are made.
 _REPORT_BYTES = 480e6
 
@@ -64,31 +66,42 @@ class TileChoice:
 
 
 def choose_tiles(
-    survey: Survey, plan: Plan, chosen: Choices, workload: Workload, *, is_aimed: bool, earlier: int | None = None
+    survey: Survey,
+    plan: Plan,
+    chosen: Choices,
+    workload: Workload,
+    *,
+    is_aimed: bool,
+    earlier: int | None = None,
+    chooses_workers: bool = False,
 ) -> TileChoice:
-    """Tiles of a survey by its memory; ``earlier`` is their number in an unfinished run that goes on.
+    """Tiles of a survey by its memory, and processes for them.
+
+    ``earlier`` is the number of tiles of an unfinished run that goes on; ``chooses_workers`` takes as many processes as
+    the machine has room for where no number is chosen, else one.
 
     Raises
     ------
     SurveyError
-        If tiles, or workers for them, are asked for where a run has to be in one piece.
+        If tiles, or workers for them, are asked for where a run is in one piece, or workers where Dask is missing.
     """
+    require_dask(chosen)
     one = float(workload.memory_bytes)
     whole = "with an aim" if is_aimed else "with --field slab" if plan.field == "slab" else None
     if whole is not None:
-        for name in ("tiles", "workers"):
-            number = getattr(chosen, name)
-            if number is not None and number > 1:
-                raise SurveyError(f"--{name} {number}, but a run {whole} is in one piece; leave one out")
+        if chosen.tiles is not None and chosen.tiles > 1:
+            raise SurveyError(f"--tiles {chosen.tiles}, but a run {whole} is in one piece; leave one out")
+        _refuse_workers(chosen, f"a run {whole} is in one piece")
         return TileChoice(None, Decision("tiles", "1", f"a run {whole} is in one piece"), one)
     rim = RIM_GSD * plan.gsd_m
     if chosen.tiles is not None:
         if chosen.tiles == 1:
+            _refuse_workers(chosen, "--tiles 1 is one piece")
             return TileChoice(None, Decision("tiles", "1", "set by --tiles"), one)
         tiling = Tiling.of(ground_of(survey, plan), chosen.tiles, rim)
         reason = f"set by --tiles, {_size_of(tiling)} each"
         choice = TileChoice(tiling, Decision("tiles", str(chosen.tiles), reason), _memory(survey, plan, tiling))
-        return _with_workers(choice, chosen)
+        return _with_workers(choice, chosen, chooses_workers)
     least = 1 if chosen.scheduler is None else 2
     least = max(least, chosen.workers or 1)
     budget, source = _budget(chosen)
@@ -100,14 +113,16 @@ def choose_tiles(
         return TileChoice(None, Decision("tiles", "1", fits), one)
     if least > 1:
         needed = "one for each worker at least" if one <= budget else needed
-        budget /= chosen.workers or 1
+        # Workers of a scheduler have memory of their own.
+        budget /= 1 if chosen.scheduler is not None else chosen.workers or 1
     ground = ground_of(survey, plan)
     most = max(
         int((ground[2] - ground[0]) * (ground[3] - ground[1]) / (_LEAST_FOOTPRINTS * np.prod(plan.footprint_m))), least
     )
     best = TileChoice(None, Decision("tiles", "1", f"{needed}; the ground is too small for tiles"), one)
     counts = [*([] if earlier is None else [earlier]), *_counts(ground, most)]
-    for count in (each for each in counts if each >= least):
+    # About square ones may all be fewer than there are workers.
+    for count in [each for each in counts if each >= least] or ([least] if least > 1 else []):
         tiling = Tiling.of(ground, count, rim)
         memory = _memory(survey, plan, tiling)
         if best.tiling is None or memory < 0.98 * best.memory_bytes:
@@ -115,10 +130,29 @@ def choose_tiles(
             best = TileChoice(tiling, Decision("tiles", str(count), reason), memory)
         if memory <= budget:
             break
-    return _with_workers(best, chosen)
+    return _with_workers(best, chosen, chooses_workers)
 
 
-def _with_workers(choice: TileChoice, chosen: Choices) -> TileChoice:
+def require_dask(chosen: Choices) -> None:
+    """Raise where workers are asked for and Dask is not installed."""
+    if _asks_for_workers(chosen) is not None and find_spec("distributed") is None:
+        raise SurveyError(NO_DASK)
+
+
+def _refuse_workers(chosen: Choices, why: str) -> None:
+    asked = _asks_for_workers(chosen)
+    if asked is not None:
+        raise SurveyError(f"{asked}, but {why}; leave one out")
+
+
+def _asks_for_workers(chosen: Choices) -> str | None:
+    """The option that asks for other processes than that of the run."""
+    if chosen.scheduler is not None:
+        return f"--scheduler {chosen.scheduler}"
+    return None if chosen.workers in (None, 1) else f"--workers {chosen.workers}"
+
+
+def _with_workers(choice: TileChoice, chosen: Choices, chooses_workers: bool) -> TileChoice:
     """The same with the processes that compute its tiles."""
     if choice.tiling is None:
         return choice
@@ -130,6 +164,8 @@ def _with_workers(choice: TileChoice, chosen: Choices) -> TileChoice:
         number, reason = min(chosen.workers, len(choice.tiling)), "set by --workers"
         if number < chosen.workers:
             reason = f"--workers {chosen.workers}, but there are no more tiles"
+    elif not chooses_workers:
+        return choice
     else:
         cores = machine.num_cores()
         number = min(cores // _CORES_OF_WORKER, len(choice.tiling), int(_budget(chosen)[0] // choice.memory_bytes))

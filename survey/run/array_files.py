@@ -32,7 +32,8 @@ class ArrayFiles:
     """Makes a `FileArray` of each array, in a folder that is made here, and empty."""
 
     def __init__(self, folder: Path):
-        self._folder, self._count = folder, 0
+        # Workers open them by this path, whatever their working directory.
+        self._folder, self._count = folder.absolute(), 0
         with disk_refusals(folder):
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir()

@@ -5,7 +5,8 @@ stages/<name>-<key>/..., and sfm/ where poses had to be found.
 
 A stage works in a fresh hidden folder that is renamed when the stage is finished, so that every folder under
 ``stages`` is complete; its name ends in a hash of all that the stage depends on, so that results of other settings are
-kept side by side. One process at a time writes to a run; a lock ensures this.
+kept side by side. One process at a time gives stages their place in a run; a lock ensures this. Workers of a cluster
+may still write to hidden folders after a run that ended early; the next run removes them.
 """
 
 from __future__ import annotations

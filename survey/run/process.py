@@ -29,7 +29,7 @@ from survey.plan.check import Checked, require_processable
 from survey.plan.choices import Choices, Device
 from survey.plan.plan import device_decision, make_plan
 from survey.plan.rates import parts_in_tiles, parts_s
-from survey.plan.tile_choice import SHARED, TileChoice, choose_tiles
+from survey.plan.tile_choice import SHARED, TileChoice, choose_tiles, require_dask
 from survey.plan.workload import amounts_of_run, parts_of_found, require_room, workload_of, workload_of_found
 from survey.progress import Progress, opened
 from survey.run.aimed_run import AimedRun
@@ -58,6 +58,7 @@ def process(
     target_std_m: float | None = None,
     time_budget_s: float | None = None,
     time_gone_s: float = 0.0,
+    chooses_workers: bool = False,
     poses: str | None = None,
     plan: str | None = None,
     image_scale: float | None = None,
@@ -91,6 +92,8 @@ def process(
         What the whole run may take, but for the comparison with a reference: the best that fits.
     time_gone_s : [s]
         How much of that is gone already, with the start of the program.
+    chooses_workers : bool
+        Choose ``workers`` by tiles, cores and memory where no number is given, as the command line does.
     poses : "auto", "fixed" or "refine", optional
         Whether poses and lens are adjusted together with the water; "auto" leaves it to the plan.
     plan : "auto" or "full", optional
@@ -109,8 +112,8 @@ def process(
     memory : str, optional
         Memory that the run may take, as "8GB"; default: most of what is free.
     workers : int, optional
-        Processes that compute tiles; default: by tiles, cores and memory. Of a scheduler those that are waited for. A
-        script that gives more than one needs ``if __name__ == "__main__":``.
+        Processes that compute tiles; default one, unless ``chooses_workers``. Of a scheduler those that are waited
+        for. A script that gives more than one needs ``if __name__ == "__main__":``, as each process loads it again.
     scheduler : str, optional
         Address of a Dask scheduler whose workers compute the tiles, as "tcp://host:8786".
     reference, visible : str or Path, optional
@@ -163,7 +166,7 @@ def process(
         aimed = None
         if aim is not None:
             aimed = begin_aimed_run(aim, survey, chosen, clock, progress, refuses=checked.survey is not None)
-        tiles_chosen = _announce(progress, survey, chosen, aimed, run)
+        tiles_chosen = _announce(progress, survey, chosen, aimed, run, chooses_workers)
         # Starts torch and Dr.Jit: only after everything that the user may have to mend was looked at.
         from survey.run.job import Job
 
@@ -191,6 +194,7 @@ def _require_possible(survey_folder: Path, chosen: Choices) -> Checked:
     """What the survey folder holds; raise where it cannot be processed, or not in the way that was chosen."""
     if chosen.device == Device.cuda:
         device_decision(chosen.device)
+    require_dask(chosen)
     checked = require_processable(survey_folder)
     if checked.found.config.water is None and (chosen.true_colour or chosen.calibrate_water):
         option = "--true-colour takes the water away" if chosen.true_colour else "--calibrate-water estimates the water"
@@ -210,7 +214,14 @@ def _forecast(progress: Progress, checked: Checked, chosen: Choices) -> None:
     progress.note(f"workload: {workload}")
 
 
-def _announce(progress: Progress, survey: Survey, chosen: Choices, aimed: AimedRun | None, run: RunDir) -> TileChoice:
+def _announce(
+    progress: Progress,
+    survey: Survey,
+    chosen: Choices,
+    aimed: AimedRun | None,
+    run: RunDir,
+    chooses_workers: bool,
+) -> TileChoice:
     """Say what is going to be done and what it takes; raise where the machine cannot. Returns the tiles."""
     plan = make_plan(survey, chosen, recipe=None if aimed is None else aimed.recipe)
     progress.note(f"{survey.name}: {len(survey.views)} views, a pixel covers {length(plan.gsd_m)} of the ground")
@@ -220,7 +231,10 @@ def _announce(progress: Progress, survey: Survey, chosen: Choices, aimed: AimedR
         progress.warn(text)
     earlier = run.found_before(SHARED).get("tiles")
     in_one = workload_of(survey, plan)
-    tiles = choose_tiles(survey, plan, chosen, in_one, is_aimed=aimed is not None, earlier=earlier)
+    is_aimed = aimed is not None
+    tiles = choose_tiles(
+        survey, plan, chosen, in_one, is_aimed=is_aimed, earlier=earlier, chooses_workers=chooses_workers
+    )
     for decision in (*plan.decisions, *tiles.decisions):
         progress.note(f"plan: {decision.name}: {decision.choice} ({decision.reason})")
     if aimed is not None:

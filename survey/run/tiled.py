@@ -24,8 +24,8 @@ from survey.run.stage import Stage, run_stage
 from survey.run.stage_of_tile import FIGURES, POINTS, find_points, learn_figures, solve_tile, sweep_tile
 from survey.run.stage_sweep import MAPS
 from survey.run.stage_tiles import find_shared, read_shared
-from survey.run.team import Team
 from survey.run.tile_job import MASKS, TileJob
+from survey.run.tile_workers import TileWorkers
 
 # Gets the job, the folder to write to, the tiles, the folders of their stages by name, and those of other stages.
 Merge = Callable[[Job, Path, Sequence[TileJob], Mapping[str, list[Path]], Mapping[str, Path]], None]
@@ -50,12 +50,12 @@ def run_tiled(job: Job, run: RunDir, *, resume: bool) -> dict[str, Path]:
             done[stage.name] = run_stage(stage, of, run, done, resume=resume)
 
     with ExitStack() as stack:
-        team = Team(job, run, stack) if job.tiles.workers > 1 or job.chosen.scheduler is not None else None
+        workers = TileWorkers(job, run, stack) if job.tiles.workers > 1 or job.chosen.scheduler is not None else None
 
         def step_of_tiles(stage: Stage) -> None:
-            if team is not None:
+            if workers is not None:
                 parts = [(_of_tile(stage, tile), tile) for tile in tiles]
-                done.update(team.run(stage, parts, done, shared, resume=resume))
+                done.update(workers.run(stage, parts, done, shared, resume=resume))
                 return
             for tile in tiles:
                 step(_of_tile(stage, tile), tile)

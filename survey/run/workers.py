@@ -9,29 +9,36 @@ from __future__ import annotations
 
 import os
 import pickle
+import platform
 import shutil
 import time
 import uuid
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from geo.files import disk_refusals, write_whole
 from survey.code_hash import code_hash
 from survey.errors import SurveyError
+from survey.plan.tile_choice import NO_DASK
 
 if TYPE_CHECKING:
+    from survey.folder.survey import Survey
     from survey.run.job import Job
     from survey.run.tile_job import TileJob, TilePlan
 
+# Number of a task, folder of its result, seconds, and kinds and texts of its messages.
+Computed = tuple[int, Path, float, list[tuple[str, str]]]
+
 # A task whose workers end so often is given up: most likely it takes more memory than there is.
-_MOST_ENDED = 3
+_ALLOWED_FAILURES = 3
+_ANOTHER_VERSION = "another version of bathynerf than the run; install the same on all, and start the workers again"
 # How long workers of a cluster may take to come [s].
-_PATIENCE_S = 60.0
-# How often is looked whether any is left [s].
+_WORKER_TIMEOUT_S = 60.0
+# Interval at which the number of workers is checked [s].
 _LOOK_EVERY_S = 5.0
 
 
@@ -45,7 +52,7 @@ class Task:
         Of the stage.
     tile : int
     compute : callable
-        `survey.run.stage.Stage.compute`, of a module.
+        As `survey.run.stage.Stage.compute`; cloudpickle carries it.
     needs : mapping
         Folders of the stages that it needs, by the names that ``compute`` knows.
     """
@@ -64,12 +71,14 @@ class Workers:
     client : distributed.Client
     folder : Path
         Of the stages of the run.
+    are_started : bool
+        Whether the run has started them, on this machine.
     """
 
-    def __init__(self, client: Any, folder: Path):
-        self._client, self._folder = client, folder.absolute()
+    def __init__(self, client: Any, folder: Path, *, are_started: bool):
+        self._client, self._folder, self._are_started = client, folder.absolute(), are_started
 
-    def computed(self, job: Path, tasks: Sequence[Task]) -> Iterator[tuple[int, Path, float, list[tuple[str, str]]]]:
+    def computed(self, job: Path, tasks: Sequence[Task]) -> Generator[Computed, None, None]:
         """Compute tasks; as each ends its number, the folder of its result, its seconds, and what it had to say.
 
         Raises
@@ -80,19 +89,26 @@ class Workers:
         from distributed import KilledWorker
 
         futures = {
-            self._client.submit(_compute, job, self._folder, task, pure=False, key=f"{task.name}-{uuid.uuid4().hex}"): n
-            for n, task in enumerate(tasks)
+            self._client.submit(
+                _compute, job, self._folder, task, loaded_code(), pure=False, key=f"{task.name}-{uuid.uuid4().hex}"
+            ): number
+            for number, task in enumerate(tasks)
         }
-        for future in self._as_they_end(futures):
-            try:
-                folder, seconds, said = future.result()
-            except KilledWorker as error:
-                raise SurveyError(
-                    f"{tasks[futures[future]].name}: {_MOST_ENDED + 1} workers that computed it were ended by the "
-                    "system, most likely for want of memory; what other tiles have is kept: give the same command "
-                    "with fewer --workers, or more --tiles"
-                ) from error
-            yield futures[future], folder, seconds, said
+        try:
+            for future in self._as_they_end(futures):
+                try:
+                    folder, seconds, said = future.result()
+                except KilledWorker as error:
+                    advice = "fewer --workers, or more --tiles" if self._are_started else "more --tiles"
+                    raise SurveyError(
+                        f"{tasks[futures[future]].name}: {error.allowed_failures + 1} workers that computed it were "
+                        "ended by the system, most likely for want of memory; what other tiles have is kept: give the "
+                        f"same command with {advice}"
+                    ) from error
+                yield futures[future], folder, seconds, said
+        finally:
+            # After an early end those that wait are not begun.
+            self._client.cancel(list(futures))
 
     def _as_they_end(self, futures: Collection[Any]) -> Iterator[Any]:
         """The futures, as they end; raise where no worker is left to end one."""
@@ -106,32 +122,33 @@ class Workers:
                 yield from ended
             if self._client.scheduler_info()["workers"]:
                 last_seen = time.monotonic()
-            elif time.monotonic() - last_seen > _PATIENCE_S:
+            elif time.monotonic() - last_seen > _WORKER_TIMEOUT_S:
                 raise SurveyError(
-                    f"no worker is left, and none came back within {_PATIENCE_S:.0f} s; {len(left)} of {len(futures)} "
-                    "tiles are missing: give the same command again, it goes on with what is finished"
+                    f"no worker is left, and none came back within {_WORKER_TIMEOUT_S:.0f} s; {len(left)} of "
+                    f"{len(futures)} tiles are missing: give the same command again, it goes on with what is finished"
                 )
 
 
 @contextmanager
-def workers_for(number: int, scheduler: str | None, stages: Path, note: Callable[[str], None]) -> Iterator[Workers]:
+def workers_for(
+    number: int, scheduler: str | None, stages: Path, photograph: Path, note: Callable[[str], None]
+) -> Iterator[Workers]:
     """So many workers of this machine, or all of a scheduler that has so many, for the stages in a folder of a run.
 
     Raises
     ------
     SurveyError
-        If Dask is not installed, no worker comes, one has another version of the program or does not see the folder.
+        If Dask is not installed, no worker comes, or one has no or another version of the program, several threads, or
+        does not see the folder or a photograph.
     """
     try:
         import distributed
     except ModuleNotFoundError as error:
-        raise SurveyError(
-            "--workers and --scheduler take Dask, which is not installed: pip install 'bathynerf[cluster]'"
-        ) from error
+        raise SurveyError(NO_DASK) from error
     import dask
 
     of_dask = {
-        "distributed.scheduler.allowed-failures": _MOST_ENDED,
+        "distributed.scheduler.allowed-failures": _ALLOWED_FAILURES,
         # Workers have cores of their own, and as many threads as these.
         "distributed.nanny.pre-spawn-environ": {},
         "distributed.worker.memory.target": False,
@@ -144,50 +161,78 @@ def workers_for(number: int, scheduler: str | None, stages: Path, note: Callable
     with dask.config.set(of_dask):
         cluster: Any = nullcontext(scheduler)
         if scheduler is None:
-            cluster = distributed.LocalCluster(
-                n_workers=number,
-                threads_per_worker=1,
-                processes=True,
-                memory_limit=0,
-                dashboard_address=None,
-                silence_logs="ERROR",
-            )
+            cluster = _local_cluster(distributed, number)
         with cluster as place, _client_of(distributed, place, scheduler, number) as client:
             if scheduler is None:
                 client.register_plugin(_cores_plugin(distributed, number))
             else:
-                note(
-                    f"workers: {client.scheduler_info()['n_workers']} of {scheduler}, to be watched at "
-                    f"{client.dashboard_link}"
-                )
-            _check(client, stages)
-            yield Workers(client, stages)
+                note(f"workers: {len(client.nthreads())} of {scheduler}, to be watched at {client.dashboard_link}")
+            _check(client, stages, photograph)
+            yield Workers(client, stages, are_started=scheduler is None)
+
+
+def _local_cluster(distributed: Any, number: int) -> Any:
+    try:
+        return distributed.LocalCluster(
+            n_workers=number,
+            threads_per_worker=1,
+            processes=True,
+            memory_limit=0,
+            dashboard_address=None,
+            silence_logs="ERROR",
+        )
+    except RuntimeError as error:
+        # Each process runs the body of the script again, and ends where that starts processes in turn.
+        raise SurveyError(
+            f"{number} processes of this machine did not start ({error}); a Python script that asks for several needs "
+            '`if __name__ == "__main__":` around what it does; else take workers=1'
+        ) from error
 
 
 def _client_of(distributed: Any, place: Any, scheduler: str | None, number: int) -> Any:
+    client = None
     try:
-        client = distributed.Client(place, timeout=_PATIENCE_S)
-        client.wait_for_workers(number, timeout=_PATIENCE_S)
+        client = distributed.Client(place, timeout=_WORKER_TIMEOUT_S)
+        client.wait_for_workers(number, timeout=_WORKER_TIMEOUT_S)
     except (OSError, TimeoutError, ValueError) as error:
+        if client is not None:
+            client.close()
         which = "this machine" if scheduler is None else f"--scheduler {scheduler}"
         raise SurveyError(
-            f"{which} gave no {number} workers within {_PATIENCE_S:.0f} s ({error}); start them, or leave the option "
-            "out"
+            f"{which} gave no {number} workers within {_WORKER_TIMEOUT_S:.0f} s ({error}); start them, or leave "
+            "the option out"
         ) from error
     return client
 
 
-def _check(client: Any, stages: Path) -> None:
-    """Raise where a worker has another program or does not see the run."""
+def _check(client: Any, stages: Path, photograph: Path) -> None:
+    """Raise where a worker has several threads, another program, or does not see the run or a photograph."""
+    for place, threads in client.nthreads().items():
+        if threads != 1:
+            raise SurveyError(
+                f"the worker {place} has {threads} threads, expected one, which computes one tile at a time; start it "
+                "with --nthreads 1"
+            )
+    photograph = photograph.absolute()
     with _token(stages) as token:
-        found = client.run(_seen, token)
-    for place, (code, sees) in found.items():
-        if code != _code():
-            raise SurveyError(f"the worker {place} has another version of bathynerf; install the same on all")
-        if not sees:
+        found = client.run(_seen, token, photograph, on_error="return")
+    for place, each in found.items():
+        if isinstance(each, ModuleNotFoundError):
+            raise SurveyError(f"the worker {place} cannot load bathynerf ({each}); install the same version on all")
+        if isinstance(each, Exception):
+            raise each
+        code, sees_run, sees_photograph = each
+        if code != loaded_code():
+            raise SurveyError(f"the worker {place} has {_ANOTHER_VERSION}")
+        if not sees_run:
             raise SurveyError(
                 f"the worker {place} does not see {stages}; name a run folder with -o that all workers reach by the "
                 "same path"
+            )
+        if not sees_photograph:
+            raise SurveyError(
+                f"the worker {place} does not see {photograph}; put the survey where all workers reach it by the same "
+                "path"
             )
 
 
@@ -202,11 +247,13 @@ def _token(stages: Path) -> Iterator[Path]:
         shutil.rmtree(path, ignore_errors=True)
 
 
-def _seen(token: Path) -> tuple[str, bool]:
-    return _code(), token.is_dir()
+def _seen(token: Path, photograph: Path) -> tuple[str, bool, bool]:
+    return loaded_code(), token.is_dir(), photograph.is_file()
 
 
-def _code() -> str:
+@cache
+def loaded_code() -> str:
+    """Hash of the code of this process: taken once, before stages are loaded, as files may change later."""
     return code_hash("survey.run.tiled")
 
 
@@ -227,13 +274,28 @@ def _cores_plugin(distributed: Any, number: int) -> Any:
 
 
 def save_job(job: Job, found: TilePlan, folder: Path, stage: str) -> Path:
-    """Write what workers have to know of a job for a stage; its grey images lie in files already."""
+    """Write what workers have to know of a job for a stage; its grey images lie in files already.
+
+    Each file has a name of its own: workers of a cluster outlive a run, and keep the job by this name.
+    """
     block = job.block
-    path = folder / f"{stage}.pickle"
-    parts = job.survey, job.chosen, job.tiles, found, block.images, block.saturated
+    path = folder / f"{stage}-{uuid.uuid4().hex}.pickle"
+    parts = _with_absolute_paths(job.survey), job.chosen, job.tiles, found, block.images, block.saturated
     with write_whole(path) as stream:
         stream.write(pickle.dumps(parts))
     return path.absolute()
+
+
+def _with_absolute_paths(survey: Survey) -> Survey:
+    views = [
+        replace(
+            view,
+            path=view.path.absolute(),
+            mask_path=None if view.mask_path is None else view.mask_path.absolute(),
+        )
+        for view in survey.views
+    ]
+    return replace(survey, folder=survey.folder.absolute(), views=tuple(views))
 
 
 @lru_cache(maxsize=1)
@@ -245,7 +307,7 @@ def _tiles_of(path: Path) -> dict[int, TileJob]:
     from survey.run.tile_job import TileJob
 
     survey, chosen, tiles, found, images, saturated = pickle.loads(path.read_bytes())
-    job = Job(survey, chosen, cast(Any, _Said()))
+    job = Job(survey, chosen, cast(Any, _RecordedProgress()))
     job.take_tiles(tiles)
     cameras, plan = cameras_of_block(survey, job.plan), job.plan
     job.__dict__["block"] = Block(
@@ -254,14 +316,22 @@ def _tiles_of(path: Path) -> dict[int, TileJob]:
     return {number: TileJob(job, number, found) for number in range(len(tiles.tiling))}
 
 
-def _compute(job: Path, stages: Path, task: Task) -> tuple[Path, float, list[tuple[str, str]]]:
-    """Compute a task on a worker: the folder of its result, its seconds, and what it had to say."""
+def _compute(job: Path, stages: Path, task: Task, code: str) -> tuple[Path, float, list[tuple[str, str]]]:
+    """Compute a task on a worker: the folder of its result, its seconds, and what it had to say.
+
+    Raises
+    ------
+    SurveyError
+        If the hash of the worker's code is another than ``code``, that of the run: it may have come after the check.
+    """
+    if loaded_code() != code:
+        raise SurveyError(f"a worker on {platform.node()} has {_ANOTHER_VERSION}")
     start = time.monotonic()
     tile = _tiles_of(job)[task.tile]
     folder = stages / f".{task.name}-{uuid.uuid4().hex[:8]}.part"
     with disk_refusals(folder):
         folder.mkdir()
-    said = cast(_Said, tile.whole.progress)
+    said = cast(_RecordedProgress, tile.whole.progress)
     said.lines.clear()
     try:
         task.compute(tile, folder, task.needs)
@@ -274,7 +344,7 @@ def _compute(job: Path, stages: Path, task: Task) -> tuple[Path, float, list[tup
     return folder, time.monotonic() - start, list(said.lines)
 
 
-class _Said:
+class _RecordedProgress:
     """Progress of a worker: it keeps what is said, for the process of the run."""
 
     forecast = None

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from survey.run.stage import Stage, finish, finished
-from survey.run.workers import Task, Workers, save_job, workers_for
+from survey.run.workers import Task, Workers, loaded_code, save_job, workers_for
 
 if TYPE_CHECKING:
     from survey.run.folder import RunDir
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from survey.run.tile_job import TileJob, TilePlan
 
 
-class Team:
+class TileWorkers:
     """Workers of a run, which are started when there is something to compute.
 
     Parameters
@@ -31,6 +31,7 @@ class Team:
     def __init__(self, job: Job, run: RunDir, stack: ExitStack):
         self._job, self._run, self._stack = job, run, stack
         self._workers: Workers | None = None
+        loaded_code()
 
     def run(
         self,
@@ -43,7 +44,7 @@ class Team:
     ) -> dict[str, Path]:
         """Run the stages of tiles that a stage of the survey consists of; their folders by name.
 
-        They take their places in the run as they end, in any order; the run says of them in the order of the tiles.
+        Results are stored as tasks end; messages follow in the order of the tiles.
         """
         found: dict[str, Path] = {}
         left, keys, tasks = [], [], []
@@ -64,8 +65,11 @@ class Team:
         workers = self._started()
         saved = save_job(self._job, shared, self._run.scratch_path, whole.name)
         said: dict[int, list[tuple[str, str]]] = {}
-        with self._job.progress.stage(f"{whole.name.capitalize()} of {len(tasks)} tiles", len(tasks)) as step:
-            for number, place, seconds, lines in workers.computed(saved, tasks):
+        with (
+            self._job.progress.stage(f"{whole.name.capitalize()} of {len(tasks)} tiles", len(tasks)) as step,
+            closing(workers.computed(saved, tasks)) as computed,
+        ):
+            for number, place, seconds, lines in computed:
                 stage, _ = left[number]
                 found[stage.name] = finish(stage, keys[number], self._run, place, seconds)
                 said[number] = lines
@@ -80,8 +84,9 @@ class Team:
             chosen, tiles = self._job.chosen, self._job.tiles
             number = 1 if tiles is None else tiles.workers
             number = (chosen.workers or 1) if chosen.scheduler is not None else number
+            photograph = self._job.survey.views[0].path
             with self._job.progress.stage("Workers"):
                 self._workers = self._stack.enter_context(
-                    workers_for(number, chosen.scheduler, self._run.stages_path, self._job.progress.note)
+                    workers_for(number, chosen.scheduler, self._run.stages_path, photograph, self._job.progress.note)
                 )
         return self._workers

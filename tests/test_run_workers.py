@@ -145,7 +145,10 @@ def test_a_worker_that_is_as_it_should_be_passes(run_and_photograph):
     ("worker", "said"),
     [
         ({"threads": 4}, "has 4 threads, expected one.*start it with --nthreads 1"),
-        ({"answer": ModuleNotFoundError("No module named 'survey'")}, "cannot load bathynerf .*No module named"),
+        (
+            {"answer": Exception("ModuleNotFoundError(\"No module named 'survey'\")")},
+            "cannot load bathynerf .*No module named",
+        ),
         ({"answer": ("0" * 64, True, True)}, "has another version of bathynerf.*install the same"),
         ({"answer": (loaded_code(), False, True)}, "does not see .*name a run folder with -o"),
         ({"answer": (loaded_code(), True, False)}, r"does not see .*a\.jpg; put the survey where"),

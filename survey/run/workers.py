@@ -179,6 +179,8 @@ def _local_cluster(distributed: Any, number: int) -> Any:
             processes=True,
             memory_limit=0,
             dashboard_address=None,
+            # Any free port: 8787, the default, may be that of another cluster.
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
             silence_logs="ERROR",
         )
     except RuntimeError as error:
@@ -217,10 +219,11 @@ def _check(client: Any, stages: Path, photograph: Path) -> None:
     with _token(stages) as token:
         found = client.run(_seen, token, photograph, on_error="return")
     for place, each in found.items():
-        if isinstance(each, ModuleNotFoundError):
-            raise SurveyError(f"the worker {place} cannot load bathynerf ({each}); install the same version on all")
         if isinstance(each, Exception):
-            raise each
+            # Dask passes on an error of loading as text.
+            raise SurveyError(
+                f"the worker {place} cannot load bathynerf ({each}); install the same version on all"
+            ) from each
         code, sees_run, sees_photograph = each
         if code != loaded_code():
             raise SurveyError(f"the worker {place} has {_ANOTHER_VERSION}")

@@ -17,8 +17,8 @@ from geo.files import write_whole
 from geo.optional import library_for
 
 MARK = b"bathynerf"
-# $INSUNITS, by the length of the unit [m].
-_METRE, _UNITS = 6, ((0.3048, 2), (1200.0 / 3937.0, 21))
+# $INSUNITS, by the length of the unit [m]; 0 for one that has no number.
+_NO_UNIT, _UNITS = 0, ((1.0, 6), (1000.0, 7), (0.3048, 2), (1200.0 / 3937.0, 21))
 _VERSION = "R2010"
 # What names of layers may not hold.
 _NOT_IN_NAMES = re.compile(r"[<>/\\\":;?*|=`\x00-\x1f]")
@@ -59,7 +59,7 @@ def write_dxf(path: str | Path, lines: Sequence[DxfLine], crs: CRS) -> None:
         )
     ezdxf = library_for(path, "ezdxf", "dxf", to_write=True)
     drawing = ezdxf.new(_VERSION)
-    drawing.header["$INSUNITS"] = next((code for length, code in _UNITS if abs(length / unit - 1.0) < 1e-9), _METRE)
+    drawing.header["$INSUNITS"] = next((code for length, code in _UNITS if abs(length / unit - 1.0) < 1e-9), _NO_UNIT)
     drawing.header.custom_vars.append("made_by", MARK.decode())
     drawing.header.custom_vars.append("crs", crs_code(crs) or called(crs))
     space = drawing.modelspace()

@@ -17,7 +17,7 @@ from pyproj import CRS
 from geo.antimeridian import cut_line, cut_polygon
 from geo.compatibility import crs_difference
 from geo.crs import crs_code, horizontal_crs
-from geo.files import write_whole, write_whole_at
+from geo.files import write_whole
 from geo.optional import library_for
 from geo.transformation import WGS84, Transformation
 
@@ -123,41 +123,53 @@ def write_geopackage(path: str | Path, layer: Layer) -> None:
     UnwritableFile
         If the file cannot be written, or pyogrio is not installed.
     """
+    options = {"layer_options": {"IDENTIFIER": f"bathynerf {layer.name}", "DESCRIPTION": layer.notes}}
+    with write_whole(path) as stream, _folder_beside(path) as work:
+        # GDAL knows the format by the suffix.
+        copy = Path(work) / "copy.gpkg"
+        _write_verified(copy, Path(path), layer, "GPKG", layer=layer.name, **options)
+        stream.write(copy.read_bytes())
+
+
+def _folder_beside(path: str | Path) -> TemporaryDirectory:
+    """A folder on the disk of a file; anywhere of a device or a pipe."""
+    is_file = Path(path).is_file() or not Path(path).exists()
+    return TemporaryDirectory(prefix=".", suffix=".part", dir=Path(path).resolve().parent if is_file else None)
+
+
+def _write_verified(copy: Path, path: Path, layer: Layer, driver: str, /, **options) -> None:
+    """Write a layer in its own CRS by GDAL to ``copy``, what is to be ``path``, and read it again.
+
+    Raises
+    ------
+    UnwritableFile
+        If it cannot be written, or does not read as it was written.
+    """
     # Takes a while to load, and most layers are GeoJSON.
     from geo.read_back import unreadable
 
     pyogrio = library_for(path, "pyogrio.raw", "vector", to_write=True)
-    crs = horizontal_crs(layer.crs)
-    content = BytesIO()
-    pyogrio.write(
-        content,
-        geometry=np.array([_wkb(layer.kind, shape) for shape in layer.shapes], dtype=object),
-        field_data=[np.array(values) for values in layer.columns.values()],
-        fields=np.array(list(layer.columns), dtype=object),
-        layer=layer.name,
-        driver="GPKG",
-        geometry_type=layer.kind,
-        crs=crs_code(crs) or crs.to_wkt(),
-        layer_options={"IDENTIFIER": f"bathynerf {layer.name}", "DESCRIPTION": layer.notes},
-    )
-    path, data = Path(path), content.getvalue()
-    if path.exists() and not path.is_file() and not path.is_dir():
-        # A device or a pipe cannot be read back.
-        with write_whole(path) as stream:
-            stream.write(data)
-        return
-    with write_whole_at(path) as part, TemporaryDirectory(prefix=".", suffix=".part", dir=part.parent) as work:
-        # GDAL knows the format by the suffix.
-        copy = Path(work) / "copy.gpkg"
-        copy.write_bytes(data)
-        try:
-            meta, _, shapes, _ = pyogrio.read(copy)
-        except (RuntimeError, ValueError) as error:
-            raise unreadable(path, f"it is damaged ({str(error)[:80]})") from error
+    crs, shapes, kind = horizontal_crs(layer.crs), layer.shapes, str(layer.kind)
+    if layer.heights is not None and driver == "ESRI Shapefile":
+        shapes = [np.column_stack([line, z]) for line, z in zip(shapes, layer.heights, strict=True)]
+        kind = f"{kind} Z"
+    try:
+        pyogrio.write(
+            copy,
+            geometry=np.array([_wkb(layer.kind, shape) for shape in shapes], dtype=object),
+            field_data=[np.array(values) for values in layer.columns.values()],
+            fields=np.array(list(layer.columns), dtype=object),
+            driver=driver,
+            geometry_type=kind,
+            crs=crs_code(crs) or crs.to_wkt(),
+            **options,
+        )
+        meta, _, found, _ = pyogrio.read(copy)
         read = CRS.from_user_input(meta["crs"]) if meta["crs"] else None
-        if len(shapes) != len(layer.shapes) or read is None or crs_difference(read, crs) is not None:
-            raise unreadable(path, f"it has {len(shapes)} of {len(layer.shapes)} shapes, or another CRS")
-        copy.replace(part)
+    except (RuntimeError, ValueError, OSError) as error:
+        raise unreadable(path, f"it is damaged ({str(error)[:80]})") from error
+    if len(found) != len(shapes) or read is None or crs_difference(read, crs) is not None:
+        raise unreadable(path, f"it has {len(found)} of {len(shapes)} shapes, or another CRS")
 
 
 def write_shapefile(path: str | Path, layer: Layer) -> None:
@@ -168,28 +180,13 @@ def write_shapefile(path: str | Path, layer: Layer) -> None:
     UnwritableFile
         If the file cannot be written, or pyogrio is not installed.
     """
-    pyogrio = library_for(path, "pyogrio.raw", "vector", to_write=True)
-    crs = horizontal_crs(layer.crs)
-    shapes = layer.shapes
-    if layer.heights is not None:
-        shapes = [np.column_stack([line, z]) for line, z in zip(shapes, layer.heights, strict=True)]
-    is_3d = layer.heights is not None
-    with TemporaryDirectory() as work:
-        pyogrio.write(
-            Path(work) / f"{layer.name}.shp",
-            geometry=np.array([_wkb(layer.kind, shape) for shape in shapes], dtype=object),
-            field_data=[np.array(values) for values in layer.columns.values()],
-            fields=np.array(list(layer.columns), dtype=object),
-            driver="ESRI Shapefile",
-            geometry_type=f"{layer.kind} Z" if is_3d else layer.kind,
-            crs=crs_code(crs) or crs.to_wkt(),
-        )
+    with write_whole(path) as stream, _folder_beside(path) as work:
+        _write_verified(Path(work) / f"{layer.name}.shp", Path(path), layer, "ESRI Shapefile")
         content = BytesIO()
         with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
             archive.comment = SHAPEFILE_MARK
             for part in sorted(Path(work).iterdir()):
                 archive.writestr(zipfile.ZipInfo(part.name), part.read_bytes(), zipfile.ZIP_DEFLATED)
-    with write_whole(path) as stream:
         stream.write(content.getvalue())
 
 

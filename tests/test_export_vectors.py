@@ -19,7 +19,7 @@ from stored_run import plane_stored, run_of
 
 from geo.dxf import DxfLine, write_dxf
 from geo.errors import UnwritableFile
-from geo.vectors import Layer, write_geojson, write_geopackage
+from geo.vectors import Layer, write_geojson, write_geopackage, write_shapefile
 from survey.errors import SurveyError
 from survey.export.export import export
 from survey.export.loaded import LoadedRun
@@ -114,6 +114,41 @@ def test_a_drawing_in_feet_says_so(tmp_path):
     drawing = ezdxf.readfile(tmp_path / "x.dxf")
     assert drawing.header["$INSUNITS"] == 21
     assert "a_b" in drawing.layers
+
+
+@pytest.mark.parametrize(("unit", "number"), [("km", 7), ("m", 6), ("ft", 2), ("us-ft", 21), ("ind-ft", 0)])
+def test_a_drawing_has_the_number_of_its_unit_and_none_where_there_is_none(tmp_path, unit, number):
+    crs = CRS(f"+proj=utm +zone=32 +datum=WGS84 +units={unit} +vunits={unit} +no_defs")
+    write_dxf(tmp_path / "x.dxf", [DxfLine("a", np.eye(3))], crs)
+    assert ezdxf.readfile(tmp_path / "x.dxf").header["$INSUNITS"] == number
+
+
+CRS_OF_FILES = ["EPSG:25832+5778", "EPSG:2264+6360", "EPSG:31256", "EPSG:27700", "EPSG:2056", "EPSG:4326", "EPSG:3857"]
+
+
+@pytest.mark.parametrize("write", [write_geopackage, write_shapefile])
+@pytest.mark.parametrize("crs", [*CRS_OF_FILES, "+proj=tmerc +lon_0=11 +x_0=1000 +ellps=GRS80 +units=m +no_defs"])
+def test_a_layer_of_any_crs_reads_as_it_was_written(tmp_path, write, crs):
+    pytest.importorskip("pyogrio")
+    line = np.array([[1.0, 2.0], [3.0, 5.0]])
+    layer = Layer("contours", "LineString", [line], CRS(crs), {"depth_m": [1.5]}, heights=[np.array([1.0, 2.0])])
+    write(tmp_path / "x", layer)
+    assert [path.name for path in tmp_path.iterdir()] == ["x"]
+
+
+@pytest.mark.parametrize("write", [write_geopackage, write_shapefile])
+@pytest.mark.parametrize("error", [RuntimeError("disk"), ValueError("field"), OSError("gone")])
+def test_what_gdal_refuses_is_an_error_of_the_file(tmp_path, monkeypatch, write, error):
+    def refused(*args, **kwargs):
+        raise error
+
+    layer = Layer("a", "LineString", [np.eye(2)], CRS("EPSG:25832"), {"depth_m": [1.0]})
+    with pytest.raises(UnwritableFile, match=r"cannot write .*nowhere.*folder does not exist"):
+        write(tmp_path / "nowhere" / "x", layer)
+    monkeypatch.setattr(pyogrio.raw, "write", refused)
+    with pytest.raises(UnwritableFile, match=rf"cannot write .*x: .*{error}"):
+        write(tmp_path / "x", layer)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_contours_have_the_depth_of_the_plane_and_the_interval_that_was_asked_for(block, tmp_path):

@@ -125,3 +125,13 @@ def test_heights_of_control_and_check_points_have_the_unit_of_their_column(tmp_p
     path.write_text(f"name,easting,northing,depth_{unit}\na,589012,5194736,{10.0 / metres!r}\n")
     (point,), _ = in_crs(read_checkpoints(path, 30.0 / height_unit_m(survey), survey), survey)
     assert point.place[2] * height_unit_m(survey) == pytest.approx(20.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("said", ["EPSG:2264", "EPSG:2264+6360"])
+def test_depths_with_a_crs_of_their_own_have_its_unit_in_plan_and_heights_of_the_survey(tmp_path, said):
+    path, survey = tmp_path / "depths.csv", CRS("EPSG:32119+5703")
+    path.write_text(f"# CoordinateSystem: {said}\nx_ftUS,y_ftUS,depth_ftUS\n1400000,600000,10\n")
+    (point,), _ = in_crs(read_checkpoints(path, 500.0, survey), survey)
+    foot = 1200.0 / 3937.0
+    # One datum and one projection: a foot of the survey and a metre alone.
+    assert point.place == pytest.approx((1400000 * foot, 600000 * foot, 500.0 - 10 * foot), abs=0.01)

@@ -144,7 +144,7 @@ def test_a_unit_in_the_name_of_a_column_counts(tmp_path, pattern, word, ours_m):
         written(path, [*places, pattern.format("Depth", unit)], [[*places.values(), 2.5]], ",")
         (row,) = read_points(path, level=100.0, units=Units(ours_m, ours_m), error=SurveyError)
         assert (100.0 - row.number("height")) * ours_m == pytest.approx(2.5 * metres, rel=1e-12)
-        written(path, [pattern.format("X", unit), "y", "z"], [[1, 2, 3]], ",")
+        written(path, [pattern.format("X", unit), pattern.format("Y", unit), "z"], [[1, 2, 3]], ",")
         if abs(metres / ours_m - 1.0) > 1e-9:
             with pytest.raises(SurveyError, match="eastings and northings are in units of"):
                 read_points(path, units=Units(ours_m, ours_m), error=SurveyError)
@@ -172,3 +172,17 @@ def test_two_columns_of_one_meaning_are_refused(tmp_path, header):
     path.write_text(f"{header}\n" + ",".join(["1.5"] * len(header.split(","))) + "\n")
     with pytest.raises(SurveyError, match="columns that may be the"):
         read_points(path, level=5.0, error=SurveyError)
+
+
+@pytest.mark.parametrize("header", ["x_m,y_ft,z", "x,y_ft,z", "x_ft,y,z", "lon,x_m,y,z,lat"])
+def test_two_units_in_plan_are_refused(tmp_path, header):
+    path = tmp_path / "points.csv"
+    path.write_text(f"{header}\n" + ",".join(["1.5"] * len(header.split(","))) + "\n")
+    with pytest.raises(SurveyError, match="expected one unit: convert one, or name it in both"):
+        read_points(path, error=SurveyError)
+
+
+def test_degrees_beside_grid_coordinates_have_no_unit_in_plan(tmp_path):
+    path = tmp_path / "points.csv"
+    path.write_text("lon,x_m,y_m,z,lat\n1,2,3,4,5\n")
+    assert units_said(path, SurveyError) == Units(plan_m=1.0)

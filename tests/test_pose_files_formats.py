@@ -332,3 +332,11 @@ def test_all_files_that_are_read_for_poses_are_inputs_that_no_result_replaces(tm
         (tmp_path / name).write_text("")
     assert {path.name for path in pose_files(tmp_path / stem)} == {stem, "p_offset.xyz"}
     assert pose_files(tmp_path / "none.csv") == [tmp_path / "none.csv"]
+
+
+@pytest.mark.parametrize("header", ["x_m,y_ft", "x,y_ft", "x_ft,y"])
+def test_a_table_of_poses_in_two_units_in_plan_is_refused(tmp_path, header):
+    path = tmp_path / "cameras.csv"
+    path.write_text(f"image,{header},z,omega,phi,kappa\na.jpg,1,2,3,0,0,0\n")
+    with pytest.raises(PosesError, match="expected one unit: convert one, or name it in both"):
+        opk_csv.read_opk_csv(path)

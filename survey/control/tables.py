@@ -7,6 +7,7 @@ from pathlib import Path
 
 from pyproj import CRS
 
+from geo.crs import horizontal_crs
 from survey.control.content import Content, ControlFormat, GivenMark, GivenPoint, is_check_role, require_std
 from survey.errors import ControlError
 from survey.files.column_units import Units
@@ -65,9 +66,11 @@ def read_checkpoints(path: Path, level: float | None = None, survey_crs: CRS | N
     ControlError
         If the file has no points or one of them twice, or as `read_coordinates`.
     """
-    crs = crs_of_comment(path, ControlError)
-    # Depths become heights of the survey, others have the unit that the file says.
-    units = Units.of(survey_crs) if survey_crs is not None and has_depths(path) else None
+    crs, units = crs_of_comment(path, ControlError), None
+    if survey_crs is not None and has_depths(path):
+        # Depths become heights of the survey, others have the unit that the file says.
+        crs = None if crs is None else horizontal_crs(crs)
+        units = Units(Units.of(crs or survey_crs).plan_m, Units.of(survey_crs).height_m)
     rows = read_points(path, level=level, give_level="give [water] level_m", units=units, error=ControlError)
     said = units_said(path, ControlError) if units is None else Units(height_m=units.height_m)
     if not rows:

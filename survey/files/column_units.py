@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 from pyproj import CRS
 
 from geo.crs import has_height, height_unit_m, horizontal_unit, is_geographic
 from geo.stated import unit_named
+from survey.errors import SurveyError
 
 _IN_BRACKETS = re.compile(r"(.*?)[\s_]*[(\[]\s*([^()\[\]]+?)\s*[)\]]")
 _DEGREES = ("deg", "degree", "degrees", "°", "dd", "decimal degrees")
@@ -63,6 +65,28 @@ class Units:
 def same_unit(a: float, b: float) -> bool:
     """Whether two units [m] are one."""
     return abs(a / b - 1.0) < _SAME_UNIT
+
+
+def plan_unit_m(
+    units: Mapping[str, float | None], names: tuple[str, str], path: Path, error: type[SurveyError]
+) -> float | None:
+    """The unit [m] of two columns of plan, by what the names of columns say of each; None where they say none.
+
+    Raises
+    ------
+    error
+        Where they say two, or one for one of them alone.
+    """
+    east, north = (units.get(name) for name in names)
+    if east is None and north is None:
+        return None
+    if east is None or north is None or not same_unit(east, north):
+        said = ["without a unit" if unit is None else f"in units of {unit:.10g} m" for unit in (east, north)]
+        raise error(
+            f"{path}: {names[0]} is {said[0]} and {names[1]} {said[1]}, by the names of their columns; expected one "
+            "unit: convert one, or name it in both"
+        )
+    return east
 
 
 def meaning(cell: str, words: Mapping[str, str]) -> tuple[str, float | None] | None:

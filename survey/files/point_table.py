@@ -14,7 +14,7 @@ from pathlib import Path
 
 from geo.values import is_mark_of_no_data
 from survey.errors import SurveyError
-from survey.files.column_units import Units, meaning, same_unit
+from survey.files.column_units import Units, meaning, plan_unit_m
 from survey.files.csv_table import Row, column_names, first_cells, read_table, shortened
 
 PLACE = ("easting", "northing", "height")
@@ -123,13 +123,14 @@ def units_said(path: Path, error: type[SurveyError]) -> Units:
     Raises
     ------
     SurveyError
-        Where easting and northing have two units.
+        Where easting and northing have two units, or one of them has none.
     """
-    found = {said[0]: said[1] for cell in first_cells(path, error) if (said := meaning(cell, _WORDS)) is not None}
-    east, north = (found.get(name) for name in PLACE[:2])
-    if east is not None and north is not None and not same_unit(east, north):
-        raise error(f"{path}: easting is in units of {east:.10g} m and northing of {north:.10g} m; convert one")
-    return Units(east or north, found.get("height" if "height" in found else "depth"))
+    synonyms = _synonyms_for(path, error)
+    words = [(cell, said) for cell in first_cells(path, error) if (said := meaning(cell, _WORDS)) is not None]
+    # Not those of degrees beside grid coordinates.
+    found = {name: unit for cell, (name, unit) in words if synonyms.get(cell, cell) == name}
+    plan = plan_unit_m(found, (PLACE[0], PLACE[1]), path, error)
+    return Units(plan, found.get("height" if "height" in found else "depth"))
 
 
 def _in_metres(rows: Sequence[Row], path: Path, error: type[SurveyError]) -> list[Row]:

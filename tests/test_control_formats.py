@@ -118,6 +118,8 @@ def test_little_control_is_doubted(tmp_path):
 @pytest.mark.parametrize(("unit", "metres"), [("m", 1.0), ("ft", 0.3048), ("ftUS", 1200.0 / 3937.0)])
 def test_heights_of_control_and_check_points_have_the_unit_of_their_column(tmp_path, crs, unit, metres):
     path, survey = tmp_path / "points.csv", CRS(crs)
+    # A foot that does not say which of the two is that of the CRS.
+    metres = height_unit_m(survey) if unit == "ft" and height_unit_m(survey) < 1.0 else metres
     path.write_text(f"name,easting,northing,height_{unit}\na,589012,5194736,{10.0 / metres!r}\n")
     for given in (read_control(path).points, read_checkpoints(path)):
         (point,), _ = in_crs(given, survey)
@@ -135,3 +137,12 @@ def test_depths_with_a_crs_of_their_own_have_its_unit_in_plan_and_heights_of_the
     foot = 1200.0 / 3937.0
     # One datum and one projection: a foot of the survey and a metre alone.
     assert point.place == pytest.approx((1400000 * foot, 600000 * foot, 500.0 - 10 * foot), abs=0.01)
+
+
+@pytest.mark.parametrize("unit", ["ft", "feet", "ftUS"])
+@pytest.mark.parametrize("said", ["# CoordinateSystem: EPSG:2264+6360\n", ""])
+def test_a_bare_foot_is_that_of_the_crs(tmp_path, unit, said):
+    path, survey = tmp_path / "points.csv", CRS("EPSG:2264+6360")
+    path.write_text(f"{said}x_{unit},y_{unit},z_{unit}\n1400000,600000,1000\n")
+    (point,), _ = in_crs(read_checkpoints(path, None, survey), survey)
+    assert point.place == pytest.approx((1400000.0, 600000.0, 1000.0), abs=1e-9, rel=0.0)

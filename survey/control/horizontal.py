@@ -70,12 +70,13 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS) -> tuple[list[GivenPoint], Fi
 def _height_scale(first: GivenPoint, source: CRS, crs: CRS) -> float:
     """Units of height of crs in one of a file, of which this is a point, by what its header and its CRS say."""
     where = Path(first.where)
-    fault = first.units.plan_fault(Units.of(source))
+    units = first.units.meant(Units.of(source))
+    fault = units.plan_fault(Units.of(source))
     if fault is not None:
         raise ControlError(f"{first.where}: {fault}; convert them")
     if first.crs is None:
-        return first.units.height_factor(Units.of(crs))
-    unit_m = height_unit_said(source, first.units.height_m, where, "the unit of its column of heights")
+        return units.height_factor(Units.of(crs))
+    unit_m = height_unit_said(source, units.height_m, where, "the unit of its column of heights")
     return height_scale(source, crs, f"{first.where}: the heights of points in {called(source)}", unit_m=unit_m)
 
 

@@ -10,13 +10,19 @@ from pathlib import Path
 from pyproj import CRS
 
 from geo.crs import has_height, height_unit_m, horizontal_unit, is_geographic
-from geo.stated import unit_named
+from geo.stated import US_SURVEY_FOOT_M, unit_named
 from survey.errors import SurveyError
 
 _IN_BRACKETS = re.compile(r"(.*?)[\s_]*[(\[]\s*([^()\[\]]+?)\s*[)\]]")
 _DEGREES = ("deg", "degree", "degrees", "°", "dd", "decimal degrees")
 # Of two feet, which differ by 2e-6.
 _SAME_UNIT = 1e-9
+_BARE_FOOT = ("ft", "foot", "feet")
+_FEET = (0.3048, US_SURVEY_FOOT_M)
+
+
+class BareFoot(float):
+    """A foot [m] that does not say which of the two it is; international where nothing tells it."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +46,15 @@ class Units:
         if crs is None:
             return Units(1.0, height)
         return Units(None if is_geographic(crs) else horizontal_unit(crs), height)
+
+    def meant(self, target: Units) -> Units:
+        """These, where a foot that does not say which is that of the target, if the target has one of the two."""
+
+        def one(said: float | None, own: float | None) -> float | None:
+            is_foot = own is not None and any(same_unit(own, foot) for foot in _FEET)
+            return own if isinstance(said, BareFoot) and is_foot else said
+
+        return Units(one(self.plan_m, target.plan_m), one(self.height_m, target.height_m))
 
     def height_factor(self, target: Units) -> float:
         """Units of height of the target in one of these; 1 where either is not known."""
@@ -105,7 +120,7 @@ def meaning(cell: str, words: Mapping[str, str]) -> tuple[str, float | None] | N
             return words[bare], None
         metres = unit_named(unit) if bare in words else None
         if metres is not None:
-            return words[bare], metres
+            return words[bare], BareFoot(metres) if unit in _BARE_FOOT else metres
     return None
 
 

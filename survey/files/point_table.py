@@ -92,6 +92,7 @@ def read_points(
     names = column_names(path, synonyms)
     found = shortened(", ".join(names)) or "nothing"
     _require_one_column(path, synonyms, error)
+    said = said if units is None else said.meant(units)
     fault = None if units is None else said.plan_fault(units)
     if fault is not None:
         raise error(f"{path}: {fault}; convert them")

@@ -47,19 +47,20 @@ def points_in_crs(file: PoseFile, points: np.ndarray, crs: CRS, gps_height: str)
     """
     if file.frame is PoseFrame.GEOCENTRIC:
         return _from_geocentric(file, points, crs, gps_height)
-    units = Units(file.plan_unit_m, file.height_unit_m)
-    fault = units.plan_fault(Units.of(crs if file.crs is None else file.crs))
+    of_crs = Units.of(crs if file.crs is None else file.crs)
+    units = Units(file.plan_unit_m, file.height_unit_m).meant(of_crs)
+    fault = units.plan_fault(of_crs)
     if fault is not None:
         raise PosesError(f"the file of poses: {fault}; convert them")
     if file.crs is None:
         return points * [1.0, 1.0, units.height_factor(Units.of(crs))]
-    said, own = file.height_unit_m, height_unit_m(file.crs) if has_height(file.crs) else None
+    said, own = units.height_m, height_unit_m(file.crs) if has_height(file.crs) else None
     if said is not None and own is not None and not same_unit(said, own):
         raise PosesError(
             f"{_HEIGHTS} are in units of {said:.10g} m by the name of their column, and of {own:.10g} m by the CRS of "
             "their file; correct one of them"
         )
-    height = points[:, 2] * height_scale(file.crs, crs, _HEIGHTS, unit_m=file.height_unit_m)
+    height = points[:, 2] * height_scale(file.crs, crs, _HEIGHTS, unit_m=units.height_m)
     if crs_difference(horizontal_crs(file.crs), horizontal_crs(crs)) is None:
         return np.column_stack([points[:, :2], height])
     way = Transformation.between(file.crs, crs, points)

@@ -22,7 +22,7 @@ from survey.files.xml_tree import read_xml
 from survey.photos.cameras import nearest_rotation
 from survey.photos.poses import GivenPosition, Pose, PoseFile, PoseFrame
 from survey.pose_files.format import Format
-from survey.pose_files.lens_keys import read_lens
+from survey.pose_files.metashape_lens import read_lens
 
 _EXPORT = "in Metashape, File > Export > Export Cameras writes it again"
 # A rotation is written with 16 digits.

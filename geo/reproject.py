@@ -14,7 +14,7 @@ from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError
 
 from geo.antimeridian import crosses
-from geo.crs import has_height, horizontal_crs, is_geographic, parse_crs, vertical_crs
+from geo.crs import crs_of, has_height, horizontal_crs, is_geographic, parse_crs, vertical_crs
 from geo.errors import UnknownCRS, UnsupportedCRS
 from geo.projection import nan_unless_finite
 from geo.transformation import Transformation, best_operation, require_in_area
@@ -115,7 +115,7 @@ def _doubt(source: CRS, wanted: CRS, way: Transformer, where: str, places: np.nd
 def _with_height(source: CRS, target: str | CRS, where: str) -> CRS:
     """The target as a CRS with heights: its own, else those of the source."""
     try:
-        wanted = CRS.from_user_input(target)
+        wanted = crs_of(target)
     except CRSError as error:
         raise UnknownCRS(
             f'{where} is "{str(target)[:80]}", which is not a known coordinate reference system; give an EPSG code '

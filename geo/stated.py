@@ -9,7 +9,7 @@ from pyproj import CRS
 from pyproj.database import get_units_map
 from pyproj.exceptions import CRSError
 
-from geo.crs import has_height, height_unit_m
+from geo.crs import crs_of, has_height, height_unit_m
 from geo.errors import UnreadableFile
 
 US_SURVEY_FOOT_M = 1200.0 / 3937.0
@@ -69,7 +69,7 @@ def _bare(name: str) -> str:
 def crs_named(text: str, path: Path) -> tuple[CRS | None, tuple[str, ...]]:
     """The CRS that a comment of a file names, by code or WKT, and a note: (None, why) if it is not understood."""
     try:
-        crs = CRS.from_user_input(text.strip())
+        crs = crs_of(text.strip())
     except CRSError as error:
         return None, (f"{path} names a CRS that is not understood ({text.strip()[:80]}: {str(error)[:80]}).",)
     return crs, () if has_height(crs) else (f"{path} states the CRS {crs.name} without a vertical part.",)

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
-from pyproj import CRS, Transformer
+from pyproj import CRS, Transformer, datadir
 from pyproj.exceptions import ProjError
 from pyproj.transformer import AreaOfInterest, TransformerGroup
 
@@ -178,6 +179,16 @@ def operations(source: CRS | str, target: CRS | str, area: AreaOfInterest | None
     ProjError
         If it knows none.
     """
+    # Folders of grids that are added later count; PROJ takes some 10 ms to search, and is asked the same often.
+    return _operations(_text(source), _text(target), area, datadir.get_data_dir())
+
+
+def _text(crs: CRS | str) -> str:
+    return crs if isinstance(crs, str) else crs.srs
+
+
+@lru_cache(maxsize=64)
+def _operations(source: str, target: str, area: AreaOfInterest | None, _folders: str) -> TransformerGroup:
     with warnings.catch_warnings():
         # pyproj warns of missing grids, which callers name in their own words.
         warnings.simplefilter("ignore", UserWarning)
@@ -300,12 +311,22 @@ def _middle(source: CRS, places: np.ndarray) -> np.ndarray | None:
         return None
     own = places[:, :2]
     if not source.is_geographic:
-        own = np.column_stack(Transformer.from_crs(source, geodetic_crs(source), always_xy=True).transform(*own.T))
+        own = np.column_stack(_in_one_datum(source, geodetic_crs(source)).transform(*own.T))
     known = np.isfinite(own).all(axis=1)
     if not known.any():
         return None
     unit = geodetic_crs(source).axis_info[0].unit_conversion_factor
     return np.degrees(np.median(own[known], axis=0) * unit)
+
+
+def _in_one_datum(source: CRS, target: CRS) -> Transformer:
+    """Between the grid of a CRS and its own longitudes and latitudes."""
+    return _projection(source.srs, target.srs)
+
+
+@lru_cache(maxsize=64)
+def _projection(source: str, target: str) -> Transformer:
+    return Transformer.from_crs(source, target, always_xy=True)
 
 
 def _chosen(source: CRS, target: CRS, middle: np.ndarray) -> tuple[Transformer, float | None, tuple[str, ...]]:
@@ -340,10 +361,10 @@ def _keeps_degrees(source: CRS, target: CRS, transformer: Transformer, middle: n
         return False
     x, y = middle
     if not source.is_geographic:
-        x, y = Transformer.from_crs(ends[0], source, always_xy=True).transform(x, y)
+        x, y = _in_one_datum(ends[0], source).transform(x, y)
     x, y = transformer.transform(x, y)
     if not target.is_geographic:
-        x, y = Transformer.from_crs(target, ends[1], always_xy=True).transform(x, y)
+        x, y = _in_one_datum(target, ends[1]).transform(x, y)
     return bool(np.abs(np.array([x, y]) - middle).max() < _UNCHANGED_DEG)
 
 

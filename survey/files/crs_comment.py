@@ -8,6 +8,7 @@ from pathlib import Path
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
+from geo.crs import crs_of
 from survey.errors import SurveyError
 from survey.files.csv_table import shortened, text_lines
 
@@ -27,7 +28,7 @@ def crs_of_comment(path: Path, error: type[SurveyError]) -> CRS | None:
     if found is None or "LOCAL_CS" in found:
         return None
     try:
-        return CRS.from_user_input(found.strip())
+        return crs_of(found.strip())
     except CRSError as wrong:
         raise error(
             f"{path}: the CoordinateSystem {shortened(found)} is not a known CRS; correct the comment, or remove it "

@@ -8,6 +8,7 @@ import re
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
+from geo.crs import crs_of
 from survey.errors import SurveyError
 from survey.files.csv_table import shortened
 
@@ -53,7 +54,7 @@ def odm_crs(line: str, where: str, name: str, error: type[SurveyError]) -> CRS:
             raise error(f"{said} is a line of a point, expected the CRS before it, {_FORM}; add it")
         raise error(f"{said} is no CRS that {name} may begin with, expected {_FORM}; correct it")
     try:
-        crs = CRS.from_user_input(f"EPSG:{epsg[1]}" if epsg is not None else line.strip("'\""))
+        crs = crs_of(f"EPSG:{epsg[1]}" if epsg is not None else line.strip("'\""))
     except CRSError as wrong:
         raise error(f"{said} is not a known CRS, expected {_FORM}; correct it") from wrong
     if not (crs.is_projected or crs.is_geographic):

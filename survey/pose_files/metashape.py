@@ -14,6 +14,7 @@ import numpy as np
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
+from geo.crs import crs_of
 from refract.lens import Lens, LensError
 from survey.display.words import named
 from survey.errors import PosesError
@@ -205,7 +206,7 @@ def _crs_of(chunk: Element, path: Path) -> CRS | None:
     if not text or text.startswith(("LOCAL_CS", "ENGCRS")):
         return None
     try:
-        return CRS.from_user_input(text)
+        return crs_of(text)
     except CRSError as error:
         raise PosesError(
             f'{path}: the reference "{shortened(text)}" is not a known CRS; set one in Metashape and export the '

@@ -15,7 +15,7 @@ import numpy as np
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from geo.crs import has_height, horizontal_crs, horizontal_unit
+from geo.crs import crs_of, has_height, horizontal_crs, horizontal_unit
 from refract.lens import Lens, LensError
 from survey.errors import PosesError
 from survey.files.csv_table import shortened, text_lines
@@ -158,7 +158,7 @@ def _crs(path: Path) -> CRS | None:
     if not text or text.startswith("LOCAL_CS"):
         return None
     try:
-        return CRS.from_user_input(text)
+        return crs_of(text)
     except CRSError as error:
         raise PosesError(f'{path}: "{shortened(text)}" is not a known CRS; correct or remove it') from error
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from slow_cases import slow
 
 from survey.adjust.adjustment import HELD
 from survey.adjust.bundle import inverse
@@ -41,7 +42,7 @@ def lifted(block: DrawnBlock, shift, common_up_std: float = 80.0) -> Survey:
     return with_shift(survey_of(block), shift, common_up_std)
 
 
-@pytest.mark.parametrize("up", [1.5, 30.0, -30.0])
+@pytest.mark.parametrize("up", [slow(1.5), 30.0, slow(-30.0)])
 def test_heights_are_those_of_the_level_however_far_positions_are_off(up):
     block = bank_block(1)
     found = adjust_survey(lifted(block, (1.0, -2.0, up)), use_windows=False)
@@ -188,7 +189,7 @@ def test_positions_that_prove_good_hold_the_block_where_some_photographs_have_no
     assert found.position_std[3, 2] < 0.1
 
 
-@pytest.mark.parametrize("up", [2.0, 30.0])
+@pytest.mark.parametrize("up", [2.0, slow(30.0)])
 def test_check_points_tell_the_error_of_a_block_that_positions_put_elsewhere(up):
     block = draw_block(
         1, num_points=180, num_views=18, nadir_only=False, dry_share=0.3, num_control=6, pixel_std=0.15,

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from slow_cases import slow
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -23,7 +24,9 @@ def benchmark(monkeypatch):
 # go together: their share over a few blocks varies by some 3 %.
 
 
-@pytest.mark.parametrize(("shared", "num_points", "seeds"), [(False, 200, (2, 3, 5, 8, 9, 10)), (True, 400, (5, 14))])
+@pytest.mark.parametrize(
+    ("shared", "num_points", "seeds"), [(False, 200, (2, 3, 5, 8, 9, 10)), slow(True, 400, (5, 14))]
+)
 def test_truth_lies_within_what_is_stated(benchmark, shared, num_points, seeds):
     blocks = [benchmark.covered(seed, shared=shared, num_points=num_points) for seed in seeds]
     within, found = np.sum([benchmark.share_within(blocks, name) for name in benchmark.NAMES], axis=0)

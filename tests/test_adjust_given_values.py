@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import norm
+from slow_cases import slow
 
 from survey.adjust import pose_check
 from survey.adjust.given_values import worst_contradiction
@@ -75,11 +76,6 @@ def test_water_as_given_is_not_contradicted_and_lies_within_what_is_said():
     assert 0.3 < np.sqrt(np.mean(scaled**2)) < 1.6
 
 
-def slow(value: float):
-    """A parameter of the slow run: each draws and adjusts eight blocks."""
-    return pytest.param(value, marks=pytest.mark.slow)
-
-
 @pytest.mark.parametrize(("seed", "error"), [(3, 0.5), (3, -0.5), (9, 0.5)])
 def test_a_level_that_is_half_a_metre_off_is_contradicted_with_both_numbers(seed, error):
     block, survey = block_and_survey(seed)
@@ -133,7 +129,7 @@ def test_dry_ground_says_nothing_of_water(level):
         assert all(each.is_of_lens for each in found.told)
 
 
-@pytest.mark.parametrize("error", [-5.0, slow(-20.0), slow(-50.0), -100.0])
+@pytest.mark.parametrize("error", [slow(-5.0), slow(-20.0), slow(-50.0), -100.0])
 def test_a_level_below_all_of_a_bed_under_water_is_told_with_the_level_that_photographs_show(error):
     scaled = []
     for seed in range(8):
@@ -180,7 +176,7 @@ def lowered(drawn: DrawnBlock, down: float):
     return with_water(survey_of(drawn), level_m=ORIGIN[2] + float(drawn.water[0]) - down)
 
 
-@pytest.mark.parametrize("down", [6.0, 45.0])
+@pytest.mark.parametrize("down", [6.0, slow(45.0)])
 def test_the_level_that_photographs_show_is_named(down):
     missed = []
     for seed in range(2):

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from slow_cases import slow
 
 from survey.adjust.observed import MATCH, observed
 from survey.adjust.priors import known_of
@@ -46,7 +47,7 @@ def stds_of(survey) -> np.ndarray:
     return done.known.std[done.known.layout.first_pose :].reshape(-1, 6)
 
 
-@pytest.mark.parametrize(("std_m", "std_deg"), [(0.005, 0.3), (0.02, 0.02), (0.2, 1.0)])
+@pytest.mark.parametrize(("std_m", "std_deg"), [(0.005, 0.3), slow(0.02, 0.02), slow(0.2, 1.0)])
 def test_unstated_poses_count_as_good_as_they_are(std_m, std_deg):
     found = np.array([stds_of(by_file(wet_block(seed), std_m, std_deg))[0] for seed in range(4)])
     # Of four blocks of 18 views; one of the heights (18 numbers, 12 or so free) is good to a fifth.

@@ -61,6 +61,7 @@ def test_a_target_that_small_images_reach_is_reached_by_them(reached):
     assert std < 0.6 * GSD
 
 
+@pytest.mark.slow
 def test_the_report_says_what_was_asked_and_reached(reached):
     run, _, log = reached
     report = run.report()
@@ -81,6 +82,7 @@ def judged(run: DrawnRun) -> tuple[str, str]:
     return tuple(each[: each.index("mm", each.index(words))] for each in (look, gate["sentence"]))
 
 
+@pytest.mark.slow
 def test_the_look_between_rounds_and_the_gate_judge_the_same_points_of_a_scene_with_walls(reached):
     look, gate = judged(reached[0])
     assert look == gate
@@ -100,6 +102,7 @@ def test_points_that_the_solver_leaves_to_the_sweep_count_in_the_look_as_in_the_
     assert look == gate
 
 
+@pytest.mark.slow
 def test_the_same_command_uses_all_again_and_a_finer_target_goes_on(reached, tmp_path):
     earlier, _, _ = reached
     run = DrawnRun(earlier.scene, tmp_path / "survey")

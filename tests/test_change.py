@@ -10,6 +10,7 @@ import pytest
 import rasterio
 from command_line import bathynerf
 from pyproj import CRS
+from slow_cases import slow
 
 from geo.las import read_cloud, write_cloud
 from geo.reproject import Reprojection
@@ -46,7 +47,7 @@ def drawn(seed, *, common=(0.01, 0.02), shared=0.0):
 
 
 @pytest.mark.parametrize(("common", "shared"), [((0.01, 0.02), 0.0), ((0.0, 0.0), 0.0), ((0.02, 0.02), 1.0)])
-@pytest.mark.parametrize("is_measured", [False, True])
+@pytest.mark.parametrize("is_measured", [slow(False), True])
 def test_intervals_of_95_per_cent_hold_the_true_volume(common, shared, is_measured):
     held = []
     for seed in range(200):

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from command_line import MAIN, console
+from slow_cases import slow
 from small_survey import small_survey
 
 from survey.commands.faults import BAD_INPUT as BAD_INPUT_CODE
@@ -43,7 +44,7 @@ def test_a_full_device_behind_standard_output_is_said_in_one_sentence(tmp_path, 
     assert result.returncode == BAD_INPUT_CODE
 
 
-@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&- <&-"])
+@pytest.mark.parametrize("closed", [slow(">&-"), slow("2>&-"), ">&- 2>&- <&-"])
 def test_closed_standard_streams_do_not_stop_a_command(tmp_path, closed):
     folder = small_survey(tmp_path / "s")
     command = ["sh", "-c", f'exec "$0" "$@" {closed}', sys.executable, "-c", MAIN, "check", str(folder)]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from drawn_runs import drawn
 from scipy.special import ndtr, ndtri
+from slow_cases import slow
 
 from evaluation import coverage_by_class, interval_score, slope_below, vertical_difference
 from evaluation.coverage import WALL_DEG
@@ -19,7 +20,7 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("coverage")
 
 
-@pytest.fixture(scope="module", params=[pytest.param("off", marks=pytest.mark.slow), "solver"])
+@pytest.fixture(scope="module", params=[slow("off"), slow("solver")])
 def covered(request, folder):
     """A noisy survey with a bank, by the sweep alone and solved: coverage by class, and the std of all points."""
     run = drawn(folder, noise=4.0, shore=True, seed=7)

@@ -14,6 +14,7 @@ import pytest
 from click.testing import Result
 from drawn_runs import GSD, SHORELINE_M, DrawnRun, drawn, inner90, process_quietly, processed
 from pyproj import CRS
+from slow_cases import slow
 from typer.testing import CliRunner
 
 from fields.sweep.passes import PASSES
@@ -106,11 +107,6 @@ def noisy(tmp_path_factory):
     again = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
     assert again.returncode == 0, again.stderr
     return survey
-
-
-def slow(*values):
-    """A parameter set of the slow run: each survey here is a run of a quarter of a minute."""
-    return pytest.param(*values, marks=pytest.mark.slow)
 
 
 @pytest.mark.parametrize(
@@ -289,7 +285,7 @@ def test_the_same_command_again_computes_nothing_and_changes_nothing(shore, monk
     ("old", "new"),
     [
         ("level_m = 584.2", "level_m = 584.3"),
-        ("\nbounds", "\n# bounds"),
+        slow("\nbounds", "\n# bounds"),
         ("\nbounds", "\nheights = [580.0, 585.0]\nbounds"),
     ],
 )

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from pyproj import CRS
+from slow_cases import slow
 from small_bed import plane_bed, plane_height_map
 from small_report import PLAN, facts_of
 from small_survey import TOML, small_survey
@@ -56,7 +57,7 @@ def test_all_pictures_are_drawn_and_are_whole(plane_report):
             assert np.asarray(image.convert("L")).std() > 5.0, path  # neither black nor white
 
 
-@pytest.mark.parametrize("kind", ["dry", "empty", "one point", "strip in degrees", "tilted water"])
+@pytest.mark.parametrize("kind", [slow("dry"), "empty", slow("one point"), "strip in degrees", slow("tilted water")])
 def test_every_kind_of_bed_gets_a_report(shallow_survey, dry_survey, tmp_path, kind):
     survey = dry_survey if kind == "dry" else shallow_survey
     if kind == "strip in degrees":

@@ -1,0 +1,10 @@
+"""Cases of a parametrized test that the slow run has beside those of the default run."""
+
+from __future__ import annotations
+
+import pytest
+
+
+def slow(*values):
+    """A set of parameters for the slow run alone."""
+    return pytest.param(*values, marks=pytest.mark.slow)

@@ -112,7 +112,7 @@ def sample_of(survey: Survey) -> tuple[Survey, Plan, TiePoints]:
     plan = make_plan(survey)
     block, bound = loaded(survey, plan)
     chosen = pose_check._of_middle(survey, plan.height_m)
-    sample = replace(survey, views=tuple(survey.views[i] for i in chosen), ties=None)
+    sample = replace(pose_check.without_ties(survey), views=tuple(survey.views[i] for i in chosen))
     return sample, plan, windows_of_block(sample, plan, block.part(chosen), bound, lambda _amount: None, sparse=True)
 
 

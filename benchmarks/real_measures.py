@@ -128,7 +128,7 @@ def _without(source: Path, folder: Path, targets: list[dict], name: str) -> Path
 
 def _std(survey: Survey, found: Adjustment, residual: ControlResidual, given_m: tuple[float, ...]) -> np.ndarray:
     """Standard deviation (3,) [m] of a residual: of the block, of the marks, and of the coordinates."""
-    control, adjusted = survey.control, apply_adjustment(survey, found)
+    control, adjusted = survey.observations.control, apply_adjustment(survey, found)
     assert control is not None
     number = {name: k for k, name in enumerate(found.names)}
     marks = [mark for mark in control.marks if mark.point == residual.name and mark.view in number]

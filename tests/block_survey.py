@@ -15,10 +15,11 @@ from survey.control.points import Control, ControlPoint, Mark
 from survey.folder.config import CamerasConfig, SurveyConfig, WaterConfig
 from survey.folder.place import water_plane
 from survey.folder.pose_priors import PosePrior
-from survey.folder.survey import Survey
+from survey.folder.survey import Observations, Survey
 from survey.folder.velocities import BY_XMP, Velocity
 from survey.photos.cameras import View
 from survey.photos.tie_points import TiePoints
+from tests.changed_survey import changed
 from tests.drawn_block import DrawnBlock
 
 # On a central meridian, where the axes of the grid are those of local.
@@ -62,19 +63,18 @@ def survey_of(block: DrawnBlock, *, shutter: tuple[float, float | None] | None =
         frame=frame,
         views=views,
         water=water_plane(frame, water),
-        bounds=None,
         config=SurveyConfig(
             crs=CRS,
             water=water,
             cameras=CamerasConfig(rolling_shutter_s=readout, rolling_shutter_std_s=readout_std),
         ),
-        assumptions=(),
-        warnings=(),
-        points=ties.start,
-        ties=ties,
-        priors=priors,
-        control=control,
-        velocities={view.name: Velocity(v, BY_XMP) for view, v in zip(views, block.velocities, strict=True)},
+        observations=Observations(
+            points=ties.start,
+            ties=ties,
+            priors=priors,
+            control=control,
+            velocities={view.name: Velocity(v, BY_XMP) for view, v in zip(views, block.velocities, strict=True)},
+        ),
     )
 
 
@@ -115,10 +115,10 @@ def with_shift(survey: Survey, shift, common_up_std: float) -> Survey:
         name: replace(
             prior, position=prior.position + shift, position_std=None, source="GPS EXIF", common_up_std=common_up_std
         )
-        for name, prior in survey.priors.items()
+        for name, prior in survey.observations.priors.items()
     }
-    ties = replace(survey.ties, start=survey.ties.start + shift)
-    return replace(survey, views=views, priors=priors, ties=ties, points=ties.start)
+    ties = replace(survey.observations.ties, start=survey.observations.ties.start + shift)
+    return changed(survey, views=views, priors=priors, ties=ties, points=ties.start)
 
 
 def height_error(block: DrawnBlock, found: Adjustment) -> float:

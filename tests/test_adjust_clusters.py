@@ -72,7 +72,7 @@ def adjusted(seed: int, slope: float) -> tuple[Problem, Solution, list]:
     block = draw_block(seed, num_points=600, num_views=16, dry_share=0.0, num_control=0, height=20.0, depth=2.0)
     survey = survey_of(block)
     known = known_of(survey, 0.02)
-    ties, water = survey.ties, known.state.water
+    ties, water = survey.observations.ties, known.state.water
     start = replace(known.state, points=ties.start)
     sides = relief_sides(start, ties)
     rng = np.random.default_rng([seed, 41])

@@ -23,6 +23,7 @@ from survey.folder.place import water_plane
 from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import Survey
 from tests.block_survey import ORIGIN, height_error, survey_of, with_shift
+from tests.changed_survey import changed
 from tests.drawn_block import DrawnBlock, draw_block
 
 # Of a receiver without corrections, from photograph to photograph.
@@ -92,7 +93,7 @@ def test_positions_that_share_nothing_hold_the_block_against_the_level():
 def adjusted(survey: Survey) -> Adjusted:
     known = known_of(survey, 0.02)
     sizes = [(view.lens.width, view.lens.height) for view in survey.views]
-    return adjust(known, observed([(MATCH, survey.ties)], None, survey, known), sizes, 0.5)
+    return adjust(known, observed([(MATCH, survey.observations.ties)], None, survey, known), sizes, 0.5)
 
 
 @pytest.mark.parametrize("common_up_std", [80.0, 0.3])
@@ -143,27 +144,30 @@ def test_residuals_stay_when_a_block_is_lowered():
 def test_what_holds_the_heights_leaves_no_common_error():
     block = draw_block(1, num_points=150, num_views=16, dry_share=0.3, num_control=6)
     survey = lifted(block, (0.0, 0.0, 0.0))
-    assert survey.control is not None
+    assert survey.observations.control is not None
     assert known_of(survey, 0.02).common_up_std == 0.0
-    free = replace(survey, control=None)
+    free = changed(survey, control=None)
     assert known_of(free, 0.02).common_up_std == 80.0
     assert known_of(free, 0.02, free_water=True).common_up_std == 0.0
-    assert known_of(replace(free, is_level_known=False), 0.02).common_up_std == 0.0
-    checks = tuple(replace(point, is_check=True) for point in survey.control.points)
-    only_checks = replace(survey, control=replace(survey.control, points=checks))
+    assert known_of(changed(free, is_level_known=False), 0.02).common_up_std == 0.0
+    checks = tuple(replace(point, is_check=True) for point in survey.observations.control.points)
+    only_checks = changed(survey, control=replace(survey.observations.control, points=checks))
     assert known_of(only_checks, 0.02).common_up_std == 80.0
     name = survey.views[0].name
-    fixed = {**free.priors, name: replace(free.priors[name], common_up_std=0.0)}
-    assert known_of(replace(free, priors=fixed), 0.02).common_up_std == 0.0
+    fixed = {**free.observations.priors, name: replace(free.observations.priors[name], common_up_std=0.0)}
+    assert known_of(changed(free, priors=fixed), 0.02).common_up_std == 0.0
     clicks = (LevelObservation(100.0, 0.02, ORIGIN[:2], None, "clicks"),)
-    assert known_of(replace(free, levels=clicks), 0.02).common_up_std == 0.0
+    assert known_of(changed(free, levels=clicks), 0.02).common_up_std == 0.0
 
 
 def test_single_positions_are_as_good_as_the_block_shows_however_large_their_common_error_is():
     survey = lifted(draw_block(1, num_points=150, num_views=16, dry_share=0.3, num_control=0), (0.0, 0.0, 0.0))
-    stated = {name: replace(prior, position_std=np.array([3.0, 3.0, 80.0])) for name, prior in survey.priors.items()}
-    assert known_of(replace(survey, priors=stated), 0.02).unknown_positions.all()
-    assert not known_of(replace(survey, priors=stated, is_level_known=False), 0.02).unknown_positions.any()
+    stated = {
+        name: replace(prior, position_std=np.array([3.0, 3.0, 80.0]))
+        for name, prior in survey.observations.priors.items()
+    }
+    assert known_of(changed(survey, priors=stated), 0.02).unknown_positions.all()
+    assert not known_of(changed(survey, priors=stated, is_level_known=False), 0.02).unknown_positions.any()
 
 
 @pytest.mark.slow
@@ -182,7 +186,7 @@ def test_positions_that_prove_good_hold_the_block_where_some_photographs_have_no
     block = draw_block(5, num_points=250, num_views=18, dry_share=0.3, num_control=0, position_std=(0.02, 0.02, 0.03))
     survey = lifted(block, (0.0, 0.0, 0.0))
     name = survey.views[3].name
-    survey = replace(survey, priors={**survey.priors, name: PosePrior(None, None, None, "none")})
+    survey = changed(survey, priors={**survey.observations.priors, name: PosePrior(None, None, None, "none")})
     found = adjust_survey(survey, use_windows=False)
     assert found.common_up_m is None
     # The level of the block, to centimetres, by positions.
@@ -196,8 +200,10 @@ def test_check_points_tell_the_error_of_a_block_that_positions_put_elsewhere(up)
         position_std=POSITION_STD_M, height=25.0, depth=2.5,
     )  # fmt: skip
     survey = lifted(block, (0.0, 0.0, up))
-    checks = tuple(replace(point, is_check=True) for point in survey.control.points)
-    found = adjust_survey(replace(survey, control=replace(survey.control, points=checks)), use_windows=False)
+    checks = tuple(replace(point, is_check=True) for point in survey.observations.control.points)
+    found = adjust_survey(
+        changed(survey, control=replace(survey.observations.control, points=checks)), use_windows=False
+    )
     assert len(found.control) == len(checks)
     common = common_error(found, water_plane(survey.frame, found.water))
     assert abs(height_error(block, found)) < 4.0 * common.mean

@@ -13,6 +13,7 @@ from survey.adjust.control_check import is_lone
 from survey.adjust.refine import adjust_survey
 from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import Survey
+from tests.changed_survey import changed
 
 SAID = "have another place for control: gcp0 by "
 
@@ -23,13 +24,13 @@ def block_and_survey():
 
 
 def without_positions(survey: Survey) -> Survey:
-    return replace(survey, priors={view.name: PosePrior(None, None, None, "none") for view in survey.views})
+    return changed(survey, priors={view.name: PosePrior(None, None, None, "none") for view in survey.views})
 
 
 def with_shift(survey: Survey, number: int, shift) -> Survey:
-    points = list(survey.control.points)
+    points = list(survey.observations.control.points)
     points[number] = replace(points[number], local=points[number].local + np.array(shift))
-    return replace(survey, control=replace(survey.control, points=tuple(points)))
+    return changed(survey, control=replace(survey.observations.control, points=tuple(points)))
 
 
 @pytest.mark.parametrize("with_gps", [True, False])
@@ -60,17 +61,23 @@ def test_two_wrong_points_are_both_named():
 
 def test_a_wrong_mark_is_named_and_its_point_keeps_its_coordinates():
     _, survey = block_and_survey()
-    mark, *rest = survey.control.marks
+    mark, *rest = survey.observations.control.marks
     wrong = replace(mark, pixel=(mark.pixel[0] + 60.0, mark.pixel[1] - 40.0))
-    found = adjust_survey(replace(survey, control=replace(survey.control, marks=(wrong, *rest))), use_windows=False)
+    found = adjust_survey(
+        changed(survey, control=replace(survey.observations.control, marks=(wrong, *rest))), use_windows=False
+    )
     assert found.warnings == (f"1 mark of control that the block contradicts, left out: {mark.point} in {mark.view}",)
     assert not any(point.is_check for point in found.control)
 
 
 def test_control_that_is_worse_than_stated_counts_as_good_as_it_fits(rng):
     block, survey = block_and_survey()
-    points = tuple(replace(point, local=point.local + rng.normal(0.0, 0.1, 3)) for point in survey.control.points)
-    found = adjust_survey(replace(survey, control=replace(survey.control, points=points)), use_windows=False)
+    points = tuple(
+        replace(point, local=point.local + rng.normal(0.0, 0.1, 3)) for point in survey.observations.control.points
+    )
+    found = adjust_survey(
+        changed(survey, control=replace(survey.observations.control, points=points)), use_windows=False
+    )
     (warning,) = found.warnings
     assert "times worse than their standard deviations say" in warning
     assert 4.0 < float(warning.split("fit the block ")[1].split(" times")[0]) < 25.0
@@ -105,9 +112,14 @@ def test_blocks_without_positions_are_as_uncertain_as_their_control_leaves_them(
 def with_one_point(seed: int, off=(0.0, 0.0, 0.0), num_marks: int | None = None) -> Survey:
     """A block with GPS good to 2 cm and one control point, its coordinates off by so much."""
     survey = survey_of(draw_block(seed, num_points=150, num_views=18, dry_share=0.35, num_control=1))
-    (point,) = survey.control.points
+    (point,) = survey.observations.control.points
     point = replace(point, local=point.local + np.array(off))
-    return replace(survey, control=replace(survey.control, points=(point,), marks=survey.control.marks[:num_marks]))
+    return changed(
+        survey,
+        control=replace(
+            survey.observations.control, points=(point,), marks=survey.observations.control.marks[:num_marks]
+        ),
+    )
 
 
 @pytest.mark.parametrize("num_marks", [1, None])
@@ -128,8 +140,8 @@ def test_a_right_point_is_not():
 def test_only_control_that_cannot_check_itself_is_asked_about_and_only_where_positions_place_the_block():
     survey = with_one_point(3)
     assert is_lone(survey)
-    assert not is_lone(replace(survey, control=None))
+    assert not is_lone(changed(survey, control=None))
     nowhere = {view.name: PosePrior(None, None, None, "none") for view in survey.views}
-    assert not is_lone(replace(survey, priors=nowhere))
+    assert not is_lone(changed(survey, priors=nowhere))
     many = survey_of(draw_block(3, num_points=150, num_views=18, dry_share=0.35, num_control=3))
     assert not is_lone(many)

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from survey.adjust.refine import adjust_survey
 from survey.control.points import Control
 from tests.block_survey import pose_errors, rms, survey_of
+from tests.changed_survey import changed
 from tests.drawn_block import draw_block
 
 # Of tie points from the control points: squares of the ground then hold a control point alone.
@@ -31,16 +32,18 @@ def survey_with(num_marks: int, *, wet: bool, gps: bool):
     """A drawn block and its survey with control points of so many marks, and no tie point near them."""
     block = draw_block(5, num_points=260, num_views=14, dry_share=0.4, num_control=6, height=25.0, depth=2.0)
     survey = survey_of(block)
-    near, _ = cKDTree(block.control_points[:, :2]).query(survey.ties.start[:, :2])
-    ties = survey.ties.only((near > APART_M)[survey.ties.point])
-    survey = replace(survey, ties=ties, points=ties.start, control=with_marks(survey.control, num_marks))
+    near, _ = cKDTree(block.control_points[:, :2]).query(survey.observations.ties.start[:, :2])
+    ties = survey.observations.ties.only((near > APART_M)[survey.observations.ties.point])
+    survey = changed(survey, ties=ties, points=ties.start, control=with_marks(survey.observations.control, num_marks))
     if not wet:
         # Of the same block the dry points alone.
-        ties = survey.ties.only((survey.water.depth(survey.ties.start) < -0.3)[survey.ties.point])
-        survey = replace(survey, ties=ties, points=ties.start)
+        ties = survey.observations.ties.only(
+            (survey.water.depth(survey.observations.ties.start) < -0.3)[survey.observations.ties.point]
+        )
+        survey = changed(survey, ties=ties, points=ties.start)
         survey = replace(survey, water=None, config=replace(survey.config, water=None))
     if not gps:
-        survey = replace(survey, priors={})
+        survey = changed(survey, priors={})
     return block, survey
 
 

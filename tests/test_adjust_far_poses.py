@@ -15,6 +15,7 @@ from survey.errors import SurveyError
 from survey.folder.survey import load_survey
 from survey.photos.tie_points import TiePoints
 from survey.simulate.drawn import DrawnScene, draw_survey
+from tests.changed_survey import changed
 
 VIEWS = SimpleNamespace(views=range(10))
 ANEW = RecoveredPoses(None, None, None)
@@ -89,8 +90,8 @@ def test_poses_off_by_several_pixels_are_found_within_what_is_stated(tmp_path, r
         camera = replace(view.camera, centre=centre, cam_from_local=turn @ view.camera.cam_from_local)
         views.append(replace(view, camera=camera))
         stds = {"position_std": np.full(3, std_m), "rotation_std_deg": np.full(3, np.degrees(std_rad))}
-        priors[view.name] = replace(true.priors[view.name], position=centre, source="survey.toml", **stds)
-    off = replace(true, views=tuple(views), priors=priors)
+        priors[view.name] = replace(true.observations.priors[view.name], position=centre, source="survey.toml", **stds)
+    off = changed(true, views=tuple(views), priors=priors)
 
     found = adjust_survey(off, device="cpu", search=lambda survey: find_anew(survey, tmp_path / "sfm", lambda _: None))
     assert "structure from motion has found them anew" in found.warnings[0]

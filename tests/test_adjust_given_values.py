@@ -22,6 +22,7 @@ from survey.photos.tie_points import TiePoints
 from survey.plan.plan import make_plan
 from survey.plan.poses import pose_choice
 from tests.block_survey import ORIGIN, survey_of, with_water
+from tests.changed_survey import changed
 from tests.drawn_block import DrawnBlock, draw_block
 
 # As good as windows are [px].
@@ -45,7 +46,7 @@ def block_and_survey(seed: int, **changes) -> tuple[DrawnBlock, Survey]:
         replace(view, lens=block.lens, camera=block.lens.camera(true.centre, true.cam_from_local))
         for view, true in zip(survey.views, block.cameras, strict=True)
     )
-    survey = replace(survey, views=views, priors={}, ties=None, points=None, control=None)
+    survey = changed(survey, views=views, priors={}, ties=None, points=None, control=None)
     level, east, north, index = block.water.tolist()
     exact = {"level_m": survey.frame.origin[2] + level, "slope_east": east, "slope_north": north}
     return block, with_water(survey, **exact, refractive_index=index, level_std_m=None, slope_std=None, index_std=None)
@@ -151,7 +152,7 @@ def test_a_bed_under_a_level_that_is_about_right_is_not_flooded():
 def test_contradicted_water_is_adjusted():
     _, survey = block_and_survey(3)
     doubt = Contradiction("level_m", 100.5, 0.02, -0.5, 0.03)
-    choice, reason = pose_choice(replace(survey, pose_misfit_px=0.01, contradiction=doubt), "auto", free_water=False)
+    choice, reason = pose_choice(changed(survey, pose_misfit_px=0.01, contradiction=doubt), "auto", free_water=False)
     assert choice == "refine"
     assert "level_m is given as 100.500 +- 0.02 m, and a sample of photographs says 100.000 +- 0.03 m" in reason
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -12,6 +10,7 @@ from survey.adjust.priors import _FOCAL_SHARE
 from survey.adjust.refine import adjust_survey
 from survey.errors import SurveyError
 from tests.block_survey import pose_errors, survey_of, with_water
+from tests.changed_survey import changed
 from tests.drawn_block import draw_block
 
 # Over flat ground from one height: the focal length trades with the height of the ground.
@@ -81,7 +80,7 @@ def test_nothing_is_held_that_the_photographs_tell():
 @pytest.mark.parametrize("free_water", [False, True])
 def test_a_level_that_is_neither_given_nor_observable_is_refused(free_water):
     survey = with_water(survey_of(draw_block(11, **FLAT)), level_std_m=10.0)
-    survey = replace(survey, is_level_known=False)
+    survey = changed(survey, is_level_known=False)
     with pytest.raises(
         SurveyError, match=r"do not tell it \(18 of 18 look straight down\): .*; give the level in \[water\]"
     ):
@@ -91,7 +90,7 @@ def test_a_level_that_is_neither_given_nor_observable_is_refused(free_water):
 @pytest.mark.parametrize("nadir_only", [False, True])
 def test_a_level_that_matches_leave_wide_open_is_refused_before_windows_are_measured(nadir_only):
     block = draw_block(3, num_points=200, num_views=18, dry_share=0.0 if nadir_only else 0.3, nadir_only=nadir_only)
-    survey = replace(with_water(survey_of(block), level_std_m=10.0), is_level_known=False, control=None)
+    survey = changed(with_water(survey_of(block), level_std_m=10.0), is_level_known=False, control=None)
     # There are no photographs: where windows are asked for, the first one is missed.
     expected = r"do not tell it .* poses that were found are kept" if nadir_only else r"000\.jpg"
     with pytest.raises(SurveyError if nadir_only else FileNotFoundError, match=expected):

@@ -17,6 +17,7 @@ from survey.errors import SurveyError
 from survey.folder.survey import load_survey
 from survey.plan.poses import MOST_MISFIT_PX, pose_choice
 from survey.run.stage_pose_check import MISFIT, use_misfit
+from tests.changed_survey import changed
 
 
 def test_scatter_without_a_mean_over_a_photograph_is_no_misfit(rng):
@@ -47,7 +48,7 @@ def test_photographs_with_few_windows_tell_nothing():
 )
 def test_the_plan_follows_the_misfit(tmp_path, found, choice, said):
     survey = load_survey(small_survey(tmp_path / "s"))
-    survey = replace(survey, views=survey.views * 4, pose_misfit_px=found)
+    survey = changed(survey, views=survey.views * 4, pose_misfit_px=found)
     decided, reason = pose_choice(survey, "auto", free_water=False)
     assert (decided, said in reason) == (choice, True)
 
@@ -66,7 +67,7 @@ def test_a_readout_that_is_to_be_found_needs_an_adjustment(tmp_path):
 
 
 def test_a_level_that_nobody_gave_cannot_be_kept(tmp_path):
-    survey = replace(load_survey(small_survey(tmp_path / "s")), is_level_known=False)
+    survey = changed(load_survey(small_survey(tmp_path / "s")), is_level_known=False)
     with pytest.raises(SurveyError, match="give level_m, or leave out --poses fixed"):
         pose_choice(survey, "fixed", free_water=False)
 

@@ -15,6 +15,7 @@ from survey.adjust.refine import adjust_survey
 from survey.adjust.rounds import adjust
 from survey.folder.pose_priors import BY_POSES, PosePrior
 from tests.block_survey import pose_errors, rms, survey_of
+from tests.changed_survey import changed
 from tests.drawn_block import DrawnBlock, draw_block
 
 NUM_VIEWS = 18
@@ -36,14 +37,14 @@ def by_file(block: DrawnBlock, std_m: float, std_deg: float, tool: str | None = 
         centre = true.centre + std_m * rng.standard_normal(3)
         views.append(replace(view, lens=block.lens, camera=block.lens.camera(centre, true.cam_from_local @ turn)))
     priors = {view.name: PosePrior(view.camera.centre, None, None, BY_POSES) for view in views}
-    return replace(survey, views=tuple(views), priors=priors, tool=tool)
+    return changed(survey, views=tuple(views), priors=priors, tool=tool)
 
 
 def stds_of(survey) -> np.ndarray:
     """Standard deviations (V, 6) [m, rad] of its poses as the adjustment used them."""
     known = known_of(survey, 0.02)
     sizes = [(view.lens.width, view.lens.height) for view in survey.views]
-    done = adjust(known, observed([(MATCH, survey.ties)], None, survey, known), sizes, 0.5)
+    done = adjust(known, observed([(MATCH, survey.observations.ties)], None, survey, known), sizes, 0.5)
     return done.known.std[done.known.layout.first_pose :].reshape(-1, 6)
 
 

@@ -16,6 +16,7 @@ from survey.adjust.prediction import predict, relief_sides
 from survey.adjust.refine import adjust_survey
 from survey.adjust.std_common import common_error
 from survey.folder.tides import Tide
+from tests.changed_survey import changed
 
 # The water rises by 0.3 m in the hour of the flight.
 RATE, STD = 0.3, 1.0
@@ -38,7 +39,7 @@ def found(tmp_path_factory):
     names = [view.name for view in survey.views]
     water = replace(survey.config.water, level_rate_m_per_h=0.0, level_rate_std_m_per_h=STD)
     tide = Tide("level_rate_m_per_h", dict.fromkeys(names, 0.0), dict(zip(names, hours.tolist(), strict=True)))
-    survey = replace(survey, config=replace(survey.config, water=water), tide=tide)
+    survey = changed(survey, config=replace(survey.config, water=water), tide=tide)
     folder = tmp_path_factory.mktemp("adjustment")
     write_adjustment(folder, adjust_survey(survey, use_windows=False))
     return survey, read_adjustment(folder)
@@ -60,6 +61,6 @@ def test_the_survey_goes_on_with_the_levels_that_were_found(found):
     again = apply_adjustment(survey, adjusted)
     tides = np.array([view.camera.tide for view in again.views])
     np.testing.assert_allclose(tides, adjusted.parameter("level_rate_m_per_h").value * adjusted.hours, atol=1e-12)
-    assert again.tide.moves_m == pytest.approx(np.ptp(tides))
-    assert again.tide.matters
+    assert again.observations.tide.moves_m == pytest.approx(np.ptp(tides))
+    assert again.observations.tide.matters
     assert common_error(adjusted, again.water).typical < 0.2

@@ -15,6 +15,7 @@ from survey.adjust.refine import adjust_survey
 from survey.adjust.verdicts import judge
 from survey.photos.tie_points import TiePoints
 from tests.block_survey import pose_errors, rms, survey_of
+from tests.changed_survey import changed
 from tests.drawn_block import draw_block
 
 SMALL = {"num_points": 150, "num_views": 18, "nadir_only": False, "dry_share": 0.3}
@@ -39,10 +40,13 @@ def test_two_cameras_in_one_flight_get_two_lenses():
     survey = with_lenses(survey, [other if each else lens for each in second])
     number = {view.name: i for i, view in enumerate(survey.views)}
     marks = tuple(
-        replace(mark, pixel=tuple(factor[number[mark.view]] * np.array(mark.pixel))) for mark in survey.control.marks
+        replace(mark, pixel=tuple(factor[number[mark.view]] * np.array(mark.pixel)))
+        for mark in survey.observations.control.marks
     )
-    ties = replace(survey.ties, pixel=survey.ties.pixel * factor[survey.ties.view, None])
-    survey = replace(survey, ties=ties, control=replace(survey.control, marks=marks))
+    ties = replace(
+        survey.observations.ties, pixel=survey.observations.ties.pixel * factor[survey.observations.ties.view, None]
+    )
+    survey = changed(survey, ties=ties, control=replace(survey.observations.control, marks=marks))
     found = adjust_survey(survey, use_windows=False)
     focal = block.lens.focal[0]
     for camera, true in enumerate((focal, 1.1 * focal)):
@@ -59,13 +63,13 @@ def test_the_parameters_of_a_fisheye_lens_do_not_move():
     fisheye = Lens("OPENCV_FISHEYE", (*lens.params[:4], 0.01, -0.002, 0.0, 0.0), lens.width, lens.height)
     cameras = [fisheye] * len(survey.views)
     # What this lens would have shown of the same rays.
-    pixels = np.empty_like(survey.ties.pixel)
+    pixels = np.empty_like(survey.observations.ties.pixel)
     points = block.points[np.unique(block.point[~np.isin(block.point, block.control)])]
     for view, camera in enumerate(block.cameras):
-        mine = survey.ties.view == view
-        pinhole = camera.project(points[survey.ties.point[mine]], survey.water)
+        mine = survey.observations.ties.view == view
+        pinhole = camera.project(points[survey.observations.ties.point[mine]], survey.water)
         pixels[mine] = distorted(fisheye, pinhole)
-    survey = with_lenses(replace(survey, ties=replace(survey.ties, pixel=pixels), control=None), cameras)
+    survey = with_lenses(changed(survey, ties=replace(survey.observations.ties, pixel=pixels), control=None), cameras)
     found = adjust_survey(survey, use_windows=False)
     assert found.lenses == (fisheye,)
     assert not [row.name for row in found.parameters if row.name.startswith("camera")]
@@ -80,9 +84,9 @@ def test_browns_part_of_an_affine_lens_is_adjusted_and_its_two_terms_stay():
     size, k4, skew = (stated.width, stated.height), 0.02, 0.004
     true = Lens("BROWN_AFFINE", (*block.lens.params, 0.0, k4, skew), *size)
     given = Lens("BROWN_AFFINE", (*stated.focal, stated["cx"], stated["cy"], *[0.0] * 5, k4, skew), *size)
-    pixels = affine_from_brown(true, survey.ties.pixel)
-    assert np.abs(pixels - survey.ties.pixel).max() > 1.0
-    survey = replace(survey, ties=replace(survey.ties, pixel=pixels), control=None)
+    pixels = affine_from_brown(true, survey.observations.ties.pixel)
+    assert np.abs(pixels - survey.observations.ties.pixel).max() > 1.0
+    survey = changed(survey, ties=replace(survey.observations.ties, pixel=pixels), control=None)
     found = adjust_survey(with_lenses(survey, [given] * len(survey.views)), use_windows=False)
     (lens,) = found.lenses
     assert (lens.model, lens["k4"], lens["skew"]) == ("BROWN_AFFINE", k4, skew)
@@ -97,8 +101,8 @@ def test_the_adjusted_survey_has_poses_lenses_and_water_of_the_adjustment():
     survey = survey_of(block)
     found = adjust_survey(survey, use_windows=False)
     applied = apply_adjustment(survey, found)
-    assert applied.is_adjusted
-    assert applied.ties is None
+    assert applied.provenance.is_adjusted
+    assert applied.observations.ties is None
     assert applied.config.water == found.water
     assert applied.config.water.level_m == found.parameter("level_m").value
     for view, centre, rotation in zip(applied.views, found.centres, found.rotations, strict=True):

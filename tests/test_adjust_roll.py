@@ -18,6 +18,7 @@ from survey.adjust.state import POSE
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.sfm.gps_fit import Across, Line, roll_by_attitudes, roll_by_control, roll_by_ground
+from tests.changed_survey import changed
 
 POSITION_STD_M = (0.5, 0.5, 0.8)
 # Of the start, and of what attitudes have in common and of their own.
@@ -45,13 +46,13 @@ def with_attitudes(block: DrawnBlock, survey: Survey, own_deg: float = OWN_DEG) 
     common = Rotation.from_rotvec(np.radians(rng.normal(0.0, ATTITUDE_DEG, 3))).as_matrix()
     priors = {
         view.name: replace(
-            survey.priors[view.name],
+            survey.observations.priors[view.name],
             # About the axes of local: in those of cam it would cancel between photographs of opposite headings.
             attitude=_turned(camera.cam_from_local, np.radians(rng.normal(0.0, own_deg, 3))) @ common,
         )
         for view, camera in zip(survey.views, block.cameras, strict=True)
     }
-    return replace(survey, priors=priors)
+    return changed(survey, priors=priors)
 
 
 def roll_error(block: DrawnBlock, found: Adjustment, across: Across) -> tuple[float, float]:
@@ -80,8 +81,8 @@ def test_a_roll_that_nothing_holds_is_refused_and_says_what_would_hold_it():
 def test_attitudes_hold_the_roll_as_well_as_they_are_stated():
     block, survey, across = strip(3, num_control=0)
     survey = with_attitudes(block, survey)
-    priors = {name: replace(prior, attitude_std_deg=0.1) for name, prior in survey.priors.items()}
-    found = adjust_survey(replace(survey, priors=priors), use_windows=False)
+    priors = {name: replace(prior, attitude_std_deg=0.1) for name, prior in survey.observations.priors.items()}
+    found = adjust_survey(changed(survey, priors=priors), use_windows=False)
     _, std = roll_error(block, found, across)
     assert 0.3 * math.radians(0.1) < std < 1.02 * math.radians(0.1)
 

@@ -16,6 +16,7 @@ from survey.adjust.state import POSE, RELIEF, with_parameters
 from survey.folder.pose_priors import PosePrior
 from tests.block_state import state_of
 from tests.block_survey import pose_errors, rms, survey_of
+from tests.changed_survey import changed
 from tests.drawn_block import draw_block
 
 PIXEL_STD = 0.2
@@ -23,8 +24,10 @@ PIXEL_STD = 0.2
 
 def without_position_std(survey):
     """The survey with GPS of which nobody says how good it is."""
-    priors = {name: PosePrior(prior.position, None, None, "GPS EXIF") for name, prior in survey.priors.items()}
-    return replace(survey, priors=priors)
+    priors = {
+        name: PosePrior(prior.position, None, None, "GPS EXIF") for name, prior in survey.observations.priors.items()
+    }
+    return changed(survey, priors=priors)
 
 
 def test_with_outliers_to_the_last_round_residuals_are_those_of_the_observations_used():
@@ -41,10 +44,10 @@ def test_a_blunder_of_five_metres_is_named_and_changes_nothing():
     block = draw_block(3, num_points=150, num_views=18, dry_share=0.3)
     survey = survey_of(block)
     name = survey.views[7].name
-    prior = survey.priors[name]
-    without = replace(survey, priors={k: v for k, v in survey.priors.items() if k != name})
+    prior = survey.observations.priors[name]
+    without = changed(survey, priors={k: v for k, v in survey.observations.priors.items() if k != name})
     wrong = replace(prior, position=prior.position + np.array([5.0, 0.0, 0.0]))
-    spoilt = replace(survey, priors={**survey.priors, name: wrong})
+    spoilt = changed(survey, priors={**survey.observations.priors, name: wrong})
     found, expected = (adjust_survey(each, use_windows=False) for each in (spoilt, without))
     assert [warning for warning in found.warnings if name in warning and "contradicts" in warning]
     assert not expected.warnings
@@ -66,8 +69,8 @@ def test_the_standard_deviation_of_positions_is_found_where_nothing_is_said_of_i
 def test_a_third_of_the_photographs_without_gps_takes_their_place_from_the_others():
     block = draw_block(5, num_points=150, num_views=18, dry_share=0.3)
     survey = survey_of(block)
-    priors = {name: prior for number, (name, prior) in enumerate(survey.priors.items()) if number % 3}
-    found = adjust_survey(replace(survey, priors=priors), use_windows=False)
+    priors = {name: prior for number, (name, prior) in enumerate(survey.observations.priors.items()) if number % 3}
+    found = adjust_survey(changed(survey, priors=priors), use_windows=False)
     positions, _ = pose_errors(block, found.centres, found.rotations)
     lost = np.arange(len(positions)) % 3 == 0
     assert rms(positions[lost]) < 0.1
@@ -78,9 +81,9 @@ def test_a_third_of_the_photographs_without_gps_takes_their_place_from_the_other
 def test_a_mark_in_a_photograph_that_does_not_show_the_point_is_left_out():
     block = draw_block(3, num_points=150, num_views=18, dry_share=0.35, num_control=5)
     survey = survey_of(block)
-    mark, *rest = survey.control.marks
+    mark, *rest = survey.observations.control.marks
     wrong = replace(mark, pixel=(mark.pixel[0] + 60.0, mark.pixel[1] - 40.0))
-    spoilt = replace(survey, control=replace(survey.control, marks=(wrong, *rest)))
+    spoilt = changed(survey, control=replace(survey.observations.control, marks=(wrong, *rest)))
     found = adjust_survey(spoilt, use_windows=False)
     marks = {point.name: point.num_marks for point in found.control}
     whole = {point.name: point.num_marks for point in adjust_survey(survey, use_windows=False).control}
@@ -94,9 +97,9 @@ def test_control_points_fix_the_datum():
     shift = np.array([2.0, -1.0, 1.5])
     moved = {
         name: replace(prior, position=prior.position + shift, position_std=None, source="GPS EXIF")
-        for name, prior in survey.priors.items()
+        for name, prior in survey.observations.priors.items()
     }
-    found = adjust_survey(replace(survey, priors=moved), use_windows=False)
+    found = adjust_survey(changed(survey, priors=moved), use_windows=False)
     positions, _ = pose_errors(block, found.centres, found.rotations)
     # The points lie on a bank at one side, known to a centimetre.
     assert np.abs(positions.mean(axis=0)).max() < 0.15
@@ -107,8 +110,8 @@ def test_control_points_fix_the_datum():
 def test_a_photograph_with_a_single_match_stays_where_it_was_and_is_named():
     block = draw_block(3, num_points=150, num_views=18, dry_share=0.3)
     survey = survey_of(replace(block, control=block.control[:0]))
-    keep = (survey.ties.view != 5) | (np.cumsum(survey.ties.view == 5) == 1)
-    found = adjust_survey(replace(survey, ties=survey.ties.only(keep)), use_windows=False)
+    keep = (survey.observations.ties.view != 5) | (np.cumsum(survey.observations.ties.view == 5) == 1)
+    found = adjust_survey(changed(survey, ties=survey.observations.ties.only(keep)), use_windows=False)
     (warning,) = found.warnings
     assert survey.views[5].name in warning
     assert "fewer than 6 matches" in warning

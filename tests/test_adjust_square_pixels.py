@@ -12,6 +12,7 @@ from survey.adjust.refine import adjust_survey
 from survey.adjust.square_pixels import with_square_pixels
 from survey.folder.pose_priors import BY_POSES, PosePrior
 from tests.block_survey import survey_of
+from tests.changed_survey import changed
 from tests.drawn_block import draw_block
 
 RATIO, PIXEL_STD = 1.005, 0.1
@@ -26,7 +27,7 @@ def stretched(survey, ratio: float, tool: str | None):
         other = Lens("OPENCV", params, lens.width, lens.height)
         views.append(replace(view, lens=other, camera=replace(view.camera, fx=f, fy=ratio * f)))
     priors = {view.name: PosePrior(view.camera.centre, np.full(3, 0.02), None, BY_POSES) for view in views}
-    return replace(survey, views=tuple(views), priors=priors, tool=tool)
+    return changed(survey, views=tuple(views), priors=priors, tool=tool)
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ from adjusted_block import drawn_adjustment
 from block_survey import survey_of
 
 from survey.adjust.std_common import shift_std, std_common
+from tests.changed_survey import changed
 
 GSD = 0.02
 
@@ -23,7 +24,7 @@ def along(found, step: dict[str, float]) -> np.ndarray:
 def of_change(step: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
     """The points of a drawn block, and their std where only this change of the parameters is uncertain."""
     block, found = drawn_adjustment(dry_share=0.0)
-    survey = replace(survey_of(block), ties=None)
+    survey = changed(survey_of(block), ties=None)
     change = along(found, step)
     found = replace(found, covariance=np.outer(change, change))
     wet = np.ones(len(found.points), dtype=bool)
@@ -49,7 +50,7 @@ def test_no_height_is_exact():
 
 def test_without_an_adjustment_the_level_alone_keeps_heights_from_being_exact():
     block, found = drawn_adjustment(dry_share=0.3)
-    survey = replace(survey_of(block), ties=None)
+    survey = changed(survey_of(block), ties=None)
     wet = survey.water.depth(found.points) > 0.0
     std = std_common(found.points, wet, survey, None, GSD)
     assert np.isfinite(std).all()
@@ -60,7 +61,7 @@ def test_without_an_adjustment_the_level_alone_keeps_heights_from_being_exact():
 def test_points_that_no_two_views_see_have_none():
     block, found = drawn_adjustment(dry_share=0.0)
     away = found.points + np.array([1000.0, 0.0, 0.0])
-    std = std_common(away, np.ones(len(away), dtype=bool), replace(survey_of(block), ties=None), None, GSD)
+    std = std_common(away, np.ones(len(away), dtype=bool), changed(survey_of(block), ties=None), None, GSD)
     assert np.isnan(std).all()
 
 
@@ -68,7 +69,7 @@ def test_the_median_is_that_of_the_report():
     from survey.adjust.std_common import common_error
 
     block, found = drawn_adjustment(dry_share=0.0)
-    survey = replace(survey_of(block), ties=None)
+    survey = changed(survey_of(block), ties=None)
     std = std_common(found.points, np.ones(len(found.points), dtype=bool), survey, found, GSD)
     assert np.median(std) == pytest.approx(common_error(found, survey.water).typical, rel=0.35)
 

@@ -10,6 +10,7 @@ from adjusted_block import drawn_adjustment
 from block_survey import survey_of
 
 from survey.adjust.std_of_block import BedCells, std_of_block
+from tests.changed_survey import changed
 
 GSD = 0.05
 
@@ -24,7 +25,7 @@ def std_by(step: dict[str, float], bed: np.ndarray) -> np.ndarray:
     """Std of a bed where only this change of parameters, by their last names, is uncertain."""
     block, found = drawn_adjustment(dry_share=0.0)
     change = np.array([step.get(name.rpartition(".")[2], 0.0) for name in found.covariance_names])
-    survey = replace(survey_of(block), ties=None)
+    survey = changed(survey_of(block), ties=None)
     return std_of_block(bed, survey, replace(found, covariance=np.outer(change, change)), GSD)
 
 

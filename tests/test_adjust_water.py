@@ -26,6 +26,7 @@ from survey.folder.survey import load_survey
 from survey.photos.cameras import View
 from survey.photos.tie_points import TiePoints
 from survey.plan.poses import pose_choice
+from tests.changed_survey import changed
 from tests.small_survey import small_survey
 from tests.small_water_block import FOCAL, SIZE, TRUTH, convergent, nadir, tie_points
 
@@ -45,7 +46,7 @@ def survey_with(tmp_path, cameras, *, level=0.3, index=1.335):
         slope_east=0.0, slope_north=0.0,
     )  # fmt: skip
     config = replace(survey.config, water=given)
-    return replace(survey, views=views, priors=priors, config=config, water=water_plane(survey.frame, given))
+    return changed(survey, views=views, priors=priors, config=config, water=water_plane(survey.frame, given))
 
 
 @pytest.fixture
@@ -194,7 +195,7 @@ def test_tie_points_beyond_the_bounds_are_not_used(tmp_path, rng):
     ties = tie_points(cameras, rng)
     easting, northing, _ = survey.frame.origin
     bounds = (easting - 4.0, northing - 3.0, easting + 2.0, northing + 5.0)
-    kept = within_bounds(replace(survey, bounds=bounds), ties)
+    kept = within_bounds(changed(survey, bounds=bounds), ties)
     assert 0 < len(kept) < len(ties)
     assert inside(survey, bounds, kept).all()
     assert within_bounds(survey, ties) is ties
@@ -207,7 +208,7 @@ def test_matches_beyond_the_bounds_are_used_on_dry_ground_alone(tmp_path, rng):
     ties = joined(tie_points(cameras, rng, low=-5.0, high=-2.0), dry)
     easting, northing, _ = survey.frame.origin
     bounds = (easting - 4.0, northing - 3.0, easting + 2.0, northing + 5.0)
-    kept = dry_or_within_bounds(replace(survey, bounds=bounds), ties)
+    kept = dry_or_within_bounds(changed(survey, bounds=bounds), ties)
     is_dry = survey.water.depth(kept.start) < 0.0
     assert is_dry.sum() == len(dry)
     assert not inside(survey, bounds, kept)[is_dry].all()
@@ -268,10 +269,11 @@ def test_a_dry_survey_is_refused(tmp_path):
 def test_nadir_views_are_those_that_look_down_with_their_own_matches(tmp_path, rng):
     cameras = convergent()[::-1]
     ties = tie_points(cameras, rng, count=40)
-    steep = nadir_views(replace(survey_with(tmp_path, cameras), ties=ties))
+    steep = nadir_views(changed(survey_with(tmp_path, cameras), ties=ties))
     assert [view.name for view in steep.views] == ["16", "17", "18", "19", "20"]
+    kept = steep.observations.ties
     for view, whole in enumerate(range(16, 21)):
-        np.testing.assert_array_equal(steep.ties.pixel[steep.ties.view == view], ties.pixel[ties.view == whole])
+        np.testing.assert_array_equal(kept.pixel[kept.view == view], ties.pixel[ties.view == whole])
 
 
 @pytest.mark.slow

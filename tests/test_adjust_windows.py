@@ -20,6 +20,7 @@ from survey.folder.survey import Survey, load_survey
 from survey.photos.tie_points import TiePoints
 from survey.simulate.drawn import DrawnScene, stage_drawing
 from survey.simulate.output.writing import write_survey
+from tests.changed_survey import changed
 
 SCENE = DrawnScene(**SMALL)
 PINCUSHION = (0.15, 0.02, 1e-3, -1e-3)
@@ -37,7 +38,7 @@ def loaded(folder: Path) -> Survey:
     """The survey of a folder, with known heights and without bounds."""
     survey = load_survey(folder)
     area = replace(survey.config.area, heights=(SCENE.level_m - 2.0, SCENE.level_m + 0.3))
-    return replace(survey, bounds=None, config=replace(survey.config, area=area))
+    return changed(survey, bounds=None, config=replace(survey.config, area=area))
 
 
 def measured(survey: Survey):

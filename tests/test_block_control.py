@@ -99,7 +99,7 @@ def errors_of(survey: Survey, folder: Path, centres: np.ndarray) -> np.ndarray:
 def test_a_survey_without_gps_is_placed_by_control_and_adjusted(blind, tmp_path):
     survey = loaded(blind, tmp_path)
     assert len(survey.views) == 11
-    assert all(prior.position is None for prior in survey.priors.values())
+    assert all(prior.position is None for prior in survey.observations.priors.values())
     before = errors_of(survey, blind, np.array([view.camera.centre for view in survey.views]))
     assert np.abs(before).max() < 0.5
     found = adjust_survey(survey, use_windows=False)
@@ -134,11 +134,13 @@ def test_wrong_marks_and_coordinates_are_named_without_gps(blind, tmp_path):
         return [rows[0], [*rows[1][:3], f"{x}", f"{y}", *rows[1][5:]], *shifted("gcp3", 5.0, 0.0, 0.0)(rows)[2:]]
 
     survey = loaded(blind, tmp_path, edit)
-    (mark,) = [warning for warning in survey.warnings if "mark of control that the other marks" in warning]
+    (mark,) = [warning for warning in survey.findings.warnings if "mark of control that the other marks" in warning]
     assert "gcp1 in 00" in mark
-    (point,) = [warning for warning in survey.warnings if "control point that the others contradict" in warning]
+    (point,) = [
+        warning for warning in survey.findings.warnings if "control point that the others contradict" in warning
+    ]
     assert abs(float(point.split("gcp3 (by ")[1].split(" m")[0]) - 5.0) < 0.1
-    assert "gcp3" not in {each.name for each in survey.control.points}
+    assert "gcp3" not in {each.name for each in survey.observations.control.points}
 
 
 @pytest.mark.parametrize(
@@ -156,16 +158,20 @@ def test_control_of_another_place_than_gps_is_refused(drawn, tmp_path, edit, wor
 
 def test_control_decides_where_stated_positions_have_another_datum(drawn, tmp_path):
     survey = loaded(drawn, tmp_path, shifted(None, 1.5, -1.0, 2.5))
-    assert any("put control points -1.5" in warning and "control decides" in warning for warning in survey.warnings)
+    assert any(
+        "put control points -1.5" in warning and "control decides" in warning for warning in survey.findings.warnings
+    )
     errors = errors_of(survey, drawn, np.array([view.camera.centre for view in survey.views]))
     np.testing.assert_allclose(np.median(errors, axis=0), [1.5, -1.0, 2.5], atol=0.2)
-    assert all(prior.position_std is None for prior in survey.priors.values())
+    assert all(prior.position_std is None for prior in survey.observations.priors.values())
 
 
 def test_good_control_beside_gps_is_all_used(drawn, tmp_path):
     survey = loaded(drawn, tmp_path)
-    assert len(survey.control.points) == 5
-    assert not [warning for warning in survey.warnings if "control" in warning and "how accurate" not in warning]
+    assert len(survey.observations.control.points) == 5
+    assert not [
+        warning for warning in survey.findings.warnings if "control" in warning and "how accurate" not in warning
+    ]
 
 
 def test_control_on_one_line_places_nothing_and_is_used_beside_gps(drawn, blind, tmp_path):
@@ -183,4 +189,4 @@ def test_control_on_one_line_places_nothing_and_is_used_beside_gps(drawn, blind,
     with pytest.raises(SurveyError, match="3 control points do not fit the photographs"):
         loaded(blind, tmp_path, on_a_line)
     shutil.rmtree(tmp_path / "survey")
-    assert {point.name for point in loaded(drawn, tmp_path, on_a_line).control.points} >= {"gcp1", "gcp2"}
+    assert {point.name for point in loaded(drawn, tmp_path, on_a_line).observations.control.points} >= {"gcp1", "gcp2"}

@@ -30,30 +30,30 @@ def test_marks_of_a_drawn_survey_are_where_its_true_lens_shows_the_points(data_d
     focal, (cx, cy) = truth["focal_px"], truth["principal_point_px"]
     matrix = np.array([[focal, 0.0, cx], [0.0, focal, cy], [0.0, 0.0, 1.0]])
     cameras = {view.name: view.camera for view in survey.views}
-    local = {point.name: point.local for point in survey.control.points}
+    local = {point.name: point.local for point in survey.observations.control.points}
     residuals = []
-    for mark in survey.control.marks:
+    for mark in survey.observations.control.marks:
         camera = cameras[mark.view]
         in_cam = camera.cam_from_local @ (local[mark.point] - camera.centre)
         shown, _ = cv2.projectPoints(
             in_cam[None, None], np.zeros(3), np.zeros(3), matrix, np.array(truth["distortion"])
         )
         residuals.append(np.array(mark.pixel) - shown.ravel())
-    assert (len(survey.control.points), len(residuals)) == (6, 46)
+    assert (len(survey.observations.control.points), len(residuals)) == (6, 46)
     assert np.abs(np.mean(residuals, axis=0)).max() < 3.0 * 0.4 / 46**0.5
     assert np.std(residuals) < 0.5
 
 
 def test_the_control_and_check_points_of_a_drawn_survey_are_in_crs_and_local(data_dir):
     survey = load_survey(data_dir / "shore")
-    point, rod = survey.control.points[0], survey.checkpoints[0]
+    point, rod = survey.observations.control.points[0], survey.observations.checkpoints[0]
     assert (point.name, point.crs) == ("gcp1", (512345.8136, 5960213.4390, 3.28))
     assert np.abs(survey.frame.crs_from_local(point.local) - point.crs).max() < 1e-6
     assert point.std.tolist() == [0.01, 0.01, 0.01]
-    assert survey.control.marks_std_px == 0.5
-    assert (len(survey.checkpoints), rod.name, rod.crs[2]) == (20, "rod1", -0.139)
-    assert any("std_m = 0.01" in text for text in survey.assumptions)
-    assert stage_key(survey.control, survey.checkpoints, survey.priors)
+    assert survey.observations.control.marks_std_px == 0.5
+    assert (len(survey.observations.checkpoints), rod.name, rod.crs[2]) == (20, "rod1", -0.139)
+    assert any("std_m = 0.01" in text for text in survey.findings.assumptions)
+    assert stage_key(survey.observations.control, survey.observations.checkpoints, survey.observations.priors)
 
 
 def with_control(tmp_path, control: str = 'gcps = "gcp_list.txt"', **files: str):
@@ -64,10 +64,10 @@ def with_control(tmp_path, control: str = 'gcps = "gcp_list.txt"', **files: str)
 
 def test_a_survey_has_its_control_in_local_and_its_settings_say_what_was_assumed(tmp_path):
     survey = load_survey(with_control(tmp_path))
-    assert [point.name for point in survey.control.points] == ["p1", "p2", "p3"]
-    for point, (_, *place) in zip(survey.control.points, POINTS, strict=True):
+    assert [point.name for point in survey.observations.control.points] == ["p1", "p2", "p3"]
+    for point, (_, *place) in zip(survey.observations.control.points, POINTS, strict=True):
         assert (point.local == survey.frame.local_from_crs(place)).all()
-    assert survey.assumptions == (
+    assert survey.findings.assumptions == (
         "[control] std_m = 0.01, the standard deviation of control points in metres",
         "[control] marks_std_px = 0.5, the standard deviation of their marks in pixels",
     )
@@ -86,7 +86,7 @@ def test_a_survey_has_its_control_in_local_and_its_settings_say_what_was_assumed
 )
 def test_control_without_a_word_on_its_accuracy_is_a_warning(tmp_path, text, untold):
     survey = load_survey(with_control(tmp_path, text, gcp_list__txt=odm(), points__xml=METASHAPE))
-    told = [warning for warning in survey.warnings if "how accurate" in warning]
+    told = [warning for warning in survey.findings.warnings if "how accurate" in warning]
     assert len(told) == (untold > 0)
     assert all(warning.startswith(f"nothing says how accurate {untold} of 3 control points are") for warning in told)
 
@@ -94,19 +94,20 @@ def test_control_without_a_word_on_its_accuracy_is_a_warning(tmp_path, text, unt
 def test_accuracies_of_survey_toml_count_where_the_file_has_none(tmp_path):
     control = 'gcps = "points.xml"\nstd_m = [0.02, 0.04]\nmarks_std_px = 0.3'
     survey = load_survey(with_control(tmp_path, control, points__xml=METASHAPE))
-    p1, p2, _ = survey.control.points
+    p1, p2, _ = survey.observations.control.points
     assert (p1.std.tolist(), p2.std.tolist()) == ([0.02, 0.02, 0.04], [0.02, 0.03, 0.05])
-    assert survey.control.marks_std_px == 0.3
-    assert survey.assumptions == ()
+    assert survey.observations.control.marks_std_px == 0.3
+    assert survey.findings.assumptions == ()
 
 
 def test_marks_in_photographs_without_a_pose_are_left_out_by_name(tmp_path):
     folder = with_control(tmp_path)
     write_poses(folder, camera_lines()[1:])
     survey = load_survey(folder)
-    assert {mark.view for mark in survey.control.marks} == {"0001.jpg"}
+    assert {mark.view for mark in survey.observations.control.marks} == {"0001.jpg"}
     assert any(
-        "1 photograph with marks of control has no pose, its marks left out: 0000.jpg" in w for w in survey.warnings
+        "1 photograph with marks of control has no pose, its marks left out: 0000.jpg" in w
+        for w in survey.findings.warnings
     )
 
 
@@ -139,8 +140,8 @@ def test_of_the_file_in_marks_only_the_marks_count(tmp_path):
     moved = [(name, e + 0.5, n, h) for name, e, n, h in POINTS]
     control = 'gcps = "points.csv"\nmarks = "markers.xml"'
     survey = load_survey(with_control(tmp_path, control, points__csv=table(moved), markers__xml=METASHAPE))
-    assert [point.crs[0] for point in survey.control.points] == [e for _, e, _, _ in moved]
-    assert len(survey.control.marks) == 6
+    assert [point.crs[0] for point in survey.observations.control.points] == [e for _, e, _, _ in moved]
+    assert len(survey.observations.control.marks) == 6
 
 
 def test_points_far_from_gps_positions_are_refused_before_structure_from_motion(tmp_path):
@@ -153,7 +154,7 @@ def test_points_far_from_gps_positions_are_refused_before_structure_from_motion(
 def test_points_above_all_cameras_are_doubted(tmp_path):
     high = [(name, e, n, h + 50.0) for name, e, n, h in POINTS]
     survey = load_survey(with_control(tmp_path, gcp_list__txt=odm(high)))
-    assert any("3 of 3 control or check points lie above all cameras" in text for text in survey.warnings)
+    assert any("3 of 3 control or check points lie above all cameras" in text for text in survey.findings.warnings)
 
 
 @pytest.mark.parametrize("height", [LEVEL / 10.0, -LEVEL, 0.0])
@@ -164,18 +165,21 @@ def test_a_check_point_whose_height_is_far_from_the_others_is_named(tmp_path, he
         survey = load_survey(
             with_control(tmp_path / str(expected), 'checkpoints = "rods.csv"', rods__csv=table(rods + wrong))
         )
-        said = [text for text in survey.warnings if "far from the others by its height" in text]
+        said = [text for text in survey.findings.warnings if "far from the others by its height" in text]
         assert len(said) == expected
         assert all(f"typo ({height:.2f} m in " in text for text in said)
 
 
 def test_check_points_are_read_with_or_without_names(tmp_path):
     survey = load_survey(with_control(tmp_path, 'checkpoints = "rods.csv"', rods__csv=table()))
-    assert survey.control is None
-    assert [rod.name for rod in survey.checkpoints] == ["p1", "p2", "p3"]
+    assert survey.observations.control is None
+    assert [rod.name for rod in survey.observations.checkpoints] == ["p1", "p2", "p3"]
     bare = f"easting,northing,height\n{E0},{N0},{LEVEL - 2}\n"
     survey = load_survey(with_control(tmp_path, 'checkpoints = "rods.csv"', rods__csv=bare))
-    assert (survey.checkpoints[0].name, survey.checkpoints[0].crs) == ("1", (E0, N0, LEVEL - 2))
+    assert (survey.observations.checkpoints[0].name, survey.observations.checkpoints[0].crs) == (
+        "1",
+        (E0, N0, LEVEL - 2),
+    )
     with pytest.raises(ControlError, match=r"rods\.csv has no check points"):
         load_survey(with_control(tmp_path, 'checkpoints = "rods.csv"', rods__csv="easting,northing,height\n"))
     with pytest.raises(ControlError, match="line 5: the check point p1 was there before"):
@@ -216,16 +220,17 @@ def test_marks_are_held_against_the_poses(tmp_path):
     bare = load_survey(small_survey(tmp_path / "bare"))
     control = 'gcps = "gcp_list.txt"\nstd_m = 0.02'
     survey = load_survey(with_control(tmp_path, control, gcp_list__txt=seen_marks(bare)))
-    assert mark_residuals(survey.control, survey.views, survey.water).max() < 2e-3
-    assert survey.warnings == ()
-    (doubt,) = load_survey(with_control(tmp_path, control, gcp_list__txt=seen_marks(bare, (3.0, 0.0)))).warnings
+    assert mark_residuals(survey.observations.control, survey.views, survey.water).max() < 2e-3
+    assert survey.findings.warnings == ()
+    shifted = load_survey(with_control(tmp_path, control, gcp_list__txt=seen_marks(bare, (3.0, 0.0))))
+    (doubt,) = shifted.findings.warnings
     assert doubt.startswith("the marks of control points lie 3 px (median) from where the poses show these points;")
     lines = seen_marks(bare).splitlines()
     parts = lines[1].split()
     parts[3] = "60.0"
     (doubt,) = load_survey(
         with_control(tmp_path, control, gcp_list__txt="\n".join([lines[0], " ".join(parts), *lines[2:]]))
-    ).warnings
+    ).findings.warnings
     assert doubt == "1 mark far from where the pose shows its point, to be checked: p1 in 0000.jpg"
 
 
@@ -243,7 +248,7 @@ def test_marks_are_measured_under_a_lens_that_distorts(tmp_path):
     (folder / "survey.toml").write_text(toml + '[control]\ngcps = "gcp_list.txt"\n')
     survey = load_survey(folder)
     # The file has four digits.
-    assert mark_residuals(survey.control, survey.views, survey.water).max() < 1e-3
+    assert mark_residuals(survey.observations.control, survey.views, survey.water).max() < 1e-3
 
 
 def test_check_says_how_many_points_and_marks_there_are_and_how_well_all_is_known(tmp_path):

@@ -83,9 +83,9 @@ def test_cameras_nearly_on_the_water_are_doubtful(tmp_path):
     lines = [line.replace(f"{LEVEL + 20:.3f}", f"{LEVEL + 1.5:.3f}") for line in camera_lines(12)]
     write_poses(folder, [line.replace(",0,0,", ",0.0,0.0,") for line in lines])
     (folder / "survey.toml").write_text(replaced(("focal_px = 100.0", "focal_px = 20.0")))
-    warnings = load_survey(folder).warnings
+    warnings = load_survey(folder).findings.warnings
     assert any("the cameras are only 1.50 m over the water (median)" in text for text in warnings)
-    assert not any("only" in text for text in load_survey(small_survey(tmp_path / "b")).warnings)
+    assert not any("only" in text for text in load_survey(small_survey(tmp_path / "b")).findings.warnings)
 
 
 def heads_at(height: float, **changes) -> dict[str, Exif]:

@@ -28,7 +28,7 @@ def test_without_survey_toml_the_zone_comes_from_the_positions_and_it_says_what_
     assert survey.config.crs == "EPSG:32632+5773"
     assert survey.water is None
     assert survey.views[0].camera.fx == pytest.approx(50.0 / 36.0 * 64.0)
-    said = "\n".join(survey.assumptions)
+    said = "\n".join(survey.findings.assumptions)
     for words in (
         "only poses found",
         'crs = "EPSG:32632+5773"',
@@ -37,7 +37,7 @@ def test_without_survey_toml_the_zone_comes_from_the_positions_and_it_says_what_
     ):
         assert words in said
     # Nobody said that all ground is dry: the verdict of a run is amber.
-    assert NO_WATER in survey.warnings
+    assert NO_WATER in survey.findings.warnings
 
 
 @pytest.mark.parametrize(
@@ -59,8 +59,10 @@ def test_a_survey_without_water_is_in_doubt_unless_it_says_that_it_is_dry(tmp_pa
         write_image(folder / "images" / f"{i:04d}.jpg", gps=(e, n, h), FocalLengthIn35mmFilm=50)
     survey = load_survey(folder)
     assert survey.config.crs == "EPSG:32632+5773"
-    assert (survey.water is not None, NO_WATER in survey.warnings) == (is_wet, is_doubted)
-    assert is_wet == any("level of the water counts from mean sea level" in said for said in survey.assumptions)
+    assert (survey.water is not None, NO_WATER in survey.findings.warnings) == (is_wet, is_doubted)
+    assert is_wet == any(
+        "level of the water counts from mean sea level" in said for said in survey.findings.assumptions
+    )
 
 
 @pytest.mark.parametrize("place", ["level_at = [589012.0, 5194736.0]", "slope_north = 0.004"])
@@ -184,8 +186,8 @@ def test_a_survey_without_poses_is_handed_to_structure_from_motion(tmp_path, mon
     assert [path.name for path in paths] == ["0000.jpg", "0001.jpg", "0002.jpg", "0003.jpg"]
     assert workspace == folder / "bathynerf" / "sfm"
     assert (gps_height, size_px, focal_px) == ("crs", (64, 48), 100.0)
-    assert survey.assumptions == ("placed by GPS",)
-    assert survey.warnings == ("1 image without a pose, left out: 0002.jpg",)
+    assert survey.findings.assumptions == ("placed by GPS",)
+    assert survey.findings.warnings == ("1 image without a pose, left out: 0002.jpg",)
     assert [view.path.name for view in survey.views] == ["0000.jpg", "0001.jpg", "0003.jpg"]
 
 
@@ -203,9 +205,9 @@ def test_clicks_tell_the_level_of_a_survey_without_poses_once_it_is_placed(tmp_p
             lines.append(f"000{i}.jpg,{x:.5f},{y:.5f},{name}")
     (folder / "clicks.csv").write_text("\n".join(lines))
     survey = load_survey(folder)
-    assert survey.is_level_known
+    assert survey.provenance.is_level_known
     assert survey.config.water.level_m == pytest.approx(LEVEL + 0.5, abs=1e-4)
-    assert len(survey.levels) == 2
+    assert len(survey.observations.levels) == 2
 
 
 def test_structure_from_motion_that_finds_two_poses_is_an_error(tmp_path, monkeypatch):

@@ -169,9 +169,9 @@ def test_clicks_without_errors_give_the_level_to_the_digits_of_the_file(clicked,
     # 0.0001 px of 0.2 m are 20 micrometres across, and some times that in height.
     assert survey.config.water.level_m == pytest.approx(LEVEL, abs=1e-3)
     assert survey.water.height(0.0, 0.0) == pytest.approx(survey.frame.local_from_crs([E0, N0, LEVEL])[2], abs=1e-2)
-    assert survey.is_level_known
-    assert [level.source for level in survey.levels] == ["clicks"] * 6
-    assert any("from 6 points in [water] clicks" in text for text in survey.assumptions)
+    assert survey.provenance.is_level_known
+    assert [level.source for level in survey.observations.levels] == ["clicks"] * 6
+    assert any("from 6 points in [water] clicks" in text for text in survey.findings.assumptions)
     assert said(check_survey(folder), "Found")["water"].startswith("level 2105")
 
 
@@ -182,7 +182,7 @@ def test_the_stated_standard_deviation_of_clicks_is_theirs(clicked, rng):
         lines = clicks_of(truth, rng, std=0.5)
         (folder / "clicks.csv").write_text("\n".join([lines[0] + ",std", *(line + ",0.5" for line in lines[1:])]))
         survey = load_survey(folder)
-        sigmas += [(level.level_m - LEVEL) / level.std_m for level in survey.levels]
+        sigmas += [(level.level_m - LEVEL) / level.std_m for level in survey.observations.levels]
     # 72 deviates of unit variance: the mean of their squares is within 0.5 of one but once in 300 times.
     assert np.mean(np.square(sigmas)) == pytest.approx(1.0, abs=0.5)
     assert abs(np.mean(sigmas)) < 4.0 / 72**0.5
@@ -222,8 +222,8 @@ def test_a_click_at_another_spot_costs_its_place_and_is_said(clicked, rng):
     lines[wrong] = f"{image},{float(x) * 0.2:.3f},{float(y) * 0.2:.3f},{name}"
     (folder / "clicks.csv").write_text("\n".join(lines))
     survey = load_survey(folder)
-    assert len(survey.levels) == 5
-    assert any("1 places of clicks.csv tell no level (first: p3)" in text for text in survey.warnings)
+    assert len(survey.observations.levels) == 5
+    assert any("1 places of clicks.csv tell no level (first: p3)" in text for text in survey.findings.warnings)
 
 
 @pytest.mark.parametrize("mark", [-9999.0, -32768.0, 1e6])

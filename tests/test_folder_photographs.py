@@ -37,7 +37,7 @@ def test_masks_beside_photographs_are_no_photographs_and_are_used(tmp_path):
     survey = load_survey(folder)
     assert [view.mask_path.name for view in survey.views] == [f"000{i}_mask.png" for i in range(3)] + ["0003_MASK.PNG"]
     assert load_mask(survey.views[0]).sum() == 48 * 44
-    assert "the masks are those beside the images, of 4 images; black is left out" in survey.assumptions
+    assert "the masks are those beside the images, of 4 images; black is left out" in survey.findings.assumptions
 
 
 def test_an_image_whose_name_ends_like_a_mask_is_one_where_there_is_no_other(tmp_path):
@@ -55,7 +55,7 @@ def test_masks_in_a_folder_have_one_of_several_names(tmp_path, name):
         write_mask(folder / "masks" / name.format(f"{i:04d}"), black=20)
     survey = load_survey(folder)
     assert [view.mask_path is not None for view in survey.views] == [True, True, True, False]
-    assert any("1 image without a mask, used whole" in text for text in survey.warnings)
+    assert any("1 image without a mask, used whole" in text for text in survey.findings.warnings)
 
 
 @pytest.mark.parametrize(
@@ -126,7 +126,7 @@ def test_masks_that_leave_out_nearly_all_are_doubtful(tmp_path):
     folder = small_survey(tmp_path / "s")
     for i in range(4):
         write_mask(folder / "images" / f"{i:04d}_mask.png", black=60)
-    (warning,) = load_survey(folder).warnings
+    (warning,) = load_survey(folder).findings.warnings
     assert "masks leave out 94% of their photographs" in warning
     assert "invert them" in warning
 
@@ -145,7 +145,7 @@ def test_two_cameras_have_a_lens_each(tmp_path):
         (96, round(35 / 36 * 96, 6)),
         (96, round(35 / 36 * 96, 6)),
     ]
-    assert any(text.startswith("B, 2 images: the focal length is 93.3 px") for text in survey.assumptions)
+    assert any(text.startswith("B, 2 images: the focal length is 93.3 px") for text in survey.findings.assumptions)
 
 
 def test_two_cameras_cannot_share_one_focal_length_of_the_settings(tmp_path):
@@ -163,7 +163,7 @@ def test_pages_and_rotation_are_said(tmp_path):
     first = Image.new("RGB", SIZE)
     first.save(folder / "images" / "0001.tif", save_all=True, append_images=[first])
     (folder / "images" / "0001.jpg").unlink()
-    warnings = load_survey(folder).warnings
+    warnings = load_survey(folder).findings.warnings
     assert any("EXIF marks 1 of 4 images as rotated; pixels are used as stored" in text for text in warnings)
     assert any("1 of 4 images have several pages, of which the first is used" in text for text in warnings)
 

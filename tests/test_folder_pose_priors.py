@@ -43,9 +43,9 @@ def views_of(found, frame: LocalFrame) -> list[View]:
 def test_poses_of_a_file_are_known_to_what_survey_toml_says(tmp_path):
     toml = replaced(("[water]", "position_std_m = [0.02, 0.03, 0.05]\nrotation_std_deg = 0.01\n[water]"))
     survey = load_survey(small_survey(tmp_path / "s", toml=toml))
-    assert list(survey.priors) == [view.name for view in survey.views]
+    assert list(survey.observations.priors) == [view.name for view in survey.views]
     for view in survey.views:
-        prior = survey.priors[view.name]
+        prior = survey.observations.priors[view.name]
         assert (prior.position == view.camera.centre).all()
         assert prior.position_std.tolist() == [0.02, 0.03, 0.05]
         assert prior.rotation_std_deg.tolist() == [0.01, 0.01, 0.01]
@@ -54,9 +54,9 @@ def test_poses_of_a_file_are_known_to_what_survey_toml_says(tmp_path):
 
 def test_poses_of_a_file_without_an_accuracy_are_of_unknown_accuracy(tmp_path):
     survey = load_survey(small_survey(tmp_path / "s", gps=True))
-    prior = survey.priors["0001.jpg"]
+    prior = survey.observations.priors["0001.jpg"]
     assert (prior.position_std, prior.rotation_std_deg, prior.source) == (None, None, "poses file")
-    assert accuracy_of_priors(survey.priors) == "4 of 4 positions of unknown accuracy (poses file)"
+    assert accuracy_of_priors(survey.observations.priors) == "4 of 4 positions of unknown accuracy (poses file)"
 
 
 @pytest.mark.parametrize("fall", [0.0, 20.0])
@@ -119,7 +119,7 @@ def test_heights_that_are_good_to_decimetres_or_worse_have_their_error_in_common
     assert common_up_std(priors_of_gps(found, frame, views_of(found, frame))) == common
     assert common_up_std_of_exif(found.config.cameras, found.heads) == common
     posed = load_survey(small_survey(tmp_path / "p", toml=replaced(("[water]", f"position_std_m = {stated}\n[water]"))))
-    assert common_up_std(posed.priors) == 0.0
+    assert common_up_std(posed.observations.priors) == 0.0
 
 
 BRITISH = (1.3107334884, 52.6276035206)  # WGS 84 of a place that OSTN15 has at 624161, 308459.58
@@ -212,7 +212,7 @@ def test_a_photograph_without_a_position_or_its_height_has_no_prior(tmp_path):
 def test_priors_make_a_key_that_changes_with_them(tmp_path):
     def key_of(std: str) -> str:
         toml = replaced(("[water]", f"position_std_m = {std}\n[water]"))
-        return stage_key(load_survey(small_survey(tmp_path / std, toml=toml)).priors)
+        return stage_key(load_survey(small_survey(tmp_path / std, toml=toml)).observations.priors)
 
     assert key_of("0.02") != key_of("0.03")
     assert key_of("0.02") == key_of("[0.02, 0.02, 0.02]")

@@ -49,11 +49,11 @@ def head(clock: datetime | None = None, speed=None, taken: datetime | None = Non
 
 def test_speeds_in_xmp_move_cameras_from_row_to_row_east_north_and_up(tmp_path):
     survey = load_survey(flown(tmp_path / "s", KEY))
-    assert survey.warnings == ()
+    assert survey.findings.warnings == ()
     # 48 rows in 47 ms: a millisecond from row to row.
     for view in survey.views:
         np.testing.assert_allclose(view.camera.motion, [4e-3, 3e-3, -0.5e-3], rtol=1e-12)
-        assert survey.velocities[view.name].source == BY_XMP
+        assert survey.observations.velocities[view.name].source == BY_XMP
     pixels = np.array([[3.0, 0.5], [60.0, 24.0], [1.0, 47.5]])
     apart = survey.views[1].camera.centres(pixels) - survey.views[1].camera.centre
     np.testing.assert_allclose(apart, np.outer([-0.0235, 0.0, 0.0235], [4.0, 3.0, -0.5]), rtol=1e-9, atol=1e-12)
@@ -66,11 +66,11 @@ def test_without_a_readout_cameras_stand_still(tmp_path, pairs):
 
 def test_a_camera_that_hovers_is_that_of_a_survey_without_the_key(tmp_path):
     hovering = load_survey(flown(tmp_path / "s", KEY, text=xmp(0.0, 0.0, 0.0)))
-    assert (hovering.warnings, [view.camera.motion for view in hovering.views]) == ((), [None] * 4)
+    assert (hovering.findings.warnings, [view.camera.motion for view in hovering.views]) == ((), [None] * 4)
 
 
 def test_a_flight_without_a_word_on_the_shutter_is_warned_of_with_its_effect(tmp_path):
-    (warning,) = load_survey(flown(tmp_path / "s", text=xmp(3.0, 4.0, 0.0))).warnings
+    (warning,) = load_survey(flown(tmp_path / "s", text=xmp(3.0, 4.0, 0.0))).findings.warnings
     assert warning.startswith("by XMP the camera flew at up to 5.0 m/s")
     # A pixel is 20 cm on the water.
     assert "by up to 15 cm or 0.8 px; give [cameras] rolling_shutter_s" in warning
@@ -83,7 +83,7 @@ def test_neither_a_hover_nor_a_mechanical_shutter_is_warned_of(tmp_path):
         "mechanical": xmp(3.0, 4.0, 0.0, 'drone-dji:ShutterType="Mechanical"'),
         "none": "<x:xmpmeta/>",
     }.items():
-        assert load_survey(flown(tmp_path / name, text=text)).warnings == ()
+        assert load_survey(flown(tmp_path / name, text=text)).findings.warnings == ()
     assert motion_of(xmp(1, 2, 3, 'drone-dji:ShutterType="Electronic"')).is_mechanical is False
 
 
@@ -107,7 +107,7 @@ def test_before_structure_from_motion_the_warning_is_there_too(tmp_path):
 
 
 def test_a_key_without_any_velocity_is_a_warning_that_says_what_to_give(tmp_path):
-    (warning,) = load_survey(small_survey(tmp_path / "s", toml=replaced(KEY))).warnings
+    (warning,) = load_survey(small_survey(tmp_path / "s", toml=replaced(KEY))).findings.warnings
     assert warning.startswith("[cameras] rolling_shutter_s is not used: nothing tells how fast the camera flew")
     assert warning.endswith("give speed_m_s in survey.toml")
 
@@ -115,7 +115,7 @@ def test_a_key_without_any_velocity_is_a_warning_that_says_what_to_give(tmp_path
 def test_a_speed_in_the_settings_counts_along_the_line_of_names(tmp_path):
     toml = replaced(("[water]", "rolling_shutter_s = 0.047\nspeed_m_s = 5\n[water]"))
     survey = load_survey(small_survey(tmp_path / "s", toml=toml))
-    assert {velocity.source for velocity in survey.velocities.values()} == {BY_SETTINGS}
+    assert {velocity.source for velocity in survey.observations.velocities.values()} == {BY_SETTINGS}
     # From photograph to photograph 3 m east and 2 m south of the grid, which local is turned from by 0.9 degrees.
     along = np.array([3.0, -2.0, 0.0]) / np.sqrt(13.0)
     for view in survey.views:

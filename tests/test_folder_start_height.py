@@ -49,8 +49,8 @@ def with_start(found, above_start_m: float):
 
 def test_it_is_said_once_with_poses_and_without(tmp_path):
     posed = find_survey(small_survey(tmp_path / "a"))
-    assert load_survey(tmp_path / "a", found=with_start(posed, 19.0)).warnings == ()
-    (doubt,) = load_survey(tmp_path / "a", found=with_start(posed, 35.0)).warnings
+    assert load_survey(tmp_path / "a", found=with_start(posed, 19.0)).findings.warnings == ()
+    (doubt,) = load_survey(tmp_path / "a", found=with_start(posed, 35.0)).findings.warnings
     assert doubt.startswith(
         "the cameras are 20.0 m over the water (median), and by RelativeAltitude in XMP 35.0 m over"
     )

@@ -23,7 +23,7 @@ SLOPE_TOLERANCE_M = 2e-4
 
 def test_a_correct_survey_loads_without_an_assumption_or_a_warning(tmp_path):
     survey = load_survey(small_survey(tmp_path / "s", gps=True))
-    assert (survey.name, survey.assumptions, survey.warnings) == ("small", (), ())
+    assert (survey.name, survey.findings.assumptions, survey.findings.warnings) == ("small", (), ())
     assert [view.name for view in survey.views] == ["0000.jpg", "0001.jpg", "0002.jpg", "0003.jpg"]
     assert survey.frame.origin == (round(E0 + 4.5), N0 - 3.0, LEVEL)
     assert load_image(survey.views[0]).shape == (48, 64, 3)
@@ -73,12 +73,12 @@ def test_what_is_not_given_of_the_water_is_said_to_be_assumed(tmp_path):
     # White noise is no texture: 1.333 of the sodium line, for the weights of luma.
     assert survey.water.n_water == pytest.approx(converted_index(1.333, 589.3, LUMA), abs=1e-6)
     assert survey.config.water.index_std == 0.004
-    (said,) = survey.assumptions
+    (said,) = survey.findings.assumptions
     assert said.startswith(f"refractive_index = {survey.water.n_water}, fresh water (the sea has 1.340")
     assert ", 1.333 at 589.3 nm for light of " in said
     toml = replaced(("refractive_index = 1.333", "temperature_c = 20"))
     survey = load_survey(small_survey(tmp_path / "b", toml=toml))
-    fresh, light = survey.assumptions
+    fresh, light = survey.findings.assumptions
     assert fresh == "salinity_psu = 0, fresh water"
     # The mean of Quan and Fry at 610, 540 and 460 nm by the weights of luma.
     assert survey.water.n_water == pytest.approx(1.334465, abs=1e-6)
@@ -88,7 +88,7 @@ def test_what_is_not_given_of_the_water_is_said_to_be_assumed(tmp_path):
 def test_water_outside_the_range_of_the_fit_is_said_to_be_assumed_and_ice_is_refused(tmp_path):
     toml = replaced(("refractive_index = 1.333", "temperature_c = 33\nsalinity_psu = 40"))
     survey = load_survey(small_survey(tmp_path / "warm", toml=toml))
-    (said,) = survey.assumptions
+    (said,) = survey.findings.assumptions
     assert said.startswith("refractive_index = 1.340243, of water of 33 degrees for light")
     assert "although temperature_c is 33, outside the range 0 to 30 of Quan and Fry (1995) and" in said
     assert "and salinity_psu is 40, outside the range 0 to 35 of Quan and Fry (1995)" in said
@@ -148,7 +148,7 @@ def test_images_without_a_pose_and_poses_without_an_image_are_named_and_left_out
     write_poses(folder, [*lines[:4], lines[4].replace("0004", "gone")])
     survey = load_survey(folder)
     assert len(survey.views) == 4
-    assert survey.warnings == (
+    assert survey.findings.warnings == (
         "1 image without a pose, left out: 0004.jpg",
         "1 pose without an image, left out: gone.jpg",
     )
@@ -189,7 +189,7 @@ def test_a_single_view_whose_name_fits_is_asked_to_become_more(tmp_path):
 def test_two_views_are_a_survey_whose_heights_no_third_one_checks(tmp_path):
     survey = load_survey(small_survey(tmp_path / "s", num=2))
     assert len(survey.views) == 2
-    assert any("no third view checks a height" in warning for warning in survey.warnings)
+    assert any("no third view checks a height" in warning for warning in survey.findings.warnings)
 
 
 @pytest.mark.parametrize(("height", "spacing", "is_refused"), [(500.0, 60.0, False), (5000.0, 60.0, True)])
@@ -203,7 +203,7 @@ def test_heights_of_aircraft_are_taken_where_the_overlap_of_photographs_allows_t
         with pytest.raises(ConfigError, match=r"all of them more than \d+ m over the water; give level_m"):
             load_survey(folder)
     else:
-        assert any("more than 300 m over the water" in warning for warning in load_survey(folder).warnings)
+        assert any("more than 300 m over the water" in warning for warning in load_survey(folder).findings.warnings)
 
 
 @pytest.mark.parametrize(
@@ -271,7 +271,7 @@ def test_a_single_camera_far_over_the_water_is_doubted(tmp_path):
     folder = small_survey(tmp_path / "s")
     lines = camera_lines()
     write_poses(folder, [lines[0].replace("2125.000", "3125.000"), *lines[1:]])
-    assert load_survey(folder).warnings == (
+    assert load_survey(folder).findings.warnings == (
         "1 camera more than 300 m over the water: check that both count from one datum: 0000.jpg",
     )
 
@@ -299,7 +299,7 @@ def test_a_folder_that_does_not_exist_or_is_a_file_is_refused(tmp_path):
 def test_several_files_of_poses_need_to_be_told_apart(tmp_path):
     folder = small_survey(tmp_path / "s", toml=replaced(('poses = "cameras.csv"', "")))
     survey = load_survey(folder)
-    assert survey.assumptions == ("the poses are those in cameras.csv, the only poses found",)
+    assert survey.findings.assumptions == ("the poses are those in cameras.csv, the only poses found",)
     assert survey.config.cameras.poses == "cameras.csv"
     (folder / "again.csv").write_text((folder / "cameras.csv").read_text())
     with pytest.raises(ConfigError, match=r"several files of poses \(again\.csv, cameras\.csv\); name one"):
@@ -323,7 +323,7 @@ def test_local_poses_need_an_origin_and_take_their_frame_from_it(tmp_path):
     centres = [view.camera.centre for view in survey.views]
     assert centres == pytest.approx(np.array([[3.0 * i, 0.0, 20.0] for i in range(4)]), abs=1e-12)
     assert survey.views[0].lens.model == "SIMPLE_RADIAL"
-    focal, bent = survey.warnings
+    focal, bent = survey.findings.warnings
     assert focal == f"focal_px = 100 in survey.toml is not used: {model} has its own, 120.0 px"
     assert bent.startswith("COLMAP adjusts with straight rays, and water bends them")
 
@@ -361,7 +361,7 @@ def test_masks_are_found_by_the_name_of_their_image(tmp_path):
         "0002.jpg",
         None,
     ]
-    assert survey.warnings == ("1 image without a mask, used whole: 0003.jpg",)
+    assert survey.findings.warnings == ("1 image without a mask, used whole: 0003.jpg",)
 
 
 def test_poses_far_from_the_positions_in_exif_are_doubted(tmp_path):
@@ -369,14 +369,15 @@ def test_poses_far_from_the_positions_in_exif_are_doubted(tmp_path):
     write_poses(folder, [line.replace("58901", "58911").replace("58902", "58912") for line in camera_lines()])
     toml = replaced((f"level_at = [{E0}, {N0}]", ""))
     (folder / "survey.toml").write_text(toml)
-    (warning,) = load_survey(folder).warnings
+    (warning,) = load_survey(folder).findings.warnings
     assert warning.startswith("the poses lie 100 m (median) from the GPS positions in EXIF; check crs")
 
 
 def test_an_image_that_exif_marks_as_rotated_is_reported_as_used_as_stored(tmp_path):
     folder = small_survey(tmp_path / "s")
     write_image(folder / "images" / "0001.jpg", Orientation=6)
-    assert load_survey(folder).warnings[0].startswith("EXIF marks 1 of 4 images as rotated; pixels are used as stored")
+    (first, *_) = load_survey(folder).findings.warnings
+    assert first.startswith("EXIF marks 1 of 4 images as rotated; pixels are used as stored")
     (folder / "survey.toml").write_text(replaced(("[64, 48]", "[48, 64]"), ("[32.0, 24.0]", "[24.0, 32.0]")))
     write_image(folder / "images" / "0000.jpg", Orientation=6)
     with pytest.raises(ImageError, match=r"EXIF marks it as rotated, which is ignored here"):
@@ -388,13 +389,13 @@ def test_the_drawn_surveys_load_without_an_assumption_or_a_warning(data_dir, nam
     survey = load_survey(data_dir / name)
     # Nothing there says that it is dry.
     said = (NO_WATER,) if name == "wreck_dry" else ()
-    assert (survey.assumptions, survey.warnings) == ((), said)
+    assert (survey.findings.assumptions, survey.findings.warnings) == ((), said)
     assert (survey.water is None) == (name == "wreck_dry")
 
 
 def test_a_plane_that_touches_far_from_the_cameras_is_doubted(tmp_path):
     toml = replaced((f"level_at = [{E0}, {N0}]", f"level_at = [{E0 + 1000.0}, {N0}]"))
-    (warning,) = load_survey(small_survey(tmp_path / "s", toml=toml)).warnings
+    (warning,) = load_survey(small_survey(tmp_path / "s", toml=toml)).findings.warnings
     # Of 1000 m on the grid 1000.5 m are left without its scale and height; so far level water falls 7.9 cm.
     assert warning.startswith("cameras lie up to 1001 m from where the water plane touches (level_at); level water")
     assert "7.9 cm under the plane there" in warning

@@ -68,8 +68,8 @@ def test_points_give_a_survey_its_level(tmp_path, key):
     (folder / "points.csv").write_text("easting,northing,height\n" + "\n".join(rows) + "\n")
     survey = load_survey(folder)
     assert survey.config.water.level_m == pytest.approx(LEVEL + 0.25, abs=2e-3)
-    assert f"+- {survey.config.water.level_std_m:.3f} from" in survey.assumptions[0]
-    assert any(key in text for text in survey.assumptions)
+    assert f"+- {survey.config.water.level_std_m:.3f} from" in survey.findings.assumptions[0]
+    assert any(key in text for text in survey.findings.assumptions)
     assert getattr(survey.config.water, key) is None
 
 
@@ -154,12 +154,14 @@ def test_what_all_points_share_is_not_averaged_away(tmp_path):
     (folder / "points.csv").write_text("easting,northing,height\n" + "\n".join(rows) + "\n")
     survey = load_survey(folder)
     assert survey.config.water.level_std_m == pytest.approx(0.015, abs=2e-4)
-    assert len(survey.levels) == 100
+    assert len(survey.observations.levels) == 100
     assert said(check_survey(folder), "Found")["water"].endswith(
         "; known: level to 0.015 m (gnss_points, 100 measured)"
     )
-    assert survey.levels[1].place == (E0 + 5, N0 - 3)
-    assert {(level.std_m, level.time, level.source) for level in survey.levels} == {(0.02, None, "gnss_points")}
+    assert survey.observations.levels[1].place == (E0 + 5, N0 - 3)
+    assert {(level.std_m, level.time, level.source) for level in survey.observations.levels} == {
+        (0.02, None, "gnss_points")
+    }
 
 
 def test_points_count_as_much_as_they_are_sure(tmp_path):

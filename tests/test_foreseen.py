@@ -15,12 +15,13 @@ from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
 from survey.simulate.drawn import DrawnScene, draw_survey
 from tests.block_survey import survey_of
+from tests.changed_survey import changed
 from tests.drawn_block import draw_block
 
 
 def with_poses_alone(seed: int, **kind):
     """The survey of a drawn block as from a file of poses."""
-    return replace(survey_of(draw_block(seed, **kind)), ties=None)
+    return changed(survey_of(draw_block(seed, **kind)), ties=None)
 
 
 def test_convergent_views_tell_the_level_and_nadir_ones_do_not():

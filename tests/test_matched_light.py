@@ -100,7 +100,8 @@ def test_survey_toml_says_to_which_wavelength_its_index_belongs_and_the_settings
     expected = converted_index(1.333, 589.3, LUMA)
     assert survey.water.n_water == pytest.approx(expected, abs=1e-6)
     assert any(
-        text.startswith(f"refractive_index = {expected:.6f}, 1.333 at 589.3 nm for") for text in survey.assumptions
+        text.startswith(f"refractive_index = {expected:.6f}, 1.333 at 589.3 nm for")
+        for text in survey.findings.assumptions
     )
     again = parse_config(dump_config(survey.config)).water
     assert (again.refractive_index, again.index_wavelength_nm) == (survey.water.n_water, None)

@@ -38,6 +38,7 @@ from survey.plan.plan import make_plan
 from survey.plan.poses import pose_choice
 from survey.plan.recipe import RECIPES
 from survey.pose_files import read_poses
+from tests.changed_survey import changed
 
 # Where a level has no standard deviation.
 ASKED = "; level_std_m is not given, 0.02 m as of a staff are assumed: say how well it is known"
@@ -121,7 +122,7 @@ def test_one_pose_for_all_photographs_is_refused_and_for_two_of_them_doubted(tmp
     folder = small_survey(tmp_path / "s")
     lines = camera_lines()
     write_poses(folder, [lines[0], lines[1], lines[2], lines[1].replace("0001", "0003")])
-    assert load_survey(folder).warnings == ("1 image with the pose of another one: 0003.jpg",)
+    assert load_survey(folder).findings.warnings == ("1 image with the pose of another one: 0003.jpg",)
     write_poses(folder, [f"{i:04d}.jpg,{E0},{N0},{LEVEL + 20},0,0,{10 * i}" for i in range(4)])
     for look in (check_survey, load_survey):
         with pytest.raises(PosesError, match="all 4 cameras are at one place within 10 mm"):
@@ -161,7 +162,7 @@ def test_a_view_apart_from_the_others_and_a_long_lens_are_doubted(tmp_path):
     folder = small_survey(tmp_path / "s", toml=replaced(("100.0", "390.0")))
     lines = [line.replace(f"{E0 + 9:.3f}", f"{E0 + 40:.3f}") for line in camera_lines()]
     write_poses(folder, lines)
-    warnings = load_survey(folder).warnings
+    warnings = load_survey(folder).findings.warnings
     assert warnings[0].startswith("the focal length of 0000.jpg is 390 px, a view of 11.7 degrees")
     assert warnings[1:] == ("1 view without overlap with another one at the water: 0003.jpg",)
 
@@ -170,7 +171,7 @@ def test_a_focal_length_of_a_cropped_photograph_is_doubted_by_check_and_by_proce
     folder = small_survey(tmp_path / "s")
     for line in camera_lines():
         write_image(folder / "images" / line.split(",")[0], FocalLengthIn35mmFilm=28)
-    (warning,) = load_survey(folder).warnings
+    (warning,) = load_survey(folder).findings.warnings
     assert warning.startswith("the focal length of 0002.jpg is 100 px, and EXIF gives 50 px; check that")
     assert said(check_survey(folder), "Warnings")[""] == warning
 
@@ -239,8 +240,8 @@ def test_the_angles_of_nadir_and_oblique_surveys_are_doubted_only_as_radians(dat
 
 
 def test_angles_in_radians_are_doubted_and_degrees_are_not(tmp_path):
-    assert with_angles(tmp_path / "degrees", strips()).warnings == ()
-    (warning,) = with_angles(tmp_path / "radians", np.radians(strips())).warnings
+    assert with_angles(tmp_path / "degrees", strips()).findings.warnings == ()
+    (warning,) = with_angles(tmp_path / "radians", np.radians(strips())).findings.warnings
     assert warning.startswith("omega, phi and kappa lie within 3.1")
     assert "expected degrees; they look like radians" in warning
 
@@ -248,7 +249,7 @@ def test_angles_in_radians_are_doubted_and_degrees_are_not(tmp_path):
 @pytest.mark.parametrize("seed", range(20))
 def test_strips_that_all_look_north_are_not_taken_for_radians(tmp_path, seed):
     angles = np.random.default_rng(seed).normal(0.0, [0.5, 0.5, 1.5], (8, 3))
-    assert with_angles(tmp_path / "s", angles).warnings == ()
+    assert with_angles(tmp_path / "s", angles).findings.warnings == ()
 
 
 def test_a_size_of_the_settings_that_a_model_contradicts_is_said_not_to_be_used(tmp_path):
@@ -259,7 +260,7 @@ def test_a_size_of_the_settings_that_a_model_contradicts_is_said_not_to_be_used(
     (folder / "sparse" / "images.txt").write_text("".join(lines))
     with (folder / "survey.toml").open("a") as file:
         file.write(f"[local]\norigin = [{E0}, {N0}, {LEVEL}]\n")
-    warning, _of_straight_rays = load_survey(folder).warnings
+    warning, _of_straight_rays = load_survey(folder).findings.warnings
     assert warning.startswith("size_px = [640, 480] in survey.toml is not used")
 
 
@@ -358,7 +359,7 @@ def test_dry_ground_is_where_points_are_known_and_a_guess_is_named_as_one(tmp_pa
     top = np.median([view.camera.centre[2] for view in nadir.views])
     # Half as high as the overlap suggests: everything that is counted in pixels follows.
     points = np.column_stack([np.zeros((60, 2)), np.full(60, top - 0.5 * guess.height_m)])
-    known = make_plan(replace(nadir, points=points))
+    known = make_plan(changed(nadir, points=points))
     assert known.height_m == pytest.approx(0.5 * guess.height_m)
     assert known.gsd_m == pytest.approx(0.5 * guess.gsd_m)
     assert known.footprint_m == pytest.approx([0.5 * side for side in guess.footprint_m])

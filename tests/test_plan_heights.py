@@ -19,6 +19,7 @@ from survey.plan.choices import Choices
 from survey.plan.ground import dry_ground
 from survey.plan.plan import make_plan
 from survey.sfm.poses import SfmResult, SfmView
+from tests.changed_survey import changed
 
 BED = (-5.0, -0.5)
 
@@ -27,18 +28,18 @@ def with_straight_points(tmp_path, cameras, rng, *, bed=BED):
     """A survey with points where straight rays to a bed between two heights, local, meet best."""
     ties = tie_points(cameras, rng, count=400, std_px=0.1, low=bed[0], high=bed[1])
     survey = survey_with(tmp_path, cameras)
-    return replace(survey, points=meeting_of_straight_rays(cameras, ties))
+    return changed(survey, points=meeting_of_straight_rays(cameras, ties))
 
 
 @pytest.mark.parametrize("cameras", [nadir(), convergent(), convergent()[5:13], convergent()[13:17]])
 def test_points_of_straight_rays_give_a_range_that_holds_the_whole_bed_and_little_more(tmp_path, rng, cameras):
     survey = with_straight_points(tmp_path, cameras, rng)
     low, high = limits(survey)
-    apparent = survey.points[:, 2] - TRUTH[0]
+    apparent = survey.observations.points[:, 2] - TRUTH[0]
     assert apparent.min() > 0.85 * (BED[0] - TRUTH[0])
     assert low < BED[0] - TRUTH[0] - 1.0
     assert high > BED[1] - TRUTH[0] + 1.0
-    far_low, far_high = limits(replace(survey, points=None))
+    far_low, far_high = limits(changed(survey, points=None))
     assert far_high - far_low > 3.0 * (high - low)
 
 
@@ -47,7 +48,7 @@ def test_points_to_one_side_lie_above_their_sagittal_and_within_their_tangential
     cameras = convergent()[13:17]
     survey = with_straight_points(tmp_path, cameras, rng, bed=(-5.0, -4.9))
     water = water_of(TRUTH)
-    apparent = np.median(water.depth(survey.points))
+    apparent = np.median(water.depth(survey.observations.points))
     assert 1.335 * apparent < 4.5
     assert "no lower than" in make_plan(survey, Choices(device="cpu")).decisions[-3].reason
     assert limits(survey)[0] < -5.3
@@ -55,7 +56,7 @@ def test_points_to_one_side_lie_above_their_sagittal_and_within_their_tangential
 
 def test_the_plan_warns_of_a_deeper_bed_where_few_points_are_under_water(tmp_path, rng):
     survey = with_straight_points(tmp_path, nadir(), rng)
-    raised = replace(survey, points=survey.points + np.array([0.0, 0.0, 4.0]))
+    raised = changed(survey, points=survey.observations.points + np.array([0.0, 0.0, 4.0]))
     for found, is_warned in ((survey, False), (raised, True)):
         decision = next(d for d in make_plan(found, Choices(device="cpu")).decisions if d.name == "range of heights")
         assert ("give [area] heights if its bed may lie deeper" in decision.reason) == is_warned
@@ -64,16 +65,18 @@ def test_the_plan_warns_of_a_deeper_bed_where_few_points_are_under_water(tmp_pat
 def test_wrong_matches_do_not_widen_the_range_and_too_few_points_are_not_asked(tmp_path, rng):
     survey = with_straight_points(tmp_path, convergent(), rng)
     wrong = np.array([[0.0, 0.0, 25.0]])
-    spoilt = replace(survey, points=np.concatenate([survey.points, wrong]))
+    spoilt = changed(survey, points=np.concatenate([survey.observations.points, wrong]))
     assert limits(spoilt) == pytest.approx(limits(survey), abs=0.3)
-    assert limits(replace(survey, points=survey.points[:50])) == limits(replace(survey, points=None))
+    assert limits(changed(survey, points=survey.observations.points[:50])) == limits(changed(survey, points=None))
 
 
 def test_no_range_goes_beyond_what_a_flight_allows(tmp_path, rng):
     survey = with_straight_points(tmp_path, convergent(), rng)
     up = np.array([0.0, 0.0, 30.0])
-    far_low, far_high = limits(replace(survey, points=None))
-    low, high = limits(replace(survey, points=np.concatenate([survey.points + up, survey.points - up])))
+    far_low, far_high = limits(changed(survey, points=None))
+    low, high = limits(
+        changed(survey, points=np.concatenate([survey.observations.points + up, survey.observations.points - up]))
+    )
     assert (low, high) == (far_low, far_high)
     assert far_high < HEIGHT
 
@@ -82,8 +85,8 @@ def test_points_give_the_ground_of_a_dry_survey_whatever_the_overlap_suggests(tm
     survey = with_straight_points(tmp_path, nadir(), rng)
     dry = replace(survey, water=None, config=replace(survey.config, water=None))
     low, high = limits(dry)
-    assert low < survey.points[:, 2].min()
-    assert survey.points[:, 2].max() < high
+    assert low < survey.observations.points[:, 2].min()
+    assert survey.observations.points[:, 2].max() < high
     assert high - low < 15.0
 
 
@@ -134,7 +137,7 @@ def test_without_points_and_heights_the_plan_says_what_would_narrow_the_range(tm
     survey = load_survey(small_survey(tmp_path / "s"))
     decision = next(d for d in make_plan(survey, Choices(device="cpu")).decisions if d.name == "range of heights")
     assert "[area] heights" in decision.reason
-    assert survey.points is None
+    assert survey.observations.points is None
 
 
 def test_a_colmap_model_brings_its_points_along(tmp_path, rng):
@@ -156,7 +159,7 @@ def test_a_colmap_model_brings_its_points_along(tmp_path, rng):
     text = (folder / "survey.toml").read_text()
     (folder / "survey.toml").write_text(text + f"[local]\norigin = [{E0}, {N0}, {LEVEL}]\n")
     survey = load_survey(folder)
-    np.testing.assert_array_equal(survey.points, xyz)
+    np.testing.assert_array_equal(survey.observations.points, xyz)
     low, high = limits(survey)
     assert low < -2.0 * 1.333
     assert 0.5 < high < 5.0
@@ -172,7 +175,7 @@ def test_structure_from_motion_brings_its_tie_points(tmp_path, monkeypatch, rng)
     toml = TOML.replace('poses = "cameras.csv"\n', "")
     folder = small_survey(tmp_path / "bare", gps=True, toml=toml)
     (folder / "cameras.csv").unlink()
-    np.testing.assert_array_equal(load_survey(folder).points, ties.start)
+    np.testing.assert_array_equal(load_survey(folder).observations.points, ties.start)
 
 
 def quaternion(rotation: np.ndarray) -> tuple[float, ...]:

@@ -16,6 +16,7 @@ from survey.photos.xmp import Motion
 from survey.plan.check import check_survey, require_processable
 from survey.plan.choices import Choices
 from survey.plan.level_doubt import DOWN_DEG, level_doubt
+from tests.changed_survey import changed
 
 ANGLES = st.lists(st.one_of(st.floats(0.0, DOWN_DEG - 0.5), st.floats(DOWN_DEG + 0.5, 80.0)), min_size=3, max_size=40)
 
@@ -24,7 +25,7 @@ ANGLES = st.lists(st.one_of(st.floats(0.0, DOWN_DEG - 0.5), st.floats(DOWN_DEG +
 def posed(tmp_path_factory):
     """A survey with poses whose level the photographs have to tell."""
     survey = load_survey(small_survey(tmp_path_factory.mktemp("posed") / "s"))
-    return replace(survey, is_level_known=False)
+    return changed(survey, is_level_known=False)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +67,7 @@ def test_blocks_that_look_straight_down_are_named_with_and_without_poses(posed, 
 def test_a_level_that_is_given_in_any_way_and_a_dry_survey_leave_no_doubt(posed, found, water):
     told = flown(replace(found, config=replace(found.config, water=water)), [0.0] * 20, 0.0, 0)
     assert level_doubt(told, None) is None
-    assert level_doubt(told, replace(looking(posed, [0.0] * 20, 0.0), is_level_known=True)) is None
+    assert level_doubt(told, changed(looking(posed, [0.0] * 20, 0.0), is_level_known=True)) is None
 
 
 def test_without_attitudes_it_is_said_on_what_it_depends(found):

@@ -16,6 +16,7 @@ from survey.plan.plan import make_plan
 from survey.plan.tile_choice import choose_tiles
 from survey.plan.tiling import Tiling, ground_of, inside
 from survey.plan.workload import workload_of
+from tests.changed_survey import changed
 
 
 def test_every_place_is_in_one_tile_those_on_lines_and_beyond_the_ground_too(rng):
@@ -98,7 +99,7 @@ def test_a_run_that_has_to_be_in_one_piece_refuses_tiles(planned):
 
 def test_the_ground_is_the_bounds_or_what_two_views_see(shallow_survey):
     plan = make_plan(shallow_survey)
-    bounded, free = ground_of(shallow_survey, plan), ground_of(replace(shallow_survey, bounds=None), plan)
+    bounded, free = ground_of(shallow_survey, plan), ground_of(changed(shallow_survey, bounds=None), plan)
     assert bounded[2] - bounded[0] == pytest.approx(13.0 + 1.0, abs=0.5)
     assert free[0] < bounded[0]
     assert free[3] > bounded[3]

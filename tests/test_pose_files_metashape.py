@@ -105,9 +105,9 @@ def test_a_georeferenced_chunk_is_set_on_the_earth(tmp_path, block, where):
     survey = loaded(tmp_path, block, cameras_xml(block, where=where))
     assert find_poses(tmp_path) == [tmp_path / "cameras.xml"]
     assert most_missed_px(survey, block) < CLOSE_PX
-    assert survey.tool == "Metashape"
+    assert survey.provenance.tool == "Metashape"
     assert survey.views[0].lens.model == "FULL_OPENCV"
-    assert survey.warnings == (NO_WATER,)
+    assert survey.findings.warnings == (NO_WATER,)
 
 
 def test_the_affine_term_and_the_eighth_power_of_the_radius_are_kept(tmp_path, block):
@@ -159,7 +159,7 @@ def test_cameras_that_are_disabled_or_not_aligned_are_left_out_and_named(tmp_pat
         '<camera id="91" sensor_id="0" label="lost.jpg"/><camera id="92" component_id="7" label="far.jpg"/>'
     )
     text = cameras_xml(block, more=more, sensor="<rolling_shutter>true</rolling_shutter>")
-    warnings = " ".join(loaded(tmp_path, block, text).warnings)
+    warnings = " ".join(loaded(tmp_path, block, text).findings.warnings)
     assert "1 camera disabled in cameras.xml, left out: off.jpg" in warnings
     assert "2 cameras not aligned in cameras.xml, left out: lost.jpg, far.jpg" in warnings
     assert "compensated a rolling shutter" in warnings
@@ -176,7 +176,7 @@ def test_positions_before_the_adjustment_come_with_the_accuracy_of_their_referen
     )
     survey = loaded(tmp_path, block, text)
     for view in survey.views:
-        prior = survey.priors[view.name]
+        prior = survey.observations.priors[view.name]
         assert prior.source == BY_FILE
         assert prior.position_std.tolist() == [0.02, 0.03, 0.05]
         # 0.1 m of easting: the grid is turned by 0.8 degrees and 0.04 % smaller there.
@@ -184,7 +184,7 @@ def test_positions_before_the_adjustment_come_with_the_accuracy_of_their_referen
     assert pose_choice(survey, "auto", free_water=False)[0] == "refine"
     assert "good to 0.02, 0.03 and 0.05 m" in dict(check_survey(tmp_path)[0].rows)["accuracy"]
     survey = loaded(tmp_path, block, text, cameras="position_std_m = 0.1")
-    assert {prior.source for prior in survey.priors.values()} == {"survey.toml"}
+    assert {prior.source for prior in survey.observations.priors.values()} == {"survey.toml"}
 
 
 @pytest.mark.parametrize(
@@ -195,12 +195,12 @@ def test_positions_before_the_adjustment_come_with_the_accuracy_of_their_referen
 def test_without_accuracies_or_with_an_antenna_the_reference_is_not_used(tmp_path, block, accuracy, sensor):
     text = cameras_xml(block, references=reference_tags(block, accuracy), sensor=sensor)
     survey = loaded(tmp_path, block, text)
-    assert {prior.source for prior in survey.priors.values()} == {"poses file"}
+    assert {prior.source for prior in survey.observations.priors.values()} == {"poses file"}
 
 
 def test_water_makes_straight_rays_bent_and_check_says_so(tmp_path, block):
     survey = loaded(tmp_path, block, cameras_xml(block), more="[water]\nlevel_m = 2106.0\nrefractive_index = 1.333")
-    (warning,) = [text for text in survey.warnings if "straight rays" in text]
+    (warning,) = [text for text in survey.findings.warnings if "straight rays" in text]
     assert warning.startswith("Metashape adjusts with straight rays, and water bends them")
     assert pose_choice(survey, "auto", free_water=False)[0] == "refine"
 
@@ -283,7 +283,7 @@ def test_a_geoid_that_the_program_added_is_taken_away_again(tmp_path, block, mon
     heights = survey.frame.crs_from_local([view.camera.centre for view in survey.views])[:, 2]
     assert heights == pytest.approx(in_utm(block.centres)[:, 2] - 48.5, abs=1e-3)
     for view in survey.views:
-        assert survey.priors[view.name].position == pytest.approx(view.camera.centre, abs=2e-3)
+        assert survey.observations.priors[view.name].position == pytest.approx(view.camera.centre, abs=2e-3)
 
 
 def test_a_chunk_over_another_vertical_datum_is_refused(tmp_path, block):

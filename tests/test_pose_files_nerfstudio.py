@@ -67,7 +67,7 @@ def test_what_was_applied_is_undone(tmp_path, block, how):
     survey = loaded(tmp_path, block, transforms(block, **how))
     assert find_poses(tmp_path) == [tmp_path / "transforms.json"]
     assert most_missed_px(survey, block) < CLOSE_PX
-    assert any("no applied_transform" in text for text in survey.assumptions) == (how["applied"] is None)
+    assert any("no applied_transform" in text for text in survey.findings.assumptions) == (how["applied"] is None)
 
 
 def test_the_eighth_power_of_the_radius_is_kept(tmp_path, block):

@@ -70,9 +70,9 @@ def test_poses_and_lenses_put_points_where_the_photographs_show_them(tmp_path, b
     write(tmp_path, block, reference_lla=REFERENCE)
     survey = load(tmp_path, block, "reconstruction.json")
     assert most_missed_px(survey, block) < CLOSE_PX
-    assert survey.reprojection.rms_px < CLOSE_PX
-    assert survey.reprojection.num_images == 6
-    assert survey.tool == "OpenSfM"
+    assert survey.provenance.reprojection.rms_px < CLOSE_PX
+    assert survey.provenance.reprojection.num_images == 6
+    assert survey.provenance.tool == "OpenSfM"
     assert dict(check_survey(tmp_path)[0].rows)["tie points"].startswith("0.00 px rms")
 
 
@@ -123,7 +123,9 @@ def test_of_a_block_in_pieces_the_largest_is_used_and_the_rest_is_named(tmp_path
     write(tmp_path, block, blocks=pieces)
     survey = load(tmp_path, block, "reconstruction.json")
     assert [view.name for view in survey.views] == list(block.names[2:])
-    assert any("a block in 2 pieces" in warning and "of 2, are left out" in warning for warning in survey.warnings)
+    assert any(
+        "a block in 2 pieces" in warning and "of 2, are left out" in warning for warning in survey.findings.warnings
+    )
 
 
 def test_masks_are_taken_where_opensfm_and_opendronemap_keep_them(tmp_path, block):
@@ -196,9 +198,9 @@ def test_the_points_of_berlin_fall_where_the_formulas_of_opensfm_put_them(data_d
             squares.append(((x * scale - float(u)) ** 2 + (y * scale - float(v)) ** 2) * camera["width"] ** 2)
     survey = load_survey(folder)
     # The reference itself keeps some mismatches: 2.5 px rms, 0.8 px median.
-    assert survey.reprojection.num_seen == len(squares) == 3082
-    assert survey.reprojection.rms_px == pytest.approx(np.sqrt(np.mean(squares)), abs=1e-6)
-    assert survey.reprojection.median_px == pytest.approx(np.sqrt(np.median(squares)), abs=1e-6)
+    assert survey.provenance.reprojection.num_seen == len(squares) == 3082
+    assert survey.provenance.reprojection.rms_px == pytest.approx(np.sqrt(np.mean(squares)), abs=1e-6)
+    assert survey.provenance.reprojection.median_px == pytest.approx(np.sqrt(np.median(squares)), abs=1e-6)
     heights = survey.frame.crs_from_local([view.camera.centre for view in survey.views])[:, 2]
     # Its altitude of 0 is a height in crs; the tangent plane lies 0.8 mm under the ellipsoid at 100 m.
     expected = [
@@ -261,7 +263,7 @@ def test_without_survey_toml_and_positions_in_exif_the_poses_tell_the_zone(tmp_p
     write_images(tmp_path, block.names)
     survey = load_survey(tmp_path)
     assert survey.config.crs == "EPSG:32632+5773"
-    assert any("the UTM zone of the poses" in text for text in survey.assumptions)
+    assert any("the UTM zone of the poses" in text for text in survey.findings.assumptions)
     assert most_missed_px(survey, block) < CLOSE_PX
 
 
@@ -276,5 +278,5 @@ def test_names_that_lead_out_of_the_folder_are_names_only(tmp_path, block):
     assert [view.name for view in survey.views] == list(block.names)
     assert all(view.path.parent == tmp_path / "images" for view in survey.views)
     assert most_missed_px(survey, block) < CLOSE_PX
-    (left_out,) = [text for text in survey.warnings if "without an image" in text]
+    (left_out,) = [text for text in survey.findings.warnings if "without an image" in text]
     assert "../../../../etc/passwd" in left_out

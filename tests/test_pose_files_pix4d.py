@@ -65,7 +65,7 @@ def test_the_files_of_a_project_put_points_where_the_photographs_show_them(tmp_p
     assert find_poses(tmp_path) == [tmp_path / where / EXTERNAL]
     survey = load(tmp_path, block, f"{where}/{EXTERNAL}")
     assert most_missed_px(survey, block) < CLOSE_PX
-    assert survey.tool == "Pix4D"
+    assert survey.provenance.tool == "Pix4D"
 
 
 @pytest.mark.parametrize(

@@ -93,7 +93,7 @@ def test_a_table_in_any_order_and_with_any_angles_gives_the_same_cameras(tmp_pat
     survey = load(tmp_path, block, "poses.csv", cameras=lens_toml(block))
     assert find_poses(tmp_path) == [tmp_path / "poses.csv"]
     assert most_missed_px(survey, block) < CLOSE_PX
-    assert survey.tool is None
+    assert survey.provenance.tool is None
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,7 @@ def test_the_accuracy_of_positions_goes_into_the_adjustment(tmp_path, block):
     (tmp_path / "poses.csv").write_text(table(header, lines, columns=range(10)))
     survey = load(tmp_path, block, "poses.csv", cameras=lens_toml(block))
     for view in survey.views:
-        prior = survey.priors[view.name]
+        prior = survey.observations.priors[view.name]
         assert (prior.source, prior.position_std.tolist()) == (BY_FILE, [0.02, 0.03, 0.05])
         assert prior.position == pytest.approx(view.camera.centre, abs=1e-9)
 
@@ -173,7 +173,7 @@ def test_lines_of_text_give_the_same_cameras(tmp_path, block, write):
     survey = load(tmp_path, block, "exterior.txt", cameras=lens_toml(block))
     assert find_poses(tmp_path) == ([tmp_path / "exterior.txt"] if "mega" in text else [])
     assert most_missed_px(survey, block) < CLOSE_PX
-    assert survey.tool == ("Metashape" if "PhotoID" in text else None)
+    assert survey.provenance.tool == ("Metashape" if "PhotoID" in text else None)
 
 
 @pytest.mark.parametrize(

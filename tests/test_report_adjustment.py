@@ -32,6 +32,7 @@ from survey.report.collect import figures_of
 from survey.report.headline import cards
 from survey.report.json_figures import json_of
 from survey.report.page import render_page
+from tests.changed_survey import changed
 
 OFF = np.array([0.03, -0.02, 0.05])
 
@@ -50,7 +51,7 @@ def facts(tmp_path_factory) -> ReportFacts:
         ControlPoint(row.name, tuple(crs), local, np.full(3, 0.01), row.is_check)
         for row, crs, local in zip(found.control, places, found.points, strict=False)
     )
-    survey = replace(
+    survey = changed(
         survey,
         water=plane_of(block),
         is_adjusted=True,
@@ -81,11 +82,11 @@ def test_positions_are_told_by_their_distance_to_those_given(facts):
 
 
 def test_what_heights_of_positions_have_in_common_is_told_apart(facts):
-    priors = facts.survey.priors
+    priors = facts.survey.observations.priors
     higher = {
         name: replace(prior, position=prior.position + np.array([0.0, 0.0, 25.0])) for name, prior in priors.items()
     }
-    survey, found = replace(facts.survey, priors=higher), replace(facts.adjustment, common_up_m=(25.0, 0.1))
+    survey, found = changed(facts.survey, priors=higher), replace(facts.adjustment, common_up_m=(25.0, 0.1))
     positions = adjustment_of(survey, found).positions
     assert positions.rms_m == pytest.approx(np.abs(OFF))
     assert positions.common_up_m == (25.0, 0.1)

@@ -14,6 +14,7 @@ from survey.control.points import Checkpoint, Control, ControlPoint, Mark
 from survey.folder.survey import load_survey
 from survey.report.checkpoints import WITHIN_GSD, checkpoint_heights, checkpoints_of
 from survey.report.reference_tables import checkpoints as checkpoint_blocks
+from tests.changed_survey import changed
 
 GSD_M = 0.05
 # The plane is fitted in float64 to points in float32, some metres from the origin.
@@ -59,7 +60,7 @@ def test_all_check_points_are_in_the_figures_those_under_water_and_above_apart(s
         (marked, replace(marked, name="used", is_check=False)), (Mark("target", "0000.jpg", (1, 1)),), 0.5
     )
     rods = (check(survey, "rod", below + np.array([0.0, 0.0, 0.02])), check(survey, "far", [90.0, 0.0, 0.0]))
-    found = checkpoints_of(replace(survey, checkpoints=rods, control=control), bed.xyz, GSD_M)
+    found = checkpoints_of(changed(survey, checkpoints=rods, control=control), bed.xyz, GSD_M)
     rod, far, target = found.rows
     assert [row.name for row in found.rows] == ["rod", "far", "target"]
     assert rod.difference_m == pytest.approx(-0.02, abs=ROUNDING_M)
@@ -82,6 +83,6 @@ def test_all_check_points_are_in_the_figures_those_under_water_and_above_apart(s
 def test_without_check_points_there_are_no_figures_and_without_a_cloud_no_groups(survey):
     assert checkpoints_of(survey, plane_bed(survey).xyz, GSD_M) is None
     assert checkpoint_blocks(None) == []
-    alone = checkpoints_of(replace(survey, checkpoints=(check(survey, "rod", [0, 0, 0]),)), np.zeros((0, 3)), GSD_M)
+    alone = checkpoints_of(changed(survey, checkpoints=(check(survey, "rod", [0, 0, 0]),)), np.zeros((0, 3)), GSD_M)
     assert (alone.groups, alone.rows[0].difference_m) == ((), None)
     assert len(checkpoint_blocks(alone)) == 2

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from PIL import Image
@@ -15,6 +13,7 @@ from survey.folder.survey import load_survey
 from survey.report import control_picture
 from survey.report.checkpoints import CheckpointFigures, CheckpointRow
 from survey.report.control_picture import Residual, draw_residuals, residuals_of
+from tests.changed_survey import changed
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +24,7 @@ def survey(tmp_path_factory):
 def test_adjusted_points_and_the_cloud_at_rods_are_put_together(survey):
     place, local = (E0, N0, LEVEL), np.zeros(3)
     points = tuple(ControlPoint(name, place, local, np.full(3, 0.01), name == "c2") for name in ("c1", "c2"))
-    survey = replace(survey, control=Control(points, (), 0.5), checkpoints=(Checkpoint("rod", place, local),))
+    survey = changed(survey, control=Control(points, (), 0.5), checkpoints=(Checkpoint("rod", place, local),))
     rows = (
         CheckpointRow("rod", LEVEL, 1.0, -0.03),
         CheckpointRow("c2", LEVEL, None, 0.5),

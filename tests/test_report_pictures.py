@@ -27,6 +27,7 @@ from survey.report.profile import _medians, draw_profile, has_profile, two_digit
 from survey.report.seen_cells import SeenCells, cells_of
 from survey.report.unseen_map import codes_of, draw_unseen
 from survey.run.folder import RunDir
+from tests.changed_survey import changed
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +63,7 @@ def test_every_kind_of_bed_gets_a_report(shallow_survey, dry_survey, tmp_path, k
     survey = dry_survey if kind == "dry" else shallow_survey
     if kind == "strip in degrees":
         frame = LocalFrame(CRS("EPSG:4979"), (10.16, 46.89, 2105.0))
-        survey = replace(survey, frame=frame, bounds=None)
+        survey = changed(survey, frame=frame, bounds=None)
     if kind == "tilted water":
         survey = replace(survey, water=replace(survey.water, slope_x=0.01, slope_y=-0.02))
     bed = plane_bed(survey, num=40)

@@ -17,6 +17,7 @@ from survey.report import seen_cells
 from survey.report.seen_cells import CELL_GSD, cells_of
 from survey.run.gate import verdict_of
 from survey.run.stored import StoredBed
+from tests.changed_survey import changed
 
 DOWN = np.diag([1.0, -1.0, -1.0])
 GSD = 0.05
@@ -34,7 +35,7 @@ def survey(tmp_path):
         for x in (0.0, 4.0)
     ]
     views = tuple(replace(view, camera=camera) for view, camera in zip(loaded.views, cameras, strict=False))
-    return replace(loaded, views=views, water=FlatWater((0.0, 0.0, 0.0), n_water=1.0), bounds=None)
+    return changed(loaded, views=views, water=FlatWater((0.0, 0.0, 0.0), n_water=1.0), bounds=None)
 
 
 def bed_over(x0: float, x1: float, *, std: float = 0.01) -> BedPoints:
@@ -88,7 +89,7 @@ def test_only_ground_that_two_views_see_is_asked_for(survey, until, passed):
 
 def test_ground_beyond_the_bounds_is_not_asked_for(survey):
     low, high = survey.frame.crs_from_local(np.array([[0.0, -2.0, 0.0], [2.0, 2.0, 0.0]]))
-    bounded = replace(survey, bounds=(low[0], low[1], high[0], high[1]))
+    bounded = changed(survey, bounds=(low[0], low[1], high[0], high[1]))
     (ground, *_) = verdict_of(bounded, stored_bed(bounded, bed_over(-0.5, 2.5)), GSD).gates
     assert ground.value == 100.0
 

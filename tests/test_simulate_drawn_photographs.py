@@ -48,7 +48,7 @@ def test_a_rolling_shutter_takes_each_row_from_where_the_camera_is_then():
 def test_a_survey_drawn_with_a_rolling_shutter_is_loaded_with_the_motion_that_it_was_drawn_with(tmp_path):
     draw_survey(tmp_path / "s", ROLLING)
     survey, scene = load_survey(tmp_path / "s"), stage_drawing(ROLLING)
-    assert survey.warnings == ()
+    assert survey.findings.warnings == ()
     for view, camera in zip(survey.views, scene.cameras, strict=True):
         # XMP has 0.1 m/s, and axes of a frame with its origin a metre away.
         np.testing.assert_allclose(view.camera.motion, camera.motion, atol=0.06 * 0.035 / 119.0)

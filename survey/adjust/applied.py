@@ -37,10 +37,16 @@ MODEL = tuple(f"sparse/{name}" for name in FILES)
 def apply_adjustment(survey: Survey, found: Adjustment) -> Survey:
     """The survey with the poses, lenses and water that an adjustment found."""
     views = _views(survey, found.lenses, found.layout, found.centres, found.rotations, found.readouts_s, found.tides)
-    survey = replace(survey, views=views, points=found.points, ties=None, is_adjusted=True)
-    if found.hours is not None and survey.tide is not None and found.water is not None:
+    tide = survey.observations.tide
+    if found.hours is not None and tide is not None and found.water is not None:
         over = {view.name: view.camera.tide for view in views}
-        survey = replace(survey, tide=with_shift(replace(survey.tide, over=over), views, survey.require_water()[0]))
+        tide = with_shift(replace(tide, over=over), views, survey.require_water()[0])
+    survey = replace(
+        survey,
+        views=views,
+        observations=replace(survey.observations, points=found.points, ties=None, tide=tide),
+        provenance=replace(survey.provenance, is_adjusted=True),
+    )
     if found.layout.finds_readouts and found.readouts_s is not None and len(found.readouts_s) == 1:
         readout = max(found.readouts_s[0], 0.0)
         cameras = replace(survey.config.cameras, rolling_shutter_s=readout, rolling_shutter_std_s=None)
@@ -57,7 +63,13 @@ def at_state(survey: Survey, known: Known, state: State) -> Survey:
     views = _views(
         survey, lenses, known.layout, state.centres, state.rotations, state.readouts, state.tides(known.layout)
     )
-    return replace(survey, views=views, water=state.water, points=state.points, is_adjusted=True)
+    return replace(
+        survey,
+        views=views,
+        water=state.water,
+        observations=replace(survey.observations, points=state.points),
+        provenance=replace(survey.provenance, is_adjusted=True),
+    )
 
 
 def _views(

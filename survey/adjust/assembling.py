@@ -140,7 +140,7 @@ def _gps_std(known: Known) -> tuple[float, float, float] | None:
 
 def _warnings(survey: Survey, done: Adjusted) -> list[str]:
     """About control, positions and photographs that the block contradicts or hardly holds."""
-    warnings = control_warnings(survey.control, survey.views, done.used, done.solution.state)
+    warnings = control_warnings(survey.observations.control, survey.views, done.used, done.solution.state)
     for kind, bad in zip(("positions", "rotations"), done.blunders.T, strict=True):
         if bad.any():
             names = ", ".join(view.name for view, is_bad in zip(survey.views, bad, strict=True) if is_bad)
@@ -234,9 +234,10 @@ def _water(
 
 def _control(survey: Survey, used: Observed, solution, state: State) -> tuple[ControlResidual, ...]:
     """How the block fits its control points."""
-    if survey.control is None:
+    control = survey.observations.control
+    if control is None:
         return ()
-    by_name = {point.name: point for point in survey.control.points}
+    by_name = {point.name: point for point in control.points}
     first = len(used.ties) - len(used.control)
     found = []
     for number, name in enumerate(used.control, start=first):

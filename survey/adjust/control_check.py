@@ -217,9 +217,10 @@ class Apart:
 
 def is_lone(survey: Survey) -> bool:
     """Whether a survey has control that cannot check itself, and positions that place the block without it."""
-    points = () if survey.control is None else survey.control.points
+    control = survey.observations.control
+    points = () if control is None else control.points
     num = sum(not point.is_check for point in points)
-    placed = sum(prior.position is not None for prior in survey.priors.values())
+    placed = sum(prior.position is not None for prior in survey.observations.priors.values())
     return 0 < num < PLACE_A_BLOCK and placed >= _FEWEST_POSITIONS
 
 

@@ -35,7 +35,7 @@ def deep_check(folder: Path, *, device: str = "auto") -> list[Section]:
         with progress.stage("Poses", 1.0) as stage, suppress(SurveyError):
             checked = check_of_windows(survey, plan, *loaded(survey, plan), stage.advance)
         checked.require_water()
-        survey = replace(survey, contradiction=checked.contradiction)
+        survey = replace(survey, provenance=replace(survey.provenance, contradiction=checked.contradiction))
     with progress.stage("Adjustment", 1.0) as stage:
         found = adjust_survey(survey, device=device, advance=stage.advance)
     sections = [Section("photographs", (*_rows_of_check(checked), *_rows(found)))]

@@ -89,14 +89,14 @@ def check_of_windows(
         If no windows match, as under poses that are off by more than a few pixels: `check_of_features` can tell.
     """
     chosen = _of_middle(survey, plan.height_m)
-    sample = replace(survey, views=tuple(survey.views[i] for i in chosen), ties=None)
+    sample = replace(without_ties(survey), views=tuple(survey.views[i] for i in chosen))
     windows = windows_of_block(sample, plan, block.part(chosen), bound, advance, sparse=True)
     return check_of_ties(sample, plan, WINDOW, windows)
 
 
 def check_of_features(survey: Survey, plan: Plan, features: TiePoints) -> PoseCheck:
     """The check by the features of all photographs, wherever they lie."""
-    return check_of_ties(replace(survey, ties=None), plan, MATCH, features)
+    return check_of_ties(without_ties(survey), plan, MATCH, features)
 
 
 def check_of_ties(survey: Survey, plan: Plan, kind: int, ties: TiePoints) -> PoseCheck:
@@ -122,6 +122,11 @@ def check_of_ties(survey: Survey, plan: Plan, kind: int, ties: TiePoints) -> Pos
         # Errors of poses look like those of the water; all is adjusted together then.
         return PoseCheck(found)
     return PoseCheck(found, tuple(check_given_values(survey, problem, solution.state, of_poses, plan.gsd_m)))
+
+
+def without_ties(survey: Survey) -> Survey:
+    """The survey without the tie points of its structure from motion, whose poses would not count as given."""
+    return replace(survey, observations=replace(survey.observations, ties=None))
 
 
 def _under_best_level(problem: Problem, state: State) -> float | None:

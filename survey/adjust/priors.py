@@ -119,8 +119,9 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
     sheet = np.array([_data_sheet(survey, lens) for lens in lenses])
     none = np.zeros((0, 3))
     state = State(_under_cameras(survey, centres), np.zeros(RELIEF), start, centres, rotations, none, readouts)
-    exact = (free_water or survey.contradiction is not None) and survey.ties is None
-    calibrated = exact and not (survey.contradiction is not None and survey.contradiction.is_of_lens)
+    contradiction = survey.provenance.contradiction
+    exact = (free_water or contradiction is not None) and survey.observations.ties is None
+    calibrated = exact and not (contradiction is not None and contradiction.is_of_lens)
     common_up = 0.0 if free_water else _common_up_std(survey)
     positions, position_std, unknown = _positions(survey, centres, exact=exact, shares_height=common_up > 0.0)
     rotation_std, unknown_rotations = _rotations(survey, exact=exact)
@@ -155,8 +156,9 @@ def _flow(survey: Survey) -> np.ndarray | None:
         return None
     flow = np.zeros((len(survey.views), 3))
     for number, view in enumerate(survey.views):
-        if view.name in survey.velocities:
-            flow[number] = survey.velocities[view.name].local / rows_between(view.lens.height)
+        velocity = survey.observations.velocities.get(view.name)
+        if velocity is not None:
+            flow[number] = velocity.local / rows_between(view.lens.height)
     return flow if flow.any() else None
 
 
@@ -166,9 +168,9 @@ def _rate_std(survey: Survey) -> float | None:
 
 def _hours(survey: Survey) -> np.ndarray | None:
     """See `Layout.hours`."""
-    if survey.water is None or survey.tide is None or _rate_std(survey) is None:
+    if survey.water is None or survey.observations.tide is None or _rate_std(survey) is None:
         return None
-    return np.array([survey.tide.hours[view.name] for view in survey.views])
+    return np.array([survey.observations.tide.hours[view.name] for view in survey.views])
 
 
 def _under_cameras(survey: Survey, centres: np.ndarray):
@@ -196,7 +198,7 @@ def _data_sheet(survey: Survey, lens: Lens) -> np.ndarray:
     """The lens before any photograph was taken with it."""
     given = parameters_of(lens)
     cameras = survey.config.cameras
-    if survey.ties is None or is_held(lens) or cameras.poses is not None:
+    if survey.observations.ties is None or is_held(lens) or cameras.poses is not None:
         return given
     focal = cameras.focal_px[0] if isinstance(cameras.focal_px, tuple) else cameras.focal_px
     middle = cameras.principal_point_px or (0.5 * lens.width, 0.5 * lens.height)
@@ -230,15 +232,16 @@ def _water_std(survey: Survey, *, free: bool) -> np.ndarray:
 
 def shared_height_std(survey: Survey) -> float:
     """Standard deviation [m] of what heights of positions have in common, where nothing but they holds the block."""
-    is_held = survey.control is not None and any(not point.is_check for point in survey.control.points)
-    return 0.0 if survey.ties is None or is_held else common_up_std(survey.priors)
+    given = survey.observations
+    is_held = given.control is not None and any(not point.is_check for point in given.control.points)
+    return 0.0 if given.ties is None or is_held else common_up_std(given.priors)
 
 
 def _common_up_std(survey: Survey) -> float:
     """See `Known.common_up_std`."""
     # What clicks in the photographs say of the level is as high as the block.
-    is_clicked = any(level.source == "clicks" for level in survey.levels)
-    return shared_height_std(survey) if survey.water and survey.is_level_known and not is_clicked else 0.0
+    is_clicked = any(level.source == "clicks" for level in survey.observations.levels)
+    return shared_height_std(survey) if survey.water and survey.provenance.is_level_known and not is_clicked else 0.0
 
 
 def _positions(survey: Survey, centres: np.ndarray, *, exact: bool, shares_height: bool):
@@ -246,7 +249,7 @@ def _positions(survey: Survey, centres: np.ndarray, *, exact: bool, shares_heigh
     positions, std = centres.copy(), np.full(centres.shape, np.inf)
     unknown = np.zeros(len(centres), dtype=bool)
     for number, view in enumerate(survey.views):
-        prior = survey.priors.get(view.name)
+        prior = survey.observations.priors.get(view.name)
         if prior is None or prior.position is None:
             continue
         positions[number] = prior.position
@@ -257,7 +260,7 @@ def _positions(survey: Survey, centres: np.ndarray, *, exact: bool, shares_heigh
             std[number] = EXACT_STD_M
         else:
             unknown[number] = True
-            std[number] = GPS_STD_M if survey.ties is not None else _POSES_STD_M
+            std[number] = GPS_STD_M if survey.observations.ties is not None else _POSES_STD_M
     return positions, std, unknown
 
 
@@ -270,12 +273,12 @@ def _rotations(survey: Survey, *, exact: bool):
     std = np.full((len(survey.views), 3), math.radians(EXACT_STD_DEG) if exact else ROTATION_STD)
     unknown = np.zeros(len(survey.views), dtype=bool)
     for number, view in enumerate(survey.views):
-        prior = survey.priors.get(view.name)
+        prior = survey.observations.priors.get(view.name)
         if prior is None:
             continue
         if prior.rotation_std_deg is not None:
             # About the axes of local; where they differ, those of cam get the largest.
             std[number] = math.radians(float(np.max(prior.rotation_std_deg)))
         else:
-            unknown[number] = not exact and prior.source == BY_POSES and survey.tool is None
+            unknown[number] = not exact and prior.source == BY_POSES and survey.provenance.tool is None
     return std, unknown

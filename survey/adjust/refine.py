@@ -100,7 +100,7 @@ def _adjust(
 ) -> Adjustment:
     """See `adjust_survey`."""
     known = known_of(survey, make_plan(survey).gsd_m, free_water=free_water)
-    if survey.ties is not None or not use_windows:
+    if survey.observations.ties is not None or not use_windows:
         with open_roll_named(known.rolls):
             return _adjusted(survey, known, None, device, advance, use_windows=use_windows, free_water=free_water)
     windows = windows_or_search(
@@ -108,7 +108,7 @@ def _adjust(
     )
     if isinstance(windows, TiePoints):
         return _adjusted(survey, known, windows, device, advance, free_water=free_water)
-    survey = replace(survey, ties=windows.ties)
+    survey = replace(survey, observations=replace(survey.observations, ties=windows.ties))
     known = windows.start(known_of(survey, make_plan(survey).gsd_m, free_water=free_water))
     found = _adjusted(survey, known, None, device, lambda _share: None, free_water=free_water)
     return replace(found, warnings=(windows.warning, *found.warnings))
@@ -128,12 +128,14 @@ def _adjusted(
     gathered = _BlockAdjustment(survey, known, free_water)
     done: Adjusted | None = None
     shares = [0.0, 0.9, 0.1]
-    if survey.ties is not None:
+    if survey.observations.ties is not None:
         shares = _shares(survey, device) if use_windows else [1.0, 0.0, 0.0]
         done = gathered.with_more(
-            MATCH, dry_or_within_bounds(survey, survey.ties) if free_water else survey.ties, known
+            MATCH,
+            dry_or_within_bounds(survey, survey.observations.ties) if free_water else survey.observations.ties,
+            known,
         )
-        if use_windows and not survey.is_level_known and not free_water:
+        if use_windows and not survey.provenance.is_level_known and not free_water:
             _require_level(survey, done)
         advance(shares[0])
     if use_windows:
@@ -149,16 +151,15 @@ def _adjusted(
     water = None if survey.water is not None else water_seen(done, gathered.marks_std)
     notes = roll_notes(survey, done, make_plan(survey).gsd_m) if done.known.rolls and not free_water else []
     found = gathered.result(done, against)
-    if not survey.is_level_known and found.parameter("level_m").status == UNKNOWN:
+    if not survey.provenance.is_level_known and found.parameter("level_m").status == UNKNOWN:
         raise _level_error(survey, found.parameter("level_m").std)
     warnings = [*(_against(found, each) for each in against), *height_doubts(survey, done)]
     warnings += parts_warning(found, survey.water) + ([] if water is None else [str(water)])
     if not free_water:
         warnings += gathered.against_control()
-    if survey.contradiction is not None and survey.contradiction.is_of_lens:
-        warnings.append(
-            f"{survey.contradiction}: the lens is found anew, under the poses that were given with it; correct it"
-        )
+    contradiction = survey.provenance.contradiction
+    if contradiction is not None and contradiction.is_of_lens:
+        warnings.append(f"{contradiction}: the lens is found anew, under the poses that were given with it; correct it")
     return replace(found, notes=(*found.notes, *notes), warnings=(*found.warnings, *warnings))
 
 
@@ -203,13 +204,14 @@ class _BlockAdjustment:
     def __init__(self, survey: Survey, known: Known, free_water: bool):
         self._survey, self.known, self._free_water = survey, known, free_water
         self._sizes = [(view.lens.width, view.lens.height) for view in survey.views]
-        self.marks_std = _MARKS_STD_PX if survey.control is None else survey.control.marks_std_px
+        control = survey.observations.control
+        self.marks_std = _MARKS_STD_PX if control is None else control.marks_std_px
         self._parts: list[tuple[int, TiePoints]] = []
         self._lost: dict[str, Unobservable] = {}
 
     @property
     def _observed(self) -> Observed:
-        return observed(self._parts, self._survey.control, self._survey, self.known)
+        return observed(self._parts, self._survey.observations.control, self._survey, self.known)
 
     def with_more(self, kind: int, ties: TiePoints, start: Known) -> Adjusted:
         """Take in more tie points, those that are needed, and adjust."""
@@ -221,7 +223,7 @@ class _BlockAdjustment:
         if start.common_up_std > 0.0 and len(self._parts) == 1:
             return self._at_level(start)
         done = adjust(start, self._observed, self._sizes, self.marks_std)
-        if len(self._parts) == 1 and self._survey.is_level_known:
+        if len(self._parts) == 1 and self._survey.provenance.is_level_known:
             level = check_dry_block(self._survey, start, self._observed, done, self.marks_std)
             if level is not None:
                 raise dry_bed_error(level, "leave out [water] if the bed is dry")
@@ -243,7 +245,7 @@ class _BlockAdjustment:
     @property
     def _are_stated(self) -> bool:
         """Whether anything says how good positions are."""
-        return any(prior.position_std is not None for prior in self._survey.priors.values())
+        return any(prior.position_std is not None for prior in self._survey.observations.priors.values())
 
     def without_contradictions(self, done: Adjusted) -> tuple[Adjusted, list[Contradiction]]:
         """Adjust with what the photographs contradict of the water set free, the worst first; and what that was."""
@@ -259,10 +261,10 @@ class _BlockAdjustment:
 
     def against_control(self) -> list[str]:
         """A warning where positions and water contradict control that is too little to check itself."""
-        control = self._survey.control
+        control = self._survey.observations.control
         if control is None or not is_lone(self._survey):
             return []
-        alone = replace(self._survey, control=None)
+        alone = replace(self._survey, observations=replace(self._survey.observations, control=None))
         known = known_of(alone, make_plan(alone).gsd_m)
         # With an open roll a block without control tells nothing.
         if known.rolls:
@@ -277,7 +279,7 @@ class _BlockAdjustment:
 
     def result(self, done: Adjusted, against: Sequence[Contradiction]) -> Adjustment:
         """The adjustment in the terms of the survey."""
-        control = self._survey.control
+        control = self._survey.observations.control
         total = sum(len(ties.view) for _, ties in self._parts) + (0 if control is None else len(control.marks))
         if self._free_water:
             return result(self._survey, done, total, lost=self._lost)
@@ -293,7 +295,8 @@ class _BlockAdjustment:
 
 def _of_sample(survey: Survey) -> Contradiction | None:
     """What a sample contradicted under the given poses; once poses are free, the block may tell it less surely."""
-    return None if survey.contradiction is None or survey.contradiction.is_of_lens else survey.contradiction
+    found = survey.provenance.contradiction
+    return None if found is None or found.is_of_lens else found
 
 
 def _against(found: Adjustment, each: Contradiction) -> str:

@@ -84,9 +84,9 @@ class Roll:
 
 def rolls_of(survey: Survey) -> tuple[Roll, ...]:
     """The rolls that positions leave open, of each part that shares no points with others; none of poses of a file."""
-    if survey.ties is None or survey.config.cameras.poses is not None:
+    if survey.observations.ties is None or survey.config.cameras.poses is not None:
         return ()
-    part = parts_of(len(survey.views), survey.ties.point, survey.ties.view)
+    part = parts_of(len(survey.views), survey.observations.ties.point, survey.observations.ties.view)
     found = [_roll_of(survey, np.flatnonzero(part == number)) for number in range(int(part.max(initial=-1)) + 1)]
     return tuple(roll for roll in found if roll is not None)
 
@@ -116,7 +116,7 @@ def without_starts(rolls: Sequence[Roll], layout: Layout, std: np.ndarray) -> tu
 def _roll_of(survey: Survey, views: np.ndarray) -> Roll | None:
     """The roll of some views, where their positions lie on a line."""
     chosen = [survey.views[k] for k in views]
-    priors = [survey.priors.get(view.name) for view in chosen]
+    priors = [survey.observations.priors.get(view.name) for view in chosen]
     placed = [(v.camera.centre, p) for v, p in zip(chosen, priors, strict=True) if p and p.position is not None]
     line = _line_of_positions(placed) if len(placed) >= _FEWEST else _line_of_control(survey, chosen)
     if line is None:
@@ -144,9 +144,10 @@ def _line_of_positions(placed: Sequence[tuple[np.ndarray, PosePrior]]) -> Line |
 
 def _line_of_control(survey: Survey, views: Sequence[View]) -> Line | None:
     """The line of the control points that some views show."""
+    control = survey.observations.control
+    if control is None:
+        return None
     names = {view.name for view in views}
-    marks = () if survey.control is None else survey.control.marks
-    shown = {mark.point for mark in marks if mark.view in names}
-    points = () if survey.control is None else survey.control.points
-    given = [point for point in points if point.name in shown and not point.is_check]
+    shown = {mark.point for mark in control.marks if mark.view in names}
+    given = [point for point in control.points if point.name in shown and not point.is_check]
     return line_of_control(given) if len(given) >= _FEWEST else None

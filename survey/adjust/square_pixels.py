@@ -18,7 +18,8 @@ _MOST_BEND = 0.01
 
 def with_square_pixels(survey: Survey) -> tuple[Survey, str | None]:
     """The survey with one focal length for both sides, and a note of it, where straight rays found two; else itself."""
-    if survey.tool is None or survey.water is None:
+    tool = survey.provenance.tool
+    if tool is None or survey.water is None:
         return survey, None
     square = {view.lens: _square(view.lens) for view in survey.views}
     changed = [lens for lens, other in square.items() if other != lens]
@@ -30,7 +31,7 @@ def with_square_pixels(survey: Survey) -> tuple[Survey, str | None]:
         views.append(replace(view, lens=square[view.lens], camera=replace(view.camera, fx=fx, fy=fy)))
     fx, fy = changed[0].focal
     note = (
-        f"pixels are taken as square: {survey.tool} found focal lengths of {fx:.2f} and {fy:.2f} px with straight "
+        f"pixels are taken as square: {tool} found focal lengths of {fx:.2f} and {fy:.2f} px with straight "
         "rays, which water bends"
     )
     return replace(survey, views=tuple(views)), note

@@ -204,10 +204,10 @@ def nadir_views(survey: Survey) -> Survey:
     if looks_down.sum() < 3:
         raise SurveyError(f"{looks_down.sum()} views look down within {NADIR_DEG:g} degrees, expected three or more")
     views = tuple(view for view, kept in zip(survey.views, looks_down, strict=True) if kept)
-    ties = survey.ties
+    ties = survey.observations.ties
     if ties is not None:
         ties = ties.only(looks_down[ties.view]).renumbered(np.cumsum(looks_down) - 1)
-    return replace(survey, views=views, ties=ties)
+    return replace(survey, views=views, observations=replace(survey.observations, ties=ties))
 
 
 def _covariance(survey: Survey, found: Adjustment) -> tuple[tuple[float, ...], ...]:

@@ -38,7 +38,87 @@ from survey.photos.cameras import View
 from survey.photos.images import load_image, load_mask
 from survey.photos.tie_points import TiePoints
 
-__all__ = ["Found", "Survey", "View", "find_survey", "load_image", "load_mask", "load_survey"]
+__all__ = [
+    "Found",
+    "Observations",
+    "Provenance",
+    "Survey",
+    "View",
+    "find_survey",
+    "load_image",
+    "load_mask",
+    "load_survey",
+]
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Measurements of a survey besides its photographs.
+
+    Attributes
+    ----------
+    points : (N, 3) float64 [m], local, or None
+        Matched points that three photographs or more see, on straight rays, or those of an adjustment with bent rays;
+        None where the poses came without any.
+    ties : TiePoints or None
+        These points with their places in the photographs as they were taken, where structure from motion found them.
+    priors : dict of name to PosePrior
+        What is known of the pose of each view besides its photograph.
+    control : Control or None
+        Control points that the photographs show.
+    checkpoints : tuple of Checkpoint
+        Points that results are compared with; none where there is no file of them.
+    levels : tuple of LevelObservation
+        Measurements of the water level; the settings have their mean and its standard deviation.
+    velocities : dict of name to Velocity
+        Of the views for which one is known.
+    tide : Tide or None
+        How the level moved from photograph to photograph, which cameras have where it matters (`PinholeCamera.tide`);
+        None where nothing is said of it.
+    """
+
+    points: np.ndarray | None = field(default=None, compare=False, repr=False)
+    ties: TiePoints | None = field(default=None, compare=False, repr=False)
+    priors: Mapping[str, PosePrior] = field(default_factory=dict, compare=False, repr=False)
+    control: Control | None = field(default=None, compare=False, repr=False)
+    checkpoints: tuple[Checkpoint, ...] = field(default=(), compare=False, repr=False)
+    levels: tuple[LevelObservation, ...] = field(default=(), compare=False, repr=False)
+    velocities: Mapping[str, Velocity] = field(default_factory=dict, compare=False, repr=False)
+    tide: Tide | None = field(default=None, compare=False, repr=False)
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where poses, level and index of a survey come from, and how well they fit the photographs.
+
+    Attributes
+    ----------
+    tool : str or None
+        The program that adjusted the poses of the poses file on straight rays; None where there is no file, or it does
+        not say.
+    reprojection : Reprojection or None
+        Reprojection error of the tie points of the poses file; None where there are none.
+    pose_misfit_px : float or None
+        Reprojection misfit between photographs under the given poses [px]; below 0 where too little matches, None
+        before it is measured.
+    contradiction : Contradiction or None
+        Where a sample of photographs contradicts the given water or lens, under poses that it confirms.
+    is_adjusted : bool
+        Whether views, water and points are those of an adjustment with bent rays.
+    is_level_known : bool
+        Whether survey.toml gives the level of the water; else that of the survey is a guess.
+    is_index_known : bool
+        Whether survey.toml says anything of the index of the water; else the settings have an assumed one, with the
+        standard deviation of an assumed one.
+    """
+
+    tool: str | None = None
+    reprojection: Reprojection | None = None
+    pose_misfit_px: float | None = None
+    contradiction: Contradiction | None = None
+    is_adjusted: bool = False
+    is_level_known: bool = True
+    is_index_known: bool = True
 
 
 @dataclass(frozen=True)
@@ -55,45 +135,12 @@ class Survey:
         Sorted by name.
     water : FlatWater or None
         Local; None for a dry survey.
-    bounds : (e0, n0, e1, n1) or None
-        In crs: where the bed is wanted.
     config : SurveyConfig
         The settings that took effect, defaults filled in.
-    assumptions, warnings : sentences
-    points : (N, 3) float64 [m], local, or None
-        Matched points that three photographs or more see, on straight rays; None where the poses came without any.
-    ties : TiePoints or None
-        These points with their places in the photographs as they were taken, where structure from motion found them.
-    is_adjusted : bool
-        Whether views and water are those of an adjustment with bent rays, and `points` too.
-    tool : str or None
-        The program that adjusted the poses of the poses file on straight rays; None where there is no file, or it does
-        not tell.
-    reprojection : Reprojection or None
-        How well tie points of the poses file fall back on their places; None where there are none.
-    pose_misfit_px : float or None
-        By how much photographs miss each other under the given poses [px]; below 0 where too little matches to tell,
-        None where nobody has looked.
-    contradiction : Contradiction or None
-        Where a sample of photographs contradicts what is given of water or lens, under poses that they bear out.
-    is_level_known : bool
-        Whether survey.toml tells the level of the water; else that of `water` is a guess.
-    is_index_known : bool
-        Whether survey.toml says anything of the index of the water; else `config` has one that is assumed, with the
-        standard deviation of one that is.
-    priors : dict of name to PosePrior
-        What is known of the pose of each view besides its photograph.
-    control : Control or None
-        Control points that the photographs show.
-    checkpoints : tuple of Checkpoint
-        Points that results are compared with; none where there is no file of them.
-    levels : tuple of LevelObservation
-        What was measured of the water level, of which `config` has the mean and its standard deviation.
-    velocities : dict of name to Velocity
-        Of the views of which anything tells it.
-    tide : Tide or None
-        How the level moved from photograph to photograph, which cameras have where it matters (`PinholeCamera.tide`);
-        None where nothing is said of it.
+    observations : Observations
+    provenance : Provenance
+    findings : Findings
+        Assumptions and warnings of all readers.
     """
 
     name: str
@@ -101,31 +148,22 @@ class Survey:
     frame: LocalFrame
     views: tuple[View, ...]
     water: FlatWater | None
-    bounds: tuple[float, float, float, float] | None
     config: SurveyConfig
-    assumptions: tuple[str, ...]
-    warnings: tuple[str, ...]
-    points: np.ndarray | None = field(default=None, compare=False, repr=False)
-    ties: TiePoints | None = field(default=None, compare=False, repr=False)
-    is_adjusted: bool = False
-    is_level_known: bool = True
-    is_index_known: bool = True
-    tool: str | None = None
-    reprojection: Reprojection | None = None
-    pose_misfit_px: float | None = None
-    contradiction: Contradiction | None = None
-    priors: Mapping[str, PosePrior] = field(default_factory=dict, compare=False, repr=False)
-    control: Control | None = field(default=None, compare=False, repr=False)
-    checkpoints: tuple[Checkpoint, ...] = field(default=(), compare=False, repr=False)
-    levels: tuple[LevelObservation, ...] = field(default=(), compare=False, repr=False)
-    velocities: Mapping[str, Velocity] = field(default_factory=dict, compare=False, repr=False)
-    tide: Tide | None = field(default=None, compare=False, repr=False)
+    observations: Observations = field(default_factory=Observations)
+    provenance: Provenance = field(default_factory=Provenance)
+    findings: Findings = field(default_factory=Findings)
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float] | None:
+        """(e0, n0, e1, n1) in crs where the bed is wanted; None for all that the photographs see."""
+        return self.config.area.bounds
 
     @property
     def plan_std_m(self) -> float:
         """Standard deviation [m] that all places in plan have in common, by a transformation of datums."""
-        control = () if self.control is None else tuple(point for point in self.control.points if not point.is_check)
-        return min(point.common_plan_std for point in control) if control else common_plan_std(self.priors)
+        found = self.observations.control
+        control = () if found is None else tuple(point for point in found.points if not point.is_check)
+        return min(point.common_plan_std for point in control) if control else common_plan_std(self.observations.priors)
 
     def require_water(self) -> tuple[FlatWater, WaterConfig]:
         """The water plane and its settings, with level, place and index.
@@ -195,22 +233,17 @@ def load_survey(
         frame=frame,
         views=tuple(views),
         water=water,
-        bounds=config.area.bounds,
         config=config,
-        assumptions=tuple(assumptions),
-        warnings=tuple(warnings),
-        points=block.points,
-        ties=block.ties,
-        is_level_known=is_level_known,
-        is_index_known=block.found.config.water is None or block.found.config.water.says_index,
-        tool=block.tool,
-        reprojection=block.reprojection,
-        priors=block.priors,
-        control=block.control,
-        checkpoints=block.checkpoints,
-        levels=levels,
-        velocities=velocities,
-        tide=tide,
+        observations=Observations(
+            block.points, block.ties, block.priors, block.control, block.checkpoints, levels, velocities, tide
+        ),
+        provenance=Provenance(
+            block.tool,
+            block.reprojection,
+            is_level_known=is_level_known,
+            is_index_known=block.found.config.water is None or block.found.config.water.says_index,
+        ),
+        findings=Findings(tuple(assumptions), tuple(warnings)),
     )
 
 

@@ -78,7 +78,7 @@ def require_processable(folder: Path) -> Checked:
         return Checked(found, None, (*found.warnings, *require_solvable(found)), level_doubt(found, None))
     survey = load_survey(folder, found=found)
     require_seen(survey)
-    return Checked(found, survey, survey.warnings, level_doubt(found, survey))
+    return Checked(found, survey, survey.findings.warnings, level_doubt(found, survey))
 
 
 def check_survey(
@@ -121,13 +121,13 @@ def check_survey(
         workload = replace(workload, memory_bytes=int(tiles.memory_bytes))
         plan = replace(plan, decisions=(*plan.decisions, *tiles.decisions))
     except SurveyError as error:
-        if survey.reprojection is None:
+        if survey.provenance.reprojection is None:
             raise
         # Where tie points prove the poses, what they say is worth printing, though nothing can be made of them.
         workload = f"process refuses this survey: {error}"
     room = room_doubts(workload, folder / RUN_FOLDER) if isinstance(workload, Workload) else [workload]
     warnings = (*checked.doubts, *room)
-    return _sections(rows, plan.decisions, workload, survey.assumptions, warnings, plan.as_dict())
+    return _sections(rows, plan.decisions, workload, survey.findings.assumptions, warnings, plan.as_dict())
 
 
 def _sections(
@@ -145,7 +145,7 @@ def _rows_of_survey(found: Found, survey: Survey, plan: Plan) -> list[tuple[str,
     centres = np.array([view.camera.centre for view in survey.views])
     heights = survey.frame.crs_from_local(centres)[:, 2]
     off_nadir = np.degrees([np.arccos(np.clip(-view.camera.cam_from_local[2, 2], -1.0, 1.0)) for view in survey.views])
-    shutter = shutter_text(survey.config.cameras, survey.velocities, survey.views, survey.water)
+    shutter = shutter_text(survey.config.cameras, survey.observations.velocities, survey.views, survey.water)
     lenses = Counter((v.lens.model, v.lens.width, v.lens.height, v.lens.focal[0]) for v in survey.views)
     rows = [
         ("survey", f"{survey.name} in {survey.folder}"),
@@ -164,9 +164,9 @@ def _rows_of_survey(found: Found, survey: Survey, plan: Plan) -> list[tuple[str,
         ("pixels", f"{length(plan.gsd_m)} on the ground at the size that is worked on, median"),
         ("local frame", f"topocentric at {', '.join(f'{v:.10g}' for v in survey.frame.origin)}"),
         ("water", _water(survey)),
-        ("accuracy", accuracy_of_priors(survey.priors)),
+        ("accuracy", accuracy_of_priors(survey.observations.priors)),
         *([] if shutter is None else [("shutter", shutter)]),
-        *(() if survey.reprojection is None else (("tie points", str(survey.reprojection)),)),
+        *(() if survey.provenance.reprojection is None else (("tie points", str(survey.provenance.reprojection)),)),
         *control_rows(found.control),
         *mark_rows(survey),
     ]
@@ -186,7 +186,7 @@ def _water(survey: Survey) -> str:
         f"level {water.level_m:g} m at {east:.10g}, {north:.10g}, slope "
         f"{water.slope_east:g} east and {water.slope_north:g} north, index {water.refractive_index:g}; cameras "
         f"{_range(-plane.depth(centres))} m over it"
-        f"{water_stds(water, survey.levels, is_index_known=survey.is_index_known)}"
+        f"{water_stds(water, survey.observations.levels, is_index_known=survey.provenance.is_index_known)}"
     )
 
 

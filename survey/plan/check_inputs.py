@@ -33,10 +33,11 @@ def control_rows(control: FoundControl | None) -> list[tuple[str, str]]:
 
 def mark_rows(survey: Survey) -> list[tuple[str, str]]:
     """How far the marks of control points lie from where the poses show these points; no row without control."""
-    if survey.control is None:
+    control = survey.observations.control
+    if control is None:
         return []
-    away = mark_residuals(survey.control, survey.views, survey.water)
-    worst = survey.control.marks[int(np.argmax(np.nan_to_num(away, nan=np.inf)))]
+    away = mark_residuals(control, survey.views, survey.water)
+    worst = control.marks[int(np.argmax(np.nan_to_num(away, nan=np.inf)))]
     return [
         (
             "marks",

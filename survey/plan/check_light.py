@@ -163,7 +163,10 @@ def _some(found: Found) -> list[str]:
 
 def _motion(found: Found, survey: Survey | None) -> tuple[float | None, float | None, float | None, str]:
     """Speed, exposure and pixel of the photograph that moves most, and of how many photographs they are known."""
-    velocities = survey.velocities if survey is not None else velocities_of(_gps_places(found), found.heads, None)
+    if survey is not None:
+        velocities = survey.observations.velocities
+    else:
+        velocities = velocities_of(_gps_places(found), found.heads, None)
     speeds = {name: velocity.speed for name, velocity in velocities.items()}
     exposures = {name: head.exposure_s for name, head in found.heads.items() if head.exposure_s is not None}
     both = sorted(speeds.keys() & exposures.keys(), key=lambda name: speeds[name] * exposures[name])

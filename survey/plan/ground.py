@@ -21,11 +21,12 @@ def dry_ground(survey: Survey) -> Ground:
     From the median of the tie points, else of the control points, else the middle of ``[area] heights``, else where
     the axes of oblique views converge, else where neighbours overlap as planners aim at.
     """
-    if survey.points is not None and len(survey.points) >= _FEWEST_POINTS:
-        return Ground(float(np.median(survey.points[:, 2])), f"the median of {len(survey.points):,} tie points")
+    points, control = survey.observations.points, survey.observations.control
+    if points is not None and len(points) >= _FEWEST_POINTS:
+        return Ground(float(np.median(points[:, 2])), f"the median of {len(points):,} tie points")
     cameras = [view.camera for view in survey.views]
-    if survey.control is not None and survey.control.points:
-        places = np.array([point.local for point in survey.control.points])
+    if control is not None and control.points:
+        places = np.array([point.local for point in control.points])
         return Ground(float(np.median(places[:, 2])), f"the median of {len(places)} control points")
     heights = survey.config.area.heights
     if heights is not None:

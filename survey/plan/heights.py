@@ -69,8 +69,9 @@ def height_range(survey: Survey, flying_m: float) -> HeightRange:
     """
     if survey.config.area.heights is not None:
         return _of_config(survey, survey.config.area.heights)
-    if survey.points is not None and len(survey.points) >= _FEWEST_POINTS:
-        return _of_points(survey, survey.points, flying_m)
+    points = survey.observations.points
+    if points is not None and len(points) >= _FEWEST_POINTS:
+        return _of_points(survey, points, flying_m)
     if survey.water is not None:
         low, high = -DEEPEST * flying_m, HIGHEST * flying_m
         return HeightRange(
@@ -124,7 +125,7 @@ def _of_points(survey: Survey, points: np.ndarray, flying_m: float) -> HeightRan
     apparent_low, high = (float(v) for v in np.quantile(apparent, _OUTER))
     margin = max(_MARGIN_SPAN * (high - low), _MARGIN_FLYING * flying_m)
     wet = f", the deepest no lower than {low:.1f} m through the water" if low < apparent_low else ""
-    kind = "heights" if survey.is_adjusted else "apparent heights"
+    kind = "heights" if survey.provenance.is_adjusted else "apparent heights"
     reason = (
         f"{kind} of the {len(apparent):,} matched points: {apparent_low:.1f} to {high:.1f} m{wet}; "
         f"{margin:.1f} m are added on both sides"
@@ -138,7 +139,7 @@ def _of_points(survey: Survey, points: np.ndarray, flying_m: float) -> HeightRan
 def _deepest(survey: Survey, points: np.ndarray, apparent: np.ndarray) -> np.ndarray:
     """Lowest true heights (N,) [m] over the plane for points (N, 3) with apparent heights (N,)."""
     water, wet = survey.water, apparent < 0.0
-    if water is None or survey.is_adjusted or not wet.any():
+    if water is None or survey.provenance.is_adjusted or not wet.any():
         return apparent
     points, up = points[wet], np.array(water.up)
     cosine = np.ones(len(points))

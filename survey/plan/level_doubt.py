@@ -33,7 +33,7 @@ def level_doubt(found: Found, survey: Survey | None) -> str | None:
     """
     water = found.config.water
     is_given = water is None or water.level_m is not None or water.clicks is not None
-    if is_given or (survey is not None and survey.is_level_known):
+    if is_given or (survey is not None and survey.provenance.is_level_known):
         return None
     tilts = (
         _tilts_of_heads(found)

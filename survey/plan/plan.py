@@ -172,11 +172,11 @@ def device_decision(device: str) -> Decision:
 
 def _level(survey: Survey) -> tuple[Decision, ...]:
     """Whether each photograph has its own level; nothing where none is said to move."""
-    tide = survey.tide
+    tide = survey.observations.tide
     if tide is None:
         return ()
     water = survey.config.water
-    if water is not None and water.level_rate_std_m_per_h is not None and not survey.is_adjusted:
+    if water is not None and water.level_rate_std_m_per_h is not None and not survey.provenance.is_adjusted:
         known = f"{water.level_rate_m_per_h:g} +- {water.level_rate_std_m_per_h:g} m/h"
         return (Decision("level", "per photograph", f"its rate, known to {known}, is found with the poses"),)
     moves = f"{tide.source}, moves by {length(tide.moves_m)} over the flight, images by up to {tide.shift_px:.2g} px"

@@ -23,22 +23,23 @@ def pose_choice(survey: Survey, asked: str, *, free_water: bool) -> tuple[str, s
     SurveyError
         If the water, or its level, is to be found with poses that are to be kept.
     """
-    if survey.is_adjusted:
+    provenance = survey.provenance
+    if provenance.is_adjusted:
         return "refine", "adjusted with lens and water; adjustment.json has what was found"
     if free_water and asked == Poses.fixed:
         raise SurveyError("--calibrate-water finds the water together with the poses; leave out --poses fixed")
-    if asked == Poses.fixed and not survey.is_level_known:
+    if asked == Poses.fixed and not provenance.is_level_known:
         raise SurveyError(
             "[water] has no level, and --poses fixed leaves out the adjustment that would find it; give level_m, or "
             "leave out --poses fixed"
         )
     if asked != Poses.auto:
         return asked, "set by --poses"
-    if survey.ties is not None:
+    if survey.observations.ties is not None:
         return "refine", "structure from motion has straight rays: poses, lens and water are adjusted with bent ones"
-    if survey.control is not None:
+    if survey.observations.control is not None:
         return "refine", "there are control points to adjust to"
-    sources = {prior.source for prior in survey.priors.values()}
+    sources = {prior.source for prior in survey.observations.priors.values()}
     if "survey.toml" in sources:
         return "refine", "survey.toml says how well the poses are known, and they are refined within that"
     if survey.config.cameras.rolling_shutter_std_s is not None:
@@ -49,24 +50,24 @@ def pose_choice(survey: Survey, asked: str, *, free_water: bool) -> tuple[str, s
         return "refine", "the poses file says how well positions were known before, and poses are refined within that"
     if free_water:
         return "refine", "--calibrate-water finds the water together with what is uncertain of poses and lens"
-    if survey.tool is not None and survey.water is not None:
+    if provenance.tool is not None and survey.water is not None:
         # Poses that lean on wrong rays cannot witness against the water.
         return (
             "refine",
-            f"{survey.tool} adjusted them with straight rays: poses, lens and water are adjusted with bent ones",
+            f"{provenance.tool} adjusted them with straight rays: poses, lens and water are adjusted with bent ones",
         )
     if len(survey.views) < _FEWEST_VIEWS:
         return (
             "fixed",
             f"{_UNSTATED}; to check them takes at least {_FEWEST_VIEWS} views, and there are {len(survey.views)}",
         )
-    if survey.pose_misfit_px is None:
+    if provenance.pose_misfit_px is None:
         return "check", f"{_UNSTATED}, unless photographs contradict them"
-    if survey.pose_misfit_px < 0.0:
+    if provenance.pose_misfit_px < 0.0:
         return "fixed", f"{_UNSTATED}; too little matches to check them"
-    said = f"photographs miss each other by {survey.pose_misfit_px:.2f} px under the given poses"
-    if survey.contradiction is not None:
-        return "refine", f"{said}, and {survey.contradiction}: water, poses and lens are adjusted"
-    if survey.pose_misfit_px > MOST_MISFIT_PX:
+    said = f"photographs miss each other by {provenance.pose_misfit_px:.2f} px under the given poses"
+    if provenance.contradiction is not None:
+        return "refine", f"{said}, and {provenance.contradiction}: water, poses and lens are adjusted"
+    if provenance.pose_misfit_px > MOST_MISFIT_PX:
         return "refine", f"{said}, more than {MOST_MISFIT_PX:g}: poses, lens and water are adjusted"
     return "fixed", f"{said}, at most {MOST_MISFIT_PX:g}: there is nothing to win by adjusting them"

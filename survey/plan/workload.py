@@ -177,7 +177,7 @@ def _first_hypotheses(survey: Survey, plan: Plan) -> float:
 
     Without matched points or [area] heights the range is wide, and thumbnails narrow it.
     """
-    is_told = survey.config.area.heights is not None or survey.points is not None
+    is_told = survey.config.area.heights is not None or survey.observations.points is not None
     if not is_told or len(survey.views) > _MOST_VIEWS:
         return FIRST_HYPOTHESES
     low, high = limits(survey)

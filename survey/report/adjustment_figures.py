@@ -189,7 +189,7 @@ def correlations(found: Adjustment) -> tuple[tuple[str, ...], np.ndarray]:
 
 
 def _positions(survey: Survey, found: Adjustment) -> PositionFigures | None:
-    given = {name: prior.position for name, prior in survey.priors.items() if prior.position is not None}
+    given = {name: prior.position for name, prior in survey.observations.priors.items() if prior.position is not None}
     rows = [i for i, name in enumerate(found.names) if name in given]
     if not rows:
         return None

@@ -121,7 +121,8 @@ def draw_parts(path: Path, survey: Survey, found: Adjustment) -> Picture:
 
 
 def _draw_control(axes: Axes, survey: Survey, found: Adjustment) -> None:
-    places = {} if survey.control is None else {point.name: point.crs[:2] for point in survey.control.points}
+    control = survey.observations.control
+    places = {} if control is None else {point.name: point.crs[:2] for point in control.points}
     for is_check, colour, mark, label in ((False, RED, "^", "control point"), (True, BLUE, "s", "check point")):
         rows = [places[row.name] for row in found.control if row.is_check == is_check]
         if rows:

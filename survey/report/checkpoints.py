@@ -117,8 +117,9 @@ def checkpoints_of(
     None for a survey without check points: those of [control] checkpoints, and the control points that their file calls
     check points.
     """
-    marked = () if survey.control is None else tuple(point for point in survey.control.points if point.is_check)
-    given: tuple[Checkpoint | ControlPoint, ...] = (*survey.checkpoints, *marked)
+    control = survey.observations.control
+    marked = () if control is None else tuple(point for point in control.points if point.is_check)
+    given: tuple[Checkpoint | ControlPoint, ...] = (*survey.observations.checkpoints, *marked)
     if not given:
         return None
     places = np.array([point.local for point in given])

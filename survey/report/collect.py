@@ -68,13 +68,13 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
         timings_s=facts.timings,
         versions=facts.versions,
         settings=plain(facts.settings),
-        assumptions=tuple(survey.assumptions),
+        assumptions=tuple(survey.findings.assumptions),
         warnings=(
             *failed,
             *dry_doubts(survey, facts.bed),
             *doubts(facts.photographs),
             *checkpoint_doubts(checkpoints),
-            *survey.warnings,
+            *survey.findings.warnings,
         ),
         notes=(*facts.notes, *told),
         checkpoints=checkpoints,
@@ -117,8 +117,9 @@ def _survey(survey: Survey, num_left_out: int) -> SurveyFigures:
         views_left_out=num_left_out,
         image_size_px=(camera.width, camera.height),
         focal_px=camera.fx,
-        poses=(config.cameras.poses or "structure from motion") + (", adjusted" if survey.is_adjusted else ""),
-        shutter=shutter_text(config.cameras, survey.velocities, survey.views, survey.water),
+        poses=(config.cameras.poses or "structure from motion")
+        + (", adjusted" if survey.provenance.is_adjusted else ""),
+        shutter=shutter_text(config.cameras, survey.observations.velocities, survey.views, survey.water),
         local_frame_origin=survey.frame.origin,
     )
 
@@ -138,8 +139,8 @@ def _water(facts: ReportFacts) -> WaterFigures | None:
         return "found by the adjustment" if names & found else otherwise
 
     water, config = survey.require_water()
-    assumed = [text for text in survey.assumptions if text.startswith("refractive_index")]
-    level = [text for text in survey.assumptions if text.startswith("level_m")]
+    assumed = [text for text in survey.findings.assumptions if text.startswith("refractive_index")]
+    level = [text for text in survey.findings.assumptions if text.startswith("level_m")]
     return WaterFigures(
         level_m=config.known_level_m,
         level_at=config.known_level_at,

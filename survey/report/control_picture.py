@@ -48,13 +48,14 @@ def residuals_of(
     survey: Survey, adjustment: Adjustment | None, checkpoints: CheckpointFigures | None
 ) -> list[Residual]:
     """Control points by the adjustment, and check points by it, else by the height of the cloud."""
-    control = {} if survey.control is None else {point.name: point for point in survey.control.points}
+    given = survey.observations.control
+    control = {} if given is None else {point.name: point for point in given.points}
     found = {
         row.name: Residual(row.name, control[row.name].crs[:2], row.residual_m, row.is_check)
         for row in (() if adjustment is None else adjustment.control)
     }
     places = {name: point.crs[:2] for name, point in control.items()}
-    places |= {point.name: point.crs[:2] for point in survey.checkpoints}
+    places |= {point.name: point.crs[:2] for point in survey.observations.checkpoints}
     for row in () if checkpoints is None else checkpoints.rows:
         if row.name not in found and row.difference_m is not None:
             off = (float("nan"), float("nan"), row.difference_m)

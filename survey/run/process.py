@@ -225,9 +225,9 @@ def _announce(
     """Say what is going to be done and what it takes; raise where the machine cannot. Returns the tiles."""
     plan = make_plan(survey, chosen, recipe=None if aimed is None else aimed.recipe)
     progress.note(f"{survey.name}: {len(survey.views)} views, a pixel covers {length(plan.gsd_m)} of the ground")
-    for text in survey.assumptions:
+    for text in survey.findings.assumptions:
         progress.note(f"assumed: {text}")
-    for text in survey.warnings:
+    for text in survey.findings.warnings:
         progress.warn(text)
     earlier = run.found_before(SHARED).get("tiles")
     in_one = workload_of(survey, plan)

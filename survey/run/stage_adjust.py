@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from survey.adjust import refine
 from survey.adjust.adjustment import ARRAYS, JSON, read_adjustment, write_adjustment
 from survey.adjust.applied import CAMERAS, MODEL, apply_adjustment, write_cameras
+from survey.findings import Findings
 
 if TYPE_CHECKING:
     from survey.run.job import Job
@@ -40,4 +41,4 @@ def use_adjustment(job: Job, folder: Path) -> None:
         job.progress.note(f"adjustment: {text}")
     for text in found.warnings:
         job.progress.warn(text)
-    job.take(replace(survey, assumptions=survey.assumptions + found.notes, warnings=survey.warnings + found.warnings))
+    job.take(replace(survey, findings=survey.findings + Findings(found.notes, found.warnings)))

@@ -42,6 +42,8 @@ def use_misfit(job: Job, folder: Path) -> None:
     told = tuple(Contradiction(**each) for each in values["told"])
     found = PoseCheck(misfit, told, None if flooded is None else Contradiction(**flooded))
     found.require_water()
-    job.take(replace(job.survey, pose_misfit_px=-1.0 if misfit is None else misfit, contradiction=found.contradiction))
+    misfit_px = -1.0 if misfit is None else misfit
+    provenance = replace(job.survey.provenance, pose_misfit_px=misfit_px, contradiction=found.contradiction)
+    job.take(replace(job.survey, provenance=provenance))
     choice, reason = job.plan.poses
     job.progress.note(f"plan: poses: {choice} ({reason})")

@@ -26,4 +26,4 @@ def estimate_colour(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
 def use_colour(job: Job, folder: Path) -> None:
     """Give the job's survey the absorption that was found."""
     job.survey = with_colour(job.survey, folder)
-    job.progress.note(f"water colour: {job.survey.assumptions[-1]}")
+    job.progress.note(f"water colour: {job.survey.findings.assumptions[-1]}")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from geo.files import write_whole
 from survey.errors import SurveyError
+from survey.findings import Findings
 
 if TYPE_CHECKING:
     from fields.sweep.maps import Sources
@@ -58,4 +59,5 @@ def with_colour(survey: Survey, folder: Path) -> Survey:
     water = replace(given, absorption_per_m=absorption, veiling_light=(0.0, 0.0, 0.0))
     said = ", ".join(f"{a:.3f}" for a in absorption)
     note = f"absorption_per_m = [{said}], from the photographs, and no veiling_light"
-    return replace(survey, config=replace(survey.config, water=water), assumptions=(*survey.assumptions, note))
+    findings = survey.findings + Findings(assumptions=(note,))
+    return replace(survey, config=replace(survey.config, water=water), findings=findings)

@@ -15,7 +15,7 @@ from survey.errors import FILE_NAME, SurveyError
 from survey.folder.config import AreaConfig, SurveyConfig, WaterConfig
 from survey.folder.datum_mixups import place_of
 from survey.folder.pose_priors import PosePrior
-from survey.folder.survey import Survey
+from survey.folder.survey import Observations, Survey
 from survey.photos.cameras import View
 from survey.photos.tie_points import TiePoints
 from survey.plan.check import Section
@@ -113,15 +113,14 @@ def survey_of(plan: Plan) -> Survey:
             View(name, Path(name), camera, plan.lens) for name, camera in zip(names, plan.cameras, strict=True)
         ),
         water=plan.site.water,
-        bounds=bounds,
         config=SurveyConfig(name=settings.name, crs=settings.crs, water=water, area=AreaConfig(bounds=bounds)),
-        assumptions=(),
-        warnings=(),
-        ties=TiePoints(np.empty((0, 3)), none, none, np.empty((0, 2))),
-        priors={
-            name: PosePrior(camera.centre, std, None, "the plan")
-            for name, camera in zip(names, plan.cameras, strict=True)
-        },
+        observations=Observations(
+            ties=TiePoints(np.empty((0, 3)), none, none, np.empty((0, 2))),
+            priors={
+                name: PosePrior(camera.centre, std, None, "the plan")
+                for name, camera in zip(names, plan.cameras, strict=True)
+            },
+        ),
     )
 
 

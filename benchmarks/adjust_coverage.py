@@ -93,15 +93,15 @@ def covered(
     found = adjust_survey(survey, use_windows=False, free_water=free_water)
     true = _truth(block, survey.config.water.level_m - block.stated_water[0])
     rows = {name: found.parameter(name) for name in NAMES}
-    positions, rotations = pose_errors(block, found.centres, found.rotations)
+    positions, rotations = pose_errors(block, found.poses.centres, found.poses.rotations)
     return Covered(
         seed=seed,
         kind=kind,
         scaled={name: (row.value - true[name]) / row.std for name, row in rows.items()},
         free=frozenset(name for name, row in rows.items() if row.status == FREE),
-        positions=positions / found.position_std,
-        rotations=np.degrees(rotations) / found.rotation_std_deg,
-        factor=found.factor["matches"],
+        positions=positions / found.poses.position_std,
+        rotations=np.degrees(rotations) / found.poses.rotation_std_deg,
+        factor=found.statistics.factor["matches"],
         height=None if common_up_m is None else _height(block, survey, found),
     )
 

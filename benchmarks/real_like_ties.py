@@ -53,8 +53,8 @@ def adjusted_by_ties(block: RealLikeBlock, folder: Path, bed: BedGrid) -> tuple[
         found = adjust_survey(survey := load_survey(folder), device="cpu")
     points = survey.frame.crs_from_local(found.points[: len(found.points) - len(found.control)])
     true = {name_of(k): flight.frame.crs_from_local(flight.cameras[k].centre[None])[0] for k in taken}
-    off = found.centres - survey.frame.local_from_crs(np.array([true[name] for name in found.names]))
-    return points, float(np.mean(np.abs(off) <= 1.96 * found.position_std))
+    off = found.poses.centres - survey.frame.local_from_crs(np.array([true[name] for name in found.poses.names]))
+    return points, float(np.mean(np.abs(off) <= 1.96 * found.poses.position_std))
 
 
 def _ties(flight: Flight, taken: list[int], bed: BedGrid, rng: np.random.Generator) -> TiePoints:

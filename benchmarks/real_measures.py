@@ -130,13 +130,13 @@ def _std(survey: Survey, found: Adjustment, residual: ControlResidual, given_m: 
     """Standard deviation (3,) [m] of a residual: of the block, of the marks, and of the coordinates."""
     control, adjusted = survey.observations.control, apply_adjustment(survey, found)
     assert control is not None
-    number = {name: k for k, name in enumerate(found.names)}
+    number = {name: k for k, name in enumerate(found.poses.names)}
     marks = [mark for mark in control.marks if mark.point == residual.name and mark.view in number]
     views = np.array([number[mark.view] for mark in marks])
     place = next(point.local for point in control.points if point.name == residual.name) + np.array(residual.residual_m)
     ties = TiePoints(place[None], np.zeros(len(marks), np.int64), views, np.array([mark.pixel for mark in marks]))
     moves = place_moves(found, adjusted.water, ties)[0]
-    of_block = np.diag(moves @ found.covariance @ moves.T)
+    of_block = np.diag(moves @ found.covariance.matrix @ moves.T)
     cameras = [adjusted.views[view].lens.camera(v.centre, v.cam_from_local)
                for view in views for v in [adjusted.views[view].camera]]  # fmt: skip
     steps = STEP_M * np.eye(3)
@@ -144,7 +144,7 @@ def _std(survey: Survey, found: Adjustment, residual: ControlResidual, given_m: 
         np.stack([(c.project(place + s, None) - c.project(place - s, None)) / (2.0 * STEP_M) for s in steps], axis=-1)
         for c in cameras
     ])  # fmt: skip
-    std_px = found.std_px.get("marks") or control.marks_std_px
+    std_px = found.statistics.std_px.get("marks") or control.marks_std_px
     of_marks = np.diag(np.linalg.inv(design.T @ design)) * std_px**2
     return np.sqrt(of_block + of_marks + np.square(given_m))
 

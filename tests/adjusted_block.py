@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, is_dataclass
+
 import numpy as np
 from drawn_block import DrawnBlock, draw_block, water_plane
 
 from refract.lens import Lens
-from survey.adjust.adjustment import FREE, HELD, Adjustment, ControlResidual, Parameter
+from survey.adjust.adjustment import (
+    FREE,
+    HELD,
+    AdjustedPoses,
+    Adjustment,
+    ControlResidual,
+    Covariance,
+    FitStatistics,
+    Parameter,
+    Residuals,
+)
 from survey.adjust.state import LENS_NAMES, WATER_NAMES
 from survey.folder.config import WaterConfig
 
@@ -47,28 +59,25 @@ def drawn_adjustment(seed: int = 3, **changes) -> tuple[DrawnBlock, Adjustment]:
             level_m=level, level_at=(0.0, 0.0), slope_east=slope_x, slope_north=slope_y, refractive_index=index
         ),
         lenses=(lens,),
-        names=tuple(f"{view:04d}.jpg" for view in range(num)),
-        lens_of=np.zeros(num, dtype=np.int64),
-        centres=np.array([camera.centre for camera in block.cameras]),
-        rotations=np.array([camera.cam_from_local for camera in block.cameras]),
-        position_std=np.full((num, 3), 0.01),
-        rotation_std_deg=np.full((num, 3), 0.006),
-        covariance=np.diag(std**2),
-        covariance_names=names,
-        water_point=(1.0, -2.0),
-        std_px={"windows": 0.3, "marks": 0.5},
-        factor={"windows": 2.4, "marks": 1.0},
-        num_observations={"windows": len(block.view), "marks": 12},
-        num_points=len(block.points),
-        num_left_out=17,
-        gps_std_m=(0.02, 0.02, 0.03),
+        poses=AdjustedPoses(
+            names=tuple(f"{view:04d}.jpg" for view in range(num)),
+            lens_of=np.zeros(num, dtype=np.int64),
+            centres=np.array([camera.centre for camera in block.cameras]),
+            rotations=np.array([camera.cam_from_local for camera in block.cameras]),
+            position_std=np.full((num, 3), 0.01),
+            rotation_std_deg=np.full((num, 3), 0.006),
+        ),
+        covariance=Covariance(np.diag(std**2), names, (1.0, -2.0)),
+        residuals=Residuals(block.view, noise, block.pixel, block.point),
+        statistics=FitStatistics(
+            std_px={"windows": 0.3, "marks": 0.5},
+            factor={"windows": 2.4, "marks": 1.0},
+            num_observations={"windows": len(block.view), "marks": 12},
+            num_points=len(block.points),
+            num_left_out=17,
+            gps_std_m=(0.02, 0.02, 0.03),
+        ),
         control=control,
-        notes=(),
-        warnings=(),
-        residual_view=block.view,
-        residual_px=noise,
-        residual_at_px=block.pixel,
-        residual_point=block.point,
         points=block.points,
     )
 
@@ -76,3 +85,15 @@ def drawn_adjustment(seed: int = 3, **changes) -> tuple[DrawnBlock, Adjustment]:
 def plane_of(block: DrawnBlock):
     """The true water of a block."""
     return water_plane(block.water)
+
+
+def assert_same(found: Adjustment, expected: Adjustment) -> None:
+    """Raise AssertionError unless two adjustments, and the records in them, have the same values of the same types."""
+    for field in fields(expected):
+        one, other = getattr(found, field.name), getattr(expected, field.name)
+        if is_dataclass(other):
+            assert_same(one, other)
+        elif isinstance(other, np.ndarray):
+            np.testing.assert_array_equal(one, other, err_msg=field.name)
+        else:
+            assert one == other, field.name

@@ -124,7 +124,7 @@ def with_shift(survey: Survey, shift, common_up_std: float) -> Survey:
 def height_error(block: DrawnBlock, found: Adjustment) -> float:
     """Median error of the heights of points [m], each against the true one, however far the block lies off in plan."""
     true = np.array([camera.centre for camera in block.cameras])
-    aside = np.median(found.centres - true, axis=0)[:2]
+    aside = np.median(found.poses.centres - true, axis=0)[:2]
     distance, nearest = cKDTree(block.points[:, :2] + aside).query(found.points[:, :2])
     return float(np.median((found.points[:, 2] - block.points[nearest, 2])[distance < 0.5]))
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from adjusted_block import drawn_adjustment
+from adjusted_block import assert_same, drawn_adjustment
 from scipy.spatial.transform import Rotation
 from small_survey import TOML, replaced, small_survey
 
@@ -101,7 +101,4 @@ def test_where_shutters_roll_the_files_say_how_far_the_cameras_flew_and_are_give
 def test_an_adjustment_is_read_as_it_was_written(tmp_path):
     _, found = drawn_adjustment(num_views=16)
     write_adjustment(tmp_path, found)
-    again = read_adjustment(tmp_path)
-    for field in fields(found):
-        one, other = getattr(found, field.name), getattr(again, field.name)
-        assert np.array_equal(one, other) if isinstance(one, np.ndarray) else one == other, field.name
+    assert_same(read_adjustment(tmp_path), found)

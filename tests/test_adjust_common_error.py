@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from adjusted_block import drawn_adjustment, plane_of
 
+from survey.adjust.adjustment import Residuals
 from survey.adjust.prediction import linearise, predict
 from survey.adjust.priors import parameters_of
 from survey.adjust.state import Layout, State
@@ -16,11 +17,11 @@ from survey.adjust.std_common import _places_of_mean, common_error, height_moves
 
 def _along(found, step: dict[str, float]) -> np.ndarray:
     """A change of the parameters by their last names."""
-    return np.array([step.get(name.rpartition(".")[2], 0.0) for name in found.covariance_names])
+    return np.array([step.get(name.rpartition(".")[2], 0.0) for name in found.covariance.names])
 
 
 def _with(found, change: np.ndarray):
-    return replace(found, covariance=np.outer(change, change))
+    return replace(found, covariance=replace(found.covariance, matrix=np.outer(change, change)))
 
 
 def test_cameras_and_water_that_rise_together_lift_every_height_as_much():
@@ -41,7 +42,7 @@ def test_cameras_that_rise_over_dry_ground_lift_it_as_much():
 def test_errors_of_single_positions_average_out_over_the_area():
     block, found = drawn_adjustment(num_views=30)
     alone = np.diag(_along(found, {"z": 0.02}) ** 2)
-    error = common_error(replace(found, covariance=alone), plane_of(block))
+    error = common_error(replace(found, covariance=replace(found.covariance, matrix=alone)), plane_of(block))
     assert error.mean < 0.6 * error.typical
 
 
@@ -60,16 +61,16 @@ def test_an_error_of_the_index_scales_depths_seen_from_above():
 def test_the_standard_deviation_is_that_of_heights_under_random_parameters():
     block, found = drawn_adjustment(4)
     water = plane_of(block)
-    x, y = found.water_point
+    x, y = found.covariance.water_point
     water = replace(water, point=(x, y, float(water.height(x, y))))
     ties = _places_of_mean(found)
-    layout = Layout(found.lens_of, np.array([1.0]))
+    layout = Layout(found.poses.lens_of, np.array([1.0]))
     lenses = np.array([parameters_of(lens) for lens in found.lenses])
-    true = State(water, np.zeros(3), lenses, found.centres, found.rotations, ties.start)
+    true = State(water, np.zeros(3), lenses, found.poses.centres, found.poses.rotations, ties.start)
     sides = np.zeros((len(ties.view), 3))
     seen = replace(ties, pixel=predict(layout, true, ties, sides))
     rng = np.random.default_rng(8)
-    root = np.linalg.cholesky(found.covariance)
+    root = np.linalg.cholesky(found.covariance.matrix)
     heights = []
     for _ in range(400):
         step = root @ rng.standard_normal(len(root))
@@ -93,5 +94,5 @@ def test_the_standard_deviation_is_that_of_heights_under_random_parameters():
 def test_a_block_without_points_that_three_views_show_has_no_common_error():
     _, found = drawn_adjustment()
     none = np.zeros(0, dtype=np.int64)
-    empty = replace(found, residual_point=none, residual_view=none, residual_at_px=np.zeros((0, 2)))
+    empty = replace(found, residuals=Residuals(none, np.zeros((0, 2)), np.zeros((0, 2)), none))
     assert common_error(empty, None) is None

@@ -190,7 +190,7 @@ def test_positions_that_prove_good_hold_the_block_where_some_photographs_have_no
     found = adjust_survey(survey, use_windows=False)
     assert found.common_up_m is None
     # The level of the block, to centimetres, by positions.
-    assert found.position_std[3, 2] < 0.1
+    assert found.poses.position_std[3, 2] < 0.1
 
 
 @pytest.mark.parametrize("up", [2.0, slow(30.0)])

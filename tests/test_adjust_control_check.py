@@ -44,9 +44,9 @@ def test_wrong_coordinates_are_named_and_change_nothing(with_gps, shift):
     whole = adjust_survey(survey, use_windows=False)
     assert not whole.warnings
     # One point fewer: both are within what the block states.
-    assert (np.abs(found.centres - whole.centres) < 3.0 * found.position_std).all()
-    errors, _ = pose_errors(block, found.centres, found.rotations)
-    assert np.mean(np.abs(errors) < 2.6 * found.position_std) > 0.8
+    assert (np.abs(found.poses.centres - whole.poses.centres) < 3.0 * found.poses.position_std).all()
+    errors, _ = pose_errors(block, found.poses.centres, found.poses.rotations)
+    assert np.mean(np.abs(errors) < 2.6 * found.poses.position_std) > 0.8
     (point,) = [each for each in found.control if each.is_check]
     np.testing.assert_allclose(point.residual_m, -np.array(shift), atol=0.1)
 
@@ -81,7 +81,7 @@ def test_control_that_is_worse_than_stated_counts_as_good_as_it_fits(rng):
     (warning,) = found.warnings
     assert "times worse than their standard deviations say" in warning
     assert 4.0 < float(warning.split("fit the block ")[1].split(" times")[0]) < 25.0
-    errors, _ = pose_errors(block, found.centres, found.rotations)
+    errors, _ = pose_errors(block, found.poses.centres, found.poses.rotations)
     assert rms(errors) < 0.03
 
 
@@ -90,7 +90,7 @@ def test_three_points_that_contradict_each_other_hold_the_block_with_a_word():
     survey = survey_of(draw_block(7, num_points=150, num_views=18, dry_share=0.35, num_control=3))
     found = adjust_survey(with_shift(without_positions(survey), 1, (0.5, 0.3, 0.0)), use_windows=False)
     assert any("times worse than their standard deviations say" in warning for warning in found.warnings)
-    assert np.isfinite(found.position_std).all()
+    assert np.isfinite(found.poses.position_std).all()
 
 
 def test_blocks_without_positions_are_as_uncertain_as_their_control_leaves_them():
@@ -99,14 +99,14 @@ def test_blocks_without_positions_are_as_uncertain_as_their_control_leaves_them(
         block = draw_block(seed, num_points=150, num_views=18, dry_share=0.35, num_control=7)
         survey = survey_of(block)
         found = adjust_survey(without_positions(survey), use_windows=False)
-        assert found.gps_std_m is None
-        errors, _ = pose_errors(block, found.centres, found.rotations)
+        assert found.statistics.gps_std_m is None
+        errors, _ = pose_errors(block, found.poses.centres, found.poses.rotations)
         assert rms(errors) < 0.2
-        within.append(np.abs(errors) < 1.96 * found.position_std)
+        within.append(np.abs(errors) < 1.96 * found.poses.position_std)
     # Errors of a block are all of a few modes: tilts, scale, bend.
     assert np.mean(within) > 0.85
     with_gps = adjust_survey(survey, use_windows=False)
-    assert (found.position_std.mean(axis=0) > with_gps.position_std.mean(axis=0)).all()
+    assert (found.poses.position_std.mean(axis=0) > with_gps.poses.position_std.mean(axis=0)).all()
 
 
 def with_one_point(seed: int, off=(0.0, 0.0, 0.0), num_marks: int | None = None) -> Survey:

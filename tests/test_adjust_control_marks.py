@@ -55,9 +55,9 @@ def survey_with(num_marks: int, *, wet: bool, gps: bool):
 def test_control_points_with_few_marks_are_adjusted_with_the_rest(num_marks, wet, gps):
     block, survey = survey_with(num_marks, wet=wet, gps=gps)
     found = adjust_survey(survey, use_windows=False)
-    for values in (found.centres, found.covariance, found.points, found.residual_px):
+    for values in (found.poses.centres, found.covariance.matrix, found.points, found.residuals.px):
         assert np.isfinite(values).all()
     if wet and gps:
-        positions, _ = pose_errors(block, found.centres, found.rotations)
+        positions, _ = pose_errors(block, found.poses.centres, found.poses.rotations)
         # Errors of a block go together; 2 as in the random blocks.
-        assert rms(positions / found.position_std) < 2.0
+        assert rms(positions / found.poses.position_std) < 2.0

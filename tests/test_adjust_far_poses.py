@@ -97,8 +97,8 @@ def test_poses_off_by_several_pixels_are_found_within_what_is_stated(tmp_path, r
     assert "structure from motion has found them anew" in found.warnings[0]
     # What is left is an error of the block as a whole: by as much as twelve poses leave, three standard deviations.
     left = 3.0 * np.sqrt(3.0 / 12.0)
-    whole = np.array([view.camera.centre for view in true.views]) - found.centres
+    whole = np.array([view.camera.centre for view in true.views]) - found.poses.centres
     assert np.linalg.norm(whole.mean(axis=0)) < left * std_m
     true_rotations = np.array([view.camera.cam_from_local for view in true.views])
-    turns = Rotation.from_matrix(true_rotations.transpose(0, 2, 1) @ found.rotations)
+    turns = Rotation.from_matrix(true_rotations.transpose(0, 2, 1) @ found.poses.rotations)
     assert turns.magnitude().max() < left * std_rad

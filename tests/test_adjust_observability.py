@@ -35,17 +35,18 @@ def test_a_focal_length_that_is_not_observable_is_the_given_one_in_the_block_too
 def test_poses_and_points_follow_the_held_focal_length(flat):
     block, found = flat
     # With poses of another focal length, pixels at the edge of a photograph would be off by several.
-    assert found.std_px["matches"] == pytest.approx(block.pixel_std, rel=0.15)
-    positions, _ = pose_errors(block, found.centres, found.rotations)
-    assert np.mean(np.abs(positions) < 1.96 * found.position_std) > 0.85
+    assert found.statistics.std_px["matches"] == pytest.approx(block.pixel_std, rel=0.15)
+    positions, _ = pose_errors(block, found.poses.centres, found.poses.rotations)
+    assert np.mean(np.abs(positions) < 1.96 * found.poses.position_std) > 0.85
 
 
 def test_a_held_focal_length_is_as_uncertain_as_it_was_given(flat):
     block, found = flat
-    at = found.covariance_names.index("camera0.f")
-    std = np.sqrt(found.covariance[at, at])
-    assert std == pytest.approx(_FOCAL_SHARE * block.stated_lens.focal[0], rel=1e-6)
-    assert np.linalg.eigvalsh(found.covariance / np.outer(*[np.sqrt(np.diag(found.covariance))] * 2)).min() > -1e-9
+    at = found.covariance.names.index("camera0.f")
+    covariance = found.covariance.matrix
+    std = np.sqrt(np.diag(covariance))
+    assert std[at] == pytest.approx(_FOCAL_SHARE * block.stated_lens.focal[0], rel=1e-6)
+    assert np.linalg.eigvalsh(covariance / np.outer(std, std)).min() > -1e-9
 
 
 def test_a_level_that_is_not_observable_stays_as_it_was_given():
@@ -54,8 +55,8 @@ def test_a_level_that_is_not_observable_stays_as_it_was_given():
     found = adjust_survey(survey, use_windows=False)
     assert found.parameter("level_m").status == UNKNOWN
     assert found.water.level_m == survey.config.water.level_m
-    at = found.covariance_names.index("height_m")
-    assert found.covariance[at, at] == pytest.approx(0.25, rel=1e-3)
+    at = found.covariance.names.index("height_m")
+    assert found.covariance.matrix[at, at] == pytest.approx(0.25, rel=1e-3)
 
 
 def test_slopes_without_a_level_stay_as_they_were_given():
@@ -73,8 +74,8 @@ def test_nothing_is_held_that_the_photographs_tell():
     assert rows["level_m"].status == FREE
     assert rows["camera0.f"].status == FREE
     assert rows["camera0.f"].value != rows["camera0.f"].given
-    at = found.covariance_names.index("camera0.f")
-    assert np.sqrt(found.covariance[at, at]) == pytest.approx(rows["camera0.f"].std)
+    at = found.covariance.names.index("camera0.f")
+    assert np.sqrt(found.covariance.matrix[at, at]) == pytest.approx(rows["camera0.f"].std)
 
 
 @pytest.mark.parametrize("free_water", [False, True])

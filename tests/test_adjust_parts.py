@@ -10,7 +10,7 @@ from adjusted_block import drawn_adjustment, plane_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from survey.adjust.adjustment import Adjustment
+from survey.adjust.adjustment import Adjustment, Residuals
 from survey.adjust.parts import parts_of_adjustment, parts_warning
 from survey.display.quantities import length
 from survey.photos.tie_points import parts_of
@@ -38,15 +38,15 @@ def test_views_are_of_one_part_where_points_lead_from_one_to_the_other(groups, s
 
 def cut(found: Adjustment) -> tuple[Adjustment, np.ndarray]:
     """A block whose photographs west and east of its middle see their own side alone; which are east (V,) bool."""
-    middle = np.median(found.centres[:, 0])
-    east = found.centres[:, 0] > middle
-    is_tie = found.residual_point < len(found.points) - len(found.control)
-    keep = is_tie & ((found.points[found.residual_point, 0] > middle) == east[found.residual_view])
-    keep &= (np.bincount(found.residual_point[keep], minlength=len(found.points)) >= 3)[found.residual_point]
-    kept, point = np.unique(found.residual_point[keep], return_inverse=True)
-    rows = ("residual_view", "residual_px", "residual_at_px")
-    columns = {name: getattr(found, name)[keep] for name in rows}
-    return replace(found, points=found.points[kept], residual_point=point, control=(), **columns), east
+    middle = np.median(found.poses.centres[:, 0])
+    east = found.poses.centres[:, 0] > middle
+    is_tie = found.residuals.point < len(found.points) - len(found.control)
+    keep = is_tie & ((found.points[found.residuals.point, 0] > middle) == east[found.residuals.view])
+    keep &= (np.bincount(found.residuals.point[keep], minlength=len(found.points)) >= 3)[found.residuals.point]
+    kept, point = np.unique(found.residuals.point[keep], return_inverse=True)
+    left = found.residuals
+    residuals = Residuals(left.view[keep], left.px[keep], left.at_px[keep], point)
+    return replace(found, points=found.points[kept], residuals=residuals, control=()), east
 
 
 def test_a_whole_block_has_no_parts():
@@ -60,14 +60,14 @@ def test_a_part_that_rises_is_so_much_less_known_against_the_other(seed):
     block, found = drawn_adjustment(seed, num_views=24, dry_share=1.0, nadir_only=True, num_points=1500)
     found, east = cut(found)
     # Nothing is uncertain but the height of all cameras in the east.
-    rise = np.zeros(len(found.covariance))
+    rise = np.zeros(len(found.covariance.matrix))
     first = len(rise) - 6 * len(east)
     rise[first + 2 :: 6] = 0.05 * east
-    found = replace(found, covariance=np.outer(rise, rise))
+    found = replace(found, covariance=replace(found.covariance, matrix=np.outer(rise, rise)))
     parts = parts_of_adjustment(found, plane_of(block))
     assert len(parts) == 2
-    assert sorted(name for part in parts for name in part.names) == sorted(found.names)
-    is_east = [set(part.names) <= {n for n, e in zip(found.names, east, strict=True) if e} for part in parts]
+    assert sorted(name for part in parts for name in part.names) == sorted(found.poses.names)
+    is_east = [set(part.names) <= {n for n, e in zip(found.poses.names, east, strict=True) if e} for part in parts]
     assert sorted(is_east) == [False, True]
     for part, moves in zip(parts, is_east, strict=True):
         # Along rays that lean by a few degrees, a place rises as its cameras do.

@@ -59,7 +59,7 @@ def test_unstated_poses_count_as_good_as_they_are(std_m, std_deg):
 def test_exact_poses_that_are_adjusted_stay_exact():
     block = wet_block(1)
     found = adjust_survey(by_file(block, 0.0, 0.0), use_windows=False)
-    positions, rotations = pose_errors(block, found.centres, found.rotations)
+    positions, rotations = pose_errors(block, found.poses.centres, found.poses.rotations)
     # A tenth of a pixel at 20 m is 2 mm.
     assert rms(positions) < 0.002
     assert np.degrees(rms(rotations)) < 0.005
@@ -72,9 +72,9 @@ def test_the_tilt_of_a_block_is_held_by_unstated_rotations_and_lies_within_what_
         block = wet_block(seed)
         for tool, errors in turned.items():
             found = adjust_survey(by_file(block, 0.1, 0.05, tool), use_windows=False)
-            _, rotations = pose_errors(block, found.centres, found.rotations)
+            _, rotations = pose_errors(block, found.poses.centres, found.poses.rotations)
             # Turns about the axes of cam, as those of local.
-            whole = np.einsum("vji,vj->vi", found.rotations, rotations).mean(axis=0)[:2]
+            whole = np.einsum("vji,vj->vi", found.poses.rotations, rotations).mean(axis=0)[:2]
             errors.append(whole)
             if tool is None:
                 scaled.append(whole / std_of_whole(found))
@@ -87,11 +87,11 @@ def test_the_tilt_of_a_block_is_held_by_unstated_rotations_and_lies_within_what_
 
 def std_of_whole(found) -> np.ndarray:
     """Standard deviations (2,) of the mean turn of the cameras about the level axes of local."""
-    first, count = found.layout.first_pose - 3, len(found.names)
-    moves = np.zeros((3, len(found.covariance)))
-    for view, rotation in enumerate(found.rotations):
+    first, count = found.layout.first_pose - 3, len(found.poses.names)
+    moves = np.zeros((3, len(found.covariance.matrix)))
+    for view, rotation in enumerate(found.poses.rotations):
         moves[:, first + 6 * view + 3 : first + 6 * view + 6] = rotation.T / count
-    return np.sqrt(np.diag(moves @ found.covariance @ moves.T))[:2]
+    return np.sqrt(np.diag(moves @ found.covariance.matrix @ moves.T))[:2]
 
 
 def test_a_rotation_that_the_block_contradicts_is_named_and_not_used():
@@ -105,5 +105,5 @@ def test_a_rotation_that_the_block_contradicts_is_named_and_not_used():
     assert [text for text in found.warnings if text.startswith("rotations")] == [
         f"rotations that the block contradicts are not used: {wrong.name}"
     ]
-    _, rotations = pose_errors(block, found.centres, found.rotations)
+    _, rotations = pose_errors(block, found.poses.centres, found.poses.rotations)
     assert np.degrees(rms(rotations[5])) < 0.05

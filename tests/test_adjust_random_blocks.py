@@ -34,12 +34,18 @@ def random_block(seed: int):
 def test_a_random_block_is_off_by_what_it_states_and_never_without_a_number(seed):
     block = random_block(seed)
     found = adjust_survey(survey_of(block), use_windows=False)
-    for values in (found.centres, found.rotations, found.covariance, found.points, found.residual_px):
+    for values in (
+        found.poses.centres,
+        found.poses.rotations,
+        found.covariance.matrix,
+        found.points,
+        found.residuals.px,
+    ):
         assert np.isfinite(values).all()
-    positions, rotations = pose_errors(block, found.centres, found.rotations)
+    positions, rotations = pose_errors(block, found.poses.centres, found.poses.rotations)
     # Errors of a block go together; the rms of 100 blocks over what is stated is 1.7 at most.
-    assert rms(positions / found.position_std) < 2.0
-    assert rms(np.degrees(rotations) / found.rotation_std_deg) < 2.5
+    assert rms(positions / found.poses.position_std) < 2.0
+    assert rms(np.degrees(rotations) / found.poses.rotation_std_deg) < 2.5
 
 
 def test_a_strip_whose_roll_level_water_alone_cannot_tell_is_refused_by_name():

@@ -52,15 +52,15 @@ def test_the_rate_is_found_within_what_is_stated(found):
     assert abs(rate.value - RATE) < 3.0 * rate.std
     assert rate.verdict.startswith("found: 0.")
     assert "m/h (given 0.0" in rate.verdict
-    assert adjusted.covariance.shape == (len(adjusted.covariance_names),) * 2
-    assert adjusted.covariance_names.count("level_rate_m_per_h") == 1
+    assert adjusted.covariance.matrix.shape == (len(adjusted.covariance.names),) * 2
+    assert adjusted.covariance.names.count("level_rate_m_per_h") == 1
 
 
 def test_the_survey_goes_on_with_the_levels_that_were_found(found):
     survey, adjusted = found
     again = apply_adjustment(survey, adjusted)
     tides = np.array([view.camera.tide for view in again.views])
-    np.testing.assert_allclose(tides, adjusted.parameter("level_rate_m_per_h").value * adjusted.hours, atol=1e-12)
+    np.testing.assert_allclose(tides, adjusted.parameter("level_rate_m_per_h").value * adjusted.poses.hours, atol=1e-12)
     assert again.observations.tide.moves_m == pytest.approx(np.ptp(tides))
     assert again.observations.tide.matters
     assert common_error(adjusted, again.water).typical < 0.2

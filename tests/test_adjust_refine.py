@@ -53,7 +53,7 @@ def test_two_cameras_in_one_flight_get_two_lenses():
         row = found.parameter(f"camera{camera}.f")
         assert row.status == FREE
         assert abs(row.value - true) < 4.0 * row.std
-    assert found.lens_of.tolist() == second.astype(int).tolist()
+    assert found.poses.lens_of.tolist() == second.astype(int).tolist()
     assert abs(found.parameter("camera1.f").value / found.parameter("camera0.f").value - 1.1) < 0.01
 
 
@@ -74,7 +74,7 @@ def test_the_parameters_of_a_fisheye_lens_do_not_move():
     assert found.lenses == (fisheye,)
     assert not [row.name for row in found.parameters if row.name.startswith("camera")]
     assert apply_adjustment(survey, found).views[0].lens == fisheye
-    positions, _ = pose_errors(block, found.centres, found.rotations)
+    positions, _ = pose_errors(block, found.poses.centres, found.poses.rotations)
     assert rms(positions) < 0.1
 
 
@@ -92,7 +92,7 @@ def test_browns_part_of_an_affine_lens_is_adjusted_and_its_two_terms_stay():
     assert (lens.model, lens["k4"], lens["skew"]) == ("BROWN_AFFINE", k4, skew)
     row = found.parameter("camera0.f")
     assert abs(row.value - true.focal[0]) < 4.0 * row.std
-    positions, _ = pose_errors(block, found.centres, found.rotations)
+    positions, _ = pose_errors(block, found.poses.centres, found.poses.rotations)
     assert rms(positions) < 0.1
 
 
@@ -105,7 +105,7 @@ def test_the_adjusted_survey_has_poses_lenses_and_water_of_the_adjustment():
     assert applied.observations.ties is None
     assert applied.config.water == found.water
     assert applied.config.water.level_m == found.parameter("level_m").value
-    for view, centre, rotation in zip(applied.views, found.centres, found.rotations, strict=True):
+    for view, centre, rotation in zip(applied.views, found.poses.centres, found.poses.rotations, strict=True):
         np.testing.assert_array_equal(view.camera.centre, centre)
         np.testing.assert_array_equal(view.camera.cam_from_local, rotation)
         assert view.lens.focal[0] == view.camera.fx == pytest.approx(found.parameter("camera0.f").value)

@@ -58,9 +58,9 @@ def with_attitudes(block: DrawnBlock, survey: Survey, own_deg: float = OWN_DEG) 
 def roll_error(block: DrawnBlock, found: Adjustment, across: Across) -> tuple[float, float]:
     """Error of the roll about the line and its standard deviation [rad]."""
     true = np.array([camera.cam_from_local for camera in block.cameras])
-    mean = np.zeros(len(found.covariance))
-    mean[-POSE * len(true) :].reshape(-1, POSE)[:, 3:] = found.rotations @ across.along / len(true)
-    return roll_by_attitudes(across, found.rotations, true), math.sqrt(mean @ found.covariance @ mean)
+    mean = np.zeros(len(found.covariance.matrix))
+    mean[-POSE * len(true) :].reshape(-1, POSE)[:, 3:] = found.poses.rotations @ across.along / len(true)
+    return roll_by_attitudes(across, found.poses.rotations, true), math.sqrt(mean @ found.covariance.matrix @ mean)
 
 
 def test_one_control_point_holds_the_roll():

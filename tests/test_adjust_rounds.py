@@ -33,10 +33,10 @@ def without_position_std(survey):
 def test_with_outliers_to_the_last_round_residuals_are_those_of_the_observations_used():
     block = draw_block(4, num_points=150, num_views=16, dry_share=0.3, wrong=0.3)
     found = adjust_survey(survey_of(block), use_windows=False)
-    assert found.num_left_out > 0
-    assert len(found.residual_px) == len(found.residual_view) == sum(found.num_observations.values())
-    assert len(found.points) == found.num_points == found.residual_point.max() + 1
-    positions, _ = pose_errors(block, found.centres, found.rotations)
+    assert found.statistics.num_left_out > 0
+    assert len(found.residuals.px) == len(found.residuals.view) == sum(found.statistics.num_observations.values())
+    assert len(found.points) == found.statistics.num_points == found.residuals.point.max() + 1
+    positions, _ = pose_errors(block, found.poses.centres, found.poses.rotations)
     assert rms(positions) < 0.05
 
 
@@ -52,8 +52,8 @@ def test_a_blunder_of_five_metres_is_named_and_changes_nothing():
     assert [warning for warning in found.warnings if name in warning and "contradicts" in warning]
     assert not expected.warnings
     # Both end within the tolerance of the adjustment, which is a share of the standard deviation.
-    assert (np.abs(found.centres - expected.centres) < 0.3 * expected.position_std).all()
-    np.testing.assert_allclose(found.position_std, expected.position_std, rtol=0.1)
+    assert (np.abs(found.poses.centres - expected.poses.centres) < 0.3 * expected.poses.position_std).all()
+    np.testing.assert_allclose(found.poses.position_std, expected.poses.position_std, rtol=0.1)
 
 
 def test_the_standard_deviation_of_positions_is_found_where_nothing_is_said_of_it():
@@ -61,9 +61,9 @@ def test_the_standard_deviation_of_positions_is_found_where_nothing_is_said_of_i
     found = adjust_survey(without_position_std(survey_of(block)), use_windows=False)
     true = np.array([camera.centre for camera in block.cameras])
     drawn = np.std(block.positions - true, axis=0)
-    np.testing.assert_allclose(found.gps_std_m, drawn, rtol=0.35)
-    positions, _ = pose_errors(block, found.centres, found.rotations)
-    assert np.mean(np.abs(positions) < 1.96 * found.position_std) > 0.8
+    np.testing.assert_allclose(found.statistics.gps_std_m, drawn, rtol=0.35)
+    positions, _ = pose_errors(block, found.poses.centres, found.poses.rotations)
+    assert np.mean(np.abs(positions) < 1.96 * found.poses.position_std) > 0.8
 
 
 def test_a_third_of_the_photographs_without_gps_takes_their_place_from_the_others():
@@ -71,11 +71,11 @@ def test_a_third_of_the_photographs_without_gps_takes_their_place_from_the_other
     survey = survey_of(block)
     priors = {name: prior for number, (name, prior) in enumerate(survey.observations.priors.items()) if number % 3}
     found = adjust_survey(changed(survey, priors=priors), use_windows=False)
-    positions, _ = pose_errors(block, found.centres, found.rotations)
+    positions, _ = pose_errors(block, found.poses.centres, found.poses.rotations)
     lost = np.arange(len(positions)) % 3 == 0
     assert rms(positions[lost]) < 0.1
-    assert np.mean(np.abs(positions[lost]) < 1.96 * found.position_std[lost]) > 0.8
-    assert np.isfinite(found.position_std).all()
+    assert np.mean(np.abs(positions[lost]) < 1.96 * found.poses.position_std[lost]) > 0.8
+    assert np.isfinite(found.poses.position_std).all()
 
 
 def test_a_mark_in_a_photograph_that_does_not_show_the_point_is_left_out():
@@ -100,10 +100,10 @@ def test_control_points_fix_the_datum():
         for name, prior in survey.observations.priors.items()
     }
     found = adjust_survey(changed(survey, priors=moved), use_windows=False)
-    positions, _ = pose_errors(block, found.centres, found.rotations)
+    positions, _ = pose_errors(block, found.poses.centres, found.poses.rotations)
     # The points lie on a bank at one side, known to a centimetre.
     assert np.abs(positions.mean(axis=0)).max() < 0.15
-    assert np.mean(np.abs(positions) < 2.6 * found.position_std) > 0.9
+    assert np.mean(np.abs(positions) < 2.6 * found.poses.position_std) > 0.9
     assert max(abs(v) for point in found.control for v in point.residual_m) < 0.04
 
 
@@ -115,17 +115,17 @@ def test_a_photograph_with_a_single_match_stays_where_it_was_and_is_named():
     (warning,) = found.warnings
     assert survey.views[5].name in warning
     assert "fewer than 6 matches" in warning
-    assert found.rotation_std_deg[5].max() > 1.0
-    assert np.delete(found.rotation_std_deg, 5, axis=0).max() < 0.2
-    np.testing.assert_allclose(found.centres[5], block.positions[5], atol=0.05)
+    assert found.poses.rotation_std_deg[5].max() > 1.0
+    assert np.delete(found.poses.rotation_std_deg, 5, axis=0).max() < 0.2
+    np.testing.assert_allclose(found.poses.centres[5], block.positions[5], atol=0.05)
 
 
 def test_residuals_are_of_what_is_used_where_rounds_end_before_nothing_changes(monkeypatch):
     monkeypatch.setattr(rounds, "_ROUNDS", 1)
     block = draw_block(3, num_points=150, num_views=18, dry_share=0.3, wrong=0.03)
     found = adjust_survey(survey_of(block), use_windows=False)
-    assert len(found.residual_px) == len(found.residual_view) == sum(found.num_observations.values())
-    assert len(found.points) == found.num_points == found.residual_point.max() + 1
+    assert len(found.residuals.px) == len(found.residuals.view) == sum(found.statistics.num_observations.values())
+    assert len(found.points) == found.statistics.num_points == found.residuals.point.max() + 1
 
 
 def solved_at(level: float, **settings) -> tuple[Problem, Solution]:

@@ -17,6 +17,7 @@ from survey.adjust.refine import adjust_survey
 from survey.adjust.state import LENS, RELIEF
 from survey.adjust.std_common import common_error
 from survey.photos.tie_points import TiePoints
+from tests.adjusted_block import assert_same
 from tests.block_state import require_derivatives, state_of
 from tests.block_survey import pose_errors, rms, survey_of
 from tests.drawn_block import DrawnBlock, draw_block
@@ -55,15 +56,15 @@ def test_with_the_key_poses_are_as_good_as_with_a_global_shutter_and_without_it_
     block = draw_block(6, **FLOWN)
     survey, known = adjusted(block, (READOUT, None))
     _, ignored = adjusted(block, None)
-    errors = [pose_errors(block, found.centres, found.rotations)[0] for found in (of_still, known, ignored)]
+    errors = [pose_errors(block, found.poses.centres, found.poses.rotations)[0] for found in (of_still, known, ignored)]
     # Other noise: 11.9, 12.5 and 374 mm.
     assert rms(errors[1]) < 1.3 * rms(errors[0])
     assert rms(errors[2]) > 5.0 * rms(errors[1])
-    assert rms(errors[1] / known.position_std) < 1.3
-    assert rms(errors[2] / ignored.position_std) > 2.0
+    assert rms(errors[1] / known.poses.position_std) < 1.3
+    assert rms(errors[2] / ignored.poses.position_std) > 2.0
     # A shutter that is not modelled leaves its mark in the residuals.
-    assert known.std_px["matches"] == pytest.approx(of_still.std_px["matches"], rel=0.1)
-    assert ignored.std_px["matches"] > 2.0 * known.std_px["matches"]
+    assert known.statistics.std_px["matches"] == pytest.approx(of_still.statistics.std_px["matches"], rel=0.1)
+    assert ignored.statistics.std_px["matches"] > 2.0 * known.statistics.std_px["matches"]
     moved = apply_adjustment(survey, known)
     for view, velocity in zip(moved.views, block.velocities, strict=True):
         np.testing.assert_allclose(view.camera.motion, velocity * READOUT / (block.lens.height - 1), rtol=1e-12)
@@ -78,9 +79,9 @@ def test_the_readout_is_found_where_it_is_not_known_within_what_is_stated(tmp_pa
     assert row.std < 1e-3
     assert abs(row.value - READOUT) < 3.0 * row.std
     assert row.verdict.startswith("found: 0.0")
-    at = found.covariance_names.index("camera0.readout_s")
-    assert np.sqrt(found.covariance[at, at]) == pytest.approx(row.std)
-    assert len(found.covariance_names) == len(found.covariance)
+    at = found.covariance.names.index("camera0.readout_s")
+    assert np.sqrt(found.covariance.matrix[at, at]) == pytest.approx(row.std)
+    assert len(found.covariance.names) == len(found.covariance.matrix)
     # What was found is what everything behind the adjustment uses.
     moved = apply_adjustment(survey, found)
     cameras = moved.config.cameras
@@ -91,7 +92,7 @@ def test_the_readout_is_found_where_it_is_not_known_within_what_is_stated(tmp_pa
     assert common_error(found, moved.water).mean > 0.0
     write_adjustment(tmp_path, found)
     again = read_adjustment(tmp_path)
-    np.testing.assert_array_equal(again.flow, found.flow)
+    np.testing.assert_array_equal(again.poses.flow, found.poses.flow)
     assert (again.readouts_s, again.parameter(row.name)) == (found.readouts_s, row)
 
 
@@ -108,8 +109,8 @@ def test_a_readout_that_is_of_no_use_is_kept_as_given_and_the_block_adjusted_to_
     row = found.parameter("camera0.readout_s")
     assert (row.status, row.value) == (UNKNOWN, 0.02)
     assert found.readouts_s == pytest.approx((0.02,), abs=1e-9)
-    at = found.covariance_names.index(row.name)
-    assert np.sqrt(found.covariance[at, at]) == pytest.approx(0.02)
+    at = found.covariance.names.index(row.name)
+    assert np.sqrt(found.covariance.matrix[at, at]) == pytest.approx(0.02)
 
 
 def test_a_camera_that_hovers_is_adjusted_to_the_last_bit_as_without_the_key():
@@ -117,9 +118,8 @@ def test_a_camera_that_hovers_is_adjusted_to_the_last_bit_as_without_the_key():
     _, without = adjusted(block, None)
     for shutter in ((READOUT, None), (READOUT, 0.01)):
         _, found = adjusted(block, shutter)
-        assert (found.flow, found.readouts_s) == (None, None)
-        for name in ("centres", "rotations", "points", "covariance", "residual_px"):
-            np.testing.assert_array_equal(getattr(found, name), getattr(without, name))
+        assert (found.poses.flow, found.readouts_s) == (None, None)
+        assert_same(found, without)
 
 
 def test_rows_behind_a_lens_that_is_held_are_those_of_the_photograph(rng):

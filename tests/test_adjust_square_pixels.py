@@ -58,7 +58,7 @@ def test_photographs_agree_whatever_ratio_straight_rays_had(block):
     focal = found.parameter("camera0.f")
     # Four standard deviations: one draw in 16,000 is further off.
     assert abs(focal.value - block.lens.focal[0]) < 4.0 * focal.std
-    assert found.std_px["matches"] == pytest.approx(PIXEL_STD, rel=0.2)
+    assert found.statistics.std_px["matches"] == pytest.approx(PIXEL_STD, rel=0.2)
     # The ratio moves a pixel at the edge of the photograph by 1.5; what of it no pose and lens takes is over the noise.
-    assert held.std_px["matches"] > 1.5 * PIXEL_STD
+    assert held.statistics.std_px["matches"] > 1.5 * PIXEL_STD
     assert any(text.startswith("pixels are taken as square") for text in found.notes)

@@ -18,7 +18,7 @@ GSD = 0.02
 
 def along(found, step: dict[str, float]) -> np.ndarray:
     """A change of the parameters by their last names."""
-    return np.array([step.get(name.rpartition(".")[2], 0.0) for name in found.covariance_names])
+    return np.array([step.get(name.rpartition(".")[2], 0.0) for name in found.covariance.names])
 
 
 def of_change(step: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
@@ -26,7 +26,7 @@ def of_change(step: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
     block, found = drawn_adjustment(dry_share=0.0)
     survey = changed(survey_of(block), ties=None)
     change = along(found, step)
-    found = replace(found, covariance=np.outer(change, change))
+    found = replace(found, covariance=replace(found.covariance, matrix=np.outer(change, change)))
     wet = np.ones(len(found.points), dtype=bool)
     return found.points, std_common(found.points, wet, survey, found, GSD)
 

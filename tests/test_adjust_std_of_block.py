@@ -24,9 +24,11 @@ def plane(slope_x: float) -> np.ndarray:
 def std_by(step: dict[str, float], bed: np.ndarray) -> np.ndarray:
     """Std of a bed where only this change of parameters, by their last names, is uncertain."""
     block, found = drawn_adjustment(dry_share=0.0)
-    change = np.array([step.get(name.rpartition(".")[2], 0.0) for name in found.covariance_names])
+    change = np.array([step.get(name.rpartition(".")[2], 0.0) for name in found.covariance.names])
     survey = changed(survey_of(block), ties=None)
-    return std_of_block(bed, survey, replace(found, covariance=np.outer(change, change)), GSD)
+    return std_of_block(
+        bed, survey, replace(found, covariance=replace(found.covariance, matrix=np.outer(change, change))), GSD
+    )
 
 
 def test_what_lifts_all_heights_alike_is_no_part_of_it():

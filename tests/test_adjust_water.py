@@ -121,7 +121,7 @@ def test_wet_measurements_are_no_outliers_where_waves_displace_them_more_than_dr
     measuring(ties)
     found = refine.adjust_survey(survey, free_water=True)
     # Beyond four standard deviations lie 0.03 % of a two-dimensional normal distribution.
-    assert found.num_left_out < 0.005 * len(ties.view)
+    assert found.statistics.num_left_out < 0.005 * len(ties.view)
 
 
 def test_a_block_from_above_says_that_it_cannot_know_and_keeps_what_was_given(tmp_path, rng, measuring):

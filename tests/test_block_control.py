@@ -103,9 +103,9 @@ def test_a_survey_without_gps_is_placed_by_control_and_adjusted(blind, tmp_path)
     before = errors_of(survey, blind, np.array([view.camera.centre for view in survey.views]))
     assert np.abs(before).max() < 0.5
     found = adjust_survey(survey, use_windows=False)
-    errors = errors_of(survey, blind, found.centres)
+    errors = errors_of(survey, blind, found.poses.centres)
     assert np.sqrt(np.mean(errors**2)) < 0.06
-    assert np.mean(np.abs(errors) < 2.6 * found.position_std) > 0.7
+    assert np.mean(np.abs(errors) < 2.6 * found.poses.position_std) > 0.7
     assert not found.warnings
 
 

@@ -44,7 +44,7 @@ def facts(tmp_path_factory) -> ReportFacts:
     survey = load_survey(small_survey(tmp_path_factory.mktemp("survey") / "small"))
     priors = {
         name: PosePrior(centre - OFF, np.array([0.02, 0.02, 0.03]), None, "survey.toml")
-        for name, centre in zip(found.names, found.centres, strict=True)
+        for name, centre in zip(found.poses.names, found.poses.centres, strict=True)
     }
     places = survey.frame.crs_from_local(found.points[:2])
     points = tuple(
@@ -105,11 +105,11 @@ def test_control_and_check_points_are_told_apart(facts):
 
 def test_correlations_leave_out_what_was_not_to_move(facts):
     found = facts.adjustment
-    covariance = found.covariance.copy()
+    covariance = found.covariance.matrix.copy()
     # The level and the focal length with a correlation of 0.5; a slope that was held.
     covariance[0, 4] = covariance[4, 0] = 0.5 * np.sqrt(covariance[0, 0] * covariance[4, 4])
     covariance[1, 1] = 1e-18
-    names, matrix = correlations(replace(found, covariance=covariance))
+    names, matrix = correlations(replace(found, covariance=replace(found.covariance, matrix=covariance)))
     assert "slope_x" not in names
     assert matrix[names.index("height_m"), names.index("camera0.f")] == pytest.approx(0.5)
     np.testing.assert_allclose(np.diag(matrix), 1.0)
@@ -155,10 +155,11 @@ def test_a_run_without_an_adjustment_has_no_such_section(facts):
 
 def test_each_lens_has_its_own_residuals(facts, tmp_path):
     found = facts.adjustment
-    lens_of = np.arange(len(found.names)) % 2
+    lens_of = np.arange(len(found.poses.names)) % 2
     # One lens leaves a pixel to the right, the other one downwards.
-    left = np.where(lens_of[found.residual_view][:, None] == 0, [1.0, 0.0], [0.0, 1.0])
-    two = replace(found, lenses=found.lenses * 2, lens_of=lens_of, residual_px=left)
+    left = np.where(lens_of[found.residuals.view][:, None] == 0, [1.0, 0.0], [0.0, 1.0])
+    poses, residuals = replace(found.poses, lens_of=lens_of), replace(found.residuals, px=left)
+    two = replace(found, lenses=found.lenses * 2, poses=poses, residuals=residuals)
     for number, expected in enumerate(((1.0, 0.0), (0.0, 1.0))):
         _, vectors, _ = mean_residuals(two, number)
         np.testing.assert_allclose(vectors, np.tile(expected, (len(vectors), 1)))
@@ -174,7 +175,7 @@ def test_a_block_that_falls_apart_has_a_table_and_a_picture_of_its_parts(facts, 
     with Image.open(tmp_path / "parts.png") as image:
         assert np.asarray(image.convert("L")).std() > 5.0
     parts = json_of(figures_of(apart))["adjustment"]["parts"]
-    assert sum(len(part["names"]) for part in parts) == len(found.names)
+    assert sum(len(part["names"]) for part in parts) == len(found.poses.names)
     assert json_of(figures_of(facts))["adjustment"]["parts"] == []
 
 

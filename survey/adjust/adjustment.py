@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -79,6 +80,98 @@ class ControlResidual:
 
 
 @dataclass(frozen=True)
+class AdjustedPoses:
+    """Adjusted poses of V views.
+
+    Attributes
+    ----------
+    names : (V,) of the views
+    lens_of : (V,)
+        Number of the lens of each view.
+    centres, rotations : (V, 3) [m], local; (V, 3, 3) cam from local
+    position_std, rotation_std_deg : (V, 3)
+        Along the axes of local; about those of cam.
+    flow : (V, 3) [m/(s px)], local, or None
+        Velocity over the rows of a rolling shutter.
+    tides : (V,) [m], or None
+        Tide at each camera, as it was found.
+    hours : (V,) [h], or None
+        See `survey.adjust.state.Layout`.
+    """
+
+    names: tuple[str, ...]
+    lens_of: np.ndarray
+    centres: np.ndarray
+    rotations: np.ndarray
+    position_std: np.ndarray
+    rotation_std_deg: np.ndarray
+    flow: np.ndarray | None = None
+    tides: np.ndarray | None = None
+    hours: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Covariance:
+    """Joint covariance of the P parameters.
+
+    Attributes
+    ----------
+    matrix : (P, P)
+        In the order of `names`.
+    names : (P,)
+    water_point : (x, y) [m], local
+        Where the height of the water counts.
+    """
+
+    matrix: np.ndarray
+    names: tuple[str, ...]
+    water_point: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Residuals of N observations.
+
+    Attributes
+    ----------
+    view, point : (N,)
+        Numbers of the photograph and of the point.
+    px : (N, 2)
+        Reprojection residual.
+    at_px : (N, 2)
+        Place in the photograph.
+    """
+
+    view: np.ndarray
+    px: np.ndarray
+    at_px: np.ndarray
+    point: np.ndarray
+
+
+@dataclass(frozen=True)
+class FitStatistics:
+    """How well the observations fit.
+
+    Attributes
+    ----------
+    std_px, factor, num_observations : by kind of observation
+        Standard deviation of a pixel coordinate; factor on its variance, for errors that neighbours and ground share;
+        how many were used.
+    num_points, num_left_out : int
+        Points used; observations left out as outliers.
+    gps_std_m : (3,) or None
+        Median standard deviation of the positions as they were used.
+    """
+
+    std_px: dict[str, float]
+    factor: dict[str, float]
+    num_observations: dict[str, int]
+    num_points: int
+    num_left_out: int
+    gps_std_m: tuple[float, float, float] | None
+
+
+@dataclass(frozen=True)
 class Adjustment:
     """An adjusted block.
 
@@ -88,70 +181,31 @@ class Adjustment:
         Of the water, where there is any, and of each lens.
     water : WaterConfig or None
     lenses : tuple of Lens
-    names : (V,) of the views
-    lens_of : (V,)
-        Number of the lens of each view.
-    centres, rotations : (V, 3) [m], local; (V, 3, 3) cam from local
-    position_std, rotation_std_deg : (V, 3)
-        Along the axes of local; about those of cam.
-    covariance : (P, P)
-        Of the parameters in the order of `covariance_names`.
-    covariance_names : (P,)
-    water_point : (x, y) [m], local
-        Where the height of the water in `covariance` is.
-    std_px, factor, num_observations : by kind of observation
-        Standard deviation of a pixel coordinate; factor on its variance, for what neighbours and ground
-        share; how many were used.
-    num_points, num_left_out : int
-        Points used; observations left out as outliers.
-    gps_std_m : (3,) or None
-        Median standard deviation of the positions as they were used.
+    poses : AdjustedPoses
+    covariance : Covariance
+    residuals : Residuals
+    statistics : FitStatistics
     control : tuple of ControlResidual
-    notes, warnings : sentences
-    residual_view, residual_px, residual_at_px, residual_point : (N,), (N, 2), (N, 2), (N,)
-        Of each observation: its view, what the adjustment left, where in the photograph, and the number of its point.
     points : (M, 3) [m], local
+    notes, warnings : sentences
     readouts_s : tuple of float, or None
         Of the shutter behind each lens, from the first to the last row [s]; None where no shutter rolls.
-    flow : (V, 3) [m/(s px)], local, or None
-    tides : (V,) [m], or None
-        Of the cameras, as they were found.
-    hours : (V,) [h], or None
-        See `survey.adjust.state.Layout`.
     common_up_m : (error, standard deviation) [m], or None
-        By how much the heights of all positions are too high, where the level of the water placed the block.
+        Common error of the heights of all positions, where the level of the water placed the block.
     """
 
     parameters: tuple[Parameter, ...]
     water: WaterConfig | None
     lenses: tuple[Lens, ...]
-    names: tuple[str, ...]
-    lens_of: np.ndarray
-    centres: np.ndarray
-    rotations: np.ndarray
-    position_std: np.ndarray
-    rotation_std_deg: np.ndarray
-    covariance: np.ndarray
-    covariance_names: tuple[str, ...]
-    water_point: tuple[float, float]
-    std_px: dict[str, float]
-    factor: dict[str, float]
-    num_observations: dict[str, int]
-    num_points: int
-    num_left_out: int
-    gps_std_m: tuple[float, float, float] | None
+    poses: AdjustedPoses
+    covariance: Covariance
+    residuals: Residuals
+    statistics: FitStatistics
     control: tuple[ControlResidual, ...]
-    notes: tuple[str, ...]
-    warnings: tuple[str, ...]
-    residual_view: np.ndarray
-    residual_px: np.ndarray
-    residual_at_px: np.ndarray
-    residual_point: np.ndarray
     points: np.ndarray
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     readouts_s: tuple[float, ...] | None = None
-    flow: np.ndarray | None = None
-    tides: np.ndarray | None = None
-    hours: np.ndarray | None = None
     common_up_m: tuple[float, float] | None = None
 
     def parameter(self, name: str) -> Parameter:
@@ -163,28 +217,53 @@ class Adjustment:
         """That of `covariance`, but for the rises of a rough bed, which it leaves out."""
         aspect = np.array([lens.focal[1] / lens.focal[0] for lens in self.lenses])
         names = {f"camera0.{READOUT_NAME}"}
-        finds_readouts = not names.isdisjoint(self.covariance_names)
+        finds_readouts = not names.isdisjoint(self.covariance.names)
+        poses = self.poses
         return Layout(
-            self.lens_of, aspect, self.flow, finds_readouts=finds_readouts, tides=self.tides, hours=self.hours
+            poses.lens_of,
+            aspect,
+            poses.flow,
+            finds_readouts=finds_readouts,
+            tides=poses.tides,
+            hours=poses.hours,
         )
 
 
-# Attributes that are arrays, in adjustment.npz, some of them only where shutters roll or water moves; all others are in
-# adjustment.json.
-_ARRAYS = (
+# Records whose attributes stand in the files under these prefixes: `residual_px` is `residuals.px`.
+_RECORDS: dict[str, tuple[type, str]] = {
+    "poses": (AdjustedPoses, ""),
+    "covariance": (Covariance, "covariance_"),
+    "residuals": (Residuals, "residual_"),
+    "statistics": (FitStatistics, ""),
+}
+# Where that is not so.
+_FILE_NAMES = {"covariance_matrix": "covariance", "covariance_water_point": "water_point"}
+# What is in adjustment.npz, some of it only where shutters roll or water moves; all else is in adjustment.json.
+_ARRAYS = {
     "lens_of", "centres", "rotations", "position_std", "rotation_std_deg", "covariance", "residual_view",
     "residual_px", "residual_at_px", "residual_point", "points", "flow", "tides", "hours",
-)  # fmt: skip
+}  # fmt: skip
+
+
+def _file_name(prefix: str, attribute: str) -> str:
+    """The name of an attribute of a record in the files."""
+    return _FILE_NAMES.get(prefix + attribute, prefix + attribute)
 
 
 def write_adjustment(folder: Path, found: Adjustment) -> None:
     """Write adjustment.json and adjustment.npz into an existing folder."""
-    record = {name: value for name, value in asdict(found).items() if name not in _ARRAYS}
+    values: dict[str, Any] = {}
+    for name, value in asdict(found).items():
+        if name in _RECORDS:
+            prefix = _RECORDS[name][1]
+            values |= {_file_name(prefix, attribute): each for attribute, each in value.items()}
+        else:
+            values[name] = value
     with write_whole(folder / ARRAYS) as stream:
-        arrays = {name: getattr(found, name) for name in _ARRAYS if getattr(found, name) is not None}
-        np.savez_compressed(stream, names=np.array(found.covariance_names), **arrays)
+        arrays = {name: values[name] for name in values if name in _ARRAYS and values[name] is not None}
+        np.savez_compressed(stream, names=np.array(found.covariance.names), **arrays)
     with write_whole(folder / JSON) as stream:
-        stream.write(json_text(record).encode())
+        stream.write(json_text({name: value for name, value in values.items() if name not in _ARRAYS}).encode())
 
 
 def read_adjustment(folder: Path) -> Adjustment:
@@ -199,19 +278,20 @@ def read_adjustment(folder: Path) -> Adjustment:
     if not record:
         raise SurveyError(f"{folder} has no adjustment; run process again with --no-resume")
     with np.load(folder / ARRAYS, allow_pickle=False) as arrays:
-        values = {name: arrays[name] for name in _ARRAYS if name in arrays}
-    water = record["water"]
+        values = {name: _tuples(value) for name, value in record.items()}
+        values |= {name: arrays[name] for name in _ARRAYS if name in arrays}
+    records: dict[str, Any] = {}
+    for name, (kind, prefix) in _RECORDS.items():
+        attributes = {field.name: _file_name(prefix, field.name) for field in fields(kind)}
+        records[name] = kind(**{key: values[stored] for key, stored in attributes.items() if stored in values})
+    records |= {name: values.get(name) for name in ("points", "notes", "warnings", "readouts_s", "common_up_m")}
+    water = values["water"]
     return Adjustment(
-        **values,
-        parameters=tuple(Parameter(**row) for row in record["parameters"]),
+        parameters=tuple(Parameter(**row) for row in values["parameters"]),
         water=None if water is None else WaterConfig(**{k: _tuples(v) for k, v in water.items()}),
         lenses=tuple(Lens(row["model"], tuple(row["params"]), row["width"], row["height"]) for row in record["lenses"]),
         control=tuple(ControlResidual(**{**row, "residual_m": tuple(row["residual_m"])}) for row in record["control"]),
-        **{name: _tuples(record[name]) for name in ("names", "covariance_names", "water_point", "notes", "warnings")},
-        **{name: record[name] for name in ("std_px", "factor", "num_observations", "num_points", "num_left_out")},
-        gps_std_m=_tuples(record["gps_std_m"]),
-        readouts_s=_tuples(record.get("readouts_s")),
-        common_up_m=_tuples(record.get("common_up_m")),
+        **records,
     )
 
 

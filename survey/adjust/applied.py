@@ -36,9 +36,17 @@ MODEL = tuple(f"sparse/{name}" for name in FILES)
 
 def apply_adjustment(survey: Survey, found: Adjustment) -> Survey:
     """The survey with the poses, lenses and water that an adjustment found."""
-    views = _views(survey, found.lenses, found.layout, found.centres, found.rotations, found.readouts_s, found.tides)
+    views = _views(
+        survey,
+        found.lenses,
+        found.layout,
+        found.poses.centres,
+        found.poses.rotations,
+        found.readouts_s,
+        found.poses.tides,
+    )
     tide = survey.observations.tide
-    if found.hours is not None and tide is not None and found.water is not None:
+    if found.poses.hours is not None and tide is not None and found.water is not None:
         over = {view.name: view.camera.tide for view in views}
         tide = with_shift(replace(tide, over=over), views, survey.require_water()[0])
     survey = replace(
@@ -114,10 +122,10 @@ def write_cameras(folder: Path, survey: Survey, found: Adjustment | None = None)
 
 def _straight_ties(survey: Survey, found: Adjustment) -> TiePoints:
     """The points of an adjustment, and what it measured of them, with the places where straight rays meet."""
-    order = np.argsort(found.residual_point, kind="stable")
-    point, view = found.residual_point[order].astype(np.int64), found.residual_view[order].astype(np.int64)
-    ties = TiePoints(found.points, point, view, found.residual_at_px[order])
-    pixel = pixels_taken(ties, found.lenses, found.lens_of)
+    order = np.argsort(found.residuals.point, kind="stable")
+    point, view = found.residuals.point[order].astype(np.int64), found.residuals.view[order].astype(np.int64)
+    ties = TiePoints(found.points, point, view, found.residuals.at_px[order])
+    pixel = pixels_taken(ties, found.lenses, found.poses.lens_of)
     centres, rays = np.empty((len(point), 3)), np.empty((len(point), 3))
     for number, each in enumerate(survey.views):
         mine = view == number

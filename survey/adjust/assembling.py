@@ -7,7 +7,15 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from refract.lens import Lens, is_affine
-from survey.adjust.adjustment import Adjustment, ControlResidual, Parameter
+from survey.adjust.adjustment import (
+    AdjustedPoses,
+    Adjustment,
+    ControlResidual,
+    Covariance,
+    FitStatistics,
+    Parameter,
+    Residuals,
+)
 from survey.adjust.control_check import control_warnings
 from survey.adjust.observability import Unobservable, not_observable
 from survey.adjust.observed import KINDS, MARK, Observed
@@ -81,38 +89,42 @@ def result(
     poses = np.sqrt(np.diag(covariance)[layout.first_pose :]).reshape(-1, 6)
     # What a rough bed seems to rise by is no result.
     kept = np.r_[: len(WATER_NAMES), layout.first_lens : len(layout)]
-    counts = {name: int((used.kind == kind).sum()) for kind, name in enumerate(KINDS)}
     return Adjustment(
         parameters=parameters,
         water=water,
         lenses=tuple(lens_with(lens, state.lenses[i]) for i, lens in enumerate(known.lenses)),
-        names=tuple(view.name for view in survey.views),
-        lens_of=layout.lens_of,
-        centres=state.centres,
-        rotations=state.rotations,
-        position_std=poses[:, :3],
-        rotation_std_deg=np.degrees(poses[:, 3:]),
-        covariance=covariance[np.ix_(kept, kept)],
-        covariance_names=_names_of(survey, layout),
-        water_point=known.place_of_water,
+        poses=AdjustedPoses(
+            names=tuple(view.name for view in survey.views),
+            lens_of=layout.lens_of,
+            centres=state.centres,
+            rotations=state.rotations,
+            position_std=poses[:, :3],
+            rotation_std_deg=np.degrees(poses[:, 3:]),
+            flow=layout.flow,
+            tides=state.tides(layout),
+            hours=layout.hours,
+        ),
+        covariance=Covariance(covariance[np.ix_(kept, kept)], _names_of(survey, layout), known.place_of_water),
+        residuals=Residuals(used.ties.view, solution.residuals, used.ties.pixel, used.ties.point),
+        statistics=_statistics(done, total),
+        control=_control(survey, used, solution, state),
+        points=state.points,
+        warnings=tuple(_warnings(survey, done)),
+        readouts_s=tuple(state.readouts.tolist()) or None,
+    )
+
+
+def _statistics(done: Adjusted, total: int) -> FitStatistics:
+    """How well the observations fit, of which there were ``total`` before any was left out."""
+    solution, used = done.solution, done.used
+    counts = {name: int((used.kind == kind).sum()) for kind, name in enumerate(KINDS)}
+    return FitStatistics(
         std_px={name: float(solution.std_px[kind]) for kind, name in enumerate(KINDS) if counts[name]},
         factor={name: float(done.factor[kind]) for kind, name in enumerate(KINDS) if counts[name]},
         num_observations={name: count for name, count in counts.items() if count},
         num_points=len(used.ties),
         num_left_out=total - len(used.kind),
-        gps_std_m=_gps_std(known),
-        control=_control(survey, used, solution, state),
-        notes=(),
-        warnings=tuple(_warnings(survey, done)),
-        residual_view=used.ties.view,
-        residual_px=solution.residuals,
-        residual_at_px=used.ties.pixel,
-        residual_point=used.ties.point,
-        points=state.points,
-        readouts_s=tuple(state.readouts.tolist()) or None,
-        flow=layout.flow,
-        tides=state.tides(layout),
-        hours=layout.hours,
+        gps_std_m=_gps_std(done.known),
     )
 
 

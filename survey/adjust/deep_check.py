@@ -53,8 +53,8 @@ def _rows_of_check(checked: PoseCheck) -> tuple[tuple[str, str], ...]:
 
 def _rows(found: Adjustment) -> tuple[tuple[str, str], ...]:
     rows = [(row.name, row.verdict) for row in found.parameters]
-    for name, count in found.num_observations.items():
-        rows.append((name, f"{count:,}, good to {found.std_px[name]:.2f} px"))
+    for name, count in found.statistics.num_observations.items():
+        rows.append((name, f"{count:,}, good to {found.statistics.std_px[name]:.2f} px"))
     for point in found.control:
         east, north, up = (f"{1000.0 * miss:.0f}" for miss in point.residual_m)
         rows.append((point.name, f"{east}, {north} and {up} mm east, north and up; {point.num_marks} marks"))

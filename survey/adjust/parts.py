@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from refract import FlatWater
-from survey.adjust.adjustment import Adjustment
+from survey.adjust.adjustment import Adjustment, Residuals
 from survey.adjust.std_common import moves_over_area
 from survey.display.quantities import length
 from survey.photos.tie_points import parts_of
@@ -51,8 +51,8 @@ class Part:
 
 def part_numbers(found: Adjustment) -> np.ndarray:
     """See `survey.photos.tie_points.parts_of`; marks of control hold nothing together."""
-    is_tie = found.residual_point < len(found.points) - len(found.control)
-    return parts_of(len(found.names), found.residual_point[is_tie], found.residual_view[is_tie])
+    is_tie = found.residuals.point < len(found.points) - len(found.control)
+    return parts_of(len(found.poses.names), found.residuals.point[is_tie], found.residuals.view[is_tie])
 
 
 def parts_of_adjustment(found: Adjustment, water: FlatWater | None) -> tuple[Part, ...]:
@@ -68,13 +68,13 @@ def parts_of_adjustment(found: Adjustment, water: FlatWater | None) -> tuple[Par
         moves = moves_over_area(own, water)
         mean = moves.mean(axis=0) if len(moves) else None
         first = mean if each == 0 else first
-        others = found.centres[(number != each) & (number >= 0)]
-        between = np.linalg.norm(found.centres[views][:, None] - others[None], axis=-1)
+        others = found.poses.centres[(number != each) & (number >= 0)]
+        between = np.linalg.norm(found.poses.centres[views][:, None] - others[None], axis=-1)
         to_first = None if each == 0 or mean is None or first is None else _std(found, mean - first)
         parts.append(
             Part(
-                names=tuple(found.names[view] for view in views),
-                listed=_runs(found.names, views),
+                names=tuple(found.poses.names[view] for view in views),
+                listed=_runs(found.poses.names, views),
                 num_points=len(own.points),
                 apart_m=float(between.min()),
                 height_std_m=None if mean is None else _std(found, mean),
@@ -101,17 +101,11 @@ def parts_warning(found: Adjustment, water: FlatWater | None) -> list[str]:
 
 def _only(found: Adjustment, keep: np.ndarray) -> Adjustment:
     """An adjustment with the tie points alone that views (V,) bool see; all else, the covariance too, stays."""
-    is_tie = found.residual_point < len(found.points) - len(found.control)
-    mine = is_tie & keep[found.residual_view]
-    kept, point = np.unique(found.residual_point[mine], return_inverse=True)
-    return replace(
-        found,
-        residual_view=found.residual_view[mine],
-        residual_px=found.residual_px[mine],
-        residual_at_px=found.residual_at_px[mine],
-        residual_point=point,
-        points=found.points[kept],
-    )
+    is_tie = found.residuals.point < len(found.points) - len(found.control)
+    mine = is_tie & keep[found.residuals.view]
+    kept, point = np.unique(found.residuals.point[mine], return_inverse=True)
+    residuals = Residuals(found.residuals.view[mine], found.residuals.px[mine], found.residuals.at_px[mine], point)
+    return replace(found, residuals=residuals, points=found.points[kept])
 
 
 def _runs(names: tuple[str, ...], views: np.ndarray) -> str:
@@ -123,7 +117,7 @@ def _runs(names: tuple[str, ...], views: np.ndarray) -> str:
 
 
 def _std(found: Adjustment, moves: np.ndarray) -> float:
-    return math.sqrt(max(float(moves @ found.covariance @ moves), 0.0))
+    return math.sqrt(max(float(moves @ found.covariance.matrix @ moves), 0.0))
 
 
 def _listed(texts: list[str]) -> str:

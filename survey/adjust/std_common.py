@@ -94,10 +94,10 @@ def common_error(found: Adjustment, water: FlatWater | None) -> CommonError | No
     moves = moves_over_area(found, water)
     if not len(moves):
         return None
-    by_place = np.einsum("ki,ij,kj->k", moves, found.covariance, moves)
+    by_place = np.einsum("ki,ij,kj->k", moves, found.covariance.matrix, moves)
     whole = moves.mean(axis=0)
     return CommonError(
-        mean=math.sqrt(max(float(whole @ found.covariance @ whole), 0.0)),
+        mean=math.sqrt(max(float(whole @ found.covariance.matrix @ whole), 0.0)),
         typical=float(np.median(np.sqrt(np.maximum(by_place, 0.0)))),
         num_places=len(moves),
     )
@@ -106,7 +106,7 @@ def common_error(found: Adjustment, water: FlatWater | None) -> CommonError | No
 def moves_over_area(found: Adjustment, water: FlatWater | None) -> np.ndarray:
     """Derivative (K, P) of the heights of points spread over the area, by the parameters of the covariance."""
     ties = _places_of_mean(found)
-    return height_moves(found, water, ties) if len(ties) else np.zeros((0, len(found.covariance)))
+    return height_moves(found, water, ties) if len(ties) else np.zeros((0, len(found.covariance.matrix)))
 
 
 def height_moves(found: Adjustment, water: FlatWater | None, ties: TiePoints) -> np.ndarray:
@@ -118,12 +118,12 @@ def place_moves(found: Adjustment, water: FlatWater | None, ties: TiePoints) -> 
     """Derivative (K, 3, P) of places, local, by the parameters of `Adjustment.covariance`."""
     layout = found.layout
     if water is not None:
-        x, y = found.water_point
+        x, y = found.covariance.water_point
         water = replace(water, point=(x, y, float(water.height(x, y))))
     lenses = np.array([parameters_of(lens) for lens in found.lenses])
     readouts = np.array(found.readouts_s or ())
-    state = State(water, np.zeros(RELIEF), lenses, found.centres, found.rotations, ties.start, readouts)
-    return moves_of(layout, state, ties, rows_taken(ties, found.lenses, found.lens_of))
+    state = State(water, np.zeros(RELIEF), lenses, found.poses.centres, found.poses.rotations, ties.start, readouts)
+    return moves_of(layout, state, ties, rows_taken(ties, found.lenses, found.poses.lens_of))
 
 
 def moves_of(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray) -> np.ndarray:
@@ -144,7 +144,7 @@ def moves_of(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray) ->
 
 def _places_of_mean(found: Adjustment) -> TiePoints:
     """Points of the adjustment spread over the area, each with some of the views that show it."""
-    first = np.searchsorted(found.residual_point, np.arange(len(found.points) + 1))
+    first = np.searchsorted(found.residuals.point, np.arange(len(found.points) + 1))
     seen = np.diff(first)
     enough = np.flatnonzero(seen >= 3)
     if not len(enough):
@@ -161,7 +161,7 @@ def _places_of_mean(found: Adjustment) -> TiePoints:
     ]
     at = np.concatenate(rows)
     point = np.repeat(np.arange(len(chosen)), [len(row) for row in rows])
-    return TiePoints(found.points[chosen], point, found.residual_view[at], found.residual_at_px[at])
+    return TiePoints(found.points[chosen], point, found.residuals.view[at], found.residuals.at_px[at])
 
 
 def std_common(xyz: np.ndarray, wet: np.ndarray, survey: Survey, found: Adjustment | None, gsd: float) -> np.ndarray:
@@ -296,7 +296,7 @@ def _variance(survey: Survey, found: Adjustment | None, ties: TiePoints, gsd: fl
     """Of the height of each place (K,) [m^2]."""
     if found is not None:
         moves = height_moves(found, survey.water, ties)
-        return np.einsum("ki,ij,kj->k", moves, found.covariance, moves)
+        return np.einsum("ki,ij,kj->k", moves, found.covariance.matrix, moves)
     known, of_water = known_of(survey, gsd, free_water=True), known_of(survey, gsd).std[:WATER]
     std = np.concatenate([of_water, known.std[WATER + RELIEF :]])
     # Structure from motion and poses without any word on them have no standard deviation of their own.

@@ -182,11 +182,11 @@ def calibrate_water(
         water=found.water,
         parameters=found.parameters,
         covariance=_covariance(survey, found),
-        num_views=len(np.unique(found.residual_view)),
-        num_points=found.num_points,
-        num_measurements=len(found.residual_view),
+        num_views=len(np.unique(found.residuals.view)),
+        num_points=found.statistics.num_points,
+        num_measurements=len(found.residuals.view),
         num_dry=int((water_plane(survey.frame, found.water).depth(found.points) <= 0.0).sum()),
-        rms_px=float(np.sqrt(np.mean(np.square(found.residual_px)))),
+        rms_px=float(np.sqrt(np.mean(np.square(found.residuals.px)))),
         warnings=found.warnings,
     )
 
@@ -215,8 +215,8 @@ def _covariance(survey: Survey, found: Adjustment) -> tuple[tuple[float, ...], .
     if not found.parameters[0].is_observable:
         # The block was adjusted under the given water.
         return _rows(np.diag(std**2))
-    by_local = settings_by_local(survey, np.array(found.water_point))
-    return _rows(by_local @ found.covariance[:WATER, :WATER] @ by_local.T)
+    by_local = settings_by_local(survey, np.array(found.covariance.water_point))
+    return _rows(by_local @ found.covariance.matrix[:WATER, :WATER] @ by_local.T)
 
 
 def _nothing(survey: Survey, reason: str) -> WaterEstimate:

@@ -154,7 +154,7 @@ class LoadedRun:
         if (self.folder.path / "adjustment.json").is_file():
             from survey.adjust.adjustment import read_adjustment
 
-            return float(read_adjustment(self.folder.path).position_std[:, :2].max(axis=1).mean())
+            return float(read_adjustment(self.folder.path).poses.position_std[:, :2].max(axis=1).mean())
         given = self.config.cameras.position_std_m
         if given is None:
             return 0.0

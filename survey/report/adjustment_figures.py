@@ -161,13 +161,14 @@ def adjustment_of(survey: Survey, found: Adjustment | None) -> AdjustmentFigures
         return None
     names, correlation = correlations(found)
     kinds = [
-        KindFigures(name, num, found.std_px[name], found.factor[name]) for name, num in found.num_observations.items()
+        KindFigures(name, num, found.statistics.std_px[name], found.statistics.factor[name])
+        for name, num in found.statistics.num_observations.items()
     ]
     return AdjustmentFigures(
         parameters=found.parameters,
         kinds=tuple(kinds),
-        num_points=found.num_points,
-        num_left_out=found.num_left_out,
+        num_points=found.statistics.num_points,
+        num_left_out=found.statistics.num_left_out,
         positions=_positions(survey, found),
         poses=_poses(found),
         control=found.control,
@@ -182,35 +183,37 @@ def adjustment_of(survey: Survey, found: Adjustment | None) -> AdjustmentFigures
 def correlations(found: Adjustment) -> tuple[tuple[str, ...], np.ndarray]:
     """Names (K,) and correlations (K, K) of those parameters of water and lenses that were free to move."""
     count = found.layout.first_pose - RELIEF
-    std = np.sqrt(np.diag(found.covariance)[:count])
+    std = np.sqrt(np.diag(found.covariance.matrix)[:count])
     free = np.flatnonzero(std > HELD_STD)
-    matrix = found.covariance[np.ix_(free, free)] / np.outer(std[free], std[free])
-    return tuple(found.covariance_names[i] for i in free), matrix
+    matrix = found.covariance.matrix[np.ix_(free, free)] / np.outer(std[free], std[free])
+    return tuple(found.covariance.names[i] for i in free), matrix
 
 
 def _positions(survey: Survey, found: Adjustment) -> PositionFigures | None:
     given = {name: prior.position for name, prior in survey.observations.priors.items() if prior.position is not None}
-    rows = [i for i, name in enumerate(found.names) if name in given]
+    rows = [i for i, name in enumerate(found.poses.names) if name in given]
     if not rows:
         return None
-    miss = found.centres[rows] - np.array([given[found.names[i]] for i in rows])
+    miss = found.poses.centres[rows] - np.array([given[found.poses.names[i]] for i in rows])
     miss[:, 2] += 0.0 if found.common_up_m is None else found.common_up_m[0]
     far = np.linalg.norm(miss, axis=1)
     worst = int(np.argmax(far))
-    name = found.names[rows[worst]]
-    return PositionFigures(len(rows), found.gps_std_m, _rms(miss), float(far[worst]), name, found.common_up_m)
+    name = found.poses.names[rows[worst]]
+    return PositionFigures(
+        len(rows), found.statistics.gps_std_m, _rms(miss), float(far[worst]), name, found.common_up_m
+    )
 
 
 def _poses(found: Adjustment) -> PoseFigures:
-    far, turned = np.linalg.norm(found.position_std, axis=1), np.linalg.norm(found.rotation_std_deg, axis=1)
+    far, turned = np.linalg.norm(found.poses.position_std, axis=1), np.linalg.norm(found.poses.rotation_std_deg, axis=1)
     worst, most_turned = int(np.argmax(far)), int(np.argmax(turned))
     return PoseFigures(
-        _axes(np.median(found.position_std, axis=0)),
-        _axes(np.median(found.rotation_std_deg, axis=0)),
+        _axes(np.median(found.poses.position_std, axis=0)),
+        _axes(np.median(found.poses.rotation_std_deg, axis=0)),
         float(far[worst]),
-        found.names[worst],
+        found.poses.names[worst],
         float(turned[most_turned]),
-        found.names[most_turned],
+        found.poses.names[most_turned],
     )
 
 

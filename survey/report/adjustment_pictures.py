@@ -64,12 +64,12 @@ def _arrows(axes: Axes, places: np.ndarray, vectors: np.ndarray, times: float) -
 
 def mean_residuals(found: Adjustment, lens: int) -> tuple[np.ndarray, np.ndarray, float]:
     """Middles (K, 2) [px] of the cells, mean residuals (K, 2) [px] there, and the side of a cell [px]."""
-    mine = found.lens_of[found.residual_view] == lens
+    mine = found.poses.lens_of[found.residuals.view] == lens
     width, height = found.lenses[lens].width, found.lenses[lens].height
     side = max(width, height) / _CELLS
     shape = (math.ceil(height / side), math.ceil(width / side))
-    cells = cell_numbers(found.residual_at_px[mine] / side, shape)
-    means = np.stack([cell_means(cells, axis, shape) for axis in found.residual_px[mine].T], axis=-1)
+    cells = cell_numbers(found.residuals.at_px[mine] / side, shape)
+    means = np.stack([cell_means(cells, axis, shape) for axis in found.residuals.px[mine].T], axis=-1)
     rows, columns = np.nonzero(cell_counts(cells, shape) >= _FEWEST)
     places = side * (np.column_stack([columns, rows]) + 0.5)
     return places, means[rows, columns], side
@@ -79,9 +79,9 @@ def draw_ground_residuals(path: Path, survey: Survey, found: Adjustment) -> Pict
     """Root mean square residual of each cell of the ground, with cameras, control and tie points."""
     crs = survey.frame.crs
     points = survey.frame.crs_from_local(found.points)
-    cameras = survey.frame.crs_from_local(found.centres)
-    grid = PlanGrid.over(points[found.residual_point], crs, max_cells=_GROUND_CELLS, per_cell=_PER_CELL)
-    rms = np.sqrt(grid.mean(0.5 * np.sum(found.residual_px**2, axis=1)))
+    cameras = survey.frame.crs_from_local(found.poses.centres)
+    grid = PlanGrid.over(points[found.residuals.point], crs, max_cells=_GROUND_CELLS, per_cell=_PER_CELL)
+    rms = np.sqrt(grid.mean(0.5 * np.sum(found.residuals.px**2, axis=1)))
     known = rms[np.isfinite(rms)]
     scale = ScalarMappable(Normalize(0.0, nice_limit(known)), SPREADS)
     figure, axes = map_canvas(_around(grid.extent, cameras[:, :2]), crs, below_in=0.5)
@@ -99,9 +99,9 @@ def draw_ground_residuals(path: Path, survey: Survey, found: Adjustment) -> Pict
 def draw_parts(path: Path, survey: Survey, found: Adjustment) -> Picture:
     """Cameras and tie points of a block that falls apart, each part in a colour of its own."""
     crs, number_of = survey.frame.crs, part_numbers(found)
-    points, cameras = (survey.frame.crs_from_local(places)[:, :2] for places in (found.points, found.centres))
+    points, cameras = (survey.frame.crs_from_local(places)[:, :2] for places in (found.points, found.poses.centres))
     part_of_point = np.full(len(points), -1)
-    part_of_point[found.residual_point] = number_of[found.residual_view]
+    part_of_point[found.residuals.point] = number_of[found.residuals.view]
     low, high = points.min(axis=0), points.max(axis=0)
     extent = (float(low[0]), float(high[0]), float(low[1]), float(high[1]))
     figure, axes = map_canvas(_around(extent, cameras), crs, below_in=0.5)

@@ -164,10 +164,25 @@ def test_a_folder_with_other_files_is_not_written_into_and_an_earlier_model_is_r
         export(path, colmap=path / "stages")
 
 
-def test_names_that_a_colmap_text_would_cut_are_refused(run, tmp_path):
+def test_names_that_a_colmap_text_would_cut_are_whole_in_a_binary_model(run, tmp_path):
+    pycolmap = pytest.importorskip("pycolmap")
     path, views, _ = run(LENSES["pinhole"])
-    flight = load_flight(path)
-    save_flight(path, replace(flight, views=(replace(views[0], name="DJI 0001.jpg"), *flight.views[1:])))
-    with pytest.raises(SurveyError, match=r'"DJI 0001.jpg" has a space in its name.*rename'):
-        export(path, colmap=tmp_path / "model")
-    assert not (tmp_path / "model").exists()
+    flight, target = load_flight(path), tmp_path / "model"
+    spaced = replace(flight, views=(replace(views[0], name="DJI 0001.jpg"), *flight.views[1:]))
+    save_flight(path, spaced)
+    export(path, colmap=target)
+    text, model = tmp_path / "text", pycolmap.Reconstruction(target)
+    assert {image.name for image in model.images.values()} == {view.name for view in spaced.views}
+    # All else is what the text says.
+    text.mkdir()
+    for name in ("cameras.txt", "images.txt", "points3D.txt"):
+        (text / name).write_bytes((target / name).read_bytes())
+    for number, image in pycolmap.Reconstruction(text).images.items():
+        other = model.images[number]
+        assert np.array_equal(image.cam_from_world().matrix(), other.cam_from_world().matrix())
+        assert np.array_equal(image.camera.params, other.camera.params)
+    assert len(model.points3D) == len(pycolmap.Reconstruction(text).points3D) > 0
+    # Binary files go before text: those of an earlier export do not stay.
+    save_flight(path, flight)
+    export(path, colmap=target)
+    assert sorted(p.name for p in target.iterdir()) == ["cameras.txt", "images.txt", "points3D.txt"]

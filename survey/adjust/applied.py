@@ -22,7 +22,7 @@ from survey.folder.shutter import rows_between
 from survey.folder.survey import Survey, View
 from survey.folder.tides import with_shift
 from survey.photos.cameras import CAM_FROM_OPK_CAM
-from survey.photos.colmap_text import FILES, model_texts, name_with_space
+from survey.photos.colmap_model import FILES, has_spaces, write_model
 from survey.photos.tie_points import TiePoints
 
 # Decimals of coordinates in metres and in degrees: to a tenth of a micrometre, so that nothing is lost.
@@ -113,11 +113,9 @@ def write_cameras(folder: Path, survey: Survey, found: Adjustment | None = None)
     """
     (folder / "sparse").mkdir(exist_ok=True)
     ties = None if found is None else _straight_ties(survey, found)
-    model = model_texts(survey.views, head=_given_back(survey), points=_HEAD, ties=ties)
-    texts = {CAMERAS: _opk(survey)} | {f"sparse/{name}": text for name, text in model.items()}
-    for name, text in texts.items():
-        with write_whole(folder / name) as stream:
-            stream.write(text.encode())
+    write_model(folder / "sparse", survey.views, head=_given_back(survey), points=_HEAD, ties=ties)
+    with write_whole(folder / CAMERAS) as stream:
+        stream.write(_opk(survey).encode())
 
 
 def _straight_ties(survey: Survey, found: Adjustment) -> TiePoints:
@@ -148,8 +146,9 @@ def _given_back(survey: Survey) -> str:
     shutter = ""
     if any(view.camera.motion is not None for view in survey.views):
         shutter = f", rolling_shutter_s = {survey.config.cameras.rolling_shutter_s!r}"
-    spaced = name_with_space(survey.views)
-    cut = "" if spaced is None else f'# Names such as "{spaced}" have spaces, at which other programs cut them\n'
+    cut = (
+        "# Some names have spaces, at which other programs cut them in images.txt\n" if has_spaces(survey.views) else ""
+    )
     return f'# In survey.toml: [cameras] poses = "sparse"{shutter} and [local] origin = [{origin}]\n{cut}'
 
 

@@ -75,24 +75,15 @@ def _in_colmap(lens: Lens) -> Lens:
 
 
 def _write_colmap(path: Path, run: LoadedRun, _options: ExportOptions) -> None:
-    from geo.files import disk_refusals, write_whole
-    from survey.photos.colmap_text import model_texts, name_with_space
+    from geo.files import disk_refusals
+    from survey.photos.colmap_model import write_model
 
     flight = run.flight
-    spaced = name_with_space(flight.views)
-    if spaced is not None:
-        raise SurveyError(
-            f'the photograph "{spaced}" has a space in its name, and the text of a COLMAP model separates values by '
-            "spaces; rename the photographs and process again, or export --nerfstudio, which takes any name"
-        )
     views = [replace(view, lens=_in_colmap(view.lens)) for view in flight.views]
     comments = [f"# {name}: {json.dumps(value, ensure_ascii=False)}\n" for name, value in _said(flight).items()]
-    texts = model_texts(views, head=_MARK + "".join(comments), points=_points(run))
     with disk_refusals(path):
         path.mkdir(parents=True, exist_ok=True)
-    for name, text in texts.items():
-        with write_whole(path / name) as stream:
-            stream.write(text.encode())
+        write_model(path, views, head=_MARK + "".join(comments), points=_points(run))
 
 
 def _points(run: LoadedRun) -> str:

@@ -73,9 +73,16 @@ def read_model(folder: Path) -> PoseFile:
         poses[photo.name] = Pose(photo.name, centre, cam_from_local, lens)
     if (folder / f"frames{suffix}").is_file() and (folder / f"rigs{suffix}").is_file():
         _require_rigs_agree(folder, suffix, photos)
-    with (folder / f"cameras{suffix}").open("rb") as file:
-        is_own = file.read(len(_OWN_FIRST_WORDS)) == _OWN_FIRST_WORDS
-    return PoseFile(tuple(poses.values()), PoseFrame.LOCAL, tool=None if is_own else "COLMAP")
+    return PoseFile(tuple(poses.values()), PoseFrame.LOCAL, tool=None if _is_own(folder) else "COLMAP")
+
+
+def _is_own(folder: Path) -> bool:
+    """Whether a model comes from an adjustment with bent rays; its text lies beside it where it is binary."""
+    path = folder / "cameras.txt"
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(len(_OWN_FIRST_WORDS)) == _OWN_FIRST_WORDS
 
 
 def read_ties(folder: Path) -> FileTies | None:

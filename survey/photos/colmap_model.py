@@ -1,13 +1,16 @@
-"""Cameras as the text of a COLMAP model, which many programs read."""
+"""Cameras as a COLMAP model, which many programs read: text, and binary where the text would cut names."""
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from refract.lens import Lens
+from geo.files import write_whole
+from refract.lens import MODELS, Lens
 from survey.photos.cameras import View
 from survey.photos.tie_points import TiePoints
 
@@ -15,16 +18,24 @@ _GREY = "128 128 128"
 FILES = ("cameras.txt", "images.txt", "points3D.txt")
 
 
-def name_with_space(views: Sequence[View]) -> str | None:
-    """The first name of a photograph that has a space, at which other readers of the text cut it; None without one."""
-    return next((view.name for view in views if len(view.name.split()) != 1), None)
+def _binary(name: str) -> str:
+    return name.replace(".txt", ".bin")
 
 
-def model_texts(views: Sequence[View], *, head: str, points: str, ties: TiePoints | None = None) -> dict[str, str]:
-    """The files of a model in the local frame, by name.
+def has_spaces(views: Sequence[View]) -> bool:
+    """Whether a photograph has a space in its name, at which other readers of the text cut it."""
+    return any(len(view.name.split()) != 1 for view in views)
+
+
+def write_model(folder: Path, views: Sequence[View], *, head: str, points: str, ties: TiePoints | None = None) -> None:
+    """Write a model in the local frame into a folder that exists: text, and binary too where a name has a space.
+
+    COLMAP takes binary files before text, so that those of an earlier model go. BROWN_AFFINE, which is none of its
+    lenses, is written as text alone.
 
     Parameters
     ----------
+    folder : Path
     views : sequence of View
     head : str
         Comment lines at the beginning of cameras.txt.
@@ -33,6 +44,20 @@ def model_texts(views: Sequence[View], *, head: str, points: str, ties: TiePoint
     ties : TiePoints, optional
         Points for points3D.txt, in the places that straight rays give them, with their tracks.
     """
+    texts = _texts(views, head, points, ties)
+    files = {name: text.encode() for name, text in texts.items()}
+    if has_spaces(views) and all(MODELS[view.lens.model][0] is not None for view in views):
+        for name, packed in zip(FILES, (_cameras_bin, _images_bin, _points_bin), strict=True):
+            files[_binary(name)] = packed(texts[name].splitlines())
+    for name, content in files.items():
+        with write_whole(folder / name) as stream:
+            stream.write(content)
+    for name in map(_binary, FILES):
+        if name not in files:
+            (folder / name).unlink(missing_ok=True)
+
+
+def _texts(views: Sequence[View], head: str, points: str, ties: TiePoints | None) -> dict[str, str]:
     lenses = tuple(dict.fromkeys(view.lens for view in views))
     cameras = head + "".join(_lens_line(number, lens) for number, lens in enumerate(lenses, start=1))
     seen = [""] * len(views)
@@ -80,3 +105,34 @@ def _point_lines(views: Sequence[View], ties: TiePoints) -> str:
         track = " ".join(f"{view + 1} {at}" for view, at in zip(ties.view[rows], place[rows], strict=True))
         lines.append(f"{number + 1} {x:.4f} {y:.4f} {z:.4f} {_GREY} {miss[rows].mean():.3f} {track}\n")
     return "".join(lines)
+
+
+def _cameras_bin(lines: Sequence[str]) -> bytes:
+    rows = [line.split() for line in lines if not line.startswith("#")]
+    packed = [struct.pack("<Q", len(rows))]
+    for number, model, width, height, *params in rows:
+        packed.append(struct.pack("<IiQQ", int(number), MODELS[model][0], int(width), int(height)))
+        packed.append(struct.pack(f"<{len(params)}d", *map(float, params)))
+    return b"".join(packed)
+
+
+def _images_bin(lines: Sequence[str]) -> bytes:
+    packed = [struct.pack("<Q", len(lines) // 2)]
+    for line, points in zip(lines[::2], lines[1::2], strict=True):
+        number, *pose, camera, name = line.split(" ", 9)
+        seen = points.split()
+        packed.append(struct.pack("<I7dI", int(number), *map(float, pose), int(camera)) + name.encode() + b"\0")
+        packed.append(struct.pack("<Q", len(seen) // 3))
+        for x, y, point in zip(seen[::3], seen[1::3], seen[2::3], strict=True):
+            packed.append(struct.pack("<ddQ", float(x), float(y), int(point)))
+    return b"".join(packed)
+
+
+def _points_bin(lines: Sequence[str]) -> bytes:
+    rows = [line.split() for line in lines if not line.startswith("#")]
+    packed = [struct.pack("<Q", len(rows))]
+    for number, x, y, z, r, g, b, error, *track in rows:
+        place, colour = map(float, (x, y, z)), map(int, (r, g, b))
+        packed.append(struct.pack("<Q3d3BdQ", int(number), *place, *colour, float(error), len(track) // 2))
+        packed.append(struct.pack(f"<{len(track)}I", *map(int, track)))
+    return b"".join(packed)

@@ -56,12 +56,15 @@ class Transformation:
         known (a CRS without a known datum).
     missing : tuple of str
         Names of the grids that the best operation needs and PROJ does not have; the operation is then a worse one.
+    is_known : bool
+        False where PROJ has no operation: one datum is then taken for the other.
     """
 
     source: CRS
     target: CRS
     accuracy_m: float | None
     missing: tuple[str, ...]
+    is_known: bool
     _transformer: Transformer = field(repr=False, compare=False)
 
     @staticmethod
@@ -77,13 +80,14 @@ class Transformation:
         source, target = horizontal_crs(source), horizontal_crs(target)
         middle = _middle(source, np.asarray(places, dtype=np.float64))
         if middle is None:
-            return Transformation(source, target, 0.0, (), Transformer.from_crs(*ends, always_xy=True))
-        transformer, accuracy, missing = _chosen(*ends, middle)
-        is_known = accuracy is not None or _may_be_one_datum(source, target)
-        if is_known and accuracy != 0.0 and not missing and _keeps_degrees(source, target, transformer, middle):
+            return Transformation(source, target, 0.0, (), True, Transformer.from_crs(*ends, always_xy=True))
+        transformer, accuracy, missing, is_operation = _chosen(*ends, middle)
+        is_known = is_operation or _may_be_one_datum(source, target)
+        is_rated = accuracy is not None or _may_be_one_datum(source, target)
+        if is_rated and accuracy != 0.0 and not missing and _keeps_degrees(source, target, transformer, middle):
             # By convention a receiver's WGS 84 is the frame of its corrections; a survey is then as good as these.
             accuracy = 0.0
-        return Transformation(source, target, accuracy, missing, transformer)
+        return Transformation(source, target, accuracy, missing, is_known, transformer)
 
     def __call__(self, x, y) -> tuple[np.ndarray, np.ndarray]:
         """Easting and northing (N,) in the target of coordinates (N,) in the source; not finite off the map."""
@@ -96,6 +100,15 @@ class Transformation:
                 f"{said}: the way from {called(self.source)} to {called(self.target)} needs "
                 f"{' and '.join(self.missing)}, which PROJ does not have; fetch it into its data folder "
                 f"(projsync --file {self.missing[0]}), {mend}"
+            )
+
+    def require_known(self, said: str, mend: str) -> None:
+        """Raise UnsupportedCRS where PROJ has no operation: between two datums lie up to hundreds of metres."""
+        if not self.is_known:
+            raise UnsupportedCRS(
+                f"{said}: PROJ knows no operation between the datums of {called(self.source)} and "
+                f"{called(self.target)}, which may lie hundreds of metres apart; name the datum (an EPSG code, or "
+                f"+towgs84 in a PROJ string), {mend}"
             )
 
     def doubt(self, said: str) -> str | None:
@@ -291,6 +304,14 @@ def _is_known(geographic: CRS) -> bool:
     return bool(group.transformers or group.unavailable_operations)
 
 
+def _known_operations(source: CRS, target: CRS) -> list[Transformer]:
+    """All that can be done, at any place."""
+    try:
+        return operations(source, target, None).transformers
+    except ProjError:
+        return []
+
+
 def _is_nameless(crs: CRS) -> bool:
     datum = geodetic_crs(crs).datum
     return datum is None or datum.name.lower().startswith(("unknown", "unnamed"))
@@ -329,8 +350,8 @@ def _projection(source: str, target: str) -> Transformer:
     return Transformer.from_crs(source, target, always_xy=True)
 
 
-def _chosen(source: CRS, target: CRS, middle: np.ndarray) -> tuple[Transformer, float | None, tuple[str, ...]]:
-    """PROJ's best operation of those that can be done, its accuracy, and grids that a better one needs."""
+def _chosen(source: CRS, target: CRS, middle: np.ndarray) -> tuple[Transformer, float | None, tuple[str, ...], bool]:
+    """PROJ's best operation of those that can be done, its accuracy, grids that a better one needs, if there is one."""
     area = area_about(*middle.tolist())
     try:
         group = operations(source, target, area)
@@ -343,10 +364,13 @@ def _chosen(source: CRS, target: CRS, middle: np.ndarray) -> tuple[Transformer, 
     missing = tuple(grid.short_name for operation in better for grid in operation.grids if not grid.available)
     if group.transformers:
         best = group.transformers[0]
-        return best, (best.accuracy if best.accuracy >= 0.0 else None), missing
+        return best, (best.accuracy if best.accuracy >= 0.0 else None), missing, True
+    elsewhere = [] if missing else _known_operations(source, target)
+    if elsewhere:
+        return elsewhere[0], None, (), True  # of unknown accuracy outside its area
     try:
         # A datum that nobody knows is taken for that of the other.
-        return Transformer.from_crs(source, target, always_xy=True, area_of_interest=area), None, missing
+        return Transformer.from_crs(source, target, always_xy=True, area_of_interest=area), None, missing, bool(missing)
     except ProjError as error:
         raise UnsupportedCRS(
             f"the way from {called(source)} to {called(target)} is not known to PROJ ({str(error)[:80]}); choose "

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from pyproj import CRS, Transformer
 
-from geo.errors import CRSMismatch, MissingGrid, PlaceMismatch, UnknownUnit
+from geo.crs import horizontal_crs
+from geo.errors import CRSMismatch, MissingGrid, PlaceMismatch, UnknownUnit, UnsupportedCRS
 from geo.projection import metres_per_unit
 from geo.transformation import WGS84, Transformation, height_scale, lon_lat, require_in_area, transformed
 
@@ -165,3 +166,22 @@ def test_the_way_to_wgs_84_counts_whatever_a_datum_is_called_that_proj_does_not_
     way = Transformation.between(source, CRS("EPSG:25832+7837"), at)
     assert np.column_stack(way(*at.T)) == pytest.approx(place, abs=1e-3)
     assert way.accuracy_m is None
+
+
+@pytest.mark.parametrize(("text", "is_known"), [
+    (f"{BESSEL} {HELMERT}", True),  # an operation of unknown accuracy
+    (BESSEL, False),
+    ("+proj=tmerc +lat_0=47 +lon_0=10 +ellps=GRS80", True),  # may be the datum of the other
+    ("EPSG:31254", True),
+    ("EPSG:31466", True),  # outside the area of every operation
+])  # fmt: skip
+def test_a_way_between_datums_of_which_none_is_known_is_refused(text, is_known):
+    source, target = CRS(text), CRS("EPSG:25832+7837")
+    lon_lat = Transformer.from_crs(horizontal_crs(source).geodetic_crs, horizontal_crs(source), always_xy=True)
+    way = Transformation.between(source, target, np.column_stack(lon_lat.transform(np.array([10.2]), np.array([46.9]))))
+    assert way.is_known is is_known
+    if is_known:
+        way.require_known("points", "or give others")
+    else:
+        with pytest.raises(UnsupportedCRS, match=r"no operation between the datums .*, or give others"):
+            way.require_known("points", "or give others")

@@ -29,7 +29,8 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS) -> tuple[list[GivenPoint], Fi
     ControlError
         If a point does not lie on the map of crs.
     GeoError
-        If heights count from another datum or have no unit, or a grid of the best transformation is missing.
+        If heights count from another datum or have no unit, a grid of the best transformation is missing, or PROJ
+        knows none.
     """
     done, said = list(points), Findings()
     for source, units in dict.fromkeys((point.crs, point.units) for point in points):
@@ -44,6 +45,7 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS) -> tuple[list[GivenPoint], Fi
             what = f"{first.where}: points in {called(source)}"
             way = Transformation.between(source, crs, places)
             way.require_best(what, mend)
+            way.require_known(what, mend)
             places = np.column_stack([*way(places[:, 0], places[:, 1]), places[:, 2]])
             added, doubt = way.accuracy_m or 0.0, way.doubt(what)
             heights = "are converted to the unit of crs" if scale != 1.0 else "are taken as heights in crs"

@@ -2,7 +2,7 @@
 
 An error of a transformation of datums is the same at all places of a survey. Where control holds the block it widens
 the positions, and counts for nothing; else the whole block lies off by it. A way that is worse than the positions, for
-want of a grid, is refused where nothing else places the block: a grid can be had.
+want of a grid, or because PROJ knows none, is refused where nothing else places the block.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def plan_std(way: Transformation) -> float:
 
 
 def require_as_good(way: Transformation, plan_std_m: float, said: str, num_control: int) -> None:
-    """Raise where a grid is missing, and the way without it is worse than the places that take it.
+    """Raise where a grid is missing, and the way without it is worse than the places that take it, or none is known.
 
     Parameters
     ----------
@@ -64,9 +64,12 @@ def require_as_good(way: Transformation, plan_std_m: float, said: str, num_contr
 
     Raises
     ------
-    MissingGrid
+    MissingGrid, UnsupportedCRS
     """
-    if not way.missing or plan_std_m > WELL_KNOWN_M or num_control >= _PLACING:
+    if plan_std_m > WELL_KNOWN_M or num_control >= _PLACING:
+        return
+    way.require_known(said, f"or give {_PLACING} control points or more in crs, which then place the block")
+    if not way.missing:
         return
     if way.accuracy_m is not None and way.accuracy_m <= plan_std_m:
         return

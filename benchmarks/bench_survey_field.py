@@ -26,10 +26,10 @@ from pathlib import Path
 import torch
 from survey_field_measures import cloud_figures, summary, view_figures
 
-from survey.folder.config import read_config
 from survey.folder.survey import load_survey
 from survey.run.folder import RunDir
 from survey.run.stored import load_bed
+from survey.settings.config import read_config
 
 # The images number 4, 12, 20, ... of the table are left out.
 EVERY, FIRST = 8, 4

@@ -37,14 +37,14 @@ from geo.polygons import read_polygons
 from geo.reading import read_reference
 from survey.control.reading import read_control
 from survey.errors import SurveyError
-from survey.folder.config import parse_config
 from survey.folder.geo_txt import with_positions
-from survey.folder.level_geojson import points_of_geojson
-from survey.folder.level_observation import points_of_surface, readings_of_gauge
 from survey.photos.complete import fault_of
 from survey.photos.exif import Exif, read_exif
+from survey.settings.config import parse_config
 from survey.simulate.output.sidecars import gps_exif
 from survey.simulate.output.truth import write_ply
+from survey.water.geojson import points_of_geojson
+from survey.water.level_observation import points_of_surface, readings_of_gauge
 
 UTM = CRS("EPSG:25832+7837")
 E0, N0, LEVEL = 676120.0, 5311480.0, 584.2

@@ -20,7 +20,7 @@ from survey.adjust.adjustment import (
     Residuals,
 )
 from survey.adjust.state import LENS_NAMES, WATER_NAMES
-from survey.folder.config import WaterConfig
+from survey.settings.config import WaterConfig
 
 POSE_NAMES = ("x", "y", "z", "turn_x", "turn_y", "turn_z")
 

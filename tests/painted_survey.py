@@ -14,10 +14,10 @@ from stored_run import run_of, stored_points
 from fields.gamma import GAMMA
 from fields.water_column import WaterColumn
 from refract import fresnel_coefficients
-from survey.folder.config import dump_config
 from survey.folder.survey import Survey, load_survey
 from survey.run.flight import save_flight
 from survey.run.folder import RunDir
+from survey.settings.config import dump_config
 
 # A pixel covers this of the bed.
 GSD_M = 0.2

@@ -18,10 +18,10 @@ from survey.adjust.refine import adjust_survey
 from survey.adjust.rounds import Adjusted, adjust
 from survey.adjust.state import POSE
 from survey.adjust.std_common import common_error
-from survey.folder.level_observation import LevelObservation
 from survey.folder.place import water_plane
 from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import Survey
+from survey.water.level_observation import LevelObservation
 from tests.block_survey import ORIGIN, height_error, survey_of, with_shift
 from tests.changed_survey import changed
 from tests.drawn_block import DrawnBlock, draw_block

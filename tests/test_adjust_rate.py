@@ -15,7 +15,7 @@ from survey.adjust.applied import apply_adjustment
 from survey.adjust.prediction import predict, relief_sides
 from survey.adjust.refine import adjust_survey
 from survey.adjust.std_common import common_error
-from survey.folder.tides import Tide
+from survey.water.tides import Tide
 from tests.changed_survey import changed
 
 # The water rises by 0.3 m in the hour of the flight.

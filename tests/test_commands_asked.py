@@ -14,12 +14,12 @@ from small_survey import small_survey
 
 from survey.commands.environment import PREFIX, asked_of_environment
 from survey.errors import ConfigError
-from survey.folder.config import dump_config, parse_config
-from survey.folder.config_process import ProcessConfig
 from survey.plan.aim import Aim, aim_and_choices
 from survey.plan.choices import USUAL, Choices
 from survey.run.repeat import command_of
 from survey.run.truth import Truth
+from survey.settings.config import dump_config, parse_config
+from survey.settings.process import ProcessConfig
 
 # A value of each key, and another; none of them the default.
 VALUES = {

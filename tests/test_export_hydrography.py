@@ -17,9 +17,9 @@ from evaluation.standards import THU, TVU, order_by_thu, order_by_tvu
 from survey.errors import OutputError, SurveyError
 from survey.export.export import export
 from survey.export.product import ExportOptions
-from survey.folder.config import CamerasConfig, SurveyConfig, WaterConfig, dump_config
 from survey.run.folder import RunDir
 from survey.run.stored import StoredBed
+from survey.settings.config import CamerasConfig, SurveyConfig, WaterConfig, dump_config
 
 # More than one window of the writer, and no whole number of the chunks of BAG.
 FINE = ExportOptions(resolution_m=0.025)

@@ -21,7 +21,6 @@ from refract import FlatWater
 from refract.lens import Lens
 from survey.errors import OutputError, SurveyError
 from survey.export.render import render
-from survey.folder.config import CamerasConfig, SurveyConfig, dump_config
 from survey.photos.cameras import View
 from survey.progress import Progress
 from survey.run.flight import save_flight
@@ -31,6 +30,7 @@ from survey.run.stage_sweep import MAPS
 from survey.run.stored import PLACE_FILE
 from survey.run.stored_field import load_place, save_field, save_place
 from survey.run.stored_maps import save_maps
+from survey.settings.config import CamerasConfig, SurveyConfig, dump_config
 
 ORIGIN = (691000.0, 5334000.0, 500.0)
 WATER = FlatWater((1.0, 2.0, 0.5), n_water=1.34, slope_x=0.01, slope_y=-0.004)

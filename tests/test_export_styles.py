@@ -15,7 +15,7 @@ from survey.errors import SurveyError
 from survey.export.export import export
 from survey.export.product import ExportOptions
 from survey.export.registry import PRODUCTS
-from survey.folder.config import dump_config, parse_config
+from survey.settings.config import dump_config, parse_config
 
 STYLED = {product.option: product for product in PRODUCTS if product.style is not None}
 

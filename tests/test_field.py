@@ -24,9 +24,9 @@ from survey.commands.field import Model
 from survey.commands.field import Rule as OfferedRule
 from survey.errors import ConfigError, OutputError, SurveyError
 from survey.export.loaded import LoadedRun
-from survey.folder.config import parse_config
-from survey.folder.config_field import FieldConfig, LossesConfig
 from survey.run.cloud import write_bed_ply
+from survey.settings.config import parse_config
+from survey.settings.field import FieldConfig, LossesConfig
 from survey.volume.field import VolumeOptions, train_field
 from survey.volume.monocular import monocular_priors
 from survey.volume.settings import field_config, volume_options

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from refract.lens import distorted
-from survey.folder.config import read_config
+from survey.settings.config import read_config
 
 BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
 

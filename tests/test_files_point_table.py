@@ -11,7 +11,7 @@ from survey.files.column_units import Units
 from survey.files.csv_table import read_table
 from survey.files.json_values import finite_number
 from survey.files.point_table import PLACE, read_points, units_said
-from survey.folder.config import parse_config
+from survey.settings.config import parse_config
 
 POINTS = [("p1", 676120.25, 5311480.5, 581.375), ("p2", 676121.0, 5311481.25, -3.5)]
 NAMES = [

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 from command_line import bathynerf
 from small_survey import unposed
-from test_folder_config import FULL
+from test_settings_config import FULL
 
 from survey.errors import ConfigError
 from survey.files.toml_schema import schema_of
-from survey.folder.config import SurveyConfig, parse_config
 from survey.init.draft import SCHEMA_LINE, SCHEMA_NAME
+from survey.settings.config import SurveyConfig, parse_config
 
 SCHEMA = json.loads(json.dumps(schema_of(SurveyConfig)))
 TYPES = {"number": (int, float), "integer": int, "string": str, "boolean": bool, "array": list, "object": dict}

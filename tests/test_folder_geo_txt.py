@@ -12,7 +12,6 @@ from small_survey import E0, LEVEL, N0, said, unposed, write_image
 
 from geo.errors import GeoError, PlaceMismatch, UnknownUnit
 from survey.errors import ConfigError, PosesError
-from survey.folder.config import CamerasConfig
 from survey.folder.inputs import survey_inputs
 from survey.folder.pose_priors import accuracy_of_gps, common_up_std_of_exif
 from survey.folder.survey import find_survey
@@ -21,6 +20,7 @@ from survey.init.entry import Answers
 from survey.photos.exif import Exif, TablePlace
 from survey.plan.check import check_survey
 from survey.pose_files import find_poses
+from survey.settings.config import CamerasConfig
 from survey.sfm.gps import positions_in_crs
 
 NAMES = [f"{i:04d}.jpg" for i in range(4)]

@@ -10,12 +10,12 @@ from PIL import ExifTags, Image
 from small_survey import replaced, said, small_survey, unposed
 
 from survey.errors import ConfigError
-from survey.folder.config import parse_config
 from survey.folder.survey import load_survey
 from survey.folder.velocities import BY_SETTINGS, BY_TIMES, BY_XMP, velocities_of
 from survey.photos.exif import Exif, read_exif
 from survey.photos.xmp import Motion, motion_of
 from survey.plan.check import check_survey
+from survey.settings.config import parse_config
 
 KEY = ("[water]", "rolling_shutter_s = 0.047\n[water]")
 START = datetime(2026, 6, 1, 10, 0, 0)

@@ -11,10 +11,10 @@ from small_survey import CRS, E0, LEVEL, N0, TOML, camera_lines, replaced, small
 from geo.errors import GeoError, MissingVerticalDatum
 from refract.dispersion import converted_index
 from survey.errors import ConfigError, ImageError, PosesError, SurveyError
-from survey.folder.config import dump_config, parse_config
 from survey.folder.infer import NO_WATER
 from survey.folder.survey import load_image, load_survey
 from survey.photos.images import LUMA
+from survey.settings.config import dump_config, parse_config
 
 # Over 30 m, grid metres and true ones differ by 0.0007 (scale and height) on a rise of 0.006 * 30 m, and level
 # water leaves its plane by 0.07 mm.

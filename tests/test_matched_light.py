@@ -13,10 +13,10 @@ from small_survey import LEVEL, TOML, replaced, small_survey
 from refract import water_index
 from refract.dispersion import converted_index, mixed_index, mixed_wavelength
 from survey.errors import ConfigError
-from survey.folder.config import dump_config, parse_config
 from survey.folder.survey import load_survey
 from survey.photos.images import LUMA
 from survey.photos.texture import matched_light, texture_of
+from survey.settings.config import dump_config, parse_config
 
 SODIUM_NM = 589.3
 

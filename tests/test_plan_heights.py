@@ -11,13 +11,13 @@ from small_water_block import HEIGHT, TRUTH, convergent, meeting_of_straight_ray
 from test_adjust_water import survey_with
 
 from survey.errors import ConfigError
-from survey.folder.config import parse_config
 from survey.folder.survey import load_survey
 from survey.photos.tie_points import TiePoints
 from survey.plan.area import limits
 from survey.plan.choices import Choices
 from survey.plan.ground import dry_ground
 from survey.plan.plan import make_plan
+from survey.settings.config import parse_config
 from survey.sfm.poses import SfmResult, SfmView
 from tests.changed_survey import changed
 

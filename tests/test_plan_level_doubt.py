@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from small_survey import LEVEL, said, small_survey, unposed
 
-from survey.folder.config import WaterConfig
 from survey.folder.survey import find_survey, load_survey
 from survey.photos.xmp import Motion
 from survey.plan.check import check_survey, require_processable
 from survey.plan.choices import Choices
 from survey.plan.level_doubt import DOWN_DEG, level_doubt
+from survey.settings.config import WaterConfig
 from tests.changed_survey import changed
 
 ANGLES = st.lists(st.one_of(st.floats(0.0, DOWN_DEG - 0.5), st.floats(DOWN_DEG + 0.5, 80.0)), min_size=3, max_size=40)

@@ -8,11 +8,10 @@ from datetime import UTC, datetime, timedelta
 import pytest
 from small_survey import write_image
 
-from survey.folder.config import parse_config
-from survey.folder.config_report import ReportConfig
 from survey.photos.exif import Exif, read_exif
 from survey.report.blocks import Rows
 from survey.report.taken import CameraFigures, flown, head_lines, table, taken_of
+from survey.settings.config import ReportConfig, parse_config
 
 START = datetime(2026, 6, 1, 10, 12, 40, tzinfo=UTC)
 NOW = datetime(2026, 6, 3, 8, 5, tzinfo=UTC)

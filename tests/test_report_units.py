@@ -14,11 +14,11 @@ from geo.errors import UnwritableFile
 from survey.display.quantities import LengthUnit, area, density, distance, height, length, lengths_in_feet, volume
 from survey.display.units import foot_m
 from survey.errors import ConfigError
-from survey.folder.config_report import ReportConfig
 from survey.report import pdf
 from survey.report.collect import figures_of
 from survey.report.coverage import coverage_of
 from survey.report.page import render_page
+from survey.settings.config import ReportConfig
 
 FOOT = 0.3048
 US_FOOT = 1200.0 / 3937.0

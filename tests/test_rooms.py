@@ -26,8 +26,8 @@ LAYERS = (
     {"fields/sweep/kernels"},
     {"evaluation", "fields/sweep", "fields/views", "fields/volume", "survey"},
     {"fields/colour", "fields/slab", "fields/solver", "survey/files", "survey/display"},
-    {"survey/photos", "survey/compare", "survey/mesh"},
-    {"survey/control", "survey/pose_files", "survey/simulate/flight"},
+    {"survey/photos", "survey/compare", "survey/mesh", "survey/settings"},
+    {"survey/control", "survey/pose_files", "survey/simulate/flight", "survey/water"},
     {"survey/sfm"},
     {"survey/folder", "survey/simulate"},
     {"survey/plan", "survey/init", "survey/simulate/ground"},
@@ -82,7 +82,7 @@ DISK = (
 DISK_FOLDERS = (
     {"geo", "survey"}
     | {f"survey/{name}" for name in ("commands", "control", "files", "folder", "init", "marking", "photos")}
-    | {f"survey/{name}" for name in ("benchmark", "export", "handles", "pose_files", "profile", "run", "sfm")}
+    | {f"survey/{name}" for name in ("benchmark", "export", "handles", "pose_files", "profile", "run", "sfm", "water")}
     | {"survey/simulate/output", "survey/simulate/staging", "survey/volume"}
 )
 # Files elsewhere that do so all the same. fields/device.py only looks for libLLVM, bathynerf/_rooms.py for foreign

@@ -9,13 +9,13 @@ import pytest
 from small_survey import small_survey
 
 from survey.commands import process as command
-from survey.folder.config import parse_config
 from survey.folder.survey import load_survey
 from survey.plan.choices import Choices
 from survey.progress import opened
 from survey.run.job import Job
 from survey.run.repeat import command_of, options_of, settings_text
 from survey.run.truth import Truth
+from survey.settings.config import parse_config
 
 
 @pytest.fixture

@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 from geo import read_reference
 from survey.commands.verbs import app
 from survey.errors import OutputError
-from survey.folder.config import read_config
 from survey.folder.survey import load_survey
+from survey.settings.config import read_config
 from survey.simulate.output import writing
 from survey.simulate.staging.simulate import simulate, simulate_flight
 

@@ -6,8 +6,8 @@ import numpy as np
 from drawn_shore import EXACT_M, EXACT_PX, STORED_PX
 
 from geo import read_reference
-from survey.folder.config import read_config
 from survey.folder.survey import load_survey
+from survey.settings.config import read_config
 from survey.simulate.drawn import DrawnScene, stage_drawing
 
 

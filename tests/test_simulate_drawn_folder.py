@@ -8,7 +8,7 @@ import pytest
 from drawn_shore import SHORE
 
 from survey.errors import SurveyError
-from survey.folder.config import read_config
+from survey.settings.config import read_config
 from survey.simulate.drawn import DrawnScene, draw_survey, stage_drawing
 from survey.simulate.drawn.__main__ import main
 from survey.simulate.output import writing

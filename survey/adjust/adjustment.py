@@ -13,7 +13,7 @@ from refract.lens import Lens
 from survey.adjust.state import READOUT_NAME, Layout
 from survey.errors import SurveyError
 from survey.files.json_values import json_text, read_json_object
-from survey.folder.config import WaterConfig
+from survey.settings.config import WaterConfig
 
 JSON, ARRAYS = "adjustment.json", "adjustment.npz"
 FREE, HELD, UNKNOWN = "free", "held", "not observable"

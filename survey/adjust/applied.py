@@ -20,10 +20,10 @@ from survey.adjust.state import Layout, State
 from survey.folder.place import water_plane
 from survey.folder.shutter import rows_between
 from survey.folder.survey import Survey, View
-from survey.folder.tides import with_shift
 from survey.photos.cameras import CAM_FROM_OPK_CAM
 from survey.photos.colmap_model import FILES, has_spaces, write_model
 from survey.photos.tie_points import TiePoints
+from survey.water.tides import with_shift
 
 # Decimals of coordinates in metres and in degrees: to a tenth of a micrometre, so that nothing is lost.
 _DECIMALS_M, _DECIMALS_DEG = 7, 12

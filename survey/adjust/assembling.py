@@ -32,8 +32,8 @@ from survey.adjust.verdicts import (
     water_verdicts,
 )
 from survey.adjust.water_settings import settings_by_local, settings_of, with_settings
-from survey.folder.config import WaterConfig
 from survey.folder.survey import Survey
+from survey.settings.config import WaterConfig
 
 _POSE_NAMES = ("x", "y", "z", "turn_x", "turn_y", "turn_z")
 # Three determine a pose; as many again tell whether they are right.

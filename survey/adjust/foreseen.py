@@ -23,13 +23,13 @@ from survey.adjust.state import RELIEF, WATER
 from survey.adjust.std_common import std_common
 from survey.adjust.verdicts import MOST_STD_FOCAL, MOST_STD_INDEX, MOST_STD_LEVEL_M
 from survey.folder.survey import Survey
-from survey.folder.water import ASSUMED_INDEX_STD
 from survey.photos.tie_points import TiePoints
 from survey.plan.check import Section
 from survey.plan.choices import USUAL, Choices
 from survey.plan.places import in_the_middle, places_of
 from survey.plan.plan import Plan, make_plan
 from survey.plan.verdict import Verdict, by_limits, judged
+from survey.water.index import ASSUMED_INDEX_STD
 
 # What is assumed [px] of the windows of an adjustment and of the pixels of the cloud, in clear and still water: on
 # drawn surveys level and index are then found up to twice as well as foreseen (docs/adjustment.md).

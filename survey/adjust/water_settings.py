@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from survey.folder.config import WaterConfig
 from survey.folder.place import water_plane
 from survey.folder.survey import Survey
+from survey.settings.config import WaterConfig
 
 WATER_PARAMETERS = ("level_m", "slope_east", "slope_north", "refractive_index")
 _STEPS = (1e-3, 1e-6, 1e-6, 1e-6)

@@ -20,12 +20,12 @@ from survey.adjust.water_settings import WATER_PARAMETERS, settings_by_local, se
 from survey.errors import SurveyError
 from survey.files.json_values import json_text
 from survey.files.outputs import is_json, require_file
-from survey.folder.config import WaterConfig
 from survey.folder.inputs import survey_inputs
 from survey.folder.place import water_plane
 from survey.folder.survey import Survey, load_survey
 from survey.names import SFM_FOLDER
 from survey.progress import current
+from survey.settings.config import WaterConfig
 
 NADIR_DEG = 5.0
 

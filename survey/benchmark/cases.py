@@ -10,9 +10,9 @@ from pathlib import Path
 import tomli_w
 
 from survey.errors import FILE_NAME, SurveyError
-from survey.folder.config import read_config
 from survey.names import RUN_FOLDER
 from survey.progress import current
+from survey.settings.config import read_config
 from survey.simulate.drawn import DrawnScene, draw_survey
 
 REFERENCE, VISIBLE, TRUTH = "reference.ply", "visible.ply", "truth"

@@ -17,9 +17,9 @@ from survey.errors import SurveyError
 from survey.plan.choices import Choices
 
 if TYPE_CHECKING:
-    from survey.folder.config_process import ProcessConfig
     from survey.plan.aim import Aim
     from survey.plan.check import Section
+    from survey.settings.process import ProcessConfig
 
 EXAMPLES = """
     bathynerf check my_survey

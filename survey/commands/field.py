@@ -127,7 +127,7 @@ def run(
     """
     with command(verbose, quiet, output) as results:
         from fields.volume.surface import Rule as SurfaceRule
-        from survey.folder.config_field import FieldConfig
+        from survey.settings.field import FieldConfig
         from survey.volume.field import rows_of, train_field
         from survey.volume.settings import field_config, volume_options
 

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     import numpy as np
 
     from geo.reproject import Reprojection
-    from survey.folder.config import SurveyConfig
     from survey.run.flight import Flight
     from survey.run.stored import BedPlace, StoredBed
+    from survey.settings.config import SurveyConfig
 
 # The stage whose folder holds the cloud.
 BED_STAGE = "bed"
@@ -133,7 +133,7 @@ class LoadedRun:
     @cached_property
     def config(self) -> SurveyConfig:
         """The settings that took effect."""
-        from survey.folder.config import read_config
+        from survey.settings.config import read_config
 
         return read_config(self.folder.settings_path)
 
@@ -158,7 +158,7 @@ class LoadedRun:
         given = self.config.cameras.position_std_m
         if given is None:
             return 0.0
-        from survey.folder.config_std import per_axis
+        from survey.settings.std import per_axis
 
         return float(max(per_axis(given)[:2]))
 

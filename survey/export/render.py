@@ -24,7 +24,6 @@ from survey.export.loaded import LoadedRun
 from survey.export.novel_views import image_based_field
 from survey.export.photographs import colours_without_water
 from survey.files.outputs import ReadFiles, require_file, require_folder
-from survey.folder.config import CamerasConfig, SurveyConfig, read_config
 from survey.folder.inputs import poses_inputs, survey_inputs
 from survey.folder.lens import lens_from_config
 from survey.folder.posed import cams_from_local, points_in_crs
@@ -34,6 +33,7 @@ from survey.progress import current
 from survey.run.flight import load_flight
 from survey.run.folder import RunDir
 from survey.run.stored_field import load_field, load_place
+from survey.settings.config import CamerasConfig, SurveyConfig, read_config
 
 FIELD_STAGE = "field"
 # In the order of the layers that `write_view` makes.

@@ -13,10 +13,10 @@ from geo.frames import LocalFrame
 from survey.control.placing import control_in_local, require_metres
 from survey.control.points import Control, ControlPoint
 from survey.errors import FILE_NAME, ControlError, PosesError
-from survey.folder.config_control import per_direction
 from survey.folder.found import Found
 from survey.names import GEO_TXT
 from survey.pose_files import find_unread
+from survey.settings.control import per_direction
 from survey.sfm.control_fit import MIN_POINTS, line_of_control
 from survey.sfm.gps import MIN_POSITIONS, is_whole, what_is_missing
 from survey.sfm.gps_fit import HOLD_THE_ROLL

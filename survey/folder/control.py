@@ -17,8 +17,8 @@ from survey.control.reading import Gathered, gather, read_control
 from survey.control.tables import read_checkpoints
 from survey.display.words import named
 from survey.findings import Findings
-from survey.folder.config_control import DEFAULT_MARKS_STD_PX, DEFAULT_STD_M, ControlConfig, per_direction
 from survey.photos.exif import Exif
+from survey.settings.control import DEFAULT_MARKS_STD_PX, DEFAULT_STD_M, ControlConfig, per_direction
 
 
 @dataclass(frozen=True)

@@ -13,19 +13,19 @@ from survey.control.placing import require_near
 from survey.findings import Findings
 from survey.folder import place
 from survey.folder.camera_faults import angle_doubts
-from survey.folder.config_std import per_axis
 from survey.folder.found import Found
 from survey.folder.pairing import pair, with_lenses
 from survey.folder.pose_priors import PosePrior, priors_of_poses
 from survey.folder.posed import given_in_local, points_in_local, way_into_crs
 from survey.folder.reprojection import Reprojection, reprojection
-from survey.folder.water_level import with_level_of_clicks
 from survey.photos.cameras import View
 from survey.photos.names import ImageNames
 from survey.photos.poses import Pose, PoseFile, SecondPose
 from survey.photos.tie_points import MIN_TRACK
 from survey.pose_files import read_poses, read_ties
+from survey.settings.std import per_axis
 from survey.sfm.datum import EXACT, DatumStd, plan_std, require_as_good
+from survey.water.level import with_level_of_clicks
 
 
 @dataclass(frozen=True)

@@ -13,21 +13,21 @@ from geo.grids import use_grids
 from geo.transformation import require_at
 from survey.errors import FILE_NAME, ConfigError, PosesError, SurveyError
 from survey.folder import infer
-from survey.folder.config import SurveyConfig, read_config
-from survey.folder.config_process import ProcessConfig
 from survey.folder.control import FoundControl, find_control
 from survey.folder.geo_txt import find_geo_txt, with_positions
 from survey.folder.head_doubts import head_doubts
-from survey.folder.level_observation import LevelObservation
-from survey.folder.tides import Tide
-from survey.folder.water_level import with_level
-from survey.folder.water_place import doubts_of_water_places
 from survey.names import GCP_LIST
 from survey.photos.exif import Exif, position_sources, read_exif
 from survey.photos.images import list_images
 from survey.pose_files import find_poses, find_unread
+from survey.settings.config import SurveyConfig, read_config
+from survey.settings.process import ProcessConfig
 from survey.sfm.datum import EXACT, DatumStd, least, plan_std
 from survey.sfm.gps import datum_doubts, ways_into_crs
+from survey.water.level import with_level
+from survey.water.level_observation import LevelObservation
+from survey.water.position_check import doubts_of_water_places
+from survey.water.tides import Tide
 
 MIN_VIEWS = 2
 # Where a survey may have the grid of the geoid under its heights.

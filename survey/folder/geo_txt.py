@@ -21,10 +21,10 @@ from survey.errors import PosesError
 from survey.files.csv_table import shortened, text_lines
 from survey.files.odm_crs import odm_crs
 from survey.findings import Findings
-from survey.folder.config_std import require_std
 from survey.names import GEO_TXT
 from survey.photos.exif import SUFFIXES, Exif, TablePlace
 from survey.photos.names import ImageNames
+from survey.settings.std import require_std
 
 _FORM = "image x y [z] [omega phi kappa] [horizontal accuracy] [vertical accuracy]"
 # How many numbers a line may have: x y, z, three angles, accuracies.

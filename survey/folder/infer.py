@@ -13,7 +13,6 @@ from geo.crs import crs_code, has_height, horizontal_crs, utm_code
 from survey.control.gcp_list import read_gcp_list
 from survey.errors import FILE_NAME, ConfigError, ControlError
 from survey.findings import Findings
-from survey.folder.config import ImagesConfig, SurveyConfig
 from survey.folder.plausible import distances_to_exif
 from survey.folder.posed import middle_of_geocentric, points_in_crs
 from survey.names import GCP_LIST, GEO_TXT
@@ -21,6 +20,7 @@ from survey.photos.exif import SUFFIXES, Exif, position_sources, utm_code_of
 from survey.photos.names import ImageNames
 from survey.photos.poses import PoseFile, PoseFrame
 from survey.pose_files import read_poses
+from survey.settings.config import ImagesConfig, SurveyConfig
 
 # EXIF counts heights from the sea level; receivers mean the geoid model EGM96 by that.
 _EGM96_HEIGHT = 5773

@@ -7,11 +7,11 @@ from pathlib import Path
 from survey.errors import FILE_NAME
 from survey.files.outputs import ReadFiles
 from survey.folder import infer
-from survey.folder.config import read_config
 from survey.folder.geo_txt import find_geo_txt
-from survey.folder.water_level import SOURCES
 from survey.photos.exif import SUFFIXES
 from survey.pose_files import find_poses, pose_files
+from survey.settings.config import read_config
+from survey.water.level import SOURCES
 
 
 def survey_inputs(folder: Path) -> ReadFiles:

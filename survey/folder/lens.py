@@ -7,8 +7,8 @@ import math
 from refract.lens import MODELS, Lens, LensError, coefficients_of
 from survey.errors import FILE_NAME, ConfigError
 from survey.findings import Findings
-from survey.folder.config import CamerasConfig
 from survey.photos.exif import Exif
+from survey.settings.config import CamerasConfig
 
 
 def lenses_from_config(cameras: CamerasConfig, heads: dict[str, Exif]) -> tuple[dict[str, Lens], Findings]:

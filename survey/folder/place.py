@@ -12,14 +12,14 @@ from geo.frames import LocalFrame
 from refract import FlatWater
 from survey.errors import FILE_NAME, ConfigError, PosesError
 from survey.findings import Findings
-from survey.folder.config import SurveyConfig, WaterConfig
-from survey.folder.config_water import MOST_LEVEL_STD_M
 from survey.folder.found import Found
 from survey.folder.posed import cams_from_local, points_in_crs
-from survey.folder.water import ASSUMED_INDEX_STD, refractive_index
 from survey.photos.cameras import View
 from survey.photos.poses import Pose, PoseFile, PoseFrame
 from survey.photos.texture import matched_light
+from survey.settings.config import SurveyConfig, WaterConfig
+from survey.settings.water import MOST_LEVEL_STD_M
+from survey.water.index import ASSUMED_INDEX_STD, refractive_index
 
 # Where the search for an unknown level starts: over this quantile of the heights of the points, by this share of the
 # flying height, which few waters are deeper than.

@@ -14,11 +14,11 @@ from geo.transformation import lon_lat
 from refract import FlatWater, PinholeCamera
 from survey.display.words import named
 from survey.errors import FILE_NAME, ConfigError, PosesError
-from survey.folder.config import SurveyConfig, WaterConfig
 from survey.folder.datum_mixups import above_start_of, explanation, place_of
 from survey.folder.ground import ground_below
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
+from survey.settings.config import SurveyConfig, WaterConfig
 
 # Drones take bathymetric photographs from lower than this; aircraft from up to ten times as high. What is higher than
 # the first may come from another vertical datum, what is higher than the second does.

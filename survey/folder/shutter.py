@@ -12,10 +12,10 @@ from refract import FlatWater
 from survey.display.words import named
 from survey.errors import FILE_NAME
 from survey.findings import Findings
-from survey.folder.config import CamerasConfig
 from survey.folder.velocities import Velocity, velocities_by_xmp
-from survey.photos.cameras import View
+from survey.photos.cameras import View, metres_per_px
 from survey.photos.exif import Exif
+from survey.settings.config import CamerasConfig
 
 # What drones need to read out an image [s]: 10 to 60 ms; for the effect of a readout that is not known.
 _USUAL_READOUT_S = 0.03
@@ -97,13 +97,6 @@ def shutter_text(
     known = f"velocities of {len(velocities)} of {len(views)} images" + (f" ({by})" if by else "")
     moved = _moved(fastest * readout, metres_per_px(views, water))
     return f"{rolls}; {known}" + (f", which move rows by up to {moved}" if fastest * readout > 0.0 else "")
-
-
-def metres_per_px(views: Sequence[View], water: FlatWater | None) -> float | None:
-    """Of a pixel on the water under the cameras, median; None for a dry survey."""
-    if water is None:
-        return None
-    return float(np.median([-float(water.depth(view.camera.centre)) / view.lens.focal[1] for view in views]))
 
 
 def _moved(metres: float, per_px: float | None) -> str:

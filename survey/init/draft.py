@@ -10,13 +10,13 @@ from survey.files.json_values import write_json
 from survey.files.toml_schema import schema_of
 from survey.findings import Findings
 from survey.folder import infer
-from survey.folder.config import SurveyConfig, parse_config
 from survey.folder.geo_txt import find_geo_txt, with_positions
 from survey.init.entry import Answers, Table
 from survey.init.place import Photographs, require_in_place, write_crs, write_origin
 from survey.photos.exif import read_exif
 from survey.photos.images import list_images
 from survey.pose_files import find_poses, read_poses
+from survey.settings.config import SurveyConfig, parse_config
 from survey.sfm.gps import MIN_POSITIONS, is_whole
 
 # As the extensions of editors for TOML find it (Taplo, Even Better TOML, Tombi).

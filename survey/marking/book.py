@@ -19,10 +19,10 @@ from survey.control.horizontal import in_crs
 from survey.control.reading import read_control
 from survey.control.tables import read_checkpoints
 from survey.errors import SurveyError
-from survey.folder.config import SurveyConfig
 from survey.folder.found import Found
 from survey.marking.gcp_file import ControlMark, points_without_mark, read_clicks, with_click, with_marks
 from survey.photos.names import ImageNames
+from survey.settings.config import SurveyConfig
 
 GCP_LIST, CLICKS = "gcp_list.txt", "clicks.csv"
 # Kinds of points: of known coordinates, or spots where the water ends.

@@ -13,18 +13,18 @@ from geo.frames import LocalFrame
 from refract import FlatWater
 from survey.errors import FILE_NAME, SurveyError
 from survey.folder import infer
-from survey.folder.config import SurveyConfig, read_config
-from survey.folder.config_control import ControlConfig
 from survey.folder.file_poses import read_file_poses
 from survey.folder.found import Found, find_survey
 from survey.folder.place import water_plane
 from survey.folder.shutter import with_motion
-from survey.folder.tides import with_tides
 from survey.folder.velocities import velocities_of
-from survey.folder.water import FRESH_WATER
 from survey.names import RUN_FOLDER
 from survey.photos.cameras import View
 from survey.run.flight import FLIGHT, load_flight
+from survey.settings.config import SurveyConfig, read_config
+from survey.settings.control import ControlConfig
+from survey.water.index import FRESH_WATER
+from survey.water.tides import with_tides
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,13 @@ from geo.transformation import lon_lat
 from refract import FlatWater
 from survey.control.content import GivenPoint
 from survey.errors import SurveyError
-from survey.folder.config_control import DEFAULT_MARKS_STD_PX
-from survey.folder.level_clicks import CLICK_STD_PX
 from survey.marking.book import GROUND, WATER, Book, Key, Pixel
 from survey.marking.geometry import by_gain, crossing, epipolar_curve, seen_at
 from survey.marking.poses import poses_to_mark, survey_to_mark
 from survey.photos.cameras import View
 from survey.photos.intersection import Intersection, intersect
+from survey.settings.control import DEFAULT_MARKS_STD_PX
+from survey.water.clicks import CLICK_STD_PX
 
 _Points = Mapping[Key, GivenPoint | None]
 _Marks = Mapping[Key, Mapping[str, Pixel]]

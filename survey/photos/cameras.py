@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from refract import PinholeCamera
+from refract import FlatWater, PinholeCamera
 from refract.lens import Lens
 
 # Camera axes of photogrammetry (x right, y up, z back) to ours (x right, y down, z forward).
@@ -37,6 +38,13 @@ class View:
     camera: PinholeCamera
     lens: Lens
     mask_path: Path | None = None
+
+
+def metres_per_px(views: Sequence[View], water: FlatWater | None) -> float | None:
+    """Ground sampling distance [m/px] on the water under the cameras, median; None for a dry survey."""
+    if water is None:
+        return None
+    return float(np.median([-float(water.depth(view.camera.centre)) / view.lens.focal[1] for view in views]))
 
 
 def grid_from_opk(omega: float, phi: float, kappa: float) -> np.ndarray:

@@ -13,7 +13,6 @@ import numpy as np
 from geo.crs import height_unit_m
 from survey.display.quantities import length
 from survey.errors import SurveyError
-from survey.folder.config import SurveyConfig
 from survey.folder.pose_priors import accuracy_of_gps, accuracy_of_priors, common_up_std_of_exif
 from survey.folder.shutter import shutter_text
 from survey.folder.survey import Found, Survey, find_survey, load_survey
@@ -28,6 +27,7 @@ from survey.plan.plan import Plan, device_decision, make_plan
 from survey.plan.skipped import Decision
 from survey.plan.tile_choice import choose_tiles
 from survey.plan.workload import Workload, room_doubts, workload_of, workload_of_images
+from survey.settings.config import SurveyConfig
 from survey.sfm.datum import WELL_KNOWN_M
 
 

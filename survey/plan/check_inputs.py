@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from survey.errors import FILE_NAME
-from survey.folder.config import WaterConfig
 from survey.folder.control import FoundControl
-from survey.folder.level_observation import LevelObservation
 from survey.folder.mark_residuals import mark_residuals
 from survey.folder.survey import Survey
-from survey.folder.water_level import STAFF_STD_M
+from survey.settings.config import WaterConfig
+from survey.water.level import STAFF_STD_M
+from survey.water.level_observation import LevelObservation
 
 
 def control_rows(control: FoundControl | None) -> list[tuple[str, str]]:

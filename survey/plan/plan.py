@@ -11,7 +11,6 @@ from refract import PinholeCamera
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
-from survey.folder.tides import MOST_SHIFT_PX
 from survey.plan import choices
 from survey.plan.choices import USUAL, Choices
 from survey.plan.ground import dry_ground
@@ -20,6 +19,7 @@ from survey.plan.image_size import image_decision, image_scale
 from survey.plan.poses import pose_choice
 from survey.plan.recipe import AIMED, RECIPES, Recipe
 from survey.plan.skipped import FULL, Decision, finer_passes, first_heights, lens_terms, pixels, refraction
+from survey.water.tides import MOST_SHIFT_PX
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 
-from survey.folder.config_report import ReportConfig
 from survey.photos.exif import Exif
 from survey.report.blocks import Block, Rows
+from survey.settings.config import ReportConfig
 
 # Cameras with this many serial numbers or fewer are listed by them.
 _FEW = 4

@@ -18,7 +18,6 @@ from survey import machine
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.files.outputs import ReadFiles, require_folder
-from survey.folder.config_process import ProcessConfig
 from survey.folder.found import Found, process_config
 from survey.folder.inputs import survey_inputs
 from survey.folder.survey import Survey, load_survey
@@ -38,6 +37,7 @@ from survey.run.feasibility import begin_aimed_run, require_some_time
 from survey.run.folder import RunDir
 from survey.run.owner import Owner
 from survey.run.truth import Truth
+from survey.settings.process import ProcessConfig
 
 if TYPE_CHECKING:
     from survey.run.job import Job

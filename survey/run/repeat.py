@@ -5,10 +5,10 @@ from __future__ import annotations
 import shlex
 from dataclasses import replace
 
-from survey.folder.config import dump_config
-from survey.folder.config_process import ProcessConfig
 from survey.run.job import Job
 from survey.run.truth import Truth
+from survey.settings.config import dump_config
+from survey.settings.process import ProcessConfig
 
 
 def options_of(job: Job, truth: Truth) -> dict:

@@ -34,9 +34,9 @@ from survey.export.loaded import LoadedRun
 from survey.export.photographs import flight_of
 from survey.export.render import Target, targets_of, write_views
 from survey.files.json_values import write_json
-from survey.folder.config_field import LossesConfig
 from survey.progress import current, shares
 from survey.run.flight import Flight
+from survey.settings.field import LossesConfig
 from survey.volume.monocular import priors_hash
 from survey.volume.scene import Scene, VolumeFolder, load_scene
 

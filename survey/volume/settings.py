@@ -9,8 +9,8 @@ from typing import Any
 from survey.errors import FILE_NAME
 from survey.export.loaded import LoadedRun
 from survey.export.photographs import survey_folder
-from survey.folder.config import read_config
-from survey.folder.config_field import FieldConfig
+from survey.settings.config import read_config
+from survey.settings.field import FieldConfig
 from survey.volume.field import VolumeOptions
 
 

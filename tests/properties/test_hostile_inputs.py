@@ -17,14 +17,14 @@ from PIL import Image
 from geo.crs import parse_crs
 from geo.errors import GeoError
 from survey.errors import ConfigError, ImageError, SurveyError
-from survey.folder.level_geojson import points_of_geojson
-from survey.folder.level_observation import points_of_surface, readings_of_gauge
 from survey.folder.survey import load_survey
 from survey.photos.complete import is_complete
 from survey.photos.exif import read_exif
 from survey.photos.images import read_mask
 from survey.photos.pixels import read_rgb
 from survey.photos.xmp import height_datum, motion_of, rtk_of, stated_std, xmp_number
+from survey.water.geojson import points_of_geojson
+from survey.water.level_observation import points_of_surface, readings_of_gauge
 from tests.small_survey import LEVEL, replaced, small_survey
 
 FUZZ = settings(derandomize=True, max_examples=60, deadline=None, database=None)

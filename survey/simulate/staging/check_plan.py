@@ -12,7 +12,6 @@ from geo.sun import sun_at
 from survey.adjust.foreseen import DEPTH_M, foreseen_section
 from survey.display.quantities import length
 from survey.errors import FILE_NAME, SurveyError
-from survey.folder.config import AreaConfig, SurveyConfig, WaterConfig
 from survey.folder.datum_mixups import place_of
 from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import Observations, Survey
@@ -26,6 +25,7 @@ from survey.plan.places import in_the_middle
 from survey.plan.plan import make_plan
 from survey.plan.verdict import Verdict, by_limits, judged
 from survey.plan.workload import room_doubts, workload_of
+from survey.settings.config import AreaConfig, SurveyConfig, WaterConfig
 from survey.simulate.flight.coverage import coverage
 from survey.simulate.scene_file import read_scene
 from survey.simulate.staging.planning import Plan, plan_scene

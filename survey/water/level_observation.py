@@ -3,8 +3,8 @@
 survey.toml              level_m, level_std_m
 shoreline, gnss_points   CSV with easting, northing, height in crs (and std), or GeoJSON
 gauge                    CSV with time, level (and std)
-image_levels             CSV with image, level (and std): `survey.folder.tides`
-clicks                   CSV with image, x, y, name: `survey.folder.level_clicks`
+image_levels             CSV with image, level (and std): `survey.water.tides`
+clicks                   CSV with image, x, y, name: `survey.water.clicks`
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from survey.errors import ConfigError
 from survey.files.column_units import Units
 from survey.files.csv_table import Row, read_table
 from survey.files.point_table import read_points
-from survey.folder.level_geojson import points_of_geojson
+from survey.water.geojson import points_of_geojson
 
 # Of one measurement whose file does not say how sure it is [m]: of GNSS with corrections on the surface, and where
 # water meets land, which waves move; of a reading.

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from survey.errors import ConfigError
 from survey.files.toml_table import key
-from survey.folder.config_std import require_std
+from survey.settings.std import require_std
 
 # Of a point measured by GNSS with corrections or by a total station; of a mark set by hand.
 DEFAULT_STD_M, DEFAULT_MARKS_STD_PX = 0.01, 0.5

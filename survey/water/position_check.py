@@ -11,8 +11,8 @@ from scipy.spatial import KDTree
 from geo.crs import EARTH_RADIUS_M
 from geo.transformation import lon_lat
 from survey.errors import ConfigError
-from survey.folder.config import WaterConfig
-from survey.folder.level_observation import LevelObservation
+from survey.settings.config import WaterConfig
+from survey.water.level_observation import LevelObservation
 
 # From the nearest camera: beyond the first, places are not of this survey, as cameras would not be; beyond the second
 # they may be of another water.

@@ -10,12 +10,11 @@ import tomli_w
 
 from survey.errors import ConfigError
 from survey.files.toml_table import key, parse_toml, read_toml, require_one_of, require_positive
-from survey.folder.config_control import ControlConfig
-from survey.folder.config_field import FieldConfig
-from survey.folder.config_process import ProcessConfig
-from survey.folder.config_report import ReportConfig
-from survey.folder.config_std import require_std
-from survey.folder.config_water import WaterConfig, require_sane
+from survey.settings.control import ControlConfig
+from survey.settings.field import FieldConfig
+from survey.settings.process import ProcessConfig
+from survey.settings.std import require_std
+from survey.settings.water import WaterConfig, require_sane
 
 # The slowest sensors of drones read a whole frame in a tenth of a second.
 _LONGEST_READOUT_S = 0.25
@@ -37,6 +36,7 @@ _SYNONYMS = {
 _NOT_YET = {
     "water.mask": "the sweep detects wet areas itself; remove it",
 }
+METRES, FEET = "metres", "feet"
 
 
 @dataclass(frozen=True)
@@ -160,6 +160,19 @@ class LocalConfig:
 
     def __post_init__(self):
         require_one_of("local.frame", self.frame, (_TOPOCENTRIC,))
+
+
+@dataclass(frozen=True)
+class ReportConfig:
+    """[report]: words for the head of report.html and report.json."""
+
+    project: str | None = None
+    operator: str | None = None  # who surveyed: a person, a company
+    units: str | None = None  # of lengths in the report, "metres" or "feet"; default: feet where crs has them
+
+    def __post_init__(self):
+        if self.units not in (None, METRES, FEET):
+            raise ConfigError(f'[report] units = "{self.units}", expected "{METRES}" or "{FEET}"')
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,10 @@ from geo.frames import LocalFrame
 from survey.errors import ConfigError
 from survey.files.csv_table import read_table
 from survey.findings import Findings
-from survey.folder.level_observation import LevelObservation
 from survey.photos.cameras import View
 from survey.photos.intersection import intersect
 from survey.photos.names import ImageNames
+from survey.water.level_observation import LevelObservation
 
 # Of a click [px]: the edge of water is rarely sharp.
 CLICK_STD_PX = 2.0

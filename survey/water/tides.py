@@ -20,12 +20,11 @@ import numpy as np
 from refract import FlatWater
 from survey.errors import FILE_NAME, ConfigError
 from survey.files.csv_table import read_table
-from survey.folder.config_water import WaterConfig
-from survey.folder.level_observation import LevelObservation, moment_of, std_of
-from survey.folder.shutter import metres_per_px
-from survey.photos.cameras import View
+from survey.photos.cameras import View, metres_per_px
 from survey.photos.exif import Exif
 from survey.photos.names import ImageNames
+from survey.settings.water import WaterConfig
+from survey.water.level_observation import LevelObservation, moment_of, std_of
 
 # The level of a photograph without a time is the mean of the others, if these differ by no more than this [m]: it moves
 # the bed by less than 2 mm.

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from survey.errors import ConfigError, SurveyError
-from survey.folder.config import SurveyConfig, dump_config, parse_config, read_config
+from survey.settings.config import SurveyConfig, dump_config, parse_config, read_config
 
 always = settings(derandomize=True, database=None, deadline=None)
 

@@ -10,9 +10,9 @@ from pyproj import Transformer
 
 from geo.crs import parse_crs
 from survey.errors import ConfigError
-from survey.folder.level_geojson import _HEIGHT_NAMES, points_of_geojson
 from survey.folder.survey import load_survey
 from survey.plan.check import check_survey
+from survey.water.geojson import _HEIGHT_NAMES, points_of_geojson
 from tests.small_survey import E0, LEVEL, N0, replaced, said, small_survey, unposed
 
 CRS = parse_crs("EPSG:25832+5778")

@@ -8,10 +8,10 @@ from pyproj import CRS, Transformer
 
 from geo.crs import parse_crs
 from survey.errors import ConfigError
-from survey.folder.config import WaterConfig
-from survey.folder.level_observation import LevelObservation
 from survey.folder.survey import load_survey
-from survey.folder.water_place import DOUBTFUL_M, FARTHEST_M, doubts_of_water_places
+from survey.settings.config import WaterConfig
+from survey.water.level_observation import LevelObservation
+from survey.water.position_check import DOUBTFUL_M, FARTHEST_M, doubts_of_water_places
 from tests.small_survey import E0, LEVEL, N0, replaced, small_survey
 
 SYSTEMS = {

@@ -6,7 +6,7 @@
     clicks                   CSV with image, x, y, name: places of the waterline where rays meet
 
 Each is converted to level_m, its standard deviation (and slopes) of [water] when the survey is read; clicks when its
-poses are known. `survey.folder.level_observation` has the measurements themselves, `survey.folder.tides` how the level
+poses are known. `survey.water.level_observation` has the measurements themselves, `survey.water.tides` how the level
 moved from photograph to photograph.
 """
 
@@ -25,18 +25,18 @@ from geo.frames import LocalFrame
 from geo.projection import metres_per_unit
 from survey.errors import ConfigError
 from survey.findings import Findings
-from survey.folder.config import SurveyConfig
-from survey.folder.config_water import MOST_LEVEL_STD_M, WaterConfig
-from survey.folder.level_clicks import levels_of_clicks
-from survey.folder.level_observation import (
+from survey.photos.cameras import View
+from survey.photos.exif import Exif
+from survey.settings.config import SurveyConfig
+from survey.settings.water import MOST_LEVEL_STD_M, WaterConfig
+from survey.water.clicks import levels_of_clicks
+from survey.water.level_observation import (
     COMMON_STD_M,
     LevelObservation,
     points_of_surface,
     readings_of_gauge,
 )
-from survey.folder.tides import Tide, tide_of_gauge, tide_of_levels, tide_of_rate
-from survey.photos.cameras import View
-from survey.photos.exif import Exif
+from survey.water.tides import Tide, tide_of_gauge, tide_of_levels, tide_of_rate
 
 SOURCES = ("shoreline", "gnss_points", "gauge", "image_levels", "clicks")
 _POINTS = ("shoreline", "gnss_points")
@@ -131,7 +131,7 @@ def with_level_of_clicks(
     Raises
     ------
     ConfigError
-        As `survey.folder.level_clicks.levels_of_clicks`.
+        As `survey.water.clicks.levels_of_clicks`.
     """
     water = config.water
     if water is None or water.clicks is None:
@@ -148,7 +148,7 @@ def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS)
     # Slopes are metres of height in metres of ground, whatever the unit of crs.
     unit_m = metres_per_unit(crs, coordinates) if len(coordinates) else np.ones(2)
     if not np.isfinite(unit_m).all():
-        # On no map: `survey.folder.water_place` refuses them beside the cameras.
+        # On no map: `survey.water.position_check` refuses them beside the cameras.
         unit_m = np.ones(2)
     coordinates[:, :2] *= unit_m
     free = water.slope_east == 0.0 == water.slope_north

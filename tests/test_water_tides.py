@@ -13,13 +13,13 @@ from geo.crs import parse_crs
 from refract import FlatWater
 from refract.lens import Lens
 from survey.errors import ConfigError
-from survey.folder.config import parse_config
-from survey.folder.tides import MOST_SHIFT_PX, Tide, with_tides
-from survey.folder.water_level import with_level
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.plan.check import check_survey
+from survey.settings.config import parse_config
 from survey.simulate.drawn import DrawnScene, draw_survey
+from survey.water.level import with_level
+from survey.water.tides import MOST_SHIFT_PX, Tide, with_tides
 from tests.small_survey import said, small_survey
 
 CRS = parse_crs("EPSG:25832+5778")

@@ -10,12 +10,12 @@ import pytest
 
 from geo.crs import parse_crs
 from survey.errors import ConfigError
-from survey.folder.config import parse_config
-from survey.folder.level_observation import points_of_surface, readings_of_gauge
 from survey.folder.survey import load_survey
-from survey.folder.water_level import fit_surface, with_level
 from survey.photos.exif import Exif
 from survey.plan.check import check_survey
+from survey.settings.config import parse_config
+from survey.water.level import fit_surface, with_level
+from survey.water.level_observation import points_of_surface, readings_of_gauge
 from tests.small_survey import E0, LEVEL, N0, TOML, replaced, said, small_survey
 
 CRS = parse_crs("EPSG:25832+5778")

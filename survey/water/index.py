@@ -14,8 +14,8 @@ from collections.abc import Callable
 from refract.dispersion import converted_index
 from survey.errors import FILE_NAME, ConfigError
 from survey.findings import Findings
-from survey.folder.config import WaterConfig
 from survey.photos.texture import MatchedLight
+from survey.settings.config import WaterConfig
 
 # As handbooks have it: of the sodium line.
 FRESH_WATER, SODIUM_NM = 1.333, 589.3

@@ -1,0 +1,1 @@
+"""survey.toml: the settings of a survey, table by table."""

@@ -188,3 +188,28 @@ def test_degrees_beside_grid_coordinates_have_no_unit_in_plan(tmp_path):
     path = tmp_path / "points.csv"
     path.write_text("lon,x_m,y_m,z,lat\n1,2,3,4,5\n")
     assert units_said(path, SurveyError) == Units(plan_m=1.0)
+
+
+@pytest.mark.parametrize("name", ["wse", "WSE (m)", "water_level", "Water_Surface_Elevation"])
+@pytest.mark.parametrize("level", [None, 100.0])
+def test_depths_count_down_from_the_level_that_the_table_has_beside_them(tmp_path, name, level):
+    path, unit = tmp_path / "points.csv", " (m)" if "(m)" in name else ""
+    written(path, ["x", "y", name, f"depth{unit}"], [[10.5, 20.5, 582.25, 1.5], [11.5, 20.5, 582.0, 1.5]], ",")
+    rows = read_points(path, level=level, units=Units(1.0, 0.3048), error=SurveyError)
+    factor = 1.0 / 0.3048 if unit else 1.0
+    assert [row.number("height") for row in rows] == pytest.approx([580.75 * factor, 580.5 * factor])
+
+
+def test_levels_and_depths_in_two_units_are_refused(tmp_path):
+    path = tmp_path / "points.csv"
+    written(path, ["x", "y", "wse_ft", "depth_m"], [[10.5, 20.5, 582.25, 1.5]], ",")
+    with pytest.raises(SurveyError, match=r"depth is in units of 1 m and level in units of 0.3048 m"):
+        read_points(path, error=SurveyError)
+
+
+@pytest.mark.parametrize("mark", ["#", "//"])
+def test_a_comment_names_columns_as_programs_write_it(tmp_path, mark):
+    path = tmp_path / "points.xyz"
+    path.write_text(f"{mark}X Y Z R G B\n10.5 20.5 30.25 1 2 3\n")
+    (row,) = read_points(path, by_place=True, error=SurveyError)
+    assert [row.number(name) for name in ("easting", "northing", "height")] == [10.5, 20.5, 30.25]

@@ -82,10 +82,10 @@ def same_unit(a: float, b: float) -> bool:
     return abs(a / b - 1.0) < _SAME_UNIT
 
 
-def plan_unit_m(
+def common_unit_m(
     units: Mapping[str, float | None], names: tuple[str, str], path: Path, error: type[SurveyError]
 ) -> float | None:
-    """The unit [m] of two columns of plan, by what the names of columns say of each; None where they say none.
+    """The one unit [m] of two columns, by what their names say of each; None where they say none.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """Tables with named columns in text files: comma, semicolon or tab between the values, every error with its line.
 
-The first line that is neither empty nor a comment (#) decides the separator: a tab if it has one, else a
+The first line that is neither empty nor a comment (# or //) decides the separator: a tab if it has one, else a
 semicolon, else a comma. Unless that is a comma, a comma in a number is the decimal one.
 """
 
@@ -204,11 +204,11 @@ def _title_and_lines(path: Path, error: type[SurveyError]) -> tuple[str | None, 
 
 
 def _is_comment(line: str) -> bool:
-    return line.lstrip().startswith("#")
+    return line.lstrip().startswith(("#", "//"))
 
 
 def _bare(comment: str) -> str:
-    return comment.lstrip().lstrip("#").lstrip()
+    return comment.lstrip().lstrip("#/").lstrip()
 
 
 def _is_empty(line: str) -> bool:

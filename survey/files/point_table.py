@@ -14,7 +14,7 @@ from pathlib import Path
 
 from geo.values import is_mark_of_no_data
 from survey.errors import SurveyError
-from survey.files.column_units import Units, meaning, plan_unit_m
+from survey.files.column_units import Units, common_unit_m, meaning
 from survey.files.csv_table import Row, column_names, first_cells, read_table, shortened
 
 PLACE = ("easting", "northing", "height")
@@ -27,7 +27,21 @@ SYNONYMS = {
     **dict.fromkeys(("e", "east", "x", "x/easting", "x/east", "x/longitude", "longitude", "lon"), "easting"),
     **dict.fromkeys(("n", "north", "y", "y/northing", "y/north", "y/latitude", "latitude", "lat"), "northing"),
     **dict.fromkeys(
-        ("h", "z", "z/altitude", "z/height", "altitude", "alt", "elevation", "elev", "up", "hgt"), "height"
+        (
+            "h",
+            "z",
+            "z/altitude",
+            "z/height",
+            "altitude",
+            "alt",
+            "elevation",
+            "elev",
+            "up",
+            "hgt",
+            "bed_elevation",
+            "bottom_elevation",
+        ),
+        "height",
     ),
     **dict.fromkeys(("accuracy", "sigma", "accuracy_x/y/z_(m)", "accuracy_(m)", "std_m", "stddev", "sd"), "std"),
     **dict.fromkeys(("accuracy_x/y_(m)", "accuracy_x/y/_(m)"), "std_horizontal"),
@@ -37,12 +51,14 @@ SYNONYMS = {
         ("std_h", "std_up", "accuracy_z_(m)", "accuracy_z/altitude_(m)", "accuracy_z", "std_z"), "std_height"
     ),
     **dict.fromkeys(("depths", "true_depth", "water_depth", "sounding"), "depth"),
+    # Of the water over each point, where depths count from.
+    **dict.fromkeys(("wse", "ws_elev", "water_level", "water_surface", "water_surface_elevation"), "level"),
     **dict.fromkeys(("class", "classification", "scalar_classification"), "classification"),
     **dict.fromkeys(("type", "use"), "role"),
     **dict.fromkeys(("enabled",), "enable"),
 }
 _STDS = ("std", "std_horizontal", *STDS)
-_WORDS = SYNONYMS | {name: name for name in (*PLACE, *_STDS, "depth")}
+_WORDS = SYNONYMS | {name: name for name in (*PLACE, *_STDS, "depth", "level")}
 # Other words for a height, of which a table has one alone, or says which counts.
 _HEIGHTS = ("ellipsoidal", "orthometric", "geoid height", "ellipsoidal_height", "orthometric_height")
 _DEGREES = ("lon", "lat")
@@ -62,7 +78,8 @@ def read_points(
 ) -> list[Row]:
     """Rows of a table of points with the columns of `PLACE`, and the ``optional`` ones.
 
-    Depths become heights where the level of the water is known; standard deviations are in metres.
+    Depths become heights where the level of the water is known, from a column of the table or else as given; standard
+    deviations are in metres.
 
     Parameters
     ----------
@@ -98,16 +115,18 @@ def read_points(
         raise error(f"{path}: {fault}; convert them")
     factor = 1.0 if units is None else said.height_factor(units)
     if has_depths(path):
-        if level is None:
+        has_levels = "level" in names
+        if level is None and not has_levels:
             mend = f"{give_level}, or subtract" if give_level else "subtract"
             raise error(
                 f"{path} has depths, expected heights in crs: {mend} them from the level of the water they count from, "
                 "and call the column height"
             )
-        columns = (*PLACE[:2], "depth")
-        rows = read_table(path, columns, optional=optional, synonyms=synonyms, error=error)
-        rows = _without_marks(rows, "depth", error)
-        return _in_metres(_above(_scaled(rows, "depth", factor), level, path, error), path, error)
+        heights = ("depth", "level") if has_levels else ("depth",)
+        rows = read_table(path, (*PLACE[:2], *heights), optional=optional, synonyms=synonyms, error=error)
+        for name in heights:
+            rows = _scaled(_without_marks(rows, name, error), name, factor)
+        return _in_metres(_above(rows, level, path, error), path, error)
     missing = [name for name in PLACE if name not in names]
     if missing:
         raise error(
@@ -130,7 +149,9 @@ def units_said(path: Path, error: type[SurveyError]) -> Units:
     words = [(cell, said) for cell in first_cells(path, error) if (said := meaning(cell, _WORDS)) is not None]
     # Not those of degrees beside grid coordinates.
     found = {name: unit for cell, (name, unit) in words if synonyms.get(cell, cell) == name}
-    plan = plan_unit_m(found, (PLACE[0], PLACE[1]), path, error)
+    plan = common_unit_m(found, (PLACE[0], PLACE[1]), path, error)
+    if has_depths(path) and "level" in found:
+        common_unit_m(found, ("depth", "level"), path, error)
     return Units(plan, found.get("height" if "height" in found else "depth"))
 
 
@@ -182,8 +203,8 @@ def has_depths(path: Path) -> bool:
     return "depth" in names and "height" not in names
 
 
-def _above(rows: Sequence[Row], level: float, path: Path, error: type[SurveyError]) -> list[Row]:
-    """Rows with heights in place of depths below a level."""
+def _above(rows: Sequence[Row], level: float | None, path: Path, error: type[SurveyError]) -> list[Row]:
+    """Rows with heights in place of depths below their own levels, or else below one for all."""
     depths = [row.number("depth") for row in rows]
     if rows and statistics.median(depths) < 0.0:
         raise error(
@@ -191,7 +212,8 @@ def _above(rows: Sequence[Row], level: float, path: Path, error: type[SurveyErro
             "from the water; change their sign, or call the column height if they are heights in crs"
         )
     return [
-        replace(row, cells=row.cells | {"height": repr(level - depth)}) for row, depth in zip(rows, depths, strict=True)
+        replace(row, cells=row.cells | {"height": repr(row.number("level", default=level) - depth)})
+        for row, depth in zip(rows, depths, strict=True)
     ]
 
 
@@ -203,7 +225,7 @@ def _with_units(cells: Sequence[str]) -> dict[str, str]:
 def _require_one_column(path: Path, synonyms: dict[str, str], error: type[SurveyError]) -> None:
     """Raise where two columns have one meaning: of heights also where one is a height and another a depth."""
     cells = first_cells(path, error)
-    for name in (*PLACE[:2], "depth"):
+    for name in (*PLACE[:2], "depth", "level"):
         twice = [cell for cell in cells if synonyms.get(cell, cell) == name]
         if len(twice) > 1:
             raise error(

@@ -13,7 +13,7 @@ import numpy as np
 from pyproj import CRS
 
 from survey.errors import PosesError
-from survey.files.column_units import meaning, plan_unit_m
+from survey.files.column_units import common_unit_m, meaning
 from survey.files.crs_comment import crs_of_comment
 from survey.files.csv_table import Row, column_names, read_table
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk, level_from_yaw_pitch_roll
@@ -78,7 +78,7 @@ def read_opk_csv(path: Path) -> PoseFile:
     doubt = f"columns of a lens in {path.name} ({', '.join(of_lens[:10])}) are not read: give it in [cameras]"
     warnings = (doubt,) if of_lens else ()
     crs = crs_of_comment(path, PosesError) or (CRS("EPSG:4326") if names[1] == "longitude" else None)
-    height_m, plan_m = units.get(names[3]), plan_unit_m(units, (names[1], names[2]), path, PosesError)
+    height_m, plan_m = units.get(names[3]), common_unit_m(units, (names[1], names[2]), path, PosesError)
     if "omega" in columns:
         return PoseFile(
             tuple(poses.values()),

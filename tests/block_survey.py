@@ -12,10 +12,10 @@ from scipy.spatial import cKDTree
 from geo import LocalFrame, parse_crs
 from survey.adjust.adjustment import Adjustment
 from survey.control.points import Control, ControlPoint, Mark
+from survey.folder.motion import BY_XMP, Velocity
 from survey.folder.place import water_plane
 from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import Observations, Survey
-from survey.folder.velocities import BY_XMP, Velocity
 from survey.photos.cameras import View
 from survey.photos.tie_points import TiePoints
 from survey.settings.config import CamerasConfig, SurveyConfig, WaterConfig

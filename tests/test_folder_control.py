@@ -14,9 +14,9 @@ from small_survey import E0, LEVEL, N0, TOML, camera_lines, said, small_survey, 
 from geo.crs import parse_crs
 from survey.control.reading import gather, read_control
 from survey.errors import ControlError
+from survey.folder.control import mark_residuals
 from survey.folder.found import find_survey
 from survey.folder.inputs import survey_inputs
-from survey.folder.mark_residuals import mark_residuals
 from survey.folder.survey import load_survey
 from survey.folder.unposed import require_solvable
 from survey.plan.check import check_survey

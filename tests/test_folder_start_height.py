@@ -8,8 +8,8 @@ import pytest
 from small_survey import LEVEL, small_survey, unposed
 
 from geo.crs import parse_crs
+from survey.folder.datum_mixups import start_doubts
 from survey.folder.found import find_survey
-from survey.folder.start_height import start_doubts
 from survey.folder.survey import load_survey
 from survey.folder.unposed import require_solvable
 from survey.photos.exif import Exif

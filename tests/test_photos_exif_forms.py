@@ -10,7 +10,7 @@ import pytest
 from PIL import ExifTags, Image
 from PIL.TiffImagePlugin import IFDRational
 
-from survey.folder.head_doubts import head_doubts
+from survey.folder.found import head_doubts
 from survey.photos.exif import _altitude_reference, _position_of_gps, read_exif
 from survey.photos.exif_focal import focal_px, resized_doubt
 from survey.photos.xmp import height_datum, rtk_of, xmp_place

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from geo.similarity import robust_similarity
-from survey.folder.head_doubts import position_doubts
+from survey.folder.found import position_doubts
 from survey.photos.exif import Exif
 from survey.sfm.gps_fit import contradicted, line_of
 

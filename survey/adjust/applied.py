@@ -17,8 +17,8 @@ from survey.adjust.assembling import lens_with
 from survey.adjust.observed import pixels_taken
 from survey.adjust.priors import Known
 from survey.adjust.state import Layout, State
+from survey.folder.motion import rows_between
 from survey.folder.place import water_plane
-from survey.folder.shutter import rows_between
 from survey.folder.survey import Survey, View
 from survey.photos.cameras import CAM_FROM_OPK_CAM
 from survey.photos.colmap_model import FILES, has_spaces, write_model

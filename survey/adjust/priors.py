@@ -12,8 +12,8 @@ from refract.lens import MODELS, Lens, is_affine
 from survey.adjust.bundle import Priors
 from survey.adjust.roll import Roll, rolled_to_attitudes, rolls_of, without_starts
 from survey.adjust.state import LENS, LENS_NAMES, RELIEF, Layout, State
+from survey.folder.motion import rows_between
 from survey.folder.pose_priors import BY_POSES, common_up_std
-from survey.folder.shutter import rows_between
 from survey.photos.tie_points import TiePoints
 
 if TYPE_CHECKING:

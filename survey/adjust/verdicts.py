@@ -11,7 +11,7 @@ import numpy as np
 from survey.adjust.adjustment import FREE, HELD, UNKNOWN, Parameter
 from survey.adjust.state import LENS_NAMES, RATE_NAME, READOUT_NAME, Layout, State
 from survey.adjust.water_settings import WATER_PARAMETERS
-from survey.folder.shutter import rows_between
+from survey.folder.motion import rows_between
 from survey.settings.config import WaterConfig
 
 # Beyond this many standard deviations of their difference, two values contradict each other. Where four parameters are

@@ -1,4 +1,7 @@
-"""[control] of a survey folder: its files read with the settings, checked against the cameras, taken into local."""
+"""[control] of a survey folder: its files read with the settings, checked against the cameras, taken into local.
+
+Marks are compared with the projections of their points under the poses and lenses of the survey.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from pyproj import CRS
 
 from geo.frames import LocalFrame
+from refract import FlatWater
 from survey.control.content import Content, GivenPoint
 from survey.control.horizontal import in_crs
 from survey.control.placing import checkpoints_in_local, control_in_local, without_pose
@@ -17,8 +22,14 @@ from survey.control.reading import Gathered, gather, read_control
 from survey.control.tables import read_checkpoints
 from survey.display.words import named
 from survey.findings import Findings
+from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.settings.control import DEFAULT_MARKS_STD_PX, DEFAULT_STD_M, ControlConfig, per_direction
+
+# A lens of the data sheet or a pose by the receiver alone moves a point by less, as a share of the longer side.
+_DOUBTFUL_SHARE = 0.02
+# A single mark this many times further off than the median is of another point.
+_TIMES = 10.0
 
 
 @dataclass(frozen=True)
@@ -143,3 +154,38 @@ def place_control(
     if control is None:
         warnings.append("no view with a pose shows a control point: they are not used")
     return control, checkpoints, Findings(warnings=tuple(warnings))
+
+
+def mark_residuals(control: Control, views: Sequence[View], water: FlatWater | None) -> np.ndarray:
+    """Distances (marks,) [px] of the marks from their points, as seen through the water where these are wet.
+
+    NaN where a point lies behind its camera.
+    """
+    by_name = {view.name: view for view in views}
+    local = {point.name: point.local for point in control.points}
+    found = []
+    for mark in control.marks:
+        view = by_name[mark.view]
+        shown = view.camera.project(local[mark.point], water)
+        found.append(np.linalg.norm(np.array(mark.pixel) - shown))
+    return np.array(found)
+
+
+def mark_doubts(control: Control, views: Sequence[View], water: FlatWater | None) -> list[str]:
+    """Warnings about marks that lie far from where the poses show their points."""
+    away = mark_residuals(control, views, water)
+    longer = {view.name: max(view.lens.width, view.lens.height) for view in views}
+    near = away <= _DOUBTFUL_SHARE * np.array([longer[mark.view] for mark in control.marks])
+    middle = np.nanmedian(away) if np.isfinite(away).any() else np.inf
+    if near.mean() < 0.5:
+        return [
+            f"the marks of control points lie {middle:.0f} px (median) from where the poses show these points; check "
+            "the coordinates and heights of the points, the order x, y of the marks, that they are in pixels of these "
+            "images, and the poses"
+        ]
+    wrong = [
+        f"{mark.point} in {mark.view}"
+        for mark, is_near, distance in zip(control.marks, near, away, strict=True)
+        if not is_near and not distance <= _TIMES * middle
+    ]
+    return named(wrong, "mark", "far from where the pose shows its point, to be checked")

@@ -1,4 +1,7 @@
-"""Mix-ups of vertical datums between the heights of cameras and water."""
+"""Mix-ups of vertical datums between the heights of cameras and water.
+
+With them the height of the take-off point over the water, which a drone's height over take-off implies.
+"""
 
 from __future__ import annotations
 
@@ -101,7 +104,7 @@ def exif_doubts(heights_m: Mapping[str, float], heads: Mapping[str, Exif]) -> li
     heads : name to Exif
     """
     if above_start_of(heads) is not None:
-        return []  # tells more: `survey.folder.start_height`
+        return []  # tells more: `survey.folder.datum_mixups`
     known = [(name, head.lat_lon_height) for name, head in heads.items() if name in heights_m]
     pairs = [(heights_m[name], position) for name, position in known if position is not None]
     pairs = [(height, position) for height, position in pairs if np.isfinite(position[2])]
@@ -138,3 +141,36 @@ def xmp_doubts(gps_height: str, crs: CRS, heads: Mapping[str, Exif]) -> list[str
             f'images count from {other[:40]}: write gps_height = "crs" in [cameras] if that is the datum of crs'
         ]
     return []
+
+
+def start_doubts(
+    over_water: Mapping[str, float], heads: Mapping[str, Exif], level_m: float, place: tuple[float, float], crs: CRS
+) -> list[str]:
+    """A warning where cameras, water and the drone's height over its take-off point cannot all be true.
+
+    Parameters
+    ----------
+    over_water : name to [m]
+        Heights of the cameras over the water.
+    heads : name to Exif
+    level_m : [m]
+    place : (latitude, longitude) [deg]
+    crs : pyproj.CRS
+    """
+    starts = [
+        over - above
+        for name, over in over_water.items()
+        if (above := heads[name].above_start_m) is not None and np.isfinite(over)
+    ]
+    if not starts:
+        return []
+    start = float(np.median(starts))
+    if -UNDER_WATER_M <= start <= ABOVE_WATER_M:
+        return []
+    over = float(np.median(list(over_water.values())))
+    side = f"{-start:.1f} m under" if start < 0.0 else f"{start:.1f} m over"
+    return [
+        f"the cameras are {over:.1f} m over the water (median), and by RelativeAltitude in XMP {over - start:.1f} m "
+        f"over the take-off point, which would lie {side} the water; check that [water] level_m and the heights of the "
+        f"cameras have the same vertical datum{explanation(over, level_m, place, crs, over - start)}"
+    ]

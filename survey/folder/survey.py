@@ -16,19 +16,16 @@ from survey.control.points import Checkpoint, Control
 from survey.errors import FILE_NAME, SurveyError
 from survey.findings import Findings
 from survey.folder import place
-from survey.folder.block import Block, block_of_file, block_of_photographs
+from survey.folder.block import Block, block_of_file, block_of_photographs, block_over_water
 from survey.folder.camera_faults import require_apart, require_focal_lengths
 from survey.folder.contradiction import Contradiction
-from survey.folder.datum_mixups import exif_doubts, low_flight_doubts, place_of
+from survey.folder.control import mark_doubts
+from survey.folder.datum_mixups import exif_doubts, low_flight_doubts, place_of, start_doubts
 from survey.folder.found import Found, find_survey
-from survey.folder.mark_residuals import mark_doubts
-from survey.folder.over_water import block_over_water
+from survey.folder.motion import Velocity, shutter_doubts, velocities_of, with_motion
 from survey.folder.plausible import doubts_of_places, require_true
 from survey.folder.pose_priors import PosePrior, common_plan_std
 from survey.folder.reprojection import Reprojection
-from survey.folder.shutter import shutter_doubts, with_motion
-from survey.folder.start_height import start_doubts
-from survey.folder.velocities import Velocity, velocities_of
 from survey.photos.cameras import View, metres_per_px
 from survey.photos.images import load_image, load_mask
 from survey.photos.tie_points import TiePoints

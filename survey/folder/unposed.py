@@ -16,12 +16,11 @@ from survey.display.words import named
 from survey.errors import ControlError, ImageError, PosesError
 from survey.folder.block_control import control_of_block, may_hold_roll, of_two_marks, require_placing_control
 from survey.folder.camera_faults import require_focal_lengths
-from survey.folder.datum_mixups import place_of, xmp_doubts
+from survey.folder.datum_mixups import place_of, start_doubts, xmp_doubts
 from survey.folder.exif_level import require_level_fits_exif
 from survey.folder.found import Found
+from survey.folder.motion import shutter_doubts
 from survey.folder.pose_priors import best_plan_std
-from survey.folder.shutter import shutter_doubts
-from survey.folder.start_height import start_doubts
 from survey.names import RUN_FOLDER, SFM_FOLDER
 from survey.photos.cameras import View
 from survey.photos.images import require_all_complete

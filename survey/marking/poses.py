@@ -15,9 +15,8 @@ from survey.errors import FILE_NAME, SurveyError
 from survey.folder import infer
 from survey.folder.file_poses import read_file_poses
 from survey.folder.found import Found, find_survey
+from survey.folder.motion import velocities_of, with_motion
 from survey.folder.place import water_plane
-from survey.folder.shutter import with_motion
-from survey.folder.velocities import velocities_of
 from survey.names import RUN_FOLDER
 from survey.photos.cameras import View
 from survey.run.flight import FLIGHT, load_flight

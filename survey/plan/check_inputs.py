@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from survey.errors import FILE_NAME
-from survey.folder.control import FoundControl
-from survey.folder.mark_residuals import mark_residuals
+from survey.folder.control import FoundControl, mark_residuals
 from survey.folder.survey import Survey
 from survey.settings.config import WaterConfig
 from survey.water.level import STAFF_STD_M

@@ -13,8 +13,8 @@ from geo.sun import Sun, sun_at
 from refract import PinholeCamera
 from survey.folder.datum_mixups import above_start_of, place_of
 from survey.folder.found import Found
+from survey.folder.motion import velocities_of
 from survey.folder.survey import Survey
-from survey.folder.velocities import velocities_of
 from survey.photos.cameras import level_from_yaw_pitch_roll
 from survey.photos.exif import Exif
 from survey.photos.saturation import MOSTLY_WHITE

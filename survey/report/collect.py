@@ -14,7 +14,7 @@ from refract.dispersion import USUAL_SALINITY_PSU, USUAL_TEMPERATURE_C
 from survey.adjust.adjustment import FREE
 from survey.display.plan_grid import PlanGrid
 from survey.files.json_values import plain
-from survey.folder.shutter import shutter_text
+from survey.folder.motion import shutter_text
 from survey.folder.survey import Survey
 from survey.photos.images import list_images
 from survey.photos.texture import MatchedLight

@@ -1,0 +1,213 @@
+"""Velocity of the camera at each photograph, and what it does to the rows of a rolling shutter.
+
+Velocities are those of XMP, of positions and times, or of survey.toml.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from refract import FlatWater
+from survey.display.words import named
+from survey.errors import FILE_NAME
+from survey.findings import Findings
+from survey.photos.cameras import View, metres_per_px
+from survey.photos.exif import Exif
+from survey.settings.config import CamerasConfig
+
+# Where a velocity comes from, the most certain first.
+BY_XMP, BY_TIMES, BY_SETTINGS = "XMP", "positions and times", "survey.toml"
+# Photographs farther apart in time are not of one flight line [s].
+_LONGEST_S = 60.0
+# On a flight line, what one way to the next photograph has of its velocity differs from the next by at most this
+# share: 20 degrees of direction, or what a clock of whole seconds adds to some seconds.
+_SAME_LINE = 0.35
+# What drones need to read out an image [s]: 10 to 60 ms; for the effect of a readout that is not known.
+_USUAL_READOUT_S = 0.03
+# Slower than this the usual readout moves the last row by a millimetre: the drone hovers.
+_HOVERS_M_S = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Velocity:
+    """Velocity of the camera at one photograph.
+
+    Attributes
+    ----------
+    local : (3,) float64 [m/s], local
+    source : str
+        `BY_XMP`, `BY_TIMES` or `BY_SETTINGS`.
+    """
+
+    local: np.ndarray
+    source: str
+
+    @property
+    def speed(self) -> float:
+        """[m/s]."""
+        return float(np.linalg.norm(self.local))
+
+
+def velocities_of(
+    places: Mapping[str, np.ndarray], heads: Mapping[str, Exif], speed_m_s: float | None
+) -> dict[str, Velocity]:
+    """Velocities of the photographs of which anything tells them.
+
+    Parameters
+    ----------
+    places : name to (3,) [m], local
+        Of the cameras.
+    heads : name to Exif
+    speed_m_s : float or None
+        Along the flight lines, where neither XMP nor times tell it; the order is that of times, else of names.
+    """
+    found = velocities_by_xmp({name: heads[name] for name in places})
+    if len(found) == len(places):
+        return found
+    seconds = _seconds(heads, places)
+    for name, local in _along_lines(places, seconds, None).items():
+        found.setdefault(name, Velocity(local, BY_TIMES))
+    if speed_m_s is not None:
+        order = seconds if len(seconds) == len(places) else {name: float(i) for i, name in enumerate(sorted(places))}
+        for name, local in _along_lines(places, order, speed_m_s).items():
+            found.setdefault(name, Velocity(local, BY_SETTINGS))
+    return found
+
+
+def velocities_by_xmp(heads: Mapping[str, Exif]) -> dict[str, Velocity]:
+    """Velocities in XMP. True east and north are those of local to some thousandths."""
+    return {
+        name: Velocity(np.array(head.motion.speed), BY_XMP)
+        for name, head in heads.items()
+        if head.motion.speed is not None
+    }
+
+
+def _seconds(heads: Mapping[str, Exif], places: Mapping[str, np.ndarray]) -> dict[str, float]:
+    """Seconds since the first photograph, by one clock: the camera's, or where fewer have that, UTC."""
+    clocks = [
+        {name: time for name in places if (time := getattr(heads[name], clock)) is not None}
+        for clock in ("clock", "taken")
+    ]
+    times = max(clocks, key=len)
+    first = min(times.values(), default=None)
+    return {} if first is None else {name: (time - first).total_seconds() for name, time in times.items()}
+
+
+def _along_lines(
+    places: Mapping[str, np.ndarray], seconds: Mapping[str, float], speed_m_s: float | None
+) -> dict[str, np.ndarray]:
+    """Velocities (3,) [m/s] of the photographs on flight lines: from the one before to the one after.
+
+    At the end of a line the side counts on which the line goes on; where none or both do, at a turn, a photograph has
+    no velocity. A speed replaces that of positions and times, so that only their order counts.
+    """
+    names = sorted(seconds, key=lambda name: (seconds[name], name))
+    if len(names) < 3:
+        return {}
+    steps = np.diff([places[name] for name in names], axis=0)
+    times = np.diff([seconds[name] for name in names])
+    linked = (times > 0.0) & (times <= _LONGEST_S)
+    rates = steps / np.where(linked, times, 1.0)[:, None]
+    if speed_m_s is not None:
+        linked = np.linalg.norm(steps, axis=1) > 0.0
+        rates = speed_m_s * steps / np.where(linked, np.linalg.norm(steps, axis=1), 1.0)[:, None]
+    lengths = np.linalg.norm(rates, axis=1)
+    apart = np.linalg.norm(np.diff(rates, axis=0), axis=1)
+    # Of the photographs but the first and the last: whether they lie on a line.
+    inside = linked[:-1] & linked[1:] & (apart <= _SAME_LINE * np.maximum(lengths[:-1], lengths[1:]))
+    found: dict[str, np.ndarray] = {}
+    for i, name in enumerate(names):
+        if 0 < i < len(names) - 1 and inside[i - 1]:
+            shares = np.array([1.0, 1.0]) if speed_m_s is not None else times[i - 1 : i + 1]
+            found[name] = shares @ rates[i - 1 : i + 1] / shares.sum()
+            continue
+        comes, goes = i > 1 and inside[i - 2], i < len(names) - 2 and inside[i]
+        if comes != goes:
+            found[name] = rates[i - 1] if comes else rates[i]
+    return found
+
+
+def with_motion(
+    views: Sequence[View], velocities: Mapping[str, Velocity], cameras: CamerasConfig
+) -> tuple[list[View], Findings]:
+    """The views with the motion of their cameras from row to row; as they are where no shutter is said to roll."""
+    if not cameras.rolls:
+        return list(views), Findings()
+    unknown = [view.name for view in views if view.name not in velocities]
+    if len(unknown) == len(views):
+        warnings = [
+            "[cameras] rolling_shutter_s is not used: nothing tells how fast the camera flew (no FlightXSpeed in XMP, "
+            f"no times in EXIF of photographs along lines); give speed_m_s in {FILE_NAME}"
+        ]
+    else:
+        warnings = named(unknown, "image", "of unknown velocity (at a turn?), whose rows count as exposed at once")
+    readout = cameras.rolling_shutter_s or 0.0
+    moving = [replace(view, camera=replace(view.camera, motion=_motion(view, velocities, readout))) for view in views]
+    return moving, Findings(warnings=tuple(warnings))
+
+
+def _motion(view: View, velocities: Mapping[str, Velocity], readout: float) -> np.ndarray | None:
+    velocity = velocities.get(view.name)
+    if velocity is None or velocity.speed == 0.0 or readout == 0.0:
+        return None
+    return velocity.local * (readout / rows_between(view.lens.height))
+
+
+def rows_between(height: int) -> int:
+    """From the first to the last row of an image."""
+    return max(height - 1, 1)
+
+
+def shutter_doubts(cameras: CamerasConfig, heads: Mapping[str, Exif], metres_per_px: float | None) -> list[str]:
+    """A warning about photographs that XMP says were taken in flight, while nothing is said of the shutter.
+
+    Parameters
+    ----------
+    cameras : CamerasConfig
+    heads : name to Exif
+        Of the photographs.
+    metres_per_px : [m/px] or None
+        On the ground; None where it is not known.
+    """
+    if cameras.rolling_shutter_s is not None:
+        return []
+    rolling = {name: head for name, head in heads.items() if not head.motion.is_mechanical}
+    speeds = [velocity.speed for velocity in velocities_by_xmp(rolling).values()]
+    fastest = max(speeds, default=0.0)
+    if fastest < _HOVERS_M_S:
+        return []
+    moves = fastest * _USUAL_READOUT_S
+    return [
+        f"by XMP the camera flew at up to {fastest:.1f} m/s, and nothing says how its shutter works: a rolling one, "
+        f"read out in {1000.0 * _USUAL_READOUT_S:.0f} ms, would move the last row against the first by up to "
+        f"{_moved(moves, metres_per_px)}; give [cameras] rolling_shutter_s in {FILE_NAME}, 0 for a mechanical shutter"
+    ]
+
+
+def shutter_text(
+    cameras: CamerasConfig, velocities: Mapping[str, Velocity], views: Sequence[View], water: FlatWater | None
+) -> str | None:
+    """What is known of the shutter and of how fast the cameras flew, and what it does; None where nothing is said."""
+    readout = cameras.rolling_shutter_s
+    if readout is None:
+        return None
+    if not cameras.rolls:
+        return "exposes all rows at once"
+    sources = Counter(velocity.source for velocity in velocities.values())
+    by = ", ".join(f"{count} by {source}" for source, count in sources.items())
+    fastest = max((velocity.speed for velocity in velocities.values()), default=0.0)
+    std = cameras.rolling_shutter_std_s
+    rolls = f"rolls in {1000.0 * readout:.3g}" + ("" if std is None else f" +- {1000.0 * std:.2g}") + " ms"
+    known = f"velocities of {len(velocities)} of {len(views)} images" + (f" ({by})" if by else "")
+    moved = _moved(fastest * readout, metres_per_px(views, water))
+    return f"{rolls}; {known}" + (f", which move rows by up to {moved}" if fastest * readout > 0.0 else "")
+
+
+def _moved(metres: float, per_px: float | None) -> str:
+    said = f"{100.0 * metres:.1f} cm" if metres < 0.1 else f"{100.0 * metres:.0f} cm"
+    return said if per_px is None or not per_px > 0.0 else f"{said} or {metres / per_px:.1f} px"

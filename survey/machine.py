@@ -1,17 +1,22 @@
-"""Memory, cores and free disk space of this machine."""
+"""Memory, cores and free disk space of this machine.
+
+The memory that may be used is also limited by the Linux control groups that hold this process, as Slurm, systemd and
+containers set them. Groups are nested, and each limits all below it: the smallest limit on the way from the own group
+up to the mount counts. A process is in one group of version 2 (cgroups(7)), and in one of the hierarchy "memory" of
+version 1 where that is mounted.
+"""
 
 from __future__ import annotations
 
 import os
 import shutil
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 import psutil
-
-from survey.control_groups import group_memories
 
 # Probes of work, of so many steps each, and how long an idle core with AVX-512 takes for one [s].
 _PROBE_SIZE, _STEPS, _PROBES = 1_000_000, 15, 15
@@ -22,6 +27,14 @@ _RECENT_S = 60.0
 _TURNS = Path("/proc/self/schedstat")
 # Address space that libraries and kernels map and do not fill, on one core.
 _MAPPED_BYTES = 2.4e9
+PROCESS = Path("/proc/self")
+# By the type of the mount: files with limits, the file with what is used, and the word for cached files in memory.stat
+# that the system drops before it refuses memory.
+_FILES = {
+    "cgroup2": (("memory.max", "memory.high"), "memory.current", "inactive_file"),
+    "cgroup": (("memory.limit_in_bytes",), "memory.usage_in_bytes", "total_inactive_file"),
+}
+_ESCAPED = {"\\040": " ", "\\011": "\t", "\\012": "\n", "\\134": "\\"}
 
 
 def memory_bytes() -> int:
@@ -135,3 +148,99 @@ def _ran_and_waited() -> tuple[int, int] | None:
     except (OSError, ValueError):
         return None
     return (ran, waited) if ran > 0 else None
+
+
+@dataclass(frozen=True)
+class GroupMemory:
+    """Memory of one control group with a limit.
+
+    Attributes
+    ----------
+    limit : [bytes]
+    used : [bytes]
+        By all processes in it and below, without cached files that are not in use; 0 where the system does not tell.
+    """
+
+    limit: int
+    used: int
+
+    @property
+    def free(self) -> int:
+        """What is left to its processes [bytes]."""
+        return max(self.limit - self.used, 0)
+
+
+def group_memories(process: Path = PROCESS) -> list[GroupMemory]:
+    """Control groups with a memory limit around a process, the innermost first; none where there are no groups.
+
+    ``process`` is its folder below /proc.
+    """
+    found = []
+    for kind, folder in _folders(process):
+        limits, usage, cached = _FILES[kind]
+        known = [limit for name in limits if (limit := _number(folder / name)) is not None]
+        if known:
+            used = (_number(folder / usage) or 0) - _cached(folder / "memory.stat", cached)
+            found.append(GroupMemory(min(known), max(used, 0)))
+    return found
+
+
+def _folders(process: Path) -> Iterator[tuple[str, Path]]:
+    """Type of the mount and folder of each group, from the innermost up to the mount."""
+    paths = dict(_paths(process / "cgroup"))
+    for kind, root, mount in _mounts(process / "mountinfo"):
+        if kind not in paths:
+            continue
+        path = PurePosixPath(paths[kind])
+        # A mount may begin at a group within the hierarchy, of which alone it shows what is below. Of a group beyond it
+        # (a container that shares the names of its host) only the mount itself is to be seen.
+        inside = path.relative_to(root) if path.is_relative_to(root) and ".." not in path.parts else PurePosixPath(".")
+        for part in (inside, *inside.parents):
+            yield kind, mount / part
+
+
+def _paths(table: Path) -> Iterator[tuple[str, str]]:
+    """Type of the mount, and path in its hierarchy, of the groups of a process that may limit memory."""
+    for line in _lines(table):
+        _, controllers, path = line.split(":", 2)
+        if not controllers:
+            yield "cgroup2", path
+        elif "memory" in controllers.split(","):
+            yield "cgroup", path
+
+
+def _mounts(table: Path) -> Iterator[tuple[str, str, Path]]:
+    """Type, root in the hierarchy and folder of each mount that may limit memory; proc_pid_mountinfo(5)."""
+    for line in _lines(table):
+        here, _, there = line.partition(" - ")
+        kind, options = there.split()[0], there.split()[-1].split(",")
+        if kind == "cgroup2" or (kind == "cgroup" and "memory" in options):
+            root, folder = (_unescaped(word) for word in here.split()[3:5])
+            yield kind, root, Path(folder)
+
+
+def _unescaped(word: str) -> str:
+    for code, letter in _ESCAPED.items():
+        word = word.replace(code, letter)
+    return word
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        return path.read_text(encoding="utf-8", errors="surrogateescape").splitlines()
+    except OSError:
+        return []
+
+
+def _number(path: Path) -> int | None:
+    """The number in a file; None without the file, or where it says "max"."""
+    try:
+        return int(path.read_text(encoding="ascii"))
+    except (OSError, ValueError):
+        return None
+
+
+def _cached(table: Path, word: str) -> int:
+    """Bytes of cached files that are not in use, by memory.stat."""
+    rows = (line.split() for line in _lines(table))
+    return next((int(row[1]) for row in rows if len(row) == 2 and row[0] == word), 0)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from survey.control_groups import GroupMemory, group_memories
+from survey.machine import GroupMemory, group_memories
 
 UNLIMITED_V1 = 9223372036854771712
 

@@ -11,7 +11,7 @@ import psutil
 import pytest
 
 from survey import machine
-from survey.control_groups import GroupMemory
+from survey.machine import GroupMemory
 
 
 def test_free_memory_is_part_of_all_memory_and_limits_of_the_job_count(monkeypatch):

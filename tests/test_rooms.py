@@ -52,7 +52,6 @@ LAYERS = (
 SURVEY_SHARED = {
     "__init__.py",
     "code_hash.py",
-    "control_groups.py",
     "errors.py",
     "findings.py",
     "forecast.py",

@@ -1,11 +1,17 @@
-"""Search volume of a survey: the area in plan, and the range of heights over a plane."""
+"""Search volume of a survey: the area in plan, and the range of heights over a plane.
+
+Bounds of which no part is seen by two photographs are refused.
+"""
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from survey.errors import FILE_NAME, ConfigError
+from survey.folder.survey import Survey, View
 from survey.plan.ground import dry_ground
 from survey.plan.heights import height_range
 
@@ -15,6 +21,10 @@ if TYPE_CHECKING:
 
 # The cloud ends this far beyond the area, so that heights at its border have points on all sides.
 AREA_MARGIN_M = 0.5
+# Places along each side of the bounds and of a photograph, and heights of the bed, that are tried.
+_PLACES, _HEIGHTS = 16, 5
+# Rays nearer to the horizon than this sine leave the survey: footprints end before.
+_LEAST_FALL = 0.05
 
 
 def plane_name(survey: Survey) -> str:
@@ -75,3 +85,71 @@ def grown(area: tuple[float, float, float, float], margin: float) -> tuple[float
 def within(xyz: np.ndarray, area: tuple[float, float, float, float]) -> np.ndarray:
     """Which points (N, 3) stand over an area (x0, y0, x1, y1), (N,) bool."""
     return (xyz[:, 0] >= area[0]) & (xyz[:, 1] >= area[1]) & (xyz[:, 0] <= area[2]) & (xyz[:, 1] <= area[3])
+
+
+def require_seen(survey: Survey) -> None:
+    """Refuse bounds that fewer than two photographs see at any height of the bed that is looked for.
+
+    Raises
+    ------
+    ConfigError
+        With the bounds and the extent of the footprints.
+    """
+    area = local_area(survey)
+    if survey.bounds is None or area is None:
+        return
+    area = grown(area, AREA_MARGIN_M)
+    footprints = [_footprint(view, survey) for view in survey.views]
+    # Small bounds hold no place of a photograph's grid, and large ones no footprint between the places of theirs.
+    inside = (places[within(places, area)] for places in footprints)
+    for places in chain(_places(survey, area), inside):
+        if _is_seen_twice(survey, places):
+            return
+    corners = survey.frame.crs_from_local(np.concatenate(footprints))
+    low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
+    e0, n0, e1, n1 = survey.bounds
+    surface = "water" if survey.water is not None else "ground"
+    raise ConfigError(
+        f"[area] bounds in {FILE_NAME}, {e0:.10g} to {e1:.10g} east and {n0:.10g} to {n1:.10g} north, are seen by "
+        f"fewer than two photographs, whose footprints at the {surface} reach from {low[0]:.10g} to {high[0]:.10g} "
+        f"east and from {low[1]:.10g} to {high[1]:.10g} north; correct them (east and north, low then high)"
+    )
+
+
+def _places(survey: Survey, area: tuple[float, float, float, float]) -> list[np.ndarray]:
+    """Places (N, 3) [m], local, all over an area, for each of several heights of the bed."""
+    x, y = np.meshgrid(*(np.linspace(area[i], area[i + 2], _PLACES) for i in (0, 1)))
+    plan = np.column_stack([x.ravel(), y.ravel()])
+    base = 0.0 if survey.water is None else np.asarray(survey.water.height(*plan.T))
+    low, high = limits(survey)
+    heights = np.linspace(low, high, _HEIGHTS)
+    return [np.column_stack([plan, np.broadcast_to(base + height, len(plan))]) for height in (0.0, *heights)]
+
+
+def _footprint(view: View, survey: Survey) -> np.ndarray:
+    """Places (N, 3) [m], local, all over what a view sees at the water, or at the rough height of dry ground."""
+    camera, water = view.camera, survey.water
+    x, y = np.meshgrid(np.linspace(0.0, camera.width, _PLACES), np.linspace(0.0, camera.height, _PLACES))
+    rays = camera.directions(np.column_stack([x.ravel(), y.ravel()]))
+    if water is None:
+        up = np.array([0.0, 0.0, 1.0])
+        above = float(camera.centre[2]) - dry_ground(survey).height
+    else:
+        up, above = np.array(water.up), -float(water.depth(camera.centre))
+    fall = -rays @ up
+    rays, fall = rays[fall > _LEAST_FALL], fall[fall > _LEAST_FALL]
+    return camera.centre + rays * (above / fall)[:, None]
+
+
+def _is_seen_twice(survey: Survey, places: np.ndarray) -> bool:
+    """Whether two views see one of the places (N, 3) [m], local."""
+    count = np.zeros(len(places), dtype=np.int64)
+    for view in survey.views:
+        if not len(places):
+            break
+        camera = view.camera
+        pixel = camera.project(places, survey.water)
+        count += camera.sees(pixel)
+        if (count >= 2).any():
+            return True
+    return False

@@ -19,7 +19,7 @@ from survey.folder.survey import Found, Survey, find_survey, load_survey
 from survey.folder.unposed import placing_control, require_solvable
 from survey.names import RUN_FOLDER
 from survey.photos.exif import position_sources
-from survey.plan.bounds import require_seen
+from survey.plan.area import require_seen
 from survey.plan.check_inputs import control_rows, mark_rows, water_stds
 from survey.plan.choices import USUAL, Choices
 from survey.plan.level_doubt import level_doubt

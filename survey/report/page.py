@@ -9,10 +9,10 @@ import jinja2
 
 from survey.display import palette
 from survey.display.quantities import LengthUnit
-from survey.report import adjustment_tables, limits, photographs, reference_tables, stated, survey_tables, taken
+from survey.report import adjustment_tables, photographs, reference_tables, stated, survey_tables, taken
 from survey.report.blocks import Block, Rows, Section, Sentences
 from survey.report.figures import ReportFigures
-from survey.report.headline import cards, headline
+from survey.report.headline import cards, headline, limits, seen
 from survey.report.raster import Picture
 
 # Headings of the pictures with the names of their files.
@@ -72,8 +72,8 @@ def _sections(figures: ReportFigures) -> list[Section]:
     comparison, survey = figures.comparison, figures.survey
     uncertainty = None if comparison is None else comparison.uncertainty
     return [
-        Section("Limits", limits.limits(figures)),
-        Section("What was seen of the water", limits.seen(figures)),
+        Section("Limits", limits(figures)),
+        Section("What was seen of the water", seen(figures)),
         Section("Against the reference", reference_tables.comparison(comparison)),
         Section("At the check points", reference_tables.checkpoints(figures.checkpoints)),
         Section("Vertical uncertainty (IHO S-44)", reference_tables.iho_s44(uncertainty)),

@@ -218,8 +218,9 @@ def test_priors_make_a_key_that_changes_with_them(tmp_path):
     assert key_of("0.02") == key_of("[0.02, 0.02, 0.02]")
 
 
-def test_photographs_of_two_cameras_get_a_lens_for_each(tmp_path):
+@pytest.mark.parametrize("told_by", ["camera", "serial", "focal_doubt"])
+def test_photographs_of_two_cameras_get_a_lens_for_each(tmp_path, told_by):
     found = find_survey(unposed(tmp_path / "s"))
-    heads = {name: replace(head, camera=f"camera {i % 2}") for i, (name, head) in enumerate(found.heads.items())}
+    heads = {name: replace(head, **{told_by: f"camera {i % 2}"}) for i, (name, head) in enumerate(found.heads.items())}
     sensors = sensors_of(heads, {name: name for name in heads}, None)
     assert [sensor.names for sensor in sensors] == [("0000.jpg", "0002.jpg"), ("0001.jpg", "0003.jpg")]

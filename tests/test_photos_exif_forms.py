@@ -12,7 +12,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 from survey.folder.found import head_doubts
 from survey.photos.exif import _altitude_reference, _position_of_gps, read_exif
-from survey.photos.exif_focal import focal_px, resized_doubt
+from survey.photos.exif_focal import focal_doubt, focal_px
 from survey.photos.xmp import height_datum, rtk_of, xmp_place
 
 GPS = ExifTags.GPS
@@ -204,8 +204,8 @@ def calibration(focal: float, centre: float | None = None) -> str:
 def test_a_calibration_of_another_size_is_not_used_and_said(film, xmp, expected, words):
     details = {} if film is None else {ExifTags.Base.FocalLengthIn35mmFilm: film}
     assert focal_px((512, 384), details, xmp) == expected
-    assert words in resized_doubt((512, 384), details, xmp)
-    assert bool(words) == bool(resized_doubt((512, 384), details, xmp))
+    assert words in focal_doubt((512, 384), details, xmp)
+    assert bool(words) == bool(focal_doubt((512, 384), details, xmp))
 
 
 @pytest.mark.parametrize(
@@ -292,3 +292,11 @@ def test_only_the_namespace_of_exif_itself_gives_a_position(head):
     given = '<x xmlns:{0}="http://ns.adobe.com/exif/1.0/{1}" ' + place + "/>"
     assert head(xmp=given.format("e", "")).lat_lon_height[:2] == pytest.approx((LAT, LON), abs=1e-7)
     assert head(xmp=given.format("aux", "aux/")).lat_lon_height is None
+
+
+@pytest.mark.parametrize(("zoom", "is_doubted"), [(None, False), (0.0, False), (1.0, False), (2.0, True)])
+def test_a_digital_zoom_is_named(zoom, is_doubted):
+    details = {ExifTags.Base.FocalLengthIn35mmFilm: 24} | (
+        {} if zoom is None else {ExifTags.Base.DigitalZoomRatio: zoom}
+    )
+    assert ("digital zoom of 2 by EXIF" in focal_doubt((512, 384), details, "")) is is_doubted

@@ -15,7 +15,7 @@ from PIL import ExifTags
 from pyproj import CRS
 
 from geo.crs import utm_code
-from survey.photos.exif_focal import FocalCandidate, focal_candidates, focal_px, resized_doubt
+from survey.photos.exif_focal import FocalCandidate, focal_candidates, focal_doubt, focal_px
 from survey.photos.opening import HEIC_SUFFIXES, damage_named, open_image, without_complaints
 from survey.photos.pixels import channel_bits, stored_size
 from survey.photos.png import exif_of_png
@@ -121,7 +121,7 @@ class Exif:
     gps_fault : str
         What EXIF lacks for a GPS position, of which it has a part.
     focal_doubt : str
-        Where a calibration in XMP belongs to another size of the photograph, or nothing tells to which.
+        Why the focal length may be that of another image: `survey.photos.exif_focal.focal_doubt`.
     gps_datum : str
         What the file says that its position is on, where that is not WGS 84 or alike; empty otherwise.
     serial : str
@@ -195,7 +195,7 @@ def read_exif(path: Path) -> Exif:
         exposure_s=_exposure(details),
         gps_fault=fault,
         gps_datum=_other_datum(gps, xmp) if position is not None else "",
-        focal_doubt=resized_doubt(size, details, xmp),
+        focal_doubt=focal_doubt(size, details, xmp),
         serial=_words(details.get(ExifTags.Base.BodySerialNumber, "")) or _words(serial_of(xmp)),
     )
 

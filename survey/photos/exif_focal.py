@@ -75,7 +75,15 @@ def focal_px(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -> flo
     return by_film
 
 
-def resized_doubt(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -> str:
+def focal_doubt(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -> str:
+    """Why the focal length may be that of another image than the stored one; empty where nothing says so."""
+    zoom = number(details.get(ExifTags.Base.DigitalZoomRatio))
+    # Cameras differ in whether the 35 mm equivalent has it.
+    said = f"a digital zoom of {zoom:g} by EXIF, which its focal length may leave out" if zoom > 1.0 else ""
+    return " and ".join(filter(None, (said, _resized_doubt(size, details, xmp))))
+
+
+def _resized_doubt(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -> str:
     """What a calibration and the 35 mm equivalent say, where they are of photographs of two sizes; empty otherwise."""
     calibrated, used = xmp_number(xmp, "CalibratedFocalLength"), focal_px(size, details, xmp)
     if not calibrated or calibrated <= 0.0:

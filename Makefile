@@ -56,7 +56,8 @@ demo: $(READY)
 	@echo "Report:  $(CURDIR)/$(RUN)/report.html"
 
 test: check types
-	@$(BIN)/python -m pytest --numprocesses=auto --maxprocesses=4 --dist=loadfile
+	@# Compiled files are kept, whatever the environment says: a hundred tests start the program.
+	@PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest --numprocesses=auto --maxprocesses=4 --dist=loadfile
 
 check: $(READY)
 	@$(BIN)/python -m ruff check .

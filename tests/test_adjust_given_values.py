@@ -191,6 +191,7 @@ def test_the_level_that_photographs_show_is_named(down):
     assert np.abs(missed).max() < 4.5
 
 
+@pytest.mark.slow
 def test_a_block_that_is_dry_stays_so():
     for seed in range(2):
         drawn = block(seed, 1.0)

@@ -214,6 +214,7 @@ def test_depths_in_the_cloud_split_the_numbers_by_the_true_depth(tmp_path, plane
     assert [band["to_m"] for band in numbers["depth_bands"]] == [0.5]
 
 
+@pytest.mark.slow
 def test_a_million_samples_of_the_reference_are_asked_for(monkeypatch, cloud, plane):
     monkeypatch.undo()
     assert compared(cloud, plane)["n_samples"] == 1_000_000

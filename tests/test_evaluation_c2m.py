@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
+from slow_cases import slow
 
 from evaluation import distance_to_mesh, weld
 from evaluation.triangles import closest_on_triangles, num_wound_against
@@ -106,7 +107,7 @@ def test_inside_and_outside_of_a_convex_body_are_told_apart_at_every_edge_and_ve
     np.testing.assert_allclose(signed[inside], height[inside], atol=ROUNDING_M)
 
 
-@pytest.mark.parametrize("sign", ["up", "winding"])
+@pytest.mark.parametrize("sign", ["up", slow("winding")])
 def test_among_equally_near_triangles_the_most_orthogonal_one_decides(sign, rng):
     """The rule of CloudCompare, taken literally over all pairs, on a body with edges like knives."""
     vertices, faces, _ = _convex(rng, [5.0, 1.0, 0.02])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from fifty_digits import exact_derivatives, worst
+from slow_cases import slow
 from torch.func import hessian, jacfwd, jacrev, vmap
 
 from refract import AnySurface, BicubicWater, HeightFieldWater, SphericalWater, WavyWater, project, trace
@@ -115,7 +116,7 @@ def traced_exactly(name, numbers, start):
     return [*at(t), *(r / n + push * u for r, u in zip(ray, up, strict=True)), t]
 
 
-@pytest.mark.parametrize("name", ["sphere", "wavy", "bowl", "triangles"])
+@pytest.mark.parametrize("name", ["sphere", slow("wavy"), slow("bowl"), "triangles"])
 @pytest.mark.parametrize("way", ["project", "trace"])
 def test_derivatives_over_curved_water_are_those_of_fifty_digits(way, name):
     numbers = torch.tensor(NUMBERS, dtype=torch.float64)

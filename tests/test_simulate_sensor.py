@@ -31,6 +31,7 @@ def test_distortion_is_undone_by_its_inverse(lens, rng):
     assert np.abs(ideal - pixels).max() > 0.5
 
 
+@pytest.mark.slow
 def test_a_distorted_photograph_rectified_is_the_one_that_a_pinhole_takes(tmp_path):
     lens = "focal_px = 160.0\n" + 'model = "OPENCV"\ndistortion = [-0.3, 0.01, 1e-3, -1e-3]'
     smooth = {

@@ -137,7 +137,7 @@ def _in_triangles(surface, camera, point, owner, triangle):
     return tuple(a[inside] for a in (owner, *at, triangle))
 
 
-def _pull(n, camera, point, at):
+def _gradient(n, camera, point, at):
     """Sum of the unit vectors from both ends, that from the point n times: the slope of the optical length."""
     from_camera, from_point = kernels.minus(at, camera), kernels.minus(at, point)
     a, w = (np.sqrt(kernels.dot(v, v)) for v in (from_camera, from_point))
@@ -163,10 +163,10 @@ def _on_edges(surface, camera, point, owner, triangle):
     H, h = away
     tau = along[0] + way * kernels.air_share(way * way, H, h, surface.n_water, _FLAT_STEPS)
     at = kernels.along(start, unit, tau)
-    pull = _pull(surface.n_water, camera, point, at)
+    gradient = _gradient(surface.n_water, camera, point, at)
     keep = (tau >= 0.0) & (tau <= kinks.length[edge])
     for side in kinks.sides:
-        keep &= kernels.dot(pull, tuple(c[edge] for c in side)) >= 0.0
+        keep &= kernels.dot(gradient, tuple(c[edge] for c in side)) >= 0.0
     return tuple(a[keep] for a in (owner, *at, np.full(owner.size, -1)))
 
 
@@ -176,11 +176,11 @@ def _on_corners(surface, camera, point, owner, triangle):
     corners = surface.triangles[triangle]
     owner, corner = _pairs(owner, np.where(kinks.inner[corners], corners, -1))
     at = (*surface.points[corner].T, surface.plain_heights[corner])
-    pull = _pull(surface.n_water, tuple(c[owner] for c in camera), tuple(p[owner] for p in point), at)
+    gradient = _gradient(surface.n_water, tuple(c[owner] for c in camera), tuple(p[owner] for p in point), at)
     keep = np.ones(owner.size, dtype=bool)
     for number in range(kinks.spokes_of.shape[1]):
         spoke = kinks.spokes_of[corner, number]
-        keep &= (spoke < 0) | (kernels.dot(pull, tuple(c[spoke] for c in kinks.spokes)) >= 0.0)
+        keep &= (spoke < 0) | (kernels.dot(gradient, tuple(c[spoke] for c in kinks.spokes)) >= 0.0)
     return tuple(a[keep] for a in (owner, *at, np.full(owner.size, -1)))
 
 

@@ -26,21 +26,21 @@ def along_ray(clearance, t, meets):
     return t
 
 
-def over_surface(pull, matrix, x, y, firm):
-    """Crossings x, y with derivatives, where firm: ``pull(x, y)`` vanishes, with derivatives ``matrix`` by x and y."""
+def over_surface(gradient, matrix, x, y, firm):
+    """Crossings x, y with derivatives, where firm: roots of ``gradient(x, y)`` with Jacobian ``matrix``."""
     xp = namespace(x)
     rows = tuple(
         tuple(xp.fixed(xp.where(firm, entry, unit)) for entry, unit in zip(row, units, strict=True))
         for row, units in zip(matrix, ((1.0, 0.0), (0.0, 1.0)), strict=True)
     )
     for _ in range(xp.orders):
-        step_x, step_y = newton_step(pull(x, y), rows)
+        step_x, step_y = newton_step(gradient(x, y), rows)
         x, y = x + xp.where(firm, step_x, 0.0), y + xp.where(firm, step_y, 0.0)
     return x, y
 
 
-def newton_step(pull, rows):
-    """The step to where the pull (x, y) vanishes, from its derivatives by x and by y."""
-    (px, py), ((xx, xy), (yx, yy)) = pull, rows
+def newton_step(gradient, rows):
+    """Newton's step to the root of a gradient (x, y), from its Jacobian."""
+    (px, py), ((xx, xy), (yx, yy)) = gradient, rows
     determinant = xx * yy - xy * yx
     return (yx * py - yy * px) / determinant, (xy * px - xx * py) / determinant

@@ -117,7 +117,7 @@ class AnySurface(ABC):
         x, y = (xp.where(found, a, p) for a, p in zip((x, y), point[:2], strict=True))
         above, below = self._harmless(camera, point, found)
         matrix = self._matrix(above, below, x, y)
-        x, y = over_surface(lambda x, y: self._pull(above, below, x, y, found), matrix, x, y, found)
+        x, y = over_surface(lambda x, y: self._gradient(above, below, x, y, found), matrix, x, y, found)
         at = x, y, self.height(x, y)
         seen = tuple(xp.where(found, a, xp.where(bent, math.nan, p)) for a, p in zip(at, point, strict=True))
         return seen, depth, xp.where(found | ~bent, 1, -1)
@@ -134,7 +134,7 @@ class AnySurface(ABC):
         nx, ny, nz = self.normal(x, y)
         return -nx / nz, -ny / nz
 
-    def _pull(self, camera, point, x, y, keep=None):
+    def _gradient(self, camera, point, x, y, keep=None):
         """Gradient of the optical length as the crossing moves over the surface, which is level where not to keep."""
         xp = namespace(x)
         z, (zx, zy) = self.height(x, y), self._slopes(x, y)
@@ -148,14 +148,14 @@ class AnySurface(ABC):
         return gx, gy
 
     def _matrix(self, camera, point, x, y):
-        """Derivatives of `_pull` by x and by y, from differences; they carry none themselves."""
+        """Derivatives of `_gradient` by x and by y, from differences; they carry none themselves."""
         xp = namespace(x)
         camera, point = (tuple(map(xp.fixed, end)) for end in (camera, point))
         way = kernels.minus(camera, point)
         apart = _APART * xp.sqrt(kernels.dot(way, way))
         rows = []
         for ax, ay in ((apart, 0.0), (0.0, apart)):
-            ahead, behind = (self._pull(camera, point, x + sign * ax, y + sign * ay) for sign in (1.0, -1.0))
+            ahead, behind = (self._gradient(camera, point, x + sign * ax, y + sign * ay) for sign in (1.0, -1.0))
             rows.append(tuple(xp.fixed(p - q) / (2.0 * apart) for p, q in zip(ahead, behind, strict=True)))
         return rows
 
@@ -170,8 +170,8 @@ class AnySurface(ABC):
         chord = xp.sqrt(kernels.dot(way, way))
         arrived, settled = chord < 0.0, _SETTLED * chord + _ROUNDING * _size(camera)
         for _ in range(_MOST_STEPS):
-            pull, matrix = self._pull(camera, point, x, y), self._matrix(camera, point, x, y)
-            step_x, step_y = map(xp.fixed, newton_step(pull, matrix))
+            gradient, matrix = self._gradient(camera, point, x, y), self._matrix(camera, point, x, y)
+            step_x, step_y = map(xp.fixed, newton_step(gradient, matrix))
             length = xp.sqrt(step_x * step_x + step_y * step_y)
             arrived = length <= settled
             back = xp.where(length > depth, depth / xp.where(length > 0.0, length, 1.0), 1.0)

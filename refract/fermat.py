@@ -222,7 +222,7 @@ def _attached(xp, surface, camera, point, x, y, found):
     _, (hxx, hxy, hyy) = path_slope(surface, camera, point, x, y)
     firm = xp.abs(hxx * hyy - hxy * hxy) > _FIRM * (hxx * hxx + 2.0 * hxy * hxy + hyy * hyy)
 
-    def pull(x, y):
+    def gradient(x, y):
         return path_slope(surface, camera, point, x, y)[0]
 
-    return over_surface(pull, ((hxx, hxy), (hxy, hyy)), x, y, firm)
+    return over_surface(gradient, ((hxx, hxy), (hxy, hyy)), x, y, firm)

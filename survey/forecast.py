@@ -1,4 +1,4 @@
-"""How long work will still take: a step by its own pace, a run by the pace of its parts.
+"""Remaining time: of a step by its own speed, of a run by the speed of its parts.
 
 Nothing is said before it is steady: until a tenth of the work is done, and while estimates of the later half of the
 time differ by more than half of the smallest.
@@ -20,7 +20,7 @@ _APART_S = 1.0
 
 
 class Steady:
-    """Whether estimates of one whole, made as time goes on, agree."""
+    """Test whether successive estimates of one duration agree."""
 
     def __init__(self) -> None:
         # The last estimate before the middle of the time since the first, and all that follow.
@@ -42,8 +42,8 @@ class Steady:
         return len(values) > 1 and bool(max(values) <= _STEADY * min(values))
 
 
-class Pace:
-    """The pace of a step whose total is known.
+class StepForecast:
+    """Progress of a step whose total is known, and its remaining time.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class Pace:
             self._steady.add(now, now - self._first_advance + needed)
 
     def left_s(self, now: float, total: float | None) -> float | None:
-        """Estimate by the pace over the later half of the time since the first advance [s].
+        """Remaining time by the speed over the later half of the time since the first advance [s].
 
         None before it is steady, and where the step takes longer than the estimate said.
         """

@@ -22,7 +22,7 @@ from rich.progress import BarColumn, ProgressColumn, Task, TextColumn, TimeElaps
 from rich.progress import Progress as Bars
 from rich.text import Text
 
-from survey.forecast import Forecast, Pace
+from survey.forecast import Forecast, StepForecast
 from survey.lines import fitted
 
 # Seconds between plain lines of one stage, where there is no terminal, and between looks whether one is due.
@@ -68,7 +68,7 @@ class Step:
         self.name, self.total, self.done = name, total, 0.0
         self._progress = progress
         self._start = self._last_line = time.monotonic()
-        self._pace = Pace(self._start)
+        self._step_forecast = StepForecast(self._start)
         self._bars = progress._bars
         self._task = self._bars.add_task(name, total=total, step=self) if self._bars is not None else None
 
@@ -79,15 +79,15 @@ class Step:
 
     @property
     def seconds_left(self) -> float | None:
-        """Estimate by the pace of the step [s]; None before it is steady."""
+        """Remaining time of the step [s]; None before estimates agree."""
         with self._progress.lock:
-            return self._pace.left_s(time.monotonic(), self.total)
+            return self._step_forecast.left_s(time.monotonic(), self.total)
 
     def advance(self, amount: float = 1.0, *, detail: str = "") -> None:
         """Say that ``amount`` more of the total is done; ``detail`` is a word or number to show beside."""
         self.done += amount
         with self._progress.lock:
-            self._pace.advance(time.monotonic(), self.done, self.total)
+            self._step_forecast.advance(time.monotonic(), self.done, self.total)
             self._progress.look_ahead()
         if self._bars is not None and self._task is not None:
             description = f"{self.name}  {detail}" if detail else self.name

@@ -65,7 +65,7 @@ def test_an_exact_block_is_recovered_from_a_start_far_away(rng, seed):
     found = solve(problem, spoilt(block, rng))
     assert found.std_px[0] <= 1e-3
     std = np.sqrt(np.diag(found.covariance))
-    pull = Priors(truth, problem.priors.std, problem.priors.point_std).pull(problem.layout, found.state)
+    pull = Priors(truth, problem.priors.std, problem.priors.point_std).deviation(problem.layout, found.state)
     # Pixels are far better than the least standard deviation that is assumed of them, 1e-3 px.
     assert np.abs(pull / std).max() < 1.0
     # The unit is what the covariance says: far below what the start was off by.
@@ -110,7 +110,7 @@ def dense(problem: Problem, solution: Solution) -> tuple[np.ndarray, np.ndarray]
         design[2 * row : 2 * row + 2, size + 3 * point : size + 3 * point + 3] = linear.by_point[row]
     weights = np.repeat(solution.weights, 2)
     strength = np.concatenate([priors.std, priors.point_std.ravel()]) ** -2.0
-    pull = np.concatenate([priors.pull(problem.layout, state), (state.points - priors.state.points).ravel()])
+    pull = np.concatenate([priors.deviation(problem.layout, state), (state.points - priors.state.points).ravel()])
     normal = design.T @ (weights[:, None] * design) + np.diag(strength)
     residuals = (ties.pixel - linear.pixels).ravel()
     return normal, design.T @ (weights * residuals) - strength * pull

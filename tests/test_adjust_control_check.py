@@ -9,7 +9,7 @@ import pytest
 from block_survey import pose_errors, rms, survey_of
 from drawn_block import draw_block
 
-from survey.adjust.control_check import is_lone
+from survey.adjust.control_check import has_unchecked_control
 from survey.adjust.refine import adjust_survey
 from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import Survey
@@ -139,9 +139,9 @@ def test_a_right_point_is_not():
 
 def test_only_control_that_cannot_check_itself_is_asked_about_and_only_where_positions_place_the_block():
     survey = with_one_point(3)
-    assert is_lone(survey)
-    assert not is_lone(changed(survey, control=None))
+    assert has_unchecked_control(survey)
+    assert not has_unchecked_control(changed(survey, control=None))
     nowhere = {view.name: PosePrior(None, None, None, "none") for view in survey.views}
-    assert not is_lone(changed(survey, priors=nowhere))
+    assert not has_unchecked_control(changed(survey, priors=nowhere))
     many = survey_of(draw_block(3, num_points=150, num_views=18, dry_share=0.35, num_control=3))
-    assert not is_lone(many)
+    assert not has_unchecked_control(many)

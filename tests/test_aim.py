@@ -10,15 +10,15 @@ import pytest
 from fields.sweep.bed import BedPoints
 from survey.errors import SurveyError
 from survey.plan.aim import Aim, aim_of, recipes_for
-from survey.plan.pace import Ground, Pace, samples
 from survey.plan.plan import image_scale
+from survey.plan.round_costs import FullSizeAmounts, RoundRates, samples
 from survey.run.aimed_run import AimedRun
 from survey.run.cell_std import DEPTH, FEW, NOISE, CellStd, std_cells
 from survey.run.clock import Clock, OutOfTimeError
 
-GROUND = Ground(photographs_mpx=10.0, map_px=10e6, points=1e6, poses="fixed", num_views=10)
+GROUND = FullSizeAmounts(photographs_mpx=10.0, map_px=10e6, points=1e6, poses="fixed", num_views=10)
 # A machine on which all rates are easy to count with.
-PACE = Pace(sample_s=1e-8, images_s=1.0, slow=1.0, point_s=1e-5)
+PACE = RoundRates(sample_s=1e-8, images_s=1.0, slow=1.0, point_s=1e-5)
 RECIPES = recipes_for([(1024, 768)])
 SCALES = (0.25, 0.25, 0.5, 0.5, 1.0, 1.0)
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from survey.forecast import Forecast, Pace
+from survey.forecast import Forecast, StepForecast
 from survey.plan.rates import Amounts, parts_s, run_s, sfm_s
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -26,7 +26,7 @@ def uneven(seed: int, number: int) -> list[float]:
     seed=SEEDS,
 )
 def test_a_step_of_an_uneven_pace_is_foreseen_within_a_factor_of_two(start, loading, each, number, seed):
-    pace, now, took = Pace(start), start + loading, [each * share for share in uneven(seed, number)]
+    pace, now, took = StepForecast(start), start + loading, [each * share for share in uneven(seed, number)]
     told = 0
     for done, seconds in enumerate(took, start=1):
         now += seconds

@@ -85,11 +85,11 @@ def seen_exactly(name, numbers, start):
         air, water = ([c - e for c, e in zip((x, y, z), end, strict=True)] for end in (camera, point))
         return air, mpmath.norm(air), water, mpmath.norm(water), zx, zy
 
-    def pull(x, y):
+    def gradient(x, y):
         air, a, water, w, zx, zy = legs(x, y)
         return [(air[k] + z * air[2]) / a + n * (water[k] + z * water[2]) / w for k, z in enumerate((zx, zy))]
 
-    x, y = mpmath.findroot(pull, start, tol=1e-80)
+    x, y = mpmath.findroot(gradient, start, tol=1e-80)
     air, a, water, w, _, _ = legs(x, y)
     return [*(v / a for v in air), *(p + v for p, v in zip(point, water, strict=True)), a, w]
 

@@ -34,8 +34,8 @@ class Parameter:
     given, given_std : float
         What was known before; the standard deviation is None where nothing was.
     status : str
-        "free": found from the photographs. "held": what was given tells more than they do. "not observable": neither
-        tells, and the given value is kept.
+        "free": found from the photographs. "held": the given value is better known than they determine it. "not
+        observable": neither determines it, and the given value is kept.
     verdict : str
         A sentence.
     """
@@ -50,7 +50,7 @@ class Parameter:
 
     @property
     def is_observable(self) -> bool:
-        """Whether anything tells it."""
+        """Whether photographs or given values determine it."""
         return self.status != UNKNOWN
 
 
@@ -214,7 +214,7 @@ class Adjustment:
 
     @property
     def layout(self) -> Layout:
-        """That of `covariance`, but for the rises of a rough bed, which it leaves out."""
+        """Layout of the parameters of `covariance`, which leaves out the rises of a rough bed."""
         aspect = np.array([lens.focal[1] / lens.focal[0] for lens in self.lenses])
         names = {f"camera0.{READOUT_NAME}"}
         finds_readouts = not names.isdisjoint(self.covariance.names)
@@ -267,7 +267,7 @@ def write_adjustment(folder: Path, found: Adjustment) -> None:
 
 
 def read_adjustment(folder: Path) -> Adjustment:
-    """What `write_adjustment` wrote.
+    """Read an adjustment from its folder.
 
     Raises
     ------

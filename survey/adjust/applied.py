@@ -119,7 +119,7 @@ def write_cameras(folder: Path, survey: Survey, found: Adjustment | None = None)
 
 
 def _straight_ties(survey: Survey, found: Adjustment) -> TiePoints:
-    """The points of an adjustment, and what it measured of them, with the places where straight rays meet."""
+    """Tie points of an adjustment with the places where straight rays intersect."""
     order = np.argsort(found.residuals.point, kind="stable")
     point, view = found.residuals.point[order].astype(np.int64), found.residuals.view[order].astype(np.int64)
     ties = TiePoints(found.points, point, view, found.residuals.at_px[order])
@@ -169,6 +169,6 @@ def _opk(survey: Survey) -> str:
 
 
 def _flown(view: View) -> np.ndarray:
-    """From the first row of a photograph to the last (3,) [m], local."""
+    """Motion of the camera from the first row of a photograph to the last (3,) [m], local."""
     motion = view.camera.motion
     return np.zeros(3) if motion is None else motion * rows_between(view.lens.height)

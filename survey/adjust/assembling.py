@@ -61,7 +61,7 @@ def result(
     contradicted: Sequence[int] = (),
     hold: Callable[[np.ndarray], Adjusted] | None = None,
 ) -> Adjustment:
-    """What was found.
+    """Assemble the result of an adjustment.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def _statistics(done: Adjusted, total: int) -> FitStatistics:
 
 
 def _names_of(survey: Survey, layout: Layout) -> tuple[str, ...]:
-    """Of the rows of the covariance."""
+    """Names of the rows of the covariance."""
     num_lenses, num_readouts = len(layout.aspect), layout.first_rate - layout.first_readout
     return (
         *WATER_NAMES,
@@ -151,7 +151,7 @@ def _gps_std(known: Known) -> tuple[float, float, float] | None:
 
 
 def _warnings(survey: Survey, done: Adjusted) -> list[str]:
-    """About control, positions and photographs that the block contradicts or hardly holds."""
+    """Warnings about control, positions and photographs that the block contradicts or barely constrains."""
     warnings = control_warnings(survey.observations.control, survey.views, done.used, done.solution.state)
     for kind, bad in zip(("positions", "rotations"), done.blunders.T, strict=True):
         if bad.any():
@@ -175,7 +175,7 @@ def _judged(
     lost: dict[str, Unobservable] | None,
     contradicted: Sequence[int],
 ) -> tuple[tuple[Parameter, ...], WaterConfig | None]:
-    """Parameters of water and lenses with their verdicts, and the water; ``first`` tells of those that are held."""
+    """Parameters of water and lenses with their verdicts, and the water; ``first``: covariance before any was held."""
     known, state, covariance = done.known, done.solution.state, done.solution.covariance
     parameters: list[Parameter] = []
     water: WaterConfig | None = None
@@ -227,7 +227,7 @@ def _water(
     lost: dict[str, Unobservable] | None,
     contradicted: Sequence[int],
 ) -> tuple[list[Parameter], WaterConfig]:
-    """Level, slopes and index as survey.toml counts them, with verdicts; the second covariance tells of the held."""
+    """Level, slopes and index in the terms of survey.toml, with verdicts; the second covariance is for held ones."""
     _, given = survey.require_water()
     by_local = settings_by_local(survey, np.array(known.place_of_water))
     values = settings_of(given) + by_local @ (state.water_parameters() - known.mean.water_parameters())

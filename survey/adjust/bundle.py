@@ -44,7 +44,7 @@ class NotConvergedError(SurveyError):
 
 @dataclass(frozen=True)
 class Priors:
-    """What is known of the unknowns beside the tie points: mean values, and standard deviations (infinite: nothing).
+    """Prior means and standard deviations of the unknowns; infinite where nothing is known.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Priors:
         Of the parameters.
     point_std : (M, 3) [m]
     rows, signs : (K, P), (K,)
-        What is known of several parameters together: ``sign (row pull)^2`` is added to the squares.
+        Joint priors on several parameters: ``sign (row deviation)^2`` is added to the squares.
     """
 
     state: State
@@ -63,7 +63,7 @@ class Priors:
     rows: np.ndarray | None = None
     signs: np.ndarray | None = None
 
-    def pull(self, layout: Layout, state: State) -> np.ndarray:
+    def deviation(self, layout: Layout, state: State) -> np.ndarray:
         """Parameters of a state less their mean values, (P,)."""
         turns = Rotation.from_matrix(state.rotations @ self.state.rotations.transpose(0, 2, 1)).as_rotvec()
         poses = np.concatenate([state.centres - self.state.centres, turns], axis=1)
@@ -75,11 +75,11 @@ class Priors:
 
     def squares(self, layout: Layout, state: State) -> float:
         """The sum of squares of the parameters, in units of variances."""
-        pull = self.pull(layout, state)
-        single = pull / self.std
+        deviation = self.deviation(layout, state)
+        single = deviation / self.std
         if self.rows is None or self.signs is None:
             return float(single @ single)
-        return float(single @ single + self.signs @ (self.rows @ pull) ** 2)
+        return float(single @ single + self.signs @ (self.rows @ deviation) ** 2)
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ class System:
     mixed: csr_array
 
     def promise(self, step: np.ndarray) -> float:
-        """By how much the sum of squares falls by a step of parameters and points, if all is linear."""
+        """Predicted decrease of the sum of squares by a step of parameters and points (linear model)."""
         return float(self.right @ step + np.sum(self.free**2))
 
     def heights_by_parameters(self) -> np.ndarray:
@@ -298,13 +298,13 @@ def inverse(normal: np.ndarray) -> np.ndarray:
 
 
 def _scaled(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The matrix with ones on its diagonal, and the scales that did it."""
+    """The matrix scaled to ones on its diagonal, and the scales."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     return normal * np.outer(scale, scale), scale
 
 
 def cost(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarray | float = 1.0) -> float:
-    """What an adjustment makes least: Huber's squares of residuals, and squares of priors, in units of variances.
+    """Cost function: Huber losses of residuals and squared deviations from priors, in units of variances.
 
     Parameters
     ----------
@@ -358,11 +358,11 @@ def _weighted_system(problem: Problem, state: State, weights_of: Callable[[np.nd
     whole = csr_array(design.multiply(np.repeat(weights, 2)[:, None]))
     normal = (design.T @ whole - mixed.T @ mixed).toarray()
     normal[np.diag_indices_from(normal)] += strength
-    pull = priors.pull(problem.layout, state)
-    gradient = whole.T @ residuals.ravel() - mixed.T @ free.ravel() - strength * pull
+    deviation = priors.deviation(problem.layout, state)
+    gradient = whole.T @ residuals.ravel() - mixed.T @ free.ravel() - strength * deviation
     if priors.rows is not None and priors.signs is not None:
         normal += (priors.rows * priors.signs[:, None]).T @ priors.rows
-        gradient -= priors.rows.T @ (priors.signs * (priors.rows @ pull))
+        gradient -= priors.rows.T @ (priors.signs * (priors.rows @ deviation))
     return System(normal, gradient, root, free, mixed)
 
 
@@ -380,6 +380,6 @@ def _sum(ties: TiePoints, values: np.ndarray) -> np.ndarray:
 
 
 def _damped(normal: np.ndarray) -> np.ndarray:
-    """Matrices (M, 3, 3) that can be inverted."""
+    """Matrices (M, 3, 3), damped so that they can be inverted."""
     scale = np.trace(normal, axis1=1, axis2=2)[:, None, None]
     return normal + (_DAMPING * scale + 1e-12) * np.eye(3)

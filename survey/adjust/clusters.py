@@ -48,7 +48,7 @@ def inflation(ties: TiePoints, residuals: np.ndarray, std_px: np.ndarray, kind: 
     ties : TiePoints
     residuals : (N, 2) [px]
     std_px : (kinds,) [px]
-        Standard deviation of a pixel coordinate of each kind.
+        Standard right of a pixel coordinate of each kind.
     kind : (N,)
         Each kind has one factor.
     sizes : (width, height) [px] of each photograph
@@ -81,7 +81,7 @@ def _design_effect(view: np.ndarray, pixel: np.ndarray, normal: np.ndarray, side
 
 
 def terrain_design_effect(problem: Problem, solution: Solution, sizes, kinds: np.ndarray) -> float:
-    """Factor on the variance of what the block does as a whole, over what its normal equations say.
+    """Design effect on the variance of height, tilt and shift of the whole block, over its normal equations.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def terrain_design_effect(problem: Problem, solution: Solution, sizes, kinds: np
 
 
 def _of_block(problem: Problem, state: State) -> np.ndarray:
-    """What the parameters do to the block (6, P): its mean height, tilt and bend, and its shift in plan."""
+    """Derivatives (6, P) of mean height, tilt, bending and shift in plan of the block by the parameters."""
     layout, ties = problem.layout, problem.ties
     # A control point may have a single mark, which tells of no move.
     tracked = np.flatnonzero(np.bincount(ties.point, minlength=len(ties)) >= MIN_TRACK)
@@ -139,17 +139,17 @@ def _of_block(problem: Problem, state: State) -> np.ndarray:
 
 
 def _followed(ties: TiePoints, weights: np.ndarray, by_point: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """A change (N, 2) of the predictions once the points have followed it."""
+    """Change (N, 2) of the predictions with the points re-adjusted (eliminated)."""
     weighted = by_point * weights[:, None, None]
-    own, pull = np.zeros((len(ties), 3, 3)), np.zeros((len(ties), 3))
+    own, right = np.zeros((len(ties), 3, 3)), np.zeros((len(ties), 3))
     np.add.at(own, ties.point, np.einsum("nai,naj->nij", weighted, by_point))
-    np.add.at(pull, ties.point, np.einsum("nai,na->ni", weighted, change))
-    step = np.einsum("mij,mj->mi", np.linalg.pinv(own, hermitian=True), pull)
+    np.add.at(right, ties.point, np.einsum("nai,na->ni", weighted, change))
+    step = np.einsum("mij,mj->mi", np.linalg.pinv(own, hermitian=True), right)
     return change - np.einsum("nai,ni->na", by_point, step[ties.point])
 
 
 def _footprint(problem: Problem, state: State, sizes) -> float:
-    """What the longer side of a photograph shows of the ground [m], as if there were no water."""
+    """Footprint of the longer side of a photograph on the ground [m], with straight rays."""
     ties, layout = problem.ties, problem.layout
     away = np.linalg.norm(state.points[ties.point] - state.centres[ties.view], axis=1)
     longer = np.array([max(size) for size in sizes], dtype=np.float64)

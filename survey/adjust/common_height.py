@@ -36,7 +36,7 @@ _GPS_WITHIN_M = 10.0
 
 @dataclass(frozen=True)
 class CommonHeight:
-    """What the heights of all positions have in common, as the level of the water shows it.
+    """Common error of the heights of all positions, estimated from the level of the water.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class CommonHeight:
 
 
 def water_start(known: Known, seen: Observed, marks_std_px: float) -> tuple[Known, np.ndarray]:
-    """Where the adjustment of a block is to start whose positions do not tell how high it lies over the water.
+    """Initial state of a block whose positions do not determine its height over the water.
 
     And the points (M, 3) [m] of what is seen. Without any start that converges, both as they are.
 
@@ -78,7 +78,7 @@ def water_start(known: Known, seen: Observed, marks_std_px: float) -> tuple[Know
 
 
 def _levels(known: Known, seen: Observed) -> tuple[float, ...]:
-    """As positions have it; with most points under water; with half of them."""
+    """Candidate levels: as positions have it; with most points under water; with half of them."""
     points = seen.ties.start
     over = over_points(points, known.state.centres)
     return float(known.state.water_parameters()[0]), over, float(np.median(points[:, 2]))
@@ -93,7 +93,7 @@ def _problem(known: Known, seen: Observed, state: State, marks_std_px: float) ->
 
 
 def height_doubts(survey: Survey, done: Adjusted) -> list[str]:
-    """A warning where positions alone hold the heights, and may have an error in common."""
+    """Warning where positions alone determine the heights, and may share an error."""
     std = shared_height_std(survey)
     if std == 0.0 or done.known.common_up_std > 0.0 or _is_corrected(done):
         return []
@@ -115,7 +115,7 @@ def _is_corrected(done: Adjusted) -> bool:
 
 
 def without_common(known: Known, done: Adjusted) -> Known | None:
-    """What is known if the positions turn out to be those of a receiver with corrections, whose heights hold the block.
+    """Priors without a common height error, where the positions prove to be those of a receiver with corrections.
 
     None where they do not: single positions, in plan, show its accuracy, and the level of the water agrees with them.
     """
@@ -129,7 +129,7 @@ def without_common(known: Known, done: Adjusted) -> Known | None:
 
 
 def apply_level_datum(done: Adjusted) -> tuple[Adjusted, CommonHeight | None]:
-    """The block at the height that the level of its water tells, where its positions have an error in common."""
+    """The block shifted in height to the level of its water, where its positions share an error."""
     known, covariance = done.known, done.solution.covariance
     if known.common_up_std == 0.0:
         return done, None
@@ -152,7 +152,7 @@ def apply_level_datum(done: Adjusted) -> tuple[Adjusted, CommonHeight | None]:
 
 
 def with_common(found: Adjustment, common: CommonHeight, water: FlatWater | None) -> Adjustment:
-    """What was found, with a sentence on the heights of the positions, and warnings where it is more than that.
+    """The result with a note on the common height error, and warnings where it is more than that.
 
     Parameters
     ----------

@@ -62,13 +62,13 @@ class Given(NamedTuple):
 
 
 def given_points(seen: Observed) -> dict[str, Given]:
-    """Those of all control points, by name, before anything was found of them."""
+    """Stated coordinates of all control points, by name."""
     first = len(seen.ties) - len(seen.control)
     return {name: Given(seen.ties.start[k], seen.point_std[k]) for k, name in enumerate(seen.control, start=first)}
 
 
 def checked_points(problem: Problem, solution: Solution, seen: Observed, stated: Mapping[str, Given]) -> Observed:
-    """The observations with coordinates of control freed or widened as the block shows; the same where it does not.
+    """Observations with wrong control freed and optimistic standard deviations widened; the same where none is.
 
     Only the worst point is freed: it pulls the block away from others, which are judged without it.
 
@@ -118,7 +118,7 @@ def checked_points(problem: Problem, solution: Solution, seen: Observed, stated:
 
 
 def _misfit(problem: Problem, solution: Solution, seen: Observed, point: int, given: Given) -> float:
-    """How far a control point lies from its coordinates, in standard deviations; infinite where nothing tells."""
+    """Normalised residual of the coordinates of a control point; infinite where it is not determined."""
     marks = np.flatnonzero(seen.ties.point == point)
     if len(marks) < 2:
         return np.inf
@@ -154,7 +154,7 @@ def _misfit(problem: Problem, solution: Solution, seen: Observed, point: int, gi
 
 
 def _leaning(solution: Solution, point: int, moved: np.ndarray, stated: np.ndarray) -> float:
-    """The same from where the adjustment put the point."""
+    """Normalised residual from the adjusted position of the point."""
     system = solution.system
     root, mixed = system.root[point], system.mixed[3 * point : 3 * point + 3].toarray()
     covariance = root.T @ (np.eye(3) + mixed @ solution.covariance @ mixed.T) @ root
@@ -166,7 +166,7 @@ def _leaning(solution: Solution, point: int, moved: np.ndarray, stated: np.ndarr
 
 
 def control_warnings(control: Control | None, views: Sequence[View], used: Observed, state: State) -> list[str]:
-    """What of the control was left out or widened, by name."""
+    """Warnings that name the control that was left out or widened."""
     if control is None:
         return []
     first = len(used.ties) - len(used.control)
@@ -200,7 +200,7 @@ def control_warnings(control: Control | None, views: Sequence[View], used: Obser
 
 
 @dataclass(frozen=True)
-class Apart:
+class ControlContradiction:
     """A control point that a block without control contradicts.
 
     Attributes
@@ -215,7 +215,7 @@ class Apart:
     std: np.ndarray
 
 
-def is_lone(survey: Survey) -> bool:
+def has_unchecked_control(survey: Survey) -> bool:
     """Whether a survey has control that cannot check itself, and positions that place the block without it."""
     control = survey.observations.control
     points = () if control is None else control.points
@@ -226,7 +226,7 @@ def is_lone(survey: Survey) -> bool:
 
 def contradicted_points(
     control: Control, marks_std_px: float, views: Sequence[View], known: Known, solution: Solution
-) -> list[Apart]:
+) -> list[ControlContradiction]:
     """The control points that a block without control contradicts.
 
     Parameters
@@ -263,12 +263,12 @@ def contradicted_points(
         if chdtrc(len(residual), square) < _LEAST_PROBABILITY:
             level = np.linalg.pinv(by_point[:, :2])
             std = np.sqrt(np.einsum("ai,ij,aj->a", level, variance, level))
-            against.append(Apart(point.name, level @ residual, std))
+            against.append(ControlContradiction(point.name, level @ residual, std))
     return against
 
 
-def lone_warning(against: list[Apart]) -> str:
-    """The contradiction in words."""
+def contradiction_warning(against: list[ControlContradiction]) -> str:
+    """Warning that lists the contradicted points."""
     listed = " and ".join(
         f"{each.name} by {each.east_north[0]:.2f} m east and {each.east_north[1]:.2f} m north "
         f"(+- {each.std[0]:.2g} and {each.std[1]:.2g} m)"

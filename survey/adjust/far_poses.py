@@ -29,7 +29,7 @@ _MOST_LOST = 0.1
 
 @dataclass(frozen=True)
 class RecoveredPoses:
-    """A block by structure from motion where the poses of its views say that it lies.
+    """A block by structure from motion, aligned with the given poses of its views.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class RecoveredPoses:
     warning: str = ""
 
     def start(self, known: Known) -> Known:
-        """What is known, with these poses to start from."""
+        """The priors with these poses as initial values."""
         return replace(known, state=replace(known.state, centres=self.centres, rotations=self.rotations))
 
 
@@ -57,7 +57,7 @@ Search = Callable[[Survey], RecoveredPoses]
 def windows_or_search(
     survey: Survey, measure: Callable[[], TiePoints], search: Search | None
 ) -> TiePoints | RecoveredPoses:
-    """The windows of a survey with poses of a file, or its block found anew where these are out of their reach.
+    """Windows of a survey with poses of a file, or its block by structure from motion where too few match.
 
     Without a search they are what they are.
 
@@ -94,12 +94,12 @@ def windows_or_search(
 
 
 def without_windows(windows: TiePoints, num_views: int) -> int:
-    """How many views have too few windows to turn them."""
+    """Number of views with too few windows to determine their rotation."""
     return int((np.bincount(windows.view, minlength=num_views) < FEW_MATCHES).sum())
 
 
 def find_anew(survey: Survey, workspace: Path, say: Callable[[str], None]) -> RecoveredPoses:
-    """The block of a survey by structure from motion, brought to its poses.
+    """Block of a survey by structure from motion, aligned with its given poses.
 
     Raises
     ------
@@ -131,7 +131,7 @@ def find_anew(survey: Survey, workspace: Path, say: Callable[[str], None]) -> Re
 
 
 def _onto(centres: np.ndarray, rotations: np.ndarray, given: np.ndarray, turned: np.ndarray) -> Similarity:
-    """The similarity that takes poses (V, 3), (V, 3, 3) to given ones.
+    """Similarity transformation from poses (V, 3), (V, 3, 3) to given ones.
 
     It is turned by the mean of what turns each view, which a single strip determines too; single wrong positions do not
     count, as scale and shift are medians.

@@ -53,7 +53,7 @@ _KEPT = (
 
 @dataclass(frozen=True)
 class HeightStds:
-    """How well heights would be known, medians over the places of a bed.
+    """Expected standard deviations of heights, medians over a bed.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class HeightStds:
 
 @dataclass(frozen=True)
 class Foreseen:
-    """What poses alone promise.
+    """Expected accuracy from poses alone.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class Foreseen:
 
 
 def foresee(survey: Survey, *, depth_m: float = DEPTH_M, chosen: Choices = USUAL) -> Foreseen | None:
-    """What the poses of a survey promise for a level bed; None where too few views overlap.
+    """Expected accuracy of a survey over a level bed; None where too few views overlap.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def foresee(survey: Survey, *, depth_m: float = DEPTH_M, chosen: Choices = USUAL
 
 
 def heights_by_depth(survey: Survey, depth_m: float = DEPTH_M, *, chosen: Choices = USUAL) -> list[HeightStds]:
-    """How well heights would be known at a depth and at several about it; none for a dry survey."""
+    """Expected standard deviations at a depth and several about it; none for a dry survey."""
     if survey.water is None:
         return []
     plan, survey = make_plan(survey, chosen), in_the_middle(survey)
@@ -173,7 +173,7 @@ class _Adjusted:
 
 
 def _covariance(survey: Survey, gsd: float, ties: TiePoints, *, free: bool) -> _Adjusted:
-    """Of the parameters, if every place were measured in every view that has it in its frame."""
+    """Covariance of the parameters if every place were measured in every view that has it in its frame."""
     # Poses of which nothing is stated count as those of an adjusted block.
     known = known_of(survey, gsd, free_water=survey.water is not None)
     if not free:
@@ -237,7 +237,7 @@ def _angles(survey: Survey, ties: TiePoints) -> np.ndarray:
 
 
 def foreseen_section(survey: Survey, *, depth_m: float = DEPTH_M, chosen: Choices = USUAL) -> Section | None:
-    """What is foreseen, for `check`; None where too few views overlap."""
+    """Section of `check` with the expected accuracy; None where too few views overlap."""
     found = foresee(survey, depth_m=depth_m, chosen=chosen)
     if found is None:
         return None
@@ -245,7 +245,7 @@ def foreseen_section(survey: Survey, *, depth_m: float = DEPTH_M, chosen: Choice
 
 
 def rows_of(found: Foreseen, by_depth: Sequence[HeightStds]) -> tuple[tuple[str, str], ...]:
-    """What is foreseen, as labelled sentences."""
+    """The expected accuracy as labelled sentences."""
     is_wet = math.isfinite(found.level_std_m)
     place = f"a rough bed {found.heights.depth_m:g} m under the water" if is_wet else "rough ground"
     assumed = (

@@ -70,7 +70,7 @@ def most_contradicted(told: Sequence[Contradiction]) -> Contradiction | None:
 def check_given_values(
     survey: Survey, problem: Problem, state: State, misfit_px: float, gsd: float, *, fewest_wet: int = FEWEST_WET
 ) -> list[Contradiction]:
-    """What photographs say of level, index and lenses, whether they contradict it or not.
+    """Tests of level, index and lenses against the photographs, whether contradicted or not.
 
     Without what they do not tell: of water that little lies under, of an index that is of no use.
 
@@ -111,7 +111,7 @@ def check_given_values(
 
 
 def _asked(known: Known, state: State, fewest_wet: int) -> list[int]:
-    """Numbers of the parameters that photographs are asked for."""
+    """Numbers of the tested parameters."""
     is_wet = state.water is not None and int((state.water.depth(state.points) > 0.0).sum()) >= fewest_wet
     starts = [known.layout.lens(number).start for number, lens in enumerate(known.lenses) if not is_held(lens)]
     return [*((LEVEL, _INDEX) if is_wet else ()), *(start + each for start in starts for each in _OF_LENS)]
@@ -126,7 +126,7 @@ def _told(
     number: int,
     sizes: list[tuple[int, int]],
 ) -> tuple[float, float]:
-    """Difference to what is given and standard deviation that a step finds for one parameter, all others as given."""
+    """Estimated difference from the given value, and its standard deviation, of one parameter, all others as given."""
     std = problem.priors.std.copy()
     others = [each for each in given if each != number]
     std[others] = [given[each] for each in others]
@@ -145,14 +145,14 @@ def _told(
 
 
 def _pose_std(layout: Layout, state: State, misfit_px: float, gsd: float) -> np.ndarray:
-    """Standard deviations (6 V,) of poses: errors that move what photographs show by about as much as they miss."""
+    """Standard deviations (6 V,) of poses that explain the observed misfit."""
     error_px = max(_OF_MISFIT * misfit_px, _LEAST_PX)
     turn = error_px / state.lenses[layout.lens_of, 0]
     return np.column_stack([np.full((len(turn), 3), error_px * gsd), *[turn] * 3]).ravel()
 
 
 def _name_and_value(survey: Survey, known: Known, number: int) -> tuple[str, float]:
-    """Of a parameter, as the survey gives it."""
+    """Name and given value of a parameter."""
     if number < WATER:
         name = WATER_PARAMETERS[number]
         return name, float(getattr(survey.require_water()[1], name))
@@ -161,7 +161,7 @@ def _name_and_value(survey: Survey, known: Known, number: int) -> tuple[str, flo
 
 
 def worst_contradiction(survey: Survey, done: Adjusted) -> Contradiction | None:
-    """Of level, slopes and index the one that the block contradicts by the most standard deviations, if any.
+    """The most contradicted of level, slopes and index, by standard deviations; None where none is.
 
     One that is wrong draws the others with it, so that only the worst is surely wrong: it is released, and the block
     asked again.
@@ -190,7 +190,7 @@ def worst_contradiction(survey: Survey, done: Adjusted) -> Contradiction | None:
 
 
 def released(known: Known, found: Contradiction) -> Known:
-    """What is known, with the contradicted value as uncertain as it proved to be."""
+    """Priors with the contradicted value as uncertain as it proved to be."""
     std = known.std.copy()
     std[WATER_PARAMETERS.index(found.name)] = max(abs(found.difference), found.given_std)
     return replace(known, std=std)
@@ -214,7 +214,7 @@ def misfit(residuals: np.ndarray, view: np.ndarray) -> float | None:
 
 
 def check_dry_bed(survey: Survey, problem: Problem, state: State, gsd: float) -> Contradiction | None:
-    """The level that photographs ask for, in place of one under which all is dry; None where they do not.
+    """The level that photographs show where the given one leaves the bed dry; None where they show none.
 
     Parameters are those of `check_given_values`.
     """
@@ -252,7 +252,7 @@ def dry_bed_error(level: Contradiction, way_out: str) -> SurveyError:
 def check_dry_block(
     survey: Survey, known: Known, seen: Observed, done: Adjusted, marks_std_px: float
 ) -> Contradiction | None:
-    """The level that an adjusted block asks for, in place of one under which all of it is dry; None where it does not.
+    """The level that an adjusted block shows where the given one leaves all of it dry; None where it shows none.
 
     Parameters
     ----------
@@ -286,7 +286,7 @@ def check_dry_block(
 
 
 def _is_dry(state: State) -> bool:
-    """Whether there is a water plane, and no point under it."""
+    """Whether there is a water plane with no point below it."""
     return state.water is not None and not (state.water.depth(state.points) > 0.0).any()
 
 

@@ -38,7 +38,7 @@ _HELD_STD = np.array([HELD, 1e-3, 1e-3, 3e-3])
 
 @dataclass(frozen=True)
 class Unobservable:
-    """Why a parameter of the water is not observable, and its standard deviation before it was held."""
+    """A parameter of the water that is not observable: reason, and standard deviation before it was held."""
 
     std: float
     reason: str
@@ -47,7 +47,7 @@ class Unobservable:
 def adjust_free(
     survey: Survey, known: Known, seen: Observed, sizes, marks_std_px: float
 ) -> tuple[Adjusted, dict[str, Unobservable]]:
-    """Adjust a block with free water (`known`), and say by name what of it is not observable.
+    """Adjust a block with free water (`known`); also returns its unobservable parameters by name.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def adjust_free(
 
 
 def none_observable(reason: str) -> dict[str, Unobservable]:
-    """Nothing is observable, for a reason that is said once, with the level."""
+    """All parameters of the water as unobservable, with the reason at the level."""
     reasons = (reason, *["the level is not"] * (WATER - 1))
     return {
         name: Unobservable(float(std), text)
@@ -107,7 +107,7 @@ def within_bounds(survey: Survey, ties: TiePoints) -> TiePoints:
 
 
 def dry_or_within_bounds(survey: Survey, ties: TiePoints) -> TiePoints:
-    """Without the points under water beyond the bounds; the dry ones there hold the poses and tell nothing of water."""
+    """Tie points without those under water beyond the bounds; dry ones there constrain the poses."""
     inside = _inside(survey, ties)
     if inside is None or survey.water is None:
         return ties
@@ -123,7 +123,7 @@ def _inside(survey: Survey, ties: TiePoints) -> np.ndarray | None:
 
 
 def _held(known: Known, numbers: np.ndarray, std: float) -> Known:
-    """With parameters of the water held about their given values."""
+    """The priors with parameters of the water held at their given values."""
     held = known.std.copy()
     held[numbers] = std
     return replace(known, std=held)
@@ -162,7 +162,7 @@ def _too_uncertain(number: int, std: float, limit: float) -> str:
 
 
 def not_observable(parameters: Sequence[Parameter], layout: Layout) -> np.ndarray:
-    """Which parameters of the vector (P,) bool have the verdict that they are not observable."""
+    """Mask (P,) bool of the parameters whose verdict is "not observable"."""
     held = np.zeros(len(layout), dtype=bool)
     for row in parameters:
         if row.status == UNKNOWN:
@@ -215,7 +215,7 @@ def adjusted_with(done: Adjusted, held: np.ndarray, stated_std: np.ndarray, size
 
 
 def _step(done: Adjusted, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Steps of parameters and points to where the held ones have their given values and the others follow."""
+    """Steps of parameters and points that bring the held ones to their given values, the others re-adjusted."""
     layout, state, covariance = done.known.layout, done.solution.state, done.solution.covariance
     water = done.known.mean.water_parameters() - state.water_parameters()
     lenses = (done.known.mean.lenses - state.lenses).ravel()

@@ -45,7 +45,7 @@ class Observed:
     control: tuple[str, ...]
 
     def only(self, keep: np.ndarray) -> Observed:
-        """Without the observations (N,) bool that are not to be kept, and points that then have too few."""
+        """The kept observations (N,) bool, without points that then have too few."""
         first_control = len(self.ties) - len(self.control)
         count = np.bincount(self.ties.point[keep], minlength=len(self.ties))
         known = np.isfinite(self.point_std).all(axis=1)
@@ -65,7 +65,7 @@ class Observed:
 
 
 def observed(parts: list[tuple[int, TiePoints]], control: Control | None, survey: Survey, known: Known) -> Observed:
-    """Everything observed, in pixels that Brown's lens of the adjustment predicts.
+    """All observations, in pixels that Brown's lens of the adjustment predicts.
 
     Parameters
     ----------

@@ -50,7 +50,7 @@ class Part:
 
 
 def part_numbers(found: Adjustment) -> np.ndarray:
-    """See `survey.photos.tie_points.parts_of`; marks of control hold nothing together."""
+    """Part of each view by shared tie points, without marks of control (`survey.photos.tie_points.parts_of`)."""
     is_tie = found.residuals.point < len(found.points) - len(found.control)
     return parts_of(len(found.poses.names), found.residuals.point[is_tie], found.residuals.view[is_tie])
 
@@ -85,7 +85,7 @@ def parts_of_adjustment(found: Adjustment, water: FlatWater | None) -> tuple[Par
 
 
 def parts_warning(found: Adjustment, water: FlatWater | None) -> list[str]:
-    """A sentence where a block falls into parts."""
+    """Warning where a block falls into parts."""
     parts = parts_of_adjustment(found, water)
     if not parts:
         return []
@@ -100,7 +100,7 @@ def parts_warning(found: Adjustment, water: FlatWater | None) -> list[str]:
 
 
 def _only(found: Adjustment, keep: np.ndarray) -> Adjustment:
-    """An adjustment with the tie points alone that views (V,) bool see; all else, the covariance too, stays."""
+    """An adjustment with only the tie points of views (V,) bool; the covariance stays."""
     is_tie = found.residuals.point < len(found.points) - len(found.control)
     mine = is_tie & keep[found.residuals.view]
     kept, point = np.unique(found.residuals.point[mine], return_inverse=True)

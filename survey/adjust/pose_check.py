@@ -38,18 +38,18 @@ _LEAST_COSINE = 0.5
 
 @dataclass(frozen=True)
 class PoseCheck:
-    """What photographs say of poses, lens and water that are given.
+    """Test result for given poses, lens and water.
 
     Attributes
     ----------
     misfit_px : [px] or None
-        By how much they miss each other, per coordinate: the root mean square over photographs of the mean residual of
+        Reprojection misfit per coordinate: the root mean square over photographs of the mean residual of
         their windows, less what the scatter of the windows explains. None where too little matches to tell.
     told : tuple of Contradiction
-        What they say of water and lens, contradicted or not, where their misfit bears out the poses: under
+        Tests of water and lens, contradicted or not, where the misfit confirms the poses: under
         the level which fits best, since far from the true one photographs taken aslant miss each other, too.
     flooded : Contradiction or None
-        The level that they ask for, where the one that is given leaves all of the bed dry.
+        The level that photographs show, where the given one leaves all of the bed dry.
     """
 
     misfit_px: float | None
@@ -58,7 +58,7 @@ class PoseCheck:
 
     @property
     def contradiction(self) -> Contradiction | None:
-        """The parameter that they contradict the most, if any."""
+        """The most contradicted parameter, if any."""
         return most_contradicted(self.told)
 
     def require_water(self) -> None:
@@ -140,7 +140,7 @@ def _under_best_level(problem: Problem, state: State) -> float | None:
 
 
 def _of_middle(survey: Survey, height: float) -> list[int]:
-    """Numbers of the views that look at the middle of the block, rising; ``height`` [m] is that of the cameras.
+    """Numbers of the views that look at the middle of the block, ascending; ``height`` [m] is that of the cameras.
 
     Those that stand there look straight down, and tell little of the water.
     """

@@ -41,7 +41,7 @@ _CHANGED = 0.1
 
 @dataclass(frozen=True)
 class Judged:
-    """Given poses as a block shows them.
+    """Accuracy of given poses, estimated from the block.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Judged:
 
 
 def judged(known: Known, solution: Solution, blunders: np.ndarray) -> Judged:
-    """Standard deviations of poses as the block shows them, where it does, and blunders, which are left out.
+    """Estimate standard deviations of poses, where the block determines them, and find blunders.
 
     Parameters
     ----------
@@ -100,21 +100,19 @@ def judged(known: Known, solution: Solution, blunders: np.ndarray) -> Judged:
 
 
 def _estimated(known: Known, used: np.ndarray, blunders: np.ndarray) -> np.ndarray:
-    """Of which coordinates (V, 6) of the poses the block is to tell the standard deviation."""
+    """Mask (V, 6) of the pose coordinates whose standard deviation is estimated."""
     positions = known.unknown_positions & used
     rotations = known.unknown_rotations & ~blunders[:, 1]
     return np.column_stack([*[positions] * 3, *[rotations] * 3])
 
 
 def _components(known: Known, solution: Solution, estimated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Standard deviations (V, 6) of poses, those to be estimated as the block shows them; and, over what is expected
-    under them, the residuals.
-    """
-    pull = Priors(known.mean, known.std, np.empty((0, 3))).pull(known.layout, solution.state)
+    """Variance components: standard deviations (V, 6) of poses, and their normalised residuals."""
+    deviation = Priors(known.mean, known.std, np.empty((0, 3))).deviation(known.layout, solution.state)
     first, std = known.std**-2.0, _of_poses(known, known.std).copy()
     kinds = [estimated & np.isin(np.arange(POSE), kind) for kind in _KINDS]
     kinds = [kind for kind in kinds if kind.any()]
-    miss, covariance = pull, solution.covariance
+    miss, covariance = deviation, solution.covariance
     for step in range(_MOST_STEPS + 1):
         redundancy = np.clip(1.0 - _of_poses(known, np.diag(covariance)) / std**2, _LEAST_REDUNDANCY, 1.0)
         scaled = np.abs(_of_poses(known, miss)) / (std * np.sqrt(redundancy))
@@ -126,7 +124,7 @@ def _components(known: Known, solution: Solution, estimated: np.ndarray) -> tupl
         strength = first.copy()
         strength[known.layout.first_pose :] = std.ravel() ** -2.0
         covariance = inverse(solution.system.normal + np.diag(strength - first))
-        miss = pull + covariance @ ((first - strength) * pull)
+        miss = deviation + covariance @ ((first - strength) * deviation)
     for kind in kinds:
         told = float(redundancy[kind].sum())
         std[kind] *= np.sqrt((told + 2.0) / told)
@@ -134,13 +132,13 @@ def _components(known: Known, solution: Solution, estimated: np.ndarray) -> tupl
 
 
 def _scale_of(scaled: np.ndarray, redundancy: np.ndarray) -> float:
-    """Standard deviation of residuals in units of what is expected, by as much as each tells; blunders hardly count."""
+    """Robust scale of normalised residuals, weighted by redundancy."""
     squares = np.minimum(scaled, _MOST) ** 2
     return float(np.sqrt(np.sum(redundancy * squares) / (_MEAN_SQUARE * np.sum(redundancy))))
 
 
 def _of_poses(known: Known, values: np.ndarray) -> np.ndarray:
-    """Those (V, 6) of the poses, of values (P,) of all parameters."""
+    """Values (V, 6) of the poses out of those (P,) of all parameters."""
     return values[known.layout.first_pose :].reshape(-1, POSE)
 
 

@@ -182,7 +182,7 @@ def linearise(
 
 
 def relief_sides(state: State, ties: TiePoints) -> np.ndarray:
-    """By what three apparent rises of a rough bed raise points (N, 3): t^2 for all sides, and t east and north.
+    """Derivatives (N, 3) of point heights by three apparent rises of a rough bed: t^2 on all sides, t east and north.
 
     t is the tangent of the leg at the bed to the vertical. Hollows of a rough bed hide from oblique views, and the bed
     looks different from each side; both seem to lift it (docs/adjustment.md). The angles hardly change in an adjustment
@@ -199,7 +199,7 @@ def relief_sides(state: State, ties: TiePoints) -> np.ndarray:
 def _ends(
     layout: Layout, state: State, ties: TiePoints, sides: np.ndarray, rows: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Cameras and points (N, 3) each, where they would be if the water had stayed and all else sunk by the tide."""
+    """Cameras and points (N, 3) each, lowered by the tide, over the water at its mean level."""
     centres, points = _centres(layout, state, ties, rows), _seen(state, ties, sides)
     tides = state.tides(layout)
     if tides is None:
@@ -210,7 +210,7 @@ def _ends(
 
 
 def _centres(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray | None) -> np.ndarray:
-    """Where the cameras are (N, 3) when they take the rows of the observations; a pose is that at the row `cy`."""
+    """Camera centres (N, 3) at the exposure of the observed rows; a pose is that at the row `cy`."""
     centres = state.centres[ties.view]
     if layout.flow is None:
         return centres
@@ -219,14 +219,14 @@ def _centres(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray | N
 
 
 def _late(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """By how many rows (N,) observations are taken after the row `cy`, and readouts (N,) of their photographs."""
+    """Rows (N,) after the row `cy` at which observations are exposed, and readouts (N,) of their photographs."""
     number = layout.lens_of[ties.view]
     rows = ties.pixel[:, 1] if rows is None else rows
     return rows - state.lenses[number, 2], state.readouts[number]
 
 
 def _by_shutter(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray | None, by_centre: np.ndarray):
-    """What `cy`, as the row of the pose, adds to its derivative (N, 2); derivatives by the readout (N, 2, 0 or 1)."""
+    """Derivatives of a rolling shutter: by `cy` as the row of the pose (N, 2), and by the readout (N, 2, 0 or 1)."""
     assert layout.flow is not None
     late, readouts = _late(layout, state, ties, rows)
     by_flow = np.einsum("nai,ni->na", by_centre, layout.flow[ties.view])
@@ -235,7 +235,7 @@ def _by_shutter(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray 
 
 
 def _seen(state: State, ties: TiePoints, sides: np.ndarray) -> np.ndarray:
-    """Points (N, 3) that the observations show."""
+    """Points (N, 3) of the observations."""
     points = state.points[ties.point].copy()
     points[:, 2] += sides @ state.relief
     return points
@@ -268,7 +268,7 @@ def _imaged(layout: Layout, state: State, ties: TiePoints, line: np.ndarray) -> 
 
 
 def _cross(vectors: np.ndarray) -> np.ndarray:
-    """Matrices (N, 3, 3) whose product with w is the vector product of (N, 3) vectors and w."""
+    """Skew-symmetric matrices (N, 3, 3) of vectors (N, 3): the cross product with them."""
     x, y, z = vectors.T
     zero = np.zeros(len(x))
     rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]

@@ -18,7 +18,7 @@ from survey.adjust.applied import at_state
 from survey.adjust.assembling import result
 from survey.adjust.bundle import NotConvergedError
 from survey.adjust.common_height import apply_level_datum, height_doubts, water_start, with_common, without_common
-from survey.adjust.control_check import contradicted_points, is_lone, lone_warning
+from survey.adjust.control_check import contradicted_points, contradiction_warning, has_unchecked_control
 from survey.adjust.far_poses import Search, windows_or_search
 from survey.adjust.given_values import LEVEL, LEVEL_NAME, check_dry_block, dry_bed_error, released, worst_contradiction
 from survey.adjust.observability import (
@@ -262,7 +262,7 @@ class _BlockAdjustment:
     def against_control(self) -> list[str]:
         """A warning where positions and water contradict control that is too little to check itself."""
         control = self._survey.observations.control
-        if control is None or not is_lone(self._survey):
+        if control is None or not has_unchecked_control(self._survey):
             return []
         alone = replace(self._survey, observations=replace(self._survey.observations, control=None))
         known = known_of(alone, make_plan(alone).gsd_m)
@@ -275,7 +275,7 @@ class _BlockAdjustment:
         except NotConvergedError:
             return []
         against = contradicted_points(control, self.marks_std, self._survey.views, free.known, free.solution)
-        return [lone_warning(against)] if against else []
+        return [contradiction_warning(against)] if against else []
 
     def result(self, done: Adjusted, against: Sequence[Contradiction]) -> Adjustment:
         """The adjustment in the terms of the survey."""

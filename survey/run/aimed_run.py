@@ -10,9 +10,9 @@ import math
 from dataclasses import dataclass, field
 
 from survey.plan.aim import SHARE, Aim
-from survey.plan.pace import Ground, Pace, samples
 from survey.plan.plan import Decision
 from survey.plan.recipe import RECIPES, Recipe
+from survey.plan.round_costs import FullSizeAmounts, RoundRates, samples
 from survey.run.cell_std import CellStd
 from survey.run.clock import Clock
 
@@ -35,12 +35,12 @@ class AimedRun:
         From the least work to the most.
     scales : tuple of float
         Of the images, for each recipe.
-    ground : Ground
+    amounts : FullSizeAmounts
     clock : Clock or None
         Where a time is asked for.
     number : int
         Of the recipe of the present round.
-    pace : Pace
+    rates : RoundRates
     has_begun : bool
         Whether the first round has: poses are looked at before, with images as standard has them.
     decisions : list of Decision
@@ -52,10 +52,10 @@ class AimedRun:
     aim: Aim
     recipes: tuple[Recipe, ...]
     scales: tuple[float, ...]
-    ground: Ground
+    amounts: FullSizeAmounts
     clock: Clock | None
     number: int
-    pace: Pace
+    rates: RoundRates
     has_begun: bool = False
     decisions: list[Decision] = field(default_factory=list)
     following: int | None = None
@@ -76,7 +76,7 @@ class AimedRun:
 
     def samples(self, scale: float, before: float | None) -> float:
         """Pixels x heights x neighbours of a sweep at a scale that goes on from a smaller one, or from nothing."""
-        return samples(self.ground, scale, lowest=self.scales[0], before=before)
+        return samples(self.amounts, scale, lowest=self.scales[0], before=before)
 
     @property
     def first_search(self) -> float:
@@ -97,18 +97,18 @@ class AimedRun:
     @property
     def tail_s(self) -> float:
         """From the end of the present round to that of the run [s]."""
-        return self.pace.tail_s(self.ground, self.scale)
+        return self.rates.tail_s(self.amounts, self.scale)
 
     def round_s(self, number: int) -> float:
         """Duration of a next round by a recipe, with all that follows it [s]."""
         scale = self.scales[number]
-        solver = self.pace.solver_s(self.ground, scale) if self.solves(number) else 0.0
+        solver = self.rates.solver_s(self.amounts, scale) if self.solves(number) else 0.0
         sweep = (
             0.0
             if scale == self.scale
-            else self.pace.sweep_s(self.ground, scale, lowest=self.scales[0], before=self.scale)
+            else self.rates.sweep_s(self.amounts, scale, lowest=self.scales[0], before=self.scale)
         )
-        return (sweep + solver) * (1.0 + _SLACK) + self.pace.tail_s(self.ground, scale)
+        return (sweep + solver) * (1.0 + _SLACK) + self.rates.tail_s(self.amounts, scale)
 
     def fits(self, number: int) -> bool:
         """Whether there is time for a next round by a recipe."""

@@ -13,9 +13,9 @@ from survey.folder.survey import Survey
 from survey.machine import Load
 from survey.plan.aim import SHARE, Aim, recipes_for
 from survey.plan.choices import Choices
-from survey.plan.pace import ANY_RUN_S, Ground, Pace
 from survey.plan.plan import make_plan
 from survey.plan.recipe import Recipe
+from survey.plan.round_costs import ANY_RUN_S, FullSizeAmounts, RoundRates
 from survey.progress import Progress
 from survey.run.aimed_run import AimedRun
 from survey.run.clock import Clock
@@ -35,14 +35,14 @@ class Feasibility:
     recipes : tuple of Recipe
     scales : tuple of float
         Of the images, for each recipe.
-    ground : Ground
+    amounts : FullSizeAmounts
     point_std_m : tuple of float [m]
         Foreseen by matching alone for each recipe, median over the places; NaN where too few views overlap.
     common_std_m : float [m]
         Of water, lens and poses.
     first : int
         Number of the recipe of the first round.
-    pace : Pace
+    rates : RoundRates
         By stated rates and how busy the machine is.
     load : Load
         Of the machine.
@@ -50,11 +50,11 @@ class Feasibility:
 
     recipes: tuple[Recipe, ...]
     scales: tuple[float, ...]
-    ground: Ground
+    amounts: FullSizeAmounts
     point_std_m: tuple[float, ...]
     common_std_m: float
     first: int
-    pace: Pace
+    rates: RoundRates
     load: Load
 
 
@@ -79,7 +79,7 @@ def assess_feasibility(aim: Aim, survey: Survey, chosen: Choices, load: Load, de
     plans = [make_plan(survey, chosen, recipe=recipe) for recipe in recipes]
     _require_meant(aim, plans[0].gsd_m, plans[-1].gsd_m)
     scales = tuple(plan.image_scale for plan in plans)
-    ground = Ground.of(survey, plans[-1])
+    amounts = FullSizeAmounts.of(survey, plans[-1])
     foreseen, at = foresee(survey, depth_m=depth_m, chosen=chosen), make_plan(survey, chosen).image_scale
     std = tuple(math.nan if foreseen is None else foreseen.heights.of_point_m * at / scale for scale in scales)
     first = 0
@@ -87,9 +87,9 @@ def assess_feasibility(aim: Aim, survey: Survey, chosen: Choices, load: Load, de
         # Only heights of the solver have a standard deviation that can be relied on.
         solving = [number for number, recipe in enumerate(recipes) if recipe.field == "solver"]
         first = next((number for number in solving if not std[number] > aim.std_m), solving[-1])
-    pace = Pace.stated(ground, load.slowness)
+    rates = RoundRates.stated(amounts, load.slowness)
     common = math.nan if foreseen is None else foreseen.heights.of_all_m
-    return Feasibility(recipes, scales, ground, std, common, first, pace, load)
+    return Feasibility(recipes, scales, amounts, std, common, first, rates, load)
 
 
 def _require_meant(aim: Aim, largest_m: float, smallest_m: float) -> None:
@@ -130,7 +130,7 @@ def doubts(aim: Aim, found: Feasibility) -> list[str]:
 
 def shortest_s(found: Feasibility) -> float:
     """The shortest time that is accepted [s]."""
-    return _UNKNOWN_PACE * found.pace.least_s(found.ground, found.scales[0], lowest=found.scales[0])
+    return _UNKNOWN_PACE * found.rates.least_s(found.amounts, found.scales[0], lowest=found.scales[0])
 
 
 def require_some_time(aim: Aim | None) -> None:
@@ -195,7 +195,7 @@ def begin_aimed_run(
             require_time(aim.seconds, found)
         elif clock.left_s < shortest_s(found):
             progress.warn(f"{clock.left_s:.0f} s are left of --time-budget {aim.seconds:g}: the shortest run follows")
-    state = AimedRun(aim, found.recipes, found.scales, found.ground, clock, 0, found.pace)
+    state = AimedRun(aim, found.recipes, found.scales, found.amounts, clock, 0, found.rates)
     # A first round that would leave little of the time is none: the shortest comes first then.
     state.number = found.first if clock is None or 2.0 * state.round_s(found.first) < clock.left_s else 0
     return state
@@ -213,8 +213,8 @@ def rows_of(
             continue
         std = found.point_std_m[number]
         heights = f"std of points about {length(std)} (median)" if math.isfinite(std) else "too few views overlap"
-        seconds = found.pace.least_s(found.ground, scale, lowest=found.scales[0]) + found.pace.solver_s(
-            found.ground, scale
+        seconds = found.rates.least_s(found.amounts, scale, lowest=found.scales[0]) + found.rates.solver_s(
+            found.amounts, scale
         )
         rows.append((f"image scale {scale:g}", heights + (f", about {seconds:.0f} s" if is_timed else "")))
     if aim.std_m is not None:

@@ -240,7 +240,7 @@ def _announce(
     if aimed is not None:
         # An aim may come to need its largest recipe.
         top = make_plan(survey, chosen, recipe=aimed.recipes[-1])
-        workload = workload_of(survey, top).on_busy(aimed.pace.slow)
+        workload = workload_of(survey, top).on_busy(aimed.rates.slow)
     else:
         workload = replace(in_one, memory_bytes=int(tiles.memory_bytes))
         if progress.forecast is not None and plan.device == "llvm":

@@ -64,7 +64,7 @@ def use_assessment(job: Job, folder: Path) -> None:
 
 def _take_pace(aimed: AimedRun, found: dict) -> None:
     if found["solver_s"] is not None:
-        aimed.pace = aimed.pace.after_solver(found["solver_s"], found["solved"])
+        aimed.rates = aimed.rates.after_solver(found["solver_s"], found["solved"])
 
 
 def _cells(job: Job, needs: Mapping[str, Path], solved: Sequence[SolvedMap]) -> CellStd:

@@ -78,7 +78,7 @@ def _has_time(job: Job) -> bool:
     aimed = job.aimed
     if aimed is None or aimed.clock is None:
         return True
-    foreseen = aimed.pace.solver_s(aimed.ground, aimed.scale)
+    foreseen = aimed.rates.solver_s(aimed.amounts, aimed.scale)
     return aimed.clock.left_s - aimed.tail_s > _LEAST_TIME * foreseen
 
 

@@ -191,7 +191,7 @@ def use_sweep(job: Job, folder: Path) -> None:
 
 def _take_pace(aimed: AimedRun, found: dict) -> None:
     if found["seconds"] > 0.0 and found["samples"] > 0.0:
-        aimed.pace = aimed.pace.after_sweep(found["seconds"], found["samples"], found["images_s"])
+        aimed.rates = aimed.rates.after_sweep(found["seconds"], found["samples"], found["images_s"])
 
 
 def look_at_bed(job: Job, folder: Path) -> None:

@@ -32,8 +32,8 @@ _FINER = 1.2
 
 
 @dataclass(frozen=True)
-class Ground:
-    """How much there is of a survey at full size.
+class FullSizeAmounts:
+    """Amounts of work of a survey at full size.
 
     Attributes
     ----------
@@ -53,17 +53,17 @@ class Ground:
     num_views: int
 
     @staticmethod
-    def of(survey: Survey, plan: Plan) -> Ground:
-        """Of a survey whose poses are known; the plan says the scale that its own numbers are of."""
+    def of(survey: Survey, plan: Plan) -> FullSizeAmounts:
+        """Amounts of a survey whose poses are known, from its plan at another scale."""
         pixels, chosen, num_cells = amounts_of(survey, plan)
         per_scale = plan.image_scale**-2
         whole = sum(view.lens.width * view.lens.height for view in survey.views) / 1e6
         mapped = float(np.sum(pixels[chosen]))
-        return Ground(whole, mapped * per_scale, num_cells * per_scale, plan.poses[0], len(survey.views))
+        return FullSizeAmounts(whole, mapped * per_scale, num_cells * per_scale, plan.poses[0], len(survey.views))
 
 
-def samples(ground: Ground, scale: float, *, lowest: float, before: float | None = None) -> float:
-    """Pixels x heights x neighbours of a sweep at a scale.
+def samples(amounts: FullSizeAmounts, scale: float, *, lowest: float, before: float | None = None) -> float:
+    """Number of comparisons of a sweep at a scale: pixels x heights x neighbours.
 
     From the heights of a smaller scale, ``before``; or from nothing, with the whole bound searched at the ``lowest``.
     """
@@ -74,12 +74,12 @@ def samples(ground: Ground, scale: float, *, lowest: float, before: float | None
     # The finer the first search, the more heights it tries.
     first = FIRST_HYPOTHESES / PASSES[0].scale
     steps = sum(p.scale**2 * (p.hypotheses or first * p.scale) * p.neighbours for p in passes)
-    return steps * ground.map_px * scale**2
+    return steps * amounts.map_px * scale**2
 
 
 @dataclass(frozen=True)
-class Pace:
-    """Rates on this machine.
+class RoundRates:
+    """Time per unit of work on this machine.
 
     Attributes
     ----------
@@ -99,35 +99,36 @@ class Pace:
     point_s: float
 
     @staticmethod
-    def stated(ground: Ground, slow: float = 1.0) -> Pace:
-        """Before a round was measured, on a machine that takes ``slow`` times as long as the rates say."""
+    def stated(amounts: FullSizeAmounts, slow: float = 1.0) -> RoundRates:
+        """Rates before the first measurement, on a machine that takes ``slow`` times as long as stated."""
         per_core = slow / machine.num_cores()
-        return Pace(per_core / STEPS_PER_CORE_S, slow * _DECODING_S * ground.photographs_mpx, slow, _POINT_S * per_core)
+        images_s = slow * _DECODING_S * amounts.photographs_mpx
+        return RoundRates(per_core / STEPS_PER_CORE_S, images_s, slow, _POINT_S * per_core)
 
-    def after_sweep(self, seconds: float, num_samples: float, images_s: float) -> Pace:
-        """With what the sweep of a round, and the reading of its photographs, took [s]."""
+    def after_sweep(self, seconds: float, num_samples: float, images_s: float) -> RoundRates:
+        """Rates with the measured time [s] of a round's sweep and of reading its photographs."""
         sample_s = seconds / num_samples
         slow = max(self.slow * sample_s / self.sample_s, _FASTEST)
-        return Pace(sample_s, images_s, slow, self.point_s * slow / self.slow)
+        return RoundRates(sample_s, images_s, slow, self.point_s * slow / self.slow)
 
-    def after_solver(self, seconds: float, num_points: int) -> Pace:
-        """With what a solver of so many points took [s]."""
+    def after_solver(self, seconds: float, num_points: int) -> RoundRates:
+        """Rates with the measured time [s] of the solver."""
         return replace(self, point_s=max(seconds - _SOLVER_S * self.slow, _OF_POINTS * seconds) / num_points)
 
-    def sweep_s(self, ground: Ground, scale: float, *, lowest: float, before: float | None = None) -> float:
-        """Of a round's sweep and of reading its photographs [s]; see `samples`."""
-        return self.images_s + samples(ground, scale, lowest=lowest, before=before) * self.sample_s
+    def sweep_s(self, amounts: FullSizeAmounts, scale: float, *, lowest: float, before: float | None = None) -> float:
+        """Time [s] of a round's sweep and of reading its photographs; see `samples`."""
+        return self.images_s + samples(amounts, scale, lowest=lowest, before=before) * self.sample_s
 
-    def solver_s(self, ground: Ground, scale: float) -> float:
-        """Of a solver of all points [s]."""
-        return _SOLVER_S * self.slow + ground.points * scale**2 * self.point_s
+    def solver_s(self, amounts: FullSizeAmounts, scale: float) -> float:
+        """Time [s] of the solver over all points."""
+        return _SOLVER_S * self.slow + amounts.points * scale**2 * self.point_s
 
-    def tail_s(self, ground: Ground, scale: float) -> float:
-        """From the last round to the end of the run [s]."""
-        return (_TAIL_S[0] + _TAIL_S[1] * ground.points * scale**2) * self.slow
+    def tail_s(self, amounts: FullSizeAmounts, scale: float) -> float:
+        """Time [s] from the last round to the end of the run."""
+        return (_TAIL_S[0] + _TAIL_S[1] * amounts.points * scale**2) * self.slow
 
-    def least_s(self, ground: Ground, scale: float, *, lowest: float) -> float:
-        """Of a whole run whose only round is a sweep at a scale [s]; see `samples`."""
-        poses = poses_s(ground.poses, ground.photographs_mpx, ground.num_views)
+    def least_s(self, amounts: FullSizeAmounts, scale: float, *, lowest: float) -> float:
+        """Time [s] of a whole run whose only round is a sweep at a scale; see `samples`."""
+        poses = poses_s(amounts.poses, amounts.photographs_mpx, amounts.num_views)
         before = (_START_S + poses + _RANGE_S) * self.slow
-        return before + self.sweep_s(ground, scale, lowest=lowest) + self.tail_s(ground, scale)
+        return before + self.sweep_s(amounts, scale, lowest=lowest) + self.tail_s(amounts, scale)

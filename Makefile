@@ -7,7 +7,8 @@
 #   make format   let ruff mend what it can
 #   make bench    the benchmarks of minutes, on what they draw themselves: tables and figures of the documentation
 #   make stress   one thing after another made worse on a small drawn survey: where it degrades, and whether it says so
-#   make soak     damaged files of every kind (a minute of processor time; SECONDS=3600 for more): a value or a sentence
+#   make soak     damaged files of every kind (a minute of processor time; SECONDS=3600 for more): a value or a sentence;
+#                 runs that are killed (KILLS=9; each costs half a run): the same cloud
 #   make docs     the documentation as a site, its notebooks run: build/site/docs/index.html
 #   make licences the licence of everything that it needs; fails at one that does not fit Apache-2.0
 #   make clean    remove the demo and what tools left; make distclean: the environment too
@@ -78,6 +79,7 @@ stress: $(READY)
 
 soak: $(READY)
 	@$(BIN)/python benchmarks/soak_inputs.py --seconds $(or $(SECONDS),60)
+	@$(BIN)/python benchmarks/soak_kills.py --kills $(or $(KILLS),9)
 
 # The source folder is the root, so that pages of docs/ and of the root link to each other; a warning fails.
 docs: $(READY)

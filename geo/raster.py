@@ -24,12 +24,13 @@ def read_raster(path: str | Path) -> Mesh:
     Raises
     ------
     UnreadableFile
-        If it does not exist, is damaged, has fewer than 2 x 2 cells with data, or a band in another unit than
-        the heights of its CRS.
+        If it does not exist, is damaged, has fewer than 2 x 2 cells with data, a band in another unit than the
+        heights of its CRS, of depths or of red.
     """
     path = existing_file(path)
     # It takes a while to load, and most references are meshes or clouds.
     import rasterio
+    from rasterio.enums import ColorInterp
 
     try:
         with rasterio.open(path) as raster:
@@ -37,9 +38,17 @@ def read_raster(path: str | Path) -> Mesh:
             heights = stored.astype(np.float64).filled(np.nan) * raster.scales[0] + raster.offsets[0]
             t, wkt = raster.transform, raster.crs.to_wkt() if raster.crs else None
             unit_name = raster.units[0]
+            band, is_picture = raster.descriptions[0] or "", raster.colorinterp[0] == ColorInterp.red
     except rasterio.errors.RasterioError as error:
         said = str(error).splitlines()[0][:100]
         raise UnreadableFile(f"{path} cannot be read as a GeoTIFF ({said}); export it again.") from error
+    if is_picture:
+        raise UnreadableFile(f"{path} is a picture, whose first band is red; expected heights in its first band.")
+    if "depth" in band.casefold():
+        raise UnreadableFile(
+            f"the first band of {path} is called {band[:40]!r}; expected heights: subtract the depths from the level "
+            "that they count from."
+        )
     try:
         crs = CRS(wkt) if wkt else None
     except CRSError:

@@ -62,6 +62,21 @@ def raster_file(path: Path, heights: np.ndarray, *, crs="EPSG:25832", unit: str 
     return path
 
 
+@pytest.mark.parametrize(("names", "words"), [
+    (("depth below chart datum",), "called 'depth below chart datum'; expected heights"),
+    (("red", "green", "blue"), "is a picture, whose first band is red; expected heights"),
+])  # fmt: skip
+def test_bands_that_are_no_heights_are_refused(tmp_path, names, words):
+    path = tmp_path / "r.tif"
+    form = {"driver": "GTiff", "height": 8, "width": 8, "count": len(names), "dtype": "uint8", "crs": "EPSG:25832"}
+    shape = {"photometric": "RGB"} if len(names) == 3 else {}
+    with rasterio.open(path, "w", transform=rasterio.Affine(1.0, 0.0, EAST, 0.0, -1.0, NORTH), **form, **shape) as out:
+        out.write(np.full((len(names), 8, 8), 3, dtype=np.uint8))
+        out.set_band_description(1, names[0])
+    with pytest.raises(UnreadableFile, match=words):
+        read_reference(path)
+
+
 @pytest.mark.parametrize(("name", "metres"), UNITS.items())
 def test_heights_of_a_raster_are_in_the_unit_of_its_band(tmp_path, name, metres):
     assert unit_named(name) == metres

@@ -19,9 +19,9 @@ from refract.lens import distorted
 from survey.adjust.refine import adjust_survey
 from survey.errors import PosesError
 from survey.folder.survey import Survey, load_survey
-from survey.photos.tie_points import MIN_TRACK, TiePoints, parts_of
+from survey.photos.tie_points import TiePoints, least_track, parts_of
 from survey.sfm import block as sfm_block
-from survey.sfm.solve import MIN_VIEWS, Free, aliases
+from survey.sfm.solve import Free, aliases
 from survey.simulate.ground.shapes import BedGrid
 
 # Points to the square metre, the share of them that each photograph has, and of false ones among these.
@@ -79,14 +79,14 @@ def _ties(flight: Flight, taken: list[int], bed: BedGrid, rng: np.random.Generat
     columns = [np.concatenate(column) for column in (point, view, pixel)]
     order = np.argsort(columns[0], kind="stable")
     of_all = TiePoints(points, *(column[order] for column in columns))
-    return _of_views(of_all, min(len(taken), MIN_TRACK))
+    return _of_views(of_all, least_track(len(taken)))
 
 
 def _of_views(ties: TiePoints, least: int) -> TiePoints:
     """The points that so many views have at least."""
     enough = np.bincount(ties.point, minlength=len(ties)) >= least
     keep, number = enough[ties.point], np.cumsum(enough) - 1
-    return TiePoints(ties.start[enough], number[ties.point[keep]], ties.view[keep], ties.pixel[keep])
+    return TiePoints(ties.start[enough], number[ties.point[keep]], ties.view[keep], ties.pixel[keep], least)
 
 
 def _apparent(points: np.ndarray, flight: Flight) -> np.ndarray:
@@ -104,7 +104,7 @@ def _in_survey(ties: TiePoints, taken: list[int], flight: Flight, survey: Survey
     of_view = np.array([number.get(name_of(k), -1) for k in taken])
     posed = of_view[ties.view] >= 0
     seen = replace(ties, point=ties.point[posed], view=of_view[ties.view[posed]], pixel=ties.pixel[posed])
-    kept = _of_views(seen, min(len(survey.views), MIN_TRACK))
+    kept = _of_views(seen, least_track(len(survey.views)))
     return replace(kept, start=survey.frame.local_from_crs(flight.frame.crs_from_local(kept.start)))
 
 
@@ -112,17 +112,17 @@ def _free(
     ties: TiePoints, taken: list[int], flight: Flight, alias_of: Mapping[str, str], rng: np.random.Generator
 ) -> Free:
     """The blocks that structure from motion would find, each in a frame of its own."""
-    part = parts_of(len(taken), ties.point, ties.view)
+    part, least = parts_of(len(taken), ties.point, ties.view), least_track(len(taken))
     blocks, names = [], list(alias_of.values())
     start = _apparent(ties.start, flight) + _START_M * rng.standard_normal(ties.start.shape)
     for number in range(int(part.max(initial=-1)) + 1):
         mine = np.flatnonzero(part == number)
-        if len(mine) >= MIN_VIEWS:
+        if len(mine) >= least:
             blocks.append(_reconstruction(replace(ties, start=start), taken, mine, flight, names))
             turn = Similarity(rng.uniform(0.05, 2.0), Rotation.random(rng=rng).as_matrix(), rng.normal(0.0, 5.0, 3))
             sfm_block.transform(blocks[-1], turn)
     if not blocks:
-        raise PosesError(f"structure from motion placed 0 of {len(taken)} images, expected at least {MIN_VIEWS}")
+        raise PosesError(f"structure from motion placed 0 of {len(taken)} images, expected at least {least}")
     return Free(tuple(blocks), ())
 
 

@@ -22,7 +22,7 @@ from survey.folder.place import water_plane
 from survey.folder.survey import Survey, View
 from survey.photos.cameras import CAM_FROM_OPK_CAM
 from survey.photos.colmap_model import FILES, has_spaces, write_model
-from survey.photos.tie_points import TiePoints
+from survey.photos.tie_points import TiePoints, least_track
 from survey.water.tides import with_shift
 
 # Decimals of coordinates in metres and in degrees: to a tenth of a micrometre, so that nothing is lost.
@@ -122,7 +122,7 @@ def _straight_ties(survey: Survey, found: Adjustment) -> TiePoints:
     """Tie points of an adjustment with the places where straight rays intersect."""
     order = np.argsort(found.residuals.point, kind="stable")
     point, view = found.residuals.point[order].astype(np.int64), found.residuals.view[order].astype(np.int64)
-    ties = TiePoints(found.points, point, view, found.residuals.at_px[order])
+    ties = TiePoints(found.points, point, view, found.residuals.at_px[order], least_track(len(survey.views)))
     pixel = pixels_taken(ties, found.lenses, found.poses.lens_of)
     centres, rays = np.empty((len(point), 3)), np.empty((len(point), 3))
     for number, each in enumerate(survey.views):
@@ -138,7 +138,8 @@ def _straight_ties(survey: Survey, found: Adjustment) -> TiePoints:
     sound = eigenvalues[:, 0] > _PARALLEL * eigenvalues[:, 2]
     places = found.points.copy()
     places[sound] += np.linalg.solve(normal[sound], right[sound][..., None])[..., 0]
-    return TiePoints(places, point, view, pixel).only(sound[point] & np.isfinite(places[point]).all(axis=1))
+    straight = replace(ties, start=places, pixel=pixel)
+    return straight.only(sound[point] & np.isfinite(places[point]).all(axis=1))
 
 
 def _given_back(survey: Survey) -> str:

@@ -26,7 +26,11 @@ from survey.photos.tie_points import TiePoints
 HUBER = 2.0
 # The median of the length of a two-dimensional normal deviate of unit standard deviation per axis, sqrt(2 ln 2).
 _MEDIAN_LENGTH = 1.1774
+# Of two photographs residuals lie across epipolar lines: that of a deviate along one axis with the same mean square.
+_MEDIAN_OF_TWO = 0.9539
 _MOST_STEPS = 60
+# Of two photographs, where base, rotation and lens make a curved valley.
+_MOST_STEPS_OF_PAIR = 600
 # A step that lowers the sum of squares by less, in units of variances, moves no parameter by more than a fifth of its
 # standard deviation, and most by far less.
 _DONE = 0.03
@@ -244,6 +248,7 @@ def std_of_kinds(problem: Problem, residuals: np.ndarray, taken: float) -> np.nd
     seen = np.bincount(problem.ties.point, minlength=len(problem.ties))[problem.ties.point]
     left = 1.0 - taken / max(2 * len(problem.kind) - 3 * len(problem.ties), 1)
     spare = np.sqrt(np.maximum((1.0 - 1.5 / seen) * left, 0.1))
+    spare = np.where(seen == 2, _MEDIAN_OF_TWO / _MEDIAN_LENGTH, 1.0) * spare
     std = problem.given_std_px.copy()
     present = np.bincount(problem.kind, minlength=len(std)) > 0
     # Of a kind that was not observed, any number does.
@@ -264,7 +269,8 @@ def _weights(problem: Problem, residuals: np.ndarray, std_px: np.ndarray) -> np.
 def _descend(problem: Problem, state: State, std_px, inflation) -> tuple[State, System]:
     """The state of least cost for given standard deviations, and its normal equations."""
     damping, least = _DAMPING_START, cost(problem, state, std_px, inflation)
-    for _ in range(_MOST_STEPS):
+    most = _MOST_STEPS if problem.ties.least > 2 else _MOST_STEPS_OF_PAIR
+    for _ in range(most):
         system = _system(problem, state, std_px, inflation)
         matrix, scale = _scaled(system.normal)
         while True:
@@ -286,7 +292,7 @@ def _descend(problem: Problem, state: State, std_px, inflation) -> tuple[State, 
         if gain < _DONE:
             return state, _system(problem, state, std_px, inflation)
     raise NotConvergedError(
-        f"the adjustment did not converge in {_MOST_STEPS} steps: poses and photographs do not belong together, or "
+        f"the adjustment did not converge in {most} steps: poses and photographs do not belong together, or "
         "the photographs hardly overlap"
     )
 

@@ -26,7 +26,7 @@ from survey.adjust.bundle import Problem, Solution
 from survey.adjust.prediction import linearise
 from survey.adjust.state import RELIEF, WATER, State
 from survey.adjust.std_common import moves_of
-from survey.photos.tie_points import MIN_TRACK, TiePoints
+from survey.photos.tie_points import TiePoints
 
 # Sides of the squares, as shares of the longer side of a photograph: the one in which most is shared counts.
 _SIDES = (0.04, 0.08, 0.16)
@@ -104,7 +104,7 @@ def terrain_design_effect(problem: Problem, solution: Solution, sizes, kinds: np
     residuals = np.where(used[:, None], solution.residuals, 0.0)
     design = csr_array(linear.by_parameters.multiply(np.repeat(used, 2)[:, None]))
     by_point = np.where(used[:, None, None], linear.by_point, 0.0)
-    whole = _of_block(problem, state) @ solution.covariance
+    whole = _of_block(problem, state, used) @ solution.covariance
     changes = [_followed(ties, weights, by_point, (design @ change).reshape(-1, 2)) for change in whole]
     found = []
     for share in _SIDES_ON_GROUND:
@@ -117,16 +117,19 @@ def terrain_design_effect(problem: Problem, solution: Solution, sizes, kinds: np
     return max(found, default=1.0)
 
 
-def _of_block(problem: Problem, state: State) -> np.ndarray:
-    """Derivatives (6, P) of mean height, tilt, bending and shift in plan of the block by the parameters."""
+def _of_block(problem: Problem, state: State, used: np.ndarray) -> np.ndarray:
+    """Derivatives (6, P) of mean height, tilt, bending and shift in plan of the block by the parameters.
+
+    By points of which enough observations are ``used`` (N,): others may lie behind a camera.
+    """
     layout, ties = problem.layout, problem.ties
     # A control point may have a single mark, which tells of no move.
-    tracked = np.flatnonzero(np.bincount(ties.point, minlength=len(ties)) >= MIN_TRACK)
+    tracked = np.flatnonzero(np.bincount(ties.point[used], minlength=len(ties)) >= ties.least)
     plan = state.points[:, :2]
     side = max(float(np.ptp(plan, axis=0).max()), 1e-9) / _PLACES
     _, first = np.unique(np.floor(plan[tracked] / side), axis=0, return_index=True)
     chosen = np.sort(tracked[first])
-    kept = np.isin(ties.point, chosen)
+    kept = used & np.isin(ties.point, chosen)
     rows = ties.pixel[kept, 1] if problem.rows is None else problem.rows[kept]
     some = ties.only(kept)
     moves = moves_of(layout, replace(state, points=state.points[chosen]), some, rows)

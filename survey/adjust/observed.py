@@ -49,11 +49,15 @@ class Observed:
         first_control = len(self.ties) - len(self.control)
         count = np.bincount(self.ties.point[keep], minlength=len(self.ties))
         known = np.isfinite(self.point_std).all(axis=1)
-        enough = count >= np.where(known, 1, np.where(np.arange(len(count)) >= first_control, 2, 3))
+        enough = count >= np.where(known, 1, np.where(np.arange(len(count)) >= first_control, 2, self.ties.least))
         keep = keep & enough[self.ties.point]
         number = np.cumsum(enough) - 1
-        ties = TiePoints(
-            self.ties.start[enough], number[self.ties.point[keep]], self.ties.view[keep], self.ties.pixel[keep]
+        ties = replace(
+            self.ties,
+            start=self.ties.start[enough],
+            point=number[self.ties.point[keep]],
+            view=self.ties.view[keep],
+            pixel=self.ties.pixel[keep],
         )
         control = tuple(name for name, kept in zip(self.control, enough[first_control:], strict=True) if kept)
         return Observed(ties, self.kind[keep], self.point_std[enough], control)

@@ -13,7 +13,7 @@ from survey.adjust.bundle import Priors
 from survey.adjust.roll import Roll, rolled_to_attitudes, rolls_of, without_starts
 from survey.adjust.state import LENS, LENS_NAMES, RELIEF, Layout, State
 from survey.folder.motion import rows_between
-from survey.folder.pose_priors import BY_POSES, common_up_std
+from survey.folder.pose_priors import BY_POSES, GPS_STD_M, common_up_std
 from survey.photos.tie_points import TiePoints
 
 if TYPE_CHECKING:
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 # What holds where survey.toml says nothing: a level read at a staff, an index by the temperature, level water.
 LEVEL_STD_M, INDEX_STD, SLOPE_STD = 0.02, 0.001, 0.0
-# A position of GPS alone, to start from; the block then tells how good its positions are.
-GPS_STD_M = 3.0
 # The same for poses of a file that are to be refined without a word on how good they are.
 _POSES_STD_M = 0.05
 # Rotations of structure from motion, for photographs with too few matches to turn them: a block bends by far less.
@@ -30,6 +28,8 @@ _POSES_STD_M = 0.05
 ROTATION_STD = math.radians(5.0)
 # Poses of an adjusted block, and by how much smaller than a data sheet's the errors of its lens are.
 EXACT_STD_M, EXACT_STD_DEG, _CALIBRATED = 0.01, 0.003, 0.02
+# The same of a lens whose distortion survey.toml has, of two photographs: they do not calibrate it.
+_GIVEN_LENS = 0.05
 # Water of which nothing is known: too wide to affect a parameter that the block determines.
 FREE_WATER = (5.0, 0.05, 0.05, 0.1)
 # A lens by its data sheet: focal lengths are within 2 % of it, the principal point within 1 % of the longer side. At
@@ -127,13 +127,14 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
     rotation_std, unknown_rotations = _rotations(survey, exact=exact)
     rolls = rolls_of(survey)
     mean = replace(state, lenses=sheet, centres=positions, rotations=rolled_to_attitudes(rotations, rolls))
+    of_given = _GIVEN_LENS if len(views) == 2 and survey.config.cameras.distortion is not None else 1.0
     of_water = _water_std(survey, free=free_water)
     of_water[0] = math.hypot(of_water[0], common_up)
     std = np.concatenate(
         [
             of_water,
             np.full(RELIEF, _RELIEF_GSD * gsd),
-            *(_lens_std(lens) * (_CALIBRATED if calibrated else 1.0) for lens in lenses),
+            *(_lens_std(lens) * (_CALIBRATED if calibrated else of_given) for lens in lenses),
             np.full(layout.first_rate - layout.first_readout, readout_std, dtype=np.float64),
             np.full(layout.first_pose - layout.first_rate, _rate_std(survey), dtype=np.float64),
             np.concatenate([position_std, rotation_std], axis=1).ravel(),
@@ -253,8 +254,8 @@ def _positions(survey: Survey, centres: np.ndarray, *, exact: bool, shares_heigh
         if prior is None or prior.position is None:
             continue
         positions[number] = prior.position
-        # An error in common, however large, says nothing of single positions.
-        if prior.position_std is not None and not shares_height:
+        # An error in common, however large, says nothing of single positions; of two nothing else tells it.
+        if prior.position_std is not None and (not shares_height or len(survey.views) == 2):
             std[number] = prior.position_std
         elif exact:
             std[number] = EXACT_STD_M

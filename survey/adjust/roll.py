@@ -15,6 +15,7 @@ covariance of the adjustment.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -22,18 +23,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from survey.adjust.state import POSE, Layout
-from survey.photos.tie_points import parts_of
+from survey.photos.tie_points import least_track, parts_of
 from survey.sfm.control_fit import line_of_control
 from survey.sfm.gps_fit import Across, Line, gps_std, line_of, roll_by_attitudes
 
 if TYPE_CHECKING:
+    from survey.control.points import ControlPoint
     from survey.folder.pose_priors import PosePrior
     from survey.folder.survey import Survey
     from survey.photos.cameras import View
 
 # Where there are no attitudes: keeps the normal equations regular, and is no knowledge to rely on.
 _OPEN_STD = math.radians(20.0)
-# Fewer positions than this do not tell a line from an area.
+# Fewer control points than this do not tell a line from an area.
 _FEWEST = 3
 
 
@@ -118,7 +120,11 @@ def _roll_of(survey: Survey, views: np.ndarray) -> Roll | None:
     chosen = [survey.views[k] for k in views]
     priors = [survey.observations.priors.get(view.name) for view in chosen]
     placed = [(v.camera.centre, p) for v, p in zip(chosen, priors, strict=True) if p and p.position is not None]
-    line = _line_of_positions(placed) if len(placed) >= _FEWEST else _line_of_control(survey, chosen)
+    line = (
+        _line_of_positions(placed)
+        if len(placed) >= least_track(len(survey.views))
+        else _line_of_control(survey, chosen)
+    )
     if line is None:
         return None
     across = Across.of(line)
@@ -142,12 +148,23 @@ def _line_of_positions(placed: Sequence[tuple[np.ndarray, PosePrior]]) -> Line |
     return line_of(positions, max(float(scatter.max()), float(np.median(stated)) if stated else 0.0))
 
 
+def spans_area(survey: Survey, roll: Roll) -> bool:
+    """Whether the control points that two of its photographs show lie over an area."""
+    given = _shown(survey, [survey.views[k] for k in roll.views], 2)
+    return len(given) >= _FEWEST and line_of_control(given) is None
+
+
 def _line_of_control(survey: Survey, views: Sequence[View]) -> Line | None:
     """The line of the control points that some views show."""
+    given = _shown(survey, views, 1)
+    return line_of_control(given) if len(given) >= _FEWEST else None
+
+
+def _shown(survey: Survey, views: Sequence[View], least: int) -> list[ControlPoint]:
+    """The control points with so many marks in some views."""
+    names = {view.name for view in views}
     control = survey.observations.control
     if control is None:
-        return None
-    names = {view.name for view in views}
-    shown = {mark.point for mark in control.marks if mark.view in names}
-    given = [point for point in control.points if point.name in shown and not point.is_check]
-    return line_of_control(given) if len(given) >= _FEWEST else None
+        return []
+    shown = Counter(mark.point for mark in control.marks if mark.view in names)
+    return [point for point in control.points if shown[point.name] >= least and not point.is_check]

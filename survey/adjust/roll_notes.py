@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from survey.adjust.bundle import NotConvergedError
-from survey.adjust.roll import Roll
+from survey.adjust.roll import Roll, spans_area
 from survey.adjust.rounds import Adjusted
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
@@ -29,6 +29,9 @@ def roll_notes(survey: Survey, done: Adjusted, gsd_m: float) -> list[str]:
     notes = []
     most = max_height_std(gsd_m)
     for roll in known.rolls:
+        # Control over an area holds all of a block: where heights are uncertain, by lens and position as by the roll.
+        if spans_area(survey, roll):
+            continue
         std = roll.std_by(known.layout, done.solution.covariance)
         beside, below = np.median(np.abs(roll.across.flat(state.points)), axis=0).tolist()
         said = (

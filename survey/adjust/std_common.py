@@ -33,7 +33,7 @@ from survey.adjust.observed import rows_taken
 from survey.adjust.prediction import linearise
 from survey.adjust.priors import EXACT_STD_DEG, EXACT_STD_M, known_of, parameters_of
 from survey.adjust.state import RELIEF, WATER, Layout, State
-from survey.photos.tie_points import TiePoints
+from survey.photos.tie_points import TiePoints, least_track
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey
@@ -146,7 +146,7 @@ def _places_of_mean(found: Adjustment) -> TiePoints:
     """Points of the adjustment spread over the area, each with some of the views that show it."""
     first = np.searchsorted(found.residuals.point, np.arange(len(found.points) + 1))
     seen = np.diff(first)
-    enough = np.flatnonzero(seen >= 3)
+    enough = np.flatnonzero(seen >= least_track(len(found.poses.names)))
     if not len(enough):
         return TiePoints(np.empty((0, 3)), *(np.empty(0, dtype=np.int64),) * 2, np.empty((0, 2)))
     plan = found.points[enough, :2]

@@ -24,7 +24,7 @@ from refract import FlatWater, PinholeCamera
 from survey.adjust.matching import RADIUS, match, prepared, window
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
-from survey.photos.tie_points import TiePoints
+from survey.photos.tie_points import TiePoints, least_track
 from survey.plan.area import limits, local_area, within
 from survey.plan.block import camera_of, load_block
 from survey.plan.choices import Choices
@@ -86,7 +86,7 @@ def measure(
     advance: Callable[[float], None],
     density: Density = DENSE,
 ) -> TiePoints:
-    """Tie points of a block; none where no window matches in three photographs.
+    """Tie points of a block; none where no window matches in three photographs, of two in both.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def measure(
             for i, index, pixels in found:
                 parts[i].append((index, other, pixels))
             advance((1.0 - of_sweep) / len(block.cameras))
-    return _joined(windows, parts)
+    return _joined(windows, parts, least_track(len(block.cameras)))
 
 
 def _share_of_sweep(block: Block, chosen: list[int], bound: tuple[float, float]) -> float:
@@ -239,8 +239,8 @@ def _others(block: Block, view: int, points: np.ndarray) -> list[int]:
     return [int(o) for o in chosen[1:]]
 
 
-def _joined(windows: list[_Windows], parts) -> TiePoints:
-    """All windows as one, those with three measurements or more."""
+def _joined(windows: list[_Windows], parts, least: int) -> TiePoints:
+    """All windows as one, those with so many measurements or more."""
     if not windows:
         return TiePoints(np.zeros((0, 3)), np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros((0, 2)))
     first = np.cumsum([0, *(len(w.points) for w in windows)])
@@ -252,7 +252,7 @@ def _joined(windows: list[_Windows], parts) -> TiePoints:
     pixel = np.concatenate([pixels for _, _, pixels in rows])
     order = np.argsort(point, kind="stable")
     points = np.concatenate([w.points for w in windows])
-    ties = TiePoints(points, point[order], view[order], pixel[order])
+    ties = TiePoints(points, point[order], view[order], pixel[order], least)
     return ties.only(np.isfinite(points).all(axis=1)[ties.point])
 
 

@@ -15,10 +15,11 @@ from survey.control.points import Control, ControlPoint
 from survey.errors import FILE_NAME, ControlError, PosesError
 from survey.folder.found import Found
 from survey.names import GEO_TXT
+from survey.photos.tie_points import least_track
 from survey.pose_files import find_unread
 from survey.settings.control import per_direction
 from survey.sfm.control_fit import MIN_POINTS, line_of_control
-from survey.sfm.gps import MIN_POSITIONS, is_whole, what_is_missing
+from survey.sfm.gps import is_whole, what_is_missing
 from survey.sfm.gps_fit import HOLD_THE_ROLL
 from survey.sfm.marked import BlockControl
 
@@ -61,9 +62,10 @@ def require_placing_control(found: Found) -> BlockControl:
     control = control_of_block(found)
     num = sum(head.lat_lon_height is not None for head in found.heads.values())
     num_whole = sum(is_whole(head.lat_lon_height) for head in found.heads.values())
+    least = least_track(len(found.heads))
     told = (
         f"{found.folder} has no poses file, and {num} of {len(found.heads)} images have a GPS position in EXIF or "
-        f"{GEO_TXT} ({num_whole} with a height){what_is_missing(found.heads)}, expected at least {MIN_POSITIONS}"
+        f"{GEO_TXT} ({num_whole} with a height){what_is_missing(found.heads)}, expected at least {least}"
     )
     if control is None:
         unread = "".join(f". {sentence}" for sentence in find_unread(found.folder))

@@ -21,7 +21,7 @@ from survey.folder.reprojection import Reprojection, reprojection
 from survey.photos.cameras import View
 from survey.photos.names import ImageNames
 from survey.photos.poses import Pose, PoseFile, SecondPose
-from survey.photos.tie_points import MIN_TRACK
+from survey.photos.tie_points import least_track
 from survey.pose_files import read_poses, read_ties
 from survey.settings.std import per_axis
 from survey.sfm.datum import EXACT, DatumStd, plan_std, require_as_good
@@ -129,12 +129,12 @@ def _with_clicks(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[Found
 def _ties(
     found: Found, path: Path, file: PoseFile, frame: LocalFrame, views: Mapping[str, View]
 ) -> tuple[np.ndarray | None, Reprojection | None]:
-    """Tie points in local that three photographs see, and how well all of them fall back on their places."""
+    """Tie points in local that three photographs see, of two both, and how well all fall back on their places."""
     ties = read_ties(path)
     if ties is None:
         return None, None
     points = points_in_local(file, ties.points, frame, found.config.cameras.gps_height)
-    good = np.isfinite(points).all(axis=1) & (ties.num_views >= MIN_TRACK)
+    good = np.isfinite(points).all(axis=1) & (ties.num_views >= least_track(len(views)))
     return points[good], reprojection(ties, points, views)
 
 

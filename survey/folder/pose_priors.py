@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 _RTK_FIXED = 50
 # Receivers of other makers state an accuracy without saying how they came by it. One of centimetres (`WELL_KNOWN_M`)
 # comes from corrections; the errors of one of metres are nearly the same in all photographs: it says nothing of them.
+# A position of GPS alone, to start from; the block then tells how good its positions are.
+GPS_STD_M = 3.0
 # What heights in EXIF have in common where nothing says how good they are. Most drones take them from their barometer
 # and the standard atmosphere: the pressure of the day is off by some 10 hPa, at 8 m each.
 BAROMETER_STD_M = 80.0

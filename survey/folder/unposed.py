@@ -20,15 +20,16 @@ from survey.folder.datum_mixups import place_of, start_doubts, xmp_doubts
 from survey.folder.exif_level import require_level_fits_exif
 from survey.folder.found import Found
 from survey.folder.motion import shutter_doubts
+from survey.folder.pair import require_focal, require_scale
 from survey.folder.pose_priors import best_plan_std
 from survey.names import RUN_FOLDER, SFM_FOLDER
 from survey.photos.cameras import View
 from survey.photos.images import require_all_complete
 from survey.photos.opening import HEIC_SUFFIXES
-from survey.photos.tie_points import TiePoints
+from survey.photos.tie_points import TiePoints, least_track
 from survey.sfm.control_fit import line_of_control
 from survey.sfm.datum import require_as_good
-from survey.sfm.gps import MIN_POSITIONS, gps_positions, is_whole, positions_in_crs, ways_into_crs
+from survey.sfm.gps import gps_positions, is_whole, positions_in_crs, ways_into_crs
 from survey.sfm.gps_fit import HOLD_THE_ROLL, MIN_STD_M, contradicted, line_of
 from survey.sfm.marked import BlockControl
 from survey.sfm.settings import one_focal, require_size, require_solver
@@ -73,7 +74,9 @@ def require_solvable(found: Found) -> list[str]:
         require_as_good(way.plan, std, way.said, 0 if found.control is None else found.control.num_given)
     require_size(found.images, found.heads, cameras.size_px)
     focal = one_focal(cameras.focal_px)
-    placing_control(found)
+    require_focal(found)
+    if placing_control(found) is None:
+        require_scale(found)
     positions, _ = positions_in_crs(found.heads, found.crs, cameras.gps_height)
     warnings: list[str] = []
     if positions:
@@ -114,7 +117,7 @@ def placing_control(found: Found) -> BlockControl | None:
         If neither can.
     """
     num = sum(is_whole(head.lat_lon_height) for head in found.heads.values())
-    if num < MIN_POSITIONS:
+    if num < least_track(len(found.heads)):
         return require_placing_control(found)
     positions = gps_positions(found.heads, found.crs, found.config.cameras.gps_height)
     line = line_of(list(positions.local.values()), MIN_STD_M)
@@ -171,10 +174,10 @@ def solve_views(found: Found, workspace: Path | None, report: Callable[[str], No
     for called, lens, centre, cam_from_local in result.views:
         name = name_of[called]
         views.append(View(name, found.images[name], lens.camera(centre, cam_from_local), lens))
-    if len(views) < MIN_POSITIONS:
+    if len(views) < (least := least_track(len(found.images))):
         raise PosesError(
             f"structure from motion found the poses of {len(views)} of {len(found.images)} images, expected at least "
-            f"{MIN_POSITIONS}; give poses made elsewhere in [cameras] poses"
+            f"{least}; give poses made elsewhere in [cameras] poses"
         )
     solved = {view.name for view in views}
     without = [name for name in found.images if name not in solved]

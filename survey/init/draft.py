@@ -17,12 +17,14 @@ from survey.photos.exif import read_exif
 from survey.photos.images import list_images
 from survey.pose_files import find_poses, read_poses
 from survey.settings.config import SurveyConfig, parse_config
-from survey.sfm.gps import MIN_POSITIONS, is_whole
+from survey.sfm.gps import is_whole
 
 # As the extensions of editors for TOML find it (Taplo, Even Better TOML, Tombi).
 SCHEMA_NAME = "survey.schema.json"
 SCHEMA_LINE = f"#:schema {SCHEMA_NAME}\n"
 # Names of files as people give them, by the key of [water] that they are for; the first that is there counts.
+# Fewer photographs do not tell the level of the water.
+_FEWEST_FOR_LEVEL = 3
 _WATER_FILES = {
     "gauge": ("gauge", "tide", "tides", "waterlevel", "water_level"),
     "gnss_points": ("gnss_points", "surface", "water_surface"),
@@ -121,7 +123,7 @@ def _write_water(folder: Path, photographs: Photographs, answers: Answers, water
     level = answers.level_m
     if level is None and not files:
         num_placed = sum(is_whole(head.lat_lon_height) for head in photographs.heads.values())
-        can_do_without = photographs.poses_path is None and num_placed >= MIN_POSITIONS
+        can_do_without = photographs.poses_path is None and num_placed >= _FEWEST_FOR_LEVEL
         otherwise = (
             "the height of the water is not known; give it in the heights of crs, e.g. --level 12.34, put a file "
             "gauge.csv, shoreline.csv or gnss_points.csv (docs/waterline.md) into the folder, or --dry where there is "

@@ -13,6 +13,11 @@ from scipy.sparse.csgraph import connected_components
 MIN_TRACK = 3
 
 
+def least_track(num_views: int) -> int:
+    """Observations that a point has at least in a block of so many photographs: of two, two."""
+    return min(MIN_TRACK, num_views)
+
+
 @dataclass(frozen=True)
 class TiePoints:
     """Points of the ground measured in several photographs; observations are sorted by point.
@@ -25,12 +30,15 @@ class TiePoints:
         Which point an observation is of; every point has one at least.
     view : (N,) int64
     pixel : (N, 2) float64 [px], img
+    least : int
+        Observations that a point is to have; see `least_track`.
     """
 
     start: np.ndarray
     point: np.ndarray
     view: np.ndarray
     pixel: np.ndarray
+    least: int = MIN_TRACK
 
     def __len__(self) -> int:
         return len(self.start)
@@ -48,14 +56,16 @@ class TiePoints:
             np.concatenate([part.point + shift for shift, part in zip(first, parts, strict=False)]),
             np.concatenate([part.view for part in parts]),
             np.concatenate([part.pixel for part in parts]),
+            min((part.least for part in parts), default=MIN_TRACK),
         )
 
     def only(self, keep: np.ndarray) -> TiePoints:
-        """The points that have at least `MIN_TRACK` observations left among those to keep, (N,) bool."""
-        enough = np.bincount(self.point[keep], minlength=len(self)) >= MIN_TRACK
+        """The points that have at least `least` observations left among those to keep, (N,) bool."""
+        enough = np.bincount(self.point[keep], minlength=len(self)) >= self.least
         keep = keep & enough[self.point]
         number = np.cumsum(enough) - 1
-        return TiePoints(self.start[enough], number[self.point[keep]], self.view[keep], self.pixel[keep])
+        kept = (self.start[enough], number[self.point[keep]], self.view[keep], self.pixel[keep])
+        return TiePoints(*kept, self.least)
 
 
 def parts_of(num_views: int, point: np.ndarray, view: np.ndarray) -> np.ndarray:

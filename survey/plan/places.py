@@ -8,7 +8,7 @@ import numpy as np
 
 from fields.sweep.views import coverage
 from survey.folder.survey import Survey
-from survey.photos.tie_points import MIN_TRACK
+from survey.photos.tie_points import least_track
 from survey.plan.area import local_area, within
 from survey.plan.ground import dry_ground
 
@@ -18,7 +18,7 @@ _MOST_VIEWS = 100
 
 @dataclass(frozen=True)
 class Places:
-    """Places of a level bed in the area, that three views or more have in their frame.
+    """Places of a level bed in the area, that three views or more have in their frame, of two both.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ def places_of(survey: Survey, depth_m: float) -> Places | None:
         seen, cells = coverage(cameras, survey.water, height)
     except ValueError:
         return None
-    use = seen.sum(axis=0) >= MIN_TRACK
+    use = seen.sum(axis=0) >= least_track(len(cameras))
     area = local_area(survey)
     if area is not None:
         use &= within(cells, area)

@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from geo.similarity import Similarity
 from refract.lens import Lens
 from survey import machine
-from survey.photos.tie_points import MIN_TRACK, TiePoints
+from survey.photos.tie_points import TiePoints, least_track
 from survey.progress import current
 from survey.sfm.features import features_of
 from survey.sfm.settings import ALL_PAIRS_UP_TO, NEIGHBOURS
@@ -43,6 +43,8 @@ _PAIRS_AT_ONCE = 100
 # Of a photograph while its features are looked for, and photographs at a time, at most.
 _BYTES_OF_FEATURES, _MOST_AT_ONCE = 2.0e9, 4
 _MIN_IMAGES = 3
+# Of two photographs: the least angle [deg] at which their rays meet, and the least number of matches, to start from.
+_PAIR_ANGLE_DEG, _PAIR_MATCHES = 1.0, 30
 _ERRORS_ONLY = 2
 
 
@@ -175,12 +177,24 @@ def _map(
     options.ba_global_frames_ratio = options.ba_global_points_ratio = _GROWN
     options.mapper.ba_global_ignore_redundant_points3D = True
     options.extract_colors = False
+    if num == 2:
+        _for_a_pair(options)
     say("structure from motion: poses")
     with current().stage("Structure from motion", num) as step:
         # The first two come together.
         step.advance(2.0)
         blocks = colmap.incremental_mapping(database, folder, work, options, next_image_callback=step.advance)
     return sorted(blocks.values(), key=lambda block: (-block.num_reg_images(), -block.num_points3D()))
+
+
+def _for_a_pair(options: pycolmap.IncrementalPipelineOptions) -> None:
+    """Let two photographs alone make a block; over flat ground they do not tell their focal length, which stays."""
+    options.min_model_size = 2
+    options.ba_refine_focal_length = False
+    options.mapper.init_min_tri_angle = options.mapper.filter_min_tri_angle = _PAIR_ANGLE_DEG
+    options.mapper.init_min_num_inliers = _PAIR_MATCHES
+    options.triangulation.min_angle = _PAIR_ANGLE_DEG
+    options.triangulation.ignore_two_view_tracks = False
 
 
 def focal_of(block: pycolmap.Reconstruction, name: str) -> float:
@@ -226,7 +240,8 @@ def points_of(block: pycolmap.Reconstruction) -> tuple[np.ndarray, np.ndarray, n
 
 
 def tracks_of(block: pycolmap.Reconstruction, names: Sequence[str]) -> TiePoints:
-    """Points that three photographs or more see, and where; views are numbered as in `names`."""
+    """Points that three photographs or more see, of two both, and where; views are numbered as in `names`."""
+    least = least_track(len(names))
     number = {image.image_id: names.index(image.name) for image in block.images.values() if image.has_pose}
     start: list[np.ndarray] = []
     pixel: list[np.ndarray] = []
@@ -236,7 +251,7 @@ def tracks_of(block: pycolmap.Reconstruction, names: Sequence[str]) -> TiePoints
         found = block.points3D[key]
         # A photograph may show a point twice, where two of its features were taken for one.
         seen = {number[e.image_id]: block.images[e.image_id].points2D[e.point2D_idx].xy for e in found.track.elements}
-        if len(seen) < MIN_TRACK:
+        if len(seen) < least:
             continue
         for placed, xy in sorted(seen.items()):
             point.append(len(start))
@@ -248,6 +263,7 @@ def tracks_of(block: pycolmap.Reconstruction, names: Sequence[str]) -> TiePoints
         np.array(point, dtype=np.int64),
         np.array(view, dtype=np.int64),
         np.array(pixel, dtype=np.float64).reshape(-1, 2),
+        least,
     )
 
 

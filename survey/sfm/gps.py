@@ -17,11 +17,11 @@ from geo.transformation import WGS84, Transformation, height_scale, lon_lat
 from survey.errors import FILE_NAME, ConfigError, PosesError
 from survey.names import GEO_TXT
 from survey.photos.exif import Exif, utm_code_of
+from survey.photos.tie_points import least_track
 from survey.sfm.datum import WELL_KNOWN_M, DatumStd, area_at, height_transformer, plan_std
 
 # Mean sea level by EGM96: the heights of consumer receivers and drones.
 _EGM96_HEIGHT = 5773
-MIN_POSITIONS = 3
 _EXIF, _WGS84_3D = "EXIF", CRS("EPSG:4979")
 _GIVE_POSES = f"name a file of poses in [cameras] poses in {FILE_NAME}"
 
@@ -60,7 +60,7 @@ def gps_positions(heads: Mapping[str, Exif], crs: CRS | None, gps_height: str) -
     Raises
     ------
     PosesError
-        If fewer than three photographs have a position with a height.
+        If fewer than three photographs have a position with a height, or one of two.
     ConfigError
         If `gps_height` is neither, the grid is missing, or the positions are not on the map of crs.
     MissingVerticalDatum, UnsupportedCRS
@@ -68,10 +68,10 @@ def gps_positions(heads: Mapping[str, Exif], crs: CRS | None, gps_height: str) -
     """
     num = sum(head.lat_lon_height is not None for head in heads.values())
     num_with_height = sum(is_whole(head.lat_lon_height) for head in heads.values())
-    if num_with_height < MIN_POSITIONS:
+    if num_with_height < (least := least_track(len(heads))):
         raise PosesError(
             f"{num} of {len(heads)} images have a GPS position in EXIF or {GEO_TXT}, {num_with_height} of them with a "
-            f"height{what_is_missing(heads)}, expected at least {MIN_POSITIONS} to place the survey on Earth; "
+            f"height{what_is_missing(heads)}, expected at least {least} to place the survey on Earth; "
             f"{_GIVE_POSES}"
         )
     notes = []

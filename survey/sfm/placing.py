@@ -15,15 +15,16 @@ import numpy as np
 
 from geo.crs import height_unit_m
 from geo.frames import LocalFrame
-from geo.similarity import Similarity, robust_similarity
+from geo.similarity import Similarity, fit_similarity, robust_similarity
 from survey.errors import ControlError, PosesError, SurveyError
+from survey.photos.tie_points import least_track
 from survey.sfm import block as sfm_block
 from survey.sfm.block import Sensor
 from survey.sfm.control_fit import ControlFit, fit_control
 from survey.sfm.gps import GpsPositions
 from survey.sfm.gps_fit import Across, Line, gps_std, line_of, roll_by_attitudes, roll_by_control, roll_by_ground
 from survey.sfm.marked import BlockControl, Met, Posed, meet
-from survey.sfm.solve import GIVE_POSES, MIN_VIEWS, Free, listed
+from survey.sfm.solve import GIVE_POSES, Free, listed
 
 if TYPE_CHECKING:
     import pycolmap
@@ -249,13 +250,18 @@ def posed_of(block: pycolmap.Reconstruction, alias_of: Mapping[str, str]) -> dic
 def _to_positions(block: pycolmap.Reconstruction, positions: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Take a block to local by the GPS positions; return those that agree with it."""
     centres = {alias: centre for alias, (centre, _) in sfm_block.poses_of(block).items() if alias in positions}
-    if len(centres) < MIN_VIEWS:
+    num = block.num_reg_images()
+    if len(centres) < (least := least_track(num)):
         raise PosesError(
-            f"{len(centres)} of {block.num_reg_images()} images that structure from motion placed have a GPS position, "
-            f"expected at least {MIN_VIEWS}; {GIVE_POSES}"
+            f"{len(centres)} of {num} images that structure from motion placed have a GPS position, "
+            f"expected at least {least}; {GIVE_POSES}"
         )
     ours, theirs = np.array(list(centres.values())), np.array([positions[alias] for alias in centres])
-    similarity, agree = robust_similarity(ours, theirs)
+    if num == 2:
+        # Which leave the roll about their line open, and tell no wrong one.
+        similarity, agree = fit_similarity(ours, theirs), np.ones(num, dtype=bool)
+    else:
+        similarity, agree = robust_similarity(ours, theirs)
     sfm_block.transform(block, similarity)
     trusted = {alias: positions[alias] for alias, good in zip(centres, agree, strict=True) if good}
     return trusted

@@ -14,13 +14,13 @@ import numpy as np
 
 from survey.errors import FILE_NAME, PosesError
 from survey.photos.exif import Exif
+from survey.photos.tie_points import least_track
 from survey.sfm import block as sfm_block
 from survey.sfm.block import Sensor
 
 if TYPE_CHECKING:
     import pycolmap
 
-MIN_VIEWS = 3
 _MAX_NAMED = 16
 GIVE_POSES = f"give poses made elsewhere in [cameras] poses in {FILE_NAME}"
 
@@ -76,7 +76,7 @@ def solve(
     Raises
     ------
     PosesError
-        If fewer than three images can be placed.
+        If fewer than three images can be placed, or one of two.
     """
     alias_of = aliases(images)
     placed = {alias_of[name]: position for name, position in positions.items()}
@@ -110,9 +110,9 @@ def _blocks(
         (folder / alias).symlink_to(images[name].resolve())
     blocks = sfm_block.solve_block(folder, sensors, positions, work, say=say)
     placed = blocks[0].num_reg_images() if blocks else 0
-    if placed < MIN_VIEWS:
+    if placed < (least := least_track(len(images))):
         raise PosesError(
-            f"structure from motion placed {placed} of {len(images)} images, expected at least {MIN_VIEWS}: too "
+            f"structure from motion placed {placed} of {len(images)} images, expected at least {least}: too "
             f"little of them matches; fly with 70 % overlap over textured ground, or {GIVE_POSES}"
         )
     return blocks
@@ -120,11 +120,12 @@ def _blocks(
 
 def apart_of(blocks: Sequence[pycolmap.Reconstruction]) -> tuple[pycolmap.Reconstruction, ...]:
     """The blocks without the images that a larger one has, those that keep three at least; changed in place."""
+    least = least_track(max(block.num_reg_images() for block in blocks))
     taken: set[str] = set()
     apart = []
     for block in blocks:
         sfm_block.drop_images(block, taken)
-        if block.num_reg_images() >= MIN_VIEWS:
+        if block.num_reg_images() >= least:
             taken |= sfm_block.poses_of(block).keys()
             apart.append(block)
     return tuple(apart)

@@ -71,7 +71,8 @@ def _through(surface, triangle, camera, point, some):
         tuple(xp.where(some, c, q + way) for c, q, way in zip(end, corner, (0.0, 0.0, side), strict=True))
         for end, side in ((camera, 1.0), (point, -1.0))
     )
-    return kernels.crossing_of_point(camera, point, corner, normal, surface.n_water, _FLAT_STEPS)[0]
+    plane = kernels.WaterPlane(corner, normal, surface.n_water)
+    return kernels.crossing_of_point(camera, point, plane, _FLAT_STEPS)[0]
 
 
 def _found(surface, camera, point, depth):

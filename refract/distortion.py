@@ -155,22 +155,23 @@ def _undistort_polynomial(x, y, row, steps: int, kinds) -> tuple:
     xp = namespace(x, y)
     if AFFINE in kinds:
         x = x - _of_affine(xp, row, kinds)[1] * y
-    p1, p2, reach2 = row[2], row[3], row[8]
+    reach2 = row[8]
     tolerance = _ROUNDINGS * xp.eps(x)
     u, v = _drawn_in(xp, x, y, reach2)
     for _ in range(steps):
-        (du, dv), (a, b, c, d) = _misfit(xp, u, v, x, y, p1, p2, row, kinds)
+        (du, dv), (a, b, c, d) = _misfit(u, v, (x, y), row, kinds)
         if _all_small(xp, du, dv, tolerance):
             break
         over = 1.0 / (a * d - b * c)
         u, v = _drawn_in(xp, u - (d * du - b * dv) * over, v - (a * dv - c * du) * over, reach2)
-    (du, dv), _ = _misfit(xp, u, v, x, y, p1, p2, row, kinds)
+    (du, dv), _ = _misfit(u, v, (x, y), row, kinds)
     solved = (xp.abs(du) + xp.abs(dv) < tolerance) & (xp.fma(u, u, v * v) < reach2)
     return xp.where(solved, u, math.nan), xp.where(solved, v, math.nan)
 
 
-def _misfit(xp, u, v, x, y, p1, p2, row, kinds) -> tuple:
-    """Distorted (u, v) less (x, y), and its derivatives: of the first by u and v, of the second by u and v."""
+def _misfit(u, v, distorted, row, kinds) -> tuple:
+    """(u, v) once distorted less ``distorted``, and the derivatives of its first and second part by u and v."""
+    xp, (x, y), p1, p2 = namespace(u, v), distorted, row[2], row[3]
     r2 = xp.fma(u, u, v * v)
     radial, slope = _radial(xp, r2, row, kinds)
     t = 2.0 * xp.fma(v, p1, u * p2) + radial
@@ -272,7 +273,7 @@ def _reach(kind: str, coefficients: tuple[float, ...]) -> float:
         u, v = r * np.cos(side), r * np.sin(side)
         over = row[5:] if kind == RATIONAL else (0.0, 0.0, 0.0)
         below = _radial(_XP, r * r, (0.0, 0.0, 0.0, 0.0, 0.0, *over), {RATIONAL})[0]
-        _, (a, b, c, d) = _misfit(_XP, u, v, 0.0, 0.0, row[2], row[3], row, {kind})
+        _, (a, b, c, d) = _misfit(u, v, (0.0, 0.0), row, {kind})
         return ((a * d - b * c > 0.0) & (a + d > 0.0) & (below > 0.0)).all(axis=0)
 
     return _turn(one_to_one, _FARTHEST)

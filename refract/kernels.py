@@ -12,6 +12,7 @@ Vectors are triples ``(x, y, z)`` of arrays of any one library; all lengths are 
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 from refract._array import in_blocks, namespace
 
@@ -266,36 +267,44 @@ def _attached(u, a, b_squared, h):
     return u - _halley(_left(u, r, a, b_squared, h), u, r, a, b_squared, h)
 
 
-def crossing_of_point(camera, point, plane_point, normal, n, steps, like=None):
+class WaterPlane(NamedTuple):
+    """A water plane as numbers: a point of it, its unit normal into the air, and the index of water relative to air."""
+
+    point: tuple
+    normal: tuple
+    n: Any
+
+
+def crossing_of_point(camera, point, plane: WaterPlane, steps, like=None):
     """Where the ray from a bed point to the camera crosses the water plane, and the depth of the point.
 
     For a point on or above the plane (depth <= 0), and for a camera on or below it, the crossing is the
-    point itself: the ray is straight. ``n`` is the index of water relative to air; ``steps`` and ``like`` as in
-    `air_share`.
+    point itself: the ray is straight. ``steps`` and ``like`` as in `air_share`.
     """
-    H, depth, way, straight, share = _shared_out(camera, point, plane_point, normal, n, steps, like)
+    H, depth, way, straight, share = _shared_out(camera, point, plane, steps, like)
     # From the camera's side: the direction of view keeps its digits even just above the water.
-    crossing = along(along(camera, normal, -H), way, share)
+    crossing = along(along(camera, plane.normal, -H), way, share)
     return chosen(straight, point, crossing), depth
 
 
-def legs_of_point(camera, point, plane_point, normal, n, steps, like=None):
+def legs_of_point(camera, point, plane: WaterPlane, steps, like=None):
     """The legs from the camera to the crossing and on to the bed point, and the depth of the point.
 
     Each counts from its own end: no digits are lost to coordinates far from the origin. Where the ray is straight, the
     first leg is all of it and the second zero. Arguments as for `crossing_of_point`.
     """
-    H, depth, way, straight, share = _shared_out(camera, point, plane_point, normal, n, steps, like)
+    H, depth, way, straight, share = _shared_out(camera, point, plane, steps, like)
     xp = namespace(share)
     air, water = (
-        tuple(_fused(xp, -fall, m, _fused(xp, part, w, 0.0)) for m, w in zip(normal, way, strict=True))
+        tuple(_fused(xp, -fall, m, _fused(xp, part, w, 0.0)) for m, w in zip(plane.normal, way, strict=True))
         for fall, part in ((H, share), (depth, 1.0 - share))
     )
     return chosen(straight, minus(point, camera), air), chosen(straight, 0.0, water), depth
 
 
-def _shared_out(camera, point, plane_point, normal, n, steps, like):
+def _shared_out(camera, point, plane: WaterPlane, steps, like):
     """Height of the camera, depth of the point, the way between them along the plane, straight or not, share in air."""
+    plane_point, normal, n = plane
     H, depth = over_plane(camera, plane_point, normal), -over_plane(point, plane_point, normal)
     straight = (depth <= 0.0) | (H <= CONTACT)
     way = along_plane(minus(point, camera), normal)

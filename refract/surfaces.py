@@ -241,5 +241,6 @@ class FlatWater:
         single = namespace(*point).eps(point[0]) > 1e-10
         enough = ENOUGH_STEPS_SINGLE if single else ENOUGH_STEPS_DOUBLE
         plane_point, up, n_water = self.plane(camera, point)
-        ends = tuple(kernels.double(v) for v in (camera, point, plane_point, up, (n_water,)))
-        return kernel(*ends[:4], *ends[4], min(steps, enough), like=point[0] if single else None)
+        plane = kernels.WaterPlane(kernels.double(plane_point), kernels.double(up), kernels.double((n_water,))[0])
+        camera, point_64 = kernels.double(camera), kernels.double(point)
+        return kernel(camera, point_64, plane, min(steps, enough), like=point[0] if single else None)

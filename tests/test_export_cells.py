@@ -14,7 +14,7 @@ from survey.errors import SurveyError
 from survey.export import bed_cells
 from survey.export import gridded as gridded_module
 from survey.export.bed_cells import LevelFit
-from survey.export.cell_fit import LEAST_PX2, correlated_px2, fit_cells
+from survey.export.cell_fit import LEAST_PX2, CellPoints, correlated_px2, fit_cells
 from survey.export.gridded import gridded, seen_from_above
 from survey.export.loaded import LoadedRun
 from survey.export.plan_cells import PlanCells, Window, round_side
@@ -51,7 +51,10 @@ def test_the_cells_of_a_plane_have_its_heights_wherever_their_points_lie():
     keep = np.random.default_rng(1).random(len(plan)) < 0.35 - 0.3 * offset[:, 0]
     height = 2000.0 + 0.8 * plan[:, 0] - 0.5 * plan[:, 1]
     fits = fit_cells(
-        cell[keep], offset[keep], height[keep], np.full(keep.sum(), 1e-5), side=SIDE, pixel=GSD_M, correlated=LEAST_PX2
+        CellPoints(cell[keep], offset[keep], height[keep], np.full(keep.sum(), 1e-5)),
+        side=SIDE,
+        pixel=GSD_M,
+        correlated=LEAST_PX2,
     )
     middle = SIDE * (np.stack([fits.cell % 40, fits.cell // 40], axis=1) + 0.5)
     enough = fits.count >= 5
@@ -63,7 +66,9 @@ def test_a_cell_whose_points_lie_on_one_side_is_less_sure():
     offset = np.array([[-0.4, 0.0], [-0.35, 0.1], [-0.4, -0.1], [-0.3, 0.0]])
     whole = np.array([[-0.4, 0.3], [0.4, -0.3], [-0.3, -0.3], [0.3, 0.3]])
     cell, height, std = np.repeat([0, 1], 4), np.zeros(8), np.full(8, 0.005)
-    fits = fit_cells(cell, np.concatenate([offset, whole]), height, std, side=SIDE, pixel=GSD_M, correlated=LEAST_PX2)
+    fits = fit_cells(
+        CellPoints(cell, np.concatenate([offset, whole]), height, std), side=SIDE, pixel=GSD_M, correlated=LEAST_PX2
+    )
     # Slopes of 45 degrees either way move the middle, a third of a side off, by a third of it.
     assert fits.std[0] > 4 * fits.std[1]
     assert 0.5 * 0.36 * SIDE < fits.std[0] < 0.36 * SIDE
@@ -73,9 +78,9 @@ def test_a_point_that_stands_apart_hardly_moves_its_cell():
     rng = np.random.default_rng(2)
     offset, height = rng.uniform(-0.5, 0.5, (25, 2)), 0.005 * rng.standard_normal(25)
     cell, std = np.zeros(25, dtype=int), np.full(25, 0.01)
-    before = fit_cells(cell, offset, height, std, side=SIDE, pixel=GSD_M, correlated=LEAST_PX2)
+    before = fit_cells(CellPoints(cell, offset, height, std), side=SIDE, pixel=GSD_M, correlated=LEAST_PX2)
     height[7] += 1.0
-    after = fit_cells(cell, offset, height, std, side=SIDE, pixel=GSD_M, correlated=LEAST_PX2)
+    after = fit_cells(CellPoints(cell, offset, height, std), side=SIDE, pixel=GSD_M, correlated=LEAST_PX2)
     # A mean would move by 4 cm.
     assert abs(after.height[0] - before.height[0]) < 0.002
 
@@ -91,8 +96,12 @@ def test_the_standard_deviation_of_cells_is_that_of_their_errors_where_neighbour
     plan = GSD_M * (np.stack([columns, rows], axis=-1).reshape(-1, 2) + 0.5)
     across = int(num * GSD_M / side)
     whole = np.minimum(np.floor(plan / side).astype(int), across - 1)
-    fits = fit_cells(whole[:, 1] * across + whole[:, 0], plan / side - whole - 0.5, error.ravel(),
-                     np.full(num**2, 0.01), side=side, pixel=GSD_M, correlated=LEAST_PX2)  # fmt: skip
+    fits = fit_cells(
+        CellPoints(whole[:, 1] * across + whole[:, 0], plan / side - whole - 0.5, error.ravel(), np.full(num**2, 0.01)),
+        side=side,
+        pixel=GSD_M,
+        correlated=LEAST_PX2,
+    )
     covered = np.mean(np.abs(fits.height) < 1.96 * fits.std)
     assert 0.88 < covered <= 1.0
     ratio = np.sqrt(np.mean(fits.height**2)) / fits.std.mean()
@@ -287,10 +296,7 @@ def test_the_part_of_a_cell_without_points_makes_its_height_uncertain(share):
     keep = offset[:, 0] < share - 0.5
     noise = 0.002 * rng.standard_normal(keep.sum())
     fits = fit_cells(
-        cell[keep],
-        offset[keep],
-        height[keep] + noise,
-        np.full(keep.sum(), 0.002),
+        CellPoints(cell[keep], offset[keep], height[keep] + noise, np.full(keep.sum(), 0.002)),
         side=side,
         pixel=0.025,
         correlated=LEAST_PX2,
@@ -305,6 +311,9 @@ def test_a_cell_that_is_covered_by_less_than_a_third_has_no_height():
     offset = np.concatenate([plan, plan[plan[:, 0] < 0.25]]) - 0.5
     cell = np.repeat([0, 1], [len(plan), len(offset) - len(plan)])
     fits = fit_cells(
-        cell, offset, np.zeros(len(cell)), np.full(len(cell), 0.01), side=1.0, pixel=0.025, correlated=LEAST_PX2
+        CellPoints(cell, offset, np.zeros(len(cell)), np.full(len(cell), 0.01)),
+        side=1.0,
+        pixel=0.025,
+        correlated=LEAST_PX2,
     )
     assert fits.cell.tolist() == [0]

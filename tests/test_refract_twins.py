@@ -19,6 +19,7 @@ BY_STEPS = {
     4: 4 * EPS32,
 }
 UP = (0.0, 0.0, 1.0)
+PLANE = kernels.WaterPlane((0.0, 0.0, 0.0), UP, 1.333)
 
 
 def drone_geometry(rng, count=20_000):
@@ -51,8 +52,8 @@ def as_numpy(triple):
 @pytest.mark.parametrize("steps", BY_STEPS)
 def test_torch_float32_crossings_agree_with_float64_numpy(rng, steps):
     camera, point = drone_geometry(rng)
-    exact, _ = kernels.crossing_of_point(camera, point, (0.0, 0.0, 0.0), UP, 1.333, 16)
-    found, depth = kernels.crossing_of_point(as_torch(camera), as_torch(point), (0.0, 0.0, 0.0), UP, 1.333, steps)
+    exact, _ = kernels.crossing_of_point(camera, point, PLANE, 16)
+    found, depth = kernels.crossing_of_point(as_torch(camera), as_torch(point), PLANE, steps)
     assert found[0].dtype == torch.float32
     assert view_error(as_numpy(found), exact, camera).max() < BY_STEPS[steps]
     np.testing.assert_array_equal(depth.numpy(), np.float32(-point[2]))
@@ -61,10 +62,8 @@ def test_torch_float32_crossings_agree_with_float64_numpy(rng, steps):
 @pytest.mark.parametrize("steps", BY_STEPS)
 def test_drjit_float32_crossings_agree_with_float64_numpy(rng, Float, steps):
     camera, point = drone_geometry(rng)
-    exact, _ = kernels.crossing_of_point(camera, point, (0.0, 0.0, 0.0), UP, 1.333, 16)
-    found, _ = kernels.crossing_of_point(
-        tuple(map(Float, camera)), tuple(map(Float, point)), (0.0, 0.0, 0.0), UP, 1.333, steps
-    )
+    exact, _ = kernels.crossing_of_point(camera, point, PLANE, 16)
+    found, _ = kernels.crossing_of_point(tuple(map(Float, camera)), tuple(map(Float, point)), PLANE, steps)
     assert view_error(as_numpy(found), exact, camera).max() < BY_STEPS[steps]
 
 
@@ -75,9 +74,12 @@ def test_drjit_takes_water_as_opaque_numbers(rng, Float):
     water = FlatWater((0.5, -0.25, 0.125), n_water=1.34, slope_x=0.02, slope_y=-0.01)
     numbers = [drjit.opaque(Float, float(v)) for v in (*water.point, *water.up, water.n_water)]
     found, _ = kernels.crossing_of_point(
-        tuple(map(Float, camera)), tuple(map(Float, point)), numbers[:3], numbers[3:6], numbers[6], 4
+        tuple(map(Float, camera)),
+        tuple(map(Float, point)),
+        kernels.WaterPlane(numbers[:3], numbers[3:6], numbers[6]),
+        4,
     )
-    exact, _ = kernels.crossing_of_point(camera, point, water.point, water.up, water.n_water, 16)
+    exact, _ = kernels.crossing_of_point(camera, point, kernels.WaterPlane(water.point, water.up, water.n_water), 16)
     # The normal in float32 turns the plane by up to EPS32: twice the tolerance of a level one.
     assert view_error(as_numpy(found), exact, camera).max() < 2 * BY_STEPS[4]
 
@@ -106,10 +108,10 @@ def test_drjit_gradients_agree_with_torch(rng, Float):
     camera, point = drone_geometry(rng, 500)
     as_leaves = tuple(Float(c) for c in point)
     drjit.enable_grad(*as_leaves)
-    found, _ = kernels.crossing_of_point(tuple(map(Float, camera)), as_leaves, (0.0, 0.0, 0.0), UP, 1.333, 4)
+    found, _ = kernels.crossing_of_point(tuple(map(Float, camera)), as_leaves, PLANE, 4)
     drjit.backward(found[0] + 2.0 * found[1])
     leaves = tuple(c.requires_grad_() for c in as_torch(point, torch.float64))
-    twin, _ = kernels.crossing_of_point(as_torch(camera, torch.float64), leaves, (0.0, 0.0, 0.0), UP, 1.333, 16)
+    twin, _ = kernels.crossing_of_point(as_torch(camera, torch.float64), leaves, PLANE, 16)
     (twin[0] + 2.0 * twin[1]).sum().backward()
     for found_leaf, twin_leaf in zip(as_leaves, leaves, strict=True):
         # Derivatives of order one, reached through some twenty float32 operations per step.
@@ -141,7 +143,7 @@ def test_crossing_has_the_right_gradient_also_straight_below(offset, depth):
     index = torch.tensor(1.333, dtype=torch.float64, requires_grad=True)
 
     def crossing(cx, cy, cz, px, py, pz, n):
-        found, _ = kernels.crossing_of_point((cx, cy, cz), (px, py, pz), (0.0, 0.0, 0.0), UP, n, 12)
+        found, _ = kernels.crossing_of_point((cx, cy, cz), (px, py, pz), kernels.WaterPlane((0.0, 0.0, 0.0), UP, n), 12)
         return torch.stack(found)
 
     step = 1e-6 * min(1.0, 100.0 * depth)  # smaller than the depth: the point must stay under water

@@ -23,6 +23,7 @@ from survey.adjust.priors import Known, is_held
 from survey.adjust.rounds import Adjusted
 from survey.adjust.state import LENS_NAMES, RATE_NAME, READOUT_NAME, WATER, WATER_NAMES, Layout, State
 from survey.adjust.verdicts import (
+    Estimate,
     lens_verdicts,
     rate_verdict,
     readout_limits,
@@ -180,7 +181,7 @@ def _judged(
     parameters: list[Parameter] = []
     water: WaterConfig | None = None
     if survey.water is not None:
-        verdicts, water = _water(survey, known, state, (covariance, first), held[:WATER], lost, contradicted)
+        verdicts, water = _water(survey, done, first, held[:WATER], lost, contradicted)
         parameters += verdicts
     variance = np.where(held, np.diag(first), np.diag(covariance))
     for number, lens in enumerate(known.lenses):
@@ -199,7 +200,8 @@ def _rate(survey: Survey, known: Known, state: State, std: float) -> Parameter:
     """How fast the level rises, with its verdict."""
     hours, given = known.layout.hours, survey.require_water()[1].level_rate_m_per_h or 0.0
     assert hours is not None
-    return rate_verdict(given + state.rate, std, given, float(known.std[known.layout.first_rate]), hours)
+    before = Estimate(given, float(known.std[known.layout.first_rate]))
+    return rate_verdict(Estimate(given + state.rate, std), before, hours)
 
 
 def _readouts(known: Known, state: State, std: np.ndarray) -> list[Parameter]:
@@ -208,10 +210,8 @@ def _readouts(known: Known, state: State, std: np.ndarray) -> list[Parameter]:
     return [
         readout_verdict(
             number,
-            float(state.readouts[number]),
-            float(std[first + number]),
-            float(known.mean.readouts[number]),
-            float(known.std[first + number]),
+            Estimate(float(state.readouts[number]), float(std[first + number])),
+            Estimate(float(known.mean.readouts[number]), float(known.std[first + number])),
             float(limits[number]),
         )
         for number in range(len(known.lenses))
@@ -220,18 +220,20 @@ def _readouts(known: Known, state: State, std: np.ndarray) -> list[Parameter]:
 
 def _water(
     survey: Survey,
-    known: Known,
-    state: State,
-    covariances: tuple[np.ndarray, np.ndarray],
+    done: Adjusted,
+    first: np.ndarray,
     held: np.ndarray,
     lost: dict[str, Unobservable] | None,
     contradicted: Sequence[int],
 ) -> tuple[list[Parameter], WaterConfig]:
-    """Level, slopes and index in the terms of survey.toml, with verdicts; the second covariance is for held ones."""
+    """Level, slopes and index in the terms of survey.toml, with verdicts; ``first`` see `_judged`."""
     _, given = survey.require_water()
+    known, state = done.known, done.solution.state
     by_local = settings_by_local(survey, np.array(known.place_of_water))
     values = settings_of(given) + by_local @ (state.water_parameters() - known.mean.water_parameters())
-    std, held_std = (np.sqrt(np.diag(by_local @ c[:WATER, :WATER] @ by_local.T)) for c in covariances)
+    std, held_std = (
+        np.sqrt(np.diag(by_local @ c[:WATER, :WATER] @ by_local.T)) for c in (done.solution.covariance, first)
+    )
     given_std = np.sqrt(np.diag(by_local @ np.diag(known.std[:WATER] ** 2) @ by_local.T))
     if lost is not None:
         given_std = np.full(WATER, np.inf)

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -61,6 +61,54 @@ _COVERED, _SHARE = 0.95, 0.1
 _FEWEST_WINDOWS = 10
 
 
+@dataclass(frozen=True)
+class _Linearised:
+    """A problem with its normal equations at one state, whose tested parameters have no priors.
+
+    Attributes
+    ----------
+    problem, state, system
+    std_px : (kinds,) [px]
+        Standard deviations of the observations at the state.
+    sizes : list of (width, height) [px]
+        Of the photographs.
+    """
+
+    problem: Problem
+    state: State
+    system: System
+    std_px: np.ndarray
+    sizes: list[tuple[int, int]]
+
+    @staticmethod
+    def at(problem: Problem, state: State, sizes: list[tuple[int, int]]) -> _Linearised:
+        """The problem linearised at a state."""
+        std_px = std_of_kinds(problem, problem.residuals(state), 0.0)
+        return _Linearised(problem, state, system_at(problem, state, std_px), std_px, sizes)
+
+    def difference(self, number: int, given: Mapping[int, float]) -> tuple[float, float]:
+        """Estimated difference of a parameter from its given value, and the standard deviation of that.
+
+        The other tested parameters have their ``given`` standard deviations.
+        """
+        problem, system = self.problem, self.system
+        std = problem.priors.std.copy()
+        others = [each for each in given if each != number]
+        std[others] = [given[each] for each in others]
+        strength = np.zeros(len(std))
+        strength[others] = std[others] ** -2.0
+        covariance = inverse(system.normal + np.diag(strength))
+        step = covariance @ system.right
+        # The scatter is that about what was found: a wrong level is no noise.
+        left = problem.residuals(self.state.moved(problem.layout, step, system.point_steps(step)))
+        taken = float(np.sum(1.0 - np.diag(covariance) / std**2))
+        after = std_of_kinds(problem, left, taken)
+        shared = inflation(problem.ties, left, after, problem.kind, self.sizes)
+        factor = float(np.max(shared * (after / self.std_px)[problem.kind] ** 2))
+        variance = factor * float(covariance[number, number]) + (_ROUGH_INDEX**2 if number == _INDEX else 0.0)
+        return float(step[number]), float(np.sqrt(variance))
+
+
 def most_contradicted(told: Sequence[Contradiction]) -> Contradiction | None:
     """The parameter that photographs contradict the most, if any; ``told`` as `check_given_values` has it."""
     worst = max(told, key=lambda each: each.sigmas, default=None)
@@ -99,14 +147,12 @@ def check_given_values(
     least = dict(zip(focals.tolist(), _FOCAL_SHARE * state.lenses[:, 0], strict=True))
     std[asked] = np.inf
     problem = replace(problem, priors=replace(priors_for(known, problem.ties), state=state, std=std))
-    std_px = std_of_kinds(problem, problem.residuals(state), 0.0)
-    system = system_at(problem, state, std_px)
-    sizes = [(view.lens.width, view.lens.height) for view in survey.views]
+    block = _Linearised.at(problem, state, [(view.lens.width, view.lens.height) for view in survey.views])
     told = []
     for number in asked:
         name, value = _name_and_value(survey, known, number)
         given_std = max(given[number], least.get(number, 0.0))
-        told.append(Contradiction(name, value, given_std, *_told(problem, state, system, std_px, given, number, sizes)))
+        told.append(Contradiction(name, value, given_std, *block.difference(number, given)))
     return [each for each in told if each.name != _INDEX_NAME or each.std <= np.hypot(MOST_STD_INDEX, _ROUGH_INDEX)]
 
 
@@ -115,33 +161,6 @@ def _asked(known: Known, state: State, fewest_wet: int) -> list[int]:
     is_wet = state.water is not None and int((state.water.depth(state.points) > 0.0).sum()) >= fewest_wet
     starts = [known.layout.lens(number).start for number, lens in enumerate(known.lenses) if not is_held(lens)]
     return [*((LEVEL, _INDEX) if is_wet else ()), *(start + each for start in starts for each in _OF_LENS)]
-
-
-def _told(
-    problem: Problem,
-    state: State,
-    system: System,
-    std_px: np.ndarray,
-    given: Mapping[int, float],
-    number: int,
-    sizes: list[tuple[int, int]],
-) -> tuple[float, float]:
-    """Estimated difference from the given value, and its standard deviation, of one parameter, all others as given."""
-    std = problem.priors.std.copy()
-    others = [each for each in given if each != number]
-    std[others] = [given[each] for each in others]
-    strength = np.zeros(len(std))
-    strength[others] = std[others] ** -2.0
-    covariance = inverse(system.normal + np.diag(strength))
-    step = covariance @ system.right
-    # The scatter is that about what was found: a wrong level is no noise.
-    left = problem.residuals(state.moved(problem.layout, step, system.point_steps(step)))
-    taken = float(np.sum(1.0 - np.diag(covariance) / std**2))
-    after = std_of_kinds(problem, left, taken)
-    shared = inflation(problem.ties, left, after, problem.kind, sizes)
-    factor = float(np.max(shared * (after / std_px)[problem.kind] ** 2))
-    variance = factor * float(covariance[number, number]) + (_ROUGH_INDEX**2 if number == _INDEX else 0.0)
-    return float(step[number]), float(np.sqrt(variance))
 
 
 def _pose_std(layout: Layout, state: State, misfit_px: float, gsd: float) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,8 +29,16 @@ _LITTLE = 0.9
 _EXACT = 1e-6
 
 
-def judge(name: str, value: float, std: float, given: float, given_std: float, limit: float, unit: str) -> Parameter:
-    """A parameter with its verdict; ``limit`` is the standard deviation beyond which it is of no use."""
+class Estimate(NamedTuple):
+    """A value and its standard deviation, infinite where nothing is known."""
+
+    value: float
+    std: float
+
+
+def judge(name: str, found: Estimate, before: Estimate, limit: float, unit: str) -> Parameter:
+    """A parameter with its verdict, found and as given before; of no use beyond a standard deviation of ``limit``."""
+    (value, std), (given, given_std) = found, before
     shown = f"{value:.{_digits(std)}f} +- {std:.2g}{unit}"
     prior = None if not math.isfinite(given_std) else given_std
     kept = f"{given:.{_digits(given_std)}f}{unit}"
@@ -79,8 +88,9 @@ def water_verdicts(
     """Verdicts on level, slopes and index, (4,) each, as survey.toml counts them."""
     found = []
     for i, name in enumerate(WATER_PARAMETERS):
-        before, unit = float(getattr(given, name)), " m" if i == 0 else ""
-        found.append(judge(name, float(values[i]), float(std[i]), before, float(given_std[i]), float(limits[i]), unit))
+        unit = " m" if i == 0 else ""
+        before = Estimate(float(getattr(given, name)), float(given_std[i]))
+        found.append(judge(name, Estimate(float(values[i]), float(std[i])), before, float(limits[i]), unit))
     if found[0].status == UNKNOWN:
         # Slopes turn the plane about a point other than that of the level: without a level they are of no use.
         found[1:3] = [_as_given(row) if row.status == FREE else row for row in found[1:3]]
@@ -100,17 +110,17 @@ def lens_verdicts(
         # Only the focal length scales heights; all else is of use however uncertain.
         limit = MOST_STD_FOCAL * given[0] if name == "f" else math.inf
         unit = " px" if i < 3 else ""
-        full = f"camera{number}.{name}"
-        found.append(judge(full, float(values[i]), float(std[i]), float(given[i]), float(given_std[i]), limit, unit))
+        before = Estimate(float(given[i]), float(given_std[i]))
+        found.append(judge(f"camera{number}.{name}", Estimate(float(values[i]), float(std[i])), before, limit, unit))
     return found
 
 
-def rate_verdict(value: float, std: float, given: float, given_std: float, hours: np.ndarray) -> Parameter:
+def rate_verdict(found: Estimate, before: Estimate, hours: np.ndarray) -> Parameter:
     """Verdict on the rate of the level [m/h]; of no use if it leaves levels of photographs (V,) [h] as uncertain as one
     that is of none.
     """
     limit = MOST_STD_LEVEL_M / max(float(np.abs(hours).max()), 1e-9)
-    return judge(RATE_NAME, value, std, given, given_std, limit, " m/h")
+    return judge(RATE_NAME, found, before, limit, " m/h")
 
 
 def readout_limits(state: State, layout: Layout, heights: Sequence[int]) -> np.ndarray:
@@ -130,6 +140,6 @@ def readout_limits(state: State, layout: Layout, heights: Sequence[int]) -> np.n
     return MOST_STD_ROWS_PX / np.maximum(fastest, 1e-9)
 
 
-def readout_verdict(number: int, value: float, std: float, given: float, given_std: float, limit: float) -> Parameter:
+def readout_verdict(number: int, found: Estimate, before: Estimate, limit: float) -> Parameter:
     """Verdict on the readout [s] of the shutter behind one lens; ``limit`` as for `judge`."""
-    return judge(f"camera{number}.{READOUT_NAME}", value, std, given, given_std, limit, " s")
+    return judge(f"camera{number}.{READOUT_NAME}", found, before, limit, " s")

@@ -16,7 +16,7 @@ from geo.reproject import Reprojection
 from geo.shapes import in_height_unit, left_out, part_of
 from survey.change.volume import Differences
 from survey.errors import SurveyError
-from survey.export.cell_fit import correlated_px2, fit_cells
+from survey.export.cell_fit import CellPoints, correlated_px2, fit_cells
 from survey.export.plan_cells import PlanCells, round_side
 from survey.run.folder import RunDir
 
@@ -190,7 +190,8 @@ def _gridded(sounded: Sounded, cells: PlanCells, crs: CRS, spacing_m: float) -> 
     if len(at):
         correlated = correlated_px2(at * cells.side_m, height, std, spacing_m)
         offset = (at - whole - 0.5) * [1.0, -1.0]
-        fits = fit_cells(number, offset, height, std, side=cells.side_m, pixel=spacing_m, correlated=correlated)
+        points = CellPoints(number, offset, height, std)
+        fits = fit_cells(points, side=cells.side_m, pixel=spacing_m, correlated=correlated)
         size = layers.shape[1]
         mean = np.bincount(number, common**2, size)[fits.cell] / np.bincount(number, minlength=size)[fits.cell]
         layers[:, fits.cell] = fits.height, fits.std, np.sqrt(mean)

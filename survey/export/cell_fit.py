@@ -63,30 +63,42 @@ class CellFits:
     count: np.ndarray
 
 
-def fit_cells(
-    cell: np.ndarray, offset: np.ndarray, height: np.ndarray, std: np.ndarray,
-    *, side: float, pixel: float, correlated: float,
-) -> CellFits:  # fmt: skip
-    """Fit a plane to the points of each cell.
+@dataclass(frozen=True)
+class CellPoints:
+    """N points in cells.
 
-    Parameters
+    Attributes
     ----------
     cell : (N,) int64
         Number of the cell of each point.
     offset : (N, 2)
         East and north of each point from the middle of its cell, in sides: -0.5 to 0.5.
     height, std : (N,) [m]
+    """
+
+    cell: np.ndarray
+    offset: np.ndarray
+    height: np.ndarray
+    std: np.ndarray
+
+
+def fit_cells(points: CellPoints, *, side: float, pixel: float, correlated: float) -> CellFits:
+    """Fit a plane to the points of each cell.
+
+    Parameters
+    ----------
+    points : CellPoints
     side, pixel : [m]
         Of a cell, and what a pixel of the photographs covers.
     correlated : [px²]
         Area over which points say as much as one, see `survey.export.cell_fit`.
     """
-    order = np.argsort(cell, kind="stable")
-    cell, offset, height = cell[order], offset[order], height[order].astype(np.float64)
-    covered = _covered(cell, offset)
+    order = np.argsort(points.cell, kind="stable")
+    covered = _covered(points.cell[order], points.offset[order])
     enough = covered >= _LEAST_COVERED
-    cell, offset, height, covered, order = (each[enough] for each in (cell, offset, height, covered, order))
-    variance = np.square(std[order].astype(np.float64))
+    covered, order = covered[enough], order[enough]
+    cell, offset, height = points.cell[order], points.offset[order], points.height[order].astype(np.float64)
+    variance = np.square(points.std[order].astype(np.float64))
     numbers, start, count = np.unique(cell, return_index=True, return_counts=True)
     row = np.repeat(np.arange(len(numbers)), count)
     base = _medians(height, row, start, count)

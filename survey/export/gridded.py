@@ -25,7 +25,7 @@ from geo.projection import ground_units_m
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.export.bed_cells import Gridded, LevelFit, fill_gaps
-from survey.export.cell_fit import correlated_px2, fit_cells
+from survey.export.cell_fit import CellPoints, correlated_px2, fit_cells
 from survey.export.plan_cells import PlanCells, round_side
 from survey.export.product import require_lengths, require_not_too_fine
 
@@ -168,9 +168,8 @@ def _fit_tile(grid: Gridded, low: np.ndarray, side: int, correlated: float, poin
     whole = np.minimum(np.floor(at[own]).astype(np.int64), np.array(cells.shape[::-1]) - 1)
     offset = (at[own] - whole - 0.5) * np.array([1.0, -1.0])
     number = whole[:, 1] * cells.shape[1] + whole[:, 0]
-    fits = fit_cells(
-        number, offset, height[own], std[own], side=cells.side_m, pixel=grid.pixel_m, correlated=correlated
-    )
+    in_cells = CellPoints(number, offset, height[own], std[own])
+    fits = fit_cells(in_cells, side=cells.side_m, pixel=grid.pixel_m, correlated=correlated)
     own[own] = np.isin(number, fits.cell)
     inverse = np.searchsorted(fits.cell, number[np.isin(number, fits.cell)])
 

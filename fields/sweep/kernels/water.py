@@ -85,7 +85,8 @@ class PlaneWater:
         """See `KernelWater.crossing`; ``steps`` are those of `refract.kernels.air_share`."""
         if self.n_water is None:
             return point
-        return kernels.crossing_of_point(centre, point, _POINT, _NORMAL, self.n_water, steps)[0]
+        plane = kernels.WaterPlane(_POINT, _NORMAL, self.n_water)
+        return kernels.crossing_of_point(centre, point, plane, steps)[0]
 
 
 def kernel_water(water: FlatWater | None, skips: Skips) -> KernelWater:

@@ -205,14 +205,14 @@ def solve(problem: Problem, start: State, *, inflation: np.ndarray | None = None
 def _solved(problem: Problem, start: State, inflation: np.ndarray | None) -> Solution:
     inflation = np.ones(len(problem.kind)) if inflation is None else inflation
     std_px = std_of_kinds(problem, problem.residuals(start), 0.0)
-    state, system = _descend(problem, start, std_px, inflation)
+    state, system = descend(problem, start, std_px, inflation)
     for _ in range(_MOST_ROUNDS):
         # Each parameter takes one coordinate, less the share that its prior determines.
         taken = float(np.sum(1.0 - np.diag(inverse(system.normal)) / problem.priors.std**2))
         before, std_px = std_px, std_of_kinds(problem, problem.residuals(state), taken)
         if (np.abs(std_px / before - 1.0) < _STEADY).all():
             break
-        state, system = _descend(problem, state, std_px, inflation)
+        state, system = descend(problem, state, std_px, inflation)
     residuals = problem.residuals(state)
     weights = _weights(problem, residuals, std_px) / inflation
     return Solution(state, inverse(system.normal), residuals, weights, std_px, system)
@@ -266,8 +266,14 @@ def _weights(problem: Problem, residuals: np.ndarray, std_px: np.ndarray) -> np.
     return np.where(np.isfinite(length), weights, 0.0)
 
 
-def _descend(problem: Problem, state: State, std_px, inflation) -> tuple[State, System]:
-    """The state of least cost for given standard deviations, and its normal equations."""
+def descend(problem: Problem, state: State, std_px, inflation) -> tuple[State, System]:
+    """The state of least cost for given standard deviations, and its normal equations.
+
+    Raises
+    ------
+    NotConvergedError
+        If it is not reached.
+    """
     damping, least = _DAMPING_START, cost(problem, state, std_px, inflation)
     most = _MOST_STEPS if problem.ties.least > 2 else _MOST_STEPS_OF_PAIR
     for _ in range(most):

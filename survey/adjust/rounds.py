@@ -13,6 +13,8 @@ from survey.adjust.observed import KINDS, MARK, Observed, rows_taken
 from survey.adjust.pose_std import judged
 from survey.adjust.prediction import relief_sides
 from survey.adjust.priors import Known, priors_for
+from survey.adjust.roll import Roll
+from survey.adjust.roll_profile import with_profile
 from survey.adjust.state import State, with_parameters
 
 # Observations of more standard deviations than this are left out.
@@ -144,8 +146,17 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
         seen = kept.at(state.points)
     if known.common_up_std > 0.0:
         solution = replace(solution, covariance=covariance_over_shore(problem, solution))
+    for roll in _open_rolls(known, seen):
+        solution = with_profile(problem, solution, factors[kind], roll)
     solution = replace(solution, std_px=np.sqrt(_means(found[kind] ** 2, seen.kind)))
     return Adjusted(known, seen, solution, _means(factors[kind], seen.kind), blunders)
+
+
+def _open_rolls(known: Known, seen: Observed) -> list[Roll]:
+    """The rolls that nothing holds but level water."""
+    if known.mean.water is None or np.isfinite(seen.point_std).all(axis=1).any():
+        return []
+    return [roll for roll in known.rolls if not roll.num_attitudes]
 
 
 def _factors(problem: Problem, solution: Solution, sizes, before: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ from survey.adjust.applied import apply_adjustment
 from survey.adjust.prediction import predict, relief_sides
 from survey.adjust.refine import adjust_survey
 from survey.adjust.std_common import common_error
+from survey.settings.water import LevelRate
 from survey.water.tides import Tide
 from tests.changed_survey import changed
 
@@ -37,7 +38,7 @@ def found(tmp_path_factory):
     hours = np.linspace(-0.5, 0.5, len(block.cameras))
     survey = survey_of(risen(block, hours))
     names = [view.name for view in survey.views]
-    water = replace(survey.config.water, level_rate_m_per_h=0.0, level_rate_std_m_per_h=STD)
+    water = replace(survey.config.water, rate=LevelRate(0.0, STD))
     tide = Tide("level_rate_m_per_h", dict.fromkeys(names, 0.0), dict(zip(names, hours.tolist(), strict=True)))
     survey = changed(survey, config=replace(survey.config, water=water), tide=tide)
     folder = tmp_path_factory.mktemp("adjustment")

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from survey.errors import ConfigError, SurveyError
 from survey.settings.config import SurveyConfig, dump_config, parse_config, read_config
+from survey.settings.water import LevelSources
 
 always = settings(derandomize=True, database=None, deadline=None)
 
@@ -69,8 +70,8 @@ def test_every_known_key_is_read_and_written_back_to_the_same_settings():
     assert config.cameras.distortion == (-0.1, 0.02, 1e-4, -2e-5)
     assert config.water.level_m == 12.34
     assert config.water.slope_north == -0.004
-    assert config.water.absorption_per_m == (0.3, 0.07, 0.05)
-    assert config.water.veiling_light == (0.0, 0.1, 0.2)
+    assert config.water.colour.absorption_per_m == (0.3, 0.07, 0.05)
+    assert config.water.colour.veiling_light == (0.0, 0.1, 0.2)
     assert (config.cameras.position_std_m, config.cameras.rotation_std_deg) == ((0.02, 0.02, 0.03), 0.01)
     assert config.control.gcp_files == ("gcp_list.txt", "more.csv")
     assert config.control.files == ("gcp_list.txt", "more.csv", "marks.csv", "checkpoints.csv")
@@ -222,5 +223,5 @@ def test_a_level_that_stands_in_a_file_is_not_known_before_the_file_is_read():
         _ = water.known_level_m
     with pytest.raises(ValueError, match="before its default is filled in"):
         _ = water.known_level_at
-    read = dataclasses.replace(water, level_m=12.5, level_at=(1.0, 2.0), gauge=None)
+    read = dataclasses.replace(water, level_m=12.5, level_at=(1.0, 2.0), sources=LevelSources())
     assert (read.known_level_m, read.known_level_at) == (12.5, (1.0, 2.0))

@@ -13,6 +13,7 @@ from refract.lens import Lens
 from survey.adjust.state import READOUT_NAME, Layout
 from survey.errors import SurveyError
 from survey.files.json_values import json_text, read_json_object
+from survey.files.toml_table import parse_values, table_of
 from survey.settings.config import WaterConfig
 
 JSON, ARRAYS = "adjustment.json", "adjustment.npz"
@@ -259,6 +260,7 @@ def write_adjustment(folder: Path, found: Adjustment) -> None:
             values |= {_file_name(prefix, attribute): each for attribute, each in value.items()}
         else:
             values[name] = value
+    values["water"] = None if found.water is None else table_of(found.water)
     with write_whole(folder / ARRAYS) as stream:
         arrays = {name: values[name] for name in values if name in _ARRAYS and values[name] is not None}
         np.savez_compressed(stream, names=np.array(found.covariance.names), **arrays)
@@ -288,7 +290,7 @@ def read_adjustment(folder: Path) -> Adjustment:
     water = values["water"]
     return Adjustment(
         parameters=tuple(Parameter(**row) for row in values["parameters"]),
-        water=None if water is None else WaterConfig(**{k: _tuples(v) for k, v in water.items()}),
+        water=None if water is None else parse_values({k: v for k, v in water.items() if v is not None}, WaterConfig),
         lenses=tuple(Lens(row["model"], tuple(row["params"]), row["width"], row["height"]) for row in record["lenses"]),
         control=tuple(ControlResidual(**{**row, "residual_m": tuple(row["residual_m"])}) for row in record["control"]),
         **records,

@@ -198,7 +198,7 @@ def _judged(
 
 def _rate(survey: Survey, known: Known, state: State, std: float) -> Parameter:
     """How fast the level rises, with its verdict."""
-    hours, given = known.layout.hours, survey.require_water()[1].level_rate_m_per_h or 0.0
+    hours, given = known.layout.hours, survey.require_water()[1].rate.level_rate_m_per_h or 0.0
     assert hours is not None
     before = Estimate(given, float(known.std[known.layout.first_rate]))
     return rate_verdict(Estimate(given + state.rate, std), before, hours)

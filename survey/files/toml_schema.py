@@ -5,9 +5,10 @@ from __future__ import annotations
 import dataclasses
 import types
 import typing
+from collections.abc import Iterator
 from typing import Any
 
-from survey.files.toml_table import EXPECTED, ONE_OF
+from survey.files.toml_table import EXPECTED, ONE_OF, is_inline
 
 _KINDS = {float: "number", int: "integer", bool: "boolean", str: "string"}
 
@@ -24,14 +25,24 @@ def schema_of(kind: type) -> dict[str, Any]:
 
 
 def _table(kind: type) -> dict[str, Any]:
-    hints, fields = typing.get_type_hints(kind), dataclasses.fields(kind)
+    keys = list(_fields_of(kind))
     return {
         "type": "object",
         "description": (kind.__doc__ or "").partition("\n")[0],
-        "properties": {field.name: _key(hints[field.name], field) for field in fields},
-        "required": [field.name for field in fields if _is_required(field)],
+        "properties": {field.name: _key(hint, field) for field, hint in keys},
+        "required": [field.name for field, _ in keys if _is_required(field)],
         "additionalProperties": False,
     }
+
+
+def _fields_of(kind: type) -> Iterator[tuple[dataclasses.Field, Any]]:
+    """Fields of a table with their types, those of inline records among them."""
+    hints = typing.get_type_hints(kind)
+    for field in dataclasses.fields(kind):
+        if is_inline(field):
+            yield from _fields_of(hints[field.name])
+        else:
+            yield field, hints[field.name]
 
 
 def _is_required(field: dataclasses.Field) -> bool:

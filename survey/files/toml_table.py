@@ -11,7 +11,7 @@ import difflib
 import tomllib
 import types
 import typing
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,8 @@ _KINDS = {
 _NEAR = 0.6
 # Metadata of a field: a description of valid values, for the error message; all of them, where they are few.
 EXPECTED, ONE_OF = "expected", "one_of"
+# Metadata of a field whose record has keys of the table that it stands in, those that belong together.
+INLINE = {"inline": True}
 
 
 def key(default: Any, expected: str, *, one_of: Iterable[Any] = ()) -> Any:
@@ -36,6 +38,23 @@ def key(default: Any, expected: str, *, one_of: Iterable[Any] = ()) -> Any:
     The values that are known, where they are few, are for the schema; who reads the table checks them.
     """
     return dataclasses.field(default=default, metadata={EXPECTED: expected, ONE_OF: tuple(one_of)})
+
+
+def is_inline(field: dataclasses.Field) -> bool:
+    """Whether the fields of a field's record are keys of the table itself."""
+    return field.metadata == INLINE
+
+
+def table_of(record: Any) -> dict[str, Any]:
+    """The values of a dataclass by the keys that they have in a file, those of inner tables as dicts."""
+    values: dict[str, Any] = {}
+    for field in dataclasses.fields(record):
+        value = getattr(record, field.name)
+        if is_inline(field):
+            values |= table_of(value)
+        else:
+            values[field.name] = table_of(value) if dataclasses.is_dataclass(value) else value
+    return values
 
 
 def read_toml(path: Path, parse: Callable[[str], Any]) -> Any:
@@ -113,12 +132,20 @@ class _Reader:
         """A dataclass from a table whose dotted name is `where`; empty for the whole file."""
         if not isinstance(values, dict):
             raise ConfigError(f"{where} = {_shown(values)} was found where the table [{where}] was expected")
-        fields = {field.name: field for field in dataclasses.fields(kind)}
+        known = [name for name, _ in _keys_of(kind)]
         for name, value in values.items():
-            if name not in fields:
-                self._refuse(fields, where, name, value)
+            if name not in known:
+                self._refuse(known, where, name, value)
+        return self._record(kind, where, values)
+
+    def _record(self, kind: type, where: str, values: Mapping[str, Any]) -> Any:
+        """A dataclass from the values of its keys, with the records whose keys stand in the same table."""
         hints, found = typing.get_type_hints(kind), {}
-        for name, field in fields.items():
+        for field in dataclasses.fields(kind):
+            if is_inline(field):
+                found[field.name] = self._record(hints[field.name], where, values)
+                continue
+            name = field.name
             dotted = f"{where}.{name}" if where else name
             expected = field.metadata.get(EXPECTED) or _words(hints[name])
             if name in values:
@@ -154,7 +181,7 @@ class _Reader:
             for i, (part, v) in enumerate(zip(kinds, value, strict=True))
         )
 
-    def _refuse(self, fields: Mapping[str, Any], where: str, name: str, value: Any) -> typing.NoReturn:
+    def _refuse(self, known: Sequence[str], where: str, name: str, value: Any) -> typing.NoReturn:
         """Raise ConfigError for an unknown key, with the right name, the nearest one, or all known keys."""
         dotted = f"{where}.{name}" if where else name
         inner = [f"{dotted}.{other}" for other in value] if isinstance(value, dict) else []
@@ -165,7 +192,7 @@ class _Reader:
         what = f"table [{dotted}]" if is_table else f"key {name}" + (f" in [{where}]" if where else "")
         # A table is compared with tables and a key with keys.
         everywhere = list(_all_keys(self.root))
-        here = [other for other in fields if (_join(where, other) in _tables(everywhere)) == is_table]
+        here = [other for other in known if (_join(where, other) in _tables(everywhere)) == is_table]
         near = difflib.get_close_matches(name, here, 1, _NEAR)
         elsewhere = [path for path, _ in everywhere if path.split(".")[-1] == name]
         synonym = self.synonyms.get(name.casefold())
@@ -182,14 +209,21 @@ class _Reader:
         raise ConfigError(f"unknown {what}; {mend}")
 
 
-def _all_keys(kind: type, where: str = "") -> Iterator[tuple[str, bool]]:
-    """Dotted names of all keys under a table, and whether each is a table itself."""
+def _keys_of(kind: type) -> Iterator[tuple[str, Any]]:
+    """Keys of a table with their types."""
     hints = typing.get_type_hints(kind)
     for field in dataclasses.fields(kind):
-        dotted = _join(where, field.name)
-        inner = [
-            part for part in _parts(hints[field.name]) if isinstance(part, type) and dataclasses.is_dataclass(part)
-        ]
+        if is_inline(field):
+            yield from _keys_of(hints[field.name])
+        else:
+            yield field.name, hints[field.name]
+
+
+def _all_keys(kind: type, where: str = "") -> Iterator[tuple[str, bool]]:
+    """Dotted names of all keys under a table, and whether each is a table itself."""
+    for name, hint in _keys_of(kind):
+        dotted = _join(where, name)
+        inner = [part for part in _parts(hint) if isinstance(part, type) and dataclasses.is_dataclass(part)]
         yield dotted, bool(inner)
         if inner:
             yield from _all_keys(inner[0], dotted)

@@ -118,7 +118,7 @@ def _with_clicks(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[Found
     The local frame of a survey lies at its level, which is not known before the poses are: another frame serves here.
     """
     water = found.config.water
-    if water is None or water.clicks is None:
+    if water is None or water.sources.clicks is None:
         return found, Findings()
     dry = replace(found, config=replace(found.config, water=None))
     frame, views = place.views_in_local(dry, file, poses)

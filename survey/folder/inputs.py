@@ -11,7 +11,6 @@ from survey.folder.geo_txt import find_geo_txt
 from survey.photos.exif import SUFFIXES
 from survey.pose_files import find_poses, pose_files
 from survey.settings.config import read_config
-from survey.water.level import SOURCES
 
 
 def survey_inputs(folder: Path) -> ReadFiles:
@@ -28,7 +27,7 @@ def survey_inputs(folder: Path) -> ReadFiles:
     config = read_config(toml) if toml.is_file() else infer.config_of_folder(folder)
     named = [toml]
     if config.water is not None:
-        named += [folder / name for source in SOURCES if (name := getattr(config.water, source))]
+        named += [folder / path for path in config.water.sources.named.values()]
     named += [folder / name for name in config.control.files]
     poses = find_poses(folder) if config.cameras.poses is None else [folder / config.cameras.poses]
     table = find_geo_txt(folder, folder / config.images.dir)

@@ -18,7 +18,7 @@ from survey.photos.cameras import View
 from survey.photos.poses import Pose, PoseFile, PoseFrame
 from survey.photos.texture import matched_light
 from survey.settings.config import SurveyConfig, WaterConfig
-from survey.settings.water import MOST_LEVEL_STD_M
+from survey.settings.water import MOST_LEVEL_STD_M, Medium
 from survey.water.index import ASSUMED_INDEX_STD, refractive_index
 
 # Where the search for an unknown level starts: over this quantile of the heights of the points, by this share of the
@@ -134,7 +134,7 @@ def water_in_local(
     if not given.says_index:
         given = replace(given, index_std=ASSUMED_INDEX_STD)
     index, said = refractive_index(given, lambda: matched_light(views))
-    given = replace(given, refractive_index=index, index_wavelength_nm=None, temperature_c=None, salinity_psu=None)
+    given = replace(given, refractive_index=index, medium=Medium())
     water = water_plane(frame, given)
     return replace(config, water=given), water, said
 

@@ -69,7 +69,8 @@ class Book:
         self._sizes = {name: head.size_px for name, head in found.heads.items()}
         self.control_path = found.folder / _control_name(found.folder, config)
         water = config.water
-        self.clicks_path = found.folder / (CLICKS if water is None or water.clicks is None else water.clicks)
+        named = None if water is None else water.sources.clicks
+        self.clicks_path = found.folder / (CLICKS if named is None else named)
         self._cache: dict[Path, _Cached] = {}
         self._done: list[Edit] = []
         contents = self._contents()
@@ -175,7 +176,7 @@ class Book:
                 without = ", without marks" if control.marks is not None else ""
                 lines.append(f"[control] gcps = {named if len(wanted) == 1 else f'[{named}]'}{without}")
         water = self._config.water
-        if self.clicks_path.is_file() and (water is None or water.clicks is None):
+        if self.clicks_path.is_file() and (water is None or water.sources.clicks is None):
             instead = "" if water is None else ", in place of the level that is there"
             lines.append(f'[water] clicks = "{self.clicks_path.name}"{instead}')
         return lines

@@ -60,7 +60,8 @@ def survey_to_mark(folder: Path) -> tuple[SurveyConfig, Found]:
     toml = folder / FILE_NAME
     config = read_config(toml) if toml.is_file() else infer.config_of_folder(folder)
     bare = replace(config, control=ControlConfig())
-    if config.water is not None and config.water.clicks is not None and not (folder / config.water.clicks).is_file():
+    clicks = None if config.water is None else config.water.sources.clicks
+    if clicks is not None and not (folder / clicks).is_file():
         bare = replace(bare, water=None)
     return config, find_survey(folder, config=bare)
 
@@ -98,7 +99,7 @@ def _of_file(found: Found, path: Path) -> Posed:
     try:
         file, _ = read_file_poses(found, path)
     except SurveyError:
-        if found.config.water is None or found.config.water.clicks is None:
+        if found.config.water is None or found.config.water.sources.clicks is None:
             raise
         # Clicks that tell no level yet.
         found = replace(found, config=replace(found.config, water=None))

@@ -256,8 +256,8 @@ def _water_below(found: Found, heights: np.ndarray) -> str:
     water = found.config.water
     if water is None:
         return _no_water(found.config)
-    if water.level_m is None and water.clicks is not None:
-        return f"its level by the clicks in {water.clicks}, once the poses are known"
+    if water.level_m is None and water.sources.clicks is not None:
+        return f"its level by the clicks in {water.sources.clicks}, once the poses are known"
     if water.level_m is None:
         return "of unknown level: the adjustment finds it, where oblique photographs or a shore with dry ground tell it"
     level = water.level_m / height_unit_m(found.crs)

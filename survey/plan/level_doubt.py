@@ -32,7 +32,7 @@ def level_doubt(found: Found, survey: Survey | None) -> str | None:
         None where the poses are not known yet: XMP may have the attitudes of the cameras.
     """
     water = found.config.water
-    is_given = water is None or water.level_m is not None or water.clicks is not None
+    is_given = water is None or water.level_m is not None or water.sources.clicks is not None
     if is_given or (survey is not None and survey.provenance.is_level_known):
         return None
     tilts = (

@@ -176,8 +176,8 @@ def _level(survey: Survey) -> tuple[Decision, ...]:
     if tide is None:
         return ()
     water = survey.config.water
-    if water is not None and water.level_rate_std_m_per_h is not None and not survey.provenance.is_adjusted:
-        known = f"{water.level_rate_m_per_h:g} +- {water.level_rate_std_m_per_h:g} m/h"
+    if water is not None and water.rate.level_rate_std_m_per_h is not None and not survey.provenance.is_adjusted:
+        known = f"{water.rate.level_rate_m_per_h:g} +- {water.rate.level_rate_std_m_per_h:g} m/h"
         return (Decision("level", "per photograph", f"its rate, known to {known}, is found with the poses"),)
     moves = f"{tide.source}, moves by {length(tide.moves_m)} over the flight, images by up to {tide.shift_px:.2g} px"
     if tide.matters:

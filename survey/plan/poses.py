@@ -44,7 +44,7 @@ def pose_choice(survey: Survey, asked: str, *, free_water: bool) -> tuple[str, s
         return "refine", "survey.toml says how well the poses are known, and they are refined within that"
     if survey.config.cameras.rolling_shutter_std_s is not None:
         return "refine", "rolling_shutter_std_s says that the readout of the shutter is to be found"
-    if survey.config.water is not None and survey.config.water.level_rate_std_m_per_h is not None:
+    if survey.config.water is not None and survey.config.water.rate.level_rate_std_m_per_h is not None:
         return "refine", "level_rate_std_m_per_h says that the rise of the water is to be found"
     if BY_FILE in sources:
         return "refine", "the poses file says how well positions were known before, and poses are refined within that"

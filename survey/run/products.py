@@ -6,7 +6,7 @@ import shutil
 import time
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from survey.compare.figures import Comparison
 from survey.display.quantities import length, lengths_in_feet
 from survey.display.units import foot_m
 from survey.files.json_values import read_json_object, write_json
+from survey.files.toml_table import table_of
 from survey.folder.survey import Survey
 from survey.photos.exif import read_exif
 from survey.photos.texture import matched_light
@@ -99,7 +100,7 @@ def _write_report(
         survey=survey,
         plan=plan,
         # What [process] asks is in the options in effect.
-        settings={name: value for name, value in asdict(survey.config).items() if name != "process"} | options,
+        settings={name: value for name, value in table_of(survey.config).items() if name != "process"} | options,
         timings=timings,
         bed=stored.bed,
         points_crs=stored.points_crs,

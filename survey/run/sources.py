@@ -22,6 +22,6 @@ def sources_of(job: Job, maps: Sequence[HeightMap]) -> Sources:
         maps,
         [job.photographs.load(survey.views[m.view], scale=plan.image_scale) for m in maps],
         survey.water,
-        None if given is None else given.absorption_per_m,
-        None if given is None else given.veiling_light,
+        None if given is None else given.colour.absorption_per_m,
+        None if given is None else given.colour.veiling_light,
     )

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from geo.files import write_whole
 from survey.errors import SurveyError
 from survey.findings import Findings
+from survey.settings.water import WaterColour
 
 if TYPE_CHECKING:
     from fields.sweep.maps import Sources
@@ -21,7 +22,7 @@ COLOUR_FILE = "water_colour.json"
 def colour_of(survey: Survey) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
     """Absorption [1/m] and veiling light (linear, 1 for white) of red, green and blue; None where not known."""
     water = survey.config.water
-    return (None, None) if water is None else (water.absorption_per_m, water.veiling_light)
+    return (None, None) if water is None else (water.colour.absorption_per_m, water.colour.veiling_light)
 
 
 def colour_is_known(survey: Survey) -> bool:
@@ -54,10 +55,10 @@ def save_colour(folder: Path, sources: Sources) -> None:
 def with_colour(survey: Survey, folder: Path) -> Survey:
     """The survey with the colour that `save_colour` found, and none for the veil."""
     record = json.loads((folder / COLOUR_FILE).read_text(encoding="utf-8"))
-    absorption = tuple(record["absorption_per_m"])
+    red, green, blue = record["absorption_per_m"]
     _, given = survey.require_water()
-    water = replace(given, absorption_per_m=absorption, veiling_light=(0.0, 0.0, 0.0))
-    said = ", ".join(f"{a:.3f}" for a in absorption)
+    water = replace(given, colour=WaterColour((red, green, blue), (0.0, 0.0, 0.0)))
+    said = ", ".join(f"{a:.3f}" for a in (red, green, blue))
     note = f"absorption_per_m = [{said}], from the photographs, and no veiling_light"
     findings = survey.findings + Findings(assumptions=(note,))
     return replace(survey, config=replace(survey.config, water=water), findings=findings)

@@ -9,7 +9,7 @@ from pathlib import Path
 import tomli_w
 
 from survey.errors import ConfigError
-from survey.files.toml_table import key, parse_toml, read_toml, require_one_of, require_positive
+from survey.files.toml_table import key, parse_toml, read_toml, require_one_of, require_positive, table_of
 from survey.settings.control import ControlConfig
 from survey.settings.field import FieldConfig
 from survey.settings.process import ProcessConfig
@@ -221,7 +221,7 @@ def parse_config(text: str) -> SurveyConfig:
 
 def dump_config(config: SurveyConfig) -> str:
     """The settings as TOML that `parse_config` reads back to the same settings."""
-    return tomli_w.dumps(_without_none(dataclasses.asdict(config)))
+    return tomli_w.dumps(_without_none(table_of(config)))
 
 
 def _without_none(table: dict) -> dict:

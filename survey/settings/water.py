@@ -2,16 +2,108 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from survey.errors import ConfigError
-from survey.files.toml_table import key
+from survey.files.toml_table import INLINE, key
 from survey.settings.std import require_std
 
 MOST_LEVEL_STD_M = 10.0
 # Filling locks and the largest tidal bores rise faster, and nobody flies there for the bed.
 MOST_RATE_M_PER_H = 10.0
-_ANY_LEVEL = ("level_m", "shoreline", "gnss_points", "gauge", "image_levels", "clicks")
+
+
+@dataclass(frozen=True)
+class LevelSources:
+    """Files of [water] that give the level, at most one."""
+
+    shoreline: str | None = None  # CSV of points, easting, northing, height, or GeoJSON, where water meets land
+    gnss_points: str | None = None  # the same, of points anywhere on the surface
+    gauge: str | None = None  # CSV of time, level
+    image_levels: str | None = None  # CSV of image, level
+    clicks: str | None = None  # CSV of image, x, y, name: places of the waterline in two photographs or more
+
+    @property
+    def named(self) -> dict[str, str]:
+        """The files that are given, by their keys."""
+        return {name: path for name, path in vars(self).items() if path is not None}
+
+
+@dataclass(frozen=True)
+class LevelRate:
+    """Rate of [water] at which the level rises."""
+
+    level_rate_m_per_h: float | None = None  # the level then holds at level_time
+    level_rate_std_m_per_h: float | None = None  # its standard deviation; then the adjustment finds it
+    level_time: str | None = key(None, "a time with its zone, e.g. 2024-06-01T10:30:00Z")
+
+    def __post_init__(self):
+        rate = self.level_rate_m_per_h
+        if rate is None and self.level_time is not None:
+            raise ConfigError("[water] level_time is given without level_rate_m_per_h, which it is for; give both")
+        require_std(
+            "[water] level_rate_std_m_per_h", self.level_rate_std_m_per_h, MOST_RATE_M_PER_H, "metres per hour",
+            "0.3 if the tide is nearly unknown",
+        )  # fmt: skip
+        if rate is None and self.level_rate_std_m_per_h is not None:
+            raise ConfigError(
+                "[water] level_rate_std_m_per_h is given without level_rate_m_per_h, which it is for; give both, 0 if "
+                "nothing is known"
+            )
+        if rate is not None and abs(rate) > MOST_RATE_M_PER_H:
+            raise ConfigError(
+                f"[water] level_rate_m_per_h is {rate:g}, expected metres per hour, at most {MOST_RATE_M_PER_H:g} up "
+                "or down; tides have up to 3"
+            )
+
+
+@dataclass(frozen=True)
+class Medium:
+    """What [water] says of the light or the water that its index is of; nothing in a loaded survey."""
+
+    index_wavelength_nm: float | None = None  # 589.3 for an index from a handbook; docs/light.md
+    temperature_c: float | None = None
+    salinity_psu: float | None = None
+
+    @property
+    def named(self) -> list[str]:
+        """The keys of the water itself that are given."""
+        return [name for name in ("temperature_c", "salinity_psu") if getattr(self, name) is not None]
+
+    def __post_init__(self):
+        if self.named == ["salinity_psu"]:
+            raise ConfigError(
+                "[water] has salinity_psu without temperature_c; give temperature_c too, or refractive_index"
+            )
+        wavelength = self.index_wavelength_nm
+        if wavelength is not None and not 400.0 <= wavelength <= 700.0:
+            raise ConfigError(
+                f"[water] index_wavelength_nm is {wavelength:g}, expected 400 to 700, the wavelengths of light; an "
+                "index from a handbook belongs to 589.3"
+            )
+
+
+@dataclass(frozen=True)
+class WaterColour:
+    """Colour of [water]."""
+
+    absorption_per_m: tuple[float, float, float] | None = key(
+        None, "[red, green, blue], the share of light that a metre of water takes, e.g. [0.3, 0.07, 0.05]"
+    )
+    veiling_light: tuple[float, float, float] | None = key(
+        None, "[red, green, blue], linear light of endless water, 1 for white, e.g. [0.03, 0.17, 0.2]"
+    )
+
+    def __post_init__(self):
+        known = {name: value for name, value in vars(self).items() if value is not None}
+        for name, value in known.items():
+            if min(value) < 0.0:
+                raise ConfigError(f"water.{name} is {list(value)}, expected [red, green, blue], none below zero")
+        if len(known) == 1:
+            raise ConfigError(
+                f"[water] has {next(iter(known))} alone, expected absorption_per_m and veiling_light together; give "
+                "both (veiling_light = [0, 0, 0] for water that scatters nothing) or neither"
+            )
 
 
 @dataclass(frozen=True)
@@ -22,24 +114,11 @@ class WaterConfig:
     level_at: tuple[float, float] | None = key(None, "[easting, northing]")
     slope_east: float = 0.0
     slope_north: float = 0.0
-    refractive_index: float | None = None  # of the light that is matched, unless the next key tells its wavelength
-    index_wavelength_nm: float | None = None  # 589.3 for an index from a handbook; docs/light.md
-    temperature_c: float | None = None
-    salinity_psu: float | None = None
-    absorption_per_m: tuple[float, float, float] | None = key(
-        None, "[red, green, blue], the share of light that a metre of water takes, e.g. [0.3, 0.07, 0.05]"
-    )
-    veiling_light: tuple[float, float, float] | None = key(
-        None, "[red, green, blue], linear light of endless water, 1 for white, e.g. [0.03, 0.17, 0.2]"
-    )
-    shoreline: str | None = None  # CSV of points, easting, northing, height, or GeoJSON, where water meets land
-    gnss_points: str | None = None  # the same, of points anywhere on the surface
-    gauge: str | None = None  # CSV of time, level
-    image_levels: str | None = None  # CSV of image, level
-    level_rate_m_per_h: float | None = None  # how fast the level rises, which then holds at level_time
-    level_rate_std_m_per_h: float | None = None  # its standard deviation; then the adjustment finds it
-    level_time: str | None = key(None, "a time with its zone, e.g. 2024-06-01T10:30:00Z")
-    clicks: str | None = None  # CSV of image, x, y, name: places of the waterline in two photographs or more
+    refractive_index: float | None = None  # of the light that is matched, unless index_wavelength_nm tells another
+    medium: Medium = field(default_factory=Medium, metadata=INLINE)
+    colour: WaterColour = field(default_factory=WaterColour, metadata=INLINE)
+    sources: LevelSources = field(default_factory=LevelSources, metadata=INLINE)
+    rate: LevelRate = field(default_factory=LevelRate, metadata=INLINE)
     level_std_m: float | None = None  # standard deviations, for the adjustment
     index_std: float | None = None
     slope_std: float | None = None
@@ -53,7 +132,6 @@ class WaterConfig:
         self._require_one_level()
         self._require_one_tide()
         self._require_one_index()
-        self._require_colour()
 
     @property
     def known_level_m(self) -> float:
@@ -84,17 +162,17 @@ class WaterConfig:
     @property
     def says_index(self) -> bool:
         """Whether anything is said of the index; else both it and its standard deviation are assumed."""
-        return not (self.refractive_index is None and self.temperature_c is None and self.index_std is None)
+        return not (self.refractive_index is None and self.medium.temperature_c is None and self.index_std is None)
 
     @property
     def gives_level(self) -> bool:
         """Whether a level, or a file of it, is given."""
-        return any(getattr(self, name) is not None for name in _ANY_LEVEL)
+        return self.level_m is not None or bool(self.sources.named)
 
     @property
     def has_no_place(self) -> bool:
         """Whether nothing here is a place in plan, in crs; photographs have places of their own."""
-        in_plan = (self.level_at, self.shoreline, self.gnss_points)
+        in_plan = (self.level_at, self.sources.shoreline, self.sources.gnss_points)
         return all(each is None for each in in_plan) and self.slope_east == self.slope_north == 0.0
 
     def require_level(self) -> None:
@@ -111,68 +189,29 @@ class WaterConfig:
             )
 
     def _require_one_level(self) -> None:
-        levels = [name for name in _ANY_LEVEL if getattr(self, name) is not None]
+        levels = [*([] if self.level_m is None else ["level_m"]), *self.sources.named]
         if len(levels) > 1:
             raise ConfigError(
                 f"[water] has {' and '.join(levels)}, each of which gives the height of the water; keep one"
             )
 
     def _require_one_tide(self) -> None:
-        rate = self.level_rate_m_per_h
-        if rate is None and self.level_time is not None:
-            raise ConfigError("[water] level_time is given without level_rate_m_per_h, which it is for; give both")
-        require_std(
-            "[water] level_rate_std_m_per_h", self.level_rate_std_m_per_h, MOST_RATE_M_PER_H, "metres per hour",
-            "0.3 if the tide is nearly unknown",
-        )  # fmt: skip
-        if rate is None and self.level_rate_std_m_per_h is not None:
-            raise ConfigError(
-                "[water] level_rate_std_m_per_h is given without level_rate_m_per_h, which it is for; give both, 0 if "
-                "nothing is known"
-            )
-        if rate is not None and abs(rate) > MOST_RATE_M_PER_H:
-            raise ConfigError(
-                f"[water] level_rate_m_per_h is {rate:g}, expected metres per hour, at most {MOST_RATE_M_PER_H:g} up "
-                "or down; tides have up to 3"
-            )
-        moving = [name for name in ("gauge", "image_levels") if getattr(self, name) is not None]
-        if rate is not None and moving:
+        moving = [name for name in ("gauge", "image_levels") if name in self.sources.named]
+        if self.rate.level_rate_m_per_h is not None and moving:
             raise ConfigError(
                 f"[water] has level_rate_m_per_h and {moving[0]}, which tells how the level moves; keep one"
             )
 
     def _require_one_index(self) -> None:
-        by_water = [name for name in ("temperature_c", "salinity_psu") if getattr(self, name) is not None]
-        if self.refractive_index is not None and by_water:
+        if self.refractive_index is not None and self.medium.named:
             raise ConfigError(
-                f"[water] has both refractive_index and {' and '.join(by_water)}, which contradict each other; keep one"
+                f"[water] has both refractive_index and {' and '.join(self.medium.named)}, which contradict each "
+                "other; keep one"
             )
-        if by_water == ["salinity_psu"]:
-            raise ConfigError(
-                "[water] has salinity_psu without temperature_c; give temperature_c too, or refractive_index"
-            )
-        wavelength = self.index_wavelength_nm
-        if wavelength is not None and self.refractive_index is None:
+        if self.medium.index_wavelength_nm is not None and self.refractive_index is None:
             raise ConfigError(
                 "[water] has index_wavelength_nm without refractive_index, whose wavelength it tells; give both, or "
                 "temperature_c alone"
-            )
-        if wavelength is not None and not 400.0 <= wavelength <= 700.0:
-            raise ConfigError(
-                f"[water] index_wavelength_nm is {wavelength:g}, expected 400 to 700, the wavelengths of light; an "
-                "index from a handbook belongs to 589.3"
-            )
-
-    def _require_colour(self) -> None:
-        values = {name: getattr(self, name) for name in ("absorption_per_m", "veiling_light")}
-        known = [name for name, value in values.items() if value is not None]
-        for name in known:
-            if min(values[name]) < 0.0:
-                raise ConfigError(f"water.{name} is {list(values[name])}, expected [red, green, blue], none below zero")
-        if len(known) == 1:
-            raise ConfigError(
-                f"[water] has {known[0]} alone, expected absorption_per_m and veiling_light together; give both "
-                "(veiling_light = [0, 0, 0] for water that scatters nothing) or neither"
             )
 
 

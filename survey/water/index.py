@@ -39,14 +39,14 @@ def refractive_index(given: WaterConfig, light: Callable[[], MatchedLight]) -> t
     ImageError
         Where photographs cannot be read.
     """
-    if given.temperature_c is not None:
-        return _of_water(given, given.temperature_c, light())
+    if given.medium.temperature_c is not None:
+        return _of_water(given, given.medium.temperature_c, light())
     if given.refractive_index is None:
         said = "fresh water (the sea has 1.340, 0.7 % more depth), "
         return _converted(FRESH_WATER, SODIUM_NM, light(), said)
-    if given.index_wavelength_nm is None:
+    if given.medium.index_wavelength_nm is None:
         return given.refractive_index, Findings()
-    return _converted(given.refractive_index, given.index_wavelength_nm, light(), "")
+    return _converted(given.refractive_index, given.medium.index_wavelength_nm, light(), "")
 
 
 def _converted(index: float, wavelength_nm: float, light: MatchedLight, said: str) -> tuple[float, Findings]:
@@ -57,11 +57,11 @@ def _converted(index: float, wavelength_nm: float, light: MatchedLight, said: st
 
 def _of_water(given: WaterConfig, temperature_c: float, light: MatchedLight) -> tuple[float, Findings]:
     """The index of water by its temperature and salinity."""
-    assumed = ("salinity_psu = 0, fresh water",) if given.salinity_psu is None else ()
+    assumed = ("salinity_psu = 0, fresh water",) if given.medium.salinity_psu is None else ()
     with warnings.catch_warnings(record=True) as doubts:
         warnings.simplefilter("always")
         try:
-            index = round(light.index(temperature_c, given.salinity_psu or 0.0), 6)
+            index = round(light.index(temperature_c, given.medium.salinity_psu or 0.0), 6)
         except ValueError as error:
             raise ConfigError(f"[water] in {FILE_NAME}: {error}; or give refractive_index instead") from error
     said = f"refractive_index = {index}, of water of {temperature_c:g} degrees for {light}"

@@ -28,7 +28,7 @@ from survey.findings import Findings
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.settings.config import SurveyConfig
-from survey.settings.water import MOST_LEVEL_STD_M, WaterConfig
+from survey.settings.water import MOST_LEVEL_STD_M, LevelSources, WaterConfig
 from survey.water.clicks import levels_of_clicks
 from survey.water.level_observation import (
     COMMON_STD_M,
@@ -38,7 +38,6 @@ from survey.water.level_observation import (
 )
 from survey.water.tides import Tide, tide_of_gauge, tide_of_levels, tide_of_rate
 
-SOURCES = ("shoreline", "gnss_points", "gauge", "image_levels", "clicks")
 _POINTS = ("shoreline", "gnss_points")
 # A level in survey.toml without level_std_m is that of a staff.
 STAFF_STD_M = 0.02
@@ -97,25 +96,25 @@ def with_level(
     water = config.water
     if water is None:
         return config, (), None, Findings()
-    tide = None if water.level_rate_m_per_h is None else tide_of_rate(water, heads)
+    tide = None if water.rate.level_rate_m_per_h is None else tide_of_rate(water, heads)
     if water.level_m is not None:
         std = STAFF_STD_M if water.level_std_m is None else water.level_std_m
         return config, (LevelObservation(water.level_m, std, water.level_at, None, "level_m"),), tide, Findings()
-    if water.gauge is not None:
-        readings = readings_of_gauge(folder / water.gauge, height_unit_m(crs))
-        level, tide, count = tide_of_gauge(folder / water.gauge, readings, heads)
+    if water.sources.gauge is not None:
+        readings = readings_of_gauge(folder / water.sources.gauge, height_unit_m(crs))
+        level, tide, count = tide_of_gauge(folder / water.sources.gauge, readings, heads)
         note = f"mean at {count} of {len(heads)} images, over which it changes by {1000.0 * tide.moves_m:.0f} mm"
         water, said = _of_tide(water, level, readings, note)
         return replace(config, water=water), readings, tide, said
-    if water.image_levels is not None:
-        level, tide, found = tide_of_levels(folder / water.image_levels, heads, height_unit_m(crs))
+    if water.sources.image_levels is not None:
+        level, tide, found = tide_of_levels(folder / water.sources.image_levels, heads, height_unit_m(crs))
         note = f"mean of {len(found)} images, over which it changes by {1000.0 * tide.moves_m:.0f} mm"
         water, said = _of_tide(water, level, found, note)
         return replace(config, water=water), found, tide, said
-    name = next((source for source in _POINTS if getattr(water, source) is not None), None)
+    name = next((source for source in _POINTS if source in water.sources.named), None)
     if name is None:
         return config, (), tide, Findings()
-    points, notes = points_of_surface(folder / getattr(water, name), name, crs)
+    points, notes = points_of_surface(folder / water.sources.named[name], name, crs)
     water, said = _of_points(water, points, crs)
     return replace(config, water=water), points, tide, Findings(notes) + said
 
@@ -134,9 +133,9 @@ def with_level_of_clicks(
         As `survey.water.clicks.levels_of_clicks`.
     """
     water = config.water
-    if water is None or water.clicks is None:
+    if water is None or water.sources.clicks is None:
         return config, (), Findings()
-    places, said = levels_of_clicks(folder / water.clicks, views, frame)
+    places, said = levels_of_clicks(folder / water.sources.clicks, views, frame)
     water, of_level = _of_points(water, places, frame.crs)
     return replace(config, water=water), places, said + of_level
 
@@ -175,7 +174,7 @@ def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS)
         slope_east=fit.slope_east,
         slope_north=fit.slope_north,
         level_std_m=water.level_std_m or min(std, MOST_LEVEL_STD_M),
-        **dict.fromkeys((*_POINTS, "clicks"), None),
+        sources=LevelSources(),
     )
     return water, Findings((said,))
 
@@ -253,4 +252,4 @@ def _of_tide(
     std = math.hypot(float(np.median([each.std_m for each in found])), COMMON_STD_M[source])
     said = Findings((f"level_m = {level:.3f} +- {std:.3f} from [water] {source}: {note}",))
     level_std = water.level_std_m or min(std, MOST_LEVEL_STD_M)
-    return replace(water, level_m=level, level_std_m=level_std, gauge=None, image_levels=None), said
+    return replace(water, level_m=level, level_std_m=level_std, sources=LevelSources()), said

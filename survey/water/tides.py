@@ -132,13 +132,13 @@ def tide_of_rate(water: WaterConfig, heads: Mapping[str, Exif]) -> Tide:
     ConfigError
         If too few photographs have a time.
     """
-    rate = water.level_rate_m_per_h or 0.0
+    rate = water.rate.level_rate_m_per_h or 0.0
     taken = _times(heads, f"level_rate_m_per_h tells no levels; give levels of images in {FILE_NAME}")
     start = float(np.mean(list(taken.values())))
-    if water.level_time is not None:
-        start = moment_of(water.level_time, "[water] level_time").timestamp()
+    if water.rate.level_time is not None:
+        start = moment_of(water.rate.level_time, "[water] level_time").timestamp()
     hours = _hours(taken, start)
-    if water.level_rate_std_m_per_h is not None and len(hours) < len(heads):
+    if water.rate.level_rate_std_m_per_h is not None and len(hours) < len(heads):
         raise ConfigError(
             f"{len(heads) - len(hours)} of {len(heads)} images have no time of exposure in EXIF, and "
             "level_rate_std_m_per_h finds the rate of the level from all of them; leave them out, or remove it"

@@ -15,6 +15,7 @@ from slow_cases import slow
 from geo.las import read_cloud, write_cloud
 from geo.reproject import Reprojection
 from geo.vectors import Layer, write_geojson, write_geopackage
+from survey.change.alignment import aligned
 from survey.change.change import ChangeOptions, change_between
 from survey.change.volume import Correlation, Differences, measured_correlation, volume_of
 
@@ -195,3 +196,56 @@ def test_the_same_survey_twice_needs_the_length_stated(tmp_path):
     assert refused.exit_code == 2
     assert "--correlation-length" in refused.output
     assert bathynerf("change", cloud, cloud, "--resolution", "0.5", "--correlation-length", "1").exit_code == 0
+
+
+def test_volumes_after_an_alignment_on_stable_ground_hold_the_truth():
+    held, shifts = [], []
+    for seed in range(200):
+        differences, _ = drawn(seed, common=(0.05, 0.1))
+        stable = np.zeros(SHAPE, dtype=bool)
+        stable[38:, :] = True
+        area = differences.is_known & (np.arange(SHAPE[0])[:, None] < 34)
+        true = SIDE**2 * (drawn(seed, common=(0.0, 0.0))[0].height - own_errors(seed))[area].sum()
+        again, found = aligned(differences, stable, Correlation(1.0, LENGTH))
+        low, high = volume_of(again, area, Correlation(1.0, LENGTH)).interval95_m3
+        held.append(low <= true <= high)
+        shifts.append(found.shift_m)
+        assert found.std_m < 0.02
+    assert 0.90 <= np.mean(held) <= 0.99
+    # What the surveys had in common was of this size, and is gone.
+    assert np.std(shifts) == pytest.approx(np.hypot(0.05, 0.1), rel=0.2)
+
+
+def own_errors(seed):
+    """Errors of the cells of `drawn`."""
+    rng = np.random.default_rng(seed)
+    rng.standard_normal(2)
+    x = np.mgrid[: SHAPE[0], : SHAPE[1]][1] * SIDE
+    return (0.03 + 0.02 * (x / x.max())) * exponential_errors(rng, 1)[0]
+
+
+def test_what_is_common_and_grows_over_a_survey_stays_after_an_alignment():
+    differences, _ = drawn(5)
+    growing = np.hypot(0.02, 0.05 * np.linspace(0.0, 1.0, SHAPE[1]))[None, :] * np.ones(SHAPE)
+    differences = Differences(differences.height, differences.std, np.stack([growing, 0.0 * growing]), 0.0, SIDE)
+    again, found = aligned(differences, np.arange(SHAPE[1]) < 8 * np.ones(SHAPE, dtype=int), Correlation(1.0, LENGTH))
+    assert again.common[0, 0, 0] == pytest.approx(found.std_m, rel=0.2)
+    assert again.common[0, 0, -1] == pytest.approx(np.hypot(0.05, found.std_m), rel=0.02)
+
+
+def test_two_surveys_are_aligned_on_polygons(tmp_path):
+    before, after = write(tmp_path / "a.las", 1), write(tmp_path / "b.las", 2, pit_m=0.4, common=0.3)
+    bank = np.array([[7.5, 0.5], [11.5, 0.5], [11.5, 8.5], [7.5, 8.5], [7.5, 0.5]]) + np.array([E0, N0])
+    write_geojson(tmp_path / "stable.geojson", Layer("stable", "Polygon", [[bank]], CRS(CRS_OF_CLOUDS)))
+    options = ("--resolution", 0.5, "--stable", tmp_path / "stable.geojson", "--json", tmp_path / "d.json")
+    said = bathynerf("change", before, after, *options)
+    assert said.exit_code == 0, said.output
+    assert "of stable ground" in said.output
+    numbers = json.loads((tmp_path / "d.json").read_text())
+    assert abs(numbers["net"]["volume_m3"] + PIT_M3) < 3.0 * numbers["net"]["std_m3"] < 1.0
+    assert numbers["alignment"]["std_m"] < 0.005
+    far = Layer("stable", "Polygon", [[bank + 900.0]], CRS(CRS_OF_CLOUDS))
+    write_geojson(tmp_path / "stable.geojson", far)
+    refused = bathynerf("change", before, after, *options)
+    assert refused.exit_code == 2
+    assert "0 cells of both surveys lie in it" in refused.output

@@ -11,6 +11,7 @@ import numpy as np
 from geo.files import existing_file
 from geo.polygons import cells_inside, read_polygons
 from geo.raster_writing import Band, RasterForm, is_our_tiff, write_cog
+from survey.change.alignment import Alignment, aligned
 from survey.change.surveys import ChangeError, StatedStd, cloud_path, differences_of
 from survey.change.volume import Correlation, Differences, Volume, measured_correlation, volume_of
 from survey.display.quantities import MINUS, length, share
@@ -32,6 +33,8 @@ class ChangeOptions:
     ----------
     area : Path or None
         GeoJSON or GeoPackage of polygons; None: all that both surveys cover.
+    stable : Path or None
+        The same, of ground that did not change, on which the second survey is put in height; None: as it lies.
     resolution_m : float or None
         Side of a cell; None: by the spacing of the points.
     correlation_length_m : float or None
@@ -43,6 +46,7 @@ class ChangeOptions:
     """
 
     area: Path | None = None
+    stable: Path | None = None
     resolution_m: float | None = None
     correlation_length_m: float | None = None
     shared: float = 0.0
@@ -67,6 +71,7 @@ class Change:
     cut, fill : Volume
         Of those beyond the level of detection; cut is below zero.
     correlation : Correlation
+    alignment : Alignment or None
     notes : sentences
     """
 
@@ -77,6 +82,7 @@ class Change:
     cut: Volume
     fill: Volume
     correlation: Correlation
+    alignment: Alignment | None
     notes: tuple[str, ...]
 
 
@@ -99,6 +105,9 @@ def change_between(first: Path, second: Path, options: ChangeOptions) -> Change:
     if not inside.any():
         raise ChangeError(f"no cell that both surveys cover lies in {options.area}; correct the polygon or its CRS")
     correlation, of_scatter = _correlation(differences, inside, options)
+    alignment = None
+    if options.stable is not None:
+        differences, alignment = _aligned(differences, cells, correlation, options.stable)
     is_beyond = differences.is_significant & inside
     change = Change(
         differences,
@@ -108,6 +117,7 @@ def change_between(first: Path, second: Path, options: ChangeOptions) -> Change:
         volume_of(differences, is_beyond & (differences.height < 0.0), correlation),
         volume_of(differences, is_beyond & (differences.height > 0.0), correlation),
         correlation,
+        alignment,
         (*notes, *of_scatter),
     )
     _write(change, first, second, options)
@@ -138,8 +148,17 @@ def rows_of(change: Change) -> list[tuple[str, str]]:
             f"of cells correlated over {length(change.correlation.length_m)} (share {change.correlation.share:.2f}), "
             + ("stated" if scatter is None else f"measured; unchanged cells scatter {scatter:.2f} times as stated"),
         ),
+        *_row_of(change.alignment),
         *[("note", note) for note in change.notes],
     ]
+
+
+def _row_of(found: Alignment | None) -> list[tuple[str, str]]:
+    if found is None:
+        return []
+    beyond = f"; {found.left_out} cells that changed all the same are left out" if found.left_out else ""
+    text = f"second survey shifted by {length(found.shift_m)} ± {length(found.std_m)} (one standard deviation)"
+    return [("alignment", f"{text} on {found.area_m2:.4g} m² of stable ground{beyond}")]
 
 
 def numbers_of(change: Change, first: Path, second: Path) -> dict:
@@ -165,6 +184,7 @@ def numbers_of(change: Change, first: Path, second: Path) -> dict:
         "fill": numbers(change.fill),
         "correlation": change.correlation,
         "common_correlation": change.differences.shared,
+        "alignment": change.alignment,
         "notes": list(change.notes),
     }
 
@@ -193,6 +213,16 @@ def _correlation(differences: Differences, inside: np.ndarray, options: ChangeOp
     ]
 
 
+def _aligned(
+    differences: Differences, cells: PlanCells, correlation: Correlation, path: Path
+) -> tuple[Differences, Alignment]:
+    stable = cells_inside(read_polygons(path, cells.crs), cells.transform, cells.shape)
+    try:
+        return aligned(differences, stable, correlation)
+    except ValueError as error:
+        raise ChangeError(f"--stable {path}: {error}; draw larger polygons, or correct their CRS") from error
+
+
 def _require_options(first: Path, second: Path, options: ChangeOptions) -> None:
     lengths = {
         "--resolution": options.resolution_m,
@@ -208,9 +238,8 @@ def _require_options(first: Path, second: Path, options: ChangeOptions) -> None:
     if not -1.0 <= options.shared <= 1.0:
         raise ChangeError(f"--common-correlation is {options.shared:g}, expected -1 to 1; 0 where nothing is shared")
     paths = [existing_file(cloud_path(path)) for path in (first, second)]
-    read = ReadFiles.of(*paths, options.area)
-    if options.area is not None:
-        existing_file(options.area)
+    polygons = [path for path in (options.area, options.stable) if path is not None]
+    read = ReadFiles.of(*paths, *(existing_file(path) for path in polygons))
     require_file("--json", options.json_path, read, kind="a JSON file", is_of_kind=is_json)
     require_file("--picture", options.picture_path, read, kind="a PNG", is_of_kind=lambda head: head[:4] in (_PNG, b""))
     tif = options.tif_path

@@ -24,9 +24,9 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 
 # Of a normal deviate: two-sided, 95 %.
 Z95 = 1.959964
-_MAD_TO_STD = 1.4826
+MAD_TO_STD = 1.4826
 # Differences beyond so many robust standard deviations have changed.
-_CHANGED = 3.0
+CHANGED = 3.0
 # Lags are looked at up to this share of the shorter side: of longer ones there are few independent pairs.
 _LONGEST_LAG = 0.25
 _FEWEST_CELLS = 100
@@ -133,8 +133,8 @@ def measured_correlation(differences: Differences, cells: np.ndarray) -> Correla
     """
     ratio = np.where(cells, differences.height / differences.std, np.nan)
     middle = np.nanmedian(ratio)
-    spread = _MAD_TO_STD * float(np.nanmedian(np.abs(ratio - middle)))
-    same = np.isfinite(ratio) & (np.abs(ratio - middle) <= _CHANGED * max(spread, 1e-12))
+    spread = MAD_TO_STD * float(np.nanmedian(np.abs(ratio - middle)))
+    same = np.isfinite(ratio) & (np.abs(ratio - middle) <= CHANGED * max(spread, 1e-12))
     if same.sum() < _FEWEST_CELLS:
         raise ValueError(f"{int(same.sum())} cells have not changed, expected at least {_FEWEST_CELLS}")
     if np.ptp(ratio[same]) == 0.0:

@@ -13,6 +13,7 @@ from survey.commands.options import FILES, Quiet, Verbose
 EXAMPLES = """
     bathynerf change spring/bathynerf autumn/bathynerf
     bathynerf change a.las b.laz --area dredged.geojson
+    bathynerf change a.las b.laz --stable banks.geojson
     bathynerf change a.las b.las --tif d.tif --picture d.png
     bathynerf change a.las b.las --json d.json
     bathynerf change a.las b.laz --std 0.05 --std-common 0
@@ -28,6 +29,14 @@ def run(
         Path | None,
         typer.Option(
             metavar="FILE", help="Polygons as GeoJSON or GeoPackage; default: all in common.", rich_help_panel="Where"
+        ),
+    ] = None,
+    stable: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Polygons of unchanged ground, on which the later survey is put in height.",
+            rich_help_panel="Where",
         ),
     ] = None,
     resolution: Annotated[
@@ -71,7 +80,8 @@ def run(
 ) -> None:
     """Compute what changed between two surveys: cut and fill, with their uncertainty.
 
-    Volumes are of the second survey over the first. Nothing is aligned.
+    Volumes are of the second survey over the first, as they lie, or put onto
+    each other on stable ground.
     """
     with command(verbose, quiet, json or tif or picture or run_a) as results:
         from survey.change.change import ChangeOptions, change_between, rows_of
@@ -79,6 +89,7 @@ def run(
 
         options = ChangeOptions(
             area=area,
+            stable=stable,
             resolution_m=resolution,
             correlation_length_m=correlation_length,
             shared=common_correlation,

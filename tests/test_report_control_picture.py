@@ -10,9 +10,8 @@ from small_survey import E0, LEVEL, N0, small_survey
 from survey.adjust.adjustment import ControlResidual
 from survey.control.points import Checkpoint, Control, ControlPoint
 from survey.folder.survey import load_survey
-from survey.report import control_picture
 from survey.report.checkpoints import CheckpointFigures, CheckpointRow
-from survey.report.control_picture import Residual, draw_residuals, residuals_of
+from survey.report.control_picture import Residual, clipped, draw_residuals, residuals_of
 from tests.changed_survey import changed
 
 
@@ -68,15 +67,9 @@ def test_arrows_point_to_where_points_are_off(survey, tmp_path):
     assert right - left > 50.0
 
 
-def test_a_point_far_off_sets_no_scale_for_the_others(survey, tmp_path, monkeypatch):
-    drawn = {}
-    monkeypatch.setattr(
-        control_picture, "_arrows", lambda _axes, _places, steps, _colour, label: drawn.__setitem__(label, steps)
-    )
-    off = [(0.02, 0.0, 0.01), (0.0, 0.03, -0.02), (0.01, 0.01, 0.02), (0.8, -2.0, -5.0)]
-    places = [(E0, N0), (E0 + 40.0, N0), (E0, N0 + 40.0), (E0 + 40.0, N0 + 40.0)]
-    residuals = [Residual(str(k), place, each, False) for k, (place, each) in enumerate(zip(places, off, strict=True))]
-    draw_residuals(tmp_path / "control.png", survey, residuals)
-    long = np.hypot(*drawn["off in plan"].T)
+def test_a_point_far_off_sets_no_scale_for_the_others():
+    off, _, is_far = clipped(np.array([(0.02, 0.0, 0.01), (0.0, 0.03, -0.02), (0.01, 0.01, 0.02), (0.8, -2.0, -5.0)]))
+    long = np.hypot(*off[:, :2].T)
+    assert is_far.tolist() == [False, False, False, True]
     # Not a hundredth of the arrow of the wrong one, which is cut.
     assert long[1] > 0.3 * long[3]

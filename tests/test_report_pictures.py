@@ -22,10 +22,9 @@ from survey.photos.exif import read_exif
 from survey.report import NUM_STEPS, profile, write_report
 from survey.report.cut import choose_cut
 from survey.report.flight import draw_plan, flight_lines
-from survey.report.maps import draw_std
+from survey.report.maps import codes_of, draw_std, draw_unseen
 from survey.report.profile import _medians, draw_profile, has_profile, two_digits
 from survey.report.seen_cells import SeenCells, cells_of
-from survey.report.unseen_map import codes_of, draw_unseen
 from survey.run.folder import RunDir
 from tests.changed_survey import changed
 

@@ -73,10 +73,7 @@ def draw_residuals(path: Path, survey: Survey, residuals: Sequence[Residual]) ->
     figure, axes = map_canvas(extent, crs, below_in=0.5)
     axes.set_facecolor("white")
     in_all = np.sqrt(np.nansum(off**2, axis=1))
-    is_far = in_all > _FAR * np.median(in_all)
-    near = off if is_far.all() else off[~is_far]
-    longest = nice_limit(np.concatenate([np.hypot(near[:, 0], near[:, 1]), near[:, 2]]))
-    off = np.where(is_far[:, None], off * np.minimum(_CUT * longest / np.maximum(in_all, 1e-9), 1.0)[:, None], off)
+    off, longest, is_far = clipped(off)
     times = _LONGEST * width_m / longest
     in_plan = np.isfinite(off[:, 0])
     up = np.column_stack([np.zeros(len(off)), off[:, 2]])
@@ -96,6 +93,19 @@ def draw_residuals(path: Path, survey: Survey, residuals: Sequence[Residual]) ->
     save(figure, path)
     words = "The adjusted point less the given one; of check points without marks, the height of the cloud less theirs."
     return Picture(path, title, words)
+
+
+def clipped(off: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+    """Residuals (N, 3) [m] with outliers clipped, the length [m] of the longest arrow, and the outliers (N,) bool.
+
+    Outliers set no scale for the arrows of the others.
+    """
+    in_all = np.sqrt(np.nansum(off**2, axis=1))
+    is_far = in_all > _FAR * np.median(in_all)
+    near = off if is_far.all() else off[~is_far]
+    longest = nice_limit(np.concatenate([np.hypot(near[:, 0], near[:, 1]), near[:, 2]]))
+    share = np.minimum(_CUT * longest / np.maximum(in_all, 1e-9), 1.0)
+    return np.where(is_far[:, None], off * share[:, None], off), longest, is_far
 
 
 def _arrows(axes: Axes, places: np.ndarray, steps: np.ndarray, colour: str, label: str) -> None:

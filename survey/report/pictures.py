@@ -24,8 +24,8 @@ from survey.report import adjustment_pictures, control_picture, flight, maps, pr
 from survey.report.checkpoints import CheckpointFigures
 from survey.report.cut import choose_cut
 from survey.report.facts import ReportFacts, distances_of
+from survey.report.maps import draw_unseen
 from survey.report.raster import Picture
-from survey.report.unseen_map import draw_unseen
 
 if TYPE_CHECKING:
     from survey.adjust.adjustment import Adjustment

@@ -27,7 +27,7 @@ _TIMES_SEEN = (3, 1)
 
 @dataclass(frozen=True)
 class Aim:
-    """What a run is asked for; at least one of the two.
+    """Target of a run: a standard deviation, a time, or both.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Aim:
 def aim_of(
     std_m: float | None, seconds: float | None, *, quality: str | None, field: str, scale: float | None = None
 ) -> Aim | None:
-    """The aim of the options of a run; None where neither is given.
+    """Aim given by the options of a run; None where neither is given.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def aim_of(
 
 
 def aim_and_choices(asked: ProcessConfig) -> tuple[Aim | None, Choices]:
-    """What was asked of a run, with the defaults of what is open.
+    """Aim and choices of a run, defaults filled in.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def aim_and_choices(asked: ProcessConfig) -> tuple[Aim | None, Choices]:
 
 
 def recipes_for(sizes_px: list[tuple[int, int]]) -> tuple[Recipe, ...]:
-    """The recipes for images of these sizes (width, height), from the least work to the most."""
+    """Recipes for images of these sizes (width, height), in ascending order of work."""
     width, height = max(sizes_px, key=lambda size: size[0] * size[1])
     halvings = max(math.floor(math.log2(min(max(size) for size in sizes_px) / _LEAST_SIDE_PX)), 0)
     return tuple(

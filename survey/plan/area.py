@@ -88,7 +88,7 @@ def within(xyz: np.ndarray, area: tuple[float, float, float, float]) -> np.ndarr
 
 
 def require_seen(survey: Survey) -> None:
-    """Refuse bounds that fewer than two photographs see at any height of the bed that is looked for.
+    """Raise where fewer than two photographs see the bounds at any height of the search range.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def require_seen(survey: Survey) -> None:
 
 
 def _places(survey: Survey, area: tuple[float, float, float, float]) -> list[np.ndarray]:
-    """Places (N, 3) [m], local, all over an area, for each of several heights of the bed."""
+    """Sample places (N, 3) [m], local, of an area at several heights of the bed."""
     x, y = np.meshgrid(*(np.linspace(area[i], area[i + 2], _PLACES) for i in (0, 1)))
     plan = np.column_stack([x.ravel(), y.ravel()])
     base = 0.0 if survey.water is None else np.asarray(survey.water.height(*plan.T))
@@ -127,7 +127,7 @@ def _places(survey: Survey, area: tuple[float, float, float, float]) -> list[np.
 
 
 def _footprint(view: View, survey: Survey) -> np.ndarray:
-    """Places (N, 3) [m], local, all over what a view sees at the water, or at the rough height of dry ground."""
+    """Sample places (N, 3) [m], local, of a footprint at the water, or at the rough height of dry ground."""
     camera, water = view.camera, survey.water
     x, y = np.meshgrid(np.linspace(0.0, camera.width, _PLACES), np.linspace(0.0, camera.height, _PLACES))
     rays = camera.directions(np.column_stack([x.ravel(), y.ravel()]))

@@ -33,7 +33,7 @@ from survey.sfm.datum import WELL_KNOWN_M
 
 @dataclass(frozen=True)
 class Section:
-    """A titled list of labelled sentences, of which a label may be empty, and the numbers behind them for JSON."""
+    """Section of the output: a title, labelled sentences (a label may be empty), and their numbers for JSON."""
 
     title: str
     rows: tuple[tuple[str, str], ...]
@@ -66,7 +66,7 @@ class Checked:
 
 
 def require_processable(folder: Path) -> Checked:
-    """Look at a survey as `check` and `process` do before anything is computed; nothing slow is imported.
+    """Test a survey as `check` and `process` do before any computation; nothing slow is imported.
 
     Raises
     ------
@@ -203,7 +203,7 @@ def _without_poses(checked: Checked, chosen: Choices) -> list[Section]:
 
 
 def _placed_by(found: Found) -> str:
-    """What structure from motion is georeferenced by."""
+    """Source of the georeference of structure from motion."""
     by_control = placing_control(found)
     if by_control is not None:
         return f"the marks of {len(by_control.points)} control points, as too few images have a GPS position"
@@ -212,7 +212,7 @@ def _placed_by(found: Found) -> str:
 
 
 def _rows_without_poses(found: Found) -> list[tuple[str, str]]:
-    """What is known of a survey before its poses are."""
+    """Rows on a survey whose poses are not known yet."""
     places = [head.lat_lon_height for head in found.heads.values() if head.lat_lon_height is not None]
     num_of_size = Counter(head.size_px for head in found.heads.values())
     heights = np.array([height for _, _, height in places])
@@ -237,7 +237,7 @@ def _rows_without_poses(found: Found) -> list[tuple[str, str]]:
 
 
 def _shared_error(found: Found) -> list[tuple[str, str]]:
-    """A row on what heights in EXIF may have in common, where the level of the water places the block."""
+    """Row on the common error of heights in EXIF, where the level of the water places the block."""
     std = common_up_std_of_exif(found.config.cameras, found.heads, found.datum)
     water = found.config.water
     if std == 0.0 or found.control is not None or water is None or water.level_m is None:
@@ -252,7 +252,7 @@ def _no_water(config: SurveyConfig) -> str:
 
 
 def _water_below(found: Found, heights: np.ndarray) -> str:
-    """What is known of the water under cameras at heights (K,), in crs, of GPS positions."""
+    """Row on the water under cameras at heights (K,), in crs, of GPS positions."""
     water = found.config.water
     if water is None:
         return _no_water(found.config)

@@ -15,7 +15,7 @@ from survey.water.level_observation import LevelObservation
 
 
 def control_rows(control: FoundControl | None) -> list[tuple[str, str]]:
-    """What the files of [control] have; no rows where there are none."""
+    """Rows on the files of [control]; none where there are none."""
     rows: list[tuple[str, str]] = []
     if control is None:
         return rows
@@ -31,7 +31,7 @@ def control_rows(control: FoundControl | None) -> list[tuple[str, str]]:
 
 
 def mark_rows(survey: Survey) -> list[tuple[str, str]]:
-    """How far the marks of control points lie from where the poses show these points; no row without control."""
+    """Row on the reprojection error of the marks of control points; none without control."""
     control = survey.observations.control
     if control is None:
         return []
@@ -47,7 +47,7 @@ def mark_rows(survey: Survey) -> list[tuple[str, str]]:
 
 
 def _stds(control: FoundControl) -> str:
-    """How well points and marks are known, and by what."""
+    """Standard deviations of points and marks, with their source."""
     points = () if control.gathered is None else control.gathered.points
     of_file = [point.std_m for point in points if point.std_m is not None]
     parts = []
@@ -62,7 +62,7 @@ def _stds(control: FoundControl) -> str:
 
 
 def water_stds(water: WaterConfig, levels: Sequence[LevelObservation], *, is_index_known: bool = True) -> str:
-    """How well the water is known, and by what, to follow its level; empty where nothing says it."""
+    """Standard deviations of the water with their sources, as text after its level; empty where none is known."""
     known = {"level": water.level_std_m, "index": water.index_std, "slopes": water.slope_std}
     said = [f"{name} to {std:.3g}{' m' if name == 'level' else ''}" for name, std in known.items() if std is not None]
     by = FILE_NAME

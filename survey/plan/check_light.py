@@ -41,7 +41,7 @@ _DEG_PER_HOUR = 15.0
 
 
 def light_section(checked: Checked, *, wind_m_s: float = USUAL_WIND_M_S) -> Section:
-    """What the heads of photographs say of the light, and some photographs of their sharpness.
+    """Section on light by the image headers, and on the sharpness of a sample of photographs.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def light_section(checked: Checked, *, wind_m_s: float = USUAL_WIND_M_S) -> Sect
 
 
 def sun_text(suns: list[Sun], when: str) -> str:
-    """Where the sun stands, in words; of several the middle one, and how high all stood."""
+    """Position of the sun in words: the median one, and the range of heights."""
     heights = [math.degrees(sun.elevation) for sun in suns]
     middle = suns[len(suns) // 2]
     toward = _WINDS[round(8.0 * middle.azimuth / (2.0 * math.pi)) % 8]
@@ -86,7 +86,7 @@ def glitter_text(glitter: Glitter, highest_sun: float, wind_m_s: float, *, is_fl
 
 
 def lost_share(glitter: Glitter) -> float:
-    """Of the photographs of a place, the share that shows it in glitter; of a photograph, where no place is known."""
+    """Share of the photographs of a place that show it in glitter; of a photograph, where no place is known."""
     if glitter.views is None or glitter.free_views is None:
         return glitter.share[0]
     return 1.0 - glitter.free_views[1] / max(glitter.views[1], 1.0)
@@ -148,13 +148,13 @@ def sharpness_text(found: Found) -> str:
 
 
 def _named(worst: list[tuple[str, str]]) -> str:
-    """Photographs with what is wrong with them, the first of many."""
+    """The first of many photographs by name, with their fault."""
     more = f" and {len(worst) - _MOST_NAMED} more" if len(worst) > _MOST_NAMED else ""
     return ", ".join(f"{name} ({value})" for name, value in worst[:_MOST_NAMED]) + more
 
 
 def _some(found: Found) -> list[str]:
-    """Names of photographs, evenly through the flight, that are decoded in a few seconds."""
+    """Names of a sample of photographs, evenly spaced over the flight."""
     names = sorted(found.images)
     mpx = np.median([head.size_px[0] * head.size_px[1] for head in found.heads.values()]) / 1e6
     number = int(np.clip(_MOST_MPX / mpx, 3, len(names)))
@@ -192,7 +192,7 @@ def _gps_places(found: Found) -> dict[str, np.ndarray]:
 
 
 def _pixel_of_heads(found: Found) -> float | None:
-    """The ground under a pixel [m] by the heads of photographs: the median of heights over focal lengths."""
+    """Ground sampling distance [m] by the image headers: the median of heights over focal lengths."""
     focal, height = _focal_px(found), _height_m(found)
     return None if focal is None or height is None else height / focal
 
@@ -206,7 +206,7 @@ def _focal_px(found: Found) -> float | None:
 
 
 def _height_m(found: Found) -> float | None:
-    """Of the cameras over the water, by their positions and its level, else over the take-off point."""
+    """Median height [m] of the cameras over the water, else over the take-off point."""
     water = found.config.water
     heights = [head.lat_lon_height[2] for head in found.heads.values() if head.lat_lon_height is not None]
     if water is not None and water.level_m is not None and heights:
@@ -245,7 +245,7 @@ def _sun_rows(found: Found, survey: Survey | None, wind_m_s: float) -> list[tupl
 
 
 def times_of(heads: Mapping[str, Exif], longitude_deg: float) -> tuple[list[datetime] | None, str]:
-    """When photographs were taken, in UTC, and what was assumed for it; None where the heads do not tell it of all."""
+    """Times of exposure in UTC with the assumption made; None where headers lack one."""
     taken = [head.taken for head in heads.values() if head.taken is not None]
     if len(taken) == len(heads):
         return taken, ""

@@ -11,7 +11,7 @@ from survey.words import SCALES, Device, Field, Plan, Poses, Quality
 
 @dataclass(frozen=True)
 class Choices:
-    """What was chosen for a run; the words are those of `survey.words`.
+    """Options of a run; the words are those of `survey.words`.
 
     Attributes
     ----------

@@ -31,7 +31,7 @@ _STEPS = 24
 
 @dataclass(frozen=True)
 class Glitter:
-    """What the sun's glitter does to a flight.
+    """Effect of sun glitter on a flight.
 
     Attributes
     ----------
@@ -58,12 +58,12 @@ def slope_variance(wind_m_s: float) -> float:
 
 
 def widest_lean(wind_m_s: float) -> float:
-    """How far facets lean [rad] at the edge of the glitter."""
+    """Largest slope angle [rad] of facets at the edge of the glitter."""
     return math.atan(math.sqrt(-math.log(_RAREST) * slope_variance(wind_m_s)))
 
 
 def glitters(directions: np.ndarray, sun: np.ndarray, up: np.ndarray, wind_m_s: float) -> np.ndarray:
-    """Whether unit rays (..., 3) from a camera end in the glitter of a sun in direction (3,); `up` is the water's."""
+    """Mask of unit rays (..., 3) that end in the glitter of a sun in direction (3,); `up`: normal of the water."""
     facet = sun - directions
     with np.errstate(invalid="ignore"):
         lean = (facet @ up) / np.linalg.norm(facet, axis=-1)
@@ -71,7 +71,7 @@ def glitters(directions: np.ndarray, sun: np.ndarray, up: np.ndarray, wind_m_s: 
 
 
 class GlitterOfFlight:
-    """The rays of a flight, to ask for the glitter of any sun.
+    """Rays of a flight, for the glitter of any sun.
 
     Parameters
     ----------
@@ -119,20 +119,20 @@ class GlitterOfFlight:
         return Glitter(len(shares), num_mirrored, (float(np.median(shares)), max(shares)), every, free)
 
     def highest_sun(self, wind_m_s: float) -> float:
-        """How high the sun may stand [rad] for the steep views to be free of glitter; below 0 where none suffices."""
+        """Largest elevation [rad] of the sun with the steep views free of glitter; below 0 where there is none."""
         widest = max(float(np.arccos(np.clip(-(rays @ self._up), -1.0, 1.0)).max()) for rays in self._steep())
         # The ray that glitters leans by twice the lean of its facet.
         return 0.5 * math.pi - widest - 2.0 * widest_lean(wind_m_s)
 
     def _steep(self) -> list[np.ndarray]:
-        """The frames of the half of the views that look down most."""
+        """Frames of the steepest half of the views."""
         down = np.array([float(camera.cam_from_local[2] @ self._up) for camera in self._cameras])
         order = np.argsort(down, kind="stable")[: max(len(down) // 2, 1)]
         return [self._frames[number] for number in order]
 
 
 def _pixels(camera: PinholeCamera) -> np.ndarray:
-    """Pixels (N, 2) all over a frame, in the middles of squares."""
+    """Grid of pixels (N, 2) over a frame, in the middles of squares."""
     side = max(camera.width, camera.height) / _STEPS
     u, v = np.meshgrid(np.arange(0.5 * side, camera.width, side), np.arange(0.5 * side, camera.height, side))
     return np.stack([u.ravel(), v.ravel()], axis=-1)

@@ -98,7 +98,7 @@ def in_words(survey: Survey, flying_m: float) -> tuple[str, str]:
 
 
 def _of_config(survey: Survey, heights: tuple[float, float]) -> HeightRange:
-    """The heights in crs, in its unit, as heights over the plane, under all cameras: it may be sloped."""
+    """Range by [area] heights in crs, in its unit, converted to heights over the (possibly sloped) plane."""
     centres = survey.frame.crs_from_local(_centres(survey))
     ends = []
     for height in heights:
@@ -115,7 +115,7 @@ def _of_config(survey: Survey, heights: tuple[float, float]) -> HeightRange:
 
 
 def _of_points(survey: Survey, points: np.ndarray, flying_m: float) -> HeightRange:
-    """From the apparent and the lowest true heights of matched points (N, 3) [m], local."""
+    """Range by the apparent and the lowest true heights of matched points (N, 3) [m], local."""
     apparent = _heights(survey, points)
     base = 0.0 if survey.water is not None else float(np.median(apparent))
     if survey.water is None:

@@ -10,7 +10,7 @@ from survey.plan.skipped import Decision
 
 
 def image_decision(camera: PinholeCamera, scale: float, quality: str, recipe: Recipe, *, asked: bool) -> Decision:
-    """The line of the plan."""
+    """Line of the plan on the working size."""
     size = f"images of {camera.width} x {camera.height} px"
     if asked:
         return Decision("image scale", f"{scale:g}", f"set by --image-scale, for {size}")
@@ -24,6 +24,6 @@ def image_decision(camera: PinholeCamera, scale: float, quality: str, recipe: Re
 
 
 def image_scale(width: int, height: int, megapixels: float) -> float:
-    """The scale [-], at most 1, at which an image of a size [px] is worked on where the largest may have so many."""
+    """Scale [-], at most 1, that reduces an image of a size [px] to a limit [px]."""
     halvings = math.ceil(0.5 * math.log2(width * height / (1e6 * megapixels)) - 1e-9)
     return 0.5 ** max(halvings, 0)

@@ -23,7 +23,7 @@ _NO_CLOUD = f"they hardly ever tell the level, and without it there is no cloud;
 
 
 def level_doubt(found: Found, survey: Survey | None) -> str | None:
-    """A sentence where an adjustment will hardly find the level; None where one is given, or it may.
+    """Warning where an adjustment will hardly determine the level; None where one is given, or it may.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def tilts_deg(cam_from_local: np.ndarray) -> np.ndarray:
 
 
 def _tilts_of_heads(found: Found) -> np.ndarray:
-    """The same by the attitudes in XMP, of the photographs that have one."""
+    """Tilts by the attitudes in XMP, of the photographs that have one."""
     gimbals = [head.motion.gimbal_deg for head in found.heads.values() if head.motion.gimbal_deg is not None]
     rotations = [
         level_from_yaw_pitch_roll(math.radians(yaw), math.radians(pitch + 90.0), math.radians(roll)).T

@@ -18,7 +18,7 @@ _MOST_VIEWS = 100
 
 @dataclass(frozen=True)
 class Places:
-    """Places of a level bed in the area, that three views or more have in their frame, of two both.
+    """Places of a level bed in the area in the frames of three views or more, of two in both.
 
     Attributes
     ----------
@@ -30,14 +30,14 @@ class Places:
     cells: np.ndarray
 
     def some(self, number: int) -> Places:
-        """At most so many of them, evenly."""
+        """An evenly spaced subset."""
         every = np.linspace(0, len(self.cells) - 1, min(number, len(self.cells))).round().astype(np.int64)
         every = np.unique(every)
         return Places(self.seen[:, every], self.cells[every].copy())
 
 
 def in_the_middle(survey: Survey) -> Survey:
-    """The survey with its innermost views alone, where it has many: far ones add nothing there."""
+    """The survey reduced to its central views, where it has many."""
     centres = np.array([view.camera.centre[:2] for view in survey.views])
     away = np.linalg.norm(centres - np.median(centres, axis=0), axis=1)
     nearest = np.sort(np.argsort(away, kind="stable")[:_MOST_VIEWS])
@@ -45,7 +45,7 @@ def in_the_middle(survey: Survey) -> Survey:
 
 
 def places_of(survey: Survey, depth_m: float) -> Places | None:
-    """Places of a bed so deep [m] under the water, or of dry ground; None where too few views overlap."""
+    """Places of a bed at a depth [m] under the water, or of dry ground; None where too few views overlap."""
     cameras = [view.camera for view in survey.views]
     if survey.water is None:
         height = dry_ground(survey).height

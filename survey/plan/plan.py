@@ -24,7 +24,7 @@ from survey.water.tides import MOST_SHIFT_PX
 
 @dataclass(frozen=True)
 class Plan:
-    """What `process` is going to do.
+    """Plan of a run: what `process` does.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Plan:
 
 
 def make_plan(survey: Survey, chosen: Choices = USUAL, *, recipe: Recipe | None = None) -> Plan:
-    """What the scene needs.
+    """Plan for a survey.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def _field(quality: str, recipe: Recipe, field: str) -> Decision:
 
 
 def device_decision(device: str) -> Decision:
-    """Where the kernels run.
+    """Device of the kernels, with the reason.
 
     Raises
     ------
@@ -171,7 +171,7 @@ def device_decision(device: str) -> Decision:
 
 
 def _level(survey: Survey) -> tuple[Decision, ...]:
-    """Whether each photograph has its own level; nothing where none is said to move."""
+    """Decision whether each photograph has its own level; none for a level that is constant."""
     tide = survey.observations.tide
     if tide is None:
         return ()
@@ -186,7 +186,7 @@ def _level(survey: Survey) -> tuple[Decision, ...]:
 
 
 def _ground(survey: Survey, height_m: float) -> tuple[Decision, ...]:
-    """How high over dry ground the cameras are; over water the level tells."""
+    """Decision on the height of dry ground under the cameras."""
     if survey.water is not None:
         return ()
     ground = dry_ground(survey)
@@ -202,7 +202,7 @@ def _height(survey: Survey) -> float:
 
 
 def _distance_along_axis(camera: PinholeCamera, survey: Survey, height: float) -> float:
-    """From the camera to water or ground, along its axis; at most three heights for views to the horizon."""
+    """Distance [m] from the camera to water or ground along its axis, at most three heights."""
     own = height if survey.water is None else -float(survey.water.depth(camera.centre))
     falling = -camera.cam_from_local[2, 2]
     return own / max(falling, 1.0 / 3.0)

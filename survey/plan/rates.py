@@ -41,7 +41,7 @@ _FIELD_S_PER_CELL = 2.3e-4
 
 @dataclass(frozen=True)
 class Amounts:
-    """How much of what there is in a run.
+    """Amounts of work of a run.
 
     Attributes
     ----------
@@ -75,12 +75,12 @@ class Amounts:
 
 
 def run_s(amounts: Amounts, num_cores: int) -> float:
-    """A whole run on idle cores [s]: what one thread does, and what all cores share."""
+    """Time [s] of a whole run on idle cores: serial part, and the part that all cores share."""
     return _START_S + sum(parts_s(amounts, num_cores).values())
 
 
 def parts_s(amounts: Amounts, num_cores: int) -> dict[str, float]:
-    """The parts of a run on idle cores [s], by the names of their stages, in their order."""
+    """Times [s] of the parts of a run on idle cores, by the names of their stages, in order."""
     parts = {"Images": _DECODING_S * amounts.photographs_mpx}
     if amounts.poses == "check":
         parts["Poses"] = poses_s("check", amounts.photographs_mpx, amounts.num_views)
@@ -102,7 +102,7 @@ def part_name(name: str, number: int, count: int) -> str:
 
 
 def parts_in_tiles(parts: dict[str, float], count: int) -> dict[str, float]:
-    """The parts of a run in so many tiles [s]: what is done for each tile takes equal shares."""
+    """Times [s] of the parts of a run in tiles of equal work."""
     found: dict[str, float] = {}
     for name, seconds in parts.items():
         names = [part_name(name, number, count) for number in range(count)] if name in _OF_TILES else [name]
@@ -111,19 +111,19 @@ def parts_in_tiles(parts: dict[str, float], count: int) -> dict[str, float]:
 
 
 def adjustment_s(amounts: Amounts, num_cores: int) -> tuple[float, float, float]:
-    """Of an adjustment of matches, of windows, and of an adjustment of all [s]."""
+    """Times [s] of an adjustment of matches, of windows, and of an adjustment of all."""
     solving = _SOLVING_S[0] + _SOLVING_S[1] * amounts.num_views
     shared = _samples(amounts, PASSES[:2]) / STEPS_PER_CORE_S + search_s(amounts.num_views)
     return solving, _WINDOWS_S + _DECODING_S * amounts.photographs_mpx + shared / num_cores, solving
 
 
 def search_s(num_views: int) -> float:
-    """Of the search for windows in so many photographs, by one core [s]."""
+    """Time [s] of the search for windows in a number of photographs, on one core."""
     return _SEARCH_S * num_views
 
 
 def sfm_s(features_mpx: float, num_views: int, num_pairs: int, num_cores: int) -> dict[str, float]:
-    """The parts of structure from motion [s], by the names of their stages, in their order.
+    """Times [s] of the parts of structure from motion, by the names of their stages, in order.
 
     ``features_mpx`` [Mpx] are those of the photographs at the size at which features are looked for.
     """
@@ -144,7 +144,7 @@ def _samples(amounts: Amounts, passes: tuple[Pass, ...]) -> float:
 
 
 def poses_s(poses: str, photographs_mpx: float, num_views: int) -> float:
-    """Of the check or the adjustment of the poses, whichever it is, or neither [s]."""
+    """Time [s] of the check or the adjustment of the poses; 0 for neither."""
     adjusted = min(photographs_mpx, num_views * _MOST_MPX)
     if poses == "check":
         return _CHECK_S[0] + _CHECK_S[1] * adjusted * min(_CHECKED / num_views, 1.0)

@@ -12,7 +12,7 @@ AIMED = "aimed"
 
 @dataclass(frozen=True)
 class Recipe:
-    """How much work is spent.
+    """Numeric settings of a quality.
 
     Attributes
     ----------

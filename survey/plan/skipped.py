@@ -26,7 +26,7 @@ class Decision:
 
 
 def refraction(survey: Survey, skips: Skips) -> Decision:
-    """Whether rays are bent."""
+    """Decision on refraction."""
     straight = survey.water is None or survey.water.n_water == 1.0
     if straight and not skips.air:
         return Decision("refraction", "on", f"{FULL}: bent by an index of 1")
@@ -47,7 +47,7 @@ def _sees_beside_water(camera: PinholeCamera, water: FlatWater) -> bool:
 
 
 def lens_terms(survey: Survey, skips: Skips) -> Decision:
-    """Which terms kernels have beside those of a pinhole."""
+    """Decision on the lens terms of the kernels."""
     if not skips.lens:
         return Decision("terms of the lens", "all", f"{FULL}: every model of distortion, and a rolling shutter")
     cameras = [view.camera for view in survey.views]
@@ -58,7 +58,7 @@ def lens_terms(survey: Survey, skips: Skips) -> Decision:
 
 
 def pixels(survey: Survey, skips: Skips) -> Decision:
-    """Which pixels get a height."""
+    """Decision on the pixels that get a height."""
     if not skips.area:
         return Decision("pixels", "all", f"{FULL}: also those that cannot see the area")
     if survey.bounds is None:
@@ -69,7 +69,7 @@ def pixels(survey: Survey, skips: Skips) -> Decision:
 
 
 def finer_passes(field: str, skips: Skips, *, aimed: bool) -> Decision:
-    """Which pixels of the height maps are refined at full size."""
+    """Decision on the pixels that are refined at full size."""
     if aimed:
         return Decision("finer passes", "all pixels", "later rounds go on from the heights of earlier ones")
     if field != "solver":
@@ -81,7 +81,7 @@ def finer_passes(field: str, skips: Skips, *, aimed: bool) -> Decision:
 
 
 def first_heights(skips: Skips) -> Decision:
-    """Which heights the first pass tries."""
+    """Decision on the height hypotheses of the first pass."""
     if not skips.heights:
         return Decision("first heights", "the whole range", f"{FULL}: not only where thumbnails find the bed")
     return Decision("first heights", "those of thumbnails", "a sweep of eight small photographs finds where the bed is")

@@ -1,4 +1,4 @@
-"""How many tiles a survey is worked on in, as many as the memory asks for, and how many processes compute them."""
+"""Number of tiles of a survey by the memory that is free, and of the processes that compute them."""
 
 from __future__ import annotations
 
@@ -146,14 +146,14 @@ def _refuse_workers(chosen: Choices, why: str) -> None:
 
 
 def _asks_for_workers(chosen: Choices) -> str | None:
-    """The option that asks for other processes than that of the run."""
+    """Name of the option that asks for worker processes."""
     if chosen.scheduler is not None:
         return f"--scheduler {chosen.scheduler}"
     return None if chosen.workers in (None, 1) else f"--workers {chosen.workers}"
 
 
 def _with_workers(choice: TileChoice, chosen: Choices, chooses_workers: bool) -> TileChoice:
-    """The same with the processes that compute its tiles."""
+    """The choice of tiles with the processes that compute them."""
     if choice.tiling is None:
         return choice
     if chosen.scheduler is not None:
@@ -177,7 +177,7 @@ def _with_workers(choice: TileChoice, chosen: Choices, chooses_workers: bool) ->
 
 
 def _counts(ground: tuple[float, float, float, float], most: int) -> list[int]:
-    """Numbers of tiles that are about square, rising."""
+    """Candidate numbers of tiles that are about square, ascending."""
     ratio = (ground[2] - ground[0]) / (ground[3] - ground[1])
     found = set()
     for rows in range(1, most + 1):

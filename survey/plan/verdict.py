@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class Verdict(StrEnum):
-    """How good something is for the bed."""
+    """Suitability for measuring the bed."""
 
     good = "good"
     fair = "fair"

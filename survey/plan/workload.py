@@ -63,7 +63,7 @@ _OWN_GROUND = 0.1
 
 @dataclass(frozen=True)
 class Workload:
-    """What a run is estimated to take.
+    """Estimated time, memory and disk space of a run.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ class Workload:
 
 
 def busy_in_words(slowness: float) -> str:
-    """What times count on: a machine as busy as it is."""
+    """Load that estimated times assume, in words."""
     return f"as busy as now ({slowness:.1f} times as long as idle)"
 
 
@@ -148,7 +148,7 @@ def workload_of(survey: Survey, plan: Plan) -> Workload:
 
 
 def amounts_of_run(survey: Survey, plan: Plan) -> Amounts:
-    """How much there is to do in a run.
+    """Amounts of work of a run.
 
     Raises
     ------
@@ -173,7 +173,7 @@ def _amounts(survey: Survey, plan: Plan, pixels: np.ndarray, chosen: list[int], 
 
 
 def _first_hypotheses(survey: Survey, plan: Plan) -> float:
-    """Heights that the first pass tries: by the range of heights, where something tells it, else as usual.
+    """Number of height hypotheses of the first pass: by the range of heights where it is known, else the usual one.
 
     Without matched points or [area] heights the range is wide, and thumbnails narrow it.
     """
@@ -223,19 +223,19 @@ def amounts_of(survey: Survey, plan: Plan) -> tuple[np.ndarray, list[int], float
 
 
 def workload_of_found(found: Found, chosen: Choices) -> Workload:
-    """Of photographs without poses, an upper bound of the room; the time with structure from motion."""
+    """Estimate for photographs without poses: an upper bound of memory and disk; time with structure from motion."""
     sizes = [head.size_px for head in found.heads.values()]
     return workload_of_images(sizes, quality=chosen.quality, scale=chosen.image_scale)
 
 
 def parts_of_found(found: Found, chosen: Choices) -> dict[str, float]:
-    """What the parts of a run take that begins with structure from motion [s], by the names of their stages."""
+    """Times [s] of the parts of a run that begins with structure from motion, by the names of their stages."""
     sizes = [head.size_px for head in found.heads.values()]
     return _parts_of_images(sizes, _scale_of(sizes, chosen.quality, chosen.image_scale), chosen.quality)
 
 
 def workload_of_images(sizes: Iterable[tuple[int, int]], *, quality: str, scale: float | None = None) -> Workload:
-    """The same for images (width, height), worked on at a scale; by default that of the quality."""
+    """Estimate for images (width, height) at a scale; by default that of the quality."""
     sizes = list(sizes)
     scale = _scale_of(sizes, quality, scale)
     pixels = np.array([width * height for width, height in sizes]) * scale**2
@@ -321,7 +321,7 @@ def _limit_doubt(workload: Workload) -> str | None:
 
 
 def _workload(pixels, of_maps, largest: int, num_cells: float, of_field: float, solves: bool) -> Workload:
-    """Without its time, from pixels of views, of height maps, and of the largest photograph; cells of bed and field."""
+    """Memory and disk space by pixels of views, height maps and the largest photograph, and by cells."""
     return Workload(
         num_views=len(pixels),
         num_maps=len(of_maps),
@@ -333,7 +333,7 @@ def _workload(pixels, of_maps, largest: int, num_cells: float, of_field: float, 
 
 
 def memory_of(pixels, of_maps, largest: int, num_cells: float, of_field: float, solves: bool) -> float:
-    """At the peak, in the stage that takes the most; what they read is held by all of them."""
+    """Peak memory [bytes]: that of the largest stage with the data that all stages hold."""
     everything, masks = float(np.sum(pixels)), _BYTES_OF_MASKS * float(np.sum(of_maps))
     held = _BYTES_OF_VIEW * everything + min(_BYTES_OF_COLOURS * everything, _MOST_COLOURS)
     # As they are, and smaller or with small holes closed.

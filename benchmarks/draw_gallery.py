@@ -1,8 +1,8 @@
-"""What does a water surface do to a survey? Draws the five pictures of docs/gallery.md.
+"""What does a water surface do to a survey? Draws the nine pictures of the optics in docs/gallery.md.
 
     python benchmarks/draw_gallery.py [NAME ...] [-o FOLDER]
 
-Names are those of the pictures without their ending; default: all five, into docs/img. Takes seconds.
+Names are those of the pictures without their ending; default: all, into docs/img. Takes seconds.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from gallery_canvas import (
     save,
     section,
 )  # fmt: skip
+from gallery_matching import draw_dispersion, draw_epipolar, draw_glitter, draw_water_errors
 from gallery_networks import convergent_block, error_map, meeting_points, nadir_block
 from matplotlib import colormaps
 from matplotlib.axes import Axes
@@ -257,6 +258,10 @@ PICTURES = {
     "caustic": draw_caustic,
     "error-map": draw_error_map,
     "waves": draw_waves,
+    "epipolar": draw_epipolar,
+    "dispersion": draw_dispersion,
+    "water-errors": draw_water_errors,
+    "glitter": draw_glitter,
 }
 
 

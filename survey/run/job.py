@@ -1,4 +1,4 @@
-"""What the stages of a run share: the survey and its plan, the photographs, and what each part of them hashes to."""
+"""Data shared by the stages of a run: survey, plan, photographs, and the hashes of their parts."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from fields.sweep.kernels.arrays import release
 from survey.adjust.far_poses import Search, find_anew
 from survey.errors import SurveyError
+from survey.files.toml_table import table_of
 from survey.photos.store import ImageStore
 from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area
 from survey.plan.block import load_block
@@ -79,7 +80,7 @@ class Job:
         self.plan = self._planned()
 
     def take(self, survey: Survey) -> None:
-        """Go on with another survey of the same photographs: with other water."""
+        """Replace the survey by one of the same photographs, e.g. with adjusted water."""
         before = self._sight()
         self.survey = survey
         self.plan = self._planned()
@@ -96,11 +97,11 @@ class Job:
             self.__dict__.pop(name, None)
 
     def _sight(self) -> list[str]:
-        """What decides the rays of the photographs, and where the bed is looked for."""
+        """Inputs that determine the rays of the photographs and the search volume."""
         return [self.part(name) for name in ("cameras", "water", "size", "device", "heights")]
 
     def plan_again(self) -> None:
-        """Plan by what the aim has come to."""
+        """Plan again by the present recipe of the aim."""
         scale = self.plan.image_scale
         self.plan = self._planned()
         if self.plan.image_scale != scale:
@@ -132,7 +133,7 @@ class Job:
 
     @property
     def search(self) -> Search | None:
-        """Finds poses of a file anew; None without a workspace."""
+        """Structure from motion for poses of a file that are too inaccurate; None without a workspace."""
         if self.workspace is None:
             return None
         return partial(find_anew, workspace=self.workspace, say=self.progress.note)
@@ -188,7 +189,7 @@ class Job:
 
     @property
     def _photographs(self) -> str:
-        """Of all photographs and masks."""
+        """Hash of all photographs and masks."""
         return stage_key([self.hashes[view.name] for view in self.survey.views])
 
     @cached_property
@@ -237,7 +238,7 @@ class Job:
 
 
 def _settings_of(survey: Survey) -> dict | None:
-    """What survey.toml says of level, slopes and index of the water; not of its colour."""
+    """Settings of level, slopes and index of the water, without its colour."""
     given = survey.config.water
     names = (
         "level_m",
@@ -250,4 +251,7 @@ def _settings_of(survey: Survey) -> dict | None:
         "index_std",
         "level_rate_std_m_per_h",
     )
-    return None if given is None else {name: getattr(given, name) for name in names}
+    if given is None:
+        return None
+    values = table_of(given)
+    return {name: values[name] for name in names}

@@ -34,7 +34,10 @@ def test_two_photographs_placed_by_control_have_heights_within_their_std(tmp_pat
 
 def test_positions_too_near_for_their_accuracy_do_not_tell_the_scale(tmp_path):
     control = draw_pair(tmp_path / "control", num_control=2, gps=True, grey=True)
-    with pytest.raises(SurveyError, match=r"scale of two photographs is not known.* 5\.\d+ m apart.* 3 m each"):
+    with pytest.raises(
+        SurveyError,
+        match=r"scale of two photographs is not known.* 5\.\d+ m apart.* 3 m each.* of 2 there, 2 are marked",
+    ):
         load_survey(control.folder)
 
 

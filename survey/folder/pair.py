@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from survey.errors import FILE_NAME, ImageError, PosesError
+from survey.folder.block_control import control_of_block, of_two_marks
 from survey.folder.found import Found
 from survey.folder.pose_priors import GPS_STD_M, best_plan_std
 from survey.sfm.gps import gps_positions
@@ -43,5 +44,14 @@ def require_scale(found: Found) -> None:
         raise PosesError(
             f"the scale of two photographs is not known: their GPS positions lie {apart:.3g} m apart, {said} {std:.2g} "
             f"m each, which tells it to {100.0 * share:.0f} %, and {100.0 * _MOST_SCALE_STD:.0f} % would be of use; "
-            "give three control points that both show ([control] gcps), or [cameras] position_std_m if they are better"
+            f"give three control points that both show ([control] gcps{_marked(found)}), or [cameras] position_std_m "
+            "if they are better"
         )
+
+
+def _marked(found: Found) -> str:
+    """How many control points there are that both show, as a part of a sentence; empty without control."""
+    control = control_of_block(found)
+    if control is None:
+        return ""
+    return f"; of {len(control.points)} there, {len(of_two_marks(control))} are marked in both"

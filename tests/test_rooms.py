@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import re
 from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
@@ -253,6 +254,32 @@ def test_a_folder_imports_only_folders_of_the_layers_below_its_own(imports):
         if folder_of(other) != folder_of(name) and height[folder_of(other)] >= height[folder_of(name)]
     ]
     assert wrong == []
+
+
+def test_files_and_modules_that_texts_name_exist():
+    texts = [*FILES, *ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "benchmarks").glob("*.py")]
+    rooms = "|".join(sorted({path.relative_to(ROOT).parts[0] for path in FILES}))
+    wrong = []
+    for text in texts:
+        said = text.read_text(encoding="utf-8")
+        files = re.findall(rf"(?<![\w/.])(?:{rooms}|tests|benchmarks|examples|scripts)/[\w/]+\.py\b", said)
+        wrong += [f"{name_of(text)}: {name}" for name in sorted(set(files)) if not (ROOT / name).is_file()]
+        modules = sorted(set(re.findall(rf"`((?:{rooms})(?:\.\w+)+)`", said)))
+        wrong += [f"{name_of(text)}: {name}" for name in modules if not name.endswith((".toml", ".json", ".txt"))
+                  and not is_defined(name)]  # fmt: skip
+    assert wrong == []
+
+
+def is_defined(name: str) -> bool:
+    """Whether a dotted name is that of a folder or file of a room, or of something in it."""
+    parts = name.split(".")
+    for number in range(len(parts), 0, -1):
+        place = ROOT.joinpath(*parts[:number])
+        file = place.with_suffix(".py") if place.with_suffix(".py").is_file() else place / "__init__.py"
+        if file.is_file():
+            rest = parts[number : number + 1]
+            return not rest or re.search(rf"\b{rest[0]}\b", file.read_text(encoding="utf-8")) is not None
+    return False
 
 
 def test_survey_itself_holds_only_what_all_its_parts_share():

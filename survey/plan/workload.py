@@ -347,7 +347,7 @@ def memory_of(pixels, of_maps, largest: int, num_cells: float, of_field: float, 
 
 
 def _kept(pixels, of_what: tuple[float, float, int]) -> float:
-    """Bytes of images of so many pixels each of which the last few are kept; see `fields.image_store.most_kept`."""
+    """Bytes of images of so many pixels each of which the last few are kept; see `fields.image_store`."""
     each, budget, fewest = of_what
     return each * min(float(np.sum(pixels)), max(budget / each, fewest * float(np.max(pixels))))
 

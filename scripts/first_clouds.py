@@ -42,7 +42,7 @@ TITLES = {
     "odm": ("From OpenDroneMap", "The project folder, as far as OpenSfM made it ([step by step](from-odm.md))."),
     "colmap": (
         "From COLMAP",
-        "A binary model in metres, aligned by `model_aligner` to the positions in EXIF ([step by step](from-colmap.md)).",
+        "A model in metres, aligned by `model_aligner` to the positions in EXIF ([step by step](from-colmap.md)).",
     ),
 }
 

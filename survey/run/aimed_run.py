@@ -62,12 +62,12 @@ class AimedRun:
 
     @property
     def recipe(self) -> Recipe:
-        """Of the present round, or before the first."""
+        """Recipe of the present round, or before the first."""
         return self.recipes[self.number] if self.has_begun else RECIPES["standard"]
 
     @property
     def scale(self) -> float:
-        """Of the images in the present round."""
+        """Scale of the images in the present round."""
         return self.scales[self.number]
 
     def solves(self, number: int) -> bool:
@@ -75,16 +75,16 @@ class AimedRun:
         return self.recipes[number].field == "solver"
 
     def samples(self, scale: float, before: float | None) -> float:
-        """Pixels x heights x neighbours of a sweep at a scale that goes on from a smaller one, or from nothing."""
+        """Number of comparisons of a sweep at a scale that continues a smaller one, or starts anew."""
         return samples(self.amounts, scale, lowest=self.scales[0], before=before)
 
     @property
     def first_search(self) -> float:
-        """At which share of the size of the present round the whole bound is searched, if the round is the first."""
+        """Share of the size of the present round at which the whole bound is searched, if the round is the first."""
         return self.scales[0] / self.scale
 
     def end_round(self, following: int | None, why: str) -> Decision:
-        """Take a decision on the next round; in words, for the plan."""
+        """Decide on the next round; returns the decision in words, for the plan."""
         done = "with the solver" if self.solves(self.number) else "sweep alone"
         then = "the last" if following is None else f"then image scale {self.scales[following]:g}"
         name, choice = f"round {len(self.decisions) + 1}", f"image scale {self.scale:g}, {done}; {then}"
@@ -96,7 +96,7 @@ class AimedRun:
 
     @property
     def tail_s(self) -> float:
-        """From the end of the present round to that of the run [s]."""
+        """Time [s] from the end of the present round to that of the run."""
         return self.rates.tail_s(self.amounts, self.scale)
 
     def round_s(self, number: int) -> float:

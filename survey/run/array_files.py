@@ -11,7 +11,7 @@ from geo.files import disk_refusals
 
 
 class FileArray:
-    """Array (height, width) in a file; rows are read as they are asked for, and nothing is kept."""
+    """Array (height, width) in a file; rows are read on demand and not cached."""
 
     def __init__(self, path: Path, array: np.ndarray):
         self._path, self.shape, self._dtype = path, array.shape, array.dtype

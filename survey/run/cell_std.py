@@ -46,11 +46,11 @@ class CellStd:
         return len(self.std)
 
     def reached(self, std_m: float, factor: float = 1.0) -> float:
-        """Share of the cells within a standard deviation [m], if work made theirs a factor as large; 1 of no cells."""
+        """Share of the cells within a standard deviation [m] with theirs scaled by a factor; 1 without cells."""
         return float((factor * self.std <= std_m).mean()) if len(self) else 1.0
 
     def limit(self, std_m: float) -> str:
-        """What keeps most of the cells above."""
+        """Dominant part of the standard deviation of most cells above the target."""
         above = self.std > std_m
         few = above & (self.num_views < _FEW_VIEWS)
         if 2 * few.sum() > above.sum():
@@ -62,7 +62,7 @@ class CellStd:
         return NOISE
 
     def in_words(self, std_m: float) -> str:
-        """What was reached of it."""
+        """Share that was reached, in words."""
         if not len(self):
             return "no ground has points"
         most = 1e3 * float(np.quantile(self.std, SHARE))

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 
 class OutOfTimeError(Exception):
-    """Work that can be left out would take the time of what cannot."""
+    """Optional work would take the time that required work needs."""
 
 
 class Clock:
@@ -27,7 +27,7 @@ class Clock:
 
     @property
     def left_s(self) -> float:
-        """Seconds that are left; negative when they are over."""
+        """Remaining time [s]; negative when it is over."""
         return self._end - self._now()
 
     def keep(self, seconds: float) -> None:

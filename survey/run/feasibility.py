@@ -28,7 +28,7 @@ _LEAST_PX, _MOST_PX = 0.01, 10.0
 
 @dataclass(frozen=True)
 class Feasibility:
-    """What is known of an aim before anything is computed.
+    """Feasibility of an aim before anything is computed.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Feasibility:
 
 
 def assess_feasibility(aim: Aim, survey: Survey, chosen: Choices, load: Load, depth_m: float = DEPTH_M) -> Feasibility:
-    """Look at what an aim needs of a survey whose poses are known.
+    """Feasibility of an aim for a survey whose poses are known.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def assess_feasibility(aim: Aim, survey: Survey, chosen: Choices, load: Load, de
 
 
 def _require_meant(aim: Aim, largest_m: float, smallest_m: float) -> None:
-    """Raise where the target is none, by what a pixel covers in the smallest and in the largest images [m]."""
+    """Raise for a target beyond what the pixels of the smallest and the largest images [m] can give."""
     if aim.std_m is None:
         return
     asked, least, most = f"--target-std {aim.std_m:g} is in metres", _LEAST_PX * smallest_m, _MOST_PX * largest_m
@@ -110,7 +110,7 @@ def _require_meant(aim: Aim, largest_m: float, smallest_m: float) -> None:
 
 
 def doubts(aim: Aim, found: Feasibility) -> list[str]:
-    """What speaks against reaching a standard deviation, as sentences."""
+    """Reasons against reaching a standard deviation, as sentences."""
     if aim.std_m is None:
         return []
     asked, told = f"asked is a standard deviation of {length(aim.std_m)}", []
@@ -129,12 +129,12 @@ def doubts(aim: Aim, found: Feasibility) -> list[str]:
 
 
 def shortest_s(found: Feasibility) -> float:
-    """The shortest time that is accepted [s]."""
+    """Shortest accepted time budget [s]."""
     return _UNKNOWN_PACE * found.rates.least_s(found.amounts, found.scales[0], lowest=found.scales[0])
 
 
 def require_some_time(aim: Aim | None) -> None:
-    """Raise where a time is asked for in which no survey can be processed; nothing is read for that.
+    """Raise for a time budget in which no survey can be processed, without reading one.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def require_some_time(aim: Aim | None) -> None:
 
 
 def require_time(seconds: float, found: Feasibility) -> None:
-    """Raise where a time [s] is asked for in which no cloud can be made.
+    """Raise for a time budget [s] in which no cloud of this survey can be made.
 
     Raises
     ------

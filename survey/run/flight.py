@@ -27,7 +27,7 @@ _WATER = ("point", "n_water", "slope_x", "slope_y")
 
 @dataclass(frozen=True)
 class Flight:
-    """Cameras, water and place of a run.
+    """Cameras, water and local frame of a run.
 
     Attributes
     ----------

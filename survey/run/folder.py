@@ -153,7 +153,7 @@ class RunDir:
         return result.read_record(self.path)
 
     def inputs(self) -> ReadFiles:
-        """What other commands read of the run, or would spoil."""
+        """Files of the run that other commands read or must not overwrite."""
         files = (self.path / name for name in result.NAMES)
         return ReadFiles.of(*files) + ReadFiles((), (self.stages_path, self.pictures_path, self.sfm_path))
 
@@ -191,7 +191,7 @@ class RunDir:
         return folder if is_whole else None
 
     def found_before(self, name: str) -> dict:
-        """What a JSON file of this name holds in the latest stage that has one; empty where none has."""
+        """Contents of a JSON file of the latest stage that has one; empty where none has."""
         found = [path for path in self.stages_path.glob(f"*/{name}") if path.parent.name[0] != "."]
         return read_json_object(max(found, key=lambda path: path.stat().st_mtime)) if found else {}
 
@@ -287,17 +287,17 @@ def _record(folder: Path) -> dict:
 
 
 def seconds_of(folder: Path) -> float:
-    """How long the finished stage in a folder took when it was computed [s]."""
+    """Computation time [s] of the finished stage in a folder."""
     return _record(folder)["seconds"]
 
 
 def versions_of(folder: Path) -> dict[str, str]:
-    """Versions of what computed the finished stage in a folder, by name."""
+    """Versions of the libraries that computed the finished stage in a folder, by name."""
     return _record(folder)["versions"]
 
 
 def versions() -> dict[str, str]:
-    """Versions of what computes, by name; what is not installed is left out."""
+    """Versions of the installed libraries that compute, by name."""
     program = f"{importlib.metadata.version('bathynerf')}+{code_hash('survey.run.process')[:8]}"
     found = {"bathynerf": program, "python": ".".join(str(v) for v in sys.version_info[:3])}
     for name in _NAMED_VERSIONS:

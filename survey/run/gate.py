@@ -32,7 +32,7 @@ MIN_VIEWS = 2
 
 
 def verdict_of(survey: Survey, stored: StoredBed, gsd_m: float, cells: SeenCells | None = None) -> Verdict:
-    """What the gates say of the points of a bed at a ground sampling distance [m], with its `cells_of` if known."""
+    """Verdict of the gates on the points of a bed at a ground sampling distance [m], with its `cells_of` if known."""
     return Verdict(
         (
             _completeness(cells_of(survey, stored.bed.xyz, gsd_m) if cells is None else cells),
@@ -43,7 +43,7 @@ def verdict_of(survey: Survey, stored: StoredBed, gsd_m: float, cells: SeenCells
 
 
 def asked_gate(stored: StoredBed, std_m: float) -> Gate:
-    """Whether the standard deviation [m] that was asked for is reached, and if not, what limits it."""
+    """Gate on the target standard deviation [m], with the dominant part where it is missed."""
     # What GPS or control leaves of the place of the block is not for the photographs to mend.
     bed = replace(stored.bed, std=stored.std_of_photographs())
     cells = std_cells(bed, stored.gsd_m)
@@ -77,7 +77,7 @@ def _precision(stds: np.ndarray, gsd_m: float) -> Gate:
 
 
 def _whole(survey: Survey, stored: StoredBed, gsd_m: float) -> Gate:
-    """How well a height is known, all included, as `height_std_m` in report.json has it."""
+    """Total standard deviation of a height, as `height_std_m` in report.json."""
     std, limit = height_std(stored.bed.std, stored.std_common), max_height_std(gsd_m)
     passed = std.whole <= limit
     parts = f"{length(std.random)} random"
@@ -91,7 +91,7 @@ def _whole(survey: Survey, stored: StoredBed, gsd_m: float) -> Gate:
 
 
 def _mend(survey: Survey) -> str:
-    """What makes the shared part of heights less."""
+    """Remedy for a large common standard deviation."""
     water = survey.config.water
     if water is not None and water.level_std_m is None:
         return "give [water] level_std_m, and control points or [cameras] position_std_m where they are better known"

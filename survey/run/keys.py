@@ -39,7 +39,7 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class Key:
-    """What a stage depends on.
+    """Key of a stage: the hashes of its inputs.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Key:
 
     @staticmethod
     def sentence_of(names: list[str]) -> str:
-        """Why a stage is computed again, in words; of no names, that its earlier result cannot be read."""
+        """Reason in words why a stage is computed again; without names, that its earlier result cannot be read."""
         if not names:
             return "its earlier result is not whole"
         words = [_WORDS.get(name, f"the result of the stage {name}") for name in names]

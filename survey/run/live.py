@@ -1,4 +1,4 @@
-"""Height maps while the sweep works on them, for `bathynerf view`: written only where somebody looks."""
+"""Intermediate height maps of the sweep for `bathynerf view`, written only while a viewer is open."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _MOST_PIXELS, _LEAST_SCORE = 10_000, 0.7
 
 
 class LiveMaps:
-    """Points of height maps for who looks at a run.
+    """Points of height maps for the viewers of a run.
 
     Parameters
     ----------

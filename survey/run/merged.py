@@ -1,4 +1,4 @@
-"""What the tiles of a survey found, put together: height maps of whole photographs, solved maps, and the bed."""
+"""Merging of tiles: height maps of whole photographs, solved maps, and the bed."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def _maps(place: Path) -> Stored[HeightMap]:
 
 
 def _by_view(tiles: Sequence[TileJob], swept: Sequence[Path]) -> dict[int, list[tuple[int, int, Window]]]:
-    """Of each view of the survey: tile, number of its map there, and window."""
+    """Tile, number of the map in it, and window, for each view of the survey."""
     found: dict[int, list[tuple[int, int, Window]]] = {}
     for tile, (job, place) in enumerate(_found(tiles, swept)):
         for number, view in enumerate(_maps(place).views):

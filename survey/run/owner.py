@@ -1,4 +1,4 @@
-"""Which survey a run folder belongs to: that of its photographs, wherever both folders are moved."""
+"""Owner of a run folder: the survey with its photographs, wherever both folders are moved."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ class Owner:
 
     @classmethod
     def of(cls, name: str, images: Mapping[str, Path]) -> Owner:
-        """The owner that a survey with these images, name to path, is."""
+        """Owner for a survey with these images, name to path."""
         sizes = {image: path.stat().st_size for image, path in images.items()}
         return cls(name, sizes, {image: content_hash(path) for image, path in images.items()})
 
     @classmethod
     def from_record(cls, record: Mapping) -> Owner | None:
-        """What `as_record` gave; None in a run of a version that kept none."""
+        """Owner from its record; None in a run of a version that kept none."""
         if "photographs" not in record:
             return None
         return cls(record["survey"], record["photographs"], record.get("contents", {}))

@@ -34,19 +34,19 @@ LEAST_STD_PX = 0.01
 
 
 def adjustment_of(needs: Mapping[str, Path]) -> Adjustment | None:
-    """What the stage of the adjustment left, if the run has one."""
+    """Adjustment of the run, if it has one."""
     return read_adjustment(needs["adjust"]) if "adjust" in needs else None
 
 
 def is_placed(survey: Survey) -> bool:
-    """Whether GPS or control alone has placed the block: no work on photographs changes what that leaves uncertain."""
+    """Whether GPS or control alone has placed the block, whose uncertainty no work on photographs reduces."""
     return survey.config.cameras.poses is None
 
 
 def with_std_of_block(
     bed: BedPoints, survey: Survey, found: Adjustment | None, gsd_m: float
 ) -> tuple[BedPoints, np.ndarray | None]:
-    """The points with what an adjusted block adds to the std of each, and what that is (N,) [m]; None where nothing."""
+    """Points whose std includes tilt and bending of the block, and that part (N,) [m]; None without an adjustment."""
     if found is None:
         return bed, None
     of_block = std_of_block(bed.xyz, survey, found, gsd_m)
@@ -107,5 +107,5 @@ def _black(camera: PinholeCamera) -> np.ndarray:
 
 
 def _parallax(block: Block, height_map: HeightMap) -> float:
-    """Of the bed of a map in the views that confirm its heights [px/m]."""
+    """Parallax [px/m] of the bed of a map in the views that confirm its heights."""
     return block.parallax(height_map.view, block.neighbours(height_map.view, PEERS), median(height_map.height))

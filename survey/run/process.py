@@ -71,7 +71,7 @@ def process(
     reference: str | Path | None = None,
     visible: str | Path | None = None,
 ) -> int:
-    """Make the point cloud of the bed, with a report, in a run folder.
+    """Compute the point cloud of the bed, with a report, in a run folder.
 
     What is not given is what [process] of survey.toml says, else the default.
 
@@ -176,7 +176,7 @@ def process(
 
 
 def _require_inputs(survey_folder: Path, run_folder: Path, truth: Truth) -> None:
-    """Raise where what the report compares with is not there, or the run would overwrite what is read."""
+    """Raise where a reference is missing, or the run would overwrite one of its inputs."""
     for name, path in (("--reference", truth.reference), ("--visible", truth.visible)):
         if path is not None and not path.exists():
             raise SurveyError(f"{name} {path} does not exist; give the path of a PLY, OBJ, LAS or LAZ file")
@@ -184,14 +184,14 @@ def _require_inputs(survey_folder: Path, run_folder: Path, truth: Truth) -> None
 
 
 def _claim(run: RunDir, found: Found) -> None:
-    """Raise where the run is that of another survey."""
+    """Raise where the run folder belongs to another survey."""
     name = found.config.name or found.folder.resolve().name
     is_inside = run.path.resolve().is_relative_to(found.folder.resolve())
     run.claim(Owner.of(name, found.images), is_inside=is_inside)
 
 
 def _require_possible(survey_folder: Path, chosen: Choices) -> Checked:
-    """What the survey folder holds; raise where it cannot be processed, or not in the way that was chosen."""
+    """Contents of the survey folder; raise where it cannot be processed with the chosen options."""
     if chosen.device == Device.cuda:
         device_decision(chosen.device)
     require_dask(chosen)
@@ -203,7 +203,7 @@ def _require_possible(survey_folder: Path, chosen: Choices) -> Checked:
 
 
 def _forecast(progress: Progress, checked: Checked, chosen: Choices) -> None:
-    """Let the run say how long it will take: by stated rates and how busy the machine is, until its parts tell."""
+    """Initialise the remaining time by stated rates and the load of the machine."""
     progress.forecast = Forecast(machine.load().slowness)
     if checked.survey is not None:
         return
@@ -222,7 +222,7 @@ def _announce(
     run: RunDir,
     chooses_workers: bool,
 ) -> TileChoice:
-    """Say what is going to be done and what it takes; raise where the machine cannot. Returns the tiles."""
+    """Print plan and cost; raise where memory or disk cannot suffice. Returns the tiles."""
     plan = make_plan(survey, chosen, recipe=None if aimed is None else aimed.recipe)
     progress.note(f"{survey.name}: {len(survey.views)} views, a pixel covers {length(plan.gsd_m)} of the ground")
     for text in survey.findings.assumptions:

@@ -47,7 +47,7 @@ TOLERANCES_M = (0.2, 0.05)
 
 
 def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path], truth: Truth) -> Verdict:
-    """Write everything that the user gets.
+    """Write all results of a run.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path]
 def _write_report(
     folder: Path, run: RunDir, job: Job, done: Mapping[str, Path], truth: Truth, stored: StoredBed
 ) -> Verdict:
-    """All but the cloud."""
+    """Write the report and all results but the cloud."""
     survey, plan = job.survey, job.plan
     options = options_of(job, truth)
     (folder / "settings.toml").write_text(settings_text(job, options), encoding="utf-8")
@@ -130,7 +130,7 @@ def _write_report(
 
 
 def _coverage(survey: Survey, stored: StoredBed, cells: SeenCells) -> CoverageFigures | None:
-    """What of the water was seen; None for a dry survey."""
+    """Coverage of the water; None for a dry survey."""
     if survey.water is None:
         return None
     x, y, height = np.moveaxis(cells.middles, -1, 0)
@@ -142,14 +142,14 @@ def _coverage(survey: Survey, stored: StoredBed, cells: SeenCells) -> CoverageFi
 
 
 def _photographs(done: Mapping[str, Path]) -> tuple[PhotographFigures, ...]:
-    """What of each photograph was left out; what only the solver can tell, where it ran."""
+    """Left-out share of each photograph, with that of the solver where it ran."""
     sightings = read_json_object(done["solver"] / SIGHTINGS) if "solver" in done else {}
     consistency = {name: Consistency(**found) for name, found in read_json_object(done["sweep"] / CONSISTENCY).items()}
     return photographs_of(read_json_object(done["sweep"] / SATURATED), sightings, consistency)
 
 
 def _adjustment(folder: Path, done: Mapping[str, Path]) -> Adjustment | None:
-    """What the adjustment found, its files copied into the result; None where there was none."""
+    """Adjustment of the run, its files copied into the result; None where there was none."""
     if "adjust" not in done:
         return None
     for name in ADJUSTMENT_FILES:
@@ -159,7 +159,7 @@ def _adjustment(folder: Path, done: Mapping[str, Path]) -> Adjustment | None:
 
 
 def _versions(done: Mapping[str, Path]) -> dict[str, str]:
-    """Versions of what computes, by name; of a stage that other ones computed, these too, as "torch (sweep)"."""
+    """Versions of the libraries that compute, by name; of reused stages, theirs as "torch (sweep)"."""
     now = versions()
     earlier = {
         f"{name} ({stage})": version

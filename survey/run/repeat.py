@@ -12,7 +12,7 @@ from survey.settings.process import ProcessConfig
 
 
 def options_of(job: Job, truth: Truth) -> dict:
-    """What the options of a run came to, by name, and under ``command`` the command that repeats the run."""
+    """Effective options of a run by name, and under ``command`` the command that repeats it."""
     chosen, plan, aim = job.chosen, job.plan, None if job.aimed is None else job.aimed.aim
     asked = {} if aim is None else {"target_std_m": aim.std_m, "time_budget_s": aim.seconds}
     return {

@@ -44,7 +44,7 @@ def note_finished(run: Path, quality: str, stage: str) -> None:
 
 
 def is_unfinished(run: Path) -> bool:
-    """Whether a `process` began and has not come to its end: the result is that of another one."""
+    """Whether a `process` began and did not finish, so that the result is that of an earlier one."""
     return bool(_unfinished(run))
 
 
@@ -83,7 +83,7 @@ def publish(run: Path, part: Path, *, quality: str, finished: str, stages: dict[
 
 
 def settle(run: Path) -> None:
-    """Move a whole result to its place; what the new one has not, the old one loses. Does nothing without one."""
+    """Move a complete result to its place, replacing the old one; does nothing without one."""
     whole = run / _WHOLE
     # The record is moved last: where it is gone, everything else has been moved.
     if (whole / _RECORD).exists():
@@ -98,7 +98,7 @@ def settle(run: Path) -> None:
 
 
 def _forget_unfinished(run: Path, quality: str) -> None:
-    """The result of a quality is whole: it is no longer unfinished."""
+    """Remove the record of an unfinished result of a quality."""
     others = {name: found for name, found in _unfinished(run).items() if name != quality}
     if others:
         write_json(run / _UNFINISHED, others)

@@ -17,7 +17,7 @@ _EARLIER = {"sweep": EARLIER_SWEEP, "solver": EARLIER_SOLVER, ASSESSMENT: EARLIE
 
 
 def run_stages(job: Job, run: RunDir, *, resume: bool, compares_sweep: bool) -> dict[str, Path]:
-    """Run what the job has of the pipeline; the folders of the stages by name.
+    """Run the stages of the job; returns their folders by name.
 
     ``compares_sweep`` adds the cloud that the sweep alone would give, where the run is in one piece.
     """
@@ -42,14 +42,14 @@ def run_stages(job: Job, run: RunDir, *, resume: bool, compares_sweep: bool) -> 
 
 
 def _begin(job: Job) -> None:
-    """Let the first round have its own recipe."""
+    """Set the recipe of the first round."""
     if job.aimed is not None:
         job.aimed.has_begun = True
         job.plan_again()
 
 
 def _set_aside(done: dict[str, Path], number: int) -> None:
-    """Let the next round find what the stages of this one left, and the record of the run keep all rounds."""
+    """Keep the stages of a round for the next one and in the record of the run."""
     for name, earlier in _EARLIER.items():
         if earlier in done:
             done[f"{name} of round {number - 1}"] = done.pop(earlier)

@@ -2,7 +2,7 @@
 
     OMP_NUM_THREADS=1 python benchmarks/bench_surfaces.py
 
-Prints the table of docs/notes/surfaces.md: microseconds per ray for the way down (intersect, normal and bend) and per point
+Prints the table of docs/notes/surfaces.md: microseconds per ray for the way down (intersect, normal, bend), per point
 for the way back up, the same as multiples of flat water, and the share of points by what was proved: that the optical
 length is convex (all that Dr.Jit can use), and after the full search that there is one path, several, or neither.
 Then the same swell on Dr.Jit.

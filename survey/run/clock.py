@@ -31,7 +31,7 @@ class Clock:
         return self._end - self._now()
 
     def keep(self, seconds: float) -> None:
-        """Raise where less is left than what has to follow takes.
+        """Raise where less time is left than the required work takes.
 
         Raises
         ------

@@ -107,7 +107,7 @@ def _held_by_control(priors: Mapping[str, PosePrior]) -> dict[str, PosePrior]:
 
 
 def _with_images(found: Found, views: list[View], masks: Path | None) -> tuple[list[View], Findings]:
-    """The views by name with their masks, whose images are held against their lenses."""
+    """Views by name with their masks; images must have the size of their lens."""
     views, said = with_masks(found, sorted(views, key=lambda view: view.name), masks)
     for view in views:
         require_image(view, found.heads[view.name])
@@ -116,7 +116,7 @@ def _with_images(found: Found, views: list[View], masks: Path | None) -> tuple[l
 
 
 def block_over_water(block: Block, views: list[View], water: FlatWater | None) -> tuple[Block, list[View], Findings]:
-    """The block, and its views; where all cameras lie under the water or far above it, at a height where they do not.
+    """Block and views, shifted in height where all cameras lie under the water or far above it.
 
     Only of positions whose heights have an error in common that the adjustment finds from the water; a warning says by
     how much.

@@ -129,7 +129,7 @@ def _overlap_doubts(views: list[View], water: FlatWater) -> list[str]:
 
 
 def _gaps(places: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """From each circle (N, 2), (N,) to the next one, (N,) [m]; below zero where they overlap."""
+    """Distance (N,) [m] from each circle (N, 2), (N,) to the nearest other; below zero where they overlap."""
     gaps = np.empty(len(places))
     for i, (place, radius) in enumerate(zip(places, radii, strict=True)):
         others = np.hypot(*(places - place).T) - radii - radius
@@ -139,7 +139,7 @@ def _gaps(places: np.ndarray, radii: np.ndarray) -> np.ndarray:
 
 
 def angle_doubts(poses: list[Pose], frame: PoseFrame) -> list[str]:
-    """A warning where omega, phi and kappa look like radians.
+    """Warning where omega, phi and kappa look like radians.
 
     All are below a full turn in radians; read as radians, all cameras look down, turn by more than a radian, and their
     image rows are level, as those of a gimbal are in nadir and oblique views alike.

@@ -34,7 +34,7 @@ _TELL_A_WRONG_ONE = 4
 
 @dataclass(frozen=True)
 class CheckedControl:
-    """Control and priors of a block of structure from motion, without what it contradicts.
+    """Control and priors of a block of structure from motion, without contradicted ones.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ def checked_parts(
 
 
 def _of_views(control: Control, names: set[str]) -> Control:
-    """The control that some views show."""
+    """Control that the given views show."""
     marks = tuple(mark for mark in control.marks if mark.view in names)
     shown = {mark.point for mark in marks}
     return replace(control, points=tuple(point for point in control.points if point.name in shown), marks=marks)
@@ -115,7 +115,7 @@ def checked_control(
     control: Control,
     priors: Mapping[str, PosePrior],
 ) -> tuple[CheckedControl, Findings]:
-    """Hold control against the block; the warnings say what is left out.
+    """Test control against the block; warnings name what is left out.
 
     Raises
     ------
@@ -154,7 +154,7 @@ def checked_control(
 
 
 def _can_be_compared(met: Met) -> bool:
-    """Whether control points tell a similarity by themselves: positions may do it where they lie on one line."""
+    """Whether control points determine a similarity by themselves; on one line they need positions."""
     if len(met.points) < MIN_POINTS:
         return False
     _, across, least = spread_of(*coordinates(met))
@@ -205,7 +205,7 @@ def _other_datum(common: np.ndarray, std: np.ndarray, reach: float, priors: Mapp
 
 
 def _are_few(priors: Mapping[str, PosePrior]) -> bool:
-    """Whether the positions are too few for the adjustment to tell a wrong one."""
+    """Whether the positions are too few for the adjustment to detect a wrong one."""
     return sum(prior.position is not None for prior in priors.values()) < _TELL_A_WRONG_ONE
 
 
@@ -229,7 +229,7 @@ def _without_far(
 
 
 def _moved(view: View, move: Similarity) -> View:
-    """A view that is taken elsewhere."""
+    """View at another position."""
     camera = view.lens.camera(move(view.camera.centre), view.camera.cam_from_local @ move.rotation.T)
     return replace(view, camera=camera)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Contradiction:
-    """A parameter of water or lens: what is given of it, and what photographs say.
+    """Test of a given parameter of water or lens against its estimate from the photographs.
 
     Attributes
     ----------
@@ -28,12 +28,12 @@ class Contradiction:
 
     @property
     def found(self) -> float:
-        """What photographs say."""
+        """Estimate from the photographs."""
         return self.given + self.difference
 
     @property
     def sigmas(self) -> float:
-        """The difference in its standard deviations."""
+        """Difference in standard deviations."""
         return abs(self.difference) / math.hypot(self.std, self.given_std)
 
     @property

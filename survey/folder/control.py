@@ -34,7 +34,7 @@ _TIMES = 10.0
 
 @dataclass(frozen=True)
 class FoundControl:
-    """What the files of [control] say, in the crs of the survey.
+    """Contents of the files of [control], in the crs of the survey.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class FoundControl:
 
     @property
     def num_given(self) -> int:
-        """How many control points there are that a block is adjusted to."""
+        """Number of control points that the block is adjusted to."""
         return 0 if self.gathered is None else sum(not point.is_check for point in self.gathered.points)
 
 
@@ -96,7 +96,7 @@ def find_control(
 
 
 def _untold_accuracy(config: ControlConfig, gathered: Gathered) -> tuple[str, ...]:
-    """A warning where neither the settings nor a file says how accurate control points are."""
+    """Warning where neither settings nor files state the accuracy of control points."""
     untold = [point for point in gathered.points if point.std_m is None]
     if config.std_m is not None or not untold:
         return ()
@@ -108,7 +108,7 @@ def _untold_accuracy(config: ControlConfig, gathered: Gathered) -> tuple[str, ..
 
 
 def _with_stds(config: ControlConfig, gathered: Gathered) -> tuple[ControlConfig, tuple[str, ...]]:
-    """The settings with the standard deviations that count, of which those that nobody gave are assumed."""
+    """Settings with all standard deviations, missing ones assumed."""
     std_m, marks_std_px = config.std_m, config.marks_std_px
     assumptions = []
     if std_m is None:

@@ -44,7 +44,7 @@ def above_start_of(heads: Mapping[str, Exif]) -> float | None:
 def explanation(
     over_m: float, level_m: float, place: tuple[float, float], crs: CRS, above_start_m: float | None
 ) -> str:
-    """What would explain cameras that lie `over_m` over the water, as the rest of a sentence; empty where nothing does.
+    """Explanation of cameras `over_m` over the water, as the rest of a sentence; empty without one.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def xmp_doubts(gps_height: str, crs: CRS, heads: Mapping[str, Exif]) -> list[str
 def start_doubts(
     over_water: Mapping[str, float], heads: Mapping[str, Exif], level_m: float, place: tuple[float, float], crs: CRS
 ) -> list[str]:
-    """A warning where cameras, water and the drone's height over its take-off point cannot all be true.
+    """Warning where cameras, water and the drone's height over its take-off point are inconsistent.
 
     Parameters
     ----------

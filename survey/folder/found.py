@@ -199,7 +199,7 @@ def _poses_path(folder: Path, config: SurveyConfig) -> tuple[Path | None, str | 
 
 
 def head_doubts(heads: Mapping[str, Exif]) -> list[str]:
-    """Warnings about photographs that are not used as another program may show them."""
+    """Warnings about photographs that other programs may show differently: rotated, or of several pages."""
     num = len(heads)
     rotated = sum(head.orientation != 1 for head in heads.values())
     paged = sum(head.has_pages for head in heads.values())
@@ -260,7 +260,7 @@ def position_doubts(heads: Mapping[str, Exif]) -> list[str]:
 
 
 def _largest_group(plan: np.ndarray) -> np.ndarray:
-    """Which places (N, 2) [m] are of the largest group: (N,) bool. Groups are at least `_ELSEWHERE_M` apart."""
+    """Mask (N,) bool of the places (N, 2) [m] of the largest group. Groups are at least `_ELSEWHERE_M` apart."""
     squares, square = np.unique(np.floor(plan / _ELSEWHERE_M), axis=0, return_inverse=True)
     beside = np.array(list(KDTree(squares).query_pairs(1.0, p=np.inf))).reshape(-1, 2)
     linked = coo_array((np.ones(len(beside)), tuple(beside.T)), shape=(len(squares), len(squares)))
@@ -269,5 +269,5 @@ def _largest_group(plan: np.ndarray) -> np.ndarray:
 
 
 def _few(names: np.ndarray, far: np.ndarray) -> list[str]:
-    """The names that are far, where they are few enough to be wrong."""
+    """Names of the far photographs, where these are few enough to be wrong."""
     return names[far].tolist() if far.sum() <= max(1, int(_MOST_FAR * len(names))) else []

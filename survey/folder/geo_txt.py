@@ -138,7 +138,7 @@ def _unit_m(crs: CRS) -> float:
 
 
 def _replaced(path: Path, crs: CRS, heads: Mapping[str, Exif], line_of: Mapping[str, _Line]) -> Findings:
-    """What the file replaces, and how far that lay from it."""
+    """Note on the replaced positions and their distance from the file's."""
     in_exif = {name: heads[name].lat_lon_height for name in line_of}
     replaced = {name: position for name, position in in_exif.items() if position is not None}
     said = f"positions of {len(line_of)} of {len(heads)} images are those in {path.name} ({crs.name})"

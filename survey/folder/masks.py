@@ -94,7 +94,7 @@ def _files(found: Found, root: Path, *, is_beside: bool) -> list[Path]:
 
 
 def _called(mask: Path, *, is_beside: bool) -> list[str]:
-    """What photograph a mask may be of, by its path in its folder: the more of the name it has, the earlier."""
+    """Names of the photograph that a mask may belong to, by its path: the longest match first."""
     whole, stem = mask.as_posix(), mask.with_suffix("").as_posix()
     ending = [stem[: -len(MASK_ENDING)]] if stem.lower().endswith(MASK_ENDING) else []
     return ending if is_beside else [whole, stem, *ending]
@@ -114,7 +114,7 @@ def _require_sizes(views: Sequence[View]) -> None:
 
 
 def _doubts(views: Sequence[View]) -> list[str]:
-    """A warning where masks leave out most of what they are of."""
+    """Warning where masks leave out most of their photographs."""
     paths = [view.mask_path for view in views if view.mask_path is not None]
     some = np.unique(np.linspace(0, len(paths) - 1, _NUM_LOOKED_AT).astype(int))
     left_out = float(np.median([1.0 - read_mask(paths[i]).mean() for i in some]))

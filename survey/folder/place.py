@@ -112,7 +112,7 @@ def with_level_of_points(
 
 
 def over_points(points: np.ndarray, centres: np.ndarray) -> float:
-    """Where a search for the height of the water begins [m]: over most of the points (N, 3), under cameras (V, 3)."""
+    """Initial height [m] of the water for the adjustment: over most of the points (N, 3), under cameras (V, 3)."""
     top = float(np.quantile(points[:, 2], _TOP_OF_POINTS))
     return top + _START_OVER_POINTS * max(float(np.median(centres[:, 2])) - top, 0.0)
 

@@ -247,7 +247,7 @@ def load_survey(
 def _water(
     block: Block, views: list[View]
 ) -> tuple[SurveyConfig, FlatWater | None, bool, tuple[LevelObservation, ...], Findings]:
-    """The settings with what is known of the water, the water, whether its level is known, and what was measured."""
+    """Settings with the water filled in, water plane, whether its level is known, and its measurements."""
     found, frame = block.found, block.frame
     config, is_level_known, levels, said = found.config, True, found.levels, Findings()
     if found.poses_path is None:
@@ -272,7 +272,7 @@ def _with_poses_name(config: SurveyConfig, found: Found) -> SurveyConfig:
 def _doubts(
     found: Found, frame: LocalFrame, views: list[View], water: FlatWater | None, control: Control | None
 ) -> list[str]:
-    """Warnings about what is possible but more likely a mistake; a focal length comes first, as others follow from it.
+    """Warnings about probable mistakes; a focal length comes first, as others follow from it.
 
     What does not need poses was held against the GPS positions before structure from motion already.
     """
@@ -298,7 +298,7 @@ def _doubts(
 
 
 def _height_doubts(found: Found, frame: LocalFrame, views: list[View], over_water: Mapping[str, float]) -> list[str]:
-    """Warnings where heights of cameras over the water [m] and all else known of them can hardly belong together."""
+    """Warnings where heights of cameras over the water [m] contradict other heights."""
     if found.config.water is None:
         return []
     level_m, crs = found.config.water.known_level_m, frame.crs

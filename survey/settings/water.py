@@ -161,7 +161,7 @@ class WaterConfig:
 
     @property
     def says_index(self) -> bool:
-        """Whether anything is said of the index; else both it and its standard deviation are assumed."""
+        """Whether the index is given; else it and its standard deviation are assumed."""
         return not (self.refractive_index is None and self.medium.temperature_c is None and self.index_std is None)
 
     @property

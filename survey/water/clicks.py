@@ -99,7 +99,7 @@ def _clicks_by_place(path: Path, views: Sequence[View]) -> tuple[dict[str, list[
 
 
 def _level_of(clicks: Sequence[Click], frame: LocalFrame) -> LevelObservation | None:
-    """Where the rays of clicks meet, by least squares of pixels; None where they do not, or tell no height."""
+    """Intersection of the rays of clicks, by least squares of pixels; None where they do not meet or fix no height."""
     stds = np.array([std for _, _, std in clicks])
     met = intersect([view.camera for view, _, _ in clicks], np.array([pixel for _, pixel, _ in clicks]), stds, None)
     if met is None or not np.abs(met.residuals / stds[:, None]).max() < _MOST_MISS:

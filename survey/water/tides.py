@@ -38,7 +38,7 @@ _GRAZING_DEG = 70.0
 
 @dataclass(frozen=True)
 class Tide:
-    """How the level moved while photographs were taken.
+    """Level of the water over the time of the flight.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Tide:
 
     @property
     def matters(self) -> bool:
-        """Whether photographs have levels of their own, or one will do."""
+        """Whether photographs need levels of their own."""
         return self.shift_px > MOST_SHIFT_PX
 
 

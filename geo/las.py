@@ -53,6 +53,7 @@ def write_cloud(
     is_wet: np.ndarray,
     std_common_m: np.ndarray | None = None,
     classification: np.ndarray | None = None,
+    origin: np.ndarray | None = None,
 ) -> None:
     """Write a cloud as LAS 1.4, point format 7, whole or not at all; compressed if the suffix is .laz.
 
@@ -83,6 +84,8 @@ def write_cloud(
         not hold; "no data" where not given.
     classification : (N,) uint8, optional
         Other classes than those of ``is_wet``, e.g. with 45 (no bottom found) among them.
+    origin : (N,) uint8, optional
+        How each point was found, into the field for the user's data; 0 where not given.
 
     Raises
     ------
@@ -116,6 +119,8 @@ def write_cloud(
         las.synthetic[:] = 1
         las.classification[:] = classes[part]
         las.withheld[:] = np.asarray(std_m)[part] > WITHHELD_STD_M
+        if origin is not None:
+            las.user_data[:] = origin[part]
         # 257 maps 0..255 onto the whole of 0..65535.
         las.red, las.green, las.blue = np.asarray(rgb[part], dtype=np.uint16).T * np.uint16(257)
         for name, values in stored_extra(extra, part).items():

@@ -69,3 +69,18 @@ def test_images_are_worked_on_at_the_scale_that_is_asked_for_if_it_is_halvings(t
     assert "set by --image-scale" in next(d.reason for d in half.decisions if d.name == "image scale")
     with pytest.raises(SurveyError, match=r"image scale is 0.3, expected one of 1, 0.5, 0.25"):
         make_plan(survey, Choices(device="cpu", image_scale=0.3))
+
+
+@pytest.mark.parametrize(
+    ("options", "boxes", "said"),
+    [
+        ({}, True, "beside depth steps with holes"),
+        ({"field": "solver"}, False, "none"),
+        ({"field": "off"}, False, None),
+        ({"quality": "draft"}, False, None),
+    ],
+)
+def test_boxes_come_with_the_solver_unless_it_is_asked_for_by_name(tmp_path, options, boxes, said):
+    plan = make_plan(load_survey(small_survey(tmp_path / "s")), Choices(device="cpu", **options))
+    assert plan.boxes == boxes
+    assert {d.name: d.choice for d in plan.decisions}.get("boxes") == said

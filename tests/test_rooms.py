@@ -26,7 +26,7 @@ LAYERS = (
     {"refract", "geo", "evaluation/images", "fields"},
     {"fields/sweep/kernels"},
     {"evaluation", "fields/sweep", "fields/views", "fields/volume", "survey"},
-    {"fields/colour", "fields/slab", "fields/solver", "survey/files", "survey/display"},
+    {"fields/colour", "fields/occluded", "fields/slab", "fields/solver", "survey/files", "survey/display"},
     {"survey/photos", "survey/compare", "survey/mesh", "survey/settings"},
     {"survey/control", "survey/pose_files", "survey/simulate/flight", "survey/water"},
     {"survey/sfm"},

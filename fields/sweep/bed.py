@@ -39,6 +39,8 @@ class BedPoints:
     incidence : (N,) float32 [rad]
         Angle between the ray in air and the normal of the water (of local z in a dry survey).
     wet : (N,) bool
+    origin : (N,) uint8
+        1 of points that height maps have not (`fields.occluded`), else 0; 0 of all where not given.
     """
 
     xyz: np.ndarray
@@ -48,6 +50,11 @@ class BedPoints:
     depth: np.ndarray
     incidence: np.ndarray
     wet: np.ndarray
+    origin: np.ndarray = None  # type: ignore[assignment]
+
+    def __post_init__(self):
+        if self.origin is None:
+            object.__setattr__(self, "origin", np.zeros(len(self.xyz), dtype=np.uint8))
 
     def __len__(self) -> int:
         return len(self.xyz)

@@ -46,6 +46,8 @@ class Plan:
         The numbers of the quality, or of what an aim makes of it.
     field : "solver", "slab" or "off"
         What refines the heights of the sweep.
+    boxes : bool
+        Whether the bed beside and under edges is looked for in boxes: `fields.occluded`.
     device_asked : "auto", "cpu" or "cuda"
     poses : ("refine", "fixed" or "check", reason)
         Whether poses, lens and water are adjusted first, or only if a sample of photographs contradicts the poses.
@@ -62,6 +64,7 @@ class Plan:
     decisions: tuple[Decision, ...]
     recipe: Recipe = RECIPES["standard"]
     field: str = "off"
+    boxes: bool = False
     device_asked: str = "auto"
     poses: tuple[str, str] = ("fixed", "")
     skips: Skips = SKIPS
@@ -110,6 +113,7 @@ def make_plan(survey: Survey, chosen: Choices = USUAL, *, recipe: Recipe | None 
         *_level(survey),
         field,
         finer_passes(field.choice, skips, aimed=quality == AIMED),
+        *_boxes(field.choice, asked=chosen.field, aimed=quality == AIMED),
         image_decision(cameras[0], scale, quality, recipe, asked=chosen.image_scale is not None),
         *_ground(survey, height),
         Decision("range of heights", *in_words(survey, height)),
@@ -126,6 +130,7 @@ def make_plan(survey: Survey, chosen: Choices = USUAL, *, recipe: Recipe | None 
         decisions,
         recipe,
         field=field.choice,
+        boxes=has_boxes(field.choice, chosen.field, aimed=quality == AIMED),
         device_asked=chosen.device,
         poses=(poses.choice, poses.reason),
         skips=skips,
@@ -150,6 +155,24 @@ def _field(quality: str, recipe: Recipe, field: str) -> Decision:
         "solver": "least squares over all photographs: less noise, and the standard deviation of each height",
     }
     return Decision("field", chosen, reasons[chosen])
+
+
+def has_boxes(field: str, asked: str, *, aimed: bool) -> bool:
+    """Whether a run looks for the bed in boxes: with the solver, unless it was asked for by name, or has an aim."""
+    return field == "solver" and asked == "auto" and not aimed
+
+
+def _boxes(field: str, *, asked: str, aimed: bool) -> tuple[Decision, ...]:
+    """Where photographs are compared pixel by pixel; nothing to say without the solver."""
+    if field != "solver":
+        return ()
+    if not has_boxes(field, asked, aimed=aimed):
+        return (Decision("boxes", "none", "a run with an aim has none" if aimed else "set by --field solver"),)
+    reason = (
+        "windows cover both an edge and the bed beside it, single pixels do not; a box of some metres takes about a "
+        "second, and there are none where the cloud has no holes"
+    )
+    return (Decision("boxes", "beside depth steps with holes", reason),)
 
 
 def device_decision(device: str) -> Decision:

@@ -161,6 +161,11 @@ class Job:
         return None if area is None else grown(area, AREA_MARGIN_M)
 
     @property
+    def own_ground(self) -> Area | None:
+        """The same, without what a tile shares with others."""
+        return self.ground
+
+    @property
     def swept_ground(self) -> Area | None:
         """The same, of the heights that the sweep finds."""
         return self.ground if self.plan.skips.area else None
@@ -220,6 +225,7 @@ class Job:
             "skips": lambda: plan.skips,
             "refined": lambda: plan.refines_points_only,
             "coverage": lambda: plan.recipe.times_seen,
+            "boxes": lambda: plan.boxes,
             "rays": lambda: plan.recipe.rays_per_cell,
             "device": lambda: plan.device,
             "ties": lambda: survey.observations.ties,

@@ -128,7 +128,7 @@ STAGES = (
     Stage(
         name="bed",
         needs=("adjust", "sweep", "solver", "field"),
-        depends_on=(*_VIEWS, "water_settings", "priors", "area", "frame", "name", "gsd", "true_colour"),
+        depends_on=(*_VIEWS, "water_settings", "priors", "area", "frame", "name", "gsd", "true_colour", "boxes"),
         leaves=FILES,
         compute=make_bed,
     ),

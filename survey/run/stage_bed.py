@@ -16,6 +16,7 @@ from survey.adjust.std_common import BASIS_ADJUSTED, BASIS_STATED, std_common
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.plan.block import backend
+from survey.run.occluded import with_occluded
 from survey.run.points import adjustment_of, bed_points, is_placed, with_std_of_block
 from survey.run.stage_solver import SOLVED
 from survey.run.stage_sweep import MAPS, look_at_bed
@@ -45,7 +46,7 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
 
 
 def points_of_bed(job: Job, needs: Mapping[str, Path]) -> BedPoints:
-    """Points of the bed in their colours, with the std of their own."""
+    """Points of the bed in their colours, with the std of their own; of the boxes, too, where the plan has them."""
     survey = job.survey
     maps = Stored(needs["sweep"] / MAPS, HeightMap)
     field = _field_of(job, needs["field"]) if "field" in needs else None
@@ -55,6 +56,8 @@ def points_of_bed(job: Job, needs: Mapping[str, Path]) -> BedPoints:
     with job.progress.stage("Bed of the sweep alone" if is_of_sweep else "Bed", len(maps)) as stage:
         kept = job.once(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m))
         bed, tide, moved = bed_points(job, maps, field, stage.advance, solved, kept)
+    if solved is not None and job.plan.boxes and len(bed):
+        bed, tide = with_occluded(job, maps, solved, bed, tide)
     if field is not None:
         job.progress.detail(f"{moved:,} of {len(bed):,} points have the field's height")
     if job.chosen.true_colour and len(bed):

@@ -96,6 +96,11 @@ class TileJob(Job):
         return self._tiling.ground(self.number, self._tiling.rim)
 
     @property
+    def own_ground(self) -> Area:
+        """The same as `cell`."""
+        return self.cell
+
+    @property
     def swept_ground(self) -> Area:
         """The same."""
         return self.ground

@@ -1,0 +1,1 @@
+"""Bed beside and below the edges of what stands over it, where no window of the sweep fits between them."""

@@ -1,0 +1,168 @@
+"""Points of the bed in holes of a cloud, where photographs agree on colours and heights."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.ndimage import binary_dilation
+
+from fields.occluded.consensus import Colours, consensus, windowed
+from fields.occluded.holes import Holes
+from fields.occluded.sightings import Sighting
+
+# Heights over the layer: steps of the search, how far it goes, and how far the layer may be off, beyond the roughness
+# of the bed (standard deviation): in ground sampling distances.
+_STEP_GSD, REACH_GSD, _PRIOR_GSD = 1.0, 4.0, 2.0
+_ROUNDS = 3
+# Windows of heights, of so many cells on each side, and which share of them counts: neighbours see the same errors.
+_WINDOW, _INDEPENDENT = 15, 0.012
+# Photographs that are compared: those that may show most. The time grows with the square of their number.
+_MOST_VIEWS = 20
+# Photographs that have to agree on a point, and cells that have to hang together.
+LEAST_VIEWS, _LEAST_CELLS = 3, 6
+# Fewest cells for the gain of a photograph, and photographs for a mean.
+_LEAST_SHOWN, _LEAST_MEAN = 100, 3
+_GAINS = (0.6, 1.6)
+# Quantisation alone has 0.3.
+_LEAST_NOISE = 0.5
+
+
+@dataclass(frozen=True)
+class FoundPoints:
+    """Points of the bed; N of them.
+
+    Attributes
+    ----------
+    xyz : (N, 3) [m], local
+    rgb : (N, 3) uint8
+        By the steepest photograph that shows the point.
+    std : (N,) float32 [m]
+        Standard deviation of the height.
+    num_views : (N,) uint8
+    incidence : (N,) float32 [rad]
+        Of the ray in air of that photograph.
+    view : (N,)
+        That photograph.
+    """
+
+    xyz: np.ndarray
+    rgb: np.ndarray
+    std: np.ndarray
+    num_views: np.ndarray
+    incidence: np.ndarray
+    view: np.ndarray
+
+
+def points_of_holes(holes: Holes, sightings: Sequence[Sighting]) -> FoundPoints | None:
+    """Points where photographs agree in holes beside what stands over the layer; None where none do."""
+    if len(sightings) < LEAST_VIEWS:
+        return None
+    wanted = holes.are_holes & np.any([each.beside for each in sightings], axis=0)
+    if len(sightings) > _MOST_VIEWS:
+        shown = [int((wanted & each.is_inside & ~each.hidden).sum()) for each in sightings]
+        sightings = [sightings[k] for k in np.sort(np.argsort(shown, kind="stable")[-_MOST_VIEWS:])]
+    alike = _Alike.of(sightings) if wanted.any() else None
+    if alike is None:
+        return None
+    context = binary_dilation(wanted, iterations=_WINDOW // 2)
+    use = np.stack([each.is_inside & ~each.hidden & context for each in sightings])
+    height, step = np.zeros(holes.shape), _STEP_GSD * holes.gsd
+    prior = 1.0 / ((_PRIOR_GSD * holes.gsd) ** 2 + holes.roughness**2)
+    members = consensus(alike.colours(sightings, height, use)).members
+    for _ in range(_ROUNDS):
+        low, middle, high = (_misfit(alike.colours(sightings, height + d, use), members) for d in (-step, 0.0, step))
+        slope, bend = (high - low) / (2.0 * step), np.maximum(low + high - 2.0 * middle, 0.0) / (2.0 * step**2)
+        # The misfit is twice the negative logarithm of the likelihood.
+        information = bend + prior
+        height = height - np.clip((0.5 * slope + prior * height) / information, -step, step)
+    members = consensus(alike.colours(sightings, height, use)).members
+    kept = _hang_together(wanted & (members.sum(axis=0) >= LEAST_VIEWS))
+    if not kept.any():
+        return None
+    std = np.sqrt(1.0 / information + holes.roughness**2)
+    return _found(holes, sightings, kept, height, std, members)
+
+
+def _misfit(colours: Colours, members: np.ndarray) -> np.ndarray:
+    """Sum of squares (rows, columns) of the differences of the members (K, rows, columns) from their mean, in windows.
+
+    In variances of the noise; of as many cells as are independent of each other.
+    """
+    share = members.astype(np.float32)[..., None]
+    mean = (share * colours.values).sum(axis=0) / np.maximum(share.sum(axis=0), 1.0)
+    square = (share * (colours.values - mean) ** 2 / colours.noise**2).sum(axis=0).mean(axis=-1)
+    known = members.sum(axis=0) >= 2
+    cells = cv2.blur(known.astype(np.float32), (_WINDOW, _WINDOW), borderType=cv2.BORDER_CONSTANT) * _WINDOW**2
+    return windowed(square, known, _WINDOW) * _INDEPENDENT * cells
+
+
+def _hang_together(cells: np.ndarray) -> np.ndarray:
+    """Cells (rows, columns) bool that touch enough others: a chance agreement stands alone."""
+    _, label, stats, _ = cv2.connectedComponentsWithStats(cells.astype(np.uint8), connectivity=8)
+    return cells & (stats[:, cv2.CC_STAT_AREA] >= _LEAST_CELLS)[label]
+
+
+@dataclass(frozen=True)
+class _Alike:
+    """Gain and offset (K, 3) of each photograph against the mean of all, and the noise (3,) of one."""
+
+    gain: np.ndarray
+    offset: np.ndarray
+    noise: np.ndarray
+
+    @staticmethod
+    def of(sightings: Sequence[Sighting]) -> _Alike | None:
+        """From what photographs show for sure; None where that is too little."""
+        values = np.stack([each.colours(0.0) for each in sightings])
+        shown = np.stack([each.shown & each.is_inside for each in sightings])
+        values[~shown] = 0.0
+        count = shown.sum(axis=0)
+        mean, common = values.sum(axis=0) / np.maximum(count, 1)[..., None], count >= _LEAST_MEAN
+        gain, offset = np.ones((len(values), 3), np.float32), np.zeros((len(values), 3), np.float32)
+        residuals = []
+        for number, mask in enumerate(shown & common):
+            if mask.sum() < _LEAST_SHOWN:
+                continue
+            here, there = mean[mask], values[number][mask]
+            about = here - here.mean(axis=0)
+            slope = (about * there).sum(axis=0) / np.maximum((about**2).sum(axis=0), 1e-6)
+            gain[number] = np.clip(slope, *_GAINS)
+            offset[number] = there.mean(axis=0) - gain[number] * here.mean(axis=0)
+            residuals.append((there - offset[number]) / gain[number] - here)
+        if not residuals:
+            return None
+        noise = 1.4826 * np.median(np.abs(np.concatenate(residuals)), axis=0)
+        return _Alike(gain, offset, np.maximum(noise, _LEAST_NOISE))
+
+    def colours(self, sightings: Sequence[Sighting], height: np.ndarray | float, use: np.ndarray) -> Colours:
+        """What the photographs show at heights over the layer, made alike."""
+        values = np.stack([each.colours(height) for each in sightings])
+        values = (values - self.offset[:, None, None]) / self.gain[:, None, None]
+        return Colours(np.where(use[..., None], values, np.float32(0.0)), use, self.noise)
+
+
+def _found(
+    holes: Holes,
+    sightings: Sequence[Sighting],
+    kept: np.ndarray,
+    height: np.ndarray,
+    std: np.ndarray,
+    members: np.ndarray,
+) -> FoundPoints:
+    xyz = holes.points[kept].copy()
+    xyz[:, 2] += height[kept]
+    incidence, seen = np.array([each.incidence for each in sightings]), members[:, kept]
+    order = np.argsort(incidence)
+    steepest = order[seen[order].argmax(axis=0)]
+    rgb = np.stack([each.colours(height)[kept] for each in sightings])[steepest, np.arange(len(xyz))]
+    return FoundPoints(
+        xyz,
+        np.rint(np.nan_to_num(rgb)).astype(np.uint8),
+        std[kept].astype(np.float32),
+        seen.sum(axis=0).astype(np.uint8),
+        incidence[steepest].astype(np.float32),
+        np.array([each.view for each in sightings])[steepest],
+    )

@@ -1,0 +1,75 @@
+"""Holes of a cloud in the layer of a box."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from fields.occluded.boxes import CONTEXT_GSD, MARGIN_GSD, Box
+from fields.occluded.layer import BedLayer
+
+# A cell has a point of the cloud within so many ground sampling distances in plan, and in height.
+_NEAR_GSD, _LEVEL_GSD = 1.5, 4.0
+# Fewest cells that are worth a look.
+_LEAST_CELLS = 10
+
+
+@dataclass(frozen=True)
+class Holes:
+    """Cells of a layer without a point of the cloud, and the cells about them.
+
+    Attributes
+    ----------
+    points : (rows, columns, 3) [m], local
+        Of the layer; its height is NaN far from the bed.
+    are_holes : (rows, columns) bool
+    gsd, roughness : [m]
+        Side of a cell; standard deviation of the bed from the layer.
+    """
+
+    points: np.ndarray
+    are_holes: np.ndarray
+    gsd: float
+    roughness: float
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.are_holes.shape
+
+    @cached_property
+    def corners(self) -> np.ndarray:
+        """Points (N, 3) at the border of what is known of the layer, for a first look at who sees it."""
+        known = self.points[np.isfinite(self.points[..., 2])]
+        east, north = known[:, 0], known[:, 1]
+        return known[[east.argmin(), east.argmax(), north.argmin(), north.argmax(), len(known) // 2]]
+
+    @staticmethod
+    def of(box: Box, cloud: np.ndarray, area: tuple[float, float, float, float] | None) -> Holes | None:
+        """Those of a cloud (N, 3) [m] in a box and an area (x0, y0, x1, y1); None where few, or no bed is known."""
+        x, y = box.places
+        inside = np.zeros(x.shape, dtype=bool)
+        inside[MARGIN_GSD:-MARGIN_GSD, MARGIN_GSD:-MARGIN_GSD] = True
+        if area is not None:
+            inside &= (x >= area[0]) & (y >= area[1]) & (x <= area[2]) & (y <= area[3])
+        near = cloud[box.around(cloud, CONTEXT_GSD)]
+        if not inside.any() or not len(near):
+            return None
+        layer = BedLayer.of(box, near)
+        if layer is None:
+            return None
+        points = np.stack([x, y, layer.at(x, y)], axis=-1)
+        inside &= np.isfinite(points[..., 2])
+        # What lies over or under a cell by what heights may be off is on the layer, too.
+        flat, reach = np.array([1.0, 1.0, _NEAR_GSD / _LEVEL_GSD]), _NEAR_GSD * box.gsd
+        distance, _ = cKDTree(near * flat).query(points[inside] * flat, distance_upper_bound=reach)
+        holes = np.zeros(x.shape, dtype=bool)
+        holes[inside] = np.isinf(distance)
+        if holes.sum() < _LEAST_CELLS:
+            return None
+        part = tuple(
+            slice(max(index.min() - MARGIN_GSD, 0), index.max() + MARGIN_GSD + 1) for index in np.nonzero(holes)
+        )
+        return Holes(points[part], holes[part], box.gsd, layer.roughness)

@@ -1,0 +1,126 @@
+"""Points of the bed that edges hide from the windows of the sweep, found in boxes beside depth steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from fields.occluded.agreement import REACH_GSD, FoundPoints, points_of_holes
+from fields.occluded.boxes import boxes_about, step_places
+from fields.occluded.holes import Holes
+from fields.occluded.sightings import Sighting, sighting_of
+from fields.sweep.bed import BedPoints
+from fields.sweep.block import Block
+from fields.sweep.maps import HeightMap
+
+# Boxes whose photographs are in memory together, of about 10 MB each, and threads.
+_TOGETHER, _THREADS = 8, 2
+# Most boxes, beside one for each map: those with the most holes, so that they take a share of the time of the sweep.
+_MOST_BOXES = 64
+
+
+@dataclass(frozen=True)
+class OccludedBed:
+    """What was found beside and under edges.
+
+    Attributes
+    ----------
+    points : BedPoints
+    view : (N,)
+        That shows each steepest.
+    num_boxes, num_left_out : int
+        In which the cloud has holes, and how many more do; see `_MOST_BOXES`.
+    """
+
+    points: BedPoints
+    view: np.ndarray
+    num_boxes: int
+    num_left_out: int = 0
+
+
+def find_occluded(
+    block: Block,
+    maps: Sequence[HeightMap],
+    photograph: Callable[[int], np.ndarray],
+    cloud: np.ndarray,
+    gsd: float,
+    area: tuple[float, float, float, float] | None = None,
+    advance: Callable[[float], None] = lambda _share: None,
+) -> OccludedBed:
+    """Points of the bed in holes of a cloud beside depth steps.
+
+    There the windows of the sweep cover both the edge and the bed beside it. The bed about a hole is carried on as a
+    smooth layer; where three photographs show the same colours on it, it is seen, and its height over the layer is
+    that at which they agree best.
+
+    Parameters
+    ----------
+    block : Block
+    maps : sequence of HeightMap
+        With the heights of the solver.
+    photograph : callable
+        RGB (height, width, 3) uint8 of a view by its number.
+    cloud : (N, 3) [m], local
+    gsd : [m]
+        Ground sampling distance.
+    area : (x0, y0, x1, y1) [m], local, optional
+        Where points are wanted.
+    advance : callable
+        Gets the share of the work that is done since the last call.
+    """
+    views, places = [], []
+    for m in maps:
+        views.append(m.view)
+        places.append(step_places(block.cameras[m.view], block.water, m, gsd))
+    boxes = boxes_about(places, gsd)
+    points: list[FoundPoints] = []
+    with ThreadPoolExecutor(_THREADS) as pool:
+        looked_at = pool.map(lambda box: Holes.of(box, cloud, area), boxes)
+        with_holes = [holes for holes in looked_at if holes is not None]
+        most = max(_MOST_BOXES, len(views))
+        order = sorted(range(len(with_holes)), key=lambda k: -int(with_holes[k].are_holes.sum()))
+        found = [with_holes[k] for k in sorted(order[:most])]
+        for first in range(0, len(found), _TOGETHER):
+            part = found[first : first + _TOGETHER]
+            seen = _sightings(block, maps, views, photograph, part)
+            points += [each for each in pool.map(points_of_holes, part, seen) if each is not None]
+            advance(len(part) / len(found))
+    return replace(_together(block, points, len(found)), num_left_out=len(with_holes) - len(found))
+
+
+def _sightings(
+    block: Block,
+    maps: Sequence[HeightMap],
+    views: Sequence[int],
+    photograph: Callable[[int], np.ndarray],
+    found: Sequence[Holes],
+) -> list[list[Sighting]]:
+    """What the photographs show of some holes, one photograph after the other."""
+    seen: list[list[Sighting]] = [[] for _ in found]
+    for number, view in enumerate(views):
+        camera = block.cameras[view]
+        shown = [camera.sees(camera.project(holes.corners, block.water)).any() for holes in found]
+        if not any(shown):
+            continue
+        rgb, known, height_map = photograph(view), np.isfinite(block.images[view]), maps[number]
+        for target, holes, is_shown in zip(seen, found, shown, strict=True):
+            if is_shown:
+                reach = REACH_GSD * holes.gsd
+                sighting = sighting_of(view, camera, block.water, rgb, known, height_map, holes, reach)
+                target += [] if sighting is None else [sighting]
+    return seen
+
+
+def _together(block: Block, parts: Iterable[FoundPoints], num_boxes: int) -> OccludedBed:
+    parts = list(parts)
+    if not parts:
+        return OccludedBed(BedPoints.empty(), np.empty(0, dtype=np.int32), num_boxes)
+    columns = {f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(FoundPoints)}
+    xyz, view, water = columns["xyz"], columns.pop("view").astype(np.int32), block.water
+    depth = np.full(len(xyz), np.nan) if water is None else water.height(xyz[:, 0], xyz[:, 1]) - xyz[:, 2]
+    # Of those that are not, NaN compares false.
+    points = BedPoints(**columns, depth=depth.astype(np.float32), wet=depth > 0.0, origin=np.ones(len(xyz), np.uint8))
+    return OccludedBed(points, view, num_boxes)

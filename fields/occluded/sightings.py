@@ -1,0 +1,125 @@
+"""What the photographs show of the layer about holes, at several heights, and what their height maps say there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from fields.occluded.holes import Holes
+from fields.sweep.maps import HeightMap, trusted
+from refract import FlatWater, PinholeCamera
+
+# Pixels at the border of a photograph that are not used.
+_RIM_PX = 1.5
+# Least share of the cells that a photograph shows.
+_LEAST_SHARE = 0.05
+# Heights over the layer, in ground sampling distances: what stands on it, and what is the layer itself.
+_ABOVE_GSD, _ON_GSD = 7.0, 3.0
+# An edge is located to so many cells: by the windows of the sweep. What stands over the layer hides it for sure so far
+# inside its edge, and shows it for sure so far outside.
+_HIDDEN_CELLS, _SHOWN_CELLS = 6, 3
+# What is narrower than this on both sides of its middle are strays of the height map.
+_STRAY_CELLS = 2
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """One photograph of holes; arrays (rows, columns, ...) of their cells.
+
+    Attributes
+    ----------
+    view : int
+    rgb : (height, width, 3) uint8
+        The part of the photograph that shows them.
+    start, change : (rows, columns, 2) float32
+        Pixel in that part where the layer is seen, and how it moves with the height [1/m].
+    is_inside : (rows, columns) bool
+    hidden, shown, beside : (rows, columns) bool
+        Where the height map says for sure that the layer is hidden, or seen, and where something stands near.
+    incidence : [rad]
+        Of the ray in air, in the middle.
+    """
+
+    view: int
+    rgb: np.ndarray
+    start: np.ndarray
+    change: np.ndarray
+    is_inside: np.ndarray
+    hidden: np.ndarray
+    shown: np.ndarray
+    beside: np.ndarray
+    incidence: float
+
+    def colours(self, height: np.ndarray | float) -> np.ndarray:
+        """Stored values (rows, columns, 3) float32 at heights (rows, columns) [m] over the layer; NaN outside."""
+        at = self.start + np.asarray(height, dtype=np.float32)[..., None] * self.change
+        values = cv2.remap(self.rgb, at[..., 0], at[..., 1], cv2.INTER_LINEAR).astype(np.float32)
+        values[~self.is_inside] = np.nan
+        return values
+
+
+def sighting_of(
+    view: int,
+    camera: PinholeCamera,
+    water: FlatWater | None,
+    rgb: np.ndarray,
+    known: np.ndarray,
+    height_map: HeightMap,
+    holes: Holes,
+    reach: float,
+) -> Sighting | None:
+    """What a photograph shows of holes and the layer about them; None where that is too little.
+
+    Parameters
+    ----------
+    rgb, known : (height, width, 3) uint8, (height, width) bool
+        The photograph, and its pixels that are not masked.
+    reach : [m]
+        How far over and under the layer colours are asked for.
+    """
+    points = holes.points.reshape(-1, 3)
+    up = np.array([0.0, 0.0, reach])
+    low, high = (camera.project(each, water) for each in (points - up, points + up))
+    middle = 0.5 * (low + high)
+    size = np.array([camera.width, camera.height])
+    # Comparisons with what is not known are false: the layer has no height far from the bed.
+    inside = np.all([((each > _RIM_PX) & (each < size - _RIM_PX)).all(axis=-1) for each in (low, high)], axis=0)
+    if inside.mean() < _LEAST_SHARE:
+        return None
+    shape = holes.shape
+    pixel = np.where(inside[:, None], middle, 0.0)
+    column, row = np.floor(pixel).astype(np.int64).T
+    reached = np.stack([low[inside], high[inside]])
+    x0, y0 = np.maximum(np.floor(reached.min(axis=(0, 1))).astype(int) - 2, 0)
+    x1, y1 = np.ceil(reached.max(axis=(0, 1))).astype(int) + 3
+    over = np.where(inside, height_map.height[row, column] - _height(points, water), 0.0)
+    sure = trusted(height_map)[row, column] & inside
+    standing = (inside & (over > _ABOVE_GSD * holes.gsd)).reshape(shape).astype(np.uint8)
+    standing = cv2.morphologyEx(standing, cv2.MORPH_OPEN, _disc(_STRAY_CELLS))
+    beside = cv2.dilate(standing, _disc(_SHOWN_CELLS)) > 0
+    on_layer = (sure & (np.abs(over) < _ON_GSD * holes.gsd)).reshape(shape)
+    is_inside = (inside & known[row, column]).reshape(shape)
+    ray = camera.paths(np.mean(middle[inside], axis=0)[None], water).air_direction[0]
+    normal = np.array(water.up if water else (0.0, 0.0, 1.0))
+    return Sighting(
+        view,
+        rgb[y0:y1, x0:x1],
+        (pixel - (x0 + 0.5, y0 + 0.5)).reshape(*shape, 2).astype(np.float32),
+        (np.where(inside[:, None], high - low, 0.0) / (2.0 * reach)).reshape(*shape, 2).astype(np.float32),
+        is_inside,
+        (cv2.erode(standing, _disc(_HIDDEN_CELLS)) > 0) & is_inside,
+        on_layer & ~beside,
+        beside & is_inside,
+        float(np.arccos(np.clip(-(ray @ normal), -1.0, 1.0))),
+    )
+
+
+def _height(points: np.ndarray, water: FlatWater | None) -> np.ndarray:
+    """Heights (N,) [m] of points over the water plane, or over local z = 0."""
+    return points[:, 2] if water is None else (points - np.array(water.point)) @ np.array(water.up)
+
+
+def _disc(radius: int) -> np.ndarray:
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))

@@ -78,13 +78,13 @@ class XmpPlace:
 
 @dataclass(frozen=True)
 class Motion:
-    """Attitudes, speed and shutter at an exposure; None where XMP does not have them.
+    """Attitude, speed and shutter at an exposure; None where XMP does not have them.
 
     Attributes
     ----------
-    gimbal_deg, flight_deg : (yaw, pitch, roll) [deg] or None
-        Of the camera and of the drone: turned in this order from north, east, down; yaw from true north. A camera
-        with the pitch -90 looks straight down.
+    gimbal_deg : (yaw, pitch, roll) [deg] or None
+        Of the camera: turned in this order from north, east, down; yaw from true north. With the pitch -90 it looks
+        straight down.
     speed : (east, north, up) [m/s] or None
         Over ground. XMP counts it north, east, down.
     is_mechanical : bool
@@ -92,7 +92,6 @@ class Motion:
     """
 
     gimbal_deg: tuple[float, float, float] | None = None
-    flight_deg: tuple[float, float, float] | None = None
     speed: tuple[float, float, float] | None = None
     is_mechanical: bool = False
 
@@ -189,11 +188,10 @@ def _on_earth(place: XmpPlace) -> XmpPlace | None:
 
 
 def motion_of(xmp: str) -> Motion:
-    """Attitudes, speed and shutter, as far as XMP has them."""
+    """Attitude, speed and shutter, as far as XMP has them."""
     speed = _three(xmp, _DJI, "FlightYSpeed", "FlightXSpeed", "FlightZSpeed")
     return Motion(
         gimbal_deg=_camera_angles(xmp),
-        flight_deg=_angles(xmp, "Flight{}Degree", _DJI, _AUTEL),
         speed=None if speed is None else (speed[0], speed[1], 0.0 - speed[2]),
         is_mechanical=_MECHANICAL.search(xmp) is not None,
     )

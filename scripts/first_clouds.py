@@ -29,7 +29,7 @@ HOME, USER = "/home/you", 1000
 LEVEL = "584.2"
 # The true bed less 30 cm at its edge.
 BOUNDS = "676115.3 5311475.8 676124.7 5311484.2"
-# Longer output is cut in the middle: so many of its first and last lines stay.
+# Longer output is cut in the middle: so many of its first (of process, one) and last lines stay.
 HEAD, TAIL = 11, 6
 # Of surveys after the first: the lines of init that differ, and so many of the last lines of process.
 END = 4
@@ -113,12 +113,12 @@ def try_survey(root: Path, name: str, seen: set[str]) -> str:
     shown = [f"## {title}\n\n{what}\n"]
     for verb, command in zip(("init", "check", "process"), commands, strict=True):
         text = run(root, command)
-        lines = cut(text)
+        lines = cut(text, 1 if verb == "process" else HEAD)
         if verb == "init":
             lines, known = fresh(lines, seen), set(lines)
             seen |= known
         elif not is_first:
-            lines = ["...", *cut(text)[-END:]] if verb == "process" else []
+            lines = ["...", *lines[-END:]] if verb == "process" else []
         if lines:
             shown.append(f"    $ {command}\n" + indented(lines))
     return "\n".join(shown)
@@ -154,11 +154,11 @@ def fresh(lines: list[str], seen: set[str]) -> list[str]:
     return out
 
 
-def cut(text: str) -> list[str]:
-    """The lines of a transcript without times of the day, the middle of a long one left out."""
+def cut(text: str, head: int) -> list[str]:
+    """The lines of a transcript without times of the day, of a long one the first ``head`` and the last."""
     lines = [re.sub(r"^\d{4}-\d\d-\d\d \d\d:\d\d:\d\d ", "", line.rstrip()) for line in text.splitlines()]
-    if len(lines) > HEAD + TAIL + 2:
-        return [*lines[:HEAD], f"... ({len(lines) - HEAD - TAIL} lines)", *lines[-TAIL:]]
+    if len(lines) > head + TAIL + 2:
+        return [*lines[:head], f"... ({len(lines) - head - TAIL} lines)", *lines[-TAIL:]]
     return lines
 
 

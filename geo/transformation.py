@@ -10,6 +10,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass, field
 from functools import lru_cache
+from threading import get_ident
 
 import numpy as np
 from pyproj import CRS, Transformer, datadir
@@ -193,7 +194,8 @@ def operations(source: CRS | str, target: CRS | str, area: AreaOfInterest | None
         If it knows none.
     """
     # Folders of grids that are added later count; PROJ takes some 10 ms to search, and is asked the same often.
-    return _operations(_text(source), _text(target), area, datadir.get_data_dir())
+    # Transformers of a group must not be shared by threads.
+    return _operations(_text(source), _text(target), area, datadir.get_data_dir(), get_ident())
 
 
 def _text(crs: CRS | str) -> str:
@@ -201,7 +203,7 @@ def _text(crs: CRS | str) -> str:
 
 
 @lru_cache(maxsize=64)
-def _operations(source: str, target: str, area: AreaOfInterest | None, _folders: str) -> TransformerGroup:
+def _operations(source: str, target: str, area: AreaOfInterest | None, _folders: str, _thread: int) -> TransformerGroup:
     with warnings.catch_warnings():
         # pyproj warns of missing grids, which callers name in their own words.
         warnings.simplefilter("ignore", UserWarning)

@@ -22,10 +22,11 @@ class Device(StrEnum):
 
 
 class Field(StrEnum):
-    """What refines the heights of the sweep: as the plan decides, least squares, the trained slab, or nothing."""
+    """What refines the heights of the sweep: as the plan decides, least squares, with boxes, the slab, or nothing."""
 
     auto = "auto"
     solver = "solver"
+    boxes = "boxes"
     slab = "slab"
     off = "off"
 

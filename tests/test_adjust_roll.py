@@ -118,7 +118,11 @@ def test_the_standard_deviation_by_a_profile_is_that_of_its_wider_side():
     flatter = [(angle, rise if angle > 0.0 else 0.64 * rise) for angle, rise in parabola]
     assert std_by_profile(flatter) == pytest.approx(math.radians(5.0))
     # A side that never rises tells nothing.
-    assert std_by_profile([(angle, max(rise, 0.0) * (angle > 0.0)) for angle, rise in parabola]) == math.radians(20.0)
+    one_side = [(angle, rise * (angle > 0.0)) for angle, rise in parabola]
+    assert std_by_profile(one_side) == math.radians(20.0)
+    # One on which an adjustment failed tells nothing, but for both.
+    assert std_by_profile(one_side, are_whole=(True, False)) == pytest.approx(math.radians(4.0))
+    assert std_by_profile([], are_whole=(False, False)) == math.radians(20.0)
 
 
 @pytest.mark.slow

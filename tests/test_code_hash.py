@@ -84,10 +84,9 @@ def test_a_stage_depends_on_no_other_code(copy, first, edit):
     # Comments, docstrings and empty lines decide nothing.
     edit("fields/sweep/fusion.py", "PEERS = 12", "# Some views.\n\nPEERS = 12  # views")
     edit("fields/sweep/sweep.py", '"""Refractive plane sweep', '"""The plane sweep')
-    # Nor does code that a stage never reaches: other fields, reports, the reading of folders.
+    # Nor does code that a stage never reaches: other fields, reports, recipes.
     edit("fields/volume/sdf.py", *A_LINE)
     edit("survey/report/page.py", *A_LINE)
-    edit("survey/folder/infer.py", *A_LINE)
     edit("survey/plan/recipe.py", "(4, 4)", "(5, 4)")
     assert hashes_in(copy) == first
 

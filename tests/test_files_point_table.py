@@ -191,7 +191,7 @@ def test_degrees_beside_grid_coordinates_have_no_unit_in_plan(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["wse", "WSE (m)", "water_level", "Water_Surface_Elevation"])
-@pytest.mark.parametrize("level", [None, 100.0])
+@pytest.mark.parametrize("level", [None, 1900.0])
 def test_depths_count_down_from_the_level_that_the_table_has_beside_them(tmp_path, name, level):
     path, unit = tmp_path / "points.csv", " (m)" if "(m)" in name else ""
     written(path, ["x", "y", name, f"depth{unit}"], [[10.5, 20.5, 582.25, 1.5], [11.5, 20.5, 582.0, 1.5]], ",")
@@ -213,3 +213,13 @@ def test_a_comment_names_columns_as_programs_write_it(tmp_path, mark):
     path.write_text(f"{mark}X Y Z R G B\n10.5 20.5 30.25 1 2 3\n")
     (row,) = read_points(path, by_place=True, error=SurveyError)
     assert [row.number(name) for name in ("easting", "northing", "height")] == [10.5, 20.5, 30.25]
+
+
+def test_levels_of_another_datum_than_that_of_the_water_are_refused_and_those_beside_heights_are_not_read(tmp_path):
+    path = tmp_path / "points.csv"
+    written(path, ["x", "y", "depth", "water_level"], [[1.0, 2.0, 0.5, 0.85]], ",")
+    with pytest.raises(SurveyError, match=r"levels of the water about 0.85 .* the water stands at 584.2"):
+        read_points(path, level=584.2, error=SurveyError)
+    written(path, ["x", "y", "height", "wse", "water_level"], [[1.0, 2.0, 0.5, 0.85, 0.9]], ",")
+    (row,) = read_points(path, level=584.2, error=SurveyError)
+    assert row.number("height") == 0.5

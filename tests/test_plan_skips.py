@@ -74,13 +74,16 @@ def test_images_are_worked_on_at_the_scale_that_is_asked_for_if_it_is_halvings(t
 @pytest.mark.parametrize(
     ("options", "boxes", "said"),
     [
-        ({}, True, "beside depth steps with holes"),
-        ({"field": "solver"}, False, "none"),
+        ({}, False, None),
+        ({"field": "boxes"}, True, "beside depth steps with holes"),
+        ({"field": "boxes", "quality": "draft"}, True, "beside depth steps with holes"),
+        ({"field": "solver"}, False, None),
         ({"field": "off"}, False, None),
         ({"quality": "draft"}, False, None),
     ],
 )
-def test_boxes_come_with_the_solver_unless_it_is_asked_for_by_name(tmp_path, options, boxes, said):
+def test_boxes_come_with_the_solver_where_they_are_asked_for(tmp_path, options, boxes, said):
     plan = make_plan(load_survey(small_survey(tmp_path / "s")), Choices(device="cpu", **options))
     assert plan.boxes == boxes
+    assert plan.field == "solver" or not boxes
     assert {d.name: d.choice for d in plan.decisions}.get("boxes") == said

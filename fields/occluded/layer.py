@@ -73,7 +73,8 @@ def _lowest(box: Box, points: np.ndarray) -> np.ndarray:
     size = (SIDE_GSD + 2 * CONTEXT_GSD) // _CELL_GSD
     cell = _CELL_GSD * box.gsd
     column, row = (
-        ((points[:, axis] - corner) / cell + CONTEXT_GSD / _CELL_GSD).astype(np.int64)
+        # Rounding may put a point beside the upper edge.
+        ((points[:, axis] - corner) / cell + CONTEXT_GSD / _CELL_GSD).astype(np.int64).clip(0, size - 1)
         for axis, corner in enumerate((box.x, box.y))
     )
     index, z = row * size + column, points[:, 2]

@@ -34,8 +34,8 @@ _OPEN = math.radians(20.0)
 Held = tuple[float, float, State]
 
 
-def with_profile(problem: Problem, solution: Solution, inflation: np.ndarray, roll: Roll) -> Solution:
-    """The solution of least cost over a roll, with the standard deviation of that by its profile in the covariance.
+def profiled(problem: Problem, solution: Solution, inflation: np.ndarray, roll: Roll) -> tuple[Solution, float]:
+    """The solution of least cost over a roll, and the standard deviation [rad] of that roll by its profile.
 
     Parameters
     ----------
@@ -46,31 +46,48 @@ def with_profile(problem: Problem, solution: Solution, inflation: np.ndarray, ro
         As for `survey.adjust.bundle.solve`.
     roll : Roll
     """
-    held = [each for side in (1, -1) for each in _scanned(problem, solution, inflation, roll, side)]
+    sides = [_scanned(problem, solution, inflation, roll, sign) for sign in (1, -1)]
+    held = [each for side, _ in sides for each in side]
     least = cost(problem, solution.state, solution.std_px, inflation)
-    at = 0.0
+    at, moved = 0.0, 0.0
     best = min(held, key=lambda each: each[1], default=None)
     if best is not None and best[1] < least - _BETTER:
         at, std_px = best[0], solution.std_px
-        solution = solve(problem, best[2], inflation=inflation)
-        at += roll.angle_between(best[2].rotations, solution.state.rotations)
-        least = min(cost(problem, solution.state, std_px, inflation), best[1])
+        try:
+            solution = solve(problem, best[2], inflation=inflation)
+        except NotConvergedError:
+            # What was found stays, as far off as the better angle.
+            least, moved = best[1], abs(at)
+        else:
+            at += roll.angle_between(best[2].rotations, solution.state.rotations)
+            least = min(cost(problem, solution.state, std_px, inflation), best[1])
     rises = [(angle - at, costs - least) for angle, costs, _ in held]
-    return replace(solution, covariance=_widened(problem, solution.covariance, roll, std_by_profile(rises)))
+    std = std_by_profile(rises, are_whole=(sides[0][1], sides[1][1]))
+    return solution, math.hypot(std, moved)
 
 
-def std_by_profile(rises: list[tuple[float, float]]) -> float:
-    """Standard deviation [rad] of a roll by angles [rad] from its best value and rises of the cost there."""
-    sides = []
-    for sign in (1.0, -1.0):
+def std_by_profile(rises: list[tuple[float, float]], are_whole: tuple[bool, bool] = (True, True)) -> float:
+    """Standard deviation [rad] of a roll by its profile: the wider side of it.
+
+    Parameters
+    ----------
+    rises : list of (angle [rad] from the best value, rise of the cost)
+    are_whole : (bool, bool)
+        Whether the side above and the one below were looked at to their ends; one that was not, and shows no rise,
+        tells nothing.
+    """
+    known = []
+    for sign, is_whole in zip((1.0, -1.0), are_whole, strict=True):
         side = sorted((sign * angle, rise) for angle, rise in rises if sign * angle > 0.0)
         beyond = [angle / math.sqrt(rise) for angle, rise in side if rise >= _OF_VALLEY]
-        sides.append(beyond[0] if beyond else _OPEN)
-    return max(sides)
+        known += beyond[:1] if beyond else [_OPEN] if is_whole else []
+    return max(known, default=_OPEN)
 
 
-def _scanned(problem: Problem, solution: Solution, inflation: np.ndarray, roll: Roll, sign: int) -> list[Held]:
-    """The block with the roll held at angles to one side, each from the last."""
+def _scanned(
+    problem: Problem, solution: Solution, inflation: np.ndarray, roll: Roll, sign: int
+) -> tuple[list[Held], bool]:
+    """The block with the roll held at angles to one side, each from the last; False where an adjustment failed."""
     found: list[Held] = []
     state, before = solution.state, 0.0
     mean = roll.mean_of(problem.layout)
@@ -98,15 +115,15 @@ def _scanned(problem: Problem, solution: Solution, inflation: np.ndarray, roll: 
         try:
             state, _ = descend(replace(problem, priors=priors), state, solution.std_px, inflation)
         except NotConvergedError:
-            return found
+            return found, False
         before = angle
         found.append((angle, cost(problem, state, solution.std_px, inflation), state))
         if found[-1][1] > least + _MOST_RISE:
             break
-    return found
+    return found, True
 
 
-def _widened(problem: Problem, covariance: np.ndarray, roll: Roll, std: float) -> np.ndarray:
+def widened(problem: Problem, covariance: np.ndarray, roll: Roll, std: float) -> np.ndarray:
     """A covariance (P, P) in which the roll has a standard deviation [rad], and all that follows it its share."""
     along = covariance @ roll.mean_of(problem.layout)
     variance = float(roll.mean_of(problem.layout) @ along)

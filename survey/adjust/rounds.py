@@ -14,7 +14,7 @@ from survey.adjust.pose_std import judged
 from survey.adjust.prediction import relief_sides
 from survey.adjust.priors import Known, priors_for
 from survey.adjust.roll import Roll
-from survey.adjust.roll_profile import with_profile
+from survey.adjust.roll_profile import profiled, widened
 from survey.adjust.state import State, with_parameters
 
 # Observations of more standard deviations than this are left out.
@@ -144,10 +144,14 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
             break
         state = _without_points(solution.state, seen, keep)
         seen = kept.at(state.points)
+    stds = []
+    for roll in _open_rolls(known, seen):
+        solution, std = profiled(problem, solution, factors[kind], roll)
+        stds.append((roll, std))
     if known.common_up_std > 0.0:
         solution = replace(solution, covariance=covariance_over_shore(problem, solution))
-    for roll in _open_rolls(known, seen):
-        solution = with_profile(problem, solution, factors[kind], roll)
+    for roll, std in stds:
+        solution = replace(solution, covariance=widened(problem, solution.covariance, roll, std))
     solution = replace(solution, std_px=np.sqrt(_means(found[kind] ** 2, seen.kind)))
     return Adjusted(known, seen, solution, _means(factors[kind], seen.kind), blunders)
 

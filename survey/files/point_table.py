@@ -62,6 +62,8 @@ _WORDS = SYNONYMS | {name: name for name in (*PLACE, *_STDS, "depth", "level")}
 # Other words for a height, of which a table has one alone, or says which counts.
 _HEIGHTS = ("ellipsoidal", "orthometric", "geoid height", "ellipsoidal_height", "orthometric_height")
 _DEGREES = ("lon", "lat")
+# Levels of one survey [in units of height]: a river falls by less over it.
+_MOST_APART = 50.0
 # A standard deviation in the fourth place is no more than this [m]; a northing is.
 _MOST_STD_M = 10.0
 
@@ -78,8 +80,8 @@ def read_points(
 ) -> list[Row]:
     """Rows of a table of points with the columns of `PLACE`, and the ``optional`` ones.
 
-    Depths become heights where the level of the water is known, from a column of the table or else as given; standard
-    deviations are in metres.
+    Depths become heights where the level of the water is known, from a column of the table, with a level on each row,
+    or else as given; standard deviations are in metres. Beside a height a level counts for nothing.
 
     Parameters
     ----------
@@ -126,6 +128,7 @@ def read_points(
         rows = read_table(path, (*PLACE[:2], *heights), optional=optional, synonyms=synonyms, error=error)
         for name in heights:
             rows = _scaled(_without_marks(rows, name, error), name, factor)
+        _require_near(rows, level, path, error)
         return _in_metres(_above(rows, level, path, error), path, error)
     missing = [name for name in PLACE if name not in names]
     if missing:
@@ -211,10 +214,23 @@ def _above(rows: Sequence[Row], level: float | None, path: Path, error: type[Sur
             f"{path} has a column depth whose numbers are negative ({depths[0]:g}), expected depths that count down "
             "from the water; change their sign, or call the column height if they are heights in crs"
         )
+    levels = [row.number("level", default=None if "level" in row.cells else level) for row in rows]
     return [
-        replace(row, cells=row.cells | {"height": repr(row.number("level", default=level) - depth)})
-        for row, depth in zip(rows, depths, strict=True)
+        replace(row, cells=row.cells | {"height": repr(own - depth)})
+        for row, own, depth in zip(rows, levels, depths, strict=True)
     ]
+
+
+def _require_near(rows: Sequence[Row], level: float | None, path: Path, error: type[SurveyError]) -> None:
+    """Raise where the levels of a table are far from that of the water: readings of a gauge, of another datum."""
+    if level is None or not rows or "level" not in rows[0].cells:
+        return
+    own = statistics.median(row.number("level") for row in rows)
+    if abs(own - level) > _MOST_APART:
+        raise error(
+            f"{path} has levels of the water about {own:g} beside its depths, and the water stands at {level:g}; give "
+            "levels in the heights of crs, or remove the column so that all depths count from that level"
+        )
 
 
 def _with_units(cells: Sequence[str]) -> dict[str, str]:
@@ -225,7 +241,7 @@ def _with_units(cells: Sequence[str]) -> dict[str, str]:
 def _require_one_column(path: Path, synonyms: dict[str, str], error: type[SurveyError]) -> None:
     """Raise where two columns have one meaning: of heights also where one is a height and another a depth."""
     cells = first_cells(path, error)
-    for name in (*PLACE[:2], "depth", "level"):
+    for name in (*PLACE[:2], "depth", *(("level",) if has_depths(path) else ())):
         twice = [cell for cell in cells if synonyms.get(cell, cell) == name]
         if len(twice) > 1:
             raise error(

@@ -102,21 +102,21 @@ def require_image(view: View, head: Exif) -> None:
 def lenses_from_config(cameras: CamerasConfig, heads: dict[str, Exif]) -> tuple[dict[str, Lens], Findings]:
     """The lens of each image: one for all, or one for each camera where survey.toml has no number of them.
 
-    Cameras are told apart by maker and model, size, and focal length in EXIF. Parameters and errors are those of
-    `lens_from_config`.
+    Cameras are told apart by maker, model and serial number, size, and focal length in EXIF. Parameters and errors are
+    those of `lens_from_config`.
     """
     groups: dict[tuple, dict[str, Exif]] = {}
     if (cameras.size_px, cameras.focal_px, cameras.principal_point_px, cameras.distortion) == (None,) * 4:
         for name, head in heads.items():
             # Focal lengths within 1 % are roundings of one.
             focal = None if head.focal_px is None else round(100.0 * math.log(head.focal_px))
-            groups.setdefault((head.camera, head.size_px, focal), {})[name] = head
+            groups.setdefault((head.camera, head.serial, head.size_px, focal, head.focal_doubt), {})[name] = head
     if len(groups) < 2 or any(head.focal_px is None for head in heads.values()):
         lens, said = lens_from_config(cameras, heads)
         return dict.fromkeys(heads, lens), said
     lenses: dict[str, Lens] = {}
     notes: list[str] = []
-    for (camera, _, _), own in groups.items():
+    for (camera, *_), own in groups.items():
         lens, said = lens_from_config(cameras, own)
         lenses |= dict.fromkeys(own, lens)
         notes += [f"{camera or 'a camera without a name'}, {len(own)} images: {note}" for note in said.assumptions]

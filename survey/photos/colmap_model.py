@@ -48,7 +48,7 @@ def write_model(folder: Path, views: Sequence[View], *, head: str, points: str, 
     files = {name: text.encode() for name, text in texts.items()}
     if has_spaces(views) and all(MODELS[view.lens.model][0] is not None for view in views):
         for name, packed in zip(FILES, (_cameras_bin, _images_bin, _points_bin), strict=True):
-            files[_binary(name)] = packed(texts[name].splitlines())
+            files[_binary(name)] = packed(texts[name].split("\n")[:-1])
     for name, content in files.items():
         with write_whole(folder / name) as stream:
             stream.write(content)

@@ -113,7 +113,7 @@ def make_plan(survey: Survey, chosen: Choices = USUAL, *, recipe: Recipe | None 
         *_level(survey),
         field,
         finer_passes(field.choice, skips, aimed=quality == AIMED),
-        *_boxes(field.choice, asked=chosen.field, aimed=quality == AIMED),
+        *_boxes(asked=chosen.field, aimed=quality == AIMED),
         image_decision(cameras[0], scale, quality, recipe, asked=chosen.image_scale is not None),
         *_ground(survey, height),
         Decision("range of heights", *in_words(survey, height)),
@@ -130,7 +130,7 @@ def make_plan(survey: Survey, chosen: Choices = USUAL, *, recipe: Recipe | None 
         decisions,
         recipe,
         field=field.choice,
-        boxes=has_boxes(field.choice, chosen.field, aimed=quality == AIMED),
+        boxes=has_boxes(chosen.field, aimed=quality == AIMED),
         device_asked=chosen.device,
         poses=(poses.choice, poses.reason),
         skips=skips,
@@ -145,6 +145,8 @@ def _poses(survey: Survey, chosen: Choices) -> Decision:
 
 
 def _field(quality: str, recipe: Recipe, field: str) -> Decision:
+    if field == "boxes":
+        return Decision("field", "solver", "set by --field boxes")
     if field != "auto":
         return Decision("field", field, "set by --field")
     chosen = recipe.field
@@ -157,17 +159,17 @@ def _field(quality: str, recipe: Recipe, field: str) -> Decision:
     return Decision("field", chosen, reasons[chosen])
 
 
-def has_boxes(field: str, asked: str, *, aimed: bool) -> bool:
-    """Whether a run looks for the bed in boxes: with the solver, unless it was asked for by name, or has an aim."""
-    return field == "solver" and asked == "auto" and not aimed
+def has_boxes(asked: str, *, aimed: bool) -> bool:
+    """Whether a run looks for the bed in boxes: where it was asked for, and it has no aim."""
+    return asked == "boxes" and not aimed
 
 
-def _boxes(field: str, *, asked: str, aimed: bool) -> tuple[Decision, ...]:
-    """Where photographs are compared pixel by pixel; nothing to say without the solver."""
-    if field != "solver":
+def _boxes(*, asked: str, aimed: bool) -> tuple[Decision, ...]:
+    """Where photographs are compared pixel by pixel; nothing to say where that was not asked for."""
+    if asked != "boxes":
         return ()
-    if not has_boxes(field, asked, aimed=aimed):
-        return (Decision("boxes", "none", "a run with an aim has none" if aimed else "set by --field solver"),)
+    if not has_boxes(asked, aimed=aimed):
+        return (Decision("boxes", "none", "a run with an aim has none"),)
     reason = (
         "windows cover both an edge and the bed beside it, single pixels do not; a box of some metres takes about a "
         "second, and there are none where the cloud has no holes"

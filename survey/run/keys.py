@@ -29,6 +29,7 @@ _WORDS = {
     "refined": "which pixels the sweep refines (--field, or --quality)",
     "coverage": "the number of views per place (--quality, or the program)",
     "rays": "the rays that the field learns from (--quality, or the program)",
+    "boxes": "whether the bed is looked for in boxes beside edges (--field)",
     "device": "the device",
     "water_colour": "the colour of the water",
     "true_colour": "--true-colour",

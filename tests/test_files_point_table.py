@@ -191,12 +191,13 @@ def test_degrees_beside_grid_coordinates_have_no_unit_in_plan(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["wse", "WSE (m)", "water_level", "Water_Surface_Elevation"])
-@pytest.mark.parametrize("level", [None, 1900.0])
+@pytest.mark.parametrize("level", [None, 590.0])
 def test_depths_count_down_from_the_level_that_the_table_has_beside_them(tmp_path, name, level):
     path, unit = tmp_path / "points.csv", " (m)" if "(m)" in name else ""
     written(path, ["x", "y", name, f"depth{unit}"], [[10.5, 20.5, 582.25, 1.5], [11.5, 20.5, 582.0, 1.5]], ",")
-    rows = read_points(path, level=level, units=Units(1.0, 0.3048), error=SurveyError)
     factor = 1.0 / 0.3048 if unit else 1.0
+    given = None if level is None else factor * level
+    rows = read_points(path, level=given, units=Units(1.0, 0.3048), error=SurveyError)
     assert [row.number("height") for row in rows] == pytest.approx([580.75 * factor, 580.5 * factor])
 
 

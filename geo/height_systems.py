@@ -12,7 +12,7 @@ from pyproj.enums import PJType
 from pyproj.exceptions import ProjError
 from pyproj.transformer import AreaOfInterest as OperationArea
 
-from geo.transformation import operations
+from geo.operations import operations
 
 # Areas wider than this are worldwide: mean sea level and its models, tides.
 _WORLDWIDE_DEG = 350.0

@@ -7,15 +7,12 @@ datum, `geo.projection.MapProjection` goes.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field
 from functools import lru_cache
-from threading import get_ident
 
 import numpy as np
-from pyproj import CRS, Transformer, datadir
+from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
-from pyproj.transformer import AreaOfInterest, TransformerGroup
 
 from geo.crs import (
     AREA_MARGIN_DEG,
@@ -32,10 +29,9 @@ from geo.crs import (
     vertical_crs,
 )
 from geo.errors import CRSMismatch, MissingGrid, PlaceMismatch, UnknownUnit, UnsupportedCRS
+from geo.operations import area_about, operations
 
 WGS84 = CRS("EPSG:4326")
-# Around the middle of a survey, for PROJ to choose among regional operations [deg].
-_AREA_DEG = 0.01
 # Longitudes and latitudes that change by less pass unchanged: a tenth of a millimetre.
 _UNCHANGED_DEG = 1e-9
 # Two feet differ by 2e-6: units that differ by less are one.
@@ -183,37 +179,6 @@ def height_scale(source: CRS, target: CRS, said: str, *, unit_m: float | None = 
         f"{ours.unit_name}; name the CRS with its vertical part, whose unit counts (of heights above NAVD 88: +5703 in "
         "metres, +8228 in feet, +6360 in US survey feet)"
     )
-
-
-def operations(source: CRS | str, target: CRS | str, area: AreaOfInterest | None) -> TransformerGroup:
-    """All operations that PROJ knows between two CRSs, with or without heights, at a place; the best first.
-
-    Raises
-    ------
-    ProjError
-        If it knows none.
-    """
-    # Folders of grids that are added later count; PROJ takes some 10 ms to search, and is asked the same often.
-    # Transformers of a group must not be shared by threads.
-    return _operations(_text(source), _text(target), area, datadir.get_data_dir(), get_ident())
-
-
-def _text(crs: CRS | str) -> str:
-    return crs if isinstance(crs, str) else crs.srs
-
-
-@lru_cache(maxsize=64)
-def _operations(source: str, target: str, area: AreaOfInterest | None, _folders: str, _thread: int) -> TransformerGroup:
-    with warnings.catch_warnings():
-        # pyproj warns of missing grids, which callers name in their own words.
-        warnings.simplefilter("ignore", UserWarning)
-        return TransformerGroup(source, target, always_xy=True, allow_ballpark=False, area_of_interest=area)
-
-
-def area_about(lon_deg: float, lat_deg: float, margin_deg: float = _AREA_DEG) -> AreaOfInterest:
-    """Where a survey lies, for PROJ to choose among regional operations."""
-    south, north = max(lat_deg - margin_deg, -90.0), min(lat_deg + margin_deg, 90.0)
-    return AreaOfInterest(lon_deg - margin_deg, south, lon_deg + margin_deg, north)
 
 
 def best_operation(source: CRS, target: CRS, where: str, mend: str, places: np.ndarray | None = None) -> Transformer:

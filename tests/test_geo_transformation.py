@@ -16,7 +16,7 @@ from geo.transformation import WGS84, Transformation, height_scale, lon_lat, req
 US_FOOT_M, FOOT_M = 1200.0 / 3937.0, 0.3048
 ROOMS = ("geo", "survey", "evaluation", "fields", "refract", "bathynerf")
 # The door, and where one is made without a change of datum.
-DOORS = {"geo/transformation.py", "geo/projection.py"}
+DOORS = {"geo/operations.py", "geo/transformation.py", "geo/projection.py"}
 MAKERS = ("Transformer.", "TransformerGroup(", "Proj(", "rasterio.warp", "osr.")
 
 

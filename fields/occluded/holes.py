@@ -41,7 +41,7 @@ class Holes:
 
     @cached_property
     def corners(self) -> np.ndarray:
-        """Points (N, 3) at the border of what is known of the layer, for a first look at who sees it."""
+        """Points (N, 3) along the border of the layer, to find the photographs that may see it."""
         known = self.points[np.isfinite(self.points[..., 2])]
         east, north = known[:, 0], known[:, 1]
         return known[[east.argmin(), east.argmax(), north.argmin(), north.argmax(), len(known) // 2]]

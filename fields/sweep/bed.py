@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 
 import numpy as np
@@ -50,10 +50,10 @@ class BedPoints:
     depth: np.ndarray
     incidence: np.ndarray
     wet: np.ndarray
-    origin: np.ndarray = None  # type: ignore[assignment]
+    origin: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.uint8))
 
     def __post_init__(self):
-        if self.origin is None:
+        if not len(self.origin):
             object.__setattr__(self, "origin", np.zeros(len(self.xyz), dtype=np.uint8))
 
     def __len__(self) -> int:

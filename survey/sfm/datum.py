@@ -19,7 +19,8 @@ from pyproj.exceptions import ProjError
 from pyproj.transformer import AreaOfInterest
 
 from geo.crs import horizontal_crs, vertical_crs
-from geo.transformation import Transformation, area_about, operations
+from geo.operations import area_about, operations
+from geo.transformation import Transformation
 from survey.errors import FILE_NAME, ConfigError
 
 # Positions that are better than this are those of a receiver with corrections, or of an adjusted block.

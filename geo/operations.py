@@ -1,0 +1,44 @@
+"""Operations between two CRSs that PROJ knows at a place, searched once for the same question."""
+
+from __future__ import annotations
+
+import warnings
+from functools import lru_cache
+from threading import get_ident
+
+from pyproj import CRS, datadir
+from pyproj.transformer import AreaOfInterest, TransformerGroup
+
+# Around the middle of a survey, for PROJ to choose among regional operations [deg].
+_AREA_DEG = 0.01
+
+
+def operations(source: CRS | str, target: CRS | str, area: AreaOfInterest | None) -> TransformerGroup:
+    """All operations that PROJ knows between two CRSs, with or without heights, at a place; the best first.
+
+    Raises
+    ------
+    ProjError
+        If it knows none.
+    """
+    # Folders of grids that are added later count; PROJ takes some 10 ms to search, and is asked the same often.
+    # Transformers of a group must not be shared by threads.
+    return _operations(_text(source), _text(target), area, datadir.get_data_dir(), get_ident())
+
+
+def _text(crs: CRS | str) -> str:
+    return crs if isinstance(crs, str) else crs.srs
+
+
+@lru_cache(maxsize=64)
+def _operations(source: str, target: str, area: AreaOfInterest | None, _folders: str, _thread: int) -> TransformerGroup:
+    with warnings.catch_warnings():
+        # pyproj warns of missing grids, which callers name in their own words.
+        warnings.simplefilter("ignore", UserWarning)
+        return TransformerGroup(source, target, always_xy=True, allow_ballpark=False, area_of_interest=area)
+
+
+def area_about(lon_deg: float, lat_deg: float, margin_deg: float = _AREA_DEG) -> AreaOfInterest:
+    """Where a survey lies, for PROJ to choose among regional operations."""
+    south, north = max(lat_deg - margin_deg, -90.0), min(lat_deg + margin_deg, 90.0)
+    return AreaOfInterest(lon_deg - margin_deg, south, lon_deg + margin_deg, north)

@@ -7,7 +7,7 @@ time differ by more than half of the smallest.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
 # Of the work, and time [s], before which a pace is too uncertain; largest estimate over smallest that counts as steady.
@@ -117,16 +117,28 @@ class Forecast:
     _parts: dict[str, _Part] = field(default_factory=dict)
     _steady: Steady = field(default_factory=Steady)
     _start: float | None = None
+    # Whether a part goes on that nothing is expected of.
+    _is_unforeseen: bool = False
 
     def expect(self, expected_s: Mapping[str, float]) -> None:
         """Take in what parts take by stated rates [s], in their order; those that have begun keep what was expected."""
         begun = {name: part for name, part in self._parts.items() if part.began is not None}
         self._parts = begun | {name: _Part(seconds) for name, seconds in expected_s.items() if name not in begun}
 
+    def join(self, names: Collection[str], name: str, share: float = 1.0) -> None:
+        """Replace parts that are worked on at once by one; ``share`` of them is still to be done."""
+        found = [each for each in names if each in self._parts]
+        if found:
+            whole = _Part(share * sum(self._parts[each].expected_s for each in found))
+            parts = {(name if key == found[0] else key): part for key, part in self._parts.items()}
+            self._parts = {key: part for key, part in parts.items() if key not in found}
+            self._parts[name] = whole
+
     def begin(self, name: str, now: float) -> None:
-        """Say that a part begins; parts before it that did not are left out. Other names count for nothing."""
+        """Say that a part begins; parts before it that did not are left out."""
         self._start = now if self._start is None else self._start
-        if name not in self._parts:
+        self._is_unforeseen = name not in self._parts
+        if self._is_unforeseen:
             return
         names = list(self._parts)
         for skipped in names[: names.index(name)]:
@@ -136,6 +148,7 @@ class Forecast:
 
     def end(self, name: str, now: float) -> None:
         """Say that a part is done."""
+        self._is_unforeseen = False
         part = self._parts.get(name)
         if part is not None and part.began is not None:
             part.took_s = now - part.began
@@ -143,7 +156,9 @@ class Forecast:
     def left_s(self, now: float, of_part_s: float | None = None) -> float | None:
         """Time to the end of the run [s]; None before it is steady.
 
-        ``of_part_s`` is that to the end of the part that goes on, by its own pace.
+        ``of_part_s`` is that to the end of the part that goes on, by its own pace. None, too, where that is not known
+        and the part was not foreseen, or takes longer than it should by the pace of the others: what is left would
+        stand still while time goes on.
         """
         if self._start is None or not self._parts:
             return None
@@ -157,9 +172,15 @@ class Forecast:
             took, expected = took + now - running.began + of_part_s, expected + running.expected_s
         pace = took / expected if expected > 0.0 else self.slowness
         left = sum(pace * part.expected_s for part in self._parts.values() if part.began is None)
-        if running is not None and running.began is not None:
+        if of_part_s is not None:
+            left += of_part_s
+        elif running is not None and running.began is not None:
             own = pace * running.expected_s - (now - running.began)
-            left += max(own, 0.0) if of_part_s is None else of_part_s
+            if own <= 0.0:
+                return None
+            left += own
+        elif self._is_unforeseen:
+            return None
         whole = now - self._start + left
         self._steady.add(now, whole)
         is_early = now - self._start < max(_LEAST_SHARE * whole, _LEAST_S)

@@ -101,10 +101,10 @@ class Step:
         if now - self._last_line < _LINE_EVERY_S:
             return
         self._last_line = now
-        share = f"{100.0 * min(self.done / self.total, 1.0):3.0f} %" if self.total else f"{self.done:g}"
+        share = f"{100.0 * min(self.done / self.total, 1.0):3.0f} %" if self.total else ""
         left, of_run = self.seconds_left, self._progress.look_ahead()
         times = (
-            "" if left is None else f"{clock(left)} left",
+            f"{clock(self.seconds)} so far" if left is None else f"{clock(left)} left",
             "" if of_run is None else f"about {rough(of_run)} to the end of the run",
         )
         self._progress._said(f"{self.name}: {', '.join(part for part in (share, *times, detail) if part)}")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -135,3 +137,42 @@ def test_structure_from_motion_grows_with_pixels_pairs_and_photographs():
     assert sfm_s(10.0, 20, 380, 2)["Matches"] == pytest.approx(2.0 * parts["Matches"])
     assert sfm_s(10.0, 40, 190, 2)["Structure from motion"] == pytest.approx(2.0 * parts["Structure from motion"])
     assert sfm_s(10.0, 20, 190, 8)["Features"] < parts["Features"]
+
+
+@given(
+    sizes=st.lists(st.floats(5.0, 3000.0), min_size=1, max_size=6),
+    foreseen=st.lists(st.booleans(), min_size=6, max_size=6),
+    advances=st.lists(st.sampled_from([0, 1, 2, 40]), min_size=6, max_size=6),
+    paces=st.lists(st.floats(0.2, 12.0), min_size=1, max_size=4),
+    silent=st.floats(0.0, 0.9),
+)
+def test_what_is_left_falls_with_time_or_is_not_told(sizes, foreseen, advances, paces, silent):
+    """On slow machines, under loads that change, in parts that say nothing or fall silent towards their end."""
+    forecast, now, paces_in_turn = Forecast(), 0.0, itertools.cycle(paces)
+    forecast.expect({f"part {i}": size for i, size in enumerate(sizes) if foreseen[i]} | {"last": 600.0})
+    for here, size in enumerate(sizes):
+        forecast.begin(f"part {here}", now)
+        step, number = StepForecast(now), advances[here]
+        rounds = [(0.0, (1.0 - silent) / number)] * number + [(1.0, silent)] if number else [(1.0, 1.0)]
+        for is_silent, share in rounds:
+            took = size * share * next(paces_in_turn)
+            told = [(at, forecast.left_s(now + at, step.left_s(now + at, 1.0))) for at in took * np.linspace(0.1, 1, 8)]
+            for (before, left), (later, then) in itertools.pairwise(told):
+                if left is not None and then is not None:
+                    # The pace of other parts is not told anew while this one is silent.
+                    assert then - left <= -0.9 * (later - before) + 1e-6
+            now += took
+            if not is_silent:
+                step.advance(now, (step._history[-1][1] if step._history else 0.0) + share, 1.0)
+        forecast.end(f"part {here}", now)
+
+
+def test_tiles_that_are_worked_on_at_once_are_one_part():
+    forecast = Forecast()
+    forecast.expect({"Poses": 20.0, "Sweep, tile 1 of 2": 40.0, "Sweep, tile 2 of 2": 40.0, "Bed": 10.0})
+    forecast.begin("Poses", 0.0)
+    forecast.end("Poses", 40.0)
+    forecast.join(["Sweep, tile 1 of 2", "Sweep, tile 2 of 2"], "Sweep of 1 tiles", 0.5)
+    forecast.begin("Sweep of 1 tiles", 40.0)
+    assert [forecast.left_s(float(now)) for now in range(60, 66, 2)][1:] == [pytest.approx(78.0), pytest.approx(76.0)]
+    assert forecast.left_s(120.0) is None

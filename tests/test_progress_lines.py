@@ -31,8 +31,8 @@ def test_stages_are_plain_lines_with_the_time_left_where_there_is_no_terminal(mo
         progress.warn("a doubt")
     assert without_times(stream.getvalue()).splitlines() == [
         "sweep ...",
-        "sweep:  50 %, 0001.jpg",
-        "sweep:  75 %",
+        "sweep:  50 %, 1 min 00 s so far, 0001.jpg",
+        "sweep:  75 %, 2 min 30 s so far",
         "sweep: done in 2 min 30 s",
         "warning: a doubt",
     ]

@@ -7,6 +7,7 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from survey.plan.rates import part_name
 from survey.run.stage import Stage, finish, finished
 from survey.run.workers import Task, Workers, loaded_code, save_job, workers_for
 
@@ -65,8 +66,13 @@ class TileWorkers:
         workers = self._started()
         saved = save_job(self._job, shared, self._run.scratch_path, whole.name)
         said: dict[int, list[tuple[str, str]]] = {}
+        title = whole.name.capitalize()
+        names = [part_name(title, tile.number, len(parts)) for _, tile in parts]
+        title = f"{title} of {len(tasks)} tiles"
+        if (forecast := self._job.progress.forecast) is not None:
+            forecast.join(names, title, len(tasks) / len(parts))
         with (
-            self._job.progress.stage(f"{whole.name.capitalize()} of {len(tasks)} tiles", len(tasks)) as step,
+            self._job.progress.stage(title, len(tasks)) as step,
             closing(workers.computed(saved, tasks)) as computed,
         ):
             for number, place, seconds, lines in computed:

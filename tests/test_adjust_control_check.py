@@ -33,15 +33,20 @@ def with_shift(survey: Survey, number: int, shift) -> Survey:
     return changed(survey, control=replace(survey.observations.control, points=tuple(points)))
 
 
-@pytest.mark.parametrize("with_gps", [True, False])
-@pytest.mark.parametrize("shift", [(0.3, 0.0, 0.0), (0.0, 0.0, -5.0)])
-def test_wrong_coordinates_are_named_and_change_nothing(with_gps, shift):
+@pytest.fixture(scope="module", params=[True, False], ids=["gps", "control alone"])
+def right(request):
+    """A block with right control, its survey with or without positions, and that adjusted."""
     block, survey = block_and_survey()
-    survey = survey if with_gps else without_positions(survey)
+    survey = survey if request.param else without_positions(survey)
+    return block, survey, adjust_survey(survey, use_windows=False)
+
+
+@pytest.mark.parametrize("shift", [(0.3, 0.0, 0.0), (0.0, 0.0, -5.0)])
+def test_wrong_coordinates_are_named_and_change_nothing(right, shift):
+    block, survey, whole = right
     found = adjust_survey(with_shift(survey, 2, shift), use_windows=False)
     (warning,) = found.warnings
     assert "1 control point that the block contradicts, its coordinates left out: gcp2 (off by " in warning
-    whole = adjust_survey(survey, use_windows=False)
     assert not whole.warnings
     # One point fewer: both are within what the block states.
     assert (np.abs(found.poses.centres - whole.poses.centres) < 3.0 * found.poses.position_std).all()

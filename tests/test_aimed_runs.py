@@ -7,7 +7,7 @@ import shutil
 
 import numpy as np
 import pytest
-from drawn_runs import GSD, DrawnRun, drawn, inner90
+from drawn_runs import GSD, SMALL, DrawnRun, drawn, inner90
 
 from fields.solver.solver import SolvedMap, solve_maps
 from geo import read_cloud
@@ -21,6 +21,8 @@ from survey.run.process import process
 
 # Twice the pixels along each side of `drawn_runs.SMALL`: images of half the size are still matched.
 FINER = {"image_px": (400, 300), "focal_px": 600.0, "noise": 1.0, "num_views": 7, "size_m": (2.4, 2.0)}
+# For what is refused before any photograph is matched.
+FEW = SMALL | {"num_views": 4, "size_m": (1.2, 1.0), "cell_m": 0.1, "texel_m": 0.05, "objects": False}
 
 
 def run_with(run: DrawnRun, **aim) -> tuple[int, str]:
@@ -194,14 +196,14 @@ def test_a_round_that_runs_out_of_time_leaves_what_was_there_before(tmp_path, cl
     ],
 )
 def test_a_target_that_cannot_be_meant_is_refused_before_anything_is_computed(tmp_path, std_m, words):
-    run = drawn(tmp_path / "survey", **FINER)
+    run = drawn(tmp_path / "survey", **FEW)
     with pytest.raises(SurveyError, match=words):
         process(run.folder, target_std_m=std_m)
     assert not (run.folder / "bathynerf" / "cloud.las").exists()
 
 
 def test_a_time_that_is_too_short_is_refused_with_the_shortest(tmp_path):
-    run = drawn(tmp_path / "survey", **FINER)
+    run = drawn(tmp_path / "survey", **FEW)
     with pytest.raises(SurveyError, match=r"--time-budget 7 is too short: this survey takes at least about \d+ s"):
         process(run.folder, time_budget_s=7.0)
     with pytest.raises(SurveyError, match=r"--time-budget 1 is too short: any run takes 5\.5 s and more"):

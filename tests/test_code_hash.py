@@ -7,11 +7,15 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
+from functools import cache
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import pytest
 
 from survey.code_hash import code_hash, modules_imported, without_prose
+from survey.run.stage import LOADING
 
 ROOT = Path(__file__).resolve().parent.parent
 SWEEP, BED = "survey.run.stage_sweep", "survey.run.stage_bed"
@@ -29,14 +33,18 @@ def copy(tmp_path_factory):
     return folder
 
 
+@cache
+def code_hash_of(folder: Path) -> Callable[..., str]:
+    """The function of a copy's own file."""
+    spec = spec_from_file_location("code_hash_of_copy", folder / "survey" / "code_hash.py")
+    copied = module_from_spec(spec)
+    spec.loader.exec_module(copied)
+    return copied.code_hash
+
+
 def hashes_in(folder: Path) -> dict[str, str]:
     """The hashes of both stages' code in a copy."""
-    code = (
-        "from survey.code_hash import code_hash\nfrom survey.run.stage import LOADING\n"
-        f"for name in {SWEEP!r}, {BED!r}: print(name, code_hash(name, *LOADING))"
-    )
-    shown = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=True)
-    return dict(line.split() for line in shown.stdout.splitlines())
+    return {name: code_hash_of(folder)(name, *LOADING) for name in (SWEEP, BED)}
 
 
 @pytest.fixture(scope="module")

@@ -31,7 +31,7 @@ def test_a_pipe_whose_reader_has_gone_ends_the_command_without_a_word(tmp_path, 
     assert (result.returncode, result.stderr) == (BROKEN_PIPE, "")
 
 
-@pytest.mark.parametrize("arguments", [("--help",), ("check", "{survey}")], ids=lambda arguments: arguments[0])
+@pytest.mark.parametrize("arguments", [("--help",), slow(("check", "{survey}"))], ids=lambda arguments: arguments[0])
 def test_a_full_device_behind_standard_output_is_said_in_one_sentence(tmp_path, arguments):
     if not Path("/dev/full").exists():
         pytest.skip("this system has no device that is always full")

@@ -40,6 +40,8 @@ COMPLETENESS, TOLERANCES_M = 0.99, (0.2, 2.0 * GSD)
 # and 0.944 to 0.983; neighbouring errors are alike, so that 11,700 are worth some hundreds, and 0.95 of these is known
 # to 0.01. One class in five is worth a fifth of them.
 COVERAGE, COVERAGE_OF_A_CLASS, LEAST = (0.93, 0.985), (0.88, 0.995), 1000
+# A bank that rises out of water whose surface slopes.
+SHORE = {"shore": True, "slope_east": -0.002, "slope_north": 0.004}
 # LAS stores millimetres.
 LAS_STEP_M = 0.001
 
@@ -77,9 +79,9 @@ def calm(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def shore(tmp_path_factory):
-    """Without noise, with a bank that rises out of water whose surface slopes."""
+    """Without noise."""
     folder = tmp_path_factory.mktemp("shore") / "survey"
-    return processed(folder, shore=True, slope_east=-0.002, slope_north=0.004)
+    return processed(folder, **SHORE)
 
 
 @pytest.fixture(scope="module")
@@ -94,8 +96,8 @@ def swept(survey: DrawnRun) -> bool:
 
 @pytest.fixture(scope="module")
 def noisy(tmp_path_factory):
-    """JPEG with noise, from the command line, by the sweep alone: killed after the sweep, then given again."""
-    survey = drawn(tmp_path_factory.mktemp("noisy") / "survey", noise=1.0)
+    """The shore as JPEG with noise, from the command line, by the sweep alone: killed after it, then given again."""
+    survey = drawn(tmp_path_factory.mktemp("noisy") / "survey", noise=1.0, **SHORE)
     killed = [sys.executable, "-c", KILLED, "process", str(survey.folder), "--field", "off", "-q"]
     first = subprocess.run(killed, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
     assert first.returncode == -signal.SIGKILL, first.stderr
@@ -124,33 +126,35 @@ def test_a_drawn_bed_is_found_at_its_true_height(name, std_m, request):
     assert std < std_m
 
 
-@pytest.mark.parametrize("name", [slow("calm"), "noisy", "shore", slow("dry")])
+@pytest.mark.parametrize("name", [slow("calm"), "noisy", slow("shore"), slow("dry")])
 def test_what_three_cameras_see_is_in_the_cloud(name, request):
     run = request.getfixturevalue(name)
     for tolerance_m in TOLERANCES_M:
         assert run.completeness(tolerance_m) > COMPLETENESS
 
 
-def test_wet_and_dry_ground_at_a_shore_are_both_found_at_their_true_height(shore):
-    nearest = shore.survey.frame.crs_from_local(shore.distances.nearest)
-    over_water = shore.height_over_water(nearest)
+@pytest.mark.parametrize(("name", "std_m"), [("noisy", STD_WITH_NOISE_M), slow("shore", STD_WITHOUT_NOISE_M)])
+def test_wet_and_dry_ground_at_a_shore_are_both_found_at_their_true_height(name, std_m, request):
+    run = request.getfixturevalue(name)
+    nearest = run.survey.frame.crs_from_local(run.distances.nearest)
+    over_water = run.height_over_water(nearest)
     for part in (over_water < -SHORELINE_M, over_water > SHORELINE_M, np.abs(over_water) <= SHORELINE_M):
         assert part.sum() > 300
-        mean, std = inner90(shore.distances.signed[part])
+        mean, std = inner90(run.distances.signed[part])
         assert abs(mean) < BIAS_M
-        assert std < STD_WITHOUT_NOISE_M
+        assert std < std_m
 
 
-def test_the_cloud_at_a_shore_closes_over_the_shoreline(shore):
+def test_the_cloud_at_a_shore_closes_over_the_shoreline(noisy):
     """Both legs of a path meet at height zero: no strip beside the waterline is left out."""
-    assert shore.completeness(min(TOLERANCES_M), height_m=SHORELINE_M) > COMPLETENESS
+    assert noisy.completeness(min(TOLERANCES_M), height_m=SHORELINE_M) > COMPLETENESS
 
 
-def test_points_are_classified_by_the_side_of_the_water_that_they_lie_on(shore):
-    over_water = shore.height_over_water(shore.cloud.points)
+def test_points_are_classified_by_the_side_of_the_water_that_they_lie_on(noisy):
+    over_water = noisy.height_over_water(noisy.cloud.points)
     clear = np.abs(over_water) > LAS_STEP_M
-    assert set(np.unique(shore.cloud.classification)) == {2, 40}
-    assert np.array_equal(shore.cloud.classification[clear] == 40, over_water[clear] < 0.0)
+    assert set(np.unique(noisy.cloud.classification)) == {2, 40}
+    assert np.array_equal(noisy.cloud.classification[clear] == 40, over_water[clear] < 0.0)
 
 
 @pytest.mark.slow
@@ -170,12 +174,12 @@ def test_index_one_gives_the_heights_of_the_dry_code(dry):
     assert (np.abs(heights[0] - heights[1]) < 1e-4).mean() > 0.999
 
 
-def test_the_las_file_says_where_it_lies_and_what_its_points_are(shore):
-    with laspy.open(shore.run.cloud_path) as stored:
+def test_the_las_file_says_where_it_lies_and_what_its_points_are(noisy):
+    with laspy.open(noisy.run.cloud_path) as stored:
         header, las = stored.header, stored.read()
     assert str(header.version) == "1.4"
     assert header.point_format.id == 7
-    assert header.parse_crs().equals(CRS(shore.scene.crs), ignore_axis_order=True)
+    assert header.parse_crs().equals(CRS(noisy.scene.crs), ignore_axis_order=True)
     np.testing.assert_allclose(header.scales, LAS_STEP_M)
     assert (header.offsets == np.round(header.offsets)).all()
     assert {"depth", "std", "num_views", "incidence"} <= set(las.point_format.extra_dimension_names)
@@ -184,9 +188,9 @@ def test_the_las_file_says_where_it_lies_and_what_its_points_are(shore):
     assert las.red.max() > 255
     points = np.stack([las.x, las.y, las.z], axis=-1)
     # Half a step of rounding, the curvature over 4 m, and float32.
-    np.testing.assert_allclose(las.depth, -shore.height_over_water(points), atol=0.6 * LAS_STEP_M)
+    np.testing.assert_allclose(las.depth, -noisy.height_over_water(points), atol=0.6 * LAS_STEP_M)
     assert las.num_views.min() >= 2
-    assert las.num_views.max() <= shore.scene.num_views
+    assert las.num_views.max() <= noisy.scene.num_views
     assert np.degrees(0.0) <= las.incidence.min() < 5.0 < las.incidence.max() < 60.0
     assert np.nanmedian(las.std) < GSD
 
@@ -266,17 +270,17 @@ def test_an_export_holds_the_points_of_the_run(noisy, tmp_path):
         np.testing.assert_allclose(read_reference(path).points, own, atol=0.51 * LAS_STEP_M)
 
 
-def test_the_same_command_again_computes_nothing_and_changes_nothing(shore, monkeypatch):
-    before = read_cloud(shore.run.cloud_path)
-    stamps = {path: path.stat().st_mtime_ns for path in shore.run.stages_path.rglob("*") if path.is_file()}
+def test_the_same_command_again_computes_nothing_and_changes_nothing(noisy, monkeypatch):
+    before = read_cloud(noisy.run.cloud_path)
+    stamps = {path: path.stat().st_mtime_ns for path in noisy.run.stages_path.rglob("*") if path.is_file()}
 
     def refuse(*arguments):
         raise AssertionError("a finished stage was computed again")
 
     monkeypatch.setattr(RunDir, "open_stage", refuse)
-    assert process_quietly(shore.folder) == 0
+    assert process_quietly(noisy.folder) == 0
     assert {path: path.stat().st_mtime_ns for path in stamps} == stamps
-    after = read_cloud(shore.run.cloud_path)
+    after = read_cloud(noisy.run.cloud_path)
     np.testing.assert_array_equal(after.points, before.points)
     np.testing.assert_array_equal(after.rgb, before.rgb)
 
@@ -289,7 +293,7 @@ def test_the_same_command_again_computes_nothing_and_changes_nothing(shore, monk
         ("\nbounds", "\nheights = [580.0, 585.0]\nbounds"),
     ],
 )
-def test_a_changed_setting_is_not_served_from_what_was_finished(shore, monkeypatch, old, new):
+def test_a_changed_setting_is_not_served_from_what_was_finished(noisy, monkeypatch, old, new):
     asked = []
 
     def note(self, name, key, leaves=()):
@@ -297,13 +301,13 @@ def test_a_changed_setting_is_not_served_from_what_was_finished(shore, monkeypat
         raise SurveyError("seen enough")
 
     monkeypatch.setattr(RunDir, "finished_stage", note)
-    settings = shore.folder / "survey.toml"
+    settings = noisy.folder / "survey.toml"
     text = settings.read_text(encoding="utf-8")
     try:
         for words in (old, old, new):
             settings.write_text(text.replace(old, words), encoding="utf-8")
             with pytest.raises(SurveyError):
-                process_quietly(shore.folder)
+                process_quietly(noisy.folder)
     finally:
         settings.write_text(text, encoding="utf-8")
     first, again, changed = asked

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from slow_cases import slow
 
 from refract import (
     AnySurface,
@@ -88,8 +89,17 @@ def hold_together(function, backend):
 
 
 @pytest.mark.filterwarnings("ignore:To copy construct from a tensor")  # torch of itself, over arrays of numpy
-@pytest.mark.parametrize("way", ["trace", "project"])
-@pytest.mark.parametrize("name", ["plane", "waves", "triangles made before"])
+@pytest.mark.parametrize(
+    ("name", "way"),
+    [
+        ("plane", "project"),
+        ("waves", "trace"),
+        ("triangles made before", "project"),
+        slow("plane", "trace"),
+        slow("waves", "project"),
+        slow("triangles made before", "trace"),
+    ],
+)
 def test_torch_compiles_any_water_whole(name, way):
     hold_together(told(name, way), "eager")
 

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from plane_survey import FOCAL, SIZE, TILTED, PlaneBed, look, ring
+from slow_cases import slow
 
 from fields.device import choose_device
 from fields.sweep import matching
@@ -80,9 +81,9 @@ def test_a_sweep_finds_a_plane_in_all_views(device, wet, name):
         assert abs(error.mean()) < MEAN_M
 
 
-@pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES.keys())
-def test_a_sweep_finds_a_plane_through_a_lens_that_distorts(device, lens):
-    bed, cameras = BEDS["wet"], [replace(camera, distortion=lens) for camera in ring(6)]
+@pytest.mark.parametrize("name", [slow("barrel"), "decentred pincushion"])
+def test_a_sweep_finds_a_plane_through_a_lens_that_distorts(device, name):
+    bed, cameras = BEDS["wet"], [replace(camera, distortion=LENSES[name]) for camera in ring(6)]
     moved = cameras[0].directions(cameras[0].pixel_centres()) - ring(6)[0].directions(cameras[0].pixel_centres())
     assert FOCAL * np.abs(moved).max() > 2.0  # px
     block, maps = sweep_plane(device, bed, cameras=cameras)

@@ -61,6 +61,21 @@ def cells_inside(
     return geometry_mask(shapes, shape, rasterio.Affine(*transform), invert=True)
 
 
+def points_inside(polygons: Polygons, points: np.ndarray) -> np.ndarray:
+    """Whether each point (N, 2) lies in a polygon: by an odd number of its edges to the east (even-odd rule)."""
+    x, y = points.T
+    inside = np.zeros(len(points), dtype=bool)
+    for polygon in polygons:
+        is_odd = np.zeros(len(points), dtype=bool)
+        for ring in polygon:
+            for (x0, y0), (x1, y1) in zip(ring, np.roll(ring, -1, axis=0), strict=True):
+                if y0 != y1:
+                    crosses = (y0 > y) != (y1 > y)
+                    is_odd ^= crosses & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))
+        inside |= is_odd
+    return inside
+
+
 def in_map_of(ring: np.ndarray, source: CRS, target: CRS, path: Path) -> np.ndarray:
     """Corners (N, 2) of a file in another horizontal CRS; raises GeoError where they cannot be taken there."""
     if not source.equals(target, ignore_axis_order=True):

@@ -67,7 +67,7 @@ def test_report_json_has_the_adjustment_by_its_names(facts):
     found = json_of(figures_of(facts))["adjustment"]
     assert list(found) == [
         "parameters", "kinds", "num_points", "num_left_out", "positions", "poses", "control", "control_groups",
-        "parts", "correlation_names", "correlation", "height_std_common_m",
+        "parts", "correlation_names", "correlation", "ground", "height_std_common_m",
     ]  # fmt: skip
     assert list(found["parameters"][0]) == ["name", "value", "std", "given", "given_std", "status", "verdict"]
     assert list(found["height_std_common_m"]) == ["mean", "typical"]

@@ -10,6 +10,7 @@ import numpy as np
 
 from geo.files import write_whole
 from refract.lens import Lens
+from survey.adjust.ground_fit import GroundFit
 from survey.adjust.state import READOUT_NAME, Layout
 from survey.errors import SurveyError
 from survey.files.json_values import json_text, read_json_object
@@ -193,6 +194,8 @@ class Adjustment:
         Of the shutter behind each lens, from the first to the last row [s]; None where no shutter rolls.
     common_up_m : (error, standard deviation) [m], or None
         Common error of the heights of all positions, where the level of the water placed the block.
+    ground : GroundFit or None
+        How it was placed on the dry ground of an earlier survey.
     """
 
     parameters: tuple[Parameter, ...]
@@ -208,6 +211,7 @@ class Adjustment:
     warnings: tuple[str, ...] = ()
     readouts_s: tuple[float, ...] | None = None
     common_up_m: tuple[float, float] | None = None
+    ground: GroundFit | None = None
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name."""
@@ -292,6 +296,7 @@ def read_adjustment(folder: Path) -> Adjustment:
         parameters=tuple(Parameter(**row) for row in values["parameters"]),
         water=None if water is None else parse_values({k: v for k, v in water.items() if v is not None}, WaterConfig),
         lenses=tuple(Lens(row["model"], tuple(row["params"]), row["width"], row["height"]) for row in record["lenses"]),
+        ground=GroundFit.of_record(record.get("ground")),
         control=tuple(ControlResidual(**{**row, "residual_m": tuple(row["residual_m"])}) for row in record["control"]),
         **records,
     )

@@ -47,6 +47,29 @@ class NotConvergedError(SurveyError):
 
 
 @dataclass(frozen=True)
+class Planes:
+    """Planes on which points are known to lie.
+
+    Attributes
+    ----------
+    normal : (M, 3)
+        Upwards, with 1 in z: the distance is along the vertical.
+    height : (M,) [m]
+        Of ``normal . point`` on the plane.
+    strength : (M,) [1/m^2]
+        Inverse variance of that distance; 0 for points of which nothing is known.
+    """
+
+    normal: np.ndarray
+    height: np.ndarray
+    strength: np.ndarray
+
+    def distances(self, points: np.ndarray) -> np.ndarray:
+        """Vertical distances (M,) [m] of points (M, 3) above their planes; 0 where there is none."""
+        return np.where(self.strength > 0.0, np.einsum("mi,mi->m", self.normal, points) - self.height, 0.0)
+
+
+@dataclass(frozen=True)
 class Priors:
     """Prior means and standard deviations of the unknowns; infinite where nothing is known.
 
@@ -59,6 +82,8 @@ class Priors:
     point_std : (M, 3) [m]
     rows, signs : (K, P), (K,)
         Joint priors on several parameters: ``sign (row deviation)^2`` is added to the squares.
+    planes : Planes, optional
+        On which points lie.
     """
 
     state: State
@@ -66,6 +91,7 @@ class Priors:
     point_std: np.ndarray
     rows: np.ndarray | None = None
     signs: np.ndarray | None = None
+    planes: Planes | None = None
 
     def deviation(self, layout: Layout, state: State) -> np.ndarray:
         """Parameters of a state less their mean values, (P,)."""
@@ -147,6 +173,10 @@ class System:
         """Derivative (P,) of the mean height of the points by the parameters."""
         up = self.root[:, :, 2].reshape(-1)
         return -(self.mixed.T @ up) / len(self.root)
+
+    def response(self, pull: np.ndarray) -> np.ndarray:
+        """Change (P,) of the right side by one (M, 3) of the right sides of the points."""
+        return -(self.mixed.T @ np.einsum("mij,mj->mi", self.root, pull).ravel())
 
     def point_steps(self, step: np.ndarray) -> np.ndarray:
         """Steps (M, 3) [m] of the points that go with a step of the parameters (P,)."""
@@ -332,6 +362,9 @@ def cost(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarr
     length = np.where(np.isfinite(length), length, 1e6)
     huber = np.where(length < HUBER, length**2, HUBER * (2.0 * length - HUBER)) / inflation
     known = (state.points - problem.priors.state.points) / problem.priors.point_std
+    planes = problem.priors.planes
+    if planes is not None:
+        huber = np.append(huber, planes.strength * planes.distances(state.points) ** 2)
     return float(huber.sum() + problem.priors.squares(problem.layout, state) + np.sum(known**2))
 
 
@@ -357,6 +390,10 @@ def _weighted_system(problem: Problem, state: State, weights_of: Callable[[np.nd
     own[:, range(3), range(3)] += precision
     right = _sum(ties, np.einsum("nai,na->ni", weighted, residuals))
     right = right - precision * np.nan_to_num(state.points - priors.state.points)
+    if priors.planes is not None:
+        along = priors.planes.strength[:, None] * priors.planes.normal
+        own += along[:, :, None] * priors.planes.normal[:, None, :]
+        right = right - along * priors.planes.distances(state.points)[:, None]
     root = np.linalg.inv(np.linalg.cholesky(_damped(own)))
     free = np.einsum("mij,mj->mi", root, right)
     strength = np.where(np.isfinite(priors.std), priors.std, np.inf) ** -2.0

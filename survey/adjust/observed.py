@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from refract.lens import Lens, affine_from_brown, brown_from_affine, distorted, is_affine, undistorted
 from survey.adjust.priors import Known, is_held
+from survey.control.ground import Ground
 from survey.control.points import Control
 from survey.photos.tie_points import TiePoints
 
@@ -37,12 +38,15 @@ class Observed:
         Of the points that are known beforehand, at `TiePoints.start`; infinite for all others.
     control : tuple of str
         Names of the control points, which come last.
+    ground : Ground or None
+        On which dry tie points lie.
     """
 
     ties: TiePoints
     kind: np.ndarray
     point_std: np.ndarray
     control: tuple[str, ...]
+    ground: Ground | None = None
 
     def only(self, keep: np.ndarray) -> Observed:
         """The kept observations (N,) bool, without points that then have too few."""
@@ -60,7 +64,7 @@ class Observed:
             pixel=self.ties.pixel[keep],
         )
         control = tuple(name for name, kept in zip(self.control, enough[first_control:], strict=True) if kept)
-        return Observed(ties, self.kind[keep], self.point_std[enough], control)
+        return Observed(ties, self.kind[keep], self.point_std[enough], control, self.ground)
 
     def at(self, points: np.ndarray) -> Observed:
         """The same with other approximate points (M, 3); those of control stay."""
@@ -92,7 +96,7 @@ def observed(parts: list[tuple[int, TiePoints]], control: Control | None, survey
         ]
     if names and known.common_up_std > 0.0:
         ties = replace(ties, start=_as_high_as_block(ties.start, len(ties) - len(names)))
-    return Observed(ties, kind, point_std, names)
+    return Observed(ties, kind, point_std, names, survey.observations.ground)
 
 
 def _as_high_as_block(start: np.ndarray, first: int) -> np.ndarray:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from survey.adjust.bundle import Priors, Solution, inverse
-from survey.adjust.priors import ROTATION_STD, Known
+from survey.adjust.priors import ROTATION_STD, Known, without_shift
 from survey.adjust.state import POSE
 
 # A pose is a blunder beyond this many standard deviations.
@@ -123,8 +123,12 @@ def _components(known: Known, solution: Solution, estimated: np.ndarray) -> tupl
             std[kind] = np.maximum(factor * std[kind], _LEAST)
         strength = first.copy()
         strength[known.layout.first_pose :] = std.ravel() ** -2.0
-        covariance = inverse(solution.system.normal + np.diag(strength - first))
-        miss = deviation + covariance @ ((first - strength) * deviation)
+        change = np.diag(strength - first)
+        if known.shared_std > 0.0:
+            before, after = without_shift(known, first), without_shift(known, strength)
+            change += before.T @ before - after.T @ after
+        covariance = inverse(solution.system.normal + change)
+        miss = deviation - covariance @ (change @ deviation)
     for kind in kinds:
         told = float(redundancy[kind].sum())
         std[kind] *= np.sqrt((told + 2.0) / told)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from refract.lens import MODELS, Lens, is_affine
-from survey.adjust.bundle import Priors
+from survey.adjust.bundle import Planes, Priors
 from survey.adjust.roll import Roll, rolled_to_attitudes, rolls_of, without_starts
-from survey.adjust.state import LENS, LENS_NAMES, RELIEF, Layout, State
+from survey.adjust.state import LENS, LENS_NAMES, POSE, RELIEF, Layout, State
 from survey.folder.motion import rows_between
 from survey.folder.pose_priors import BY_POSES, GPS_STD_M, common_up_std
 from survey.photos.tie_points import TiePoints
@@ -67,6 +67,8 @@ class Known:
         block is adjusted with that error: the level of its water counts as that much less certain.
     rolls : tuple of Roll
         That positions on a line leave open.
+    shared_std : float [m]
+        Of a shift that all positions have in common, along each axis; 0 where they count as independent.
     """
 
     layout: Layout
@@ -78,6 +80,7 @@ class Known:
     unknown_rotations: np.ndarray
     common_up_std: float = 0.0
     rolls: tuple[Roll, ...] = ()
+    shared_std: float = 0.0
 
     @property
     def place_of_water(self) -> tuple[float, float]:
@@ -143,11 +146,33 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
     return Known(layout, lenses, state, mean, std, unknown, unknown_rotations, common_up, rolls)
 
 
-def priors_for(known: Known, ties: TiePoints, point_std: np.ndarray | None = None) -> Priors:
-    """The priors of an adjustment with these points, known to (M, 3) [m] where any are."""
+def priors_for(
+    known: Known, ties: TiePoints, point_std: np.ndarray | None = None, planes: Planes | None = None
+) -> Priors:
+    """The priors of an adjustment with these points, known to (M, 3) [m] or to lie on planes where any are."""
     free = np.full((len(ties), 3), np.inf) if point_std is None else point_std
     rows, signs = without_starts(known.rolls, known.layout, known.std) if known.rolls else (None, None)
-    return Priors(replace(known.mean, points=ties.start), known.std, free, rows, signs)
+    if known.shared_std > 0.0:
+        shared = without_shift(known, known.std**-2.0)
+        rows = shared if rows is None else np.concatenate([rows, shared])
+        signs = np.concatenate([np.zeros(0) if signs is None else signs, np.full(len(shared), -1.0)])
+    return Priors(replace(known.mean, points=ties.start), known.std, free, rows, signs, planes)
+
+
+def without_shift(known: Known, strength: np.ndarray) -> np.ndarray:
+    """Rows (3, P) of `Priors` that take out what a shift of all positions in common explains of their deviations.
+
+    ``strength`` (P,) are the inverse variances of the parameters.
+
+    With deviations d and weights w, the least over shifts b of ``sum w (d - b)^2 + b^2 / s^2`` is
+    ``sum w d^2 - (sum w d)^2 / (sum w + 1 / s^2)``.
+    """
+    rows = np.zeros((3, len(known.layout)))
+    for axis in range(3):
+        at = known.layout.first_pose + axis + POSE * np.arange(len(known.unknown_positions))
+        weights = strength[at]
+        rows[axis, at] = weights / math.sqrt(weights.sum() + known.shared_std**-2.0)
+    return rows
 
 
 def _flow(survey: Survey) -> np.ndarray | None:
@@ -235,6 +260,7 @@ def shared_height_std(survey: Survey) -> float:
     """Standard deviation [m] of what heights of positions have in common, where nothing but they holds the block."""
     given = survey.observations
     is_held = given.control is not None and any(not point.is_check for point in given.control.points)
+    is_held = is_held or given.ground is not None
     return 0.0 if given.ties is None or is_held else common_up_std(given.priors)
 
 

@@ -21,6 +21,7 @@ from survey.adjust.common_height import apply_level_datum, height_doubts, water_
 from survey.adjust.control_check import contradicted_points, contradiction_warning, has_unchecked_control
 from survey.adjust.far_poses import Search, windows_or_search
 from survey.adjust.given_values import LEVEL, LEVEL_NAME, check_dry_block, dry_bed_error, released, worst_contradiction
+from survey.adjust.ground_fit import ground_fit
 from survey.adjust.observability import (
     Unobservable,
     adjust_free,
@@ -30,18 +31,21 @@ from survey.adjust.observability import (
     within_bounds,
 )
 from survey.adjust.observed import CELLS, MATCH, PER_CELL, WINDOW, Observed, observed, thinned
+from survey.adjust.on_ground import moved_by, shift_onto
 from survey.adjust.parts import parts_warning
 from survey.adjust.priors import Known, known_of
 from survey.adjust.roll_notes import open_roll_named, roll_notes
 from survey.adjust.rounds import Adjusted, adjust
 from survey.adjust.square_pixels import with_square_pixels
-from survey.adjust.state import WATER
+from survey.adjust.state import POSE, WATER
 from survey.adjust.unnamed_water import water_seen
-from survey.adjust.verdicts import MOST_SIGMAS_OF_FOUR, MOST_STD_LEVEL_M
+from survey.adjust.verdicts import MOST_SIGMAS, MOST_SIGMAS_OF_FOUR, MOST_STD_LEVEL_M
 from survey.adjust.water_settings import WATER_PARAMETERS
 from survey.adjust.windows import measure_windows
+from survey.control.ground import Ground
 from survey.errors import SurveyError
 from survey.folder.contradiction import Contradiction
+from survey.folder.pose_priors import GPS_STD_M
 from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints
 from survey.plan.choices import Choices
@@ -208,6 +212,7 @@ class _BlockAdjustment:
         self.marks_std = _MARKS_STD_PX if control is None else control.marks_std_px
         self._parts: list[tuple[int, TiePoints]] = []
         self._lost: dict[str, Unobservable] = {}
+        self._is_against_positions = False
 
     @property
     def _observed(self) -> Observed:
@@ -216,6 +221,9 @@ class _BlockAdjustment:
     def with_more(self, kind: int, ties: TiePoints, start: Known) -> Adjusted:
         """Take in more tie points, those that are needed, and adjust."""
         needed = ties.only(np.isin(ties.point, thinned(ties, self._sizes, CELLS, PER_CELL)))
+        ground = self._survey.observations.ground
+        if ground is not None and not self._parts:
+            start, needed = self._put_onto(ground, kind, needed, start)
         self._parts.append((kind, needed))
         if self._free_water:
             done, self._lost = adjust_free(self._survey, start, self._observed, self._sizes, self.marks_std)
@@ -228,6 +236,35 @@ class _BlockAdjustment:
             if level is not None:
                 raise dry_bed_error(level, "leave out [water] if the bed is dry")
         return done
+
+    def _put_onto(self, ground: Ground, kind: int, ties: TiePoints, start: Known) -> tuple[Known, TiePoints]:
+        """Start and tie points shifted onto the ground, after an adjustment without it; positions too, where it shows.
+
+        Positions of unknown accuracy may share an error of metres, those of a stated one an error as large as that,
+        unless the ground contradicts it.
+        """
+        stated = start.std[start.layout.first_pose :].reshape(-1, POSE)[~start.unknown_positions, :3]
+        stated = stated[np.isfinite(stated).all(axis=1)]
+        shared = float(np.median(stated)) if len(stated) and not start.unknown_positions.any() else GPS_STD_M
+        start = replace(start, shared_std=shared)
+        alone = replace(observed([(kind, ties)], self._survey.observations.control, self._survey, start), ground=None)
+        try:
+            done = adjust(start, alone, self._sizes, self.marks_std)
+            state, points = replace(done.solution.state, points=np.zeros((0, 3))), done.solution.state.points
+            points = points[: len(done.used.ties) - len(done.used.control)]
+        except NotConvergedError:
+            state, points = start.state, ties.start
+        shift = shift_onto(ground, points)
+        off = np.median(state.centres - start.mean.centres, axis=0) + shift
+        horizontal, vertical = ground.std_m
+        of_both = np.hypot(shared, [horizontal, horizontal, vertical])
+        self._is_against_positions = shared < GPS_STD_M and bool((np.abs(off) > MOST_SIGMAS * of_both).any())
+        if shared == GPS_STD_M or self._is_against_positions:
+            shared = GPS_STD_M
+            start = replace(start, mean=replace(start.mean, centres=start.mean.centres + off))
+        self.known = replace(self.known, mean=start.mean, shared_std=shared)
+        start = replace(start, shared_std=shared, state=replace(state, centres=state.centres + shift))
+        return start, replace(ties, start=ties.start + shift)
 
     def _at_level(self, start: Known) -> Adjusted:
         """Adjust where the level of the water, or else the positions, say how high the block lies."""
@@ -282,15 +319,24 @@ class _BlockAdjustment:
         control = self._survey.observations.control
         total = sum(len(ties.view) for _, ties in self._parts) + (0 if control is None else len(control.marks))
         if self._free_water:
-            return result(self._survey, done, total, lost=self._lost)
+            return self._on_ground(result(self._survey, done, total, lost=self._lost), done)
         placed, common = apply_level_datum(done)
 
         def hold(held: np.ndarray) -> Adjusted:
             return apply_level_datum(adjusted_with(done, held, self.known.std, self._sizes, self.marks_std))[0]
 
         used = {WATER_PARAMETERS.index(each.name) for each in against} | (set() if common is None else {LEVEL})
-        found = result(self._survey, placed, total, contradicted=sorted(used), hold=hold)
+        found = self._on_ground(result(self._survey, placed, total, contradicted=sorted(used), hold=hold), done)
         return found if common is None else with_common(found, common, placed.solution.state.water)
+
+    def _on_ground(self, found: Adjustment, done: Adjusted) -> Adjustment:
+        """The result with how the block lies on the ground of an earlier survey, where there is one."""
+        if done.placed is None:
+            return found
+        moved = moved_by(self._survey.views, done.solution.state, done.placed.middle)
+        reference = str(self._survey.config.control.reference)
+        fit = ground_fit(done.placed, moved, reference, is_against_positions=self._is_against_positions)
+        return replace(found, ground=fit, notes=(*found.notes, *fit.notes), warnings=(*found.warnings, *fit.warnings))
 
 
 def _of_sample(survey: Survey) -> Contradiction | None:

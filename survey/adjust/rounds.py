@@ -10,6 +10,7 @@ from survey.adjust.bundle import NotConvergedError, Problem, Solution, System, i
 from survey.adjust.clusters import inflation, terrain_design_effect
 from survey.adjust.control_check import checked_points, given_points
 from survey.adjust.observed import KINDS, MARK, Observed, rows_taken
+from survey.adjust.on_ground import OnGround, Placed, placed_on, planes_under, with_shared
 from survey.adjust.pose_std import judged
 from survey.adjust.prediction import relief_sides
 from survey.adjust.priors import Known, priors_for
@@ -28,6 +29,9 @@ _FEW = 0.002
 _RAISED, _MOST_STEPS = 2.0, 6
 # The level is as uncertain as it was, to this share.
 _STEADY = 0.1
+# Planes under the points of a block are found anew so often at most, until it moves by less than this share of their
+# standard deviation.
+_MOST_PLANES, _STEADY_ON_GROUND = 8, 0.05
 
 
 def covariance_over_shore(problem: Problem, solution: Solution) -> np.ndarray:
@@ -83,6 +87,8 @@ class Adjusted:
         On variances, for what neighbouring observations and neighbouring ground share.
     blunders : (V, 2) bool
         Positions and rotations that the block contradicts and that were left out.
+    placed : Placed or None
+        On the ground of an earlier survey.
     """
 
     known: Known
@@ -90,6 +96,7 @@ class Adjusted:
     solution: Solution
     factor: np.ndarray
     blunders: np.ndarray
+    placed: Placed | None = None
 
 
 def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted:
@@ -117,11 +124,8 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
     coordinates, remaining = given_points(seen), _ROUNDS
     most = _ROUNDS + len(coordinates)
     while True:
-        priors, sides = priors_for(known, seen.ties, seen.point_std), relief_sides(state, seen.ties)
         kind = _by_depth(seen, state)
-        rows = rows_taken(seen.ties, known.lenses, known.layout.lens_of)
-        problem = Problem(known.layout, seen.ties, kind, priors, given, sides, rows)
-        solution = solve(problem, state, inflation=factors[kind])
+        problem, solution, on_ground = _solved(known, seen, state, kind, given, factors[kind])
         found = solution.std_px
         before, factors = factors, _factors(problem, solution, sizes, factors)
         poses, known_blunders = judged(known, solution, blunders), blunders
@@ -152,8 +156,35 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
         solution = replace(solution, covariance=covariance_over_shore(problem, solution))
     for roll, std in stds:
         solution = replace(solution, covariance=widened(problem, solution.covariance, roll, std))
+    placed = None
+    if seen.ground is not None and on_ground is not None:
+        covariance = with_shared(seen.ground, on_ground.planes, solution)
+        placed = placed_on(on_ground, problem, solution, covariance)
+        solution = replace(solution, covariance=covariance)
     solution = replace(solution, std_px=np.sqrt(_means(found[kind] ** 2, seen.kind)))
-    return Adjusted(known, seen, solution, _means(factors[kind], seen.kind), blunders)
+    return Adjusted(known, seen, solution, _means(factors[kind], seen.kind), blunders, placed)
+
+
+def _solved(
+    known: Known, seen: Observed, state: State, kind: np.ndarray, given: np.ndarray, inflation: np.ndarray
+) -> tuple[Problem, Solution, OnGround | None]:
+    """One adjustment; on ground, until the planes under its points are those it was found with."""
+    sides, rows = relief_sides(state, seen.ties), rows_taken(seen.ties, known.lenses, known.layout.lens_of)
+    on_ground = None
+    for _ in range(1 if seen.ground is None else _MOST_PLANES):
+        if seen.ground is not None:
+            on_ground = planes_under(seen.ground, state.points, len(seen.ties) - len(seen.control))
+        planes = None if on_ground is None else on_ground.planes
+        priors = priors_for(known, seen.ties, seen.point_std, planes)
+        problem = Problem(known.layout, seen.ties, kind, priors, given, sides, rows)
+        solution = solve(problem, state, inflation=inflation)
+        before, state = state, solution.state
+        if planes is not None:
+            used = planes.strength > 0.0
+            moves = np.abs(np.median(state.points[used] - before.points[used], axis=0))
+            if moves.max() <= _STEADY_ON_GROUND * float(np.median(planes.strength[used] ** -0.5)):
+                break
+    return problem, solution, on_ground
 
 
 def _open_rolls(known: Known, seen: Observed) -> list[Roll]:

@@ -6,12 +6,13 @@ Marks are compared with the projections of their points under the poses and lens
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from pyproj import CRS
 
+from geo.files import existing_file
 from geo.frames import LocalFrame
 from refract import FlatWater
 from survey.control.content import Content, GivenPoint
@@ -76,6 +77,9 @@ def find_control(
     ControlError
         If a file is missing or damaged, or its points or marks cannot be true.
     """
+    for name in (config.reference, config.stable):
+        if name is not None:
+            existing_file(folder / name)
     checkpoints: list[GivenPoint] = []
     said = Findings()
     if config.checkpoints is not None:
@@ -120,7 +124,7 @@ def _with_stds(config: ControlConfig, gathered: Gathered) -> tuple[ControlConfig
         assumptions.append(
             f"[control] marks_std_px = {marks_std_px:g}, the standard deviation of their marks in pixels"
         )
-    return ControlConfig(config.gcps, config.checkpoints, std_m, config.marks, marks_std_px), tuple(assumptions)
+    return replace(config, std_m=std_m, marks_std_px=marks_std_px), tuple(assumptions)
 
 
 def place_control(

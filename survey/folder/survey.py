@@ -12,6 +12,7 @@ from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from geo.transformation import lon_lat
 from refract import FlatWater
+from survey.control.ground import Ground
 from survey.control.points import Checkpoint, Control
 from survey.errors import FILE_NAME, SurveyError
 from survey.findings import Findings
@@ -25,6 +26,7 @@ from survey.folder.found import Found, find_survey
 from survey.folder.motion import Velocity, shutter_doubts, velocities_of, with_motion
 from survey.folder.plausible import doubts_of_places, require_true
 from survey.folder.pose_priors import PosePrior, common_plan_std
+from survey.folder.reference import read_ground
 from survey.folder.reprojection import Reprojection
 from survey.photos.cameras import View, metres_per_px
 from survey.photos.images import load_image, load_mask
@@ -69,6 +71,8 @@ class Observations:
         Measurements of the water level; the settings have their mean and its standard deviation.
     velocities : dict of name to Velocity
         Of the views for which one is known.
+    ground : Ground or None
+        Dry ground of an earlier survey, on which the block is placed.
     tide : Tide or None
         How the level moved from photograph to photograph, which cameras have where it matters (`PinholeCamera.tide`);
         None where nothing is said of it.
@@ -82,6 +86,7 @@ class Observations:
     levels: tuple[LevelObservation, ...] = field(default=(), compare=False, repr=False)
     velocities: Mapping[str, Velocity] = field(default_factory=dict, compare=False, repr=False)
     tide: Tide | None = field(default=None, compare=False, repr=False)
+    ground: Ground | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -221,6 +226,11 @@ def load_survey(
         block, views, said = block_over_water(block, views, water)
         warnings += said.warnings
     views, tide = with_tides(views, found.tide, water)
+    seen = np.array([view.camera.centre for view in views])
+    seen = seen if block.points is None else np.concatenate([seen, block.points])
+    ground, said = read_ground(found.folder, config, frame, seen, water, is_level_known=is_level_known)
+    assumptions += said.assumptions
+    warnings += said.warnings
     require_true(frame, views, water, config, found.heads, see_points=block.reprojection is not None)
     warnings += _doubts(replace(found, config=config), frame, views, water, block.control)
     config = _with_poses_name(config, found)
@@ -232,7 +242,7 @@ def load_survey(
         water=water,
         config=config,
         observations=Observations(
-            block.points, block.ties, block.priors, block.control, block.checkpoints, levels, velocities, tide
+            block.points, block.ties, block.priors, block.control, block.checkpoints, levels, velocities, tide, ground
         ),
         provenance=Provenance(
             block.tool,

@@ -25,6 +25,9 @@ def control_rows(control: FoundControl | None) -> list[tuple[str, str]]:
         checks = f", {num_check} of them check points" if num_check else ""
         seen = f"{len(marks)} marks in {len({mark.view for mark in marks})} images"
         rows.append(("control", f"{len(points)} points{checks}, with {seen}; {_stds(control)}"))
+    if control.config.reference is not None:
+        stable = f", in the polygons of {control.config.stable}" if control.config.stable is not None else ""
+        rows.append(("earlier survey", f"{control.config.reference}: the block is placed on its dry ground{stable}"))
     if control.checkpoints:
         rows.append(("check points", f"{len(control.checkpoints)}, which results are compared with"))
     return rows

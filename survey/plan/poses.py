@@ -39,6 +39,8 @@ def pose_choice(survey: Survey, asked: str, *, free_water: bool) -> tuple[str, s
         return "refine", "structure from motion has straight rays: poses, lens and water are adjusted with bent ones"
     if survey.observations.control is not None:
         return "refine", "there are control points to adjust to"
+    if survey.observations.ground is not None:
+        return "refine", "there is an earlier survey to place the block on"
     sources = {prior.source for prior in survey.observations.priors.values()}
     if "survey.toml" in sources:
         return "refine", "survey.toml says how well the poses are known, and they are refined within that"

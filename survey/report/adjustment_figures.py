@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from survey.adjust.adjustment import Adjustment, ControlResidual, Parameter
+from survey.adjust.ground_fit import GroundFit
 from survey.adjust.parts import Part, parts_of_adjustment
 from survey.adjust.state import RELIEF
 from survey.adjust.std_common import CommonError, common_error
@@ -126,6 +127,8 @@ class AdjustmentFigures:
     common : CommonError or None
     parts : tuple of Part
         Those that share no points; none where the block is whole.
+    ground : GroundFit or None
+        How the block was placed on the dry ground of an earlier survey.
     correlation_names : (K,) of water and lenses, those that were free to move
     correlation : K rows of K
     """
@@ -142,6 +145,7 @@ class AdjustmentFigures:
     parts: tuple[Part, ...]
     correlation_names: tuple[str, ...]
     correlation: tuple[tuple[float, ...], ...]
+    ground: GroundFit | None = None
 
     @property
     def note(self) -> str | None:
@@ -177,6 +181,7 @@ def adjustment_of(survey: Survey, found: Adjustment | None) -> AdjustmentFigures
         parts=parts_of_adjustment(found, survey.water),
         correlation_names=names,
         correlation=tuple(tuple(row) for row in correlation.tolist()),
+        ground=found.ground,
     )
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from survey.adjust.adjustment import Parameter
+from survey.adjust.ground_fit import NAMES
 from survey.display.quantities import NO_BREAK, LengthUnit, count, is_known, length, number
 from survey.report.adjustment_figures import HELD_STD, AdjustmentFigures, ControlGroup
 from survey.report.blocks import Block, Rows, Sentences, Table, Text
@@ -22,7 +23,7 @@ def adjustment(found: AdjustmentFigures | None) -> list[Block]:
         blocks.append(Text(found.note[0].upper() + found.note[1:] + "."))
     blocks += [parameter_table(found.parameters)] if found.parameters else []
     blocks += [Sentences([f"{row.name} {row.verdict}" for row in found.parameters])] if found.parameters else []
-    return [*blocks, *_parts(found), _observations(found), Rows(_poses(found)), *_control(found)]
+    return [*blocks, *_parts(found), _observations(found), Rows(_poses(found)), *_ground(found), *_control(found)]
 
 
 def _parts(found: AdjustmentFigures) -> list[Block]:
@@ -98,6 +99,25 @@ def _poses(found: AdjustmentFigures) -> list[tuple[str, str]]:
 def _axes_text(values: Sequence[float]) -> str:
     unit = LengthUnit.of(values)
     return f"{' / '.join(unit.number(value) for value in values)}{NO_BREAK}{unit.name} east / north / up"
+
+
+def _ground(found: AdjustmentFigures) -> list[Table]:
+    """The transformation onto an earlier survey."""
+    fit = found.ground
+    if fit is None:
+        return []
+    without = (None,) * len(NAMES) if fit.std_without is None else fit.std_without
+    rows = []
+    for name, moved, std, before in zip(NAMES, fit.moved, fit.std, without, strict=True):
+        part, unit = name.rsplit("_", 1)
+        digits = _digits(std)
+        known = _NO_VALUE if before is None else number(before, _digits(before))
+        rows.append((f"{part.replace('_', ' about ')} [{unit}]", number(moved, digits), number(std, digits), known))
+    heading = (
+        f"Placement on {fit.reference}: {count(fit.num_points)} points, {length(fit.rms_m)} rms from its ground "
+        f"({count(fit.num_changed)} of {count(fit.num_over)} tie points over it left out)"
+    )
+    return [Table(("part", "moved by", "1 sigma", "1 sigma without it"), rows, heading=heading)]
 
 
 def _control(found: AdjustmentFigures) -> list[Table]:

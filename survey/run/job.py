@@ -234,7 +234,7 @@ class Job:
                 survey.config.cameras,
                 survey.provenance.contradiction,
             ),
-            "control": lambda: survey.observations.control,
+            "control": lambda: (survey.observations.control, survey.observations.ground),
             "freed": lambda: self.chosen.calibrate_water,
             "water_colour": lambda: colour_of(survey),
             "true_colour": lambda: colour_of(survey) if self.chosen.true_colour else None,

@@ -1,4 +1,4 @@
-"""[control] of survey.toml: points of known coordinates, where photographs show them, and check points."""
+"""[control] of survey.toml: points of known coordinates, their marks, check points, and an earlier survey."""
 
 from __future__ import annotations
 
@@ -21,6 +21,9 @@ class ControlConfig:
     std_m: float | tuple[float, float] | None = key(None, "one number or [horizontal, vertical] in metres")
     marks: str | None = None  # where photographs show the points, unless gcps says it: a CSV, or Metashape's XML
     marks_std_px: float | None = None
+    reference: str | None = None  # an earlier survey, on whose dry ground the block is placed: cloud, mesh or GeoTIFF
+    reference_std_m: float | tuple[float, float] | None = key(None, "one number or [horizontal, vertical] in metres")
+    stable: str | None = None  # GeoJSON or GeoPackage: polygons of its ground that did not change
 
     def __post_init__(self):
         if self.gcps == ():
@@ -30,6 +33,12 @@ class ControlConfig:
                 "[control] marks is given without gcps; name the file of the points' coordinates in gcps too"
             )
         require_std("[control] std_m", self.std_m, 10.0, "metres", "GNSS with corrections has about 0.01 to 0.03")
+        if self.reference is None and (self.reference_std_m is not None or self.stable is not None):
+            raise ConfigError(
+                "[control] reference_std_m and stable say more of a reference, and there is none; name its file in "
+                "reference, or remove them"
+            )
+        require_std("[control] reference_std_m", self.reference_std_m, 10.0, "metres", "airborne lidar has about 0.1")
         require_std("[control] marks_std_px", self.marks_std_px, 50.0, "pixels", "marks set by hand have about 0.5")
 
     @property
@@ -42,7 +51,8 @@ class ControlConfig:
     @property
     def files(self) -> tuple[str, ...]:
         """All files that the table names."""
-        return (*self.gcp_files, *(name for name in (self.marks, self.checkpoints) if name is not None))
+        named = (self.marks, self.checkpoints, self.reference, self.stable)
+        return (*self.gcp_files, *(name for name in named if name is not None))
 
 
 def per_direction(std_m: float | tuple[float, float] | None) -> tuple[float, float, float]:

@@ -1,0 +1,121 @@
+"""How a block was placed on the dry ground of an earlier survey: shift, turn and scale with standard deviations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from survey.display.quantities import length
+
+if TYPE_CHECKING:
+    from survey.adjust.on_ground import Placed
+
+NAMES = ("east_m", "north_m", "up_m", "turn_east_deg", "turn_north_deg", "turn_up_deg", "scale_ppm")
+_UNITS = np.array([1.0, 1.0, 1.0, math.degrees(1.0), math.degrees(1.0), math.degrees(1.0), 1e6])
+# A part of the transformation that the ground makes at least so much more certain is told by it.
+_TOLD = 0.7
+_MOST_CHANGED = 0.5
+
+
+@dataclass(frozen=True)
+class GroundFit:
+    """The placement of a block.
+
+    Attributes
+    ----------
+    reference : str
+        File of the earlier survey.
+    num_points, num_over, num_changed : int
+        Tie points that hold the block, one of each square of ground; all over the ground; those where it changed.
+    rms_m : float
+        Of their vertical distances from the ground.
+    moved, std : tuple of float
+        Of each of `NAMES`: by how much the block was moved from where poses and positions had it, and how well its
+        place is known.
+    std_without : tuple of float, or None
+        The same without the earlier survey; None where nothing else holds the block.
+    is_against_positions : bool
+        Whether it contradicts positions of a stated accuracy.
+    """
+
+    reference: str
+    num_points: int
+    num_over: int
+    num_changed: int
+    rms_m: float
+    moved: tuple[float, ...]
+    std: tuple[float, ...]
+    std_without: tuple[float, ...] | None
+    is_against_positions: bool
+
+    @classmethod
+    def of_record(cls, record: Mapping[str, Any] | None) -> GroundFit | None:
+        """What was stored of it."""
+        if record is None:
+            return None
+        values: dict[str, Any] = {name: tuple(v) if isinstance(v, list | tuple) else v for name, v in record.items()}
+        return cls(**values)
+
+    @property
+    def is_told(self) -> tuple[bool, ...]:
+        """Which parts of the transformation the ground tells."""
+        without = (math.inf,) * len(self.std) if self.std_without is None else self.std_without
+        return tuple(std <= _TOLD * before for std, before in zip(self.std, without, strict=True))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The placement in a sentence."""
+        axes = ", ".join(
+            f"{length(value)} {axis} (± {length(std)})"
+            for value, std, axis in zip(self.moved[:3], self.std[:3], ("east", "north", "up"), strict=True)
+        )
+        told = [name.rsplit("_", 1)[0].replace("_", " about ") for name, is_told in self._told() if not is_told]
+        rest = f"; it does not tell {', '.join(told)}" if told else ""
+        return (
+            f"placed on {self.num_points} points of the dry ground of {self.reference}, to {length(self.rms_m)} rms: "
+            f"moved by {axes}{rest}",
+        )
+
+    def _told(self) -> Sequence[tuple[str, bool]]:
+        return list(zip(NAMES, self.is_told, strict=True))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Where much of the ground changed, or it contradicts what positions state."""
+        said = []
+        share = self.num_changed / max(self.num_over, 1)
+        if share > _MOST_CHANGED:
+            said.append(
+                f"{100.0 * share:.0f} % of the tie points over the ground of {self.reference} lie off it: it changed, "
+                "or is another place; give polygons of stable ground in [control] stable"
+            )
+        if self.is_against_positions:
+            moved = " / ".join(length(value) for value in self.moved[:3])
+            said.append(
+                f"{self.reference} has the block {moved} (east / north / up) from where positions have it, beyond the "
+                "accuracy that is stated of both: it is followed; check its datum, and those of the positions and crs"
+            )
+        return tuple(said)
+
+
+def ground_fit(placed: Placed, moved: np.ndarray, reference: str, *, is_against_positions: bool) -> GroundFit:
+    """The placement in the units of a report; ``moved`` (7,) is that of `survey.adjust.on_ground.moved_by`."""
+
+    def in_units(values: np.ndarray) -> tuple[float, ...]:
+        return tuple((values * _UNITS).tolist())
+
+    return GroundFit(
+        reference,
+        placed.num_points,
+        placed.num_over,
+        placed.num_changed,
+        placed.rms_m,
+        in_units(moved),
+        in_units(placed.std),
+        None if placed.std_without is None else in_units(placed.std_without),
+        is_against_positions,
+    )

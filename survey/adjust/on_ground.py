@@ -1,0 +1,311 @@
+"""A block placed on the dry ground of an earlier survey: point to plane, robust, iterated with the adjustment.
+
+Tie points over the ground lie on it, each on the plane through the points around it, to the scatter of these
+(`evaluation.local_surface`). So the ground tells height and tilt of the block, scale by its extent, and its place in
+plan where it is not flat. Whether a tie point is dry is asked of the earlier survey, whose heights count from the datum
+of crs, and not of the block, which may lie metres off. Tie points off their plane by more than others (what grew, was
+washed away or built) are left out. Of each square one point counts, so that their errors are independent. What all
+points of the earlier survey share, a shift ``e`` of covariance E, moves the parameters by ``G e``, with G from the
+normal equations, and ``G E G'`` is added to their covariance.
+
+First the block is shifted onto the ground: from the best of many places on a grid in plan, by least squares with robust
+weights. Positions tell the plan to some metres.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from evaluation.local_surface import local_surface
+from survey.adjust.bundle import Planes, Problem, Solution, System, inverse, system_with
+from survey.adjust.state import State
+from survey.control.ground import Ground
+from survey.errors import ControlError
+from survey.photos.cameras import View
+
+# Sides of the squares, in spacings of the ground's points, and squares along the longer side at most.
+_SPACINGS, _MOST_SQUARES = 3.0, 30
+# Distances beyond so many robust standard deviations, and at least so many of their own, are of ground that changed.
+_CHANGED, _MAD_TO_STD = 3.0, 1.4826
+# Planes known that much worse than most do not count.
+_ROUGH = 4.0
+# Fewer points hold no block.
+FEWEST = 12
+# No plane is known better.
+_LEAST_STD_M = 0.002
+# Of the start: standard deviation of positions in plan [m], starts along each axis, and how many of them are followed.
+_PLAN_STD_M = 3.0
+_STARTS_M = np.arange(-5.0, 5.1, 0.5)
+_MOST_STARTS, _STEPS = 10, 12
+_MOST_NODES = 20_000
+_STEADY_M = 1e-3
+
+
+@dataclass(frozen=True)
+class OnGround:
+    """Tie points on the ground.
+
+    Attributes
+    ----------
+    planes : Planes
+    over, changed : (M,) bool
+        Points over the ground; those of them that are left out.
+    """
+
+    planes: Planes
+    over: np.ndarray
+    changed: np.ndarray
+
+
+def planes_under(ground: Ground, points: np.ndarray, num_ties: int) -> OnGround:
+    """Planes of the ground under points (M, 3) [m]; the first ``num_ties`` are tie points, the others control.
+
+    Raises
+    ------
+    ControlError
+        If too few lie over the ground.
+    """
+    normal, height, std, spacing = _planes_at(ground, points[:, :2])
+    known = np.isfinite(height) & np.isfinite(normal).all(axis=1) & (np.arange(len(points)) < num_ties)
+    off = np.where(known, np.einsum("mi,mi->m", normal, points) - height, np.nan)
+    if known.sum() < FEWEST:
+        raise ControlError(
+            f"{int(known.sum())} tie points lie over the dry ground of [control] reference, expected at least "
+            f"{FEWEST}; give a reference that covers dry ground in the photographs, or leave it out"
+        )
+    std = np.maximum(std, _LEAST_STD_M)
+    # At steps of the ground planes are none.
+    known &= std <= _ROUGH * np.median(std[known])
+    scaled = off[known] / std[known]
+    scatter = max(_MAD_TO_STD * float(np.median(np.abs(scaled - np.median(scaled)))), 1.0)
+    std = std * scatter
+    good = known & (np.abs(off - np.median(scaled) * std / scatter) <= _CHANGED * std)
+    used = _one_of_each_square(points, good, std, spacing)
+    strength = np.where(used, std**-2.0, 0.0)
+    planes = Planes(np.where(used[:, None], normal, 0.0), np.where(used, height, 0.0), np.where(used, strength, 0.0))
+    return OnGround(planes, known, known & ~good)
+
+
+def _planes_at(ground: Ground, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Normals (N, 3), heights along them (N,), their std (N,) at places (N, 2), and the spacing of the ground [m]."""
+    here = local_surface(ground.points, places)
+    if not np.isfinite(here.spacing_m):
+        return np.full((len(places), 3), np.nan), here.height, here.std, np.nan
+    sides = here.spacing_m * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    around = local_surface(ground.points, (places[:, None] + sides).reshape(-1, 2)).height.reshape(-1, 4)
+    slope = (around[:, ::2] - around[:, 1::2]) / (2.0 * here.spacing_m)
+    normal = np.column_stack([-slope, np.ones(len(places))])
+    return normal, here.height - np.einsum("ni,ni->n", slope, places), here.std, here.spacing_m
+
+
+def _one_of_each_square(points: np.ndarray, good: np.ndarray, std: np.ndarray, spacing: float) -> np.ndarray:
+    """Mask (M,) of the points that count: of each square the one whose plane is known best."""
+    used = np.zeros(len(points), dtype=bool)
+    rows = np.flatnonzero(good)
+    if not len(rows):
+        return used
+    side = max(_SPACINGS * spacing, float(np.ptp(points[rows, :2], axis=0).max()) / _MOST_SQUARES)
+    rows = rows[np.argsort(std[rows], kind="stable")]
+    _, first = np.unique(np.floor(points[rows, :2] / side), axis=0, return_index=True)
+    used[rows[first]] = True
+    return used
+
+
+def shift_onto(ground: Ground, points: np.ndarray) -> np.ndarray:
+    """Shift (3,) [m] that puts tie points (M, 3) [m] onto the ground.
+
+    Raises
+    ------
+    ControlError
+        If too few lie over it.
+    """
+    low, high = ground.points[:, :2].min(axis=0) - _PLAN_STD_M, ground.points[:, :2].max(axis=0) + _PLAN_STD_M
+    near = points[((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1)]
+    # Some hundreds tell a shift as well as all.
+    near = near[:: max(len(near) // 400, 1)]
+    found = []
+    if len(near) >= FEWEST:
+        planes = _PlanesOnGrid.around(ground, near)
+        starts = np.stack(np.meshgrid(_STARTS_M, _STARTS_M), axis=-1).reshape(-1, 2)
+        costs = np.array([_cost(planes, near, start) for start in starts])
+        found = [_descended(planes, near, starts[k]) for k in np.argsort(costs)[:_MOST_STARTS] if np.isfinite(costs[k])]
+    best = min((each for each in found if each is not None), key=lambda each: each[0], default=None)
+    if best is None:
+        raise ControlError(
+            "no tie points lie over the dry ground of [control] reference; give a reference that covers dry ground in "
+            "the photographs, in the crs of the survey, or leave it out"
+        )
+    return best[1]
+
+
+@dataclass(frozen=True)
+class _PlanesOnGrid:
+    """Planes of the ground at the nodes of a grid, each for what lies nearest: to try many shifts quickly."""
+
+    low: np.ndarray
+    side: float
+    shape: tuple[int, int]
+    normal: np.ndarray
+    height: np.ndarray
+    std: np.ndarray
+
+    @staticmethod
+    def around(ground: Ground, points: np.ndarray) -> _PlanesOnGrid:
+        """Around points (M, 3), as far as starts and their descents lead."""
+        reach = float(_STARTS_M.max()) + _PLAN_STD_M
+        low, high = points[:, :2].min(axis=0) - reach, points[:, :2].max(axis=0) + reach
+        area = float(np.prod(np.ptp(ground.points[:, :2], axis=0)))
+        spacing = math.sqrt(max(area, 1e-6) / len(ground.points))
+        side = max(spacing, math.sqrt(float(np.prod(high - low)) / _MOST_NODES))
+        columns, rows = (np.ceil((high - low) / side).astype(np.int64) + 1).tolist()
+        x, y = np.meshgrid(low[0] + side * np.arange(columns), low[1] + side * np.arange(rows))
+        nodes = np.column_stack([x.ravel(), y.ravel()])
+        here = local_surface(ground.points, nodes)
+        by_row, by_column = np.gradient(here.height.reshape(rows, columns), side)
+        normal = np.column_stack([-by_column.ravel(), -by_row.ravel(), np.ones(len(nodes))])
+        height = here.height + np.einsum("ni,ni->n", normal[:, :2], nodes)
+        return _PlanesOnGrid(low, side, (rows, columns), normal, height, here.std)
+
+    def at(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Normals (N, 3), heights along them and their std (N,) at places (N, 2); NaN where there is no ground."""
+        column, row = np.round((places - self.low) / self.side).astype(np.int64).T
+        inside = (row >= 0) & (column >= 0) & (row < self.shape[0]) & (column < self.shape[1])
+        node = np.where(inside, row * self.shape[1] + column, 0)
+        return self.normal[node], np.where(inside, self.height[node], np.nan), self.std[node]
+
+
+def _cost(planes: _PlanesOnGrid, points: np.ndarray, shift: np.ndarray) -> float:
+    """Cost of a shift in plan (2,), with that in height which suits most points; infinite without ground."""
+    normal, height, _ = planes.at(points[:, :2] + shift)
+    off = np.einsum("mi,mi->m", normal, points + np.array([*shift, 0.0])) - height
+    off = off[np.isfinite(off)]
+    if len(off) < FEWEST:
+        return np.inf
+    return _cost_of(off - np.median(off), len(points), shift)
+
+
+def _cost_of(off: np.ndarray, count: int, shift: np.ndarray) -> float:
+    """Of distances (K,) [m] of those of so many points that lie over ground, and of a shift in plan."""
+    scale = max(_MAD_TO_STD * float(np.median(np.abs(off))), _LEAST_STD_M)
+    # Few points over the ground may fit anywhere.
+    return math.log(scale) + math.log(count / len(off)) + float(shift[:2] @ shift[:2]) / (40.0 * _PLAN_STD_M**2)
+
+
+def _descended(planes: _PlanesOnGrid, points: np.ndarray, start: np.ndarray) -> tuple[float, np.ndarray] | None:
+    """Cost and shift (3,) where a start in plan (2,) leads; None where too few points lie over the ground."""
+    shift = np.array([*start, 0.0])
+    cost = np.inf
+    for step in range(_STEPS):
+        moved = points + shift
+        normal, height, std = planes.at(moved[:, :2])
+        known = np.isfinite(height) & np.isfinite(normal).all(axis=1)
+        if known.sum() < FEWEST:
+            return None
+        normal, std = normal[known], np.maximum(std[known], _LEAST_STD_M)
+        off = np.einsum("mi,mi->m", normal, moved[known]) - height[known]
+        if step == 0:
+            shift[2] = -float(np.median(off))
+            continue
+        scale = max(_MAD_TO_STD * float(np.median(np.abs(off))), _LEAST_STD_M)
+        cost = _cost_of(off, len(points), shift)
+        weight = np.minimum(1.0, 2.0 * scale / np.maximum(np.abs(off), 1e-12)) / scale**2
+        matrix = (normal * weight[:, None]).T @ normal + np.diag([_PLAN_STD_M**-2.0, _PLAN_STD_M**-2.0, 0.0])
+        right = -(normal * weight[:, None]).T @ off - np.array([*shift[:2] / _PLAN_STD_M**2, 0.0])
+        change = np.linalg.solve(matrix, right)
+        shift = shift + change
+        if np.abs(change).max() < _STEADY_M:
+            break
+    return float(cost), shift
+
+
+def with_shared(ground: Ground, planes: Planes, solution: Solution) -> np.ndarray:
+    """Covariance (P, P) of the parameters with what all points of the ground share."""
+    pull = planes.strength[:, None, None] * planes.normal[:, :, None] * planes.normal[:, None, :]
+    follow = solution.covariance @ np.stack([solution.system.response(pull[:, :, axis]) for axis in range(3)], axis=-1)
+    horizontal, vertical = ground.std_m
+    return solution.covariance + (follow * np.square([horizontal, horizontal, vertical])) @ follow.T
+
+
+@dataclass(frozen=True)
+class Placed:
+    """How an adjusted block lies on the ground.
+
+    Attributes
+    ----------
+    num_points, num_over, num_changed : int
+        Tie points that hold it, one of each square; all over the ground; those of them where it changed.
+    rms_m : [m]
+        Of the vertical distances of the points that hold it.
+    middle : (3,) [m]
+        Of these points.
+    std : (7,)
+        Of the block's shift at the middle [m], turn about east, north and up [rad], and scale.
+    std_without : (7,) or None
+        The same without the ground; None where nothing else holds the block.
+    """
+
+    num_points: int
+    num_over: int
+    num_changed: int
+    rms_m: float
+    middle: np.ndarray
+    std: np.ndarray
+    std_without: np.ndarray | None
+
+
+def placed_on(on_ground: OnGround, problem: Problem, solution: Solution, covariance: np.ndarray) -> Placed:
+    """The placement of a block; the covariance (P, P) is that with what the ground shares."""
+    planes, points = on_ground.planes, solution.state.points
+    used = planes.strength > 0.0
+    middle = points[used].mean(axis=0)
+    alone = replace(problem, priors=replace(problem.priors, planes=None))
+    system = system_with(alone, solution.state, solution.weights)
+    try:
+        without = _std_of_block(system, points, middle, inverse(system.normal))
+    except np.linalg.LinAlgError:
+        without = None
+    return Placed(
+        num_points=int(used.sum()),
+        num_over=int(on_ground.over.sum()),
+        num_changed=int(on_ground.changed.sum()),
+        rms_m=float(np.sqrt(np.mean(planes.distances(points)[used] ** 2))),
+        middle=middle,
+        std=_std_of_block(solution.system, points, middle, covariance),
+        std_without=without,
+    )
+
+
+def _std_of_block(system: System, points: np.ndarray, middle: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Standard deviations (7,) of shift, turn and scale of the points (M, 3) about a middle, as these follow."""
+    x, y, z = (points - middle).T
+    zero, one = np.zeros(len(points)), np.ones(len(points))
+    design = np.stack(
+        [
+            np.stack([one, zero, zero, zero, z, -y, x], axis=-1),
+            np.stack([zero, one, zero, -z, zero, x, y], axis=-1),
+            np.stack([zero, zero, one, y, -x, zero, z], axis=-1),
+        ],
+        axis=1,
+    )
+    fit = np.linalg.pinv(design.reshape(-1, 7)).reshape(7, len(points), 3)
+    pulled = np.einsum("kmi,mji->kmj", fit, system.root).reshape(7, -1)
+    follow = -(system.mixed.T @ pulled.T).T
+    return np.sqrt(np.einsum("kp,pq,kq->k", follow, covariance, follow))
+
+
+def moved_by(before: Sequence[View], state: State, middle: np.ndarray) -> np.ndarray:
+    """How a block was moved (7,): shift at a middle (3,) of the moved block, turn and scale as in `Placed.std`."""
+    centres = np.array([view.camera.centre for view in before])
+    rotations = np.array([view.camera.cam_from_local for view in before])
+    turns = Rotation.from_matrix(state.rotations.transpose(0, 2, 1) @ rotations)
+    turn = Rotation.from_rotvec(np.median(turns.as_rotvec(), axis=0))
+    was, now = centres - centres.mean(axis=0), state.centres - state.centres.mean(axis=0)
+    turned = turn.apply(was)
+    scale = float(np.sum(turned * now) / max(float(np.sum(turned * turned)), 1e-12))
+    here = centres.mean(axis=0) + turn.inv().apply(middle - state.centres.mean(axis=0)) / scale
+    return np.array([*(middle - here), *turn.as_rotvec(), scale - 1.0])

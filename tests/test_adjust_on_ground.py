@@ -1,0 +1,88 @@
+"""A block placed on the dry ground of an earlier survey: against known shifts, and on ground that changed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from survey.adjust.adjustment import read_adjustment, write_adjustment
+from survey.adjust.ground_fit import NAMES
+from survey.adjust.on_ground import planes_under, shift_onto
+from survey.adjust.refine import adjust_survey
+from survey.control.ground import Ground
+from survey.errors import ControlError
+from tests.block_survey import height_error, pose_errors
+from tests.drawn_ground import drawn_on_ground
+
+
+def rough(rng: np.random.Generator, count: int, half: float = 15.0) -> np.ndarray:
+    """Points on a slope with relief of 0.3 m, some metres long."""
+    places = rng.uniform(-half, half, (count, 2))
+    waves = np.random.default_rng(36).normal(0.0, 0.8, (8, 2))
+    height = 0.1 * places[:, 0] + 0.15 * np.sin(places @ waves.T + np.arange(8.0)).sum(axis=1)
+    return np.column_stack([places, height])
+
+
+@settings(max_examples=6, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), shift=st.tuples(*[st.floats(-4.0, 4.0)] * 2, st.floats(-50.0, 50.0)))
+def test_a_shift_is_found_from_points_of_which_a_fifth_is_wrong(seed, shift):
+    rng = np.random.default_rng(seed)
+    points = rough(rng, 300, half=8.0)
+    points[:60, 2] += rng.uniform(-2.0, 3.0, 60)
+    found = shift_onto(Ground(rough(rng, 6000), (0.1, 0.1)), points - shift)
+    assert np.abs(found - shift).max() < 0.05
+
+
+def test_planes_hold_points_of_the_ground_and_leave_out_what_changed():
+    rng = np.random.default_rng(3)
+    points = np.concatenate([rough(rng, 400, half=14.0), rough(rng, 5)])
+    points[:40, 2] += 0.7
+    points[40:60, 0] += 100.0
+    on_ground = planes_under(Ground(rough(rng, 8000), (0.1, 0.1)), points, 400)
+    used = on_ground.planes.strength > 0.0
+    assert not used[:60].any()
+    assert not used[400:].any()
+    assert on_ground.changed[:40].mean() > 0.9
+    assert not on_ground.changed[40:60].any()
+    assert on_ground.changed[60:400].mean() < 0.05
+    assert np.abs(on_ground.planes.distances(points)[used]).max() < 0.06
+    with pytest.raises(ControlError, match="tie points lie over the dry ground"):
+        planes_under(Ground(rough(rng, 8000) + np.array([100.0, 0.0, 0.0]), (0.1, 0.1)), points[:40], 40)
+
+
+def test_a_block_off_by_half_a_metre_comes_to_where_the_bank_is(tmp_path):
+    block, survey = drawn_on_ground(5, std_m=(0.01, 0.01), num_points=400)
+    found = adjust_survey(survey, use_windows=False)
+    fit = found.ground
+    off, _ = pose_errors(block, found.poses.centres, found.poses.rotations)
+    assert np.abs(off.mean(axis=0)).max() < 0.1
+    assert abs(height_error(block, found)) < 0.05
+    assert np.allclose(fit.moved[:3], (-0.4, 0.3, -0.5), atol=0.1)
+    assert max(fit.std[:3]) < 0.05 < min(fit.std_without[:2])
+    assert all(fit.is_told[:2])
+    assert "placed on" in " ".join(found.notes)
+    write_adjustment(tmp_path, found)
+    assert read_adjustment(tmp_path).ground == fit
+    # What all of the earlier survey shares, the block has, too.
+    ground = replace(survey.observations.ground, std_m=(0.3, 0.2))
+    wide = adjust_survey(
+        replace(survey, observations=replace(survey.observations, ground=ground)), use_windows=False
+    ).ground
+    for name, less, more, shared in zip(NAMES[:2], fit.std, wide.std, (0.3, 0.3), strict=False):
+        assert more == pytest.approx(np.hypot(less, shared), rel=0.2), name
+
+
+@pytest.mark.slow
+def test_intervals_of_placed_blocks_hold_what_they_say():
+    """Over flat and rough banks, with a quarter of the ground changed in every other one."""
+    inside = []
+    for seed in range(100, 124):
+        block, survey = drawn_on_ground(seed, changed_share=0.25 * (seed % 2), shift=(1.0, -0.8, -1.5))
+        found = adjust_survey(survey, use_windows=False)
+        error = (*(found.ground.moved[:2] + np.array([1.0, -0.8])), height_error(block, found))
+        inside.append(np.abs(error) <= 1.96 * np.array(found.ground.std[:3]))
+    assert np.mean(inside) >= 0.85

@@ -11,7 +11,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
 # Of the work, and time [s], before which a pace is too uncertain; largest estimate over smallest that counts as steady.
-_LEAST_SHARE, _LEAST_S, _STEADY = 0.1, 5.0, 1.5
+LEAST_SHARE, _LEAST_S, _STEADY = 0.1, 5.0, 1.5
 # Of what a run is expected to take, the share of the parts whose pace is known: photographs that match badly slow down
 # the sweep and not the search for features.
 _LEAST_TOLD = 0.25
@@ -77,7 +77,7 @@ class StepForecast:
             return None
         last, done = self._history[-1]
         needed = self._needed(total)
-        if needed is None or done < _LEAST_SHARE * total or now - self._start < _LEAST_S:
+        if needed is None or done < LEAST_SHARE * total or now - self._start < _LEAST_S:
             return None
         left = needed - (now - last)
         return left if left > 0.0 or done >= total else None
@@ -183,6 +183,6 @@ class Forecast:
             return None
         whole = now - self._start + left
         self._steady.add(now, whole)
-        is_early = now - self._start < max(_LEAST_SHARE * whole, _LEAST_S)
+        is_early = now - self._start < max(LEAST_SHARE * whole, _LEAST_S)
         is_told = expected >= _LEAST_TOLD * sum(part.expected_s for part in self._parts.values())
         return float(left) if is_told and self._steady.agrees and not is_early else None

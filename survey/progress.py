@@ -22,7 +22,7 @@ from rich.progress import BarColumn, ProgressColumn, Task, TextColumn, TimeElaps
 from rich.progress import Progress as Bars
 from rich.text import Text
 
-from survey.forecast import Forecast, StepForecast
+from survey.forecast import LEAST_SHARE, Forecast, StepForecast
 from survey.lines import fitted
 
 # Seconds between plain lines of one stage, where there is no terminal, and between looks whether one is due.
@@ -76,6 +76,11 @@ class Step:
     def seconds(self) -> float:
         """Since the step began [s]."""
         return time.monotonic() - self._start
+
+    @property
+    def is_underway(self) -> bool:
+        """Whether so much of it is done that its own pace tells more than what was expected."""
+        return self.total is not None and self.done >= LEAST_SHARE * self.total
 
     @property
     def seconds_left(self) -> float | None:
@@ -222,7 +227,10 @@ class Progress:
         with self.lock:
             if self.forecast is None:
                 return None
-            return self.forecast.left_s(time.monotonic(), self._steps[0].seconds_left if self._steps else None)
+            of_part = self._steps[0].seconds_left if self._steps else None
+            if of_part is None and self._steps and self._steps[0].is_underway:
+                return None
+            return self.forecast.left_s(time.monotonic(), of_part)
 
     def note(self, text: str) -> None:
         """A line that the user should see."""

@@ -139,3 +139,20 @@ def test_a_run_with_a_forecast_says_when_it_will_end(clock):
     assert "sweep:  20 %, 4 min 00 s left, about 6 minutes to the end of the run" in said
     assert "sweep: done in 5 min 00 s, about 2 minutes to the end of the run" in said
     assert said.rstrip().endswith("report: done in 2 min 30 s")
+
+
+def test_nothing_is_told_of_the_run_while_the_pace_of_what_goes_on_contradicts_what_was_expected(clock):
+    progress = Progress(verbosity=-1)
+    progress.forecast = Forecast()
+    progress.forecast.expect({"first": 100.0, "sweep": 50.0})
+    with progress:
+        with progress.stage("first"):
+            clock.now += 100.0
+        with progress.stage("sweep", total=100) as stage:
+            work(stage, clock, 20, 0.5)
+            assert progress.look_ahead() == pytest.approx(40.0)
+            work(stage, clock, 2, 10.0)
+            assert stage.seconds_left is None
+            assert progress.look_ahead() is None
+            work(stage, clock, 30, 10.0)
+            assert stage.seconds_left == pytest.approx(48 * 10.0)

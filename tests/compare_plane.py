@@ -16,7 +16,7 @@ FRAME = LocalFrame(UTM32, ORIGIN)
 # LAS stores millimetres: half of one along each axis, seen along one direction.
 LAS_M = 0.5e-3
 HALF = 5.0
-NUM_SAMPLES = 200_000
+NUM_SAMPLES = 50_000
 
 
 def write_mesh(path, vertices, faces):

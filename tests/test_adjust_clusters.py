@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from slow_cases import slow
 
 from survey.adjust.bundle import Problem, Solution, solve
 from survey.adjust.clusters import inflation, terrain_design_effect
@@ -93,13 +94,13 @@ def factor_of(seed: int, slope: float) -> float:
     return terrain_design_effect(problem, solution, sizes, np.ones(len(problem.kind), dtype=bool))
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, slow(1)])
 def test_independent_errors_are_counted_once(seed):
     # The largest of three estimates, of up to some hundred squares each.
     assert 0.7 < factor_of(seed, 0.0) < 1.6
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, slow(1)])
 def test_what_ground_shares_is_found_where_it_exceeds_the_noise_of_single_observations(seed):
     # Points follow most of what a slope does; what is left is a part of the noise.
     assert factor_of(seed, 0.2) > 3.0

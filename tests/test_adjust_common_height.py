@@ -183,7 +183,7 @@ def test_a_level_that_is_found_is_as_high_as_positions_that_may_be_off():
 
 
 def test_positions_that_prove_good_hold_the_block_where_some_photographs_have_none():
-    block = draw_block(5, num_points=250, num_views=18, dry_share=0.3, num_control=0, position_std=(0.02, 0.02, 0.03))
+    block = draw_block(5, num_points=150, num_views=18, dry_share=0.3, num_control=0, position_std=(0.02, 0.02, 0.03))
     survey = lifted(block, (0.0, 0.0, 0.0))
     name = survey.views[3].name
     survey = changed(survey, priors={**survey.observations.priors, name: PosePrior(None, None, None, "none")})

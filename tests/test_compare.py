@@ -86,7 +86,7 @@ def test_triangles_that_are_wound_against_each_other_are_noted_where_winding_cou
     twice = [[0, 2, 1], [0, 3, 2], [0, 1, 2], [0, 2, 3]]
     for faces, turned in (([[0, 2, 1], [0, 2, 3]], 1), (twice, 2), ([[0, 1, 2], [0, 2, 3]], 0)):
         mesh = write_mesh(tmp_path / "mesh.ply", corners, faces)
-        for sign in ("up", "winding"):
+        for sign in ("up", "winding") if turned == 1 else ("winding",):
             said = [note for note in compared(cloud, mesh, sign=sign)["notes"] if "wound against" in note]
             assert len(said) == (sign == "winding" and turned > 0)
             assert all(f"along {turned} edges" in note for note in said)

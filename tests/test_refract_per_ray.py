@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from slow_cases import slow
 
 from refract import FlatWater, SphericalWater, TidalWater, WavyWater, channel_indices, crossing_point, project, trace
 
@@ -122,7 +123,7 @@ def test_wrong_numbers_among_many_are_found():
         SphericalWater((0.0, 0.0, [0.0, 1.0]), 6.4e6).detached()
 
 
-@pytest.mark.parametrize("name", ["trace", "project", "at_height", "crossing_point"])
+@pytest.mark.parametrize("name", [slow("trace"), "project", slow("at_height"), slow("crossing_point")])
 def test_torch_compiles_it_whole(rng, name):
     rays, points, _ = scene(rng)
     rays, points, centre = torch.tensor(rays), torch.tensor(points), torch.tensor(CENTRE)

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from scipy import ndimage
+from slow_cases import slow
 from solved_tiles import plain_tile
 
 from fields.device import choose_device
@@ -100,7 +101,7 @@ def solved(
     return start, found[0].height - truth.flat[found[0].pixels], found[0].std, figures
 
 
-@pytest.mark.parametrize("slope", [0.0, 0.5])
+@pytest.mark.parametrize("slope", [slow(0.0), 0.5])
 def test_errors_of_the_start_vanish_without_noise_and_slopes_are_kept(slope):
     start, error, _, _ = solved(0.3, slope)
     assert start.std() > 0.5 * GSD

@@ -21,6 +21,8 @@ from refract import FlatWater
 
 WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.34)
 LOW, HIGH = -2.0, -1.7
+# Each view is matched with all others; a ring of more adds time alone.
+VIEWS = tuple(range(5))
 PASSES = (
     Pass(0.5, 2, None, 0.5, 6, False, StepSearch(2, 0.5, 16, 2.0, 5, 0.05)),
     Pass(1.0, 2, 7, 0.4, 6, True, StepSearch(1, 0.75, 8, 1.6, 3, 0.5, walls=True)),
@@ -43,8 +45,8 @@ class Terrace:
 
 
 def block_of(device, *, holes: bool = False) -> Block:
-    """Seven views of the terrace; with ``holes`` each photograph has masked pixels."""
-    cameras = ring(6)
+    """Five views of the terrace; with ``holes`` each photograph has masked pixels."""
+    cameras = ring(4)
     images = [Terrace().photograph(camera) for camera in cameras]
     for number, image in enumerate(images if holes else []):
         image[20 + number : 32 + number, 30:44] = np.nan
@@ -57,7 +59,7 @@ def swept(device, *, holes: bool = False, room: int = PLENTY, passes=PASSES, **o
     block = block_of(device, holes=holes)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(device_maps, "memory_bytes", lambda device: room)
-        return list(sweep(block, list(range(7)), (-2.4, -1.4), lambda share: None, passes, **options))
+        return list(sweep(block, list(VIEWS), (-2.4, -1.4), lambda share: None, passes, **options))
 
 
 def plain(apart):
@@ -118,7 +120,7 @@ def test_an_area_has_the_same_heights(apart):
 
 def test_a_sweep_goes_on_from_maps_of_the_host(apart):
     before = {m.view: m for m in swept(plain(apart), passes=PASSES[:1])}
-    maps, others = (swept(device, before=before, again=(0, 1, 2, 3)) for device in (apart, plain(apart)))
+    maps, others = (swept(device, before=before, again=VIEWS[:3]) for device in (apart, plain(apart)))
     assert_same(maps, others)
 
 
@@ -155,7 +157,7 @@ def test_between_the_passes_the_host_is_told_numbers_and_tiles_alone(apart, monk
     assert max(told) <= maps[0].height.size / 16
 
 
-@pytest.mark.parametrize("room", [0, 8 * 16 * 96 * 72])
+@pytest.mark.parametrize("room", [0, 6 * 16 * 96 * 72])
 def test_maps_for_which_the_device_has_no_room_wait_on_the_host(apart, beside, room):
     assert_same(swept(apart, room=room), beside)
 

@@ -15,6 +15,7 @@ import tifffile
 from gdal_programs import gdalinfo, needs_gdal
 from pyproj import CRS
 from rio_cogeo.cogeo import cog_validate
+from slow_cases import slow
 from stored_run import plane_stored, run_of, stored_points
 
 from geo.errors import UnwritableFile
@@ -218,7 +219,9 @@ def test_a_raster_that_fails_leaves_nothing_behind(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("side", [1e-300, 1e-4, 3e-4, 0.05, 0.3, 2.0, 5.0, 30.0, 1e4, 1e9, float("inf")])
+@pytest.mark.parametrize(
+    "side", [1e-300, 1e-4, 3e-4, 0.05, slow(0.3), slow(2.0), 5.0, slow(30.0), 1e4, 1e9, float("inf")]
+)
 @pytest.mark.parametrize("product", ["dem", "slope", "hillshade", "bag", "contours"])
 def test_at_no_resolution_a_product_is_empty_without_a_word(run_folder, tmp_path, capsys, product, side):
     """Far too fine or too coarse: it is refused with the lengths, or has values, or is said to have none."""

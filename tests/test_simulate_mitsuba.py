@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from slow_cases import slow
 
 from refract import FlatWater, HeightFieldWater, PinholeCamera, WavyWater
 from refract.lens import Lens
@@ -350,8 +351,7 @@ class ByChance(PathTracer):
         return super()._above(direction, self.mi.Bool(True))
 
 
-@pytest.mark.parametrize("water", [None, WATER])
-@pytest.mark.parametrize("slant", [0.0, 0.5])
+@pytest.mark.parametrize(("slant", "water"), [(0.0, WATER), (0.5, None), slow(0.5, WATER), slow(0.0, None)])
 def test_light_of_a_wide_sun_that_is_met_by_chance_is_that_of_direct_connections(mi, water, slant):
     # 46 degrees across, mirrored into the second of the rays.
     light = Light(to_sun=(0.5, 0.1, 0.8), sun_share=0.7, sun_radius=0.4)

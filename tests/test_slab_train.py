@@ -27,6 +27,18 @@ GSD = 0.03
 ORDER_OF_SUMS_MM = {"llvm": 0.0, "torch": 0.0, "cuda": 0.01}
 
 
+@pytest.fixture(
+    scope="module",
+    params=["cpu", pytest.param("torch", marks=pytest.mark.slow), pytest.param("cuda", marks=pytest.mark.gpu)],
+)
+def device(request):
+    """Torch takes twice as long."""
+    chosen = choose_device(request.param)
+    if request.param == "cpu" and chosen.name != "llvm":
+        pytest.skip(f"Dr.Jit does not run on this CPU: {chosen.reason}")
+    return chosen
+
+
 @pytest.fixture(scope="module")
 def cameras():
     return ring(4)

@@ -44,6 +44,18 @@ LENSES = {
 HALF_M, MOST_M, MEDIAN_M, MEAN_M = 1e-3, 6e-3, 1.2e-4, 5e-4
 
 
+@pytest.fixture(
+    scope="module",
+    params=["cpu", pytest.param("torch", marks=pytest.mark.slow), pytest.param("cuda", marks=pytest.mark.gpu)],
+)
+def device(request):
+    """Torch takes twice as long; the default run has it on a drawn survey."""
+    chosen = choose_device(request.param)
+    if request.param == "cpu" and chosen.name != "llvm":
+        pytest.skip(f"Dr.Jit does not run on this CPU: {chosen.reason}")
+    return chosen
+
+
 def ignore(share: float) -> None:
     """Progress that nobody looks at."""
 

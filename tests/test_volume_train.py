@@ -8,6 +8,7 @@ from contextlib import suppress
 import numpy as np
 import pytest
 import torch
+from slow_cases import slow
 from volume_scenes import BOX, WATER, Slab, bed_photographs, looking_down
 
 from fields.device import choose_device
@@ -127,7 +128,7 @@ class Kept:
             raise Interrupted
 
 
-@pytest.mark.parametrize("by_score", [0.0, 0.5])
+@pytest.mark.parametrize("by_score", [0.0, slow(0.5)])
 def test_an_interrupted_training_goes_on_to_the_same_volume(by_score):
     photographs = bed_photographs(views=3)
     # The model switches to weighted density at step 20; the proxy is renewed before and after the interruptions.

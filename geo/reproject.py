@@ -106,8 +106,8 @@ def _doubt(source: CRS, wanted: CRS, way: Transformer, where: str, places: np.nd
     in_plan = Transformation.between(source, wanted, places)
     if in_plan.accuracy_m == 0.0 and not _same_heights(source, wanted) and way.accuracy > 0.0:
         return (
-            f"{where}: heights are transformed by {way.description}, which PROJ states to {way.accuracy:.2g} m: all of "
-            "them share that error"
+            f"{where}: heights are transformed by {way.description}, which PROJ states to {way.accuracy:.2g} m: an "
+            "error common to all of them"
         )
     return in_plan.doubt(f"{where}: places")
 

@@ -94,7 +94,7 @@ class Transformation:
         """Raise MissingGrid where a grid of the best operation is missing; ``mend`` says what else would help."""
         if self.missing:
             raise MissingGrid(
-                f"{said}: the way from {called(self.source)} to {called(self.target)} needs "
+                f"{said}: the transformation from {called(self.source)} to {called(self.target)} needs "
                 f"{' and '.join(self.missing)}, which PROJ does not have; fetch it into its data folder "
                 f"(projsync --file {self.missing[0]}), {mend}"
             )
@@ -118,8 +118,10 @@ class Transformation:
         )
         if self.missing:
             grids = " and ".join(self.missing)
-            return f"{said}; a better way needs {grids}, which is not installed: projsync --file {self.missing[0]}"
-        return f"{said}: all of them share that error"
+            return (
+                f"{said}; a more accurate one needs {grids}, which is not installed: projsync --file {self.missing[0]}"
+            )
+        return f"{said}: an error common to all of them"
 
 
 def transformed(source: CRS, target: CRS, points: np.ndarray, said: str, mend: str) -> np.ndarray:
@@ -194,7 +196,7 @@ def best_operation(source: CRS, target: CRS, where: str, mend: str, places: np.n
     UnsupportedCRS
         If there is none.
     """
-    said = f"{where}: the way from {called(source)} to {called(target)}"
+    said = f"{where}: the transformation from {called(source)} to {called(target)}"
     middle = None if places is None else _middle(horizontal_crs(source), np.asarray(places, dtype=np.float64))
     try:
         group = operations(source, target, None if middle is None else area_about(*middle.tolist()))
@@ -324,7 +326,8 @@ def _chosen(source: CRS, target: CRS, middle: np.ndarray) -> tuple[Transformer, 
         group = operations(source, target, area)
     except ProjError as error:
         raise UnsupportedCRS(
-            f"the way from {called(source)} to {called(target)} is not known to PROJ ({str(error)[:80]}); choose "
+            f"the transformation from {called(source)} to {called(target)} is not known to PROJ ({str(error)[:80]}); "
+            "choose "
             "another CRS"
         ) from error
     better = () if group.best_available else group.unavailable_operations[:1]
@@ -340,7 +343,8 @@ def _chosen(source: CRS, target: CRS, middle: np.ndarray) -> tuple[Transformer, 
         return Transformer.from_crs(source, target, always_xy=True, area_of_interest=area), None, missing, bool(missing)
     except ProjError as error:
         raise UnsupportedCRS(
-            f"the way from {called(source)} to {called(target)} is not known to PROJ ({str(error)[:80]}); choose "
+            f"the transformation from {called(source)} to {called(target)} is not known to PROJ ({str(error)[:80]}); "
+            "choose "
             "another CRS"
         ) from error
 

@@ -15,7 +15,7 @@ from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import Survey
 from tests.changed_survey import changed
 
-SAID = "have another place for control: gcp0 by "
+SAID = "contradict the block as positions and water place it: gcp0 by "
 
 
 def block_and_survey():
@@ -84,7 +84,7 @@ def test_control_that_is_worse_than_stated_counts_as_good_as_it_fits(rng):
         changed(survey, control=replace(survey.observations.control, points=points)), use_windows=False
     )
     (warning,) = found.warnings
-    assert "times worse than their standard deviations say" in warning
+    assert "times worse than their standard deviations" in warning
     assert 4.0 < float(warning.split("fit the block ")[1].split(" times")[0]) < 25.0
     errors, _ = pose_errors(block, found.poses.centres, found.poses.rotations)
     assert rms(errors) < 0.03
@@ -94,7 +94,7 @@ def test_three_points_that_contradict_each_other_hold_the_block_with_a_word():
     # Points that lie along a line would leave the roll about it open.
     survey = survey_of(draw_block(7, num_points=150, num_views=18, dry_share=0.35, num_control=3))
     found = adjust_survey(with_shift(without_positions(survey), 1, (0.5, 0.3, 0.0)), use_windows=False)
-    assert any("times worse than their standard deviations say" in warning for warning in found.warnings)
+    assert any("times worse than their standard deviations" in warning for warning in found.warnings)
     assert np.isfinite(found.poses.position_std).all()
 
 

@@ -94,7 +94,7 @@ def test_poses_off_by_several_pixels_are_found_within_what_is_stated(tmp_path, r
     off = changed(true, views=tuple(views), priors=priors)
 
     found = adjust_survey(off, device="cpu", search=lambda survey: find_anew(survey, tmp_path / "sfm", lambda _: None))
-    assert "structure from motion has found them anew" in found.warnings[0]
+    assert "Structure from motion has estimated them again" in found.warnings[0]
     # What is left is an error of the block as a whole: by as much as twelve poses leave, three standard deviations.
     left = 3.0 * np.sqrt(3.0 / 12.0)
     whole = np.array([view.camera.centre for view in true.views]) - found.poses.centres

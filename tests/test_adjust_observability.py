@@ -83,7 +83,7 @@ def test_a_level_that_is_neither_given_nor_observable_is_refused(free_water):
     survey = with_water(survey_of(draw_block(11, **FLAT)), level_std_m=10.0)
     survey = changed(survey, is_level_known=False)
     with pytest.raises(
-        SurveyError, match=r"do not tell it \(18 of 18 look straight down\): .*; give the level in \[water\]"
+        SurveyError, match=r"do not determine it \(18 of 18 look straight down\): .*; give the level in \[water\]"
     ):
         adjust_survey(survey, use_windows=False, free_water=free_water)
 
@@ -93,6 +93,6 @@ def test_a_level_that_matches_leave_wide_open_is_refused_before_windows_are_meas
     block = draw_block(3, num_points=200, num_views=18, dry_share=0.0 if nadir_only else 0.3, nadir_only=nadir_only)
     survey = changed(with_water(survey_of(block), level_std_m=10.0), is_level_known=False, control=None)
     # There are no photographs: where windows are asked for, the first one is missed.
-    expected = r"do not tell it .* poses that were found are kept" if nadir_only else r"000\.jpg"
+    expected = r"do not determine it .* poses that were found are kept" if nadir_only else r"000\.jpg"
     with pytest.raises(SurveyError if nadir_only else FileNotFoundError, match=expected):
         adjust_survey(survey)

@@ -75,7 +75,7 @@ def test_a_part_that_rises_is_so_much_less_known_against_the_other(seed):
     assert parts[0].to_first_std_m is None
     assert parts[1].to_first_std_m == pytest.approx(0.05, abs=1e-3)
     (warning,) = parts_warning(found, plane_of(block))
-    assert f"fall into 2 parts that share no points, of {len(parts[0].names)} (" in warning
+    assert f"fall into 2 parts without common points, of {len(parts[0].names)} (" in warning
     assert f"to {length(parts[1].to_first_std_m)} (1 sigma)" in warning
 
 

@@ -41,8 +41,8 @@ def test_photographs_with_few_windows_tell_nothing():
     ("found", "choice", "said"),
     [
         (None, "check", "unless photographs contradict them"),
-        (-1.0, "fixed", "too little matches"),
-        (0.5 * MOST_MISFIT_PX, "fixed", "nothing to win"),
+        (-1.0, "fixed", "too few matches"),
+        (0.5 * MOST_MISFIT_PX, "fixed", "they need no adjustment"),
         (2.0 * MOST_MISFIT_PX, "refine", "poses, lens and water are adjusted"),
     ],
 )

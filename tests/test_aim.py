@@ -98,7 +98,7 @@ def test_a_round_goes_on_where_the_ground_is_above_the_target_and_as_far_as_it_n
 def test_a_target_that_no_round_comes_near_to_ends_the_work():
     following, why = aimed(Aim(std_m=0.001), number=3).next_recipe(cells([0.1] * 100, num_views=2.0))
     assert following is None
-    assert why.endswith(f"more work would not help, the rest is limited by {FEW}")
+    assert why.endswith(f"further rounds would not help, the rest is limited by {FEW}")
     assert aimed(Aim(std_m=0.001), number=5).next_recipe(cells([0.0015] * 100))[0] is None
 
 
@@ -111,8 +111,8 @@ def test_a_time_takes_the_best_that_fits_and_ends_where_nothing_is_left_to_win()
     for number in range(1, 6):
         assert aimed(budget, number=0, left_s=needed[number] + 1e-3).next_recipe(None)[0] == number
     following, why = aimed(budget, number=0, left_s=needed[1] - 1e-3).next_recipe(None)
-    assert (following, why) == (None, f"no more fits in the {needed[1]:.0f} s that are left")
-    assert aimed(budget, number=5, left_s=1000.0).next_recipe(None) == (None, "nothing is left to win")
+    assert (following, why) == (None, f"the next round does not fit into the {needed[1]:.0f} s left")
+    assert aimed(budget, number=5, left_s=1000.0).next_recipe(None) == (None, "further rounds would not improve it")
 
 
 def test_a_target_in_a_time_goes_as_far_as_both_allow():

@@ -157,7 +157,7 @@ def test_with_time_for_all_a_run_ends_where_nothing_is_left_to_win(tmp_path, clo
     code, log = run_with(run, time_budget_s=1e6)
     assert code == 0
     assert rounds(run)[-1] == "image scale 1, with the solver; the last"
-    assert "nothing is left to win" in log
+    assert "further rounds would not improve it" in log
     whole = len(read_cloud(run.run.cloud_path).points)
     log_before = len(log)
     _, log = run_with(run, time_budget_s=1e6)
@@ -184,7 +184,7 @@ def test_a_round_that_runs_out_of_time_leaves_what_was_there_before(tmp_path, cl
     # Enough at each decision, but gone before the views of the second round are through.
     clock(150.0)
     _, log = run_with(run, time_budget_s=3000.0)
-    assert "the heights of the one before are kept" in log
+    assert "the heights of the previous round are kept" in log
     assert scale_of(run) == 0.5
 
 

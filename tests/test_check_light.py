@@ -81,7 +81,7 @@ def test_motion_is_speed_times_exposure_over_the_pixel():
     assert poor.startswith("poor: blurs by 2.00 px")
     # Half a pixel: 0.01 m in 4 ms, or at 10 m/s in 1 ms.
     assert poor.endswith("fly at 2.5 m/s or slower, or open the shutter for 1 ms or less")
-    assert motion_text(None, 0.004, 0.02) == "unknown: nothing tells the speed"
+    assert motion_text(None, 0.004, 0.02) == "unknown: the speed is not given"
 
 
 def textured(seed: int) -> np.ndarray:

@@ -171,7 +171,7 @@ def test_glitter_is_worst_at_noon_and_the_hours_without_it_are_said(tmp_path):
 def test_without_a_time_the_plan_says_where_to_give_it(tmp_path):
     rows = said(checked(plan_file(tmp_path, ('time = "2026-06-21T13:15+02:00"', ""))), "Light and motion")
     assert rows["sun"].startswith("unknown: give [light] time")
-    assert rows["motion"] == "unknown: nothing tells the speed"
+    assert rows["motion"] == "unknown: the speed is not given"
 
 
 def test_a_scene_is_lit_by_the_sun_of_its_time(tmp_path):

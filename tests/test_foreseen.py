@@ -63,7 +63,7 @@ def test_the_section_says_what_was_assumed_and_what_has_to_be_given():
     section = foreseen_section(with_poses_alone(3, nadir_only=True))
     assert section is not None
     rows = dict(section.rows)
-    assert "has to be given" in rows["level"]
+    assert "give it, or add" in rows["level"]
     assert "tie points good to" in rows["assumed"]
 
 

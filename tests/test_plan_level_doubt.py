@@ -74,13 +74,13 @@ def test_a_level_that_is_given_in_any_way_and_a_dry_survey_leave_no_doubt(posed,
 
 
 def test_without_attitudes_it_is_said_on_what_it_depends(found):
-    assert "nothing tells yet in which directions" in level_doubt(flown(found, [], 0.0, 4), None)
+    assert "the viewing directions of the photographs are not known yet" in level_doubt(flown(found, [], 0.0, 4), None)
 
 
 def test_check_says_it_first(tmp_path):
     folder = unposed(tmp_path / "s", (f"level_m = {LEVEL}\n", ""))
     checked = require_processable(folder)
-    assert "nothing tells yet" in checked.level_doubt
+    assert "not known yet" in checked.level_doubt
     sections = check_survey(folder, chosen=Choices(device="cpu"), checked=checked)
     (warnings,) = [section for section in sections if section.title == "Warnings"]
     assert warnings.rows[0][1] == checked.level_doubt

@@ -122,7 +122,7 @@ def test_what_heights_share_counts(survey, common, passed):
     gate = verdict.gates[2]
     assert (gate.passed, verdict.passed) == (passed, passed)
     assert gate.value == pytest.approx(1000.0 * np.hypot(0.01, np.nan_to_num(common)), rel=1e-3)
-    assert ("what is shared limits it: give [water] level_std_m" in gate.sentence) == (not passed)
+    assert ("the shared part limits it: give [water] level_std_m" in gate.sentence) == (not passed)
     assert gate.limit == pytest.approx(1000.0 * STRICTEST_ORDER_M)
 
 

@@ -71,7 +71,7 @@ def test_every_block_is_placed_by_its_own_positions(seed):
     assert [block.num_reg_images() for block in placed.blocks] == [18, 18]
     # 18 positions tell the place of a block 20 m wide to half of their std, and its tilt to 1.3 of it at the border.
     assert apart.worst(placed) < 1e-6 + 5.0 * std
-    assert any("fall into 2 blocks that share no points, of 18 and 18 photographs" in note for note in placed.notes)
+    assert any("fall into 2 blocks without common points, of 18 and 18 photographs" in note for note in placed.notes)
 
 
 def test_every_block_is_placed_by_its_own_control(rng):
@@ -100,7 +100,7 @@ def test_a_block_that_nothing_places_is_left_out_by_name_whichever_it_is(rng, lo
     placed = place_by_gps(apart.free, apart.gps(rng, 0.0, known), apart.names, apart.sensors, lambda _text: None)
     assert [set(sfm_block.poses_of(block)) for block in placed.blocks] == [set(known)]
     assert apart.worst(placed) < 1e-6
-    (note,) = [note for note in placed.notes if "make a block of their own" in note]
+    (note,) = [note for note in placed.notes if "form a separate block" in note]
     assert "0 of 18 images that structure from motion placed have a GPS position" in note
     assert f"left out: {sorted(set(apart.names) - set(known))[0]}" in note
 

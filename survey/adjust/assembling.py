@@ -162,7 +162,7 @@ def _warnings(survey: Survey, done: Adjusted) -> list[str]:
     loose = [view.name for view, count in zip(survey.views, matches, strict=True) if count < FEW_MATCHES]
     if loose:
         warnings.append(
-            f"with fewer than {FEW_MATCHES} matches, poses stay about as they came: {', '.join(loose)}; leave these "
+            f"fewer than {FEW_MATCHES} matches, so that the poses hardly change: {', '.join(loose)}; leave these "
             "photographs out"
         )
     return warnings

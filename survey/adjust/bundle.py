@@ -227,8 +227,9 @@ def solve(problem: Problem, start: State, *, inflation: np.ndarray | None = None
         return _solved(problem, start, inflation)
     except np.linalg.LinAlgError as error:
         raise NotConvergedError(
-            "the adjustment has no single solution: of some photograph neither the position nor enough of what it "
-            "shares with others is known; give it a position, or leave it out"
+            "the adjustment is singular: a photograph has neither a position nor enough tie points with others; give "
+            "it a "
+            "position, or leave it out"
         ) from error
 
 

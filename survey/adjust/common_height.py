@@ -101,8 +101,9 @@ def height_doubts(survey: Survey, done: Adjusted) -> list[str]:
         ("", "") if survey.water is None else (" and the level of the water", "a level that was measured, ")
     )
     return [
-        f"all heights{level} are as high as the positions have them, which may be {std:g} m off, all alike; give "
-        f"{measured}control points, or [cameras] position_std_m where positions have corrections"
+        f"all heights{level} depend on the heights of the camera positions, which may have a common error of {std:g} "
+        "m; "
+        f"give {measured}control points, or [cameras] position_std_m where positions have corrections"
     ]
 
 
@@ -163,10 +164,12 @@ def with_common(found: Adjustment, common: CommonHeight, water: FlatWater | None
     side = "low" if common.error < 0.0 else "high"
     said = (
         f"the level of the water places the block: heights of positions are {abs(common.error):.2f} m too {side} "
-        f"(+- {common.std:.2g} m), an error that they have in common"
+        f"(+- {common.std:.2g} m), the same for all of them"
     )
     if abs(common.error) > _GPS_WITHIN_M:
-        doubt = f"{said}; a barometer may have it, GPS has not: else level_m is wrong, or in another vertical datum"
+        doubt = (
+            f"{said}; a barometer may be off by so much, GPS is not: otherwise level_m or its vertical datum is wrong"
+        )
         found = replace(found, warnings=(*found.warnings, doubt))
     else:
         found = replace(found, notes=(*found.notes, said))
@@ -175,9 +178,10 @@ def with_common(found: Adjustment, common: CommonHeight, water: FlatWater | None
     if heights is None or heights.mean <= MOST_STD_LEVEL_M:
         return found
     loose = (
-        f"all heights together are known to {heights.mean:.2g} m only: positions may share any error in height, and "
-        f"photographs tell the height of the water over the bed to {common.level_std:.2g} m; give control points, "
-        "photographs with obliques or of the bank, or [cameras] position_std_m where positions have corrections"
+        f"all heights together are known to {heights.mean:.2g} m only: positions may have any common error in height, "
+        "and "
+        f"the photographs determine the depth of the water to {common.level_std:.2g} m; give control points, oblique "
+        "photographs or some of the bank, or [cameras] position_std_m where positions have corrections"
     )
     return replace(found, warnings=(*found.warnings, loose))
 

@@ -193,8 +193,8 @@ def control_warnings(control: Control | None, views: Sequence[View], used: Obser
     warnings += named(freed, "control point", "that the block contradicts, its coordinates left out")
     if widened and max(widened) > 1.0:
         warnings.append(
-            f"control points fit the block {max(widened):.1f} times worse than their standard deviations say, and "
-            "count as that much less accurate; correct [control] std_m, or the coordinates"
+            f"control points fit the block {max(widened):.1f} times worse than their standard deviations, which "
+            "are increased by this factor; correct [control] std_m, or the coordinates"
         )
     return warnings
 
@@ -275,7 +275,7 @@ def contradiction_warning(against: list[ControlContradiction]) -> str:
         for each in against
     )
     return (
-        f"positions and water, which place the block without control, have another place for control: {listed}. "
-        "Control is followed, and nothing else tells which is right: positions without corrections may share an error "
-        "of metres; else coordinates, name or mark are wrong. A third control point would tell"
+        f"control points contradict the block as positions and water place it: {listed}. Control is used. Either the "
+        "positions have a common error, of metres where they have no corrections, or the coordinates, the name or a "
+        "mark of the point are wrong; a third control point would show which"
     )

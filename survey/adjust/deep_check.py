@@ -47,7 +47,7 @@ def deep_check(folder: Path, *, device: str = "auto") -> list[Section]:
 def _rows_of_check(checked: PoseCheck) -> tuple[tuple[str, str], ...]:
     if checked.misfit_px is None:
         return ()
-    said = f"photographs miss each other by {checked.misfit_px:.2f} px under the given poses"
+    said = f"reprojection misfit {checked.misfit_px:.2f} px with the given poses"
     return (("poses", said if checked.contradiction is None else f"{said}, and {checked.contradiction}"),)
 
 

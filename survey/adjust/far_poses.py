@@ -72,9 +72,9 @@ def windows_or_search(
     try:
         windows = measure()
         lost = without_windows(windows, number)
-        said = f"under the given poses windows match in {number - lost} of {number} photographs"
+        said = f"with the given poses, windows match in {number - lost} of {number} photographs only"
     except SurveyError as error:
-        lost, said = number, f"under the given poses {error}"
+        lost, said = number, f"with the given poses, {error}"
     if windows is not None and lost <= _MOST_LOST * number:
         return windows
     try:
@@ -83,11 +83,11 @@ def windows_or_search(
         if windows is not None and 2 * lost < number:
             return windows
         raise SurveyError(
-            f"{said}, and the photographs alone do not tell better ones: {error}; correct the poses, or keep them as "
+            f"{said}, and structure from motion finds no better ones: {error}; correct the poses, or keep them as "
             "they are with --poses fixed"
         ) from error
     warning = (
-        f"{said}, as where they are off by more than a few pixels: structure from motion has found them anew, and the "
+        f"{said}: they are off by more than a few pixels. Structure from motion has estimated them again, and the "
         "given ones place the block"
     )
     return replace(found, warning=warning)

@@ -249,7 +249,7 @@ def rows_of(found: Foreseen, by_depth: Sequence[HeightStds]) -> tuple[tuple[str,
     is_wet = math.isfinite(found.level_std_m)
     place = f"a rough bed {found.heights.depth_m:g} m under the water" if is_wet else "rough ground"
     assumed = (
-        f"{place}, tie points good to {TIE_STD_PX:g} px, matches to {MATCH_STD_PX:g} px of what is worked on, "
+        f"{place}, tie points good to {TIE_STD_PX:g} px, matches to {MATCH_STD_PX:g} px of the processed images, "
         f"{_ADJUSTED if found.is_adjusted else _KEPT}, level and index known to {LEVEL_STD_M:g} m and {INDEX_STD:g} "
         f"where nothing is said, an index that is not given to {ASSUMED_INDEX_STD:g}, still and clear water "
         "without glitter"
@@ -271,25 +271,23 @@ def rows_of(found: Foreseen, by_depth: Sequence[HeightStds]) -> tuple[tuple[str,
 def _overlap_text(low: float, median: float) -> str:
     return judged(
         by_limits(low, *OVERLAP),
-        f"a place is in {median:.0f} photographs (median), the worst tenth in {low:.0f} or fewer",
-        "fly 80 % of overlap ahead and 70 % aside, or a smaller area",
+        f"a point of the ground is seen in {median:.0f} photographs (median), the worst tenth in {low:.0f} or fewer",
+        "fly with 80 % forward and 70 % side overlap, or a smaller area",
     )
 
 
 def _angles_text(angle_deg: float) -> str:
     return judged(
         by_limits(angle_deg, *ANGLES_DEG),
-        f"rays to a place differ by up to {angle_deg:.0f} degrees (median)",
-        "add views tilted by 25 to 35 degrees that cross",
+        f"rays to a point intersect at up to {angle_deg:.0f} degrees (median)",
+        "add crossing views tilted by 25 to 35 degrees",
     )
 
 
 def _use(words: str, std: float, limit: float) -> str:
     if std <= limit:
-        return judged(Verdict.good, f"the photographs can tell it {words}", "")
-    return judged(
-        Verdict.poor, f"not observable by this flight: {words}", "it has to be given, or add oblique views that cross"
-    )
+        return judged(Verdict.good, f"the photographs determine it {words}", "")
+    return judged(Verdict.poor, f"not observable by this flight: {words}", "give it, or add crossing oblique views")
 
 
 def _heights_text(main: HeightStds, by_depth: Sequence[HeightStds]) -> str:

@@ -74,7 +74,7 @@ class GroundFit:
             for value, std, axis in zip(self.moved[:3], self.std[:3], ("east", "north", "up"), strict=True)
         )
         told = [name.rsplit("_", 1)[0].replace("_", " about ") for name, is_told in self._told() if not is_told]
-        rest = f"; it does not tell {', '.join(told)}" if told else ""
+        rest = f"; it does not determine {', '.join(told)}" if told else ""
         return (
             f"placed on {self.num_points} points of the dry ground of {self.reference}, to {length(self.rms_m)} rms: "
             f"moved by {axes}{rest}",
@@ -90,14 +90,16 @@ class GroundFit:
         share = self.num_changed / max(self.num_over, 1)
         if share > _MOST_CHANGED:
             said.append(
-                f"{100.0 * share:.0f} % of the tie points over the ground of {self.reference} lie off it: it changed, "
-                "or is another place; give polygons of stable ground in [control] stable"
+                f"{100.0 * share:.0f} % of the tie points over the ground of {self.reference} do not fit it: it has "
+                "changed, or is another place; give polygons of stable ground in [control] stable"
             )
         if self.is_against_positions:
             moved = " / ".join(length(value) for value in self.moved[:3])
             said.append(
-                f"{self.reference} has the block {moved} (east / north / up) from where positions have it, beyond the "
-                "accuracy that is stated of both: it is followed; check its datum, and those of the positions and crs"
+                f"{self.reference} places the block {moved} (east / north / up) from where the positions place it, "
+                "more than "
+                "their stated accuracies allow; the reference is used: check its datum, and those of the positions "
+                "and crs"
             )
         return tuple(said)
 

@@ -91,11 +91,10 @@ def parts_warning(found: Adjustment, water: FlatWater | None) -> list[str]:
         return []
     told = [f"{len(part.names)} ({part.listed})" for part in parts]
     known = [part.to_first_std_m for part in parts if part.to_first_std_m is not None]
-    by = f", which tells the height of one against the other to {length(max(known))} (1 sigma)" if known else ""
+    by = f", which determine their relative height to {length(max(known))} (1 sigma)" if known else ""
     return [
-        f"the photographs fall into {len(parts)} parts that share no points, of {_listed(told)} photographs: "
-        f"positions, control and water alone hold them together{by}; where they should be one, fly more overlap "
-        "between them"
+        f"the photographs fall into {len(parts)} parts without common points, of {_listed(told)} photographs: only "
+        f"positions, control and water connect them{by}; where they should be one block, fly more overlap between them"
     ]
 
 

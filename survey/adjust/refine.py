@@ -186,7 +186,7 @@ def _level_error(survey: Survey, std: float) -> SurveyError:
     down = int((tilts <= DOWN_DEG).sum())
     kept = "" if survey.config.cameras.poses is not None else ". The poses that were found are kept for the next run"
     return SurveyError(
-        f"the level of the water is not given, and the photographs do not tell it ({down} of {len(tilts)} look "
+        f"the level of the water is not given, and the photographs do not determine it ({down} of {len(tilts)} look "
         f"straight down): one sigma is {std:.2g} m, and at most {MOST_STD_LEVEL_M:g} m would be of use; "
         f"{GIVE_LEVEL}{kept}"
     )

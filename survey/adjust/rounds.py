@@ -115,7 +115,7 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
         If an adjustment does not converge.
     """
     if not len(seen.kind):
-        raise NotConvergedError("no window or match is left in three photographs to adjust")
+        raise NotConvergedError("no tie point is left that three photographs show; the poses may be far off")
     state = replace(known.state, points=seen.ties.start)
     blunders = np.zeros((len(known.unknown_positions), 2), dtype=bool)
     factors = np.ones(len(KINDS) * (1 + _STRATA))

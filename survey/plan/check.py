@@ -244,7 +244,7 @@ def _shared_error(found: Found) -> list[tuple[str, str]]:
         return []
     is_stated = found.config.cameras.position_std_m is not None
     unless = "" if is_stated else f", unless positions prove good to {WELL_KNOWN_M:g} m and agree with it"
-    return [("heights", f"may be {std:g} m off, all alike: the level of the water places the block{unless}")]
+    return [("heights", f"may be {std:g} m off, the same for all: the level of the water places the block{unless}")]
 
 
 def _no_water(config: SurveyConfig) -> str:

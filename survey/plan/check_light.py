@@ -74,7 +74,10 @@ def glitter_text(glitter: Glitter, highest_sun: float, wind_m_s: float, *, is_fl
     )
     if glitter.free_views is not None:
         low, median = glitter.free_views
-        found += f"; a place is in {median:.0f} photographs free of it (median), the worst tenth in {low:.0f} or fewer"
+        found += (
+            f"; a point of the ground is free of it in {median:.0f} photographs (median), the worst tenth in {low:.0f} "
+            "or fewer"
+        )
     limit = math.degrees(highest_sun)
     fly = (
         f"a sun lower than {limit:.0f} degrees leaves the steep photographs free of it"
@@ -82,7 +85,7 @@ def glitter_text(glitter: Glitter, highest_sun: float, wind_m_s: float, *, is_fl
         else "with so wide a lens no sun is low enough: fly under clouds, or in less wind"
     )
     verdict = by_limits(lost_share(glitter), LOST_GOOD, LOST_FAIR)
-    return judged(verdict, found, f"{fly}; masks ([images] masks) keep what has it out" if is_flown else fly)
+    return judged(verdict, found, f"{fly}; masks ([images] masks) exclude it" if is_flown else fly)
 
 
 def lost_share(glitter: Glitter) -> float:
@@ -107,7 +110,7 @@ def motion_text(speed: float | None, exposure: float | None, pixel: float | None
     """
     if speed is None or exposure is None or pixel is None:
         missing = "the speed" if speed is None else "the exposure time" if exposure is None else "the flying height"
-        return f"unknown: nothing tells {missing}"
+        return f"unknown: {missing} is not given"
     blur = speed * exposure / pixel
     said = f"blurs by {blur:.2f} px at most ({speed:.1f} m/s, open for {1000.0 * exposure:.2g} ms{known})"
     if blur <= BLUR_GOOD_PX:
@@ -126,14 +129,14 @@ def sharpness_text(found: Found) -> str:
     clear = [name for name in names if name not in white]
     sharp = relative([look.detail for look in looks if look.white <= MOSTLY_WHITE]) if clear else np.ones(0)
     if not np.isfinite(sharp).all():
-        return "unknown: the photographs are too small to tell"
+        return "unknown: the photographs are too small"
     blurred = {name: float(value) for name, value in zip(clear, sharp, strict=True) if value < LEAST_SHARP}
     said, advice = [], []
     if white:
         worst = _named([(name, f"{100.0 * white[name]:.0f} %") for name in sorted(white, key=lambda n: -white[n])])
         verb = "is" if len(white) == 1 else "are"
         said.append(f"{len(white)} {of} {verb} more than half white by glint of the sun or exposure: {worst}")
-        advice.append("what is white tells nothing of the bed: expose less, or fly at a lower sun")
+        advice.append("saturated pixels show nothing of the bed: expose less, or fly at a lower sun")
     if blurred:
         worst = _named([(name, f"{blurred[name]:.2f}") for name in sorted(blurred, key=lambda n: blurred[n])])
         said.append(

@@ -17,9 +17,9 @@ from survey.photos.cameras import level_from_yaw_pitch_roll
 DOWN_DEG, FEWEST_OBLIQUE = 10.0, 0.1
 GIVE_LEVEL = (
     f"give the level in [water] in {FILE_NAME} (level_m as read at a staff, or shoreline, gnss_points, gauge or "
-    "clicks), or add photographs tilted by 25 to 35 degrees that cross"
+    "clicks), or add crossing photographs tilted by 25 to 35 degrees"
 )
-_NO_CLOUD = f"they hardly ever tell the level, and without it there is no cloud; {GIVE_LEVEL}"
+_NO_CLOUD = f"they hardly ever determine the level, without which there is no cloud; {GIVE_LEVEL}"
 
 
 def level_doubt(found: Found, survey: Survey | None) -> str | None:
@@ -42,7 +42,7 @@ def level_doubt(found: Found, survey: Survey | None) -> str | None:
     )
     if not len(tilts):
         return (
-            "the level of the water is not given, and nothing tells yet in which directions the photographs look: "
+            "the level of the water is not given, and the viewing directions of the photographs are not known yet: "
             f"where nearly all look straight down {_NO_CLOUD}"
         )
     down = int((tilts <= DOWN_DEG).sum())

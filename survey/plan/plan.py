@@ -203,11 +203,11 @@ def _level(survey: Survey) -> tuple[Decision, ...]:
     water = survey.config.water
     if water is not None and water.rate.level_rate_std_m_per_h is not None and not survey.provenance.is_adjusted:
         known = f"{water.rate.level_rate_m_per_h:g} +- {water.rate.level_rate_std_m_per_h:g} m/h"
-        return (Decision("level", "per photograph", f"its rate, known to {known}, is found with the poses"),)
+        return (Decision("level", "per photograph", f"its rate, known to {known}, is estimated with the poses"),)
     moves = f"{tide.source}, moves by {length(tide.moves_m)} over the flight, images by up to {tide.shift_px:.2g} px"
     if tide.matters:
         return (Decision("level", "per photograph", moves),)
-    return (Decision("level", "one", f"{moves}: less than {MOST_SHIFT_PX:g}, which is lost in the noise of matching"),)
+    return (Decision("level", "one", f"{moves}: less than {MOST_SHIFT_PX:g}, below the noise of matching"),)
 
 
 def _ground(survey: Survey, height_m: float) -> tuple[Decision, ...]:
@@ -215,7 +215,7 @@ def _ground(survey: Survey, height_m: float) -> tuple[Decision, ...]:
     if survey.water is not None:
         return ()
     ground = dry_ground(survey)
-    advice = "; tie points, control points or [area] heights would tell it" if ground.is_guess else ""
+    advice = "; tie points, control points or [area] heights would give it" if ground.is_guess else ""
     return (Decision("height over ground", f"{height_m:.1f} m", f"by {ground.source}{advice}"),)
 
 

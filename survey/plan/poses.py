@@ -25,51 +25,52 @@ def pose_choice(survey: Survey, asked: str, *, free_water: bool) -> tuple[str, s
     """
     provenance = survey.provenance
     if provenance.is_adjusted:
-        return "refine", "adjusted with lens and water; adjustment.json has what was found"
+        return "refine", "adjusted with lens and water; see adjustment.json"
     if free_water and asked == Poses.fixed:
-        raise SurveyError("--calibrate-water finds the water together with the poses; leave out --poses fixed")
+        raise SurveyError("--calibrate-water estimates the water together with the poses; leave out --poses fixed")
     if asked == Poses.fixed and not provenance.is_level_known:
         raise SurveyError(
-            "[water] has no level, and --poses fixed leaves out the adjustment that would find it; give level_m, or "
+            "[water] has no level, and --poses fixed leaves out the adjustment that would estimate it; give level_m, "
+            "or "
             "leave out --poses fixed"
         )
     if asked != Poses.auto:
         return asked, "set by --poses"
     if survey.observations.ties is not None:
-        return "refine", "structure from motion has straight rays: poses, lens and water are adjusted with bent ones"
+        return "refine", "structure from motion ignores refraction: poses, lens and water are adjusted with bent rays"
     if survey.observations.control is not None:
         return "refine", "there are control points to adjust to"
     if survey.observations.ground is not None:
         return "refine", "there is an earlier survey to place the block on"
     sources = {prior.source for prior in survey.observations.priors.values()}
     if "survey.toml" in sources:
-        return "refine", "survey.toml says how well the poses are known, and they are refined within that"
+        return "refine", "adjusted within the accuracy that survey.toml states for them"
     if survey.config.cameras.rolling_shutter_std_s is not None:
-        return "refine", "rolling_shutter_std_s says that the readout of the shutter is to be found"
+        return "refine", "rolling_shutter_std_s asks to estimate the readout time of the shutter"
     if survey.config.water is not None and survey.config.water.rate.level_rate_std_m_per_h is not None:
-        return "refine", "level_rate_std_m_per_h says that the rise of the water is to be found"
+        return "refine", "level_rate_std_m_per_h asks to estimate the rate of the level"
     if BY_FILE in sources:
-        return "refine", "the poses file says how well positions were known before, and poses are refined within that"
+        return "refine", "adjusted within the accuracy that the poses file states for the positions"
     if free_water:
-        return "refine", "--calibrate-water finds the water together with what is uncertain of poses and lens"
+        return "refine", "--calibrate-water estimates the water together with poses and lens"
     if provenance.tool is not None and survey.water is not None:
         # Poses that lean on wrong rays cannot witness against the water.
         return (
             "refine",
-            f"{provenance.tool} adjusted them with straight rays: poses, lens and water are adjusted with bent ones",
+            f"{provenance.tool} ignored refraction: poses, lens and water are adjusted with bent rays",
         )
     if len(survey.views) < _FEWEST_VIEWS:
         return (
             "fixed",
-            f"{_UNSTATED}; to check them takes at least {_FEWEST_VIEWS} views, and there are {len(survey.views)}",
+            f"{_UNSTATED}; a check needs at least {_FEWEST_VIEWS} views, and there are {len(survey.views)}",
         )
     if provenance.pose_misfit_px is None:
         return "check", f"{_UNSTATED}, unless photographs contradict them"
     if provenance.pose_misfit_px < 0.0:
-        return "fixed", f"{_UNSTATED}; too little matches to check them"
-    said = f"photographs miss each other by {provenance.pose_misfit_px:.2f} px under the given poses"
+        return "fixed", f"{_UNSTATED}; too few matches to check them"
+    said = f"reprojection misfit {provenance.pose_misfit_px:.2f} px with the given poses"
     if provenance.contradiction is not None:
         return "refine", f"{said}, and {provenance.contradiction}: water, poses and lens are adjusted"
     if provenance.pose_misfit_px > MOST_MISFIT_PX:
         return "refine", f"{said}, more than {MOST_MISFIT_PX:g}: poses, lens and water are adjusted"
-    return "fixed", f"{said}, at most {MOST_MISFIT_PX:g}: there is nothing to win by adjusting them"
+    return "fixed", f"{said}, at most {MOST_MISFIT_PX:g}: they need no adjustment"

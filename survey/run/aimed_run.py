@@ -126,12 +126,16 @@ class AimedRun:
             if cells.reached(self.aim.std_m) >= SHARE:
                 return None, why
             later = self._towards(cells, self.aim.std_m)
-            why += "" if later else f"; more work would not help, the rest is limited by {cells.limit(self.aim.std_m)}"
+            why += (
+                ""
+                if later
+                else f"; further rounds would not help, the rest is limited by {cells.limit(self.aim.std_m)}"
+            )
         if not later:
-            return None, why or "nothing is left to win"
+            return None, why or "further rounds would not improve it"
         fitting = [number for number in later if self.fits(number)]
         if not fitting:
-            return None, "; ".join([*([why] if why else []), f"no more fits in the {self._left} that are left"])
+            return None, "; ".join([*([why] if why else []), f"the next round does not fit into the {self._left} left"])
         return fitting[-1], why or f"{self._left} are left"
 
     @property

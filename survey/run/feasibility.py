@@ -99,13 +99,13 @@ def _require_meant(aim: Aim, largest_m: float, smallest_m: float) -> None:
     asked, least, most = f"--target-std {aim.std_m:g} is in metres", _LEAST_PX * smallest_m, _MOST_PX * largest_m
     if aim.std_m < least:
         raise SurveyError(
-            f"{asked}, and less than a hundredth of what a pixel covers here ({1e3 * least:.2g} mm), which no match of "
-            "photographs reaches; give more, 0.02 for 20 mm"
+            f"{asked}, and less than a hundredth of what a pixel covers here ({1e3 * least:.2g} mm), which image "
+            "matching does not reach; give more, 0.02 for 20 mm"
         )
     if aim.std_m > most:
         raise SurveyError(
-            f"{asked}, and more than {_MOST_PX:g} pixels of the smallest images cover here ({most:.2g} m), which asks "
-            "for nothing; give less, 0.02 for 20 mm"
+            f"{asked}, and more than {_MOST_PX:g} pixels of the smallest images cover here ({most:.2g} m), which any "
+            "cloud has; give less, 0.02 for 20 mm"
         )
 
 
@@ -121,9 +121,9 @@ def doubts(aim: Aim, found: Feasibility) -> list[str]:
         )
     if found.common_std_m > aim.std_m:
         told.append(
-            f"{asked} for the points themselves; water, lens and poses add about {length(found.common_std_m)} that all "
-            "have in common, which no work on the photographs takes away: state what is known better ([water] "
-            "level_std_m, index_std; position_std_m), or give control points"
+            f"{asked} for the points themselves; water, lens and poses add about {length(found.common_std_m)} common "
+            "to all points, which no processing reduces: state what is known better ([water] level_std_m, index_std; "
+            "position_std_m), or give control points"
         )
     return told
 
@@ -223,7 +223,7 @@ def rows_of(
         rows.append(("of the ground", within))
     rows += [("", text) for text in doubts(aim, found)]
     if aim.seconds is not None and is_timed:
-        enough = "enough" if aim.seconds >= shortest_s(found) else "more than is asked: process refuses"
+        enough = "enough" if aim.seconds >= shortest_s(found) else "more than the budget: process refuses"
         shortest = f"about {math.ceil(shortest_s(found))} s, a reserve of {100 * (_UNKNOWN_PACE - 1):.0f} % included"
         rows.append(("shortest run", f"{shortest}; {enough}"))
     if is_timed:

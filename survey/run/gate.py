@@ -48,7 +48,7 @@ def asked_gate(stored: StoredBed, std_m: float) -> Gate:
     bed = replace(stored.bed, std=stored.std_of_photographs())
     cells = std_cells(bed, stored.gsd_m)
     reached = cells.reached(std_m)
-    sentence = f"{cells.in_words(std_m)}; required: {share(SHARE)} within what was asked"
+    sentence = f"{cells.in_words(std_m)}; required: {share(SHARE)} within the std asked for"
     if reached < SHARE:
         sentence += f"; the rest is limited by {cells.limit(std_m)}"
     if stored.std_common is not None and np.isfinite(stored.std_common).any():
@@ -86,7 +86,7 @@ def _whole(survey: Survey, stored: StoredBed, gsd_m: float) -> Gate:
     sentence = f"a height is known to {length(std.whole)}, one sigma, all included ({parts}); "
     sentence += f"required: at most {length(limit)}"
     if not passed and std.shared is not None and std.shared > std.random:
-        sentence += f"; what is shared limits it: {_mend(survey)}"
+        sentence += f"; the shared part limits it: {_mend(survey)}"
     return Gate("height, all included", 1000.0 * std.whole, 1000.0 * limit, "mm", passed, sentence)
 
 

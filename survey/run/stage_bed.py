@@ -59,7 +59,7 @@ def points_of_bed(job: Job, needs: Mapping[str, Path]) -> BedPoints:
     if solved is not None and job.plan.boxes and len(bed):
         bed, tide = with_occluded(job, maps, solved, bed, tide)
     if field is not None:
-        job.progress.detail(f"{moved:,} of {len(bed):,} points have the field's height")
+        job.progress.detail(f"{moved:,} of {len(bed):,} points take their height from the field")
     if job.chosen.true_colour and len(bed):
         # Imported where it is needed: it takes torch, whose import takes seconds.
         from fields.colour.true_colour import true_colours
@@ -68,7 +68,7 @@ def points_of_bed(job: Job, needs: Mapping[str, Path]) -> BedPoints:
         water, _ = survey.require_water()
         rgb, too_bright = true_colours(bed, water, WaterColumn(*colour_of(survey)), tide)
         bed = replace(bed, rgb=rgb)
-        job.progress.detail(f"{100 * too_bright:.1f} % of the points are brighter than white without the water")
+        job.progress.detail(f"{100 * too_bright:.1f} % of the points are saturated after the water is removed")
     return bed
 
 
@@ -91,7 +91,7 @@ def finish_bed(job: Job, folder: Path, needs: Mapping[str, Path], bed: BedPoints
     bed, of_block = with_std_of_block(bed, survey, found, job.plan.gsd_m)
     std_placed = None
     if of_block is not None:
-        job.progress.note(f"std: {length(float(np.median(of_block)))} (median) of it by what tilts or shifts the block")
+        job.progress.note(f"std: {length(float(np.median(of_block)))} (median) of it from tilt and shift of the block")
         std_placed = of_block if is_placed(survey) else None
     basis = BASIS_STATED if found is None else BASIS_ADJUSTED
     job.progress.note(f"std_common: {length(float(np.nanmedian(common)))} (median), by {basis}")

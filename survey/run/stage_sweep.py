@@ -129,7 +129,7 @@ def _go_on(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
             swept = _finished(block, maps, keep)
             _save(job, folder, swept, again, time.monotonic() - start, images_s, earlier_scale)
     except OutOfTimeError:
-        job.progress.note("sweep: no time is left for this round; the heights of the one before are kept")
+        job.progress.note("sweep: no time is left for this round; the heights of the previous round are kept")
         _save(job, folder, before, [], 0.0, images_s, earlier_scale, scale=earlier_scale)
 
 

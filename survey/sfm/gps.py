@@ -186,8 +186,8 @@ def datum_doubts(ways: Sequence[Way]) -> list[str]:
     """Warnings where GPS positions in crs are less well known than as they are given."""
     doubts = [way.plan.doubt(way.said) for way in ways]
     doubts += [
-        f"heights of {way.said} go through a geoid that PROJ states to {way.up_std_m:.2g} m: all of them share that "
-        "error"
+        f"heights of {way.said} are transformed by a geoid that PROJ states to {way.up_std_m:.2g} m: an error common "
+        "to all of them"
         for way in ways
         if way.up_std_m > WELL_KNOWN_M
     ]

@@ -194,8 +194,9 @@ def _place(
             refusals.append(error)
             lost = [name for name, alias in alias_of.items() if alias in sfm_block.poses_of(block)]
             notes.append(
-                f"{len(lost)} photographs make a block of their own, which shares no points with the others and which "
-                f"nothing places: {error}; left out: {listed(lost)}"
+                f"{len(lost)} photographs form a separate block without common points, which cannot be placed: "
+                f"{error}; "
+                f"left out: {listed(lost)}"
             )
             continue
         notes += _reset(block, sensors)
@@ -208,7 +209,7 @@ def _place(
     if len(placed) > 1:
         counts = " and ".join(str(block.num_reg_images()) for block in placed)
         notes.append(
-            f"the photographs fall into {len(placed)} blocks that share no points, of {counts} photographs: each is "
+            f"the photographs fall into {len(placed)} blocks without common points, of {counts} photographs: each is "
             "placed by itself, and they are adjusted together"
         )
     return Placed(tuple(placed), _lowered(frame, placed), (*notes, *found))

@@ -113,7 +113,7 @@ def _blocks(
     if placed < (least := least_track(len(images))):
         raise PosesError(
             f"structure from motion placed {placed} of {len(images)} images, expected at least {least}: too "
-            f"little of them matches; fly with 70 % overlap over textured ground, or {GIVE_POSES}"
+            f"few features match; fly with 70 % overlap over textured ground, or {GIVE_POSES}"
         )
     return blocks
 

@@ -112,8 +112,8 @@ def test_a_stage_without_a_total_tells_nothing(clock):
 
 
 def test_a_terminal_shows_the_same_estimate_beside_the_bar(clock, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
     progress = Progress(stream=io.StringIO())
-    monkeypatch.setattr(progress._console, "_force_terminal", True)
     with progress, progress.stage("sweep", total=100) as stage:
         work(stage, clock, 40, 1.0)
         (task,) = progress._bars.tasks

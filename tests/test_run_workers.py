@@ -119,6 +119,9 @@ class ClientOfOne:
         assert on_error == "return"
         return {PLACE: function(*args) if self.answer is None else self.answer}
 
+    def scheduler_info(self):
+        return {"workers": {PLACE: {}}}
+
     def cancel(self, futures):
         self.cancelled = futures
 
@@ -189,7 +192,7 @@ def test_a_task_that_ends_its_workers_is_named_with_their_number(tmp_path, monke
     future = Future()
     future.set_exception(distributed.KilledWorker("sweep_tile1", None, 1))
     client.submit = lambda *_args, **_options: future
-    monkeypatch.setattr(Workers, "_as_they_end", lambda _self, futures: iter(futures))
+    monkeypatch.setattr(distributed, "wait", lambda futures, **_options: SimpleNamespace(done=set(futures)))
     tasks = [Task("sweep_tile1", 0, print, {})]
     with pytest.raises(SurveyError, match=f"sweep_tile1: 2 workers that computed it .* {advice}$"):
         list(Workers(client, tmp_path, are_started=are_started).computed(tmp_path / "job.pickle", tasks))

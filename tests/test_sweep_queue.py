@@ -6,16 +6,17 @@ import numpy as np
 import pytest
 from plane_survey import TILTED, PlaneBed, ring
 
-from fields.sweep import sweep as sweeping
+from fields.sweep.images import images
 from fields.sweep.kernels.arrays import floats
 from fields.sweep.kernels.queue import Launch, run_job, run_jobs
 from fields.sweep.passes import Pass, StepSearch
+from fields.sweep.view_pass import match_pass, view_passes
 
 BED = PlaneBed(TILTED, -2.0, slope=0.1)
 PASSES = (
     Pass(0.5, 2, None, 0.5, 4, False),
     Pass(1.0, 2, 5, 0.4, 4, True, StepSearch(1, 0.75, 8, 0.2, 3, 0.1, walls=True)),
-    Pass(1.0, 1, 3, 0.25, 6, True, points_only=True),
+    Pass(1.0, 1, 3, 0.25, 6, True),
 )
 
 
@@ -71,12 +72,17 @@ def test_a_job_alone_gets_what_it_launched(device):
     assert run_job(device, counting(device, 5, 3, [])) == (5, 18.0)
 
 
-def test_height_maps_are_the_same_one_view_at_a_time_and_two(device, monkeypatch):
-    found = []
+def test_height_maps_are_the_same_one_view_at_a_time_and_two(device):
+    bound, found = (-3.0, -1.0), []
     for most in (1, 2):
-        monkeypatch.setattr(sweeping, "_at_once", lambda block, p, most=most: most)
-        block = BED.block(device, ring(6))
-        found.append(list(sweeping.sweep(block, [3, 0, 2, 5], (-3.0, -1.0), lambda share: None, PASSES)))
+        block, maps = BED.block(device, ring(6)), {}
+        for p in PASSES:
+            jobs = (
+                match_pass(block, p, each, bound, maps.get(each.view), None, 0)
+                for each in view_passes(block, [3, 0, 2, 5], p, None if maps else bound)
+            )
+            maps = {m.view: m for m, _ in run_jobs(device, jobs, most)}
+        found.append([images(device).download(m) for m in maps.values()])
     for one, two in zip(*found, strict=True):
         assert one.view == two.view
         for name in ("height", "score", "agreeing", "spread"):

@@ -72,8 +72,8 @@ def test_heights_that_are_said_to_be_off_by_so_much_are_not_refused_for_a_datum_
     [
         (
             "",
-            "may be 80 m off, the same for all: the level of the water places the block, unless positions prove good to "
-            "0.1 m",
+            "may be 80 m off, the same for all: the level of the water places the block, unless positions prove good "
+            "to 0.1 m",
         ),
         ("[2.0, 2.0, 4.0]", "may be 4 m off, the same for all: the level of the water places the block"),
         ("0.03", None),

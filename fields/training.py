@@ -1,4 +1,4 @@
-"""What the training of the survey's field and that of a volume have in common: rates, a step, and when it has settled.
+"""What the training of the survey's field and of a volume have in common: rates, a step, and whether it has converged.
 
 The two loops stay apart. The field's knows its number of steps from the size of its slab, holds the bed while colours
 learn, and compares colours alone; a volume's renews its proxy, draws patches, adds losses, and begins with a new
@@ -43,7 +43,7 @@ def descend(optimiser: torch.optim.Adam, loss: Tensor) -> None:
     optimiser.step()
 
 
-def has_settled(losses: list[float], window: int, ratio: float, *, variance: float | None = None) -> bool:
+def has_converged(losses: list[float], window: int, ratio: float, *, variance: float | None = None) -> bool:
     """The variance of the last ``window`` losses is below ``ratio`` times that of the first, or below ``variance``."""
     if len(losses) < 2 * window:
         return False

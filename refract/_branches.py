@@ -33,7 +33,7 @@ _SINE_SLACK = 1e-15
 
 
 def every_path(surface, path_slope, camera, point, disc):
-    """Crossings of all stationary paths of each point, and which points the proof could not settle.
+    """Crossings of all stationary paths of each point, and which points the proof could not decide.
 
     Parameters
     ----------
@@ -50,22 +50,22 @@ def every_path(surface, path_slope, camera, point, disc):
         Which point each crossing belongs to, in order.
     open : (points,) bool
     """
-    found, unsettled = [], np.zeros(point[0].size, dtype=bool)
+    found, unproven = [], np.zeros(point[0].size, dtype=bool)
     for start in range(0, point[0].size, _CHUNK):
         part = slice(start, start + _CHUNK)
         ends = tuple(c[part] for c in camera), tuple(p[part] for p in point)
-        owner, x, y, unsettled[part] = _cut(surface, path_slope, *ends, disc.x[part], disc.y[part], disc.radius[part])
+        owner, x, y, unproven[part] = _cut(surface, path_slope, *ends, disc.x[part], disc.y[part], disc.radius[part])
         found.append((owner + start, x, y))
     owner, x, y = (np.concatenate(parts) for parts in zip(*found, strict=True))
     keep = _distinct(owner, x, y, 1e-9 * np.abs(camera[2] - point[2]))
-    return owner[keep], x[keep], y[keep], unsettled
+    return owner[keep], x[keep], y[keep], unproven
 
 
 def _cut(surface, path_slope, camera, point, mid_x, mid_y, radius):
     """`every_path` of one chunk, with roots that neighbouring boxes share still repeated."""
     smallest = _SMALLEST * np.hypot(np.hypot(camera[0] - point[0], camera[1] - point[1]), camera[2] - point[2])
-    unsettled = ~np.isfinite(radius)
-    owner = np.flatnonzero(~unsettled)
+    unproven = ~np.isfinite(radius)
+    owner = np.flatnonzero(~unproven)
     mid_x, mid_y = mid_x[owner], mid_y[owner]
     half_x = half_y = radius[owner]
     cut = np.zeros(radius.size, dtype=np.int64)
@@ -82,15 +82,15 @@ def _cut(surface, path_slope, camera, point, mid_x, mid_y, radius):
             )  # fmt: skip
             roots.append((owner[single], *at))
         stuck = ~(empty | single) & ((np.maximum(half_x, half_y) < smallest[owner]) | (cut[owner] > _BUDGET))
-        unsettled[owner[stuck]] = True
-        rest = ~(empty | single) & ~unsettled[owner]
+        unproven[owner[stuck]] = True
+        rest = ~(empty | single) & ~unproven[owner]
         owner, mid_x, mid_y, half_x, half_y = _halved(
             owner[rest], mid_x[rest], mid_y[rest], *(tuple(e[rest] for e in end) for end in (lo, hi))
         )
     if not roots:
-        return np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0), unsettled
+        return np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0), unproven
     owner, x, y = (np.concatenate(parts) for parts in zip(*roots, strict=True))
-    return owner, x, y, unsettled
+    return owner, x, y, unproven
 
 
 def _judge(surface, path_slope, camera, point, mid_x, mid_y, half_x, half_y):

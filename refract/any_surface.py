@@ -17,7 +17,7 @@ from refract._solvers import solver
 from refract.fermat import together
 
 # A step below this part of the length of the ray, or of the distance between camera and point, has arrived.
-_SETTLED = 1e-12
+_CONVERGED = 1e-12
 # Nor does a step go on that is the rounding of coordinates far from the origin: so many units in their last place.
 _ROUNDING = 32 * 2.0**-52
 # Steps: a calm sea takes four to six. What has not arrived after so many is not a number.
@@ -97,7 +97,7 @@ class AnySurface(ABC):
             falls = rate < -kernels.GRAZING
             fall = xp.where(falls, -rate, 1.0)
             move = over / fall
-            arrived = falls & (xp.abs(move) <= _SETTLED * (1.0 + xp.abs(t)) + rounding / fall)
+            arrived = falls & (xp.abs(move) <= _CONVERGED * (1.0 + xp.abs(t)) + rounding / fall)
             t = xp.where(falls, t + move, t)
             if _all(arrived):
                 break
@@ -168,12 +168,12 @@ class AnySurface(ABC):
         share = kernels.air_share(square, xp.where(H > 0.0, H, 1.0), depth, xp.fixed(self.n_water), _PLANE_STEPS)
         x, y = camera[0] + share * way[0], camera[1] + share * way[1]
         chord = xp.sqrt(kernels.dot(way, way))
-        arrived, settled = chord < 0.0, _SETTLED * chord + _ROUNDING * _size(camera)
+        arrived, converged = chord < 0.0, _CONVERGED * chord + _ROUNDING * _size(camera)
         for _ in range(_MOST_STEPS):
             gradient, matrix = self._gradient(camera, point, x, y), self._matrix(camera, point, x, y)
             step_x, step_y = map(xp.fixed, newton_step(gradient, matrix))
             length = xp.sqrt(step_x * step_x + step_y * step_y)
-            arrived = length <= settled
+            arrived = length <= converged
             back = xp.where(length > depth, depth / xp.where(length > 0.0, length, 1.0), 1.0)
             x, y = x + back * step_x, y + back * step_y
             if _all(arrived):

@@ -29,7 +29,7 @@ from refract._solvers import solver
 from refract.surfaces import WaterSurface
 
 # Newton's last step, as part of the camera's distance: squared, it is far below the rounding.
-_SETTLED = 1e-11
+_CONVERGED = 1e-11
 # Newton's steps on a convex length take four or five; harder cases go to the full search.
 _MOST_STEPS = 10
 # A path is left without gradient where the determinant of its curvature falls below this part of the squared norm:
@@ -86,26 +86,26 @@ def path_slope(surface, camera, point, x, y):
 
 
 def newton(surface, camera, point, disc):
-    """Newton's steps from the middle of the disc, kept inside; returns x, y and True where they have settled."""
+    """Newton's steps from the middle of the disc, kept inside; returns x, y and True where they have converged."""
     xp = namespace(*camera, *point)
     chord = hypot(xp, hypot(xp, camera[0] - point[0], camera[1] - point[1]), camera[2] - point[2])
-    x, y, settled = disc.x, disc.y, chord < 0.0
+    x, y, converged = disc.x, disc.y, chord < 0.0
     for _ in range(_MOST_STEPS):
         gradient, (hxx, hxy, hyy) = path_slope(surface, camera, point, x, y)
         step_x, step_y = newton_step(gradient, ((hxx, hxy), (hxy, hyy)))
-        settled = hypot(xp, step_x, step_y) <= _SETTLED * chord
+        converged = hypot(xp, step_x, step_y) <= _CONVERGED * chord
         out_x, out_y = x + step_x - disc.x, y + step_y - disc.y
         out = hypot(xp, out_x, out_y)
         back = xp.where(out > disc.radius, disc.radius / xp.where(out > 0.0, out, out * 0.0 + 1.0), out * 0.0 + 1.0)
         x, y = disc.x + back * out_x, disc.y + back * out_y
-        if xp.name == "numpy" and settled.all():
+        if xp.name == "numpy" and converged.all():
             break
-    return x, y, settled
+    return x, y, converged
 
 
 def _least(surface, camera, point, disc):
     """Of all clear paths (numpy): the crossing of the shortest, and how many there are; -1 where that is open."""
-    owner, x, y, unsettled = every_path(surface, path_slope, camera, point, disc)
+    owner, x, y, unproven = every_path(surface, path_slope, camera, point, disc)
     camera, point = tuple(c[owner] for c in camera), tuple(p[owner] for p in point)
     crossing = x, y, surface.height(x, y)
     normal = surface.normal(x, y)
@@ -116,9 +116,9 @@ def _least(surface, camera, point, disc):
     owner, x, y, length = owner[keep], x[keep], y[keep], length[keep]
     order = np.lexsort((length, owner))
     first = order[np.unique(owner[order], return_index=True)[1]]
-    best_x, best_y = np.full(unsettled.size, np.nan), np.full(unsettled.size, np.nan)
+    best_x, best_y = np.full(unproven.size, np.nan), np.full(unproven.size, np.nan)
     best_x[owner[first]], best_y[owner[first]] = x[first], y[first]
-    return best_x, best_y, np.where(unsettled, -1, np.bincount(owner, minlength=unsettled.size))
+    return best_x, best_y, np.where(unproven, -1, np.bincount(owner, minlength=unproven.size))
 
 
 @solver(outputs=3)
@@ -135,8 +135,8 @@ def located(surface, *arrays):
     camera, point = tuple(ends[:3]), tuple(ends[3:])
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # what becomes NaN here is not proven below
         disc = search_disc(surface, camera, point, depth)
-        found_x, found_y, settled = newton(surface, camera, point, disc)
-        proven = disc.convex & settled
+        found_x, found_y, converged = newton(surface, camera, point, disc)
+        proven = disc.convex & converged
         paths = np.where(proven, 1, -1)
         if not proven.all():
             hard = ~proven
@@ -152,8 +152,8 @@ def _located_drjit(surface, camera, point, depth, bent):
     xp = namespace(depth)
     camera, point = (tuple(map(xp.fixed, end)) for end in _harmless(xp, surface, camera, point, bent))
     disc = search_disc(surface, camera, point, xp.fixed(xp.where(bent, depth, 1.0)))
-    x, y, settled = newton(surface, camera, point, disc)
-    return x, y, xp.where(disc.convex & settled, 1, -1)
+    x, y, converged = newton(surface, camera, point, disc)
+    return x, y, xp.where(disc.convex & converged, 1, -1)
 
 
 def _harmless(xp, surface, camera, point, keep):

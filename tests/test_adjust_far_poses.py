@@ -50,7 +50,7 @@ def test_photographs_without_windows_are_sought_anew(measure):
 def test_windows_in_most_photographs_do_where_the_search_fails_and_in_few_the_poses_are_refused():
     windows = windows_in(6)
     assert windows_or_search(VIEWS, lambda: windows, raising("no overlap")) is windows
-    refused = r"in 5 of 10 photographs, and the photographs alone.*no overlap.*--poses fixed"
+    refused = r"in 5 of 10 photographs only, and structure from motion.*no overlap.*--poses fixed"
     with pytest.raises(SurveyError, match=refused):
         windows_or_search(VIEWS, lambda: windows_in(5), raising("no overlap"))
 

@@ -1,4 +1,4 @@
-"""What trainings share: groups of parameters with rates of their own, and when losses have settled."""
+"""What trainings share: groups of parameters with rates of their own, and when losses have converged."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import nn
 
-from fields.training import Rates, adam, descend, has_settled, psnr_db, set_rates
+from fields.training import Rates, adam, descend, has_converged, psnr_db, set_rates
 
 
 def test_a_held_group_stays_and_the_others_move_by_their_share():
@@ -20,13 +20,13 @@ def test_a_held_group_stays_and_the_others_move_by_their_share():
     assert [group["lr"] for group in optimiser.param_groups] == [0.1, 0.4]
 
 
-def test_losses_have_settled_once_they_vary_little_against_the_first_ones():
+def test_losses_have_converged_once_they_vary_little_against_the_first_ones():
     falling, even = [1.0 - 0.1 * k for k in range(10)], [0.1, 0.11] * 5
-    assert not has_settled(falling + even[:-1], 10, 0.01)  # too few to compare
-    assert has_settled(falling + even, 10, 0.01)
-    assert not has_settled(falling + falling, 10, 0.01)
-    assert not has_settled(falling + even, 10, 0.01, variance=1e-6)
-    assert has_settled(falling + falling, 10, 0.01, variance=1.0)
+    assert not has_converged(falling + even[:-1], 10, 0.01)  # too few to compare
+    assert has_converged(falling + even, 10, 0.01)
+    assert not has_converged(falling + falling, 10, 0.01)
+    assert not has_converged(falling + even, 10, 0.01, variance=1e-6)
+    assert has_converged(falling + falling, 10, 0.01, variance=1.0)
 
 
 def test_an_error_of_a_tenth_is_twenty_decibels():

@@ -398,4 +398,4 @@ def test_every_quality_that_can_be_chosen_has_a_recipe():
 def test_views_too_few_to_check_their_poses_are_counted(tmp_path):
     choice, reason = pose_choice(load_survey(small_survey(tmp_path / "s")), "auto", free_water=False)
     assert choice == "fixed"
-    assert reason.endswith("count as exact; to check them takes at least 12 views, and there are 4")
+    assert reason.endswith("count as exact; a check needs at least 12 views, and there are 4")

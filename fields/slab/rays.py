@@ -12,7 +12,7 @@ from fields.slab.slab import Slab
 from fields.sweep.maps import HeightMap, Sources, trusted
 from refract import FlatWater, PinholeCamera, fresnel_coefficients
 
-# A ray meets the proxy where these many steps along it settle, from the height that the sweep or the bound gives.
+# A ray meets the proxy where these many steps along it converge, from the height that the sweep or the bound gives.
 MEETING_STEPS = 4
 # A ray is used if the sweep's height lies within this share of the slab's half thickness from its middle.
 INSIDE = 0.7

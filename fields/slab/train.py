@@ -14,7 +14,7 @@ from fields.slab.slab import Slab
 from fields.slab.tensor_field import FieldSettings, TensorField
 from fields.sweep.maps import Sources
 from fields.threads import half_the_threads
-from fields.training import Rates, adam, descend, has_settled, psnr_db, set_rates
+from fields.training import Rates, adam, descend, has_converged, psnr_db, set_rates
 from fields.water_column import WaterColumn
 
 # Rays are drawn for this many steps at once.
@@ -106,7 +106,7 @@ def train(
         loss = ((colour - rays.rgb) ** 2).mean()
         descend(optimiser, loss)
         losses.append(float(loss.detach()))
-        if switched is None and step > COLOUR_FIRST * steps and has_settled(losses, SWITCH_WINDOW, SWITCH_RATIO):
+        if switched is None and step > COLOUR_FIRST * steps and has_converged(losses, SWITCH_WINDOW, SWITCH_RATIO):
             field.density.switch_to_fine()
             switched = step
         progress((step + 1) / steps)

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from fields.device import Device
 from fields.factors import Factors, Grid, geometric_scales
 from fields.heads import ColourHead, DensityHead
-from fields.training import Rates, has_settled
+from fields.training import Rates, has_converged
 from fields.volume.model import VolumeModel, density_of
 from fields.volume.paths import Box
 
@@ -26,7 +26,7 @@ class TensorSettings:
     n_min, n_max : int
         Cells along the longest edge at the coarsest and the finest scale; one scale has n_max.
     weighting : bool
-        The density weighting network takes over from the coarse regression once the loss has settled.
+        The density weighting network takes over from the coarse regression once the loss has converged.
     directions : str
         Of "xyz", those with a vector.
     reduction : int
@@ -126,14 +126,14 @@ class TensorVolume(VolumeModel):
         ]
 
     def observe(self, losses: list[float]) -> bool:
-        if self.regression.is_fine or not self.settings.weighting or not self._has_settled(losses):
+        if self.regression.is_fine or not self.settings.weighting or not self._has_converged(losses):
             return False
         self.regression.switch_to_fine()
         return True
 
-    def _has_settled(self, losses: list[float]) -> bool:
+    def _has_converged(self, losses: list[float]) -> bool:
         of = self.settings
-        return has_settled(losses, of.switch_window, of.switch_ratio, variance=of.switch_variance)
+        return has_converged(losses, of.switch_window, of.switch_ratio, variance=of.switch_variance)
 
     def get_extra_state(self) -> dict:
         return {"is_fine": self.regression.is_fine}

@@ -142,9 +142,11 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
         kept = checked.only(keep)
         # A few matches do no harm at their Huber weights; a mark is one of few, and has a name.
         few = (~keep).mean() < _FEW and keep[seen.kind == MARK].all()
-        settled = few and not poses.is_changed and not control_changed and (np.abs(factors / before - 1.0) < 0.2).all()
+        converged = (
+            few and not poses.is_changed and not control_changed and (np.abs(factors / before - 1.0) < 0.2).all()
+        )
         # What is returned as used is what the solution was found from.
-        if settled or not remaining:
+        if converged or not remaining:
             break
         state = _without_points(solution.state, seen, keep)
         seen = kept.at(state.points)

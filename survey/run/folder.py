@@ -100,7 +100,7 @@ class RunDir:
             )
             stack.enter_context(locked(self.path, busy=busy))
             stack.callback(self._remove_parts)
-            result.settle(self.path)
+            result.put_in_place(self.path)
             self._remove_parts()
             self._held = stack.pop_all()
         return self
@@ -143,7 +143,7 @@ class RunDir:
             default = self.path / RUN_FOLDER
             mend = f"name {default}" if (default / _MARKER).is_file() else "name the folder that process wrote"
             raise SurveyError(f"{self.path} is no run folder; {mend}")
-        if not result.is_settled(self.path):
+        if not result.is_in_place(self.path):
             raise SurveyError(
                 f"`bathynerf process` was stopped while it put its result into {self.path}; give the same command again"
             )

@@ -53,7 +53,7 @@ def _unfinished(run: Path) -> dict[str, list[str]]:
     return read_json_object(run / _UNFINISHED)
 
 
-def is_settled(run: Path) -> bool:
+def is_in_place(run: Path) -> bool:
     """Whether no result waits to be moved to its place."""
     return not (run / _WHOLE).exists()
 
@@ -79,10 +79,10 @@ def publish(run: Path, part: Path, *, quality: str, finished: str, stages: dict[
     record = {"quality": quality, "finished": finished, "stages": stages, "others": others, "files": files}
     write_json(part / _RECORD, record)
     part.rename(run / _WHOLE)
-    settle(run)
+    put_in_place(run)
 
 
-def settle(run: Path) -> None:
+def put_in_place(run: Path) -> None:
     """Move a complete result to its place, replacing the old one; does nothing without one."""
     whole = run / _WHOLE
     # The record is moved last: where it is gone, everything else has been moved.

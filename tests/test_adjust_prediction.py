@@ -136,6 +136,33 @@ def test_a_rate_of_the_level_raises_the_water_of_each_photograph_by_its_time(rng
     np.testing.assert_allclose(predict(moving, risen, ties, sides), predict(by_tides, state, ties, sides), atol=1e-9)
 
 
+def test_water_over_its_plane_is_water_of_a_higher_level():
+    layout, state, ties = drawn_state(2)
+    sides, (x, y, z) = relief_sides(state, ties), state.water.point
+    asked = []
+
+    def departure(xy):
+        asked.append(xy)
+        return np.full(len(xy), 0.12)
+
+    risen = replace(state, water=replace(state.water, point=(x, y, z + 0.12)))
+    found = predict(replace(layout, departure=departure), state, ties, sides)
+    np.testing.assert_allclose(found, predict(layout, risen, ties, sides), rtol=0.0, atol=1e-8)
+    # It is asked where rays cross the water: a tenth of the depth from there at most, at 40 degrees.
+    points, centres = state.points[ties.point], state.centres[ties.view]
+    crossing = centres + lines_of_sight(centres, points, state.water)
+    deep = state.water.depth(points)
+    wet = deep > 0.0
+    assert (np.linalg.norm(asked[0] - crossing[:, :2], axis=1)[wet] < 0.1 * deep[wet]).all()
+    np.testing.assert_allclose(asked[0][~wet], points[~wet, :2])
+
+
+def test_derivatives_hold_where_the_water_is_no_plane():
+    layout, state, ties = drawn_state(2)
+    # Even slopes: what a step of a point changes of the departure is not in the derivatives.
+    require_derivatives(replace(layout, departure=lambda xy: np.full(len(xy), -0.07)), state, ties)
+
+
 def test_a_point_behind_its_camera_has_no_pixel():
     layout, state, ties = drawn_state(2)
     points = state.points.copy()

@@ -15,7 +15,9 @@ from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
 from survey.plan.tile_choice import choose_tiles
 from survey.plan.tiling import Tiling, ground_of, inside
+from survey.plan.water_tiles import aside_px, water_doubts
 from survey.plan.workload import workload_of
+from survey.water.surface import Departure
 from tests.changed_survey import changed
 
 
@@ -161,3 +163,42 @@ def test_workers_are_refused_in_the_plan_where_dask_is_missing(planned, monkeypa
         with pytest.raises(SurveyError, match=r"pip install 'bathynerf\[cluster\]'"):
             choose_tiles(*planned[:2], chosen, planned[2], is_aimed=False)
     assert choose_tiles(*planned[:2], Choices(tiles=2, workers=1), planned[2], is_aimed=False).workers == 1
+
+
+def with_water(planned, over):
+    """The survey with water ``over(x, y)`` [m] over its plane, from the middle of its ground, and its plan."""
+    survey, plan, workload = planned
+    xy = np.stack(np.meshgrid(np.arange(-12.0, 13.0), np.arange(-12.0, 13.0)), axis=-1).reshape(-1, 2)
+    ground = ground_of(survey, plan)
+    middle = 0.5 * (np.array(ground[:2]) + ground[2:])
+    departure = Departure(np.column_stack([xy + middle, over(*xy.T)]), np.full(len(xy), 0.002))
+    return replace(survey, observations=replace(survey.observations, departure=departure)), plan, workload
+
+
+def test_water_near_a_plane_needs_no_tiles(planned):
+    survey, plan, workload = with_water(planned, lambda x, y: 0.02 * np.sin(x))
+    found = choose_tiles(survey, plan, Choices(memory="8GB"), workload, is_aimed=False)
+    assert found.tiling is None
+    assert not water_doubts(survey, plan, None)
+
+
+def test_water_far_from_a_plane_gets_tiles_and_the_plan_says_why(planned):
+    survey, plan, workload = with_water(planned, lambda x, y: 3.0 * np.tanh(y / 4.0))
+    plan = replace(plan, footprint_m=(2.0, 1.5), gsd_m=0.02)
+    found = choose_tiles(survey, plan, Choices(memory="8GB"), workload, is_aimed=False)
+    assert len(found.tiling) > 1
+    assert found.decision.reason.startswith("rays bent at one plane for all of the water miss each other by up to ")
+    ground = ground_of(survey, plan)
+    (_, in_one), (_, in_tiles) = aside_px(survey, plan, ground, [None, found.tiling])
+    assert in_tiles < 0.5 * in_one
+    assert "miss each other by up to" in water_doubts(survey, plan, None)[0]
+
+
+def test_rays_miss_by_what_snell_says(planned):
+    survey, plan, _ = with_water(planned, lambda x, y: 0.1 + 0.0 * x)
+    rays = np.concatenate([view.camera.directions(view.camera.outline()) for view in survey.views])
+    steep = float((rays @ -np.array(survey.water.up)).min())
+    incidence = np.arccos(max(steep, np.cos(np.radians(70.0))))
+    in_water = np.arcsin(np.sin(incidence) / survey.water.n_water)
+    aside = 0.1 * (np.tan(incidence) - survey.water.n_water * np.tan(in_water)) / plan.gsd_m
+    assert list(aside_px(survey, plan, ground_of(survey, plan), [None])) == [(None, pytest.approx(aside, rel=1e-3))]

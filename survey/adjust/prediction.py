@@ -199,14 +199,24 @@ def relief_sides(state: State, ties: TiePoints) -> np.ndarray:
 def _ends(
     layout: Layout, state: State, ties: TiePoints, sides: np.ndarray, rows: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Cameras and points (N, 3) each, lowered by the tide, over the water at its mean level."""
+    """Cameras and points (N, 3) each, lowered by the tide and by what the water stands over its plane there."""
     centres, points = _centres(layout, state, ties, rows), _seen(state, ties, sides)
     tides = state.tides(layout)
-    if tides is None:
+    if (tides is None and layout.departure is None) or state.water is None:
         return centres, points
     down = np.zeros_like(points)
-    down[:, 2] = tides[ties.view]
+    if tides is not None:
+        down[:, 2] = tides[ties.view]
+    if layout.departure is not None:
+        down[:, 2] += layout.departure(_near_crossing(centres, points, state.water))
     return centres - down, points - down
+
+
+def _near_crossing(centres: np.ndarray, points: np.ndarray, water: FlatWater) -> np.ndarray:
+    """Places (N, 2) near those where rays cross the water: exact straight down, where tan a is n tan b."""
+    deep = np.maximum(water.depth(points), 0.0) / water.n_water
+    share = deep / (deep + np.maximum(-water.depth(centres), 1e-9))
+    return points[:, :2] + share[:, None] * (centres - points)[:, :2]
 
 
 def _centres(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray | None) -> np.ndarray:

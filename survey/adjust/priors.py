@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -114,6 +115,7 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
         finds_readouts=flow is not None and readout_std is not None,
         tides=tides if tides.any() else None,
         hours=_hours(survey),
+        departure=_departure(survey),
     )
     readouts = np.full(0 if flow is None else len(lenses), survey.config.cameras.rolling_shutter_s, dtype=np.float64)
     centres = np.array([view.camera.centre for view in views])
@@ -190,6 +192,17 @@ def _flow(survey: Survey) -> np.ndarray | None:
 
 def _rate_std(survey: Survey) -> float | None:
     return None if survey.config.water is None else survey.config.water.rate.level_rate_std_m_per_h
+
+
+def _departure(survey: Survey) -> Callable[[np.ndarray], np.ndarray] | None:
+    """By how much the water stands over its plane where the photographs look; None where nothing is said of it."""
+    departure = survey.observations.departure
+    if survey.water is None or departure is None:
+        return None
+    centres = np.array([view.camera.centre for view in survey.views])
+    reach = float(np.max(-survey.water.depth(centres)))
+    low, high = centres[:, :2].min(axis=0) - reach, centres[:, :2].max(axis=0) + reach
+    return departure.interpolated((*low.tolist(), *high.tolist()))
 
 
 def _hours(survey: Survey) -> np.ndarray | None:

@@ -13,6 +13,7 @@ three each besides.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -83,6 +84,8 @@ class Layout:
         Of the cameras (`PinholeCamera.tide`), as given; None where one level holds for all.
     hours : (V,) [h] or None
         Times of the photographs after that at which the level holds, where the rate of the level is a parameter.
+    departure : function of places (N, 2), or None
+        By how much (N,) [m] the water stands over its plane; None where it is a plane.
     """
 
     lens_of: np.ndarray
@@ -91,6 +94,7 @@ class Layout:
     finds_readouts: bool = False
     tides: np.ndarray | None = None
     hours: np.ndarray | None = None
+    departure: Callable[[np.ndarray], np.ndarray] | None = None
 
     @property
     def first_lens(self) -> int:

@@ -140,6 +140,7 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
     crs = parse_crs(config.crs, where=f"crs in {toml}" if toml.is_file() else "the inferred crs")
     config, levels, tide, said = with_level(folder, config, heads, crs)
     assumptions += said.assumptions
+    warnings += said.warnings
     if poses_path is not None and config.water is not None:
         config.water.require_level()
     warnings += head_doubts(heads)

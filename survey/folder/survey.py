@@ -32,9 +32,10 @@ from survey.photos.cameras import View, metres_per_px
 from survey.photos.images import load_image, load_mask
 from survey.photos.tie_points import TiePoints
 from survey.settings.config import SurveyConfig, WaterConfig
-from survey.water.level import with_level_of_clicks
+from survey.water.level import with_level_of_clicks, with_plane_of_surface
 from survey.water.level_observation import LevelObservation
 from survey.water.position_check import doubts_of_water_places
+from survey.water.surface import Departure
 from survey.water.tides import Tide, with_tides
 
 __all__ = [
@@ -76,6 +77,8 @@ class Observations:
     tide : Tide or None
         How the level moved from photograph to photograph, which cameras have where it matters (`PinholeCamera.tide`);
         None where nothing is said of it.
+    departure : Departure or None
+        Of the water from its plane; None where nothing is said of it.
     """
 
     points: np.ndarray | None = field(default=None, compare=False, repr=False)
@@ -87,6 +90,7 @@ class Observations:
     velocities: Mapping[str, Velocity] = field(default_factory=dict, compare=False, repr=False)
     tide: Tide | None = field(default=None, compare=False, repr=False)
     ground: Ground | None = field(default=None, compare=False, repr=False)
+    departure: Departure | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -242,7 +246,16 @@ def load_survey(
         water=water,
         config=config,
         observations=Observations(
-            block.points, block.ties, block.priors, block.control, block.checkpoints, levels, velocities, tide, ground
+            block.points,
+            block.ties,
+            block.priors,
+            block.control,
+            block.checkpoints,
+            levels,
+            velocities,
+            tide,
+            ground,
+            Departure.of(levels, frame, water),
         ),
         provenance=Provenance(
             block.tool,
@@ -267,6 +280,8 @@ def _water(
     if config.water is not None and config.water.level_m is None:
         (config, of_points), is_level_known = place.with_level_of_points(config, frame, views, block.points), False
         said += of_points
+    config, of_surface = with_plane_of_surface(config, levels, views, frame)
+    said += of_surface
     config, water, of_water = place.water_in_local(config, frame, views)
     return config, water, is_level_known, levels, said + of_water
 

@@ -26,6 +26,7 @@ from survey.plan.level_doubt import level_doubt
 from survey.plan.plan import Plan, device_decision, make_plan
 from survey.plan.skipped import Decision
 from survey.plan.tile_choice import choose_tiles
+from survey.plan.water_tiles import water_doubts
 from survey.plan.workload import Workload, room_doubts, workload_of, workload_of_images
 from survey.settings.config import SurveyConfig
 from survey.sfm.datum import WELL_KNOWN_M
@@ -114,19 +115,21 @@ def check_survey(
     plan = make_plan(survey, chosen)
     rows = _rows_of_survey(checked.found, survey, plan)
     workload: Workload | str
+    of_water: tuple[str, ...] = ()
     try:
         workload = workload_of(survey, plan)
         workload = workload if slowness is None else workload.on_busy(slowness)
         tiles = choose_tiles(survey, plan, chosen, workload, is_aimed=False, chooses_workers=chooses_workers)
         workload = replace(workload, memory_bytes=int(tiles.memory_bytes))
         plan = replace(plan, decisions=(*plan.decisions, *tiles.decisions))
+        of_water = water_doubts(survey, plan, tiles.tiling)
     except SurveyError as error:
         if survey.provenance.reprojection is None:
             raise
         # Where tie points prove the poses, what they say is worth printing, though nothing can be made of them.
         workload = f"process refuses this survey: {error}"
     room = room_doubts(workload, folder / RUN_FOLDER) if isinstance(workload, Workload) else [workload]
-    warnings = (*checked.doubts, *room)
+    warnings = (*checked.doubts, *of_water, *room)
     return _sections(rows, plan.decisions, workload, survey.findings.assumptions, warnings, plan.as_dict())
 
 

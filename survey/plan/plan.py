@@ -197,7 +197,14 @@ def device_decision(device: str) -> Decision:
 
 def _level(survey: Survey) -> tuple[Decision, ...]:
     """Decision whether each photograph has its own level; none for a level that is constant."""
-    tide = survey.observations.tide
+    tide, departure = survey.observations.tide, survey.observations.departure
+    if departure is not None:
+        under = np.array([view.camera.centre[:2] for view in survey.views])
+        away = length(float(np.abs(departure.at(under)[0]).max()))
+        said = (
+            f"[water] surface lies up to {away} beside one plane under the cameras; points of the bed are moved to it"
+        )
+        return (Decision("level", "by place", said),)
     if tide is None:
         return ()
     water = survey.config.water

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +14,8 @@ from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.files.sizes import bytes_of, room, size
 from survey.plan.skipped import Decision
-from survey.plan.tiling import RIM_GSD, Tiling, ground_of
+from survey.plan.tiling import RIM_GSD, Area, Tiling, ground_of
+from survey.plan.water_tiles import MOST_ASIDE_PX, aside_px
 from survey.plan.workload import POINT_BYTES, amounts_of, memory_of
 
 if TYPE_CHECKING:
@@ -104,9 +106,10 @@ def choose_tiles(
         return _with_workers(choice, chosen, chooses_workers)
     least = 1 if chosen.scheduler is None else 2
     least = max(least, chosen.workers or 1)
+    for_water, why = _for_water(survey, plan)
     budget, source = _budget(chosen)
     needed = f"in one piece the run takes about {size(one)} of memory, and {room(budget)} {source}"
-    if one <= budget and least == 1:
+    if one <= budget and max(least, for_water) == 1:
         # How much is free changes from one moment to the next, the plan of a survey does not.
         is_free = "free" if chosen.memory is None else f"within the {room(budget)} of --memory"
         fits = f"in one piece the run takes about {size(one)} of memory, which is {is_free}"
@@ -115,10 +118,10 @@ def choose_tiles(
         needed = "one for each worker at least" if one <= budget else needed
         # Workers of a scheduler have memory of their own.
         budget /= 1 if chosen.scheduler is not None else chosen.workers or 1
+    if for_water > least:
+        needed, least = why, for_water
     ground = ground_of(survey, plan)
-    most = max(
-        int((ground[2] - ground[0]) * (ground[3] - ground[1]) / (_LEAST_FOOTPRINTS * np.prod(plan.footprint_m))), least
-    )
+    most = max(_most_tiles(ground, plan), least)
     best = TileChoice(None, Decision("tiles", "1", f"{needed}; the ground is too small for tiles"), one)
     counts = [*([] if earlier is None else [earlier]), *_counts(ground, most)]
     # About square ones may all be fewer than there are workers.
@@ -131,6 +134,24 @@ def choose_tiles(
         if memory <= budget:
             break
     return _with_workers(best, chosen, chooses_workers)
+
+
+def _most_tiles(ground: Area, plan: Plan) -> int:
+    return int((ground[2] - ground[0]) * (ground[3] - ground[1]) / (_LEAST_FOOTPRINTS * np.prod(plan.footprint_m)))
+
+
+def _for_water(survey: Survey, plan: Plan) -> tuple[int, str]:
+    """Least number of tiles in each of which a plane serves for the water, or as many as there may be, and why."""
+    if survey.water is None or survey.observations.departure is None:
+        return 1, ""
+    ground, rim = ground_of(survey, plan), RIM_GSD * plan.gsd_m
+    tilings = (Tiling.of(ground, count, rim) for count in _counts(ground, _most_tiles(ground, plan)))
+    found, one = 1, None
+    for tiling, px in aside_px(survey, plan, ground, chain([None], tilings)):
+        found, one = 1 if tiling is None else len(tiling), px if one is None else one
+        if px <= MOST_ASIDE_PX:
+            break
+    return found, f"rays bent at one plane for all of the water miss each other by up to {one:.2g} px"
 
 
 def require_dask(chosen: Choices) -> None:

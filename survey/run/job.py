@@ -210,10 +210,10 @@ class Job:
         }
 
     def _part(self, name: str):
-        survey, plan = self.survey, self.plan
+        survey, plan, departure = self.survey, self.plan, self.survey.observations.departure
         parts = {
             "cameras": lambda: [(view.name, view.camera, view.lens) for view in survey.views],
-            "water": lambda: survey.water,
+            "water": lambda: survey.water if departure is None else (survey.water, departure.points, departure.stds),
             "water_settings": lambda: (_settings_of(survey), survey.observations.tide),
             "heights": lambda: self.limits,
             "area": lambda: local_area(survey),

@@ -36,7 +36,7 @@ def merge_sweeps(
     swept = of_tiles["sweep"]
     views = sorted({tile.windows[view].view for tile, place in _found(tiles, swept) for view in _maps(place).views})
     save_maps(folder / MAPS, HeightMap, _whole_maps(job, tiles, swept, views))
-    low, high = tiles[0].bound
+    low, high = tiles[0].shared_bound
     write_json(folder / BOUND, {"low_m": low, "high_m": high})
     names = [view.name for view in job.survey.views]
     write_json(folder / SATURATED, dict(zip(names, job.block.saturated, strict=True)))
@@ -99,7 +99,9 @@ def _whole_maps(job: Job, tiles: Sequence[TileJob], swept: Sequence[Path], views
         agreeing = np.zeros(shape, dtype=np.uint8)
         for tile, number, window in of_view[view]:
             m, mask = maps[tile][number], own[tile][number] & ~known[window.part]
-            for target, each in ((height, m.height), (score, m.score), (agreeing, m.agreeing), (spread, m.spread)):
+            row, column = np.nonzero(mask)
+            height[window.part][mask] = tiles[tile].over_whole(m.view, row, column, m.height[mask])
+            for target, each in ((score, m.score), (agreeing, m.agreeing), (spread, m.spread)):
                 target[window.part][mask] = each[mask]
             known[window.part] |= mask
         # Where no tile looked, no other view confirms the height.
@@ -120,7 +122,8 @@ def _whole_solved(
             keep = mask[each.pixels]
             row, column = np.divmod(each.pixels[keep], window.width)
             pixels = (row + window.row) * width + column + window.column
-            parts.append((pixels, each.height[keep], each.std[keep]))
+            height = tiles[tile].over_whole(_maps(swept[tile]).views[number], row, column, each.height[keep])
+            parts.append((pixels, height, each.std[keep]))
         pixels, height, std = (np.concatenate(column) for column in zip(*parts, strict=True))
         # A pixel whose heights in two tiles lie on either side of the line between them is in both.
         pixels, first = np.unique(pixels, return_index=True)

@@ -29,6 +29,7 @@ from survey.plan.choices import Choices, Device
 from survey.plan.plan import device_decision, make_plan
 from survey.plan.rates import parts_in_tiles, parts_s
 from survey.plan.tile_choice import SHARED, TileChoice, choose_tiles, require_dask
+from survey.plan.water_tiles import water_doubts
 from survey.plan.workload import amounts_of_run, parts_of_found, require_room, workload_of, workload_of_found
 from survey.progress import Progress, opened
 from survey.run.aimed_run import AimedRun
@@ -249,7 +250,7 @@ def _announce(
             slowness = progress.forecast.slowness
             workload = workload if slowness < _BUSY else workload.on_busy(slowness)
     progress.note(f"workload: {'' if aimed is None else 'with the largest recipe, '}{workload}")
-    for text in require_room(workload, run.path):
+    for text in (*water_doubts(survey, plan, tiles.tiling), *require_room(workload, run.path)):
         progress.warn(text)
     return tiles
 

@@ -16,6 +16,7 @@ from survey.adjust.std_common import BASIS_ADJUSTED, BASIS_STATED, std_common
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.plan.block import backend
+from survey.run.curved_water import through_surface
 from survey.run.occluded import with_occluded
 from survey.run.points import adjustment_of, bed_points, is_placed, with_std_of_block
 from survey.run.stage_solver import SOLVED
@@ -58,6 +59,8 @@ def points_of_bed(job: Job, needs: Mapping[str, Path]) -> BedPoints:
         bed, tide, moved = bed_points(job, maps, field, stage.advance, solved, kept)
     if solved is not None and job.plan.boxes and len(bed):
         bed, tide = with_occluded(job, maps, solved, bed, tide)
+    if survey.water is not None and survey.observations.departure is not None:
+        bed = through_surface(bed, [view.camera for view in survey.views], survey.water, survey.observations.departure)
     if field is not None:
         job.progress.detail(f"{moved:,} of {len(bed):,} points take their height from the field")
     if job.chosen.true_colour and len(bed):

@@ -17,6 +17,7 @@ from survey.plan.block import backend, cameras_of_block
 from survey.plan.rates import part_name
 from survey.run.job import Job
 from survey.run.stored import load_arrays
+from survey.run.tile_water import heights_over, over_own_plane
 from survey.run.windows import WindowStore, windows_of
 
 if TYPE_CHECKING:
@@ -47,8 +48,8 @@ class TilePlan:
 class TileJob(Job):
     """The part of a job that a tile is.
 
-    Its survey has the views that show the tile, cut to their windows at the size that is worked on; water, settings
-    and what else belongs to the survey are those of the whole.
+    Its survey has the views that show the tile, cut to their windows at the size that is worked on, and where the water
+    is no plane the one that fits it there; settings and what else belongs to the survey are those of the whole.
 
     Attributes
     ----------
@@ -64,12 +65,13 @@ class TileJob(Job):
             raise ValueError("expected a job with tiles")
         self.whole, self.number, self._plan_of_tiles = whole, number, found
         cameras = cameras_of_block(whole.survey, whole.plan)
-        self.windows = windows_of(cameras, whole.survey.water, whole.tiling, number, found.bound)
+        survey, self._bound = over_own_plane(whole.survey, whole.tiling.ground(number, whole.tiling.rim), found.bound)
+        self.windows = windows_of(cameras, survey.water, whole.tiling, number, self._bound)
         views = tuple(
             replace(whole.survey.views[w.view], camera=cameras[w.view].cropped(w.row, w.column, w.height, w.width))
             for w in self.windows
         )
-        self.survey, self.chosen, self.aimed = replace(whole.survey, views=views), whole.chosen, None
+        self.survey, self.chosen, self.aimed = replace(survey, views=views), whole.chosen, None
         self.plan = replace(whole.plan, image_scale=1.0)
         self.progress: Any = _ProgressOfTile(whole.progress, number, len(whole.tiling))
         self.workspace, self.scratch, self.tiling, self.tiles = None, None, whole.tiling, whole.tiles
@@ -118,7 +120,12 @@ class TileJob(Job):
 
     @property
     def bound(self) -> tuple[float, float]:
-        """That of the whole survey."""
+        """That of the whole survey, over the plane of the tile."""
+        return self._bound
+
+    @property
+    def shared_bound(self) -> tuple[float, float]:
+        """That of the whole survey, over its plane."""
         return self._plan_of_tiles.bound
 
     @property
@@ -153,6 +160,11 @@ class TileJob(Job):
             self.plan.skips,
             self.ground,
         )
+
+    def over_whole(self, view: int, row: np.ndarray, column: np.ndarray, heights: np.ndarray) -> np.ndarray:
+        """Heights (N,) [m] of pixels of a window over the water of the whole survey, from those over its own."""
+        pixels = np.column_stack([column + 0.5, row + 0.5])
+        return heights_over(self.whole.survey.water, self.survey.water, self.survey.views[view].camera, pixels, heights)
 
     def drop(self) -> None:
         """Forget the windows."""

@@ -19,6 +19,7 @@ class LevelSources:
 
     shoreline: str | None = None  # CSV of points, easting, northing, height, or GeoJSON, where water meets land
     gnss_points: str | None = None  # the same, of points anywhere on the surface
+    surface: str | None = None  # the same or a GeoTIFF, of water that is no plane
     gauge: str | None = None  # CSV of time, level
     image_levels: str | None = None  # CSV of image, level
     clicks: str | None = None  # CSV of image, x, y, name: places of the waterline in two photographs or more
@@ -172,7 +173,7 @@ class WaterConfig:
     @property
     def has_no_place(self) -> bool:
         """Whether nothing here is a place in plan, in crs; photographs have places of their own."""
-        in_plan = (self.level_at, self.sources.shoreline, self.sources.gnss_points)
+        in_plan = (self.level_at, self.sources.shoreline, self.sources.gnss_points, self.sources.surface)
         return all(each is None for each in in_plan) and self.slope_east == self.slope_north == 0.0
 
     def require_level(self) -> None:
@@ -183,13 +184,15 @@ class WaterConfig:
         if not self.gives_level:
             raise ConfigError(
                 "level_m is missing from [water]. Give the height of the water surface in the survey's vertical "
-                "datum, e.g. level_m = 12.34, or a file as shoreline, gnss_points, gauge, image_levels or clicks, or "
-                "write dry = true, above the first table, in place of [water] for a dry survey; only a survey without "
-                "poses, with GPS positions in its photographs, can leave it to the adjustment"
+                "datum, e.g. level_m = 12.34, or a file as shoreline, gnss_points, surface, gauge, image_levels or "
+                "clicks, or write dry = true, above the first table, in place of [water] for a dry survey; only a "
+                "survey without poses, with GPS positions in its photographs, can leave it to the adjustment"
             )
 
     def _require_one_level(self) -> None:
         levels = [*([] if self.level_m is None else ["level_m"]), *self.sources.named]
+        if self.sources.surface is not None and (self.level_at is not None or self.slope_east or self.slope_north):
+            raise ConfigError("[water] surface tells the level everywhere; remove level_at, slope_east and slope_north")
         if len(levels) > 1:
             raise ConfigError(
                 f"[water] has {' and '.join(levels)}, each of which gives the height of the water; keep one"

@@ -1,6 +1,7 @@
 """The water level from measurements on site: points of the surface, a gauge, a table, or clicks in photographs.
 
     shoreline, gnss_points   CSV with easting, northing, height in crs, or GeoJSON: a plane is fitted
+    surface                  the same or a raster: a plane under the photographs, and `survey.water.surface`
     gauge                    CSV with time, level: interpolated at the time of each photograph
     image_levels             CSV with image, level
     clicks                   CSV with image, x, y, name: places of the waterline where rays meet
@@ -36,9 +37,12 @@ from survey.water.level_observation import (
     points_of_surface,
     readings_of_gauge,
 )
+from survey.water.plane_doubt import plane_doubt
+from survey.water.surface import SOURCE as SURFACE
 from survey.water.tides import Tide, tide_of_gauge, tide_of_levels, tide_of_rate
 
-_POINTS = ("shoreline", "gnss_points")
+_MEASURED = ("shoreline", "gnss_points")
+_POINTS = (*_MEASURED, "surface")
 # A level in survey.toml without level_std_m is that of a staff.
 STAFF_STD_M = 0.02
 
@@ -54,6 +58,8 @@ _LEAST_FOR_SLOPES = 6
 # Fewer points than this say too little of their scatter themselves.
 _FEW = 6
 _LEAST_STD_M = 1e-3
+# Points of a surface so far beyond the cameras, in flying heights, count for its plane.
+_UNDER_VIEWS = 0.5
 _IN_WORDS = {1: "one", 3: "three"}
 
 
@@ -116,7 +122,33 @@ def with_level(
         return config, (), tide, Findings()
     points, notes = points_of_surface(folder / water.sources.named[name], name, crs)
     water, said = _of_points(water, points, crs)
+    if name == SURFACE:
+        # `with_plane_of_surface` has the plane under the photographs, and says it.
+        water, said = replace(water, level_std_m=config.water.level_std_m if config.water else None), Findings()
     return replace(config, water=water), points, tide, Findings(notes) + said
+
+
+def with_plane_of_surface(
+    config: SurveyConfig, levels: Sequence[LevelObservation], views: Sequence[View], frame: LocalFrame
+) -> tuple[SurveyConfig, Findings]:
+    """Settings with the plane through the points of [water] surface under the photographs, or through all of them."""
+    points = [level for level in levels if level.source == SURFACE and level.place is not None]
+    if config.water is None or not points:
+        return config, Findings()
+    at = frame.local_from_crs(np.array([(*point.place, 0.0) for point in points if point.place is not None]))[:, :2]
+    centres = np.array([view.camera.centre for view in views])
+    height = (
+        float(np.median(centres[:, 2]))
+        - frame.local_from_crs(
+            np.array([*(config.water.known_level_at), config.water.known_level_m / height_unit_m(frame.crs)])
+        )[2]
+    )
+    reach = _UNDER_VIEWS * max(float(height), 0.0)
+    low, high = centres[:, :2].min(axis=0) - reach, centres[:, :2].max(axis=0) + reach
+    near = [point for point, place in zip(points, at, strict=True) if ((place >= low) & (place <= high)).all()]
+    water = replace(config.water, level_at=None, slope_east=0.0, slope_north=0.0)
+    water, said = _of_points(water, near if len(near) >= _LEAST_FOR_SLOPES else points, frame.crs)
+    return replace(config, water=water), said
 
 
 def with_level_of_clicks(
@@ -167,16 +199,20 @@ def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS)
         f"level_m = {level:.3f} +- {std:.3f} from {fit.num_points} points in [water] {source}, slope "
         f"{fit.slope_east:.5f} east and {fit.slope_north:.5f} north{shared}"
     )
+    level_std_m = water.level_std_m or min(std, MOST_LEVEL_STD_M)
+    doubt = None
+    if source in _MEASURED and free:
+        doubt = plane_doubt(coordinates, np.array([each.std_m for each in points]), level_std_m, source)
     water = replace(
         water,
         level_m=level,
         level_at=level_at,
         slope_east=fit.slope_east,
         slope_north=fit.slope_north,
-        level_std_m=water.level_std_m or min(std, MOST_LEVEL_STD_M),
+        level_std_m=level_std_m,
         sources=LevelSources(),
     )
-    return water, Findings((said,))
+    return water, Findings((said,), () if doubt is None else (doubt,))
 
 
 def fit_surface(

@@ -2,6 +2,7 @@
 
 survey.toml              level_m, level_std_m
 shoreline, gnss_points   CSV with easting, northing, height in crs (and std), or GeoJSON
+surface                  the same, or a raster of heights
 gauge                    CSV with time, level (and std)
 image_levels             CSV with image, level (and std): `survey.water.tides`
 clicks                   CSV with image, x, y, name: `survey.water.clicks`
@@ -14,9 +15,13 @@ from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 from pyproj import CRS
 
-from geo.crs import height_unit_m
+from geo.crs import height_unit_m, horizontal_crs
+from geo.reading import read_reference
+from geo.shapes import vertices_of
+from geo.transformation import height_scale, transformed
 from survey.errors import ConfigError
 from survey.files.column_units import Units
 from survey.files.csv_table import Row, read_table
@@ -25,11 +30,17 @@ from survey.water.geojson import points_of_geojson
 
 # Of one measurement whose file does not say how sure it is [m]: of GNSS with corrections on the surface, and where
 # water meets land, which waves move; of a reading.
-STD_M = {"shoreline": 0.03, "gnss_points": 0.02, "gauge": 0.01, "image_levels": 0.01}
+STD_M = {"shoreline": 0.03, "gnss_points": 0.02, "surface": 0.02, "gauge": 0.01, "image_levels": 0.01}
 # What all measurements of a source share, so that more of them do not help [m]: the height of the base and the antenna;
 # that water wets the land above its level; the zero of the gauge, from which levels of photographs count as well.
-COMMON_STD_M = {"shoreline": 0.02, "gnss_points": 0.015, "gauge": 0.01, "image_levels": 0.01, "clicks": 0.0}
-_GEOJSON = (".geojson", ".json")
+COMMON_STD_M = {
+    "shoreline": 0.02, "gnss_points": 0.015, "surface": 0.015, "gauge": 0.01, "image_levels": 0.01, "clicks": 0.0,
+}  # fmt: skip
+_GEOJSON, _RASTER = (".geojson", ".json"), (".tif", ".tiff")
+# Cells of a raster beyond this number are means of squares of them.
+_MOST_CELLS = 40_000
+# Of a cell against its neighbours; what it is off with them is common.
+_CELL_STD_M = 0.002
 _MOST_STD_M = 10.0
 
 
@@ -71,6 +82,8 @@ def points_of_surface(path: Path, source: str, crs: CRS) -> tuple[tuple[LevelObs
         points, notes = points_of_geojson(path, crs)
         found = (LevelObservation(h * unit, STD_M[source], (e, n), None, source) for e, n, h in points.tolist())
         return tuple(found), notes
+    if path.suffix.lower() in _RASTER:
+        return _points_of_raster(path, source, crs), ()
     rows = read_points(path, optional=("std",), units=Units.of(crs), error=ConfigError)
     places = [(row.number("easting"), row.number("northing")) for row in rows]
     measured = [
@@ -78,6 +91,26 @@ def points_of_surface(path: Path, source: str, crs: CRS) -> tuple[tuple[LevelObs
         for row, place in zip(rows, places, strict=True)
     ]
     return tuple(measured), ()
+
+
+def _points_of_raster(path: Path, source: str, crs: CRS) -> tuple[LevelObservation, ...]:
+    """The middles of the cells of a GeoTIFF, in crs."""
+    shape = read_reference(path)
+    said = f"the heights of {path.name}"
+    points = vertices_of(shape)
+    if shape.crs is not None:
+        scale = height_scale(shape.crs, crs, said, unit_m=shape.height_unit_m)
+        if not horizontal_crs(shape.crs).equals(horizontal_crs(crs), ignore_axis_order=True):
+            points = transformed(shape.crs, crs, points, said, "or give the raster in crs.")
+        points = points * (1.0, 1.0, scale)
+    if len(points) > _MOST_CELLS:
+        low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+        side = np.sqrt(np.prod(high - low) / _MOST_CELLS)
+        _, cell = np.unique(np.floor((points[:, :2] - low) / side).astype(int), axis=0, return_inverse=True)
+        count = np.bincount(cell.ravel())
+        points = np.column_stack([np.bincount(cell.ravel(), column) / count for column in points.T])
+    unit = height_unit_m(crs)
+    return tuple(LevelObservation(h * unit, _CELL_STD_M, (e, n), None, source) for e, n, h in points.tolist())
 
 
 def readings_of_gauge(path: Path, unit_m: float = 1.0) -> tuple[LevelObservation, ...]:

@@ -1,0 +1,190 @@
+"""Water that is no plane: its height over the plane of the survey, between measured points.
+
+Local regression (W. S. Cleveland 1979): at each place a surface of second order is fitted to the nearest points, those
+nearer and better known with more weight. How many points that takes is found by leaving each of them out in turn. A
+raster, points anywhere on the surface and a line of levels along a river are all the same to it: across a line the
+slope is that of the plane.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.interpolate import RegularGridInterpolator
+from scipy.spatial import KDTree
+
+from geo.crs import height_unit_m
+from geo.frames import LocalFrame
+from refract import BicubicWater, FlatWater
+from survey.water.level_observation import LevelObservation
+
+Area = tuple[float, float, float, float]
+SOURCE = "surface"
+# Numbers of nearest points to choose from, half of all at most; else the surface is one plane.
+_NUMBERS = (12, 20, 30, 50, 80, 120)
+# The smoothest surface counts whose squared errors are at most so many times the least: noise bends rays, too.
+_AS_GOOD = 1.1
+# Of each number as many points are left out in turn.
+_LEFT_OUT = 400
+# Slopes and curvatures count as 0 to so much of the weights: what a line of points says of those across it.
+_RIDGE = (1e-2, 1e-2, 2e-3, 2e-3, 2e-3)
+# The median of the absolute value of a normal deviate of unit standard deviation; least error of a file [m].
+_MEDIAN_DEVIATION, _LEAST_STD_M = 0.6745, 1e-3
+# Nodes of a raster at most, and of a batch.
+_MOST_NODES, _AT_ONCE = 200_000, 20_000
+# Nodes beyond an area, which cubic pieces need.
+_BEYOND = 3
+# Points whose spread across a line is less than this share of that along it tell no slope across it.
+_LINE = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Departure:
+    """Height of the water over the plane of a survey, from points on it.
+
+    Where an adjustment moves the plane the water moves with it.
+
+    Attributes
+    ----------
+    points : (N, 3) float64 [m]
+        Local x and y, and the height over the plane.
+    stds : (N,) [m]
+        Of these heights, without what all share.
+    """
+
+    points: np.ndarray
+    stds: np.ndarray
+    _tree: KDTree = field(init=False, repr=False)
+    _plane: np.ndarray = field(init=False, repr=False)
+    _number: int = field(init=False, repr=False)
+    _factor: float = field(init=False, repr=False)
+
+    def __post_init__(self):
+        xy = self.points[:, :2]
+        object.__setattr__(self, "_tree", KDTree(xy))
+        object.__setattr__(self, "_plane", _plane_through(self.points, 1.0 / self.stds))
+        errors = {0: (self._over_plane(xy) - self.points[:, 2]) / self.stds}
+        errors |= {number: self._left_out(number) for number in _NUMBERS if 2 * number <= len(xy)}
+        # Points that are far off count no more than those at five standard deviations.
+        least = float(np.mean((_LEAST_STD_M / self.stds) ** 2))
+        squares = {number: least + float(np.mean(np.minimum(np.abs(errors[number]), 5.0) ** 2)) for number in errors}
+        good = [number for number in errors if squares[number] <= _AS_GOOD * min(squares.values())]
+        best = 0 if 0 in good else max(good)
+        scatter = float(np.median(np.abs(errors[best]))) / _MEDIAN_DEVIATION
+        object.__setattr__(self, "_number", best)
+        object.__setattr__(self, "_factor", max(scatter, 1.0))
+
+    @staticmethod
+    def of(levels: Sequence[LevelObservation], frame: LocalFrame, plane: FlatWater | None) -> Departure | None:
+        """By measurements of the source `surface`; None where there are none."""
+        found = [level for level in levels if level.source == SOURCE]
+        if not found or plane is None:
+            return None
+        unit = height_unit_m(frame.crs)
+        places = [(*level.place, level.level_m / unit) for level in found if level.place is not None]
+        points = frame.local_from_crs(np.array(places))
+        points[:, 2] -= plane.height(points[:, 0], points[:, 1])
+        return Departure(points, np.array([level.std_m for level in found]))
+
+    def at(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Heights over the plane and their standard deviations, (M,) each [m], at places (M, 2)."""
+        parts = [self._near(xy[first : first + _AT_ONCE]) for first in range(0, len(xy), _AT_ONCE)]
+        heights, stds = (np.concatenate(column) for column in zip(*parts, strict=True))
+        return heights, stds
+
+    def tangent(self, places: np.ndarray, plane: FlatWater) -> FlatWater:
+        """The plane that fits the water best at places (M, 2), for the plane that heights count from."""
+        heights, _ = self.at(places)
+        over, slope_x, slope_y = _plane_through(np.column_stack([places, heights]), np.ones(len(places))).tolist()
+        x, y = places.mean(axis=0).tolist()
+        z = float(plane.height(x, y)) + over + slope_x * x + slope_y * y
+        return replace(plane, point=(x, y, z), slope_x=plane.slope_x + slope_x, slope_y=plane.slope_y + slope_y)
+
+    def over(self, plane: FlatWater, other: FlatWater) -> Departure:
+        """The same water over another plane than that which heights count from."""
+        points = self.points.copy()
+        points[:, 2] += plane.height(*points[:, :2].T) - other.height(*points[:, :2].T)
+        return Departure(points, self.stds)
+
+    def surface(self, area: Area, plane: FlatWater) -> BicubicWater:
+        """The water over a rectangle (x0, y0, x1, y1), with the plane that heights count from."""
+        x, y, heights, _ = self._raster(area)
+        whole = heights + plane.height(*np.meshgrid(x, y))
+        return BicubicWater((float(x[0]), float(y[0])), float(x[1] - x[0]), whole, n_water=plane.n_water)
+
+    def interpolated(self, area: Area) -> Callable[[np.ndarray], np.ndarray]:
+        """Heights over the plane as a function of places (M, 2), 0 beyond a rectangle (x0, y0, x1, y1)."""
+        x, y, heights, _ = self._raster(area)
+        return RegularGridInterpolator((x, y), heights.T, bounds_error=False, fill_value=0.0)
+
+    def interpolated_std(self, area: Area) -> Callable[[np.ndarray], np.ndarray]:
+        """Standard deviations of these heights in the same form."""
+        x, y, _, stds = self._raster(area)
+        return RegularGridInterpolator((x, y), stds.T, bounds_error=False, fill_value=0.0)
+
+    def _raster(self, area: Area) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Even x and y, as far apart as the points are, and heights and stds (rows, columns)."""
+        corner, size = np.array(area[:2]), np.array(area[2:]) - area[:2]
+        apart = float(np.median(self._tree.query(self.points[:, :2], k=min(2, len(self.points)))[0][:, -1]))
+        spacing = max(apart, math.sqrt(float(np.prod(size)) / _MOST_NODES), 1e-3 * float(size.max()))
+        columns, rows = (np.ceil(size / spacing).astype(int) + 1 + 2 * _BEYOND).tolist()
+        x, y = (
+            start + spacing * (np.arange(count) - _BEYOND)
+            for start, count in zip(corner.tolist(), (columns, rows), strict=True)
+        )
+        heights, stds = self.at(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
+        return x, y, heights.reshape(rows, columns), stds.reshape(rows, columns)
+
+    def _left_out(self, number: int) -> np.ndarray:
+        """Errors of points, each from its neighbours without itself, in units of its std."""
+        chosen = np.unique(np.linspace(0, len(self.points) - 1, _LEFT_OUT).astype(int))
+        at = self.points[chosen]
+        away, near = self._tree.query(at[:, :2], k=number + 1)
+        heights, _ = self._fitted(at[:, :2], away[:, 1:], near[:, 1:])
+        return (heights - at[:, 2]) / self.stds[chosen]
+
+    def _near(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if not self._number:
+            middle = self.points[:, :2].mean(axis=0)
+            away, spread = (np.sum((each - middle) ** 2, axis=1) for each in (xy, self.points[:, :2]))
+            std = self._factor * float(np.sqrt(np.mean(self.stds**2)))
+            return self._over_plane(xy), std * np.sqrt(1.0 / len(spread) + away / spread.sum())
+        away, near = self._tree.query(xy, k=self._number)
+        # Beyond the points the water goes on as the plane of the survey does, from where they end.
+        reach = np.maximum(self._tree.query(self.points[near[:, 0], :2], k=self._number)[0][:, -1], 1e-9)
+        nearest = self.points[near[:, 0], :2]
+        held = nearest + (xy - nearest) * np.minimum(1.0, reach / np.maximum(away[:, 0], 1e-12))[:, None]
+        moved = np.linalg.norm(self.points[near][:, :, :2] - held[:, None], axis=-1)
+        heights, stds = self._fitted(held, moved, near)
+        return heights, self._factor * stds
+
+    def _over_plane(self, xy: np.ndarray) -> np.ndarray:
+        return self._plane[0] + xy @ self._plane[1:]
+
+    def _fitted(self, xy: np.ndarray, away: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Heights and stds (M,) of planes through the points ``near`` (M, K), ``away`` (M, K) [m] from places."""
+        reach = np.maximum(1.001 * away.max(axis=1), 1e-9)
+        weights = (1.0 - np.minimum(away / reach[:, None], 1.0) ** 3) ** 3 / self.stds[near] ** 2
+        offsets = (self.points[near][:, :, :2] - xy[:, None]) / reach[:, None, None]
+        rest = self.points[near][:, :, 2] - self._over_plane(self.points[near][:, :, :2])
+        east, north = offsets[..., 0], offsets[..., 1]
+        design = np.stack([np.ones(near.shape), east, north, east**2, east * north, north**2], axis=-1)
+        weighted = design * weights[:, :, None]
+        normal = np.einsum("mki,mkj->mij", weighted, design)
+        terms = np.arange(1, 6)
+        normal[:, terms, terms] += np.array(_RIDGE) * normal[:, :1, 0]
+        # Weights with which each point enters the height.
+        shares = np.einsum("mi,mki->mk", np.linalg.solve(normal, np.eye(6)[:, :1])[..., 0], weighted)
+        std = np.sqrt(np.sum((shares * self.stds[near]) ** 2, axis=1))
+        return self._over_plane(xy) + np.sum(shares * rest, axis=1), std
+
+
+def _plane_through(points: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Height at the origin and slopes along x and y of the plane through points (N, 3); level across a line."""
+    middle = np.average(points, axis=0, weights=weights**2)
+    around = (points - middle) * weights[:, None]
+    slopes = np.linalg.lstsq(around[:, :2], around[:, 2], rcond=_LINE)[0]
+    return np.array([middle[2] - slopes @ middle[:2], *slopes])

@@ -111,6 +111,9 @@ def _header(data: bytes) -> tuple[bool, str, list[_Element], int, str]:
                     code = line.removeprefix(CRS_COMMENT)
                 case ["comment", "crs_wkt", *_]:
                     wkt += line.removeprefix(WKT_COMMENT)
+                # As others have it.
+                case ["comment" | "obj_info", name] if name.upper().startswith("EPSG:"):
+                    code = code or name
                 case [] | ["comment" | "obj_info", *_]:
                     pass
                 case ["format", form, _] if form in _ORDERS:

@@ -79,6 +79,23 @@ NOT_GROUND = {
 }
 
 
+# Beside the ground by LAS 1.4, and yet what a survey may be of: a wreck, a quay. Counted, and said.
+_BESIDE_GROUND = {
+    3: "low vegetation",
+    4: "medium vegetation",
+    5: "high vegetation",
+    6: "building",
+    13: "wire guard",
+    14: "wire conductor",
+    15: "transmission tower",
+    16: "wire connector",
+    17: "bridge deck",
+    19: "overhead structure",
+    20: "ignored ground",
+    22: "temporal exclusion",
+}
+
+
 def as_classes(values: np.ndarray | None) -> np.ndarray | None:
     """Classes (N,) uint8 of LAS that a column (N,) of numbers holds; None where it is none of classes."""
     if values is None or not (np.isin(values % 1, 0) & (values >= 0) & (values <= 255)).all():
@@ -99,6 +116,14 @@ def left_out(cloud: Cloud) -> tuple[np.ndarray, str]:
             said.append(f"{int(of_class.sum())} of class {code} ({name})")
             out |= of_class
     return out, ", ".join(said)
+
+
+def beside_ground(cloud: Cloud) -> str:
+    """How many points count as ground that may be none, by their classes, in words; empty where there are none."""
+    if cloud.classification is None:
+        return ""
+    count = np.bincount(cloud.classification, minlength=256)
+    return ", ".join(f"{count[code]} of class {code} ({name})" for code, name in _BESIDE_GROUND.items() if count[code])
 
 
 def part_of(cloud: Cloud, keep: np.ndarray) -> Cloud:

@@ -161,7 +161,8 @@ def _rounded_heights(height: np.ndarray, metres: float, path: Path) -> tuple[str
     step = _step(height, metres)
     if not np.isfinite(step) or step * metres <= 0.02 or len(np.unique(height)) * 5 > len(height):
         return ()
-    if len(np.unique(height)) < _FEWEST:
+    # A box has few heights, and few vertices.
+    if len(np.unique(height)) < _FEWEST and len(height) < _SAMPLE:
         return ()
     return (f"the heights of {path} are multiples of {step:g}: smaller differences are not known from it",)
 

@@ -164,7 +164,7 @@ def write_images(folder: Path, names: tuple[str, ...]) -> None:
     write_image(first, size=SIZE)
     for name in names[1:]:
         (folder / "images" / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / "images" / name).write_bytes(first.read_bytes())
+        (folder / "images" / name).write_bytes(first.read_bytes() + name.encode())
 
 
 def load(

@@ -54,7 +54,7 @@ def write_image(path: Path, *, size=SIZE, gps: tuple[float, float, float] | None
         position[ExifTags.GPS.GPSLatitudeRef], position[ExifTags.GPS.GPSLongitudeRef] = "N", "E"
         position[ExifTags.GPS.GPSLatitude], position[ExifTags.GPS.GPSLongitude] = _dms(lat), _dms(lon)
         position[ExifTags.GPS.GPSAltitudeRef], position[ExifTags.GPS.GPSAltitude] = b"\0", gps[2]
-    image.save(path, quality=90, exif=tags)
+    image.save(path, quality=90, exif=tags, comment=path.name)
 
 
 def _dms(degrees: float) -> tuple[float, float, float]:

@@ -10,7 +10,7 @@ from pyproj import CRS
 
 from geo import read_reference, write_ply
 from geo.las import WITHHELD_STD_M, write_cloud
-from geo.shapes import NOT_GROUND, left_out
+from geo.shapes import NOT_GROUND, Cloud, beside_ground, left_out
 from survey.compare.area import CompareError
 from survey.compare.tables import read_shape
 
@@ -130,3 +130,12 @@ def test_classes_of_a_table_count_too(tmp_path, name, code):
     lines = [f"{e},{n},{h},{code if i < 5 else 2}" for i, (e, n, h) in enumerate(grid(1.0).tolist())]
     (tmp_path / "c.xyz").write_text("\n".join([f"x,y,z,{name}", *lines]))
     assert left_out(read_shape(tmp_path / "c.xyz", None))[0].sum() == 5
+
+
+@pytest.mark.parametrize("code", [3, 4, 5, 6, 14, 17, 20])
+def test_points_that_may_be_none_of_the_ground_count_and_are_named(code):
+    points = np.zeros((5, 3))
+    cloud = Cloud(points=points, classification=np.array([2, 40, code, code, 1], dtype=np.uint8))
+    assert not left_out(cloud)[0].any()
+    assert beside_ground(cloud).startswith(f"2 of class {code} (")
+    assert beside_ground(Cloud(points=points)) == ""

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from itertools import permutations, product
 
+import numpy as np
 import pytest
 
-from survey.errors import SurveyError
+from survey.errors import ControlError, SurveyError
 from survey.files.column_units import Units
 from survey.files.csv_table import read_table
 from survey.files.json_values import finite_number
-from survey.files.point_table import PLACE, read_points, units_said
+from survey.files.point_table import PLACE, read_points, require_exact, units_said
 from survey.settings.config import parse_config
 
 POINTS = [("p1", 676120.25, 5311480.5, 581.375), ("p2", 676121.0, 5311481.25, -3.5)]
@@ -224,3 +225,26 @@ def test_levels_of_another_datum_than_that_of_the_water_are_refused_and_those_be
     written(path, ["x", "y", "height", "wse", "water_level"], [[1.0, 2.0, 0.5, 0.85, 0.9]], ",")
     (row,) = read_points(path, level=584.2, error=SurveyError)
     assert row.number("height") == 0.5
+
+
+@pytest.mark.parametrize("form", ["{:.6g}", "{:.5e}", "{}"])
+def test_places_that_went_through_few_digits_are_refused(tmp_path, form):
+    places = np.random.default_rng(1).uniform((676100.0, 5311400.0, 581.0), (676200.0, 5311500.0, 583.0), (30, 3))
+    path = tmp_path / "points.csv"
+    rows = [",".join((form.format(e), form.format(n), f"{h:.3f}")) for e, n, h in np.round(places, 3).tolist()]
+    path.write_text("\n".join(["easting,northing,height", *rows]))
+    points = read_points(path, error=ControlError)
+    if form == "{}":
+        require_exact(points, path, ControlError)
+        return
+    with pytest.raises(ControlError, match=r"numbers of \d digits"):
+        require_exact(points, path, ControlError)
+
+
+def test_a_standard_deviation_of_metres_asks_for_its_unit(tmp_path):
+    path = tmp_path / "points.csv"
+    path.write_text("easting,northing,height,sigma\n1,2,3,12\n")
+    with pytest.raises(ControlError, match="std_mm"):
+        read_points(path, optional=("std",), error=ControlError)
+    path.write_text("easting,northing,height,sigma_mm\n1,2,3,12\n")
+    assert read_points(path, optional=("std",), error=ControlError)[0].number("std") == pytest.approx(0.012)

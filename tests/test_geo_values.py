@@ -151,6 +151,9 @@ def test_heights_in_whole_metres_are_named():
     points[:, 2] = np.round(points[:, 2])
     (note,) = check_values(points, None, Path("srtm.tif"))
     assert note == "the heights of srtm.tif are multiples of 1: smaller differences are not known from it"
+    # A level bed has two or three of them.
+    points[:, 2] = np.where(points[:, 0] > np.median(points[:, 0]), 581.0, 582.0)
+    assert "multiples of 1" in check_values(points, None, Path("flat.tif"))[0]
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from survey import machine
 from survey.errors import ImageError
 from survey.photos.cameras import View
 from survey.photos.exif import read_exif
-from survey.photos.images import list_images, load_image, load_mask, require_complete
+from survey.photos.images import list_images, load_image, load_mask, require_complete, same_files
 
 BARREL = Lens("OPENCV", (100.0, 101.0, 32.0, 24.0, -0.15, 0.05, 0.001, -0.002), 64, 48)
 
@@ -103,7 +103,9 @@ def test_images_are_listed_by_their_path_below_the_folder(tmp_path):
         list_images(tmp_path / "nowhere")
 
 
-@pytest.mark.parametrize("hidden", [".thumbnails", "@eaDir/0001.jpg", "__MACOSX", "card/.cache", "@__thumb"])
+@pytest.mark.parametrize(
+    "hidden", [".thumbnails", "@eaDir/0001.jpg", "__MACOSX", "card/.cache", "@__thumb", "#recycle", "Lost+Found"]
+)
 def test_thumbnails_of_file_managers_and_storage_are_no_photographs(tmp_path, hidden):
     for name in ("card/0001.jpg", f"{hidden}/0001.jpg", "card/._0001.jpg"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
@@ -202,3 +204,13 @@ def test_heights_over_the_start_come_from_the_drone_itself(data_dir):
     assert head.lat_lon_height == pytest.approx((46.84228, -91.99408, 198.609), abs=1e-4)
     # 20 mm in 35 mm film.
     assert head.focal_px == pytest.approx(20.0 / 36.0 * 1600.0)
+
+
+def test_copies_of_a_photograph_are_named(tmp_path):
+    rng = np.random.default_rng(4)
+    contents = [rng.bytes(size) for size in (10, 200_000, 200_000, 0, 300_000)]
+    names = ("a.jpg", "b.jpg", "c.jpg", "d.jpg", "e.jpg", "copy of b.jpg", "copy of a.jpg")
+    paths = {name: tmp_path / name for name in names}
+    for path, content in zip(paths.values(), (*contents, contents[1], contents[0]), strict=True):
+        path.write_bytes(content)
+    assert same_files(paths) == [("a.jpg", "copy of a.jpg"), ("b.jpg", "copy of b.jpg")]

@@ -19,6 +19,8 @@ _UNITS = np.array([1.0, 1.0, 1.0, math.degrees(1.0), math.degrees(1.0), math.deg
 # A part of the transformation that the ground makes at least so much more certain is told by it.
 _TOLD = 0.7
 _MOST_CHANGED = 0.5
+# On ground that did not change, tie points scatter by less.
+_MOST_SCATTER = 3.0
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,8 @@ class GroundFit:
         Tie points that hold the block, one of each square of ground; all over the ground; those where it changed.
     rms_m : float
         Of their vertical distances from the ground.
+    scatter : float
+        By how much more than the ground's own points tie points scatter about it.
     moved, std : tuple of float
         Of each of `NAMES`: by how much the block was moved from where poses and positions had it, and how well its
         place is known.
@@ -47,6 +51,7 @@ class GroundFit:
     num_over: int
     num_changed: int
     rms_m: float
+    scatter: float
     moved: tuple[float, ...]
     std: tuple[float, ...]
     std_without: tuple[float, ...] | None
@@ -93,6 +98,12 @@ class GroundFit:
                 f"{100.0 * share:.0f} % of the tie points over the ground of {self.reference} do not fit it: it has "
                 "changed, or is another place; give polygons of stable ground in [control] stable"
             )
+        if self.scatter > _MOST_SCATTER:
+            said.append(
+                f"tie points over the ground of {self.reference} scatter about it {self.scatter:.1f} times as much as "
+                "its own points: it may be another place or time; look at the bank in the cloud, give positions good "
+                "to a few metres, or polygons of stable ground in [control] stable"
+            )
         if self.is_against_positions:
             moved = " / ".join(length(value) for value in self.moved[:3])
             said.append(
@@ -116,6 +127,7 @@ def ground_fit(placed: Placed, moved: np.ndarray, reference: str, *, is_against_
         placed.num_over,
         placed.num_changed,
         placed.rms_m,
+        placed.scatter,
         in_units(moved),
         in_units(placed.std),
         None if placed.std_without is None else in_units(placed.std_without),

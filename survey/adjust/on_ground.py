@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import minimum_filter
 from scipy.spatial.transform import Rotation
 
 from evaluation.local_surface import local_surface
@@ -55,11 +56,14 @@ class OnGround:
     planes : Planes
     over, changed : (M,) bool
         Points over the ground; those of them that are left out.
+    scatter : float
+        By how much more than the ground's own points they scatter about it; 1 at least.
     """
 
     planes: Planes
     over: np.ndarray
     changed: np.ndarray
+    scatter: float
 
 
 def planes_under(ground: Ground, points: np.ndarray, num_ties: int) -> OnGround:
@@ -88,7 +92,7 @@ def planes_under(ground: Ground, points: np.ndarray, num_ties: int) -> OnGround:
     used = _one_of_each_square(points, good, std, spacing)
     strength = np.where(used, std**-2.0, 0.0)
     planes = Planes(np.where(used[:, None], normal, 0.0), np.where(used, height, 0.0), np.where(used, strength, 0.0))
-    return OnGround(planes, known, known & ~good)
+    return OnGround(planes, known, known & ~good, scatter)
 
 
 def _planes_at(ground: Ground, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
@@ -131,9 +135,12 @@ def shift_onto(ground: Ground, points: np.ndarray) -> np.ndarray:
     found = []
     if len(near) >= FEWEST:
         planes = _PlanesOnGrid.around(ground, near)
-        starts = np.stack(np.meshgrid(_STARTS_M, _STARTS_M), axis=-1).reshape(-1, 2)
-        costs = np.array([_cost(planes, near, start) for start in starts])
-        found = [_descended(planes, near, starts[k]) for k in np.argsort(costs)[:_MOST_STARTS] if np.isfinite(costs[k])]
+        starts = np.stack(np.meshgrid(_STARTS_M, _STARTS_M), axis=-1)
+        costs = np.array([[_cost(planes, near, start) for start in row] for row in starts])
+        # The best places of a wide valley would leave none for others.
+        is_least = np.isfinite(costs) & (costs <= minimum_filter(costs, 3, mode="nearest"))
+        least = starts[is_least][np.argsort(costs[is_least], kind="stable")[:_MOST_STARTS]]
+        found = [_descended(planes, near, start) for start in least]
     best = min((each for each in found if each is not None), key=lambda each: each[0], default=None)
     if best is None:
         raise ControlError(
@@ -241,6 +248,8 @@ class Placed:
         Tie points that hold it, one of each square; all over the ground; those of them where it changed.
     rms_m : [m]
         Of the vertical distances of the points that hold it.
+    scatter : float
+        See `OnGround`.
     middle : (3,) [m]
         Of these points.
     std : (7,)
@@ -253,6 +262,7 @@ class Placed:
     num_over: int
     num_changed: int
     rms_m: float
+    scatter: float
     middle: np.ndarray
     std: np.ndarray
     std_without: np.ndarray | None
@@ -274,6 +284,7 @@ def placed_on(on_ground: OnGround, problem: Problem, solution: Solution, covaria
         num_over=int(on_ground.over.sum()),
         num_changed=int(on_ground.changed.sum()),
         rms_m=float(np.sqrt(np.mean(planes.distances(points)[used] ** 2))),
+        scatter=on_ground.scatter,
         middle=middle,
         std=_std_of_block(solution.system, points, middle, covariance),
         std_without=without,

@@ -17,7 +17,7 @@ from survey.compare.measure import Scene
 from survey.compare.tables import GIVE_LEVEL
 from survey.files.column_units import Units
 from survey.files.crs_comment import crs_of_comment
-from survey.files.point_table import PLACE, read_points
+from survey.files.point_table import PLACE, read_points, require_exact
 
 
 def read_checkpoints(
@@ -46,6 +46,7 @@ def read_checkpoints(
         units=units,
         error=CompareError,
     )
+    require_exact(rows, path, CompareError)
     table = np.array([[*(row.number(name) for name in PLACE), row.number("std", default=0.0)] for row in rows])
     if not rows:
         raise CompareError(f"{path} has no check points; expected lines of easting, northing, height, std")

@@ -14,7 +14,7 @@ from geo import Cloud, LocalFrame, Mesh, require_same_crs, require_same_place
 from geo.compatibility import bounds_in_other_order
 from geo.crs import has_height, height_unit_m, is_geographic
 from geo.reading import read_reference
-from geo.shapes import in_height_unit, left_out, part_of, vertices_of
+from geo.shapes import beside_ground, in_height_unit, left_out, part_of, vertices_of
 from geo.values import rounded_coordinates
 from survey.compare.area import Bounds, CompareError, ShiftedFrame, as_text, within
 from survey.compare.tables import is_table, level_of_cloud, read_shape
@@ -159,8 +159,10 @@ def _is_ground(cloud: Cloud, path: Path) -> tuple[np.ndarray, list[str]]:
     out, said = left_out(cloud)
     if out.all():
         raise CompareError(f"no point of {path} is of the ground: it holds {said}; give it with the points of the bed")
-    note = f"{int(out.sum())} of {len(out)} points of {path.name} are not of the ground and left out: {said}"
-    return ~out, [note] if said else []
+    notes = [f"{int(out.sum())} of {len(out)} points of {path.name} are not of the ground and left out: {said}"]
+    beside = beside_ground(cloud)
+    of_beside = f"{path.name} counts as ground with {beside}: leave them out of the file where they are none"
+    return ~out, [*(notes if said else []), *([of_beside] if beside else [])]
 
 
 def _of_the_ground(shape: Mesh | Cloud, path: Path) -> tuple[Mesh | Cloud, list[str]]:

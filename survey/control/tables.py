@@ -13,7 +13,7 @@ from survey.errors import ControlError
 from survey.files.column_units import Units
 from survey.files.crs_comment import crs_of_comment
 from survey.files.csv_table import Row, column_names, read_table, shortened
-from survey.files.point_table import PLACE, STDS, SYNONYMS, has_depths, read_points, units_said
+from survey.files.point_table import PLACE, STDS, SYNONYMS, has_depths, read_points, require_exact, units_said
 
 # What other programs call the columns.
 _MARK_SYNONYMS = {
@@ -35,6 +35,7 @@ def read_coordinates(path: Path) -> Content:
     """
     columns, optional = ("name", *PLACE), ("std", "std_horizontal", *STDS, "role", "enable")
     rows = read_points(path, optional=("name", *optional), error=ControlError)
+    require_exact(rows, path, ControlError)
     if rows and "name" not in column_names(path, SYNONYMS):
         raise ControlError(f"{path}: the first line has no column name, expected {','.join(columns)}; add it")
     crs, units = crs_of_comment(path, ControlError), units_said(path, ControlError)
@@ -72,6 +73,7 @@ def read_checkpoints(path: Path, level: float | None = None, survey_crs: CRS | N
         crs = None if crs is None else horizontal_crs(crs)
         units = Units(Units.of(crs or survey_crs).plan_m, Units.of(survey_crs).height_m)
     rows = read_points(path, level=level, give_level="give [water] level_m", units=units, error=ControlError)
+    require_exact(rows, path, ControlError)
     said = units_said(path, ControlError) if units is None else Units(height_m=units.height_m)
     if not rows:
         raise ControlError(f"{path} has no check points, expected lines name,easting,northing,height; add them")

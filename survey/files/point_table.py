@@ -12,7 +12,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from geo.values import is_mark_of_no_data
+import numpy as np
+
+from geo.errors import GeoError
+from geo.values import is_mark_of_no_data, rounded_coordinates
 from survey.errors import SurveyError
 from survey.files.column_units import Units, common_unit_m, meaning
 from survey.files.csv_table import Row, column_names, first_cells, read_table, shortened
@@ -164,7 +167,22 @@ def _in_metres(rows: Sequence[Row], path: Path, error: type[SurveyError]) -> lis
     done = list(rows)
     for name in _STDS:
         done = _scaled(done, name, units.get(name) or 1.0)
+        for row in done:
+            if row.cells.get(name) and row.number(name) > _MOST_STD_M:
+                raise error(
+                    f"{row.where}: {name} is {row.number(name):g} m, expected at most {_MOST_STD_M:g} m; name its unit "
+                    f"in the first line, e.g. {name}_mm, or correct it"
+                )
     return done
+
+
+def require_exact(rows: Sequence[Row], path: Path, error: type[SurveyError]) -> None:
+    """Raise where places went through single precision or too few digits, which leaves steps of metres."""
+    places = np.array([[row.number(name) for name in PLACE] for row in rows]).reshape(-1, 3)
+    try:
+        rounded_coordinates(places, None, path)
+    except GeoError as found:
+        raise error(str(found)) from found
 
 
 def _scaled(rows: Sequence[Row], name: str, factor: float) -> list[Row]:

@@ -25,7 +25,7 @@ from survey.folder.control import FoundControl, find_control
 from survey.folder.geo_txt import find_geo_txt, with_positions
 from survey.names import GCP_LIST
 from survey.photos.exif import Exif, position_sources, read_exif
-from survey.photos.images import list_images
+from survey.photos.images import list_images, same_files
 from survey.pose_files import find_poses, find_unread
 from survey.settings.config import SurveyConfig, read_config
 from survey.settings.process import ProcessConfig
@@ -144,6 +144,10 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
     if poses_path is not None and config.water is not None:
         config.water.require_level()
     warnings += head_doubts(heads)
+    warnings += [
+        f"{' and '.join(names[:4])} are copies of one photograph, which agree wherever they are compared: keep one"
+        for names in same_files(images)
+    ]
     if poses_path is None:
         at_exif = [head.lat_lon_height[1::-1] for head in heads.values() if head.lat_lon_height is not None]
         exif_places = np.array(at_exif).reshape(-1, 2)

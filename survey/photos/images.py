@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import os
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -22,10 +24,15 @@ _STEPS = 257.0
 # Weights of red, green and blue in the grey that is matched: luma, as JPEG has it.
 LUMA = (0.299, 0.587, 0.114)
 # Folders that are not hidden, with thumbnails: of Synology, QNAP, macOS' archives and Windows.
-_NOT_OF_CAMERAS = ("@eadir", "@__thumb", "__macosx", "$recycle.bin")
+_NOT_OF_CAMERAS = (
+    *("@eadir", "@__thumb", "__macosx", "thumbnails", "thumbs", "system volume information", "lost+found"),
+    *("$recycle.bin", "#recycle", "@recycle", "#snapshot", "@recently-snapshot"),
+)
 # Each has the bytes of its file in memory.
 _MOST_AT_ONCE = 8
 _LOSSY = (".jpg", ".jpeg")
+# At either end of a file.
+_COMPARED_BYTES = 65_536
 
 
 def list_images(folder: Path, *, deep: bool = True) -> dict[str, Path]:
@@ -70,6 +77,20 @@ def require_complete(path: Path) -> None:
         raise ImageError(f"{path} is damaged or cut off ({fault}); copy it again or remove it")
     if not is_complete(path):
         read_rgb(path)
+
+
+def same_files(images: Mapping[str, Path]) -> list[tuple[str, ...]]:
+    """Names of images whose files are copies of each other: of one size, with the same beginning and end."""
+    by_size: dict[int, list[str]] = defaultdict(list)
+    for name, path in images.items():
+        by_size[path.stat().st_size].append(name)
+    found: dict[bytes, list[str]] = defaultdict(list)
+    for name in (name for names in by_size.values() if len(names) > 1 for name in names):
+        with images[name].open("rb") as file:
+            first = file.read(_COMPARED_BYTES)
+            file.seek(-min(_COMPARED_BYTES, images[name].stat().st_size), os.SEEK_END)
+            found[first + file.read()].append(name)
+    return [tuple(names) for names in found.values() if len(names) > 1]
 
 
 def require_all_complete(paths: Iterable[Path]) -> None:

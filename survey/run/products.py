@@ -22,6 +22,7 @@ from survey.files.toml_table import table_of
 from survey.folder.survey import Survey
 from survey.photos.exif import read_exif
 from survey.photos.texture import matched_light
+from survey.plan.water_tiles import water_doubts
 from survey.report import NUM_STEPS, ReportFacts, write_report
 from survey.report.checkpoints import checkpoint_doubts
 from survey.report.coverage import CoverageFigures, coverage_of
@@ -116,6 +117,7 @@ def _write_report(
         coverage=_coverage(survey, stored, cells),
         cells=cells,
         heads={view.name: read_exif(view.path) for view in survey.views},
+        notes=water_doubts(survey, plan, job.tiling),
     )
     with job.progress.stage("Report", NUM_STEPS) as stage:
         figures = write_report(folder, facts, stage.advance)

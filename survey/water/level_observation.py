@@ -20,7 +20,7 @@ from pyproj import CRS
 
 from geo.crs import height_unit_m, horizontal_crs
 from geo.reading import read_reference
-from geo.shapes import vertices_of
+from geo.shapes import in_height_unit, vertices_of
 from geo.transformation import height_scale, transformed
 from survey.errors import ConfigError
 from survey.files.column_units import Units
@@ -97,8 +97,10 @@ def _points_of_raster(path: Path, source: str, crs: CRS) -> tuple[LevelObservati
     """The middles of the cells of a GeoTIFF, in crs."""
     shape = read_reference(path)
     said = f"the heights of {path.name}"
-    points = vertices_of(shape)
-    if shape.crs is not None:
+    if shape.crs is None:
+        points = vertices_of(in_height_unit(shape, height_unit_m(crs)))
+    else:
+        points = vertices_of(shape)
         scale = height_scale(shape.crs, crs, said, unit_m=shape.height_unit_m)
         if not horizontal_crs(shape.crs).equals(horizontal_crs(crs), ignore_axis_order=True):
             points = transformed(shape.crs, crs, points, said, "or give the raster in crs.")

@@ -246,7 +246,7 @@ def _require_fine_steps(points: np.ndarray) -> None:
     step = float(np.spacing(largest))
     if step > _COARSEST_STEP:
         raise _Damaged(
-            f"it stores coordinates up to {largest:.10g} in single precision, which steps by {step:.3g}; "
+            f"it stores coordinates up to {largest:.10g} in single precision, with a resolution of {step:.3g}; "
             "export it with double precision"
         )
 

@@ -104,7 +104,8 @@ def _require_crs(found: rasterio.crs.CRS | None, crs: CRS, path: Path) -> None:
         read = None
     if read is None:
         raise UnwritableFile(
-            f"cannot write {path}: the CRS {crs.name} does not read from this format; export in one of common EPSG "
+            f"cannot write {path}: the CRS {crs.name} cannot be read back from this format; export in one of common "
+            "EPSG "
             "codes (--crs), e.g. the UTM zone with a height datum."
         )
     difference = crs_difference(read, crs)

@@ -185,9 +185,9 @@ def _marks_of_no_data(height: np.ndarray, path: Path) -> tuple[str, ...]:
         far = _FAR if known or mark == 0.0 else _FAR_UNKNOWN
         if gap > max(_SPREADS * (high - low), far) and (known or num > 2):
             raise UnreadableFile(
-                f"{said}: a mark of no data that the file does not declare; declare it (of a raster: gdal_translate "
+                f"{said}: a no-data value that the file does not declare; declare it (of a raster: gdal_translate "
                 f"-a_nodata {mark:.10g} {path.name} new.tif), or remove those points."
             )
         if (known or mark == 0.0) and num > max(_SHARE * len(height), 20) and len(np.unique(rest)) > 0.5 * len(rest):
-            return (f"{said}: if that is a mark of no data, declare it (gdal_translate -a_nodata {mark:.10g})",)
+            return (f"{said}: if that is a no-data value, declare it (gdal_translate -a_nodata {mark:.10g})",)
     return ()

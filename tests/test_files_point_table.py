@@ -158,7 +158,7 @@ def test_a_unit_in_the_name_of_a_column_counts(tmp_path, pattern, word, ours_m):
 def test_a_mark_of_no_data_is_no_height_and_no_depth(tmp_path, mark, name):
     path = tmp_path / "points.csv"
     written(path, [*PLACE[:2], name], [[1.0, 2.0, 3.0], [1.0, 2.0, mark], [1.0, 2.0, 3.0]], ",")
-    with pytest.raises(SurveyError, match=rf"line 3: the {name[:5]}.* is .*, a mark of no data; remove the line"):
+    with pytest.raises(SurveyError, match=rf"line 3: the {name[:5]}.* is .*, a no-data value; remove the line"):
         read_points(path, level=100.0, units=Units(1.0, 1.0), error=SurveyError)
 
 

@@ -56,7 +56,7 @@ def test_a_focal_length_that_nothing_tells_is_asked_for(tmp_path):
 def test_positions_alone_leave_the_roll_open(tmp_path):
     settings = "focal_px = 600.0\nposition_std_m = 0.02\n"
     pair = draw_pair(tmp_path / "pair", wet=False, num_control=0, gps=True, settings=settings, grey=True)
-    with pytest.raises(SurveyError, match=r"2 GPS positions lie on one line .* which leaves the roll"):
+    with pytest.raises(SurveyError, match=r"2 GPS positions lie on one line .* which does not determine the roll"):
         load_survey(pair.folder)
 
 

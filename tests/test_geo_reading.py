@@ -172,7 +172,7 @@ def test_a_ply_cloud_that_cannot_be_written_says_so(tmp_path):
 
 def test_single_precision_is_refused_only_where_its_steps_are_coarse(tmp_path, monkeypatch):
     (tmp_path / "m.ply").write_bytes(ply_bytes(TRIANGLES, coordinate="float"))
-    with pytest.raises(UnreadableFile, match=r"m\.ply .*5194738 in single precision, which steps by 0\.5"):
+    with pytest.raises(UnreadableFile, match=r"m\.ply .*5194738 in single precision, with a resolution of 0\.5"):
         read_reference(tmp_path / "m.ply")
     monkeypatch.setitem(globals(), "CORNERS", CORNERS - NORTHING)
     (tmp_path / "local.ply").write_bytes(ply_bytes(TRIANGLES, coordinate="float"))

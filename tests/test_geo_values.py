@@ -177,7 +177,7 @@ def test_marks_of_no_data_are_refused_in_every_file(tmp_path, suffix, mark):
             pytest.skip("LAS does not hold it")
         points[10:20, 2] = mark
         WRITERS[suffix](path, points)
-    with pytest.raises(UnreadableFile, match=r"are exactly .*mark of no data that the file does not declare"):
+    with pytest.raises(UnreadableFile, match=r"are exactly .*no-data value that the file does not declare"):
         read_reference(path)
 
 
@@ -197,7 +197,7 @@ def test_ground_about_the_datum_is_no_mark_and_a_plate_at_zero_is_named(level):
     points[:60, 2] = 0.0
     (note,) = check_values(points, None, Path("r.tif"))
     assert "are exactly 0" in note
-    assert "if that is a mark" in note
+    assert "if that is a no-data value" in note
 
 
 @pytest.mark.parametrize("factor", [1.0, 0.3048, 1200.0 / 3937.0])
@@ -206,7 +206,7 @@ def test_ground_about_the_datum_is_no_mark_and_a_plate_at_zero_is_named(level):
 def test_a_mark_that_went_through_a_unit_or_a_datum_is_one(factor, shift, mark):
     points = ground(PLACES["utm"], 0.5)
     points[:20, 2] = mark * factor + shift
-    with pytest.raises(UnreadableFile, match="a mark of no data that the file does not declare"):
+    with pytest.raises(UnreadableFile, match="a no-data value that the file does not declare"):
         check_values(points, None, Path("d.tif"))
 
 
@@ -227,5 +227,5 @@ def test_one_height_is_a_mark_only_where_no_place_has_it(height):
 def test_heights_as_large_as_numbers_go_are_no_fault_of_the_reader():
     points = ground(PLACES[next(iter(PLACES))], 0.2)
     points[0, 2], points[1, 2], points[2, 0] = 1.7e308, -1.7e308, 1e300
-    with pytest.raises(UnreadableFile, match="a mark of no data that the file does not declare"):
+    with pytest.raises(UnreadableFile, match="a no-data value that the file does not declare"):
         check_values(points, None, Path("x.ply"))

@@ -10,8 +10,8 @@ from plane_survey import TILTED, PlaneBed, ring
 
 from fields.device import choose_device
 from fields.image_store import GreyImages
+from fields.sweep.map_points import places_in_plan
 from fields.sweep.maps import HeightMap
-from fields.sweep.places import places_in_plan
 from survey.plan.tiling import Tiling, inside
 from survey.run.array_files import ArrayFiles
 from survey.run.tile_job import load_masks, pack_masks

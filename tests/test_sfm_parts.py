@@ -89,7 +89,7 @@ def test_a_block_whose_positions_are_lost_is_placed_by_its_control(rng):
     placed = place_by_gps(*args, spare=apart.controls[1])
     assert len(placed.blocks) == 2
     assert apart.worst(placed) < 1e-6
-    assert "GPS positions lie about" in placed.notes[-2]
+    assert "GPS positions differ from it by about" in placed.notes[-2]
     assert "placed by control points alone (at18 gcp0" in placed.notes[-1]
 
 

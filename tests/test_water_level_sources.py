@@ -229,5 +229,5 @@ def test_a_click_at_another_spot_costs_its_place_and_is_said(clicked, rng):
 @pytest.mark.parametrize("mark", [-9999.0, -32768.0, 1e6])
 def test_a_mark_of_no_data_is_no_level(tmp_path, mark):
     ring = [[x, y, mark] for x, y, *_ in RING]
-    with pytest.raises(ConfigError, match="a mark of no data; remove those points"):
+    with pytest.raises(ConfigError, match="a no-data value; remove those points"):
         points_of_geojson(written(tmp_path, feature("LineString", ring)), CRS)

@@ -128,7 +128,7 @@ def slab_of(sources: Sources, gsd: float, area: tuple[float, float, float, float
         heights.append(height[inside])
         spreads.append(height_map.spread[: camera.height, : camera.width][keep][inside])
     if not sum(len(h) for h in heights):
-        raise ValueError("no confirmed height lies inside the area: there is nothing to train a field about")
+        raise ValueError("no confirmed height lies inside the area: a field has nothing to train on")
     spread = float(np.median(np.concatenate(spreads)))
     return Slab.of_points(np.concatenate(xy), np.concatenate(heights), gsd, max(2.0 * gsd, 3.0 * spread))
 
@@ -152,7 +152,7 @@ def draw_rays(sources: Sources, slab: Slab, count: int, rng: np.random.Generator
         rows, columns = np.divmod(drawn, height_map.height.shape[1])
         parts.append(slab_rays(camera, height_map, image, sources.water, slab, rows, columns)[0])
     if not sum(len(p) for p in parts):
-        raise ValueError("no pixel with a confirmed height looks into the slab: there is nothing to train a field from")
+        raise ValueError("no pixel with a confirmed height looks into the slab: a field has nothing to train on")
     return Rays.concatenate(parts)
 
 

@@ -9,10 +9,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fields.image_store import Masks
+from fields.sweep.block import Block
 from fields.sweep.kernels.arrays import floats, host
 from fields.sweep.kernels.backend import kernels
 from fields.sweep.kernels.rays import point_at
 from fields.sweep.kernels.stack import ViewStack
+from fields.sweep.maps import HeightMap
 
 # Spatial hash: side of a cell in distances, size of the table, primes of the hash.
 _CUBE, _TABLE_SIZE, _PRIMES = 4.0, 2**22, (73_856_093, 19_349_663, 83_492_791)
@@ -56,6 +58,17 @@ class MapPoints:
             mask = np.array(masks[number])
             mask.flat[self.pixel[self.number == number]] = to
             masks[number] = mask
+
+
+def places_in_plan(block: Block, m: HeightMap) -> np.ndarray:
+    """Places (height, width, 2) float32 [m], local, of the points that a height map shows."""
+    stack = ViewStack.build(block.device, [block.cameras[m.view]], [m.height], block.water, block.skips)
+    rays = kernels(block.device).rays_of_rows(stack, 0, 0, stack.height)
+    points = point_at(rays, floats(block.device, m.height))
+    in_frame = np.stack([host(block.device, each) for each in points])
+    water = stack.kernel_water
+    xy = (water.from_local.T[:2] @ in_frame).T + water.origin[:2]
+    return xy.astype(np.float32).reshape(*m.height.shape, 2)
 
 
 def thin_out(points: np.ndarray, distance: float) -> np.ndarray:

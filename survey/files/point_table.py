@@ -200,7 +200,7 @@ def _without_marks(rows: Sequence[Row], name: str, error: type[SurveyError]) -> 
     for row in rows:
         places = [row.number(each) for each in (*PLACE[:2], name)]
         if is_mark_of_no_data(places[2]):
-            raise error(f"{row.where}: the {name} is {row.cells[name]}, a mark of no data; remove the line")
+            raise error(f"{row.where}: the {name} is {row.cells[name]}, a no-data value; remove the line")
     return list(rows)
 
 

@@ -262,7 +262,7 @@ def _water_below(found: Found, heights: np.ndarray) -> str:
     if water.level_m is None and water.sources.clicks is not None:
         return f"its level by the clicks in {water.sources.clicks}, once the poses are known"
     if water.level_m is None:
-        return "of unknown level: the adjustment finds it, where oblique photographs or a shore with dry ground tell it"
+        return "of unknown level: the adjustment finds it, where oblique photographs or a dry shore determine it"
     level = water.level_m / height_unit_m(found.crs)
     over = (
         f"; by {position_sources(found.heads)} the cameras are {_range(heights - level)} m over it"

@@ -29,7 +29,7 @@ def refraction(survey: Survey, skips: Skips) -> Decision:
     """Decision on refraction."""
     straight = survey.water is None or survey.water.n_water == 1.0
     if straight and not skips.air:
-        return Decision("refraction", "on", f"{FULL}: bent by an index of 1")
+        return Decision("refraction", "on", f"{FULL}: with an index of 1")
     if survey.water is None:
         return Decision("refraction", "off", "a dry survey, without [water]")
     water, given = survey.require_water()

@@ -13,8 +13,8 @@ from fields.solver.correlation import NoiseShares
 from fields.solver.shifts import Shifts
 from fields.solver.solver import SolvedMap, SolverFigures, count_in_squares, figures_of, solve_sample, spread
 from fields.sweep.bed import BedPoints, unique_pixels
+from fields.sweep.map_points import places_in_plan
 from fields.sweep.maps import HeightMap
-from fields.sweep.places import places_in_plan
 from survey.files.json_values import read_json_object, write_json
 from survey.plan.area import grown
 from survey.plan.tiling import inside

@@ -234,7 +234,7 @@ def _too_few(control: BlockControl, views: Mapping[str, Posed], met: Met) -> str
     if met.single:
         told.append(f"with a mark in fewer than two placed photographs, or from one direction: {_listed(met.single)}")
     if met.apart:
-        told.append(f"with marks whose rays do not meet: {_listed(met.apart)}")
+        told.append(f"with marks whose rays do not intersect: {_listed(met.apart)}")
     told.append(f"{len(views)} photographs are placed")
     mend = "mark more points in more photographs, or correct the marks"
     if len(met.apart) > 1 and len(meet(turned_marks(control), views).points) >= MIN_POINTS:

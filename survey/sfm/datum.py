@@ -77,7 +77,7 @@ def require_as_good(way: Transformation, plan_std_m: float, said: str, num_contr
     known = "an unknown accuracy" if way.accuracy_m is None else f"{way.accuracy_m:.2g} m"
     as_good = "taken as exact" if plan_std_m == 0.0 else f"good to {plan_std_m:.2g} m"
     way.require_best(
-        f"{said} are {as_good}, and what PROJ can do without a grid has {known}",
+        f"{said} are {as_good}, and the best transformation without a grid has {known}",
         f"or put it into the folder geoid of the survey; or give {_PLACING} control points or more in crs, which then "
         f"place the block, or position_std_m of {way.accuracy_m or 10.0:.2g} and more in [cameras] in {FILE_NAME}: the "
         "survey may then lie off by as much",

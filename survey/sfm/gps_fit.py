@@ -76,7 +76,7 @@ class Line:
         """The finding on so many of them, as a clause."""
         return (
             f"{num} {self.what} lie on one line (spread {self.along:.1f} m along and {self.across:.2f} m across, good "
-            f"to {self.std_m:.2g} m), which leaves the roll of the block about it open"
+            f"to {self.std_m:.2g} m), which does not determine the roll of the block about it"
         )
 
 

@@ -93,7 +93,8 @@ def place_by_gps(
         trusted = _to_positions(block, positions)
         std = gps_std(_residuals(block, trusted))
         said = (
-            f"{len(trusted)} GPS positions lie about {std[0]:.2f} m east and north and {std[2]:.2f} m up from it, "
+            f"{len(trusted)} GPS positions differ from it by about {std[0]:.2f} m east and north and {std[2]:.2f} m "
+            "up, "
             "before the adjustment"
         )
         line = line_of(list(trusted.values()), float(std.max()))
@@ -176,8 +177,8 @@ def _onto_control(block: pycolmap.Reconstruction, fit: ControlFit) -> str:
     off = [fit.similarity(place) - point.local for point, place in met if point.name in fit.used]
     rms = np.sqrt(np.mean(np.square(off), axis=0))
     return (
-        f"placed by control points alone ({listed(fit.used)}), which lie about {math.hypot(rms[0], rms[1]):.2f} m "
-        f"across and {rms[2]:.2f} m up from it, before the adjustment"
+        f"placed by control points alone ({listed(fit.used)}), which differ from it by about "
+        f"{math.hypot(rms[0], rms[1]):.2f} m across and {rms[2]:.2f} m up, before the adjustment"
     )
 
 

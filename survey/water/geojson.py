@@ -60,7 +60,7 @@ def points_of_geojson(path: Path, crs: CRS) -> tuple[np.ndarray, tuple[str, ...]
     name, notes = _height_property(path, vertices)
     points = np.array(list(dict.fromkeys(_with_heights(path, vertices, name)))).reshape(-1, 3)
     if (wrong := next((height for height in points[:, 2].tolist() if is_mark_of_no_data(height)), None)) is not None:
-        raise ConfigError(f"{path} has the height {wrong:g}, a mark of no data; remove those points")
+        raise ConfigError(f"{path} has the height {wrong:g}, a no-data value; remove those points")
     source = _crs_of(path, content)
     if source is None:
         in_degrees = len(points) == 0 or bool((np.abs(points[:, :2]) <= (180.0, 90.0)).all())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import sys
 from pathlib import Path
 
 # Before NumPy is loaded: threads of BLAS wait for each other longer than they compute on matrices as small as those of
@@ -15,7 +16,6 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 
 import numpy as np
 import pytest
-import torch
 
 # What is imported and collected stays to the end: walks of the garbage collector through it would find nothing, in the
 # collection and between tests.
@@ -31,8 +31,12 @@ def pytest_collection_finish() -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup() -> None:
-    """Torch draws alike in each test, whatever ran before it; left alone it has another seed in every process."""
-    torch.manual_seed(20260101)
+    """Torch draws alike in each test, whatever ran before it; left alone it has another seed in every process.
+
+    It is not imported for this: that takes seconds, in the process that starts the workers, too.
+    """
+    if "torch" in sys.modules:
+        sys.modules["torch"].manual_seed(20260101)
 
 
 @pytest.fixture

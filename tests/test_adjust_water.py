@@ -162,7 +162,7 @@ def test_too_few_tie_points_under_water_make_every_parameter_not_observable(tmp_
 def test_no_tie_points_at_all_are_a_verdict_too(tmp_path, measuring):
     measuring(NONE)
     found = calibrate_water(survey_with(tmp_path, convergent()))
-    assert "no window" in found.estimates[0].verdict
+    assert "no tie point" in found.estimates[0].verdict
     assert json.loads(found.to_json())["rms_px"] is None
 
 

@@ -138,6 +138,6 @@ def test_the_plan_says_whether_photographs_have_levels_of_their_own(tmp_path):
     free = "level_m = 584.2\nlevel_rate_m_per_h = 0.0\nlevel_rate_std_m_per_h = 0.3"
     toml.write_text(toml.read_text(encoding="utf-8").replace('gauge = "gauge.csv"', free), encoding="utf-8")
     plan = said(check_survey(tmp_path / "moving"), "Plan")
-    assert plan["level"] == "per photograph: its rate, known to 0 +- 0.3 m/h, is found with the poses"
-    assert plan["poses"].startswith("refine: level_rate_std_m_per_h says")
+    assert plan["level"] == "per photograph: its rate, known to 0 +- 0.3 m/h, is estimated with the poses"
+    assert plan["poses"].startswith("refine: level_rate_std_m_per_h asks")
     assert "level" not in said(check_survey(small_survey(tmp_path / "still")), "Plan")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from pyproj import CRS, Transformer
@@ -16,6 +17,7 @@ from pyproj.exceptions import ProjError
 
 from geo.crs import (
     AREA_MARGIN_DEG,
+    EARTH_RADIUS_M,
     called,
     degrees_outside_area,
     ellipsoid,
@@ -34,6 +36,8 @@ from geo.operations import area_about, operations
 WGS84 = CRS("EPSG:4326")
 # Longitudes and latitudes that change by less pass unchanged: a tenth of a millimetre.
 _UNCHANGED_DEG = 1e-9
+# What is stated to be worse is no operation that others are held against.
+_MOST_STATED_M = 100.0
 # Two feet differ by 2e-6: units that differ by less are one.
 _SAME_UNIT = 1e-9
 # GRS 80 and WGS 84 differ by 0.1 mm, others by metres.
@@ -49,12 +53,15 @@ class Transformation:
     source, target : pyproj.CRS
         Two-dimensional; easting or longitude first.
     accuracy_m : float or None
-        As PROJ states it; 0 where the datum stays, or longitudes and latitudes pass unchanged; None where it is not
-        known (a CRS without a known datum).
+        As PROJ states it; 0 where the datum stays, or longitudes and latitudes pass unchanged; outside the areas of all
+        operations the largest difference between them; None where it is not known (a CRS without a known datum, or one
+        operation outside its area).
     missing : tuple of str
         Names of the grids that the best operation needs and PROJ does not have; the operation is then a worse one.
     is_known : bool
         False where PROJ has no operation: one datum is then taken for the other.
+    is_outside : bool
+        Whether the place lies outside the areas of all operations.
     """
 
     source: CRS
@@ -63,6 +70,7 @@ class Transformation:
     missing: tuple[str, ...]
     is_known: bool
     _transformer: Transformer = field(repr=False, compare=False)
+    is_outside: bool = False
 
     @staticmethod
     def between(source: CRS, target: CRS, places: np.ndarray) -> Transformation:
@@ -78,13 +86,13 @@ class Transformation:
         middle = _middle(source, np.asarray(places, dtype=np.float64))
         if middle is None:
             return Transformation(source, target, 0.0, (), True, Transformer.from_crs(*ends, always_xy=True))
-        transformer, accuracy, missing, is_operation = _chosen(*ends, middle)
+        transformer, accuracy, missing, is_operation, is_outside = _chosen(*ends, middle)
         is_known = is_operation or _may_be_one_datum(source, target)
         is_rated = accuracy is not None or _may_be_one_datum(source, target)
         if is_rated and accuracy != 0.0 and not missing and _keeps_degrees(source, target, transformer, middle):
             # By convention a receiver's WGS 84 is the frame of its corrections; a survey is then as good as these.
             accuracy = 0.0
-        return Transformation(source, target, accuracy, missing, is_known, transformer)
+        return Transformation(source, target, accuracy, missing, is_known, transformer, is_outside)
 
     def __call__(self, x, y) -> tuple[np.ndarray, np.ndarray]:
         """Easting and northing (N,) in the target of coordinates (N,) in the source; not finite off the map."""
@@ -112,6 +120,12 @@ class Transformation:
         """A warning where places are less well known after the operation; None where they are not."""
         if self.accuracy_m == 0.0 and not self.missing:
             return None
+        if self.is_outside and self.accuracy_m is not None:
+            return (
+                f"{said} are transformed from {called(self.source)} to {called(self.target)} outside the area of each "
+                f"operation that PROJ knows, which differ there by {self.accuracy_m:.2g} m: an error common to all of "
+                "them"
+            )
         known = "an unknown accuracy" if self.accuracy_m is None else f"{self.accuracy_m:.2g} m"
         said = (
             f"{said} are transformed from {called(self.source)} to {called(self.target)}, which PROJ states to {known}"
@@ -319,8 +333,21 @@ def _projection(source: str, target: str) -> Transformer:
     return Transformer.from_crs(source, target, always_xy=True)
 
 
-def _chosen(source: CRS, target: CRS, middle: np.ndarray) -> tuple[Transformer, float | None, tuple[str, ...], bool]:
-    """PROJ's best operation of those that can be done, its accuracy, grids that a better one needs, if there is one."""
+class _Chosen(NamedTuple):
+    """An operation: see `Transformation`."""
+
+    transformer: Transformer
+    accuracy_m: float | None
+    missing: tuple[str, ...]
+    is_known: bool = True
+    is_outside: bool = False
+
+
+def _chosen(source: CRS, target: CRS, middle: np.ndarray) -> _Chosen:
+    """PROJ's best operation of those that can be done, its accuracy, grids that a better one needs, if there is one.
+
+    And whether it is known, and outside its area.
+    """
     area = area_about(*middle.tolist())
     try:
         group = operations(source, target, area)
@@ -334,19 +361,41 @@ def _chosen(source: CRS, target: CRS, middle: np.ndarray) -> tuple[Transformer, 
     missing = tuple(grid.short_name for operation in better for grid in operation.grids if not grid.available)
     if group.transformers:
         best = group.transformers[0]
-        return best, (best.accuracy if best.accuracy >= 0.0 else None), missing, True
+        return _Chosen(best, best.accuracy if best.accuracy >= 0.0 else None, missing)
     elsewhere = [] if missing else _known_operations(source, target)
     if elsewhere:
-        return elsewhere[0], None, (), True  # of unknown accuracy outside its area
+        return _Chosen(elsewhere[0], _spread_m(elsewhere, source, target, middle), (), is_outside=True)
     try:
         # A datum that nobody knows is taken for that of the other.
-        return Transformer.from_crs(source, target, always_xy=True, area_of_interest=area), None, missing, bool(missing)
+        transformer = Transformer.from_crs(source, target, always_xy=True, area_of_interest=area)
+        return _Chosen(transformer, None, missing, is_known=bool(missing))
     except ProjError as error:
         raise UnsupportedCRS(
             f"the transformation from {called(source)} to {called(target)} is not known to PROJ ({str(error)[:80]}); "
             "choose "
             "another CRS"
         ) from error
+
+
+def _spread_m(ways: list[Transformer], source: CRS, target: CRS, middle: np.ndarray) -> float | None:
+    """By how much operations differ from the first at a place outside the areas of all [m]; None with less than two.
+
+    At least what is stated of the first in its own area.
+    """
+    rated = [way for way in ways if 0.0 <= way.accuracy <= _MOST_STATED_M]
+    if len(rated) < 2 or ways[0] not in rated:
+        return None
+    x, y = middle
+    if not source.is_geographic:
+        x, y = _in_one_datum(geodetic_crs(source), source).transform(x, y)
+    there = np.array([way.transform(x, y) for way in rated])
+    if not target.is_geographic:
+        there = np.column_stack(_in_one_datum(target, geodetic_crs(target)).transform(*there.T))
+    unit = geodetic_crs(target).axis_info[0].unit_conversion_factor
+    apart = (there - there[rated.index(ways[0])]) * unit * EARTH_RADIUS_M
+    apart[:, 0] *= np.cos(there[:, 1] * unit)
+    far = np.hypot(*apart.T)
+    return float(max(far[np.isfinite(far)].max(initial=0.0), ways[0].accuracy))
 
 
 def _keeps_degrees(source: CRS, target: CRS, transformer: Transformer, middle: np.ndarray) -> bool:

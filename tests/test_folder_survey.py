@@ -273,6 +273,7 @@ def test_a_single_camera_far_over_the_water_is_doubted(tmp_path):
     write_poses(folder, [lines[0].replace("2125.000", "3125.000"), *lines[1:]])
     assert load_survey(folder).findings.warnings == (
         "1 camera more than 300 m over the water: check that both count from one datum: 0000.jpg",
+        "1 image far from the others by its pose height, which are at 2125.0 to 2125.0 m: 0000.jpg (3125.0 m)",
     )
 
 
@@ -399,3 +400,20 @@ def test_a_plane_that_touches_far_from_the_cameras_is_doubted(tmp_path):
     # Of 1000 m on the grid 1000.5 m are left without its scale and height; so far level water falls 7.9 cm.
     assert warning.startswith("cameras lie up to 1001 m from where the water plane touches (level_at); level water")
     assert "7.9 cm under the plane there" in warning
+
+
+@pytest.mark.parametrize("off", [-12.0, 15.0, 400.0])
+def test_a_pose_whose_height_is_far_from_the_others_is_named(tmp_path, off):
+    lines = camera_lines(8)
+    name, e, n, h, *angles = lines[3].split(",")
+    lines[3] = ",".join([name, e, n, str(float(h) + off), *angles])
+    folder = small_survey(tmp_path, num=8)
+    write_poses(folder, lines)
+    warnings = load_survey(folder).findings.warnings
+    assert any("far from the others by its pose height" in text and name in text for text in warnings)
+
+
+@pytest.mark.parametrize("called", ["water_level", "level", "surface_level", "water_level_m"])
+def test_what_others_call_the_level_is_answered_with_its_key(called):
+    with pytest.raises(ConfigError, match=rf"unknown key {called} in \[water\]; that is \[water\] level_m here"):
+        parse_config(replaced(("level_m", called)))

@@ -206,28 +206,30 @@ def _cost_of(off: np.ndarray, count: int, shift: np.ndarray) -> float:
 def _descended(planes: _PlanesOnGrid, points: np.ndarray, start: np.ndarray) -> tuple[float, np.ndarray] | None:
     """Cost and shift (3,) where a start in plan (2,) leads; None where too few points lie over the ground."""
     shift = np.array([*start, 0.0])
-    cost = np.inf
-    for step in range(_STEPS):
+    best: tuple[float, np.ndarray] | None = None
+    for _ in range(_STEPS):
         moved = points + shift
-        normal, height, std = planes.at(moved[:, :2])
+        normal, height, _ = planes.at(moved[:, :2])
         known = np.isfinite(height) & np.isfinite(normal).all(axis=1)
         if known.sum() < FEWEST:
-            return None
-        normal, std = normal[known], np.maximum(std[known], _LEAST_STD_M)
+            break
+        normal = normal[known]
         off = np.einsum("mi,mi->m", normal, moved[known]) - height[known]
-        if step == 0:
-            shift[2] = -float(np.median(off))
-            continue
-        scale = max(_MAD_TO_STD * float(np.median(np.abs(off))), _LEAST_STD_M)
+        # Of ground that changed on one side the median knows less than a mean.
+        shift[2] -= float(np.median(off))
+        off -= np.median(off)
         cost = _cost_of(off, len(points), shift)
-        weight = np.minimum(1.0, 2.0 * scale / np.maximum(np.abs(off), 1e-12)) / scale**2
+        if best is None or cost < best[0]:
+            best = cost, shift.copy()
+        scale = max(_MAD_TO_STD * float(np.median(np.abs(off))), _LEAST_STD_M)
+        weight = np.maximum(1.0 - (off / (_CHANGED * scale)) ** 2, 0.0) ** 2 / scale**2
         matrix = (normal * weight[:, None]).T @ normal + np.diag([_PLAN_STD_M**-2.0, _PLAN_STD_M**-2.0, 0.0])
         right = -(normal * weight[:, None]).T @ off - np.array([*shift[:2] / _PLAN_STD_M**2, 0.0])
         change = np.linalg.solve(matrix, right)
         shift = shift + change
         if np.abs(change).max() < _STEADY_M:
             break
-    return float(cost), shift
+    return best
 
 
 def with_shared(ground: Ground, planes: Planes, solution: Solution) -> np.ndarray:

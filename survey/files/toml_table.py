@@ -196,9 +196,11 @@ class _Reader:
         near = difflib.get_close_matches(name, here, 1, _NEAR)
         elsewhere = [path for path, _ in everywhere if path.split(".")[-1] == name]
         synonym = self.synonyms.get(name.casefold())
-        if near:
+        # What other programs call it is surer than what looks alike.
+        is_here = synonym is not None and _join(where, synonym.split(".")[-1]) == synonym
+        if near and not is_here:
             mend = f"the nearest known one is {_place(_join(where, near[0]), is_table)}. Correct or remove it"
-        elif elsewhere:
+        elif elsewhere and not is_here:
             mend = f"it belongs to {_place(elsewhere[0])}. Move it there, or remove it"
         elif synonym is not None:
             later = f", which is not supported yet: {self.not_yet[synonym]}" if synonym in self.not_yet else ""

@@ -241,26 +241,36 @@ def position_doubts(heads: Mapping[str, Exif]) -> list[str]:
     away = places[:, 1] - places[0, 1]
     plan = EARTH_RADIUS_M * np.radians(np.column_stack([places[:, 0], (away + 180.0) % 360.0 - 180.0]))
     plan[:, 1] *= np.cos(np.radians(np.median(places[:, 0])))
+    return far_from_others(names, plan, places[:, 2], "GPS")
+
+
+def far_from_others(names: np.ndarray, plan: np.ndarray, height: np.ndarray, by: str) -> list[str]:
+    """Warnings that name the photographs whose place (N, 2) or height (N,) [m], NaN where unknown, is far from all.
+
+    ``by`` is what has them there, "GPS" or "pose".
+    """
+    if len(names) < _FEWEST:
+        return []
     main = _largest_group(plan)
-    warnings = named(names[~main].tolist(), "image", "kilometres away from the others by GPS: of another survey?")
+    warnings = named(names[~main].tolist(), "image", f"kilometres away from the others by {by}: of another survey?")
     apart = KDTree(plan).query(plan, k=2)[0][:, 1]
     warnings += named(
         _few(names, main & (apart > max(_FAR * float(np.median(apart)), _FAR_PLAN_M))),
         "image",
-        "far from all others by its GPS position",
+        f"far from all others by its {by} position",
     )
-    with_height = np.isfinite(places[:, 2])
-    heights = places[with_height, 2]
+    with_height = np.isfinite(height)
+    heights = height[with_height]
     if len(heights) < _FEWEST:
         return warnings
     off = np.abs(heights - np.median(heights))
     far = off > max(_FAR * float(np.median(off)), _FAR_HEIGHT_M)
     low, high = heights[~far].min(), heights[~far].max()
-    said = [f"{name} ({height:.1f} m)" for name, height in zip(names[with_height], heights, strict=True)]
+    said = [f"{name} ({of_it:.1f} m)" for name, of_it in zip(names[with_height], heights, strict=True)]
     return warnings + named(
         _few(np.array(said), far),
         "image",
-        f"far from the others by its GPS height, which are at {low:.1f} to {high:.1f} m",
+        f"far from the others by its {by} height, which are at {low:.1f} to {high:.1f} m",
     )
 
 

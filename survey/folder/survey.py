@@ -22,7 +22,7 @@ from survey.folder.camera_faults import require_apart, require_focal_lengths
 from survey.folder.contradiction import Contradiction
 from survey.folder.control import mark_doubts
 from survey.folder.datum_mixups import exif_doubts, low_flight_doubts, place_of, start_doubts
-from survey.folder.found import Found, find_survey
+from survey.folder.found import Found, far_from_others, find_survey
 from survey.folder.motion import Velocity, shutter_doubts, velocities_of, with_motion
 from survey.folder.plausible import doubts_of_places, require_true
 from survey.folder.pose_priors import PosePrior, common_plan_std
@@ -312,6 +312,9 @@ def _doubts(
         )
     if not posed:
         return warnings
+    centres = np.array([view.camera.centre for view in views])
+    heights = frame.crs_from_local(centres)[:, 2] * height_unit_m(frame.crs)
+    warnings += far_from_others(np.array([view.name for view in views]), centres[:, :2], heights, "pose")
     heads = {view.name: found.heads[view.name] for view in views}
     warnings += shutter_doubts(found.config.cameras, heads, metres_per_px(views, water))
     if control is not None:

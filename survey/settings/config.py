@@ -28,7 +28,9 @@ _SYNONYMS = {
     "photos": "images.dir", "mask_dir": "images.masks", "lens": "cameras.model", "fx": "cameras.focal_px",
     "cx": "cameras.principal_point_px", "resolution": "cameras.size_px", "k1": "cameras.distortion",
     "gps": "cameras.gps_height", "ior": "water.refractive_index", "index": "water.refractive_index",
-    "tide": "water.gauge", "water_level": "water.level_m", "level": "water.level_m", "roi": "area.bounds",
+    "tide": "water.gauge", "water_level": "water.level_m", "level": "water.level_m", "level_ft": "water.level_m",
+    "n_water": "water.refractive_index", "surface_level": "water.level_m", "water_level_m": "water.level_m",
+    "roi": "area.bounds",
     "extent": "area.bounds", "bbox": "area.bounds", "no_water": "dry", "is_dry": "dry",
 }  # fmt: skip
 

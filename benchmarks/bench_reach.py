@@ -1,13 +1,15 @@
 """What does a river's uneven water cost, taken for one plane or by its measured surface?
 
     python benchmarks/bench_reach.py FOLDER [--reaches riffle,slope] [--quality draft] [--tiles 1,4] [-o FILE.json]
+    python benchmarks/bench_reach.py FOLDER --kilometre
 
 Draws, in FOLDER/<reach>, 42 photographs of 30 x 8 m of bed under water that is no plane, and keeps them: ``riffle``,
 over which the water falls by 20 cm within 10 m, and ``slope``, which changes from 0.1 to 1 % in the middle. Processes
 each with three files of the water: 80 GNSS points of 2 cm as one plane (gnss_points), the same as surface, and a raster
 of 1 m as surface, this in tiles, too. Prints and writes mean and std of the inner 90 % of the vertical errors against
 the truth within the bounds, the span of their medians over pieces of 3 m along the river, the shares of the points
-within 1.96 of std and of std with std_common, and the processor time.
+within 1.96 of std and of std with std_common, and the processor time. With ``--kilometre`` it prints instead how far
+rays miss each other over a kilometre of river (0.1 to 1 %, a riffle every 125 m), and the tiles that the plan takes.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ import math
 import re
 import shutil
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import laspy
@@ -27,9 +30,17 @@ from pyproj import CRS
 from evaluation import distance_to_mesh
 from geo import read_reference
 from geo.raster_writing import Band, RasterForm, write_cog
+from refract import FlatWater
 from survey.benchmark.running import machine, run_bathynerf
-from survey.folder.survey import load_survey
+from survey.folder.survey import Survey, load_survey
+from survey.plan.choices import Choices
+from survey.plan.plan import make_plan
+from survey.plan.tile_choice import choose_tiles
+from survey.plan.tiling import ground_of
+from survey.plan.water_tiles import aside_px
+from survey.plan.workload import workload_of
 from survey.simulate.staging.simulate import simulate
+from survey.water.surface import Departure
 
 ORIGIN, CRS_NAME = (676120.0, 5311480.0, 584.0), "EPSG:25832+7837"
 # Both surfaces are sums of sinusoids, which repeat far from the photographs: length [m], smoothing [m].
@@ -141,6 +152,41 @@ def errors(survey: Path, cloud: Path) -> dict:
     }
 
 
+def kilometre(survey: Survey) -> dict:
+    """What the plan says of a kilometre of river under the camera of a survey."""
+    x, y = np.meshgrid(np.arange(-520.0, 521.0), np.arange(-15.0, 16.0))
+
+    def height(east):
+        steps = sum(np.tanh((east - at) / RIFFLE_WIDTH) for at in range(-500, 501, 125))
+        return -0.0055 * east - 0.0045 * 50.0 * np.log(np.cosh(east / 50.0)) - 0.1 * steps
+
+    slope, mean = np.polyfit(x[0], height(x[0]), 1).tolist()
+    plane = FlatWater((0.0, 0.0, mean), n_water=1.333, slope_x=slope)
+    over = height(x) - plane.height(x, y)
+    departure = Departure(np.column_stack([x.ravel(), y.ravel(), over.ravel()]), np.full(x.size, 0.002))
+    first = survey.views[0]
+    views = tuple(
+        replace(
+            first,
+            name=f"{east:.1f}_{north}.jpg",
+            camera=replace(first.camera, centre=np.array([east, north, 22.0 + float(height(east))])),
+        )
+        for east in np.arange(-500.0, 501.0, 3.4)
+        for north in (-5.0, 0.0, 5.0)
+    )
+    config = replace(survey.config, area=replace(survey.config.area, bounds=None))
+    observations = replace(survey.observations, departure=departure)
+    river = replace(survey, views=views, water=plane, config=config, observations=observations)
+    chosen = Choices(quality="draft", memory="64GB")
+    plan = make_plan(river, chosen)
+    tiles = choose_tiles(river, plan, chosen, workload_of(river, plan), is_aimed=False)
+    return {
+        "photographs": len(views), "off_one_plane_m": float(np.abs(over).max()),
+        "miss_px": next(aside_px(river, plan, ground_of(river, plan), [None]))[1],
+        "tiles": tiles.decision.choice, "reason": tiles.decision.reason,
+    }  # fmt: skip
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
@@ -148,8 +194,14 @@ def main() -> None:
     parser.add_argument("--quality", default="draft")
     parser.add_argument("--tiles", default="1,4")
     parser.add_argument("-o", "--output", type=Path)
+    parser.add_argument("--kilometre", action="store_true")
     asked = parser.parse_args()
     asked.folder.mkdir(parents=True, exist_ok=True)
+    if asked.kilometre:
+        with tempfile.TemporaryDirectory() as work:
+            with_water(draw(asked.folder, "riffle"), Path(work) / "raster", "riffle", "raster")
+            print(json.dumps(kilometre(load_survey(Path(work) / "raster")), indent=2))  # noqa: T201
+        return
     rows = []
     for reach in asked.reaches.split(","):
         survey = draw(asked.folder, reach)

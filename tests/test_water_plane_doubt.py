@@ -46,7 +46,7 @@ def test_a_departure_within_the_std_of_the_level_is_not_said(rng):
 @pytest.mark.parametrize("width", [0.5, 10.0])
 @pytest.mark.parametrize("wrong", [0.0, 0.05])
 def test_scatter_hardly_ever_gives_an_alarm(rng, width, wrong):
-    # 7 of 4,000 with 16 to 150 points whose scatter is stated two times too small or too large (docs/waterline.md).
+    # 7 of 4,000 with scatter that is stated two times too small or too large (benchmarks/bench_water_plane.py).
     alarms = 0
     for _ in range(60):
         count = int(rng.integers(16, 150))

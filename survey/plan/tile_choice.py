@@ -30,6 +30,8 @@ SHARED = "shared.json"
 _SHARE_OF_FREE = 0.8
 # Tiles are no smaller than this many footprints: rims and windows would be most of the work.
 _LEAST_FOOTPRINTS = 0.5
+# Numbers of tiles up to this one are all tried where water is no plane.
+_FEW = 12
 # Cores that one process makes good use of: the solver has no more threads.
 _CORES_OF_WORKER = 4
 # What a run without Dask is told.
@@ -123,7 +125,8 @@ def choose_tiles(
     ground = ground_of(survey, plan)
     most = max(_most_tiles(ground, plan), least)
     best = TileChoice(None, Decision("tiles", "1", f"{needed}; the ground is too small for tiles"), one)
-    counts = [*([] if earlier is None else [earlier]), *_counts(ground, most)]
+    of_water = [for_water] if for_water == least > 1 else []
+    counts = [*([] if earlier is None else [earlier]), *of_water, *_counts(ground, most)]
     # About square ones may all be fewer than there are workers.
     for count in [each for each in counts if each >= least] or ([least] if least > 1 else []):
         tiling = Tiling.of(ground, count, rim)
@@ -141,17 +144,20 @@ def _most_tiles(ground: Area, plan: Plan) -> int:
 
 
 def _for_water(survey: Survey, plan: Plan) -> tuple[int, str]:
-    """Least number of tiles in each of which a plane serves for the water, or as many as there may be, and why."""
+    """Least number of tiles in each of which a plane serves for the water, or where it is off least, and why."""
     if survey.water is None or survey.observations.departure is None:
         return 1, ""
     ground, rim = ground_of(survey, plan), RIM_GSD * plan.gsd_m
-    tilings = (Tiling.of(ground, count, rim) for count in _counts(ground, _most_tiles(ground, plan)))
-    found, one = 1, None
+    most = _most_tiles(ground, plan)
+    # A river is long: few tiles of it are not square.
+    counts = sorted({*range(2, min(most, _FEW) + 1), *_counts(ground, most)})
+    tilings = (Tiling.of(ground, count, rim) for count in counts)
+    tried = []
     for tiling, px in aside_px(survey, plan, ground, chain([None], tilings)):
-        found, one = 1 if tiling is None else len(tiling), px if one is None else one
+        tried.append((px, 1 if tiling is None else len(tiling)))
         if px <= MOST_ASIDE_PX:
             break
-    return found, f"rays bent at one plane for all of the water miss each other by up to {one:.2g} px"
+    return min(tried)[1], f"rays bent at one plane for all of the water miss each other by up to {tried[0][0]:.2g} px"
 
 
 def require_dask(chosen: Choices) -> None:

@@ -290,7 +290,7 @@ def test_the_same_command_again_computes_nothing_and_changes_nothing(noisy, monk
     [
         ("level_m = 584.2", "level_m = 584.3"),
         slow("\nbounds", "\n# bounds"),
-        ("\nbounds", "\nheights = [580.0, 585.0]\nbounds"),
+        slow("\nbounds", "\nheights = [580.0, 585.0]\nbounds"),
     ],
 )
 def test_a_changed_setting_is_not_served_from_what_was_finished(noisy, monkeypatch, old, new):

@@ -91,6 +91,7 @@ def test_without_llvm_the_cpu_falls_back_on_torch_and_names_the_library_it_was_g
     assert all("/nowhere/libLLVM.so is not LLVM 17 or newer" in line and "slower" in line for line in lines)
 
 
+@pytest.mark.slow
 def test_an_old_llvm_that_would_end_the_process_is_not_used():
     old = sorted(Path("/usr/lib").glob("*-linux-gnu/libLLVM-1[4-6].so*"))
     if not old:

@@ -94,10 +94,10 @@ def hold_together(function, backend):
     [
         ("plane", "project"),
         ("waves", "trace"),
-        ("triangles made before", "project"),
         slow("plane", "trace"),
         slow("waves", "project"),
         slow("triangles made before", "trace"),
+        slow("triangles made before", "project"),
     ],
 )
 def test_torch_compiles_any_water_whole(name, way):

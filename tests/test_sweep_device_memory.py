@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from apart_device import device_apart
 from plane_survey import PlaneBed, ring, texture
+from slow_cases import slow
 
 from fields.device import choose_device, memory_bytes
 from fields.sweep import device_filters, device_maps, images_device
@@ -157,7 +158,7 @@ def test_between_the_passes_the_host_is_told_numbers_and_tiles_alone(apart, monk
     assert max(told) <= maps[0].height.size / 16
 
 
-@pytest.mark.parametrize("room", [0, 6 * 16 * 96 * 72])
+@pytest.mark.parametrize("room", [slow(0), 6 * 16 * 96 * 72])
 def test_maps_for_which_the_device_has_no_room_wait_on_the_host(apart, beside, room):
     assert_same(swept(apart, room=room), beside)
 

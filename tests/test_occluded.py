@@ -9,6 +9,7 @@ import pytest
 from fields.device import choose_device
 from fields.occluded.boxes import Box, boxes_about
 from fields.occluded.consensus import Colours, consensus
+from fields.occluded.explained import explained_above, sheet_heights
 from fields.occluded.layer import BedLayer, smooth
 from fields.occluded.occluded import find_occluded
 from fields.sweep.block import Block
@@ -65,6 +66,27 @@ def test_those_photographs_agree_that_show_the_same():
     assert found.members[3:].mean() < 0.01
 
 
+@pytest.mark.parametrize("height", [0.0, 10.0])
+def test_what_other_photographs_see_over_the_layer_explains_those_that_agree_on_it(height):
+    rng = np.random.default_rng(3)
+    texture = rng.uniform(60.0, 200.0, (64, 64, 3)).astype(np.float32)
+    # Three photographs that look along each other, and four from the sides, for which the layer itself is hidden.
+    slopes = np.array([(0, 0)] * 3 + [(1, 0), (-1, 0), (0, 1), (0, -1)], dtype=float)
+    hidden = [rng.uniform(60.0, 200.0, texture.shape).astype(np.float32) for _ in slopes]
+
+    def colours(at: float) -> Colours:
+        shifts = [(slope[::-1] * (at - height)).astype(int) for slope in slopes]
+        values = [np.roll(texture, tuple(shift), axis=(0, 1)) for shift in shifts]
+        if height == 0.0:
+            values[3:] = hidden[3:]
+        return Colours(np.stack(values), np.ones((7, 64, 64), dtype=bool), np.full(3, 2.0))
+
+    members = np.zeros((7, 64, 64), dtype=bool)
+    members[:3] = True
+    explained = explained_above(slopes, colours(0.0), [colours(each) for each in sheet_heights(1.0)], members, 1.0)
+    assert explained.mean() == (1.0 if height else 0.0)
+
+
 @pytest.fixture(scope="module")
 def plate() -> tuple[Block, list[HeightMap], list[np.ndarray], np.ndarray]:
     """A level bed with a plate over it, seen by eight cameras: block, maps with a fat plate, photographs, cloud."""
@@ -73,9 +95,9 @@ def plate() -> tuple[Block, list[HeightMap], list[np.ndarray], np.ndarray]:
     textures = [cv2.GaussianBlur(rng.uniform(0.0, 255.0, (700, 700, 3)), (0, 0), 1.0) for _ in range(2)]
     photographs, maps, clouds = [], [], []
     for number, camera in enumerate(cameras):
-        photograph, height, cloud = _seen(camera, textures, rng)
+        photograph, height, fat, cloud = _seen(camera, textures, rng)
         photographs.append(photograph)
-        maps.append(_map(number, height))
+        maps.append(_map(number, height, fat))
         clouds.append(cloud)
     grey = [cv2.cvtColor(each, cv2.COLOR_RGB2GRAY).astype(np.float32) for each in photographs]
     block = Block(choose_device("cpu"), cameras, grey, WATER, BED)
@@ -94,7 +116,7 @@ def _camera(angle: float) -> PinholeCamera:
 
 
 def _seen(camera, textures, rng):
-    """Photograph, heights as a sweep has them, and points of its pixels away from the edge."""
+    """Photograph, heights as a sweep has them, where these are the plate's beside it, and points away from the edge."""
     path = camera.paths(camera.pixel_centres().reshape(-1, 2), WATER)
     on_plate, on_bed = (path.at_height(np.full(camera.width * camera.height, z), WATER) for z in (PLATE, BED))
     shape = camera.height, camera.width
@@ -109,12 +131,18 @@ def _seen(camera, textures, rng):
     near = (np.abs(cloud[:, :2] - MIDDLE) < HALF + 0.1).all(axis=1)
     # The cloud has no bed near the plate.
     cloud = cloud[~near | (cloud[:, 2] > -1.7)]
-    return np.clip(photograph, 0.0, 255.0).astype(np.uint8), np.where(fat, PLATE, BED).astype(np.float32), cloud
+    return (
+        np.clip(photograph, 0.0, 255.0).astype(np.uint8),
+        np.where(fat, PLATE, BED).astype(np.float32),
+        fat & ~hits,
+        cloud,
+    )
 
 
-def _map(view: int, height: np.ndarray) -> HeightMap:
+def _map(view: int, height: np.ndarray, fat: np.ndarray) -> HeightMap:
     same = np.ones(height.shape)
-    return HeightMap(view, height, same.astype(np.float16), (3 * same).astype(np.uint8), (0 * same).astype(np.float16))
+    agreeing = np.where(fat, 2, 5).astype(np.uint8)
+    return HeightMap(view, height, same.astype(np.float16), agreeing, (0 * same).astype(np.float16))
 
 
 def test_the_bed_beside_and_under_an_edge_is_found_where_it_is_seen(plate):
@@ -136,5 +164,5 @@ def test_the_bed_beside_and_under_an_edge_is_found_where_it_is_seen(plate):
 
 def test_nothing_is_looked_for_on_a_bed_without_steps(plate):
     block, maps, photographs, cloud = plate
-    level = [_map(m.view, np.full_like(m.height, BED)) for m in maps]
+    level = [_map(m.view, np.full_like(m.height, BED), np.zeros(m.height.shape, bool)) for m in maps]
     assert find_occluded(block, level, photographs.__getitem__, cloud, GSD).num_boxes == 0

@@ -74,7 +74,7 @@ def test_images_are_worked_on_at_the_scale_that_is_asked_for_if_it_is_halvings(t
 @pytest.mark.parametrize(
     ("options", "boxes", "said"),
     [
-        ({}, False, None),
+        ({}, True, "beside depth steps with holes"),
         ({"field": "boxes"}, True, "beside depth steps with holes"),
         ({"field": "boxes", "quality": "draft"}, True, "beside depth steps with holes"),
         ({"field": "solver"}, False, None),
@@ -82,7 +82,7 @@ def test_images_are_worked_on_at_the_scale_that_is_asked_for_if_it_is_halvings(t
         ({"quality": "draft"}, False, None),
     ],
 )
-def test_boxes_come_with_the_solver_where_they_are_asked_for(tmp_path, options, boxes, said):
+def test_boxes_come_with_the_solver_unless_it_is_set(tmp_path, options, boxes, said):
     plan = make_plan(load_survey(small_survey(tmp_path / "s")), Choices(device="cpu", **options))
     assert plan.boxes == boxes
     assert plan.field == "solver" or not boxes

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from fields.occluded.consensus import Colours, consensus, windowed
+from fields.occluded.explained import explained_above, sheet_heights
 from fields.occluded.holes import Holes
 from fields.occluded.sightings import Sighting
 
@@ -23,6 +24,8 @@ _WINDOW, _INDEPENDENT = 15, 0.012
 _MOST_VIEWS = 20
 # Photographs that have to agree on a point, and cells that have to hang together.
 LEAST_VIEWS, _LEAST_CELLS = 3, 6
+# Share of the cells on which photographs agree that surfaces over the layer may explain: beyond it the layer is no bed.
+_MOST_EXPLAINED = 0.4
 # Fewest cells for the gain of a photograph, and photographs for a mean.
 _LEAST_SHOWN, _LEAST_MEAN = 100, 3
 _GAINS = (0.6, 1.6)
@@ -57,7 +60,10 @@ class FoundPoints:
 
 
 def points_of_holes(holes: Holes, sightings: Sequence[Sighting]) -> FoundPoints | None:
-    """Points where photographs agree in holes beside what stands over the layer; None where none do."""
+    """Points where photographs agree in holes beside what stands over the layer.
+
+    None where none do, or where surfaces over the layer explain what they show.
+    """
     if len(sightings) < LEAST_VIEWS:
         return None
     wanted = holes.are_holes & np.any([each.beside for each in sightings], axis=0)
@@ -82,8 +88,27 @@ def points_of_holes(holes: Holes, sightings: Sequence[Sighting]) -> FoundPoints 
     kept = _hang_together(wanted & (members.sum(axis=0) >= LEAST_VIEWS))
     if not kept.any():
         return None
+    kept &= ~_explained(holes, sightings, alike, height, members, kept)
+    if not kept.any():
+        return None
     std = np.sqrt(1.0 / information + holes.roughness**2)
     return _found(holes, sightings, kept, height, std, members)
+
+
+def _explained(
+    holes: Holes,
+    sightings: Sequence[Sighting],
+    alike: _Alike,
+    height: np.ndarray,
+    members: np.ndarray,
+    kept: np.ndarray,
+) -> np.ndarray:
+    """Cells (rows, columns) that a surface over the layer explains; all where it explains many of those kept."""
+    inside = np.stack([each.is_inside for each in sightings])
+    sheets = (alike.colours(sightings, each, inside) for each in sheet_heights(holes.gsd))
+    slopes, on_layer = np.array([each.slope for each in sightings]), alike.colours(sightings, height, inside)
+    found = explained_above(slopes, on_layer, sheets, members, holes.gsd)
+    return found | (found[kept].mean() > _MOST_EXPLAINED)
 
 
 def _misfit(colours: Colours, members: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from fields.occluded.agreement import REACH_GSD, FoundPoints, points_of_holes
-from fields.occluded.boxes import boxes_about, step_places
+from fields.occluded.boxes import Box, boxes_about, step_places
 from fields.occluded.holes import Holes
 from fields.occluded.sightings import Sighting, sighting_of
 from fields.sweep.bed import BedPoints
@@ -20,6 +20,9 @@ from fields.sweep.maps import HeightMap
 _TOGETHER, _THREADS = 8, 2
 # Most boxes, beside one for each map: those with the most holes, so that they take a share of the time of the sweep.
 _MOST_BOXES = 64
+# Boxes of a sample from all over the ground, and the least share of those with holes that have points: where fewer
+# have some, what stands there hides no bed, as a closed hull, and those few are as doubtful.
+_SAMPLE, _LEAST_SHARE = 32, 1.0 / 3.0
 
 
 @dataclass(frozen=True)
@@ -33,12 +36,15 @@ class OccludedBed:
         That shows each steepest.
     num_boxes, num_left_out : int
         In which the cloud has holes, and how many more do; see `_MOST_BOXES`.
+    is_no_bed : bool
+        Whether too few boxes of a sample have points, so that none are given.
     """
 
     points: BedPoints
     view: np.ndarray
     num_boxes: int
     num_left_out: int = 0
+    is_no_bed: bool = False
 
 
 def find_occluded(
@@ -75,20 +81,35 @@ def find_occluded(
     for m in maps:
         views.append(m.view)
         places.append(step_places(block.cameras[m.view], block.water, m, gsd))
-    boxes = boxes_about(places, gsd)
-    points: list[FoundPoints] = []
+    sample, others = _sample(boxes_about(places, gsd))
     with ThreadPoolExecutor(_THREADS) as pool:
-        looked_at = pool.map(lambda box: Holes.of(box, cloud, area), boxes)
-        with_holes = [holes for holes in looked_at if holes is not None]
-        most = max(_MOST_BOXES, len(views))
-        order = sorted(range(len(with_holes)), key=lambda k: -int(with_holes[k].are_holes.sum()))
-        found = [with_holes[k] for k in sorted(order[:most])]
-        for first in range(0, len(found), _TOGETHER):
-            part = found[first : first + _TOGETHER]
-            seen = _sightings(block, maps, views, photograph, part)
-            points += [each for each in pool.map(points_of_holes, part, seen) if each is not None]
-            advance(len(part) / len(found))
-    return replace(_together(block, points, len(found)), num_left_out=len(with_holes) - len(found))
+
+        def holes_in(boxes: list[Box]) -> list[Holes]:
+            return [holes for holes in pool.map(lambda box: Holes.of(box, cloud, area), boxes) if holes is not None]
+
+        def points_in(found: list[Holes], share: float) -> list[FoundPoints]:
+            points: list[FoundPoints] = []
+            for first in range(0, len(found), _TOGETHER):
+                part = found[first : first + _TOGETHER]
+                seen = _sightings(block, maps, views, photograph, part)
+                points += [each for each in pool.map(points_of_holes, part, seen) if each is not None]
+                advance(share * len(part) / len(found))
+            return points
+
+        found = holes_in(sample)
+        points = points_in(found, len(sample) / max(len(sample) + len(others), 1))
+        if len(points) < _LEAST_SHARE * len(found):
+            return replace(_together(block, [], len(found)), is_no_bed=True)
+        more = sorted(holes_in(others), key=lambda holes: -int(holes.are_holes.sum()))
+        most = max(_MOST_BOXES, len(views)) - len(found)
+        points += points_in(more[:most], len(others) / (len(sample) + max(len(others), 1)))
+    return replace(_together(block, points, len(found) + len(more[:most])), num_left_out=len(more[most:]))
+
+
+def _sample(boxes: list[Box]) -> tuple[list[Box], list[Box]]:
+    """Boxes from all over the ground, and the others."""
+    chosen = set(np.linspace(0, len(boxes) - 1, min(_SAMPLE, len(boxes))).astype(int).tolist())
+    return [boxes[k] for k in sorted(chosen)], [each for k, each in enumerate(boxes) if k not in chosen]
 
 
 def _sightings(

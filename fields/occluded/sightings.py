@@ -17,8 +17,10 @@ _RIM_PX = 1.5
 _LEAST_SHARE = 0.05
 # Heights over the layer, in ground sampling distances: what stands on it, and what is the layer itself.
 _ABOVE_GSD, _ON_GSD = 7.0, 3.0
-# An edge is located to so many cells: by the windows of the sweep. What stands over the layer hides it for sure so far
-# inside its edge, and shows it for sure so far outside.
+# A height that so many other photographs and this correlation confirm is no error of the windows beside an edge.
+_CONFIRMED_BY, _CONFIRMED_NCC = 3, 0.8
+# Other edges are located to so many cells: by the windows of the sweep. What stands over the layer hides it for sure
+# so far inside its edge, and shows it for sure so far outside.
 _HIDDEN_CELLS, _SHOWN_CELLS = 6, 3
 # What is narrower than this on both sides of its middle are strays of the height map.
 _STRAY_CELLS = 2
@@ -40,6 +42,8 @@ class Sighting:
         Where the height map says for sure that the layer is hidden, or seen, and where something stands near.
     incidence : [rad]
         Of the ray in air, in the middle.
+    slope : (2,)
+        How far the ray in the middle moves over the ground with the height [m/m].
     """
 
     view: int
@@ -51,6 +55,7 @@ class Sighting:
     shown: np.ndarray
     beside: np.ndarray
     incidence: float
+    slope: np.ndarray
 
     def colours(self, height: np.ndarray | float) -> np.ndarray:
         """Stored values (rows, columns, 3) float32 at heights (rows, columns) [m] over the layer; NaN outside."""
@@ -94,14 +99,19 @@ def sighting_of(
     reached = np.stack([low[inside], high[inside]])
     x0, y0 = np.maximum(np.floor(reached.min(axis=(0, 1))).astype(int) - 2, 0)
     x1, y1 = np.ceil(reached.max(axis=(0, 1))).astype(int) + 3
-    over = np.where(inside, height_map.height[row, column] - _height(points, water), 0.0)
+    layer = _height(points, water)
+    over = np.where(inside, height_map.height[row, column] - layer, 0.0)
     sure = trusted(height_map)[row, column] & inside
     standing = (inside & (over > _ABOVE_GSD * holes.gsd)).reshape(shape).astype(np.uint8)
     standing = cv2.morphologyEx(standing, cv2.MORPH_OPEN, _disc(_STRAY_CELLS))
     beside = cv2.dilate(standing, _disc(_SHOWN_CELLS)) > 0
     on_layer = (sure & (np.abs(over) < _ON_GSD * holes.gsd)).reshape(shape)
+    confirmed = (height_map.agreeing[row, column] >= _CONFIRMED_BY) & (height_map.score[row, column] > _CONFIRMED_NCC)
+    covered = (inside & confirmed & (over > _ON_GSD * holes.gsd)).reshape(shape)
     is_inside = (inside & known[row, column]).reshape(shape)
-    ray = camera.paths(np.mean(middle[inside], axis=0)[None], water).air_direction[0]
+    path = camera.paths(np.mean(middle[inside], axis=0)[None], water)
+    at = float(np.median(layer[inside]))
+    below, above = (path.at_height(np.array([height]), water)[0] for height in (at - reach, at + reach))
     normal = np.array(water.up if water else (0.0, 0.0, 1.0))
     return Sighting(
         view,
@@ -109,10 +119,11 @@ def sighting_of(
         (pixel - (x0 + 0.5, y0 + 0.5)).reshape(*shape, 2).astype(np.float32),
         (np.where(inside[:, None], high - low, 0.0) / (2.0 * reach)).reshape(*shape, 2).astype(np.float32),
         is_inside,
-        (cv2.erode(standing, _disc(_HIDDEN_CELLS)) > 0) & is_inside,
+        (covered | (cv2.erode(standing, _disc(_HIDDEN_CELLS)) > 0)) & is_inside,
         on_layer & ~beside,
         beside & is_inside,
-        float(np.arccos(np.clip(-(ray @ normal), -1.0, 1.0))),
+        float(np.arccos(np.clip(-(path.air_direction[0] @ normal), -1.0, 1.0))),
+        (above - below)[:2] / (above - below)[2],
     )
 
 

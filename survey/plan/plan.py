@@ -113,7 +113,7 @@ def make_plan(survey: Survey, chosen: Choices = USUAL, *, recipe: Recipe | None 
         *_level(survey),
         field,
         finer_passes(field.choice, skips, aimed=quality == AIMED),
-        *_boxes(asked=chosen.field, aimed=quality == AIMED),
+        *_boxes(field.choice, asked=chosen.field, aimed=quality == AIMED),
         image_decision(cameras[0], scale, quality, recipe, asked=chosen.image_scale is not None),
         *_ground(survey, height),
         Decision("range of heights", *in_words(survey, height)),
@@ -130,7 +130,7 @@ def make_plan(survey: Survey, chosen: Choices = USUAL, *, recipe: Recipe | None 
         decisions,
         recipe,
         field=field.choice,
-        boxes=has_boxes(chosen.field, aimed=quality == AIMED),
+        boxes=has_boxes(field.choice, chosen.field, aimed=quality == AIMED),
         device_asked=chosen.device,
         poses=(poses.choice, poses.reason),
         skips=skips,
@@ -159,22 +159,20 @@ def _field(quality: str, recipe: Recipe, field: str) -> Decision:
     return Decision("field", chosen, reasons[chosen])
 
 
-def has_boxes(asked: str, *, aimed: bool) -> bool:
-    """Whether a run looks for the bed in boxes: where it was asked for, and it has no aim."""
-    return asked == "boxes" and not aimed
+def has_boxes(field: str, asked: str, *, aimed: bool) -> bool:
+    """Whether a run looks for the bed in boxes: after the solver, unless the field was set or the run has an aim."""
+    return field == "solver" and asked in ("auto", "boxes") and not aimed
 
 
-def _boxes(*, asked: str, aimed: bool) -> tuple[Decision, ...]:
-    """Where photographs are compared pixel by pixel; nothing to say where that was not asked for."""
-    if asked != "boxes":
-        return ()
-    if not has_boxes(asked, aimed=aimed):
-        return (Decision("boxes", "none", "a run with an aim has none"),)
-    reason = (
-        "windows cover both an edge and the bed beside it, single pixels do not; a box of some metres takes about a "
-        "second, and there are none where the cloud has no holes"
-    )
-    return (Decision("boxes", "beside depth steps with holes", reason),)
+def _boxes(field: str, *, asked: str, aimed: bool) -> tuple[Decision, ...]:
+    """Where photographs are compared pixel by pixel; nothing to say where that was neither asked for nor is usual."""
+    if has_boxes(field, asked, aimed=aimed):
+        reason = (
+            "windows cover both an edge and the bed beside it, single pixels do not; a box of some metres takes about "
+            "a second, and there are none where the cloud has no holes"
+        )
+        return (Decision("boxes", "beside depth steps with holes", reason),)
+    return (Decision("boxes", "none", "a run with an aim has none"),) if asked == "boxes" else ()
 
 
 def device_decision(device: str) -> Decision:

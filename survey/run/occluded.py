@@ -52,6 +52,11 @@ def with_occluded(
     if not found.num_boxes:
         job.progress.note("boxes: none, the cloud has no holes beside depth steps")
         return bed, tide
+    if found.is_no_bed:
+        job.progress.note(
+            f"boxes: of {found.num_boxes} beside depth steps hardly any show a bed in the holes of the cloud; none used"
+        )
+        return bed, tide
     left_out = f" ({found.num_left_out} with fewer left out)" if found.num_left_out else ""
     job.progress.note(
         f"boxes: {found.num_boxes} beside depth steps, where the cloud has holes{left_out}; {len(found.points):,} more "

@@ -7,7 +7,7 @@ scatter of points, and a single wrong one, are not in both. The mean product of 
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import f as fisher
+from scipy.special import fdtrc
 
 from survey.display.quantities import length
 
@@ -65,7 +65,7 @@ def departure_of(points: np.ndarray, stds: np.ndarray) -> float | None:
     root = np.sqrt(weights) / stds
     covariance = np.linalg.inv((design * root[:, None]).T @ (design * root[:, None]))[-num_bent:, -num_bent:]
     ratio = values[-num_bent:] @ np.linalg.solve(covariance, values[-num_bent:]) / num_bent / std**2
-    if fisher.sf(ratio, num_bent, spare) > _FALSE_ALARMS:
+    if fdtrc(num_bent, spare, ratio) > _FALSE_ALARMS:
         return None
     order = np.argsort(points[:, :2] @ _main_axis(points[:, :2]))
     halves = [

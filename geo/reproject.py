@@ -74,6 +74,11 @@ class Reprojection:
         doubt = None if places is None else _doubt(source, wanted, way, where, places)
         return Reprojection(wanted, keeps_height, way, changes_plan, where, doubt)
 
+    @property
+    def height_std_m(self) -> float:
+        """What PROJ states of the operation for heights; 0 where they stay, or nothing is stated."""
+        return 0.0 if self.keeps_height else max(self._transformer.accuracy, 0.0)
+
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Points (N, 3) in the source CRS as points (N, 3) float64 in `crs`; NaN where PROJ has no answer.
 

@@ -89,7 +89,13 @@ class Transformation:
         transformer, accuracy, missing, is_operation, is_outside = _chosen(*ends, middle)
         is_known = is_operation or _may_be_one_datum(source, target)
         is_rated = accuracy is not None or _may_be_one_datum(source, target)
-        if is_rated and accuracy != 0.0 and not missing and _keeps_degrees(source, target, transformer, middle):
+        if (
+            is_rated
+            and not is_outside
+            and accuracy != 0.0
+            and not missing
+            and _keeps_degrees(source, target, transformer, middle)
+        ):
             # By convention a receiver's WGS 84 is the frame of its corrections; a survey is then as good as these.
             accuracy = 0.0
         return Transformation(source, target, accuracy, missing, is_known, transformer, is_outside)
@@ -123,8 +129,8 @@ class Transformation:
         if self.is_outside and self.accuracy_m is not None:
             return (
                 f"{said} are transformed from {called(self.source)} to {called(self.target)} outside the area of each "
-                f"operation that PROJ knows, which differ there by {self.accuracy_m:.2g} m: an error common to all of "
-                "them"
+                f"operation that PROJ knows, which are good to {self.accuracy_m:.2g} m there: an error common to all "
+                "of them"
             )
         known = "an unknown accuracy" if self.accuracy_m is None else f"{self.accuracy_m:.2g} m"
         said = (

@@ -16,6 +16,7 @@ from survey.adjust.refine import adjust_survey
 from survey.control.ground import Ground
 from survey.errors import ControlError
 from tests.block_survey import height_error, pose_errors
+from tests.changed_survey import changed
 from tests.drawn_ground import drawn_on_ground
 
 
@@ -74,6 +75,18 @@ def test_a_block_off_by_half_a_metre_comes_to_where_the_bank_is(tmp_path):
     ).ground
     for name, less, more, shared in zip(NAMES[:2], fit.std, wide.std, (0.3, 0.3), strict=False):
         assert more == pytest.approx(np.hypot(less, shared), rel=0.2), name
+
+
+def test_good_positions_stay_good_beside_an_earlier_survey():
+    block, survey = drawn_on_ground(6, std_m=(0.01, 0.01), shift=(0.0, 0.0, 0.0), num_points=400)
+    priors = survey.observations.priors
+    stated = {name: replace(prior, position_std=np.full(3, 0.02)) for name, prior in priors.items()}
+    found = adjust_survey(changed(survey, priors=stated), use_windows=False)
+    off, _ = pose_errors(block, found.poses.centres, found.poses.rotations)
+    assert off.std(axis=0).max() < 0.04
+    assert abs(height_error(block, found)) < 0.05
+    assert max(found.ground.std_without[:3]) < 0.05
+    assert found.ground.warnings == ()
 
 
 @pytest.mark.slow

@@ -11,12 +11,14 @@ import pytest
 from pyproj import CRS, Transformer
 
 from geo import LocalFrame, parse_crs
+from geo.crs import horizontal_crs
 from geo.transformation import lon_lat
 from survey.errors import ConfigError, ControlError
 from survey.folder.place import water_plane
 from survey.folder.reference import read_ground
 from survey.settings.config import SurveyConfig, WaterConfig
 from survey.settings.control import ControlConfig
+from survey.water.surface import Departure
 
 CRS_OF_SURVEY, ORIGIN = "EPSG:25832+5778", (500000.0, 5200000.0, 100.0)
 # Local; the bank rises to the east, and the water is at 0.
@@ -25,12 +27,15 @@ GROUND = GROUND.reshape(-1, 3) + np.array([0.0, 0.0, 1.0]) * 0.1 * GROUND.reshap
 PLACES = np.array([[-10.1, -10.1, 30.0], [10.1, 10.1, 30.0], [0.0, 0.0, 0.0]])
 
 
-def read(folder, *, crs: str | None = CRS_OF_SURVEY, unit_m: float = 1.0, classes=None, extra=None, **control):
+def read(
+    folder, *, crs: str | None = CRS_OF_SURVEY, unit_m: float = 1.0, classes=None, extra=None, departure=None, **control
+):
     """The ground of a LAS file with these points."""
     frame = LocalFrame(parse_crs(CRS_OF_SURVEY), ORIGIN)
     points = frame.crs_from_local(GROUND)
     if crs is not None:
-        points[:, :2] = np.transpose(Transformer.from_crs(25832, CRS(crs).sub_crs_list[0]).transform(*points.T[:2]))
+        horizontal = horizontal_crs(CRS(crs))
+        points[:, :2] = np.transpose(Transformer.from_crs(25832, horizontal).transform(*points.T[:2]))
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales, header.offsets = [1e-4] * 3, np.floor(points.min(axis=0))
     if crs is not None:
@@ -45,7 +50,7 @@ def read(folder, *, crs: str | None = CRS_OF_SURVEY, unit_m: float = 1.0, classe
     cloud.write(folder / "earlier.las")
     water = WaterConfig(level_m=100.0, level_at=ORIGIN[:2], refractive_index=1.333)
     config = SurveyConfig(crs=CRS_OF_SURVEY, water=water, control=ControlConfig(reference="earlier.las", **control))
-    return read_ground(folder, config, frame, PLACES, water_plane(frame, water), is_level_known=True)
+    return read_ground(folder, config, frame, PLACES, water_plane(frame, water), departure, is_level_known=True)
 
 
 def test_dry_ground_near_the_photographs_counts_and_its_accuracy_is_asked_for(tmp_path):
@@ -76,6 +81,19 @@ def test_a_reference_in_another_crs_is_taken_into_that_of_the_survey(tmp_path):
     there, here = read(tmp_path, crs="EPSG:25833+5778")[0], read(tmp_path)[0]
     assert len(there.points) == len(here.points)
     assert np.abs(there.points - here.points).max() < 1e-3
+
+
+def test_a_reference_in_another_crs_without_heights_has_those_of_the_survey(tmp_path):
+    (there, said), here = read(tmp_path, crs="EPSG:25833"), read(tmp_path)[0]
+    assert np.abs(there.points - here.points).max() < 1e-3
+    assert "what its heights count from" in " ".join(said.assumptions)
+
+
+def test_water_over_its_plane_makes_ground_wet(tmp_path):
+    xy = np.array([(x, y) for x in np.linspace(-25.0, 25.0, 6) for y in np.linspace(-25.0, 25.0, 6)])
+    higher = Departure(np.column_stack([xy, np.full(len(xy), 0.5)]), np.full(len(xy), 0.01))
+    assert read(tmp_path, departure=higher)[0].points[:, 2].min() > 0.55
+    assert read(tmp_path)[0].points[:, 2].min() < 0.2
 
 
 def test_polygons_say_which_ground_is_stable(tmp_path):

@@ -43,6 +43,13 @@ def test_a_departure_within_the_std_of_the_level_is_not_said(rng):
     assert plane_doubt(points(rng, riffle), np.full(80, 0.02), 0.06, "gnss_points") is None
 
 
+@pytest.mark.parametrize("places", [1, 2, 3, 5])
+def test_readings_at_a_few_stakes_are_one_plane(rng, places):
+    xy = np.repeat(rng.uniform(-20.0, 20.0, (places, 2)), 24 // places, axis=0)
+    readings = np.column_stack([xy, 0.02 * rng.normal(size=len(xy))])
+    assert departure_of(readings, np.full(len(xy), 0.02)) is None
+
+
 @pytest.mark.parametrize("width", [0.5, 10.0])
 @pytest.mark.parametrize("wrong", [0.0, 0.05])
 def test_scatter_hardly_ever_gives_an_alarm(rng, width, wrong):

@@ -23,6 +23,8 @@ _MOST_BOXES = 64
 # Boxes of a sample from all over the ground, and the least share of those with holes that have points: where fewer
 # have some, what stands there hides no bed, as a closed hull, and those few are as doubtful.
 _SAMPLE, _LEAST_SHARE = 32, 1.0 / 3.0
+# Fewer boxes with holes do not speak for the others.
+_FEWEST = 6
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,7 @@ def find_occluded(
 
         found = holes_in(sample)
         points = points_in(found, len(sample) / max(len(sample) + len(others), 1))
-        if len(points) < _LEAST_SHARE * len(found):
+        if (len(found) >= _FEWEST or not others) and len(points) < _LEAST_SHARE * len(found):
             return replace(_together(block, [], len(found)), is_no_bed=True)
         more = sorted(holes_in(others), key=lambda holes: -int(holes.are_holes.sum()))
         most = max(_MOST_BOXES, len(views)) - len(found)

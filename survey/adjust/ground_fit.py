@@ -92,6 +92,12 @@ class GroundFit:
     def warnings(self) -> tuple[str, ...]:
         """Where much of the ground changed, or it contradicts what positions state."""
         said = []
+        if self.std_without is not None and self.std_without[2] < self.std[2]:
+            said.append(
+                f"without {self.reference} the height of the block is known to {length(self.std_without[2])}, with it "
+                f"to {length(self.std[2])}, as far as its points may be off together: give a smaller [control] "
+                "reference_std_m if it is better than that, or leave it out"
+            )
         share = self.num_changed / max(self.num_over, 1)
         if share > _MOST_CHANGED:
             said.append(

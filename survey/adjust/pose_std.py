@@ -114,8 +114,9 @@ def _components(known: Known, solution: Solution, estimated: np.ndarray) -> tupl
     kinds = [kind for kind in kinds if kind.any()]
     miss, covariance = deviation, solution.covariance
     for step in range(_MOST_STEPS + 1):
-        redundancy = np.clip(1.0 - _of_poses(known, np.diag(covariance)) / std**2, _LEAST_REDUNDANCY, 1.0)
-        scaled = np.abs(_of_poses(known, miss)) / (std * np.sqrt(redundancy))
+        residual, variance = _beside_shift(known, std, _of_poses(known, miss), covariance)
+        redundancy = np.clip(1.0 - variance / std**2, _LEAST_REDUNDANCY, 1.0)
+        scaled = np.abs(residual) / (std * np.sqrt(redundancy))
         factors = [_scale_of(scaled[kind], redundancy[kind]) for kind in kinds]
         if step == _MOST_STEPS or all(abs(factor - 1.0) < _STEADY for factor in factors):
             break
@@ -133,6 +134,29 @@ def _components(known: Known, solution: Solution, estimated: np.ndarray) -> tupl
         told = float(redundancy[kind].sum())
         std[kind] *= np.sqrt((told + 2.0) / told)
     return std, scaled
+
+
+def _beside_shift(
+    known: Known, std: np.ndarray, residual: np.ndarray, covariance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals (V, 6) of poses and their variances after the adjustment, without the shift that positions share.
+
+    That shift is the mean of the residuals d by weights w, ``v'd`` with ``v = w / (sum w + 1 / s^2)``; of ``d - v'd``
+    the variances are ``C_ii - 2 (C v)_i + v' C v``.
+    """
+    variance = _of_poses(known, np.diag(covariance)).copy()
+    # Of unknown standard deviations the iteration ends near zero where the shift is all that positions are off by.
+    if known.shared_std == 0.0 or known.unknown_positions.any():
+        return residual, variance
+    residual = residual.copy()
+    for axis in range(3):
+        at = known.layout.first_pose + axis + POSE * np.arange(len(std))
+        weight = std[:, axis] ** -2.0
+        weight = weight / (weight.sum() + known.shared_std**-2.0)
+        of_shift = covariance[np.ix_(at, at)] @ weight
+        residual[:, axis] -= weight @ residual[:, axis]
+        variance[:, axis] += weight @ of_shift - 2.0 * of_shift
+    return residual, variance
 
 
 def _scale_of(scaled: np.ndarray, redundancy: np.ndarray) -> float:

@@ -57,6 +57,8 @@ from survey.plan.workload import amounts_of_run
 _MARKS_STD_PX = 0.5
 # Windows are measured up to four times as well as matches, and are as many.
 _MOST_GAIN = 6.0
+# Of the shift onto the ground before the adjustment.
+_START_STD_M = 0.1
 
 
 def adjust_survey(
@@ -257,7 +259,7 @@ class _BlockAdjustment:
         shift = shift_onto(ground, points)
         off = np.median(state.centres - start.mean.centres, axis=0) + shift
         horizontal, vertical = ground.std_m
-        of_both = np.hypot(shared, [horizontal, horizontal, vertical])
+        of_both = np.sqrt(shared**2 + np.square([horizontal, horizontal, vertical]) + _START_STD_M**2)
         self._is_against_positions = shared < GPS_STD_M and bool((np.abs(off) > MOST_SIGMAS * of_both).any())
         if shared == GPS_STD_M or self._is_against_positions:
             shared = GPS_STD_M

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 from pyproj import CRS
+from pyproj.crs import CompoundCRS
 
 from geo.compatibility import same_crs
-from geo.crs import has_height, height_unit_m
+from geo.crs import has_height, height_unit_m, vertical_crs
 from geo.frames import LocalFrame
 from geo.polygons import points_inside, read_polygons
 from geo.reading import read_reference
@@ -22,6 +23,7 @@ from survey.control.ground import Ground
 from survey.errors import ControlError
 from survey.findings import Findings
 from survey.settings.config import SurveyConfig
+from survey.water.surface import Departure
 
 # Of a reference that does not say it: airborne lidar, or photogrammetry on control.
 DEFAULT_STD_M = 0.1
@@ -40,6 +42,7 @@ def read_ground(
     frame: LocalFrame,
     places: np.ndarray,
     water: FlatWater | None,
+    departure: Departure | None = None,
     *,
     is_level_known: bool,
 ) -> tuple[Ground | None, Findings]:
@@ -54,6 +57,8 @@ def read_ground(
         Cameras and tie points.
     water : FlatWater or None
         Local.
+    departure : Departure or None
+        Of the water from that plane.
     is_level_known : bool
 
     Raises
@@ -70,7 +75,7 @@ def read_ground(
             f"{given.reference} is dry; give level_m, or polygons of stable ground in [control] stable"
         )
     path = folder / given.reference
-    cloud, way_std_m, of_file = _in_crs(path, frame.crs)
+    cloud, way_std, of_file = _in_crs(path, frame.crs)
     num_all = len(cloud.points)
     if given.stable is not None:
         inside = points_inside(read_polygons(folder / given.stable, frame.crs), cloud.points[:, :2])
@@ -90,7 +95,8 @@ def read_ground(
     dry = np.ones(len(local), dtype=bool)
     if water is not None and is_level_known:
         level_std = config.water.level_std_m if config.water is not None else None
-        dry = water.depth(local) < -max(_LEAST_ABOVE_M, _LEAST_SIGMAS * (level_std or 0.0))
+        over = 0.0 if departure is None else departure.at(local[:, :2])[0]
+        dry = water.depth(local) + over < -max(_LEAST_ABOVE_M, _LEAST_SIGMAS * (level_std or 0.0))
     if dry.sum() < _FEWEST:
         raise ControlError(
             f"{path} has {int(dry.sum())} points of dry ground near the photographs, expected at least {_FEWEST} "
@@ -98,7 +104,7 @@ def read_ground(
             "over the water, in the vertical datum of crs"
         )
     std, said = _shared_std(given.reference_std_m, part_of(cloud, dry), given.reference)
-    return Ground(local[dry], (math.hypot(std[0], way_std_m), std[1])), of_file + said
+    return Ground(local[dry], (math.hypot(std[0], way_std[0]), math.hypot(std[1], way_std[1]))), of_file + said
 
 
 def _box(places: np.ndarray) -> np.ndarray:
@@ -108,8 +114,8 @@ def _box(places: np.ndarray) -> np.ndarray:
     return middle + np.array([[-x, -y, 0.0], [-x, y, 0.0], [x, -y, 0.0], [x, y, 0.0]])
 
 
-def _in_crs(path: Path, crs: CRS) -> tuple[Cloud, float, Findings]:
-    """The ground of a file in the crs of the survey, the accuracy of the way there [m], and what was assumed."""
+def _in_crs(path: Path, crs: CRS) -> tuple[Cloud, tuple[float, float], Findings]:
+    """The ground of a file in the crs of the survey, the accuracy of the operation [m], and what was assumed."""
     shape = read_reference(path)
     cloud = Cloud(points=vertices_of(shape), crs=shape.crs) if isinstance(shape, Mesh) else shape
     if isinstance(shape, Mesh):
@@ -121,16 +127,21 @@ def _in_crs(path: Path, crs: CRS) -> tuple[Cloud, float, Findings]:
     if own is None or not has_height(own):
         of = "its CRS" if own is None else "what its heights count from"
         notes.append(f"{path.name} does not say {of}: taken to be that of the survey")
+    if own is not None and not has_height(own):
+        vertical = vertical_crs(crs)
+        own = own.to_3d() if vertical is None else CompoundCRS(f"{own.name} + {vertical.name}", [own, vertical])
     if own is not None and not same_crs(own, crs):
+        if cloud.height_unit_m is not None:
+            cloud = replace(cloud, points=cloud.points * [1.0, 1.0, cloud.height_unit_m / height_unit_m(own)])
         way = Reprojection.between(own, crs, where=f"the CRS of {path}", places=cloud.points)
         found = Findings(tuple(notes), () if way.doubt is None else (way.doubt,))
         accuracy_m = Transformation.between(own, way.crs, cloud.points).accuracy_m or 0.0
-        return replace(cloud, points=way(cloud.points), crs=crs), accuracy_m, found
+        return replace(cloud, points=way(cloud.points), crs=crs), (accuracy_m, way.height_std_m), found
     unit_m = height_unit_m(crs)
     if own is not None and has_height(own):
         cloud = replace(cloud, points=cloud.points * [1.0, 1.0, height_unit_m(own) / unit_m])
     scaled = in_height_unit(cloud, unit_m)
-    return scaled if isinstance(scaled, Cloud) else cloud, 0.0, Findings(tuple(notes))
+    return scaled if isinstance(scaled, Cloud) else cloud, (0.0, 0.0), Findings(tuple(notes))
 
 
 def _shared_std(

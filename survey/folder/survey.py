@@ -232,7 +232,8 @@ def load_survey(
     views, tide = with_tides(views, found.tide, water)
     seen = np.array([view.camera.centre for view in views])
     seen = seen if block.points is None else np.concatenate([seen, block.points])
-    ground, said = read_ground(found.folder, config, frame, seen, water, is_level_known=is_level_known)
+    departure = Departure.of(levels, frame, water)
+    ground, said = read_ground(found.folder, config, frame, seen, water, departure, is_level_known=is_level_known)
     assumptions += said.assumptions
     warnings += said.warnings
     require_true(frame, views, water, config, found.heads, see_points=block.reprojection is not None)
@@ -255,7 +256,7 @@ def load_survey(
             velocities,
             tide,
             ground,
-            Departure.of(levels, frame, water),
+            departure,
         ),
         provenance=Provenance(
             block.tool,

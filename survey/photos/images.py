@@ -6,6 +6,7 @@ import os
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from hashlib import blake2b, file_digest
 from pathlib import Path
 
 import cv2
@@ -80,16 +81,20 @@ def require_complete(path: Path) -> None:
 
 
 def same_files(images: Mapping[str, Path]) -> list[tuple[str, ...]]:
-    """Names of images whose files are copies of each other: of one size, with the same beginning and end."""
+    """Names of images whose files are copies of each other; read whole where size, beginning and end are the same."""
     by_size: dict[int, list[str]] = defaultdict(list)
     for name, path in images.items():
         by_size[path.stat().st_size].append(name)
-    found: dict[bytes, list[str]] = defaultdict(list)
+    alike: dict[bytes, list[str]] = defaultdict(list)
     for name in (name for names in by_size.values() if len(names) > 1 for name in names):
         with images[name].open("rb") as file:
             first = file.read(_COMPARED_BYTES)
             file.seek(-min(_COMPARED_BYTES, images[name].stat().st_size), os.SEEK_END)
-            found[first + file.read()].append(name)
+            alike[blake2b(first + file.read()).digest()].append(name)
+    found: dict[bytes, list[str]] = defaultdict(list)
+    for name in (name for names in alike.values() if len(names) > 1 for name in names):
+        with images[name].open("rb") as file:
+            found[file_digest(file, "blake2b").digest()].append(name)
     return [tuple(names) for names in found.values() if len(names) > 1]
 
 

@@ -38,7 +38,7 @@ COMMON_STD_M = {
 }  # fmt: skip
 _GEOJSON, _RASTER = (".geojson", ".json"), (".tif", ".tiff")
 # Cells of a raster beyond this number are means of squares of them.
-_MOST_CELLS = 40_000
+_MOST_CELLS, _FINER = 40_000, 0.8
 # Of a cell against its neighbours; what it is off with them is common.
 _CELL_STD_M = 0.002
 _MOST_STD_M = 10.0
@@ -83,7 +83,7 @@ def points_of_surface(path: Path, source: str, crs: CRS) -> tuple[tuple[LevelObs
         found = (LevelObservation(h * unit, STD_M[source], (e, n), None, source) for e, n, h in points.tolist())
         return tuple(found), notes
     if path.suffix.lower() in _RASTER:
-        return _points_of_raster(path, source, crs), ()
+        return _points_of_raster(path, source, crs)
     rows = read_points(path, optional=("std",), units=Units.of(crs), error=ConfigError)
     places = [(row.number("easting"), row.number("northing")) for row in rows]
     measured = [
@@ -93,8 +93,9 @@ def points_of_surface(path: Path, source: str, crs: CRS) -> tuple[tuple[LevelObs
     return tuple(measured), ()
 
 
-def _points_of_raster(path: Path, source: str, crs: CRS) -> tuple[LevelObservation, ...]:
-    """The middles of the cells of a GeoTIFF, in crs."""
+def _points_of_raster(path: Path, source: str, crs: CRS) -> tuple[tuple[LevelObservation, ...], tuple[str, ...]]:
+    """The middles of the cells of a GeoTIFF, in crs, or of squares of many, and a note of that."""
+    notes: tuple[str, ...] = ()
     shape = read_reference(path)
     said = f"the heights of {path.name}"
     if shape.crs is None:
@@ -107,12 +108,16 @@ def _points_of_raster(path: Path, source: str, crs: CRS) -> tuple[LevelObservati
         points = points * (1.0, 1.0, scale)
     if len(points) > _MOST_CELLS:
         low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
-        side = np.sqrt(np.prod(high - low) / _MOST_CELLS)
-        _, cell = np.unique(np.floor((points[:, :2] - low) / side).astype(int), axis=0, return_inverse=True)
+        side, cell = float(np.sqrt(np.prod(high - low) / _MOST_CELLS)), np.zeros(0, dtype=int)
+        # Water is a part of the rectangle about it.
+        while len(np.unique(cell)) < _MOST_CELLS // 2:
+            _, cell = np.unique(np.floor((points[:, :2] - low) / side).astype(int), axis=0, return_inverse=True)
+            side *= _FINER
+        notes = (f"{path.name}: its {len(points):,} cells are averaged over squares of {side / _FINER:.3g}",)
         count = np.bincount(cell.ravel())
         points = np.column_stack([np.bincount(cell.ravel(), column) / count for column in points.T])
     unit = height_unit_m(crs)
-    return tuple(LevelObservation(h * unit, _CELL_STD_M, (e, n), None, source) for e, n, h in points.tolist())
+    return tuple(LevelObservation(h * unit, _CELL_STD_M, (e, n), None, source) for e, n, h in points.tolist()), notes
 
 
 def readings_of_gauge(path: Path, unit_m: float = 1.0) -> tuple[LevelObservation, ...]:

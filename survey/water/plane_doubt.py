@@ -56,6 +56,9 @@ def departure_of(points: np.ndarray, stds: np.ndarray) -> float | None:
     # What is left of the polynomials beside the plane, for weights of all points.
     bent = bent - flat @ np.linalg.lstsq(flat, bent, rcond=None)[0]
     design, num_bent = np.column_stack([flat, bent]), bent.shape[1]
+    if np.linalg.matrix_rank(design) < design.shape[1]:
+        # Readings at a few places.
+        return None
     values, weights = _robust(design, points[:, 2], stds)
     rest = (points[:, 2] - design @ values) / stds
     spare = len(points) - design.shape[1]

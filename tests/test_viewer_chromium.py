@@ -44,7 +44,7 @@ def test_a_click_in_the_browser_brings_the_facts_of_its_point(shown):
         page.until("document.body.innerText.includes('90\u202f000 points')")
         wait_until_drawn(page)
         page.click(0.5 * SIZE[0], 0.5 * SIZE[1])
-        page.until("document.body.innerText.includes('in the frame of')")
+        page.until("document.body.innerText.includes('shown by')")
         assert [said for said in page.said if any(call in said for call in CALLS_OUT)] == []
 
 

@@ -5,7 +5,9 @@
 SURVEY is a folder with known truth (reference.ply and visible.ply in it, or in truth/); RUN a run folder of it, by
 default SURVEY/bathynerf. Prints rows of Markdown: of the points of the surface that three cameras see, those that have
 another surface above them and all others, the share within 0.05 m of the cloud; of the points of the cloud, under a
-surface and in all, the share farther than 0.05 m from the truth. ``--draw`` draws the survey first
+surface and in all, the share farther than 0.05 m from the truth. What boxes found (user data 1, docs/field.md) stands
+apart: both shares without these points, their number, how many of them lie within 0.05 and 0.1 m of the truth and
+within 1.96 of their std. ``--draw`` draws the survey first
 (`benchmarks/overhang_scenes.py`); it is then for `bathynerf process`. ``--windows`` sweeps the survey and says at which
 share of N points of each kind the right height wins (`benchmarks/overhang_windows.py`).
 """
@@ -78,18 +80,24 @@ def row(truth: Truth, run: Path) -> str:
     local = local[inside]
     error = np.abs(distance_to_mesh(local, truth.surface.vertices, truth.surface.faces).signed)
     below = is_under(truth.surface, local + np.array([0.0, 0.0, NEAR_M]))
+    of_boxes = np.asarray(las.user_data) == 1
+    before = truth.completeness(truth.frame.local_from_crs(points[~of_boxes]))
+    new, spread = error[of_boxes[inside]], std[of_boxes[inside]]
+    shares = [np.mean(new <= limit) if len(new) else np.nan for limit in (NEAR_M, 2.0 * NEAR_M, 1.96 * spread)]
     cells = [
         f"{100 * truth.under.mean():.2f}", f"{100 * under:.2f}", f"{100 * others:.2f}",
         f"{100 * np.mean(np.where(truth.under, under, others)):.2f}",
         f"{len(local)}", f"{int(below.sum())}", f"{100 * np.mean(error[below] > NEAR_M):.2f}",
         f"{100 * np.mean(error > NEAR_M):.3f}", f"{1e3 * np.median(std):.2f}",
+        *(f"{100 * share:.2f}" for share in before), f"{len(new)}", *(f"{100 * share:.1f}" for share in shares),
     ]  # fmt: skip
     return "| " + " | ".join([run.parent.name, *cells]) + " |"
 
 
 HEADER = (
     "| survey | visible points under a surface [%] | of them found [%] | of the others [%] | of all [%] | points | "
-    "of them under a surface | of these beyond 5 cm [%] | of all [%] | median std [mm] |"
+    "of them under a surface | of these beyond 5 cm [%] | of all [%] | median std [mm] | without boxes: found under a "
+    "surface [%] | of the others [%] | points of boxes | within 5 cm [%] | 10 cm [%] | 1.96 std [%] |"
 )
 
 

@@ -8,8 +8,8 @@ over which the water falls by 20 cm within 10 m, and ``slope``, which changes fr
 each with three files of the water: 80 GNSS points of 2 cm as one plane (gnss_points), the same as surface, and a raster
 of 1 m as surface, this in tiles, too. Prints and writes mean and std of the inner 90 % of the vertical errors against
 the truth within the bounds, the span of their medians over pieces of 3 m along the river, the shares of the points
-within 1.96 of std and of std with std_common, and the processor time. With ``--kilometre`` it prints instead how far
-rays miss each other over a kilometre of river (0.1 to 1 %, a riffle every 125 m), and the tiles that the plan takes.
+within 1.96 of std and of std with std_common, and the processor time. With ``--kilometre`` it prints instead by how
+much rays of a point are skew over a kilometre of river (0.1 to 1 %, a riffle every 125 m), and the tiles of the plan.
 """
 
 from __future__ import annotations

@@ -187,11 +187,11 @@ def test_water_far_from_a_plane_gets_tiles_and_the_plan_says_why(planned):
     plan = replace(plan, footprint_m=(2.0, 1.5), gsd_m=0.02)
     found = choose_tiles(survey, plan, Choices(memory="8GB"), workload, is_aimed=False)
     assert len(found.tiling) > 1
-    assert found.decision.reason.startswith("rays bent at one plane for all of the water miss each other by up to ")
+    assert found.decision.reason.startswith("rays of a point bent at one plane are skew by up to ")
     ground = ground_of(survey, plan)
     (_, in_one), (_, in_tiles) = aside_px(survey, plan, ground, [None, found.tiling])
     assert in_tiles < 0.5 * in_one
-    assert "miss each other by up to" in water_doubts(survey, plan, None)[0]
+    assert "are skew by up to" in water_doubts(survey, plan, None)[0]
 
 
 def test_rays_miss_by_what_snell_says(planned):

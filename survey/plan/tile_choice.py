@@ -157,7 +157,7 @@ def _for_water(survey: Survey, plan: Plan) -> tuple[int, str]:
         tried.append((px, 1 if tiling is None else len(tiling)))
         if px <= MOST_ASIDE_PX:
             break
-    return min(tried)[1], f"rays bent at one plane for all of the water miss each other by up to {tried[0][0]:.2g} px"
+    return min(tried)[1], f"rays of a point bent at one plane are skew by up to {tried[0][0]:.2g} px"
 
 
 def require_dask(chosen: Choices) -> None:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from survey.folder.survey import Survey
     from survey.plan.plan import Plan
 
-# Aside by which rays of a point may miss each other [ground sampling distances].
+# Distance at which rays of a point may be skew to each other [ground sampling distances].
 MOST_ASIDE_PX = 0.25
 # Places along each side of a tile.
 _PLACES = 16
@@ -35,7 +35,7 @@ def places_of(ground: Area) -> np.ndarray:
 def aside_px(
     survey: Survey, plan: Plan, ground: Area, tilings: Iterable[Tiling | None]
 ) -> Iterator[tuple[Tiling | None, float]]:
-    """Each of some tilings of a ground, and how far [px] the rays of a point miss each other at most in its tiles."""
+    """Each of some tilings of a ground, and how far [px] rays of a point are skew at most in its tiles."""
     departure = survey.observations.departure
     if survey.water is None or departure is None:
         return
@@ -61,7 +61,7 @@ def water_doubts(survey: Survey, plan: Plan, tiling: Tiling | None) -> tuple[str
         return ()
     return (
         f"rays bent at {'one plane' if tiling is None else 'the planes of the tiles'} for the water of [water] surface "
-        f"miss each other by up to {px:.2g} px, expected at most {MOST_ASIDE_PX:g}: heights there may be wrong or "
+        f"are skew by up to {px:.2g} px, expected at most {MOST_ASIDE_PX:g}: heights there may be wrong or "
         "missing; take more tiles (--tiles), or photographs that look down more steeply",
     )
 

@@ -14,10 +14,11 @@ from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError
 
 from geo.antimeridian import crosses
+from geo.area_of_use import require_in_area
 from geo.crs import crs_of, has_height, horizontal_crs, is_geographic, parse_crs, vertical_crs
 from geo.errors import UnknownCRS, UnsupportedCRS
 from geo.projection import nan_unless_finite
-from geo.transformation import Transformation, best_operation, require_in_area
+from geo.transformation import Transformation, best_operation
 
 _MEND = "or name a horizontal CRS alone, which keeps the heights as they are."
 

@@ -16,10 +16,8 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
 from geo.crs import (
-    AREA_MARGIN_DEG,
     EARTH_RADIUS_M,
     called,
-    degrees_outside_area,
     ellipsoid,
     geodetic_crs,
     has_height,
@@ -27,10 +25,9 @@ from geo.crs import (
     horizontal_crs,
     horizontal_unit,
     is_geographic,
-    prime_meridian_rad,
     vertical_crs,
 )
-from geo.errors import CRSMismatch, MissingGrid, PlaceMismatch, UnknownUnit, UnsupportedCRS
+from geo.errors import CRSMismatch, MissingGrid, UnknownUnit, UnsupportedCRS
 from geo.operations import area_about, operations
 
 WGS84 = CRS("EPSG:4326")
@@ -83,7 +80,7 @@ class Transformation:
         """
         ends = _with_its_way(source), _with_its_way(target)
         source, target = horizontal_crs(source), horizontal_crs(target)
-        middle = _middle(source, np.asarray(places, dtype=np.float64))
+        middle = middle_of(source, np.asarray(places, dtype=np.float64))
         if middle is None:
             return Transformation(source, target, 0.0, (), True, Transformer.from_crs(*ends, always_xy=True))
         transformer, accuracy, missing, is_operation, is_outside = _chosen(*ends, middle)
@@ -217,7 +214,7 @@ def best_operation(source: CRS, target: CRS, where: str, mend: str, places: np.n
         If there is none.
     """
     said = f"{where}: the transformation from {called(source)} to {called(target)}"
-    middle = None if places is None else _middle(horizontal_crs(source), np.asarray(places, dtype=np.float64))
+    middle = None if places is None else middle_of(horizontal_crs(source), np.asarray(places, dtype=np.float64))
     try:
         group = operations(source, target, None if middle is None else area_about(*middle.tolist()))
     except ProjError as error:
@@ -231,39 +228,6 @@ def best_operation(source: CRS, target: CRS, where: str, mend: str, places: np.n
             f"--file {missing[0]}), {mend}"
         )
     raise UnsupportedCRS(f"{said} is not known to PROJ; choose another CRS, {mend}")
-
-
-def require_in_area(crs: CRS, points: np.ndarray, said: str, where: str = "crs") -> None:
-    """Raise PlaceMismatch where the middle of points (N, 2 or 3) lies far outside the area that their CRS is made for.
-
-    ``said`` and ``where`` are what the error names, and what is to be corrected.
-
-    Raises
-    ------
-    PlaceMismatch
-    """
-    middle = _middle(horizontal_crs(crs), np.asarray(points, dtype=np.float64))
-    if middle is not None:
-        _require_in_area(crs, np.radians(middle), said, where)
-
-
-def require_at(crs: CRS, lon_lat_deg: np.ndarray, said: str, where: str) -> None:
-    """As `require_in_area`, of longitudes and latitudes (N, 2) of WGS 84 [deg]."""
-    if len(lon_lat_deg):
-        east, north = np.median(lon_lat_deg, axis=0).tolist()
-        lon, lat = np.radians([east, north])
-        said += f" (about {north:.3f} north, {east:.3f} east)"
-        _require_in_area(crs, np.array([lon - prime_meridian_rad(crs), lat]), said, where)
-
-
-def _require_in_area(crs: CRS, middle: np.ndarray, said: str, where: str) -> None:
-    lon, lat = middle.tolist()
-    excess = degrees_outside_area(crs, lon, lat)
-    if excess > AREA_MARGIN_DEG:
-        raise PlaceMismatch(
-            f"{said} lie {excess:.0f} degrees outside the area that {crs.name} is made for; choose the CRS of the "
-            f"place ({where})"
-        )
 
 
 def lon_lat(crs: CRS, points: np.ndarray) -> np.ndarray:
@@ -315,7 +279,7 @@ def _may_be_one_datum(a: CRS, b: CRS) -> bool:
     return (_is_nameless(a) or _is_nameless(b)) and apart_m < _SAME_ELLIPSOID_M
 
 
-def _middle(source: CRS, places: np.ndarray) -> np.ndarray | None:
+def middle_of(source: CRS, places: np.ndarray) -> np.ndarray | None:
     """Longitude and latitude (2,) [deg], on the source's own datum, of the middle of places; None off the map."""
     if not len(places):
         return None

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from pyproj import CRS, Transformer
 
+from geo.area_of_use import require_in_area
 from geo.crs import horizontal_crs
 from geo.errors import CRSMismatch, MissingGrid, PlaceMismatch, UnknownUnit, UnsupportedCRS
 from geo.projection import metres_per_unit
-from geo.transformation import WGS84, Transformation, height_scale, lon_lat, require_in_area, transformed
+from geo.transformation import WGS84, Transformation, height_scale, lon_lat, transformed
 
 US_FOOT_M, FOOT_M = 1200.0 / 3937.0, 0.3048
 ROOMS = ("geo", "survey", "evaluation", "fields", "refract", "bathynerf")

@@ -15,9 +15,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from geo.area_of_use import require_at
 from geo.crs import EARTH_RADIUS_M, height_unit_m, parse_crs
 from geo.grids import use_grids
-from geo.transformation import require_at
 from survey.display.words import named
 from survey.errors import FILE_NAME, ConfigError, PosesError, SurveyError
 from survey.folder import infer

@@ -33,6 +33,12 @@ def ground(seed: int, *, rough: float = 30.0) -> np.ndarray:
     return np.clip(np.asarray(coarse) + noise, 0, 255).astype(np.uint8)
 
 
+def gravel(seed: int) -> np.ndarray:
+    """Stones of some pixels everywhere, 800 x 608."""
+    pixels = np.random.default_rng(seed).integers(60, 190, (152, 200, 3), dtype=np.uint8)
+    return np.asarray(Image.fromarray(pixels).resize((800, 608), Image.Resampling.BICUBIC)).copy()
+
+
 def in_black(pixels: np.ndarray) -> np.ndarray:
     """With a black border, as undistorted photographs have it, and black below."""
     pixels = pixels.copy()
@@ -100,9 +106,9 @@ def test_every_whole_jpeg_passes(content, form):
 
 @pytest.mark.parametrize("share", [0.03, 0.4, 0.77])
 @pytest.mark.parametrize("damage", DAMAGES)
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", FORMS | PROGRESSIVE)
 def test_every_damaged_jpeg_is_refused(form, damage, share):
-    data, other = jpeg(ground(5), **FORMS[form]), jpeg(ground(6, rough=90.0), **FORMS[form])
+    data, other = (jpeg(ground(n, rough=rough), **(FORMS | PROGRESSIVE)[form]) for n, rough in ((5, 30.0), (6, 90.0)))
     at = int(scan_of(data) + 400 + share * (len(data) - scan_of(data) - 3000))
     assert jpeg_fault(DAMAGES[damage](data, other, at)) is not None
 
@@ -111,6 +117,32 @@ def test_every_damaged_jpeg_is_refused(form, damage, share):
 def test_a_progressive_jpeg_without_all_of_its_scans_is_refused(share):
     data = jpeg(ground(5), **PROGRESSIVE["progressive"])
     assert jpeg_fault(data[: int(share * len(data))] + EOI) == "not all of its scans are there"
+
+
+# At a quality of 20 all blocks stand off from each other.
+@pytest.mark.parametrize("form", [form for form in FORMS if form != "rough"])
+@pytest.mark.parametrize(("row", "column"), [(32, 96), (320, 416), (512, 704)])
+@pytest.mark.parametrize("brightness", [0, 8, 300, -300])
+def test_what_is_joined_with_just_as_many_blocks_leaves_a_seam(form, row, column, brightness):
+    """What stands behind the seam has another brightness, up to all white or black."""
+    found, other = gravel(5), np.clip(gravel(6) + float(brightness), 0, 255).astype(np.uint8)
+    unit = 8 if form == "444" else 16
+    found[row + unit :] = other[row + unit :]
+    found[row : row + unit, column:] = other[row : row + unit, column:]
+    assert "another place" in jpeg_fault(jpeg(found, **FORMS[form]))
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("period", [8, 16, 30, 100])
+@pytest.mark.parametrize("kind", ["stripes", "squares", "one edge beside blocks"])
+def test_straight_edges_of_a_scene_are_no_seams(form, period, kind):
+    y, x = np.mgrid[: SIZE[1], : SIZE[0]]
+    if kind == "one edge beside blocks":
+        bright = y > 2 * period + 3
+    else:
+        bright = (y // period + (x // period if kind == "squares" else 0)) % 2 == 1
+    pixels = np.clip(ground(7) * 0.5 + 100.0 * bright[..., None], 0, 255).astype(np.uint8)
+    assert jpeg_fault(jpeg(pixels, **FORMS[form])) is None
 
 
 def test_the_photograph_is_named_with_the_reason(tmp_path):

@@ -1,21 +1,26 @@
 """Whether the compressed pixels of a JPEG are all there, and nothing else between them.
 
 A decoder that runs out of data, or has some left, goes on without an error: what is missing becomes grey. Here the one
-scan of a sequential JPEG is decoded, at an eighth of its size, from a stream that tells how much of it was asked for:
-all blocks have to be there when the scan ends, and not before. Between restart markers, after which a decoder finds
-its its way again, each part is decoded by itself. Of progressive ones, whose scans are decoded together, the headers of
-the scans tell whether one is missing. What is replaced by other data of just as many blocks is not seen.
+scan of a sequential JPEG is decoded from a stream that tells how much of it was asked for: all blocks have to be there
+when the scan ends, and not before. Between restart markers, after which a decoder finds its way again, each part is
+decoded by itself. What is replaced by other data of just as many blocks leaves a seam (`survey.photos.seam`). Of
+several scans, as progressive ones have them, the headers tell whether one is missing, and libjpeg's warnings whether
+one has other bytes than its blocks need; of single scans these warnings say too much, as some cameras add bytes.
 """
 
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import simplejpeg
+from PIL import Image
 
 from survey.photos.opening import open_stream
+from survey.photos.seam import has_seam
 
 _SOI, _EOI, _SOS, _DHT, _DRI = 0xD8, 0xD9, 0xDA, 0xC4, 0xDD
 _SEQUENTIAL, _PROGRESSIVE = (0xC0, 0xC1), 0xC2
@@ -30,8 +35,14 @@ _AHEAD = bytes(8)
 _MOST_PARTS = 1000
 _LONGEST_SIDE = 65_500
 # So many bytes of zeros are more than two blocks whose 64 coefficients have the shortest code each, and no photograph.
-_ZEROS = bytes(64)
+_ZEROS, _SECTOR = bytes(64), bytes(512)
+_ZEROS_SAID = "zeros stand where compressed pixels should"
 _BLOCK = 8
+_MOST_TO_GREY = 3
+# What libjpeg says where a few bytes stand before the end mark. Whether this is there is not asked here.
+_OF_THE_END = re.compile(r"Corrupt JPEG data: \d extraneous bytes before marker 0xd9")
+_END = bytes([0xFF, _EOI])
+_SEAM_SAID = "from one row of blocks on it shows another place, as where parts of two files were joined"
 
 
 @dataclass
@@ -71,12 +82,13 @@ def jpeg_fault(data: bytes) -> str | None:
         return None
     header, start, end = layout.scans[0]
     if layout.marker == _PROGRESSIVE or header[0] < layout.frame[5]:
-        return _missing_scan(layout)
+        return _missing_scan(layout) or _scans_fault(layout, data)
     if data.find(_ZEROS, start, end) >= 0 and not _zeros_are_constant(layout):
-        return "zeros stand where compressed pixels should"
+        return _ZEROS_SAID
     if not layout.interval:
-        return _scan_fault(layout, layout.frame, data[start:end])
-    return _restart_fault(layout, data[start:end], pixels[start:end])
+        return _scan_fault(layout, layout.frame, data[start:end], seams=True)
+    fault = _restart_fault(layout, data[start:end], pixels[start:end])
+    return fault if fault is not None else _seam_fault(layout, io.BytesIO(data + _END))
 
 
 def _layout(data: bytes, pixels: np.ndarray) -> _Layout | None:
@@ -154,6 +166,24 @@ def _missing_scan(layout: _Layout) -> str | None:
     return "not all of its scans are there" if missing else None
 
 
+def _scans_fault(layout: _Layout, data: bytes) -> str | None:
+    """Of several scans: whether zeros stand in one, or libjpeg warns of bytes that are missing or too many."""
+    for header, start, end in layout.scans:
+        # A scan without the mean of blocks tells in few bytes that a part of the picture has no change.
+        if header[1 + 2 * header[0]] > 0 and data.find(_SECTOR, start, end) >= 0:
+            return _ZEROS_SAID
+    # Of four components libjpeg makes no grey.
+    colours = "GRAY" if layout.frame[5] <= _MOST_TO_GREY else "CMYK"
+    try:
+        simplejpeg.decode_jpeg(
+            data + _END, colorspace=colours, strict=True, min_height=1, min_width=1, min_factor=_BLOCK
+        )
+    except ValueError as error:
+        said = " ".join(str(error).split())[:100]
+        return None if _OF_THE_END.fullmatch(said) else said
+    return None
+
+
 def _restart_fault(layout: _Layout, scan: bytes, pixels: np.ndarray) -> str | None:
     """Whether a restart marker is missing or out of order, or a part between two of them is not whole."""
     first = np.flatnonzero(pixels[:-1] == 0xFF)
@@ -181,23 +211,45 @@ def _restart_fault(layout: _Layout, scan: bytes, pixels: np.ndarray) -> str | No
     return None
 
 
-def _scan_fault(layout: _Layout, frame: bytes, scan: bytes) -> str | None:
-    """Whether the blocks of a frame end before the bytes of their scan do, or its bytes before the blocks."""
+def _scan_fault(layout: _Layout, frame: bytes, scan: bytes, *, seams: bool = False) -> str | None:
+    """Whether the blocks of a frame end before the bytes of their scan do, or its bytes before the blocks.
+
+    With ``seams``, whether the decoded picture has one, too; without, it is decoded at an eighth of its size.
+    """
     # Fill bytes may be zeros, and so may be blocks without any change, but more of them.
     whole = max(scan.rstrip(b"\0"), scan[: -len(_ZEROS)], key=len)
     start = bytes([0xFF, _SOI]) + b"".join(layout.head)
     start += _segment(layout.marker, frame) + _segment(_SOS, layout.scans[0][0])
     rest = scan[max(len(whole) - _FILL, 0) :] + _AHEAD
-    stream = _Stream([start + whole[:-_FILL], rest, bytes([0xFF, _EOI])])
+    stream = _Stream([start + whole[:-_FILL], rest, _END])
     with open_stream(stream, "JPEG") as image:
-        image.draft("L", (1, 1))
+        image.draft("L", image.size if seams else (1, 1))
         try:
             image.load()
         except OSError as error:
             return " ".join(str(error).split())[:100]
-    if stream.asked == 0:
-        return "there are more compressed bytes than its pixels need, as where parts of two files were joined"
-    return "the compressed pixels end early" if stream.asked > 1 else None
+        if stream.asked == 0:
+            return "there are more compressed bytes than its pixels need, as where parts of two files were joined"
+        if stream.asked > 1:
+            return "the compressed pixels end early"
+        return _seam(layout, image) if seams else None
+
+
+def _seam_fault(layout: _Layout, stream: io.BytesIO) -> str | None:
+    """Whether a JPEG that decodes has a seam."""
+    with open_stream(stream, "JPEG") as image:
+        image.draft("L", image.size)
+        try:
+            return _seam(layout, image)
+        except OSError as error:
+            return " ".join(str(error).split())[:100]
+
+
+def _seam(layout: _Layout, image: Image.Image) -> str | None:
+    """Whether a decoded picture has a seam between its rows of units."""
+    sampling = [layout.frame[7 + 3 * i] & 15 for i in range(layout.frame[5])]
+    step = _BLOCK * (1 if len(sampling) == 1 else max(sampling))
+    return _SEAM_SAID if has_seam(np.asarray(image.convert("L")), step) else None
 
 
 def _segment(marker: int, content: bytes) -> bytes:

@@ -27,6 +27,7 @@ def drawn_on_ground(
     relief_m: float = 0.25,
     changed_share: float = 0.0,
     num_points: int = 900,
+    num_control: int = 0,
 ) -> tuple[DrawnBlock, Survey]:
     """A block, and it as a survey whose GPS is off by a shift, with an earlier survey of its dry ground.
 
@@ -52,7 +53,9 @@ def drawn_on_ground(
         return np.column_stack([places, plane.height(*places.T) + height(places)])
 
     with patch.object(drawn_block, "_bed", bed):
-        block = draw_block(seed, num_points=num_points, num_control=0, dry_share=0.35, num_views=18, nadir_only=False)
+        block = draw_block(
+            seed, num_points=num_points, num_control=num_control, dry_share=0.35, num_views=18, nadir_only=False
+        )
     survey = with_shift(survey_of(block), shift, 3.0)
     x, y = (np.arange(-1.1 * side, 1.1 * side, SPACING_M) for side in half_of["extent"])
     places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
@@ -68,3 +71,11 @@ def drawn_on_ground(
     ground += rng.standard_normal(3) * [horizontal, horizontal, vertical]
     control = ControlConfig(reference="earlier.las", reference_std_m=std_m)
     return block, changed(survey, ground=Ground(ground, std_m), config=replace(survey.config, control=control))
+
+
+def with_stated_positions(block: DrawnBlock, survey: Survey) -> Survey:
+    """The survey with the accuracy that its positions have."""
+    priors = survey.observations.priors
+    return changed(
+        survey, priors={name: replace(prior, position_std=block.position_std) for name, prior in priors.items()}
+    )

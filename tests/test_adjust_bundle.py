@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from survey.adjust.bundle import NotConvergedError, Priors, Problem, Solution, _system, solve, std_of_kinds
+from survey.adjust.bundle import NotConvergedError, Solution, _system, solve, std_of_kinds
+from survey.adjust.planes import Planes
 from survey.adjust.prediction import linearise
+from survey.adjust.problem import Priors, Problem
 from survey.adjust.state import RELIEF, Layout, State
 from survey.photos.tie_points import TiePoints
 from tests.drawn_block import DrawnBlock, draw_block, water_plane
@@ -112,14 +114,37 @@ def dense(problem: Problem, solution: Solution) -> tuple[np.ndarray, np.ndarray]
     strength = np.concatenate([priors.std, priors.point_std.ravel()]) ** -2.0
     pull = np.concatenate([priors.deviation(problem.layout, state), (state.points - priors.state.points).ravel()])
     normal = design.T @ (weights[:, None] * design) + np.diag(strength)
-    residuals = (ties.pixel - linear.pixels).ravel()
-    return normal, design.T @ (weights * residuals) - strength * pull
+    right = design.T @ (weights * (ties.pixel - linear.pixels).ravel()) - strength * pull
+    planes = priors.planes
+    if planes is not None:
+        off = np.zeros((len(ties), len(normal)))
+        off[:, problem.layout.shift] = -planes.normal
+        for number, each in enumerate(planes.normal):
+            off[number, size + 3 * number : size + 3 * number + 3] = each
+        normal += off.T @ (planes.strength[:, None] * off)
+        distances = np.sum(planes.normal * (state.points - state.shift), axis=1) - planes.height
+        right -= off.T @ (planes.strength * distances)
+    return normal, right
 
 
-@pytest.fixture(scope="module")
-def solved() -> tuple[Problem, Solution]:
+def on_planes(problem: Problem, rng: np.random.Generator) -> Problem:
+    """The problem with a plane of an earlier survey, which is off, through every other point."""
+    points, count = problem.priors.state.points, len(problem.ties)
+    normal = np.column_stack([rng.normal(0.0, 0.3, (count, 2)), np.ones(count)])
+    height = np.sum(normal * (points - [0.1, -0.05, 0.15]), axis=1) + rng.normal(0.0, 0.03, count)
+    planes = Planes(normal, height, np.where(np.arange(count) % 2, 0.03**-2, 0.0))
+    layout = replace(problem.layout, has_ground=True)
+    std = np.insert(problem.priors.std, layout.shift.start, [0.1, 0.1, 0.05])
+    state = replace(problem.priors.state, shift=np.zeros(3))
+    return replace(problem, layout=layout, priors=replace(problem.priors, state=state, std=std, planes=planes))
+
+
+@pytest.fixture(scope="module", params=["alone", "on planes"])
+def solved(request) -> tuple[Problem, Solution]:
     block = draw_block(3, **SMALL | {"num_points": 60, "num_views": 8}, pixel_std=0.3)
     problem = problem_of(block, position_std=0.05)
+    if request.param == "on planes":
+        problem = on_planes(problem, np.random.default_rng(5))
     return problem, solve(problem, problem.priors.state)
 
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from survey.adjust import rounds
-from survey.adjust.bundle import Priors, Problem, Solution, inverse, system_at
+from survey.adjust.bundle import Solution, inverse, system_at
 from survey.adjust.prediction import relief_sides
+from survey.adjust.problem import Priors, Problem
 from survey.adjust.refine import adjust_survey
 from survey.adjust.rounds import covariance_over_shore
 from survey.adjust.state import POSE, RELIEF, with_parameters

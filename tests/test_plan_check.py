@@ -35,7 +35,7 @@ from survey.plan.check import check_survey, require_processable
 from survey.plan.choices import Choices, Quality
 from survey.plan.ground import dry_ground
 from survey.plan.plan import make_plan
-from survey.plan.poses import pose_choice
+from survey.plan.poses import pose_choice, require_placeable
 from survey.plan.recipe import RECIPES
 from survey.pose_files import read_poses
 from tests.changed_survey import changed
@@ -399,3 +399,10 @@ def test_views_too_few_to_check_their_poses_are_counted(tmp_path):
     choice, reason = pose_choice(load_survey(small_survey(tmp_path / "s")), "auto", free_water=False)
     assert choice == "fixed"
     assert reason.endswith("count as exact; a check needs at least 12 views, and there are 4")
+
+
+def test_poses_that_are_kept_are_not_placed_on_an_earlier_survey():
+    with pytest.raises(SurveyError, match="and --poses fixed leaves it out; leave out --poses fixed, or reference"):
+        require_placeable("earlier.laz", "fixed")
+    require_placeable("earlier.laz", "auto")
+    require_placeable(None, "fixed")

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import bsr_array, csr_array
-from scipy.spatial.transform import Rotation
 
-from survey.adjust.prediction import linearise, predict
-from survey.adjust.state import Layout, State
+from survey.adjust.prediction import linearise
+from survey.adjust.problem import Problem
+from survey.adjust.state import SHIFT, State
 from survey.errors import SurveyError
 from survey.photos.tie_points import TiePoints
 
@@ -47,109 +47,6 @@ class NotConvergedError(SurveyError):
 
 
 @dataclass(frozen=True)
-class Planes:
-    """Planes on which points are known to lie.
-
-    Attributes
-    ----------
-    normal : (M, 3)
-        Upwards, with 1 in z: the distance is along the vertical.
-    height : (M,) [m]
-        Of ``normal . point`` on the plane.
-    strength : (M,) [1/m^2]
-        Inverse variance of that distance; 0 for points of which nothing is known.
-    """
-
-    normal: np.ndarray
-    height: np.ndarray
-    strength: np.ndarray
-
-    def distances(self, points: np.ndarray) -> np.ndarray:
-        """Vertical distances (M,) [m] of points (M, 3) above their planes; 0 where there is none."""
-        return np.where(self.strength > 0.0, np.einsum("mi,mi->m", self.normal, points) - self.height, 0.0)
-
-
-@dataclass(frozen=True)
-class Priors:
-    """Prior means and standard deviations of the unknowns; infinite where nothing is known.
-
-    Attributes
-    ----------
-    state : State
-        Mean values; its points are those of `point_std`.
-    std : (P,)
-        Of the parameters.
-    point_std : (M, 3) [m]
-    rows, signs : (K, P), (K,)
-        Joint priors on several parameters: ``sign (row deviation)^2`` is added to the squares.
-    planes : Planes, optional
-        On which points lie.
-    """
-
-    state: State
-    std: np.ndarray
-    point_std: np.ndarray
-    rows: np.ndarray | None = None
-    signs: np.ndarray | None = None
-    planes: Planes | None = None
-
-    def deviation(self, layout: Layout, state: State) -> np.ndarray:
-        """Parameters of a state less their mean values, (P,)."""
-        turns = Rotation.from_matrix(state.rotations @ self.state.rotations.transpose(0, 2, 1)).as_rotvec()
-        poses = np.concatenate([state.centres - self.state.centres, turns], axis=1)
-        water = state.water_parameters() - self.state.water_parameters()
-        lenses = (state.lenses - self.state.lenses).ravel()
-        readouts = (state.readouts - self.state.readouts)[: layout.first_rate - layout.first_readout]
-        rate = np.full(layout.first_pose - layout.first_rate, state.rate - self.state.rate)
-        return np.concatenate([water, state.relief - self.state.relief, lenses, readouts, rate, poses.ravel()])
-
-    def squares(self, layout: Layout, state: State) -> float:
-        """The sum of squares of the parameters, in units of variances."""
-        deviation = self.deviation(layout, state)
-        single = deviation / self.std
-        if self.rows is None or self.signs is None:
-            return float(single @ single)
-        return float(single @ single + self.signs @ (self.rows @ deviation) ** 2)
-
-
-@dataclass(frozen=True)
-class Problem:
-    """A block to adjust.
-
-    Attributes
-    ----------
-    layout : Layout
-    ties : TiePoints
-        In pixels of the photographs as they were taken.
-    kind : (N,) int64
-        Of each observation; each kind has a standard deviation of its own.
-    priors : Priors
-    given_std_px : (kinds,) [px]
-        Standard deviations of the kinds; NaN where the residuals tell.
-    sides : (N, 3)
-        See `survey.adjust.prediction.relief_sides`.
-    rows : (N,) [px], optional
-        See `survey.adjust.prediction.predict`.
-    holds_parameters : bool
-        Nothing but points moves: parameters stay as they are in the state that the adjustment starts from, which saves
-        their part of the normal equations.
-    """
-
-    layout: Layout
-    ties: TiePoints
-    kind: np.ndarray
-    priors: Priors
-    given_std_px: np.ndarray
-    sides: np.ndarray
-    rows: np.ndarray | None = None
-    holds_parameters: bool = False
-
-    def residuals(self, state: State) -> np.ndarray:
-        """Measured less predicted pixels (N, 2)."""
-        return self.ties.pixel - predict(self.layout, state, self.ties, self.sides, self.rows)
-
-
-@dataclass(frozen=True)
 class System:
     """The normal equations at one state, points eliminated.
 
@@ -173,10 +70,6 @@ class System:
         """Derivative (P,) of the mean height of the points by the parameters."""
         up = self.root[:, :, 2].reshape(-1)
         return -(self.mixed.T @ up) / len(self.root)
-
-    def response(self, pull: np.ndarray) -> np.ndarray:
-        """Change (P,) of the right side by one (M, 3) of the right sides of the points."""
-        return -(self.mixed.T @ np.einsum("mij,mj->mi", self.root, pull).ravel())
 
     def point_steps(self, step: np.ndarray) -> np.ndarray:
         """Steps (M, 3) [m] of the points that go with a step of the parameters (P,)."""
@@ -365,7 +258,7 @@ def cost(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarr
     known = (state.points - problem.priors.state.points) / problem.priors.point_std
     planes = problem.priors.planes
     if planes is not None:
-        huber = np.append(huber, planes.strength * planes.distances(state.points) ** 2)
+        huber = np.append(huber, planes.squares(state.points, state.shift))
     return float(huber.sum() + problem.priors.squares(problem.layout, state) + np.sum(known**2))
 
 
@@ -392,9 +285,8 @@ def _weighted_system(problem: Problem, state: State, weights_of: Callable[[np.nd
     right = _sum(ties, np.einsum("nai,na->ni", weighted, residuals))
     right = right - precision * np.nan_to_num(state.points - priors.state.points)
     if priors.planes is not None:
-        along = priors.planes.strength[:, None] * priors.planes.normal
-        own += along[:, :, None] * priors.planes.normal[:, None, :]
-        right = right - along * priors.planes.distances(state.points)[:, None]
+        on_plane, to_plane = priors.planes.of_points(state.points, state.shift)
+        own, right = own + on_plane, right + to_plane
     root = np.linalg.inv(np.linalg.cholesky(_damped(own)))
     free = np.einsum("mij,mj->mi", root, right)
     strength = np.where(np.isfinite(priors.std), priors.std, np.inf) ** -2.0
@@ -405,11 +297,17 @@ def _weighted_system(problem: Problem, state: State, weights_of: Callable[[np.nd
     starts = np.searchsorted(ties.point, np.arange(len(ties) + 1))
     left = bsr_array((rooted, np.arange(len(ties.view)), starts), shape=(3 * len(ties), 2 * len(ties.view)))
     mixed = csr_array(left.tocsr() @ design)
+    if priors.planes is not None:
+        mixed = mixed + _in_columns(-(root @ on_plane).reshape(-1, SHIFT), problem.layout.shift, mixed.shape)
     whole = csr_array(design.multiply(np.repeat(weights, 2)[:, None]))
     normal = (design.T @ whole - mixed.T @ mixed).toarray()
     normal[np.diag_indices_from(normal)] += strength
     deviation = priors.deviation(problem.layout, state)
     gradient = whole.T @ residuals.ravel() - mixed.T @ free.ravel() - strength * deviation
+    if priors.planes is not None:
+        shift = problem.layout.shift
+        normal[shift, shift] += on_plane.sum(axis=0)
+        gradient[shift] -= to_plane.sum(axis=0)
     if priors.rows is not None and priors.signs is not None:
         normal += (priors.rows * priors.signs[:, None]).T @ priors.rows
         gradient -= priors.rows.T @ (priors.signs * (priors.rows @ deviation))
@@ -421,6 +319,13 @@ def _only_rows(design: csr_array, keep: np.ndarray) -> csr_array:
     values = design.data.reshape(2 * len(keep), -1)
     values = np.where(np.repeat(keep, 2)[:, None], np.nan_to_num(values), 0.0)
     return csr_array((values.ravel(), design.indices, design.indptr), shape=design.shape)
+
+
+def _in_columns(values: np.ndarray, columns: slice, shape: tuple[int, int]) -> csr_array:
+    """Values (rows, K) in K of the columns of a sparse matrix of zeros."""
+    rows, count = values.shape
+    where = np.tile(np.arange(columns.start, columns.stop), rows)
+    return csr_array((values.ravel(), where, count * np.arange(rows + 1)), shape=shape)
 
 
 def _sum(ties: TiePoints, values: np.ndarray) -> np.ndarray:

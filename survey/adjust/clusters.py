@@ -22,9 +22,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.sparse import csr_array
 
-from survey.adjust.bundle import Problem, Solution
+from survey.adjust.bundle import Solution
 from survey.adjust.prediction import linearise
-from survey.adjust.state import RELIEF, WATER, State
+from survey.adjust.problem import Problem
+from survey.adjust.state import WATER, State
 from survey.adjust.std_common import moves_of
 from survey.photos.tie_points import TiePoints
 
@@ -138,7 +139,7 @@ def _of_block(problem: Problem, state: State, used: np.ndarray) -> np.ndarray:
     bent = np.linalg.pinv(np.column_stack([level, east**2 + north**2]))[3]
     rises = np.vstack([np.linalg.pinv(level), bent]) @ moves[:, 2]
     found = np.vstack([rises, moves[:, :2].mean(axis=0)])
-    return np.insert(found, [WATER] * RELIEF, 0.0, axis=1)
+    return np.insert(found, [WATER] * (layout.first_lens - WATER), 0.0, axis=1)
 
 
 def _followed(ties: TiePoints, weights: np.ndarray, by_point: np.ndarray, change: np.ndarray) -> np.ndarray:

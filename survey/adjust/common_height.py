@@ -16,10 +16,11 @@ import numpy as np
 
 from refract import FlatWater
 from survey.adjust.adjustment import Adjustment
-from survey.adjust.bundle import NotConvergedError, Problem, Solution, cost, solve
+from survey.adjust.bundle import NotConvergedError, Solution, cost, solve
 from survey.adjust.observed import KINDS, MARK, Observed, rows_taken
 from survey.adjust.prediction import relief_sides
 from survey.adjust.priors import Known, priors_for, shared_height_std
+from survey.adjust.problem import Problem
 from survey.adjust.rounds import Adjusted
 from survey.adjust.state import POSE, State, with_parameters
 from survey.adjust.std_common import common_error

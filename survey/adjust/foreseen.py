@@ -15,11 +15,12 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from evaluation.standards import TO_95, TVU
-from survey.adjust.bundle import Problem, covariance_at
+from survey.adjust.bundle import covariance_at
 from survey.adjust.observed import CELLS, KINDS, PER_CELL, WINDOW
 from survey.adjust.prediction import linearise, predict, relief_sides
 from survey.adjust.priors import EXACT_STD_DEG, EXACT_STD_M, INDEX_STD, LEVEL_STD_M, known_of, priors_for
-from survey.adjust.state import RELIEF, WATER
+from survey.adjust.problem import Problem
+from survey.adjust.state import WATER
 from survey.adjust.std_common import std_common
 from survey.adjust.verdicts import MOST_STD_FOCAL, MOST_STD_INDEX, MOST_STD_LEVEL_M
 from survey.folder.survey import Survey
@@ -114,7 +115,7 @@ def foresee(survey: Survey, *, depth_m: float = DEPTH_M, chosen: Choices = USUAL
     if ties is None:
         return None
     free = _covariance(survey, plan.gsd_m, ties, free=True)
-    at_level, at_index, at_focal = 0, WATER - 1, WATER + RELIEF
+    at_level, at_index, at_focal = 0, WATER - 1, free.problem.layout.first_lens
     std = np.sqrt(np.diag(free.covariance))
     is_wet = survey.water is not None
     focal = survey.views[0].camera.fx

@@ -15,12 +15,15 @@ if TYPE_CHECKING:
     from survey.adjust.on_ground import Placed
 
 NAMES = ("east_m", "north_m", "up_m", "turn_east_deg", "turn_north_deg", "turn_up_deg", "scale_ppm")
+_AXES = ("east", "north", "up")
 _UNITS = np.array([1.0, 1.0, 1.0, math.degrees(1.0), math.degrees(1.0), math.degrees(1.0), 1e6])
 # A part of the transformation that the ground makes at least so much more certain is told by it.
 _TOLD = 0.7
 _MOST_CHANGED = 0.5
 # On ground that did not change, tie points scatter by less.
 _MOST_SCATTER = 3.0
+# In standard deviations of what was said of the reference.
+_MOST_OFF = 3.0
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,9 @@ class GroundFit:
         The same without the earlier survey; None where nothing else holds the block.
     is_against_positions : bool
         Whether it contradicts positions of a stated accuracy.
+    off_m, off_std_m, off_prior_m : (east, north, up) [m]
+        By how much all of the earlier survey is off, as control and positions tell: as it is given less as it was
+        found; how well that is known, and how well it was before.
     """
 
     reference: str
@@ -56,6 +62,9 @@ class GroundFit:
     std: tuple[float, ...]
     std_without: tuple[float, ...] | None
     is_against_positions: bool
+    off_m: tuple[float, ...] = (0.0, 0.0, 0.0)
+    off_std_m: tuple[float, ...] = (0.0, 0.0, 0.0)
+    off_prior_m: tuple[float, ...] = (0.0, 0.0, 0.0)
 
     @classmethod
     def of_record(cls, record: Mapping[str, Any] | None) -> GroundFit | None:
@@ -76,10 +85,17 @@ class GroundFit:
         """The placement in a sentence."""
         axes = ", ".join(
             f"{length(value)} {axis} (± {length(std)})"
-            for value, std, axis in zip(self.moved[:3], self.std[:3], ("east", "north", "up"), strict=True)
+            for value, std, axis in zip(self.moved[:3], self.std[:3], _AXES, strict=True)
         )
         told = [name.rsplit("_", 1)[0].replace("_", " about ") for name, is_told in self._told() if not is_told]
         rest = f"; it does not determine {', '.join(told)}" if told else ""
+        found = [
+            f"{length(value)} {axis} (± {length(std)})"
+            for value, std, prior, axis in zip(self.off_m, self.off_std_m, self.off_prior_m, _AXES, strict=True)
+            if std <= _TOLD * prior
+        ]
+        if found:
+            rest += f"; all of {self.reference} is off by {', '.join(found)}, as control and positions show"
         return (
             f"placed on {self.num_points} points of the dry ground of {self.reference}, to {length(self.rms_m)} rms: "
             f"moved by {axes}{rest}",
@@ -92,12 +108,13 @@ class GroundFit:
     def warnings(self) -> tuple[str, ...]:
         """Where much of the ground changed, or it contradicts what positions state."""
         said = []
-        if self.std_without is not None and self.std_without[2] < self.std[2]:
-            said.append(
-                f"without {self.reference} the height of the block is known to {length(self.std_without[2])}, with it "
-                f"to {length(self.std[2])}, as far as its points may be off together: give a smaller [control] "
-                "reference_std_m if it is better than that, or leave it out"
-            )
+        for value, std, prior, axis in zip(self.off_m, self.off_std_m, self.off_prior_m, _AXES, strict=True):
+            if abs(value) > _MOST_OFF * prior:
+                said.append(
+                    f"{self.reference} lies {length(value)} (± {length(std)}) further {axis} than control and "
+                    f"positions place it, and [control] reference_std_m says {length(prior)}: check its datum and "
+                    "theirs, or give a larger reference_std_m"
+                )
         share = self.num_changed / max(self.num_over, 1)
         if share > _MOST_CHANGED:
             said.append(
@@ -138,4 +155,5 @@ def ground_fit(placed: Placed, moved: np.ndarray, reference: str, *, is_against_
         in_units(placed.std),
         None if placed.std_without is None else in_units(placed.std_without),
         is_against_positions,
+        *(tuple(values.tolist()) for values in (-placed.shift, placed.shift_std, placed.shift_prior)),
     )

@@ -4,9 +4,9 @@ Tie points over the ground lie on it, each on the plane through the points aroun
 (`evaluation.local_surface`). So the ground tells height and tilt of the block, scale by its extent, and its place in
 plan where it is not flat. Whether a tie point is dry is asked of the earlier survey, whose heights count from the datum
 of crs, and not of the block, which may lie metres off. Tie points off their plane by more than others (what grew, was
-washed away or built) are left out. Of each square one point counts, so that their errors are independent. What all
-points of the earlier survey share, a shift ``e`` of covariance E, moves the parameters by ``G e``, with G from the
-normal equations, and ``G E G'`` is added to their covariance.
+washed away or built) are left out. Of each square one point counts, so that their errors are independent. The shift
+that all points of the earlier survey share is a parameter with a prior (`survey.adjust.planes`), so that control and
+positions that are known better than the earlier survey place the block, and it, and not it the block.
 
 First the block is shifted onto the ground: from the best of many places on a grid in plan, by least squares with robust
 weights. Positions tell the plan to some metres.
@@ -23,7 +23,9 @@ from scipy.ndimage import minimum_filter
 from scipy.spatial.transform import Rotation
 
 from evaluation.local_surface import local_surface
-from survey.adjust.bundle import Planes, Problem, Solution, System, inverse, system_with
+from survey.adjust.bundle import Solution, System, inverse, system_with
+from survey.adjust.planes import Planes
+from survey.adjust.problem import Problem
 from survey.adjust.state import State
 from survey.control.ground import Ground
 from survey.errors import ControlError
@@ -67,7 +69,9 @@ class OnGround:
 
 
 def planes_under(ground: Ground, points: np.ndarray, num_ties: int) -> OnGround:
-    """Planes of the ground under points (M, 3) [m]; the first ``num_ties`` are tie points, the others control.
+    """Planes of the ground under points (M, 3) [m], less the shift of the ground.
+
+    The first ``num_ties`` are tie points, the others control.
 
     Raises
     ------
@@ -232,14 +236,6 @@ def _descended(planes: _PlanesOnGrid, points: np.ndarray, start: np.ndarray) -> 
     return best
 
 
-def with_shared(ground: Ground, planes: Planes, solution: Solution) -> np.ndarray:
-    """Covariance (P, P) of the parameters with what all points of the ground share."""
-    pull = planes.strength[:, None, None] * planes.normal[:, :, None] * planes.normal[:, None, :]
-    follow = solution.covariance @ np.stack([solution.system.response(pull[:, :, axis]) for axis in range(3)], axis=-1)
-    horizontal, vertical = ground.std_m
-    return solution.covariance + (follow * np.square([horizontal, horizontal, vertical])) @ follow.T
-
-
 @dataclass(frozen=True)
 class Placed:
     """How an adjusted block lies on the ground.
@@ -258,6 +254,8 @@ class Placed:
         Of the block's shift at the middle [m], turn about east, north and up [rad], and scale.
     std_without : (7,) or None
         The same without the ground; None where nothing else holds the block.
+    shift, shift_std, shift_prior : (3,) [m], local
+        By how much the ground as it is given is to be moved, how well that is known, and how well it was before.
     """
 
     num_points: int
@@ -268,10 +266,14 @@ class Placed:
     middle: np.ndarray
     std: np.ndarray
     std_without: np.ndarray | None
+    shift: np.ndarray
+    shift_std: np.ndarray
+    shift_prior: np.ndarray
 
 
-def placed_on(on_ground: OnGround, problem: Problem, solution: Solution, covariance: np.ndarray) -> Placed:
-    """The placement of a block; the covariance (P, P) is that with what the ground shares."""
+def placed_on(on_ground: OnGround, problem: Problem, solution: Solution) -> Placed:
+    """The placement of a block."""
+    of_shift, covariance = problem.layout.shift, solution.covariance
     planes, points = on_ground.planes, solution.state.points
     used = planes.strength > 0.0
     middle = points[used].mean(axis=0)
@@ -285,11 +287,14 @@ def placed_on(on_ground: OnGround, problem: Problem, solution: Solution, covaria
         num_points=int(used.sum()),
         num_over=int(on_ground.over.sum()),
         num_changed=int(on_ground.changed.sum()),
-        rms_m=float(np.sqrt(np.mean(planes.distances(points)[used] ** 2))),
+        rms_m=float(np.sqrt(np.mean(planes.distances(points, solution.state.shift)[used] ** 2))),
         scatter=on_ground.scatter,
         middle=middle,
         std=_std_of_block(solution.system, points, middle, covariance),
         std_without=without,
+        shift=solution.state.shift,
+        shift_std=np.sqrt(np.diag(covariance)[of_shift]),
+        shift_prior=problem.priors.std[of_shift],
     )
 
 

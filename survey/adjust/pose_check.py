@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from survey.adjust.bundle import NotConvergedError, Problem, solve
+from survey.adjust.bundle import NotConvergedError, solve
 from survey.adjust.given_values import check_dry_bed, check_given_values, dry_bed_error, misfit, most_contradicted
 from survey.adjust.observed import KINDS, MATCH, WINDOW, observed, rows_taken
 from survey.adjust.prediction import relief_sides
 from survey.adjust.priors import FREE_WATER, HELD, known_of, priors_for
+from survey.adjust.problem import Problem
 from survey.adjust.state import State
 from survey.adjust.windows import windows_of_block
 from survey.folder.contradiction import Contradiction

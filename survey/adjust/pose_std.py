@@ -16,8 +16,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from survey.adjust.bundle import Priors, Solution, inverse
+from survey.adjust.bundle import Solution, inverse
 from survey.adjust.priors import ROTATION_STD, Known, without_shift
+from survey.adjust.problem import Priors
 from survey.adjust.state import POSE
 
 # A pose is a blunder beyond this many standard deviations.
@@ -125,8 +126,8 @@ def _components(known: Known, solution: Solution, estimated: np.ndarray) -> tupl
         strength = first.copy()
         strength[known.layout.first_pose :] = std.ravel() ** -2.0
         change = np.diag(strength - first)
-        if known.shared_std > 0.0:
-            before, after = without_shift(known, first), without_shift(known, strength)
+        if known.shared_std is not None:
+            before, after = (without_shift(known, known.shared_std, each) for each in (first, strength))
             change += before.T @ before - after.T @ after
         covariance = inverse(solution.system.normal + change)
         miss = deviation - covariance @ (change @ deviation)
@@ -146,13 +147,13 @@ def _beside_shift(
     """
     variance = _of_poses(known, np.diag(covariance)).copy()
     # Of unknown standard deviations the iteration ends near zero where the shift is all that positions are off by.
-    if known.shared_std == 0.0 or known.unknown_positions.any():
+    if known.shared_std is None or known.unknown_positions.any():
         return residual, variance
     residual = residual.copy()
     for axis in range(3):
         at = known.layout.first_pose + axis + POSE * np.arange(len(std))
         weight = std[:, axis] ** -2.0
-        weight = weight / (weight.sum() + known.shared_std**-2.0)
+        weight = weight / (weight.sum() + known.shared_std[axis] ** -2.0)
         of_shift = covariance[np.ix_(at, at)] @ weight
         residual[:, axis] -= weight @ residual[:, axis]
         variance[:, axis] += weight @ of_shift - 2.0 * of_shift

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from refract.lens import MODELS, Lens, is_affine
-from survey.adjust.bundle import Planes, Priors
+from survey.adjust.planes import Planes
+from survey.adjust.problem import Priors
 from survey.adjust.roll import Roll, rolled_to_attitudes, rolls_of, without_starts
-from survey.adjust.state import LENS, LENS_NAMES, POSE, RELIEF, Layout, State
+from survey.adjust.state import LENS, LENS_NAMES, POSE, RELIEF, SHIFT, Layout, State
 from survey.folder.motion import rows_between
 from survey.folder.pose_priors import BY_POSES, GPS_STD_M, common_up_std
 from survey.photos.tie_points import TiePoints
@@ -39,6 +40,8 @@ FREE_WATER = (5.0, 0.05, 0.05, 0.1)
 _FOCAL_SHARE, _MIDDLE_SHARE, _RADIAL_SHARES, _DECENTRED_SHARE = 0.02, 0.01, (0.06, 0.04, 0.02), 0.004
 # How far a rough bed seems to rise at 45 degrees, as a share of the ground sampling distance (docs/adjustment.md).
 _RELIEF_GSD = 0.1
+# A ray of 63 degrees off nadir crosses the water two flying heights away.
+_SEEN_WATER = 2.0
 # What is not to move moves by no more than this share of what would be seen.
 HELD = 1e-9
 # Models whose distortion is Brown's; other lenses are held, and their tie points straightened.
@@ -68,8 +71,8 @@ class Known:
         block is adjusted with that error: the level of its water counts as that much less certain.
     rolls : tuple of Roll
         That positions on a line leave open.
-    shared_std : float [m]
-        Of a shift that all positions have in common, along each axis; 0 where they count as independent.
+    shared_std : (3,) [m], local, or None
+        Of a shift that all positions have in common; None where they count as independent.
     """
 
     layout: Layout
@@ -81,7 +84,7 @@ class Known:
     unknown_rotations: np.ndarray
     common_up_std: float = 0.0
     rolls: tuple[Roll, ...] = ()
-    shared_std: float = 0.0
+    shared_std: np.ndarray | None = None
 
     @property
     def place_of_water(self) -> tuple[float, float]:
@@ -116,6 +119,7 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
         tides=tides if tides.any() else None,
         hours=_hours(survey),
         departure=_departure(survey),
+        has_ground=survey.observations.ground is not None,
     )
     readouts = np.full(0 if flow is None else len(lenses), survey.config.cameras.rolling_shutter_s, dtype=np.float64)
     centres = np.array([view.camera.centre for view in views])
@@ -123,7 +127,16 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
     start = np.array([parameters_of(lens) for lens in lenses])
     sheet = np.array([_data_sheet(survey, lens) for lens in lenses])
     none = np.zeros((0, 3))
-    state = State(_under_cameras(survey, centres), np.zeros(RELIEF), start, centres, rotations, none, readouts)
+    state = State(
+        _under_cameras(survey, centres),
+        np.zeros(RELIEF),
+        start,
+        centres,
+        rotations,
+        none,
+        readouts,
+        shift=np.zeros(SHIFT if layout.has_ground else 0),
+    )
     contradiction = survey.provenance.contradiction
     exact = (free_water or contradiction is not None) and survey.observations.ties is None
     calibrated = exact and not (contradiction is not None and contradiction.is_of_lens)
@@ -139,6 +152,7 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
         [
             of_water,
             np.full(RELIEF, _RELIEF_GSD * gsd),
+            _shift_std(survey),
             *(_lens_std(lens) * (_CALIBRATED if calibrated else of_given) for lens in lenses),
             np.full(layout.first_rate - layout.first_readout, readout_std, dtype=np.float64),
             np.full(layout.first_pose - layout.first_rate, _rate_std(survey), dtype=np.float64),
@@ -154,17 +168,17 @@ def priors_for(
     """The priors of an adjustment with these points, known to (M, 3) [m] or to lie on planes where any are."""
     free = np.full((len(ties), 3), np.inf) if point_std is None else point_std
     rows, signs = without_starts(known.rolls, known.layout, known.std) if known.rolls else (None, None)
-    if known.shared_std > 0.0:
-        shared = without_shift(known, known.std**-2.0)
+    if known.shared_std is not None:
+        shared = without_shift(known, known.shared_std, known.std**-2.0)
         rows = shared if rows is None else np.concatenate([rows, shared])
         signs = np.concatenate([np.zeros(0) if signs is None else signs, np.full(len(shared), -1.0)])
     return Priors(replace(known.mean, points=ties.start), known.std, free, rows, signs, planes)
 
 
-def without_shift(known: Known, strength: np.ndarray) -> np.ndarray:
+def without_shift(known: Known, shared_std: np.ndarray, strength: np.ndarray) -> np.ndarray:
     """Rows (3, P) of `Priors` that take out what a shift of all positions in common explains of their deviations.
 
-    ``strength`` (P,) are the inverse variances of the parameters.
+    ``shared_std`` (3,) [m] is that of the shift, ``strength`` (P,) are the inverse variances of the parameters.
 
     With deviations d and weights w, the least over shifts b of ``sum w (d - b)^2 + b^2 / s^2`` is
     ``sum w d^2 - (sum w d)^2 / (sum w + 1 / s^2)``.
@@ -173,8 +187,17 @@ def without_shift(known: Known, strength: np.ndarray) -> np.ndarray:
     for axis in range(3):
         at = known.layout.first_pose + axis + POSE * np.arange(len(known.unknown_positions))
         weights = strength[at]
-        rows[axis, at] = weights / math.sqrt(weights.sum() + known.shared_std**-2.0)
+        rows[axis, at] = weights / math.sqrt(weights.sum() + shared_std[axis] ** -2.0)
     return rows
+
+
+def _shift_std(survey: Survey) -> np.ndarray:
+    """Of the shift of an earlier survey (3,) [m]; empty without one."""
+    ground = survey.observations.ground
+    if ground is None:
+        return np.zeros(0)
+    horizontal, vertical = ground.std_m
+    return np.maximum([horizontal, horizontal, vertical], HELD)
 
 
 def _flow(survey: Survey) -> np.ndarray | None:
@@ -200,7 +223,8 @@ def _departure(survey: Survey) -> Callable[[np.ndarray], np.ndarray] | None:
     if survey.water is None or departure is None:
         return None
     centres = np.array([view.camera.centre for view in survey.views])
-    reach = float(np.max(-survey.water.depth(centres)))
+    # Oblique photographs look at water that far away, in flying heights.
+    reach = _SEEN_WATER * float(np.max(-survey.water.depth(centres)))
     low, high = centres[:, :2].min(axis=0) - reach, centres[:, :2].max(axis=0) + reach
     return departure.interpolated((*low.tolist(), *high.tolist()))
 

@@ -247,7 +247,8 @@ class _BlockAdjustment:
         """
         stated = start.std[start.layout.first_pose :].reshape(-1, POSE)[~start.unknown_positions, :3]
         stated = stated[np.isfinite(stated).all(axis=1)]
-        shared = float(np.median(stated)) if len(stated) and not start.unknown_positions.any() else GPS_STD_M
+        are_stated = len(stated) > 0 and not start.unknown_positions.any()
+        shared = np.median(stated, axis=0) if are_stated else np.full(3, GPS_STD_M)
         start = replace(start, shared_std=shared)
         alone = replace(observed([(kind, ties)], self._survey.observations.control, self._survey, start), ground=None)
         try:
@@ -260,9 +261,9 @@ class _BlockAdjustment:
         off = np.median(state.centres - start.mean.centres, axis=0) + shift
         horizontal, vertical = ground.std_m
         of_both = np.sqrt(shared**2 + np.square([horizontal, horizontal, vertical]) + _START_STD_M**2)
-        self._is_against_positions = shared < GPS_STD_M and bool((np.abs(off) > MOST_SIGMAS * of_both).any())
-        if shared == GPS_STD_M or self._is_against_positions:
-            shared = GPS_STD_M
+        self._is_against_positions = are_stated and bool((np.abs(off) > MOST_SIGMAS * of_both).any())
+        if not are_stated or self._is_against_positions:
+            shared = np.maximum(shared, GPS_STD_M)
             start = replace(start, mean=replace(start.mean, centres=start.mean.centres + off))
         self.known = replace(self.known, mean=start.mean, shared_std=shared)
         start = replace(start, shared_std=shared, state=replace(state, centres=state.centres + shift))
@@ -303,7 +304,7 @@ class _BlockAdjustment:
         control = self._survey.observations.control
         if control is None or not has_unchecked_control(self._survey):
             return []
-        alone = replace(self._survey, observations=replace(self._survey.observations, control=None))
+        alone = replace(self._survey, observations=replace(self._survey.observations, control=None, ground=None))
         known = known_of(alone, make_plan(alone).gsd_m)
         # With an open roll a block without control tells nothing.
         if known.rolls:

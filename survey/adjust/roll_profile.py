@@ -15,7 +15,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from survey.adjust.bundle import NotConvergedError, Problem, Solution, cost, descend, solve
+from survey.adjust.bundle import NotConvergedError, Solution, cost, descend, solve
+from survey.adjust.problem import Problem
 from survey.adjust.roll import Roll
 from survey.adjust.state import State
 

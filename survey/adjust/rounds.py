@@ -6,14 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from survey.adjust.bundle import NotConvergedError, Problem, Solution, System, inverse, solve, system_with
+from survey.adjust.bundle import NotConvergedError, Solution, System, inverse, solve, system_with
 from survey.adjust.clusters import inflation, terrain_design_effect
 from survey.adjust.control_check import checked_points, given_points
 from survey.adjust.observed import KINDS, MARK, Observed, rows_taken
-from survey.adjust.on_ground import OnGround, Placed, placed_on, planes_under, with_shared
+from survey.adjust.on_ground import OnGround, Placed, placed_on, planes_under
 from survey.adjust.pose_std import judged
 from survey.adjust.prediction import relief_sides
 from survey.adjust.priors import Known, priors_for
+from survey.adjust.problem import Problem
 from survey.adjust.roll import Roll
 from survey.adjust.roll_profile import profiled, widened
 from survey.adjust.state import State, with_parameters
@@ -158,11 +159,7 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
         solution = replace(solution, covariance=covariance_over_shore(problem, solution))
     for roll, std in stds:
         solution = replace(solution, covariance=widened(problem, solution.covariance, roll, std))
-    placed = None
-    if seen.ground is not None and on_ground is not None:
-        covariance = with_shared(seen.ground, on_ground.planes, solution)
-        placed = placed_on(on_ground, problem, solution, covariance)
-        solution = replace(solution, covariance=covariance)
+    placed = None if on_ground is None else placed_on(on_ground, problem, solution)
     solution = replace(solution, std_px=np.sqrt(_means(found[kind] ** 2, seen.kind)))
     return Adjusted(known, seen, solution, _means(factors[kind], seen.kind), blunders, placed)
 
@@ -175,7 +172,7 @@ def _solved(
     on_ground = None
     for _ in range(1 if seen.ground is None else _MOST_PLANES):
         if seen.ground is not None:
-            on_ground = planes_under(seen.ground, state.points, len(seen.ties) - len(seen.control))
+            on_ground = planes_under(seen.ground, state.points - state.shift, len(seen.ties) - len(seen.control))
         planes = None if on_ground is None else on_ground.planes
         priors = priors_for(known, seen.ties, seen.point_std, planes)
         problem = Problem(known.layout, seen.ties, kind, priors, given, sides, rows)
@@ -183,7 +180,8 @@ def _solved(
         before, state = state, solution.state
         if planes is not None:
             used = planes.strength > 0.0
-            moves = np.abs(np.median(state.points[used] - before.points[used], axis=0))
+            moved = state.points[used] - state.shift - before.points[used] + before.shift
+            moves = np.abs(np.median(moved, axis=0))
             if moves.max() <= _STEADY_ON_GROUND * float(np.median(planes.strength[used] ** -0.5)):
                 break
     return problem, solution, on_ground

@@ -1,10 +1,11 @@
 """The unknowns of an adjustment: water, lenses, poses and points, and their update by a step.
 
-The vector of parameters is [water (4) | relief (3) | lenses (8 each) | readouts | rate | poses (6 each)]; points have
-three each besides.
+The vector of parameters is [water (4) | relief (3) | shift | lenses (8 each) | readouts | rate | poses (6 each)];
+points have three each besides.
 
     water     height of the plane at its reference point [m], slopes along local x and y, index
     relief    by how much a rough bed seems to rise with the direction of view, see `relief_sides` [m]
+    shift     by how much an earlier survey is to be moved [m], local, where the block lies on one; else none
     lens      `LENS_NAMES`; the ratio of both focal lengths is held
     readouts  seconds from the first to the last row, of each lens, where they are to be found; else none
     rate      by how much faster the water rises than was given [m/h], where that is to be found; else none
@@ -26,7 +27,7 @@ WATER_NAMES = ("height_m", "slope_x", "slope_y", "refractive_index")
 LENS_NAMES = ("f", "cx", "cy", *COEFFICIENTS)
 READOUT_NAME = "readout_s"
 RATE_NAME = "level_rate_m_per_h"
-WATER, RELIEF, LENS, POSE = 4, 3, 8, 6
+WATER, RELIEF, SHIFT, LENS, POSE = 4, 3, 3, 8, 6
 # An index outside these is no water; a step never leaves them.
 _INDEX_RANGE = (1.0, 2.0)
 
@@ -86,6 +87,8 @@ class Layout:
         Times of the photographs after that at which the level holds, where the rate of the level is a parameter.
     departure : function of places (N, 2), or None
         By how much (N,) [m] the water stands over its plane; None where it is a plane.
+    has_ground : bool
+        Whether the shift of an earlier survey is a parameter.
     """
 
     lens_of: np.ndarray
@@ -95,10 +98,16 @@ class Layout:
     tides: np.ndarray | None = None
     hours: np.ndarray | None = None
     departure: Callable[[np.ndarray], np.ndarray] | None = None
+    has_ground: bool = False
+
+    @property
+    def shift(self) -> slice:
+        """Parameters of the shift of an earlier survey."""
+        return slice(WATER + RELIEF, self.first_lens)
 
     @property
     def first_lens(self) -> int:
-        return WATER + RELIEF
+        return WATER + RELIEF + (SHIFT if self.has_ground else 0)
 
     @property
     def first_readout(self) -> int:
@@ -139,6 +148,8 @@ class State:
         From the first to the last row; empty where no shutter rolls.
     rate : [m/h]
         By how much faster the water rises than `Layout.tides` have it.
+    shift : (3,) [m], local
+        By how much an earlier survey as it is given is to be moved; empty where the block lies on none.
     """
 
     water: FlatWater | None
@@ -149,6 +160,7 @@ class State:
     points: np.ndarray
     readouts: np.ndarray = field(default_factory=lambda: np.zeros(0))
     rate: float = 0.0
+    shift: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def water_parameters(self) -> np.ndarray:
         """The water as parameters (4,); zeros for a dry survey."""
@@ -168,7 +180,7 @@ class State:
         turns = Rotation.from_rotvec(poses[:, 3:]).as_matrix()
         return State(
             water=with_parameters(self.water, self.water_parameters() + step[:WATER]),
-            relief=self.relief + step[WATER : layout.first_lens],
+            relief=self.relief + step[WATER : WATER + RELIEF],
             lenses=self.lenses + step[layout.first_lens : layout.first_readout].reshape(-1, LENS),
             centres=self.centres + poses[:, :3],
             rotations=turns @ self.rotations,
@@ -177,6 +189,7 @@ class State:
             if layout.finds_readouts
             else self.readouts,
             rate=self.rate + float(step[layout.first_rate : layout.first_pose].sum()),
+            shift=self.shift + step[layout.shift],
         )
 
 

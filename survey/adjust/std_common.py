@@ -298,7 +298,7 @@ def _variance(survey: Survey, found: Adjustment | None, ties: TiePoints, gsd: fl
         moves = height_moves(found, survey.water, ties)
         return np.einsum("ki,ij,kj->k", moves, found.covariance.matrix, moves)
     known, of_water = known_of(survey, gsd, free_water=True), known_of(survey, gsd).std[:WATER]
-    std = np.concatenate([of_water, known.std[WATER + RELIEF :]])
+    std = np.concatenate([of_water, known.std[known.layout.first_lens :]])
     # Structure from motion and poses without any word on them have no standard deviation of their own.
     std = np.where(np.isfinite(std), std, EXACT_STD_M)
     rows = ties.pixel[:, 1]

@@ -18,11 +18,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from refract import FlatWater
-from survey.adjust.bundle import NotConvergedError, Problem, cost, solve
+from survey.adjust.bundle import NotConvergedError, cost, solve
 from survey.adjust.observability import FEWEST_WET
 from survey.adjust.observed import KINDS, MARK, Observed, rows_taken
 from survey.adjust.prediction import relief_sides
 from survey.adjust.priors import Known, priors_for
+from survey.adjust.problem import Problem
 from survey.adjust.rounds import Adjusted, std_over_points
 from survey.adjust.state import State
 

@@ -24,6 +24,7 @@ from survey.plan.check_inputs import control_rows, mark_rows, water_stds
 from survey.plan.choices import USUAL, Choices
 from survey.plan.level_doubt import level_doubt
 from survey.plan.plan import Plan, device_decision, make_plan
+from survey.plan.poses import require_placeable
 from survey.plan.skipped import Decision
 from survey.plan.tile_choice import choose_tiles
 from survey.plan.water_tiles import water_doubts
@@ -196,6 +197,7 @@ def _water(survey: Survey) -> str:
 def _without_poses(checked: Checked, chosen: Choices) -> list[Section]:
     """The sections of a survey that needs structure from motion first."""
     found = checked.found
+    require_placeable(found.config.control.reference, chosen.poses)
     sfm = Decision("structure from motion", "on", f"there is no poses file; georeferenced by {_placed_by(found)}")
     rest = Decision("refraction and the rest", "later", "decided once the poses are known")
     decisions = (sfm, device_decision(chosen.device), rest)

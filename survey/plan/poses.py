@@ -15,13 +15,22 @@ _FEWEST_VIEWS = 12
 _UNSTATED = "poses from a file without position_std_m count as exact"
 
 
+def require_placeable(reference: str | None, asked: str) -> None:
+    """Raise SurveyError where an earlier survey is to place a block whose poses are to be kept."""
+    if reference is not None and asked == Poses.fixed:
+        raise SurveyError(
+            f"[control] reference = {reference!r} places the block by an adjustment, and --poses fixed leaves it out; "
+            "leave out --poses fixed, or reference"
+        )
+
+
 def pose_choice(survey: Survey, asked: str, *, free_water: bool) -> tuple[str, str]:
     """Choice ("refine", "fixed", or "check" first) and its reason, for the plan.
 
     Raises
     ------
     SurveyError
-        If the water, or its level, is to be found with poses that are to be kept.
+        If the water, its level, or the place of the block is to be found with poses that are to be kept.
     """
     provenance = survey.provenance
     if provenance.is_adjusted:
@@ -31,9 +40,9 @@ def pose_choice(survey: Survey, asked: str, *, free_water: bool) -> tuple[str, s
     if asked == Poses.fixed and not provenance.is_level_known:
         raise SurveyError(
             "[water] has no level, and --poses fixed leaves out the adjustment that would estimate it; give level_m, "
-            "or "
-            "leave out --poses fixed"
+            "or leave out --poses fixed"
         )
+    require_placeable(survey.config.control.reference, asked)
     if asked != Poses.auto:
         return asked, "set by --poses"
     if survey.observations.ties is not None:

@@ -27,6 +27,7 @@ from survey.plan.aim import aim_and_choices
 from survey.plan.check import Checked, require_processable
 from survey.plan.choices import Choices, Device
 from survey.plan.plan import device_decision, make_plan
+from survey.plan.poses import require_placeable
 from survey.plan.rates import parts_in_tiles, parts_s
 from survey.plan.tile_choice import SHARED, TileChoice, choose_tiles, require_dask
 from survey.plan.water_tiles import water_doubts
@@ -200,6 +201,7 @@ def _require_possible(survey_folder: Path, chosen: Choices) -> Checked:
     if checked.found.config.water is None and (chosen.true_colour or chosen.calibrate_water):
         option = "--true-colour takes the water away" if chosen.true_colour else "--calibrate-water estimates the water"
         raise SurveyError(f"{option}, but the survey has none; leave the option out, or give [water]")
+    require_placeable(checked.found.config.control.reference, chosen.poses)
     return checked
 
 

@@ -1,0 +1,94 @@
+"""What an adjustment is to solve: observations, and what is known of the unknowns beforehand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from survey.adjust.planes import Planes
+from survey.adjust.prediction import predict
+from survey.adjust.state import Layout, State
+from survey.photos.tie_points import TiePoints
+
+
+@dataclass(frozen=True)
+class Priors:
+    """Prior means and standard deviations of the unknowns; infinite where nothing is known.
+
+    Attributes
+    ----------
+    state : State
+        Mean values; its points are those of `point_std`.
+    std : (P,)
+        Of the parameters.
+    point_std : (M, 3) [m]
+    rows, signs : (K, P), (K,)
+        Joint priors on several parameters: ``sign (row deviation)^2`` is added to the squares.
+    planes : Planes, optional
+        On which points lie.
+    """
+
+    state: State
+    std: np.ndarray
+    point_std: np.ndarray
+    rows: np.ndarray | None = None
+    signs: np.ndarray | None = None
+    planes: Planes | None = None
+
+    def deviation(self, layout: Layout, state: State) -> np.ndarray:
+        """Parameters of a state less their mean values, (P,)."""
+        turns = Rotation.from_matrix(state.rotations @ self.state.rotations.transpose(0, 2, 1)).as_rotvec()
+        poses = np.concatenate([state.centres - self.state.centres, turns], axis=1)
+        water = state.water_parameters() - self.state.water_parameters()
+        lenses = (state.lenses - self.state.lenses).ravel()
+        readouts = (state.readouts - self.state.readouts)[: layout.first_rate - layout.first_readout]
+        rate = np.full(layout.first_pose - layout.first_rate, state.rate - self.state.rate)
+        relief, shift = state.relief - self.state.relief, state.shift - self.state.shift
+        return np.concatenate([water, relief, shift, lenses, readouts, rate, poses.ravel()])
+
+    def squares(self, layout: Layout, state: State) -> float:
+        """The sum of squares of the parameters, in units of variances."""
+        deviation = self.deviation(layout, state)
+        single = deviation / self.std
+        if self.rows is None or self.signs is None:
+            return float(single @ single)
+        return float(single @ single + self.signs @ (self.rows @ deviation) ** 2)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A block to adjust.
+
+    Attributes
+    ----------
+    layout : Layout
+    ties : TiePoints
+        In pixels of the photographs as they were taken.
+    kind : (N,) int64
+        Of each observation; each kind has a standard deviation of its own.
+    priors : Priors
+    given_std_px : (kinds,) [px]
+        Standard deviations of the kinds; NaN where the residuals tell.
+    sides : (N, 3)
+        See `survey.adjust.prediction.relief_sides`.
+    rows : (N,) [px], optional
+        See `survey.adjust.prediction.predict`.
+    holds_parameters : bool
+        Nothing but points moves: parameters stay as they are in the state that the adjustment starts from, which saves
+        their part of the normal equations.
+    """
+
+    layout: Layout
+    ties: TiePoints
+    kind: np.ndarray
+    priors: Priors
+    given_std_px: np.ndarray
+    sides: np.ndarray
+    rows: np.ndarray | None = None
+    holds_parameters: bool = False
+
+    def residuals(self, state: State) -> np.ndarray:
+        """Measured less predicted pixels (N, 2)."""
+        return self.ties.pixel - predict(self.layout, state, self.ties, self.sides, self.rows)

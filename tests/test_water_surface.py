@@ -12,6 +12,7 @@ from geo.raster_writing import Band, RasterForm, write_cog
 from refract import FlatWater
 from survey.errors import ConfigError
 from survey.settings.config import parse_config
+from survey.water.level import with_level
 from survey.water.level_observation import points_of_surface
 from survey.water.surface import Departure
 
@@ -73,6 +74,15 @@ def test_beyond_the_points_the_water_does_not_run_away(rng):
     assert np.abs(departure(xy, riffle(xy), 0.002).at(far)[0]).max() < 0.15
 
 
+def test_beyond_a_rectangle_it_is_as_high_as_at_its_edge():
+    water = departure(grid(1.0), riffle(grid(1.0)), 0.002)
+    height = water.interpolated((-10.0, -4.0, 10.0, 4.0))
+    beyond = np.array([[-90.0, 0.0], [60.0, 2.0], [5.0, -70.0]])
+    # As high as three nodes beyond the rectangle, to where its raster goes.
+    assert height(beyond) == pytest.approx(height(np.array([[-13.0, 0.0], [13.0, 2.0], [5.0, -7.0]])), abs=1e-3)
+    assert np.abs(height(beyond)).max() > 0.09
+
+
 def test_few_points_are_a_plane():
     xy = grid(8.0)[:8]
     found, _ = departure(xy, 0.003 * xy[:, 0] - 0.001 * xy[:, 1], 0.02).at(PLACES)
@@ -128,6 +138,14 @@ def test_points_of_a_file_are_over_the_plane(tmp_path):
     found = Departure.of(levels, frame, FlatWater((0.0, 0.0, 0.0), n_water=1.333))
     assert found.points[:, 2].max() == pytest.approx(11.5e-3, abs=2e-4)
     assert Departure.of((), frame, FlatWater((0.0, 0.0, 0.0), n_water=1.333)) is None
+
+
+def test_points_at_one_place_are_no_surface(tmp_path):
+    rows = [f"{E0 + 0.01 * i:.3f},{N0:.3f},{LEVEL + 0.001 * i:.3f}" for i in range(5)]
+    (tmp_path / "points.csv").write_text("\n".join(["easting,northing,height", *rows]))
+    config = parse_config('crs = "EPSG:25832+5778"\n[water]\nsurface = "points.csv"')
+    with pytest.raises(ConfigError, match="5 points of the water surface within 4 cm of each other, expected points"):
+        with_level(tmp_path, config, {}, CRS)
 
 
 @pytest.mark.parametrize("key", ["slope_east = 0.01", "level_at = [1.0, 2.0]"])

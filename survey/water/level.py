@@ -58,6 +58,8 @@ _LEAST_FOR_SLOPES = 6
 # Fewer points than this say too little of their scatter themselves.
 _FEW = 6
 _LEAST_STD_M = 1e-3
+# Points of a surface that are no farther apart tell its height at one place [m].
+_ONE_PLACE_M = 0.1
 # Points of a surface so far beyond the cameras, in flying heights, count for its plane.
 _UNDER_VIEWS = 0.5
 _IN_WORDS = {1: "one", 3: "three"}
@@ -121,11 +123,28 @@ def with_level(
     if name is None:
         return config, (), tide, Findings()
     points, notes = points_of_surface(folder / water.sources.named[name], name, crs)
+    if name == SURFACE:
+        _require_apart(folder / water.sources.named[name], points, crs)
     water, said = _of_points(water, points, crs)
     if name == SURFACE:
         # `with_plane_of_surface` has the plane under the photographs, and says it.
         water, said = replace(water, level_std_m=config.water.level_std_m if config.water else None), Findings()
     return replace(config, water=water), points, tide, Findings(notes) + said
+
+
+def _require_apart(path: Path, points: Sequence[LevelObservation], crs: CRS) -> None:
+    """Raise ConfigError where all points of a surface lie at one place, and nothing tells the water about it."""
+    places = np.array([each.place for each in points if each.place is not None]).reshape(-1, 2)
+    if not len(places):
+        return
+    unit_m = metres_per_unit(crs, np.column_stack([places, np.zeros(len(places))]))
+    spread_m = float(np.linalg.norm(np.ptp(places, axis=0) * unit_m))
+    if spread_m < _ONE_PLACE_M:
+        raise ConfigError(
+            f"{path} has {len(places)} points of the water surface within {100.0 * spread_m:.0f} cm of each other, "
+            "expected points spread over the water under the photographs; measure more, or give their mean height as "
+            "[water] level_m"
+        )
 
 
 def with_plane_of_surface(

@@ -116,14 +116,14 @@ class Departure:
         return BicubicWater((float(x[0]), float(y[0])), float(x[1] - x[0]), whole, n_water=plane.n_water)
 
     def interpolated(self, area: Area) -> Callable[[np.ndarray], np.ndarray]:
-        """Heights over the plane as a function of places (M, 2), 0 beyond a rectangle (x0, y0, x1, y1)."""
+        """Heights over the plane as a function of places (M, 2), beyond a rectangle (x0, y0, x1, y1) as at its edge."""
         x, y, heights, _ = self._raster(area)
-        return RegularGridInterpolator((x, y), heights.T, bounds_error=False, fill_value=0.0)
+        return _between(x, y, heights)
 
     def interpolated_std(self, area: Area) -> Callable[[np.ndarray], np.ndarray]:
         """Standard deviations of these heights in the same form."""
         x, y, _, stds = self._raster(area)
-        return RegularGridInterpolator((x, y), stds.T, bounds_error=False, fill_value=0.0)
+        return _between(x, y, stds)
 
     def _raster(self, area: Area) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Even x and y, as far apart as the points are, and heights and stds (rows, columns)."""
@@ -180,6 +180,13 @@ class Departure:
         shares = np.einsum("mi,mki->mk", np.linalg.solve(normal, np.eye(6)[:, :1])[..., 0], weighted)
         std = np.sqrt(np.sum((shares * self.stds[near]) ** 2, axis=1))
         return self._over_plane(xy) + np.sum(shares * rest, axis=1), std
+
+
+def _between(x: np.ndarray, y: np.ndarray, values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Values (rows, columns) at nodes x and y as a function of places (M, 2); beyond them that of the nearest place."""
+    inside = RegularGridInterpolator((x, y), values.T)
+    low, high = np.array([x[0], y[0]]), np.array([x[-1], y[-1]])
+    return lambda places: inside(np.clip(places, low, high))
 
 
 def _plane_through(points: np.ndarray, weights: np.ndarray) -> np.ndarray:

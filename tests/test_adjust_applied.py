@@ -15,6 +15,7 @@ from refract.lens import Lens
 from survey.adjust.adjustment import read_adjustment, write_adjustment
 from survey.adjust.applied import write_cameras
 from survey.folder.survey import Survey, load_survey
+from survey.run import products
 
 LENS = Lens("FULL_OPENCV", (101.3, 101.2, 31.7, 24.4, 0.02, -0.01, 1e-4, -2e-4, 0.003, 0.0, 0.0, 0.0), 64, 48)
 GIVEN_BACK = {
@@ -72,6 +73,21 @@ def test_the_adjusted_cameras_can_be_given_back(tmp_path, name, is_spaced):
         grid, true_grid = view.camera.cam_from_local @ axes, true.camera.cam_from_local @ true_axes
         np.testing.assert_allclose(grid, true_grid, atol=5e-8)
         assert view.lens == LENS
+
+
+@pytest.mark.parametrize("is_binary", [False, True])
+def test_a_result_has_all_files_of_the_model(tmp_path, is_binary):
+    """The binary ones too, which programs read that cut names at spaces in text."""
+    stage, result = tmp_path / "adjust", tmp_path / "result"
+    (stage / "sparse").mkdir(parents=True)
+    result.mkdir()
+    write_adjustment(stage, drawn_adjustment()[1])
+    names = {f"{name}.{'bin' if is_binary else 'txt'}" for name in ("cameras", "images", "points3D")}
+    names |= {"cameras.txt", "images.txt", "points3D.txt"}
+    for name in (*(f"sparse/{name}" for name in names), "cameras.csv"):
+        (stage / name).write_text(name)
+    assert products.adjustment_of(result, {"adjust": stage}) is not None
+    assert {path.name for path in (result / "sparse").iterdir()} == names
 
 
 def test_the_model_says_how_it_is_given_back(tmp_path):

@@ -31,7 +31,8 @@ _DECIMALS_M, _DECIMALS_DEG = 7, 12
 _PARALLEL = 1e-9
 _HEAD = "# tie points where straight rays meet: those under water lie deeper\n"
 CAMERAS = "cameras.csv"
-MODEL = tuple(f"sparse/{name}" for name in FILES)
+MODEL_FOLDER = "sparse"
+MODEL = tuple(f"{MODEL_FOLDER}/{name}" for name in FILES)
 
 
 def apply_adjustment(survey: Survey, found: Adjustment) -> Survey:
@@ -111,9 +112,9 @@ def write_cameras(folder: Path, survey: Survey, found: Adjustment | None = None)
     The model says in its first lines how survey.toml gives it back. Where shutters roll, cameras.csv has further
     columns, how far each camera flew from the first row to the last [m], true east, north and up.
     """
-    (folder / "sparse").mkdir(exist_ok=True)
+    (folder / MODEL_FOLDER).mkdir(exist_ok=True)
     ties = None if found is None else _straight_ties(survey, found)
-    write_model(folder / "sparse", survey.views, head=_given_back(survey), points=_HEAD, ties=ties)
+    write_model(folder / MODEL_FOLDER, survey.views, head=_given_back(survey), points=_HEAD, ties=ties)
     with write_whole(folder / CAMERAS) as stream:
         stream.write(_opk(survey).encode())
 

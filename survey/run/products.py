@@ -13,7 +13,8 @@ import numpy as np
 
 from fields.sweep.maps import HeightMap
 from fields.sweep.photo_consistency import Consistency
-from survey.adjust.adjustment import Adjustment, read_adjustment
+from survey.adjust.adjustment import ARRAYS, JSON, Adjustment, read_adjustment
+from survey.adjust.applied import CAMERAS, MODEL_FOLDER
 from survey.compare.figures import Comparison
 from survey.display.quantities import length, lengths_in_feet
 from survey.display.units import foot_m
@@ -36,7 +37,6 @@ from survey.run.folder import RunDir, seconds_of, versions, versions_of
 from survey.run.gate import asked_gate, verdict_of
 from survey.run.job import Job
 from survey.run.repeat import options_of, settings_text
-from survey.run.stage_adjust import FILES as ADJUSTMENT_FILES
 from survey.run.stage_solver import SIGHTINGS
 from survey.run.stage_sweep import CONSISTENCY, MAPS, SATURATED
 from survey.run.stored import StoredBed, load_bed
@@ -110,7 +110,7 @@ def _write_report(
         sweep_comparison=of_sweep,
         versions=_versions(done),
         verdict=verdict,
-        adjustment=_adjustment(folder, done),
+        adjustment=adjustment_of(folder, done),
         std_common=stored.std_common,
         photographs=photographs,
         light=None if survey.water is None else matched_light(survey.views),
@@ -150,13 +150,14 @@ def _photographs(done: Mapping[str, Path]) -> tuple[PhotographFigures, ...]:
     return photographs_of(read_json_object(done["sweep"] / SATURATED), sightings, consistency)
 
 
-def _adjustment(folder: Path, done: Mapping[str, Path]) -> Adjustment | None:
+def adjustment_of(folder: Path, done: Mapping[str, Path]) -> Adjustment | None:
     """Adjustment of the run, its files copied into the result; None where there was none."""
     if "adjust" not in done:
         return None
-    for name in ADJUSTMENT_FILES:
-        (folder / name).parent.mkdir(exist_ok=True)
+    for name in (JSON, ARRAYS, CAMERAS):
         shutil.copyfile(done["adjust"] / name, folder / name)
+    # Whole: some models have binary files beside the text.
+    shutil.copytree(done["adjust"] / MODEL_FOLDER, folder / MODEL_FOLDER, dirs_exist_ok=True)
     return read_adjustment(folder)
 
 

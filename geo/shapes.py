@@ -85,6 +85,7 @@ _BESIDE_GROUND = {
     4: "medium vegetation",
     5: "high vegetation",
     6: "building",
+    12: "overlap of flight lines, in formats 0 to 5",
     13: "wire guard",
     14: "wire conductor",
     15: "transmission tower",

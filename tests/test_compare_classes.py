@@ -132,7 +132,7 @@ def test_classes_of_a_table_count_too(tmp_path, name, code):
     assert left_out(read_shape(tmp_path / "c.xyz", None))[0].sum() == 5
 
 
-@pytest.mark.parametrize("code", [3, 4, 5, 6, 14, 17, 20])
+@pytest.mark.parametrize("code", [3, 4, 5, 6, 12, 14, 17, 20])
 def test_points_that_may_be_none_of_the_ground_count_and_are_named(code):
     points = np.zeros((5, 3))
     cloud = Cloud(points=points, classification=np.array([2, 40, code, code, 1], dtype=np.uint8))

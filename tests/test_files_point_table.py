@@ -11,7 +11,7 @@ from survey.errors import ControlError, SurveyError
 from survey.files.column_units import Units
 from survey.files.csv_table import read_table
 from survey.files.json_values import finite_number
-from survey.files.point_table import PLACE, read_points, require_exact, units_said
+from survey.files.point_table import PLACE, read_points, require_exact, several_heights, units_said
 from survey.settings.config import parse_config
 
 POINTS = [("p1", 676120.25, 5311480.5, 581.375), ("p2", 676121.0, 5311481.25, -3.5)]
@@ -248,3 +248,13 @@ def test_a_standard_deviation_of_metres_asks_for_its_unit(tmp_path):
         read_points(path, optional=("std",), error=ControlError)
     path.write_text("easting,northing,height,sigma_mm\n1,2,3,12\n")
     assert read_points(path, optional=("std",), error=ControlError)[0].number("std") == pytest.approx(0.012)
+
+
+@pytest.mark.parametrize(("unit_m", "apart", "is_named"), [(1.0, 0.05, False), (1.0, 0.3, True), (0.3048, 0.3, False)])
+def test_two_heights_at_one_place_are_named(unit_m, apart, is_named):
+    """Of one point measured twice heights may differ a little."""
+    names = ["a", "b", "c", "d"]
+    places = np.array([[1.0, 2.0, 5.0], [1.0, 2.5, 9.0], [1.0, 2.0, 5.0 + apart], [3.0, 2.0, 1.0]])
+    found = several_heights(names, places, unit_m)
+    assert found == ([f"a (5.00) and c ({5.0 + apart:.2f})"] if is_named else [])
+    assert several_heights([], np.empty((0, 3))) == []

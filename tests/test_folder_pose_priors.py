@@ -108,7 +108,7 @@ def test_an_accuracy_of_centimetres_by_another_maker_is_believed_and_one_of_metr
     found = replace(found, heads=heads)
     frame = LocalFrame(found.crs, (E0, N0, LEVEL))
     priors = priors_of_gps(found, frame, views_of(found, frame))
-    assert [prior.source for prior in priors.values()] == ["XMP accuracy", "GPS EXIF", "GPS EXIF", "GPS EXIF"]
+    assert [prior.source for prior in priors.values()] == ["stated accuracy", "GPS EXIF", "GPS EXIF", "GPS EXIF"]
     assert tuple(priors["0000.jpg"].position_std) == (0.02, 0.02, 0.03)
 
 

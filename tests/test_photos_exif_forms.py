@@ -11,7 +11,7 @@ from PIL import ExifTags, Image
 from PIL.TiffImagePlugin import IFDRational
 
 from survey.folder.found import head_doubts
-from survey.photos.exif import _altitude_reference, _position_of_gps, read_exif
+from survey.photos.exif import _altitude_reference, _position_of_gps, read_exif, without_void
 from survey.photos.exif_focal import focal_doubt, focal_px
 from survey.photos.xmp import height_datum, rtk_of, xmp_place
 
@@ -300,3 +300,28 @@ def test_a_digital_zoom_is_named(zoom, is_doubted):
         {} if zoom is None else {ExifTags.Base.DigitalZoomRatio: zoom}
     )
     assert ("digital zoom of 2 by EXIF" in focal_doubt((512, 384), details, "")) is is_doubted
+
+
+@pytest.mark.parametrize("status", ["V", "v", b"V\0", "Void"])
+def test_positions_that_a_receiver_calls_void_count_only_where_there_are_no_others(head, status):
+    void, valid = head(gps_of() | {GPS.GPSStatus: status}), head(gps_of() | {GPS.GPSStatus: "A"})
+    assert void.is_void
+    assert not valid.is_void
+    assert not head(gps_of()).is_void
+    among = without_void({"a": void, "b": valid})
+    assert among["a"].lat_lon_height is None
+    assert among["b"] == valid
+    assert any("GPSStatus is V" in line and "not used" in line for line in head_doubts(among))
+    alone = without_void({"a": void})
+    assert alone["a"].lat_lon_height is not None
+    assert any("GPSStatus is V" in line and "is used" in line for line in head_doubts(alone))
+
+
+@pytest.mark.parametrize(
+    ("error", "axis"),
+    [(IFDRational(14142, 10**6), 0.01), (IFDRational(5), 3.53553), (IFDRational(0), None),
+     (IFDRational(1, 0), None)],
+)  # fmt: skip
+def test_the_positioning_error_of_exif_is_the_accuracy_of_the_position(head, error, axis):
+    found = head(gps_of() | {GPS.GPSHPositioningError: error}).std_m
+    assert found is None if axis is None else found == pytest.approx((axis, axis, 2.0 * axis), rel=1e-4)

@@ -10,14 +10,16 @@ from pyproj import CRS
 from evaluation import asprs_vertical, height_at
 from evaluation.standards import MIN_CHECKPOINTS
 from geo.compatibility import require_same_crs, require_same_place
+from geo.crs import height_unit_m
 from geo.files import existing_file
 from survey.compare.area import CompareError, to_local
 from survey.compare.figures import Checkpoints
 from survey.compare.measure import Scene
 from survey.compare.tables import GIVE_LEVEL
+from survey.display.words import named
 from survey.files.column_units import Units
 from survey.files.crs_comment import crs_of_comment
-from survey.files.point_table import PLACE, read_points, require_exact
+from survey.files.point_table import PLACE, read_points, require_exact, several_heights
 
 
 def read_checkpoints(
@@ -63,7 +65,11 @@ def checkpoint_accuracy(scene: Scene, table: np.ndarray, path: Path) -> tuple[Ch
     if not np.isfinite(residuals).any():
         require_same_place(scene.points, places, "the cloud", path.name)
         raise CompareError(f"none of the {len(places)} check points of {path.name} has points of the cloud around it")
-    accuracy, notes = asprs_vertical(residuals, table[:, 3]), []
+    accuracy = asprs_vertical(residuals, table[:, 3])
+    lines = [f"point {i}" for i in range(1, len(table) + 1)]
+    crs = scene.inputs.crs
+    several = several_heights(lines, table, 1.0 if crs is None else height_unit_m(crs))
+    notes = named(several, "place", f"of {path.name} with several heights, of which one is true at most")
     if not accuracy.is_enough:
         notes.append(
             f"{accuracy.n_checkpoints} check points of {path.name} lie on the cloud: ASPRS (Edition 2) requires "

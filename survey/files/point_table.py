@@ -69,6 +69,8 @@ _DEGREES = ("lon", "lat")
 _MOST_APART = 50.0
 # A standard deviation in the fourth place is no more than this [m]; a northing is.
 _MOST_STD_M = 10.0
+# Of one point measured again the heights differ by less [m]; of a place with more points than so many a few are named.
+_SAME_HEIGHT_M, _MOST_NAMED = 0.1, 3
 
 
 def read_points(
@@ -183,6 +185,17 @@ def require_exact(rows: Sequence[Row], path: Path, error: type[SurveyError]) -> 
         rounded_coordinates(places, None, path)
     except GeoError as found:
         raise error(str(found)) from found
+
+
+def several_heights(names: Sequence[str], places: np.ndarray, height_unit_m: float = 1.0) -> list[str]:
+    """The points that lie at one place in plan with heights that differ, of places (N, 3): "a (5.00) and b (5.30)"."""
+    _, place, count = np.unique(places[:, :2], axis=0, return_inverse=True, return_counts=True)
+    apart = []
+    for of_place in np.flatnonzero(count > 1):
+        here = np.flatnonzero(place.ravel() == of_place)
+        if np.ptp(places[here, 2]) * height_unit_m > _SAME_HEIGHT_M:
+            apart.append(" and ".join(f"{names[i]} ({places[i, 2]:.2f})" for i in here[:_MOST_NAMED]))
+    return apart
 
 
 def _scaled(rows: Sequence[Row], name: str, factor: float) -> list[Row]:

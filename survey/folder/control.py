@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
+from geo.crs import height_unit_m
 from geo.files import existing_file
 from geo.frames import LocalFrame
 from refract import FlatWater
@@ -22,6 +23,7 @@ from survey.control.points import Checkpoint, Control
 from survey.control.reading import Gathered, gather, read_control
 from survey.control.tables import read_checkpoints
 from survey.display.words import named
+from survey.files.point_table import several_heights
 from survey.findings import Findings
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
@@ -86,7 +88,8 @@ def find_control(
         given = read_checkpoints(folder / config.checkpoints, level, crs)
         checkpoints, said = in_crs(given, crs)
     if not config.gcp_files:
-        return FoundControl(config, None, tuple(checkpoints)), said
+        found = FoundControl(config, None, tuple(checkpoints))
+        return found, said + Findings(warnings=_doubts_of_heights(found, crs))
     contents = [read_control(folder / name) for name in config.gcp_files]
     if config.marks is not None:
         # Metashape's XML has coordinates too, which are not those that were asked for.
@@ -96,7 +99,15 @@ def find_control(
     untold = _untold_accuracy(config, gathered)
     config, assumed = _with_stds(config, gathered)
     said += of_files + Findings(assumed, untold)
-    return FoundControl(config, gathered, (*checkpoints, *gathered.unmarked)), said
+    found = FoundControl(config, gathered, (*checkpoints, *gathered.unmarked))
+    return found, said + Findings(warnings=_doubts_of_heights(found, crs))
+
+
+def _doubts_of_heights(found: FoundControl, crs: CRS) -> tuple[str, ...]:
+    names = [point.name for point in found.points]
+    places = np.array([point.place for point in found.points]).reshape(-1, 3)
+    several = several_heights(names, places, height_unit_m(crs))
+    return tuple(named(several, "place", "of control with several heights, of which one is true at most"))
 
 
 def _untold_accuracy(config: ControlConfig, gathered: Gathered) -> tuple[str, ...]:

@@ -24,7 +24,7 @@ from survey.folder import infer
 from survey.folder.control import FoundControl, find_control
 from survey.folder.geo_txt import find_geo_txt, with_positions
 from survey.names import GCP_LIST
-from survey.photos.exif import Exif, position_sources, read_exif
+from survey.photos.exif import Exif, position_sources, read_exif, without_void
 from survey.photos.images import list_images, same_files
 from survey.pose_files import find_poses, find_unread
 from survey.settings.config import SurveyConfig, read_config
@@ -125,7 +125,7 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
     assumptions = [] if assumption is None else [assumption]
     images = list_images(folder / config.images.dir, deep=config.images.dir != ".")
     warnings: list[str] = []
-    heads = {name: read_exif(path) for name, path in images.items()}
+    heads = without_void({name: read_exif(path) for name, path in images.items()})
     table = find_geo_txt(folder, folder / config.images.dir)
     if table is not None:
         heads, said = with_positions(table, heads)
@@ -212,6 +212,8 @@ def head_doubts(heads: Mapping[str, Exif]) -> list[str]:
     for fault in dict.fromkeys(head.gps_fault for head in heads.values() if head.gps_fault):
         without = [name for name, head in heads.items() if head.gps_fault == fault]
         warnings += named(without, "image", f"without {fault} in EXIF, whose GPS position is not used")
+    void = [name for name, head in heads.items() if head.is_void and head.lat_lon_height is not None]
+    warnings += named(void, "image", "whose receiver had no fix by EXIF (GPSStatus is V), and whose position is used")
     for datum in dict.fromkeys(head.gps_datum for head in heads.values() if head.gps_datum):
         such = [name for name, head in heads.items() if head.gps_datum == datum and head.table_place is None]
         warnings += named(such, "image", f"with a GPS position on {datum} by EXIF or XMP, which is taken as WGS 84")

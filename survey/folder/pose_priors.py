@@ -53,7 +53,7 @@ class PosePrior:
         Of the rotation that the view was loaded with, about the axes of local. None where that rotation was found by
         structure from motion, or its accuracy is not known.
     source : str
-        Of the standard deviation, "survey.toml", "geo.txt", "XMP RTK", "XMP accuracy" or `BY_FILE`; without one, of
+        Of the standard deviation, "survey.toml", "geo.txt", "XMP RTK", "stated accuracy" or `BY_FILE`; without one, of
         the position: "GPS EXIF", "geo.txt", `BY_POSES`, or "none".
     common_up_std : float [m]
         Of an error that the heights of all positions have in common; 0 where they have none.
@@ -172,7 +172,7 @@ def _std_as_given(cameras: CamerasConfig, head: Exif) -> tuple[np.ndarray | None
     if head.rtk is not None and head.rtk.flag == _RTK_FIXED:
         return np.array(head.rtk.std_m), "XMP RTK"
     if head.std_m is not None and max(head.std_m) <= WELL_KNOWN_M:
-        return np.array(head.std_m), "XMP accuracy"
+        return np.array(head.std_m), "stated accuracy"
     return None, "GPS EXIF"
 
 

@@ -13,7 +13,7 @@ from survey.folder import infer
 from survey.folder.geo_txt import find_geo_txt, with_positions
 from survey.init.entry import Answers, Table
 from survey.init.place import Photographs, require_in_place, write_crs, write_origin
-from survey.photos.exif import read_exif
+from survey.photos.exif import read_exif, without_void
 from survey.photos.images import list_images
 from survey.pose_files import find_poses, read_poses
 from survey.settings.config import SurveyConfig, parse_config
@@ -86,7 +86,7 @@ def draft(folder: Path, answers: Answers) -> str:
         images.set("dir", inferred.images.dir)
     if (folder / "masks").is_dir():
         images.set("masks", "masks", "black is left out")
-    heads = {name: read_exif(path) for name, path in found.items()}
+    heads = without_void({name: read_exif(path) for name, path in found.items()})
     table, said = find_geo_txt(folder, folder / inferred.images.dir), Findings()
     if table is not None:
         heads, said = with_positions(table, heads)

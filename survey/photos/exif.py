@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -53,6 +53,7 @@ _LIKE_WGS84 = (
 _HIGHEST_M = 20_000.0
 # Of GPSAltitudeRef: below the ellipsoid, below the sea.
 _BELOW = (1, 3)
+_VOID = "a valid measurement (GPSStatus is V)"
 # A position in XMP that differs from that in EXIF by less (a tenth of a second and half) is the same with more digits.
 _SAME_PLACE_DEG = 1.5 * 0.1 / 3600.0
 
@@ -107,7 +108,8 @@ class Exif:
     motion : Motion
         Attitudes, speed and shutter at the exposure, by XMP.
     std_m : (east, north, up) [m] or None
-        Accuracy of the position where XMP states it in the namespace of Pix4D, as senseFly and Parrot do.
+        Accuracy of the position where XMP states it in the namespace of Pix4D, as senseFly and Parrot do, or EXIF in
+        GPSHPositioningError.
     height_datum : str or None
         What XMP says that the height counts from; see `survey.photos.xmp.height_datum`.
     bits : int
@@ -124,6 +126,8 @@ class Exif:
         Why the focal length may be that of another image: `survey.photos.exif_focal.focal_doubt`.
     gps_datum : str
         What the file says that its position is on, where that is not WGS 84 or alike; empty otherwise.
+    is_void : bool
+        Whether the receiver says that it measured no position, and gives an earlier one (GPSStatus V).
     serial : str
         Serial number of the camera; empty where nothing tells it.
     table_place : TablePlace or None
@@ -148,6 +152,7 @@ class Exif:
     exposure_s: float | None = None
     gps_fault: str = ""
     gps_datum: str = ""
+    is_void: bool = False
     focal_doubt: str = ""
     serial: str = ""
     table_place: TablePlace | None = None
@@ -187,7 +192,7 @@ def read_exif(path: Path) -> Exif:
         focal_candidates=focal_candidates(size, details, xmp),
         rtk=rtk_of(xmp),
         motion=motion_of(xmp),
-        std_m=stated_std(xmp),
+        std_m=stated_std(xmp) or _std_of_gps(gps),
         height_datum=height_datum(xmp) or (SEA_LEVEL if _altitude_reference(gps) in (2, 3) else None),
         bits=bits,
         has_pages=has_pages,
@@ -195,9 +200,19 @@ def read_exif(path: Path) -> Exif:
         exposure_s=_exposure(details),
         gps_fault=fault,
         gps_datum=_other_datum(gps, xmp) if position is not None else "",
+        is_void=position is not None and _plain(gps.get(ExifTags.GPS.GPSStatus))[:1].upper() == "V",
         focal_doubt=focal_doubt(size, details, xmp),
         serial=_words(details.get(ExifTags.Base.BodySerialNumber, "")) or _words(serial_of(xmp)),
     )
+
+
+def without_void(heads: Mapping[str, Exif]) -> dict[str, Exif]:
+    """Heads of photographs by name, without the positions that receivers call void, where they have others."""
+    valid = any(head.lat_lon_height is not None and not head.is_void for head in heads.values())
+    return {
+        name: replace(head, lat_lon_height=None, gps_fault=_VOID) if head.is_void and valid else head
+        for name, head in heads.items()
+    }
 
 
 def _text_of_xmp(value: Any) -> str:
@@ -249,6 +264,18 @@ def _position_of_gps(gps: dict) -> tuple[tuple[float, float, float] | None, str]
     height = number(_first(gps.get(ExifTags.GPS.GPSAltitude)))
     height = height if abs(height) < _HIGHEST_M else math.nan
     return (latitude, longitude, -abs(height) if _altitude_reference(gps) in _BELOW else height), ""
+
+
+def _std_of_gps(gps: dict) -> tuple[float, float, float] | None:
+    """One standard deviation of the position, (east, north, up) [m], by the horizontal positioning error (Exif 2.31).
+
+    This is a distance, so that each axis has its part; heights of GNSS are about half as good as places.
+    """
+    error = number(_first(gps.get(ExifTags.GPS.GPSHPositioningError)))
+    if not 0.0 < error < _HIGHEST_M:
+        return None
+    axis = error / math.sqrt(2.0)
+    return axis, axis, 2.0 * axis
 
 
 def _other_datum(gps: dict, xmp: str) -> str:

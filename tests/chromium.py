@@ -26,22 +26,40 @@ class Page:
 
     def __init__(self, socket):
         self._socket, self._number = socket, 0
+        self._loaded: set[str] = set()
         self.said: list[str] = []
+        for domain in ("Page", "Runtime", "Network"):
+            self.ask(f"{domain}.enable")
+        self.ask("Page.setLifecycleEventsEnabled", enabled=True)
+
+    def open(self, url: str) -> None:
+        """Show an address, and wait until it has loaded: before, Chromium may have no page to take a picture of."""
+        loader = self.ask("Page.navigate", url=url)["loaderId"]
+        while loader not in self._loaded:
+            self._hear()
 
     def ask(self, method: str, **parameters):
         """The answer to a command of the protocol; what the console says meanwhile is kept in `said`."""
         self._number += 1
         self._socket.send(json.dumps({"id": self._number, "method": method, "params": parameters}))
         while True:
-            told = json.loads(self._socket.recv(timeout=_WAIT_S))
+            told = self._hear()
             if told.get("id") == self._number:
                 if "error" in told:
                     raise RuntimeError(f"{method}: {told['error']}")
                 return told["result"]
-            if told.get("method") in ("Runtime.exceptionThrown", "Network.loadingFailed"):
-                self.said.append(json.dumps(told["params"])[:2000])
-            if told.get("method") == "Network.requestWillBeSent":
-                self.said.append("request " + told["params"]["request"]["url"][:80])
+
+    def _hear(self) -> dict:
+        """The next message of the browser; what the console says is kept in `said`, and which documents have loaded."""
+        told = json.loads(self._socket.recv(timeout=_WAIT_S))
+        said, told_of = told.get("method"), told.get("params", {})
+        if said in ("Runtime.exceptionThrown", "Network.loadingFailed"):
+            self.said.append(json.dumps(told_of)[:2000])
+        if said == "Network.requestWillBeSent":
+            self.said.append("request " + told_of["request"]["url"][:80])
+        if said == "Page.lifecycleEvent" and told_of["name"] == "load":
+            self._loaded.add(told_of["loaderId"])
+        return told
 
     def value(self, expression: str):
         """What a JavaScript expression gives, awaited."""
@@ -87,9 +105,7 @@ def page_at(url: str, width: int = 1000, height: int = 700) -> Iterator[Page]:
         try:
             with connect(_page_socket(log), max_size=None, ping_interval=None) as socket:
                 page = Page(socket)
-                for domain in ("Page", "Runtime", "Network"):
-                    page.ask(f"{domain}.enable")
-                page.ask("Page.navigate", url=url)
+                page.open(url)
                 yield page
         finally:
             browser.terminate()

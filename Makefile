@@ -12,7 +12,7 @@
 #   make docs     the documentation as a site, its notebooks run: build/site/docs/index.html
 #   make licences the licence of everything that it needs; fails at one that does not fit Apache-2.0
 #   make clean    remove the demo and what tools left; make distclean: the environment too
-# PYTHON=python3.12 chooses the interpreter; otherwise the first of 3.11 to 3.13 that is found.
+# PYTHON=python3.12 chooses the interpreter; otherwise the first of 3.11 to 3.14 that is found.
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c

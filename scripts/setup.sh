@@ -37,7 +37,7 @@ install_first_of() {
     return 1
 }
 
-# "3.11 3.12 3.13" from the line requires-python = ">=3.11,<3.14"
+# "3.11 3.12 3.13 3.14" from the line requires-python = ">=3.11,<3.15"
 versions=$(sed -nE 's/^requires-python = ">=3\.([0-9]+),<3\.([0-9]+)".*/\1 \2/p' pyproject.toml |
     { read -r low high && seq -f '3.%g' -s ' ' "$low" $((high - 1)); })
 

@@ -237,6 +237,10 @@ def test_the_angles_of_nadir_and_oblique_surveys_are_doubted_only_as_radians(dat
         for p, a in zip(poses, np.radians(angles), strict=True)
     ]
     assert len(angle_doubts(turned, PoseFrame.GRID)) == 1
+    # Of one strip too, along which nothing turns.
+    for num in (5, 9):
+        assert angle_doubts(poses[:num], PoseFrame.GRID) == []
+        assert len(angle_doubts(turned[:num], PoseFrame.GRID)) == 1
 
 
 def test_angles_in_radians_are_doubted_and_degrees_are_not(tmp_path):

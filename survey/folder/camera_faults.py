@@ -32,6 +32,8 @@ _FULL_TURN = 2.0 * math.pi + 0.01
 _LOOKS_DOWN = math.cos(math.radians(75.0))
 # A gimbal keeps the rows of an image level to this sine. Degrees read as radians tilt rows at random.
 _LEVEL_ROWS = 0.03
+# Of drawn surveys rows are level to fewer digits than angles are written with [degrees].
+_EXACT = 1e-4
 
 
 def require_focal_lengths(lenses: dict[str, Lens], heads: dict[str, Exif]) -> list[str]:
@@ -141,13 +143,15 @@ def _gaps(places: np.ndarray, radii: np.ndarray) -> np.ndarray:
 def angle_doubts(poses: list[Pose], frame: PoseFrame) -> list[str]:
     """Warning where omega, phi and kappa look like radians.
 
-    All are below a full turn in radians; read as radians, all cameras look down, turn by more than a radian, and their
-    image rows are level, as those of a gimbal are in nadir and oblique views alike.
+    All are below a full turn in radians; read as radians, all cameras look down, and their image rows are level, as
+    those of a gimbal are in nadir and oblique views alike. Beside that they turn by more than a radian, or rows would
+    be level as degrees to a thirtieth of a degree, which no gimbal does.
     """
     if frame is not PoseFrame.GRID:
         return []
     angles = np.array([_opk_deg(pose.cam_from_world) for pose in poses])
-    if np.abs(angles).max() > _FULL_TURN or np.ptp(angles[:, 2]) < 1.0:
+    tilts = float(np.median(np.abs(angles[:, 1])))
+    if np.abs(angles).max() > _FULL_TURN or (np.ptp(angles[:, 2]) < 1.0 and not _EXACT < tilts < _LEVEL_ROWS):
         return []
     as_radians = np.array([grid_from_opk(*three) for three in angles])
     looks_down = (as_radians[:, 2, 2] > _LOOKS_DOWN).all()

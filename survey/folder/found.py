@@ -1,6 +1,6 @@
 """Contents of a survey folder: settings, image headers and poses file.
 
-Image headers are checked here as well: rotation, several pages, positions far from the others.
+Image headers are checked here as well: rotation, several pages.
 """
 
 from __future__ import annotations
@@ -11,18 +11,16 @@ from pathlib import Path
 
 import numpy as np
 from pyproj import CRS
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
 from geo.area_of_use import require_at
-from geo.crs import EARTH_RADIUS_M, height_unit_m, parse_crs
+from geo.crs import height_unit_m, parse_crs
 from geo.grids import use_grids
 from survey.display.words import named
 from survey.errors import FILE_NAME, ConfigError, PosesError, SurveyError
 from survey.folder import infer
 from survey.folder.control import FoundControl, find_control
 from survey.folder.geo_txt import find_geo_txt, with_positions
+from survey.folder.positions import position_doubts
 from survey.names import GCP_LIST
 from survey.photos.exif import Exif, position_sources, read_exif, without_void
 from survey.photos.images import list_images, same_files
@@ -39,12 +37,6 @@ from survey.water.tides import Tide
 MIN_VIEWS = 2
 # Where a survey may have the grid of the geoid under its heights.
 GRIDS_FOLDER = "geoid"
-# A position is far from the others beyond so many times what is usual among them, and these lengths [m]; more than this
-# share of positions is another part of the flight.
-_FAR, _FAR_HEIGHT_M, _FAR_PLAN_M, _MOST_FAR = 10.0, 10.0, 50.0, 0.1
-_FEWEST = 4
-# Between parts of one survey [m]: no flight leaves so much out.
-_ELSEWHERE_M = 5000.0
 
 
 @dataclass(frozen=True)
@@ -231,60 +223,3 @@ def head_doubts(heads: Mapping[str, Exif]) -> list[str]:
             "photographs, split them"
         )
     return warnings + position_doubts(heads)
-
-
-def position_doubts(heads: Mapping[str, Exif]) -> list[str]:
-    """Warnings that name the photographs whose GPS position or height lies far from all others."""
-    known = {name: head.lat_lon_height for name, head in heads.items() if head.lat_lon_height is not None}
-    if len(known) < _FEWEST:
-        return []
-    names, places = np.array(list(known)), np.array(list(known.values()))
-    # Across the meridian of 180 degrees longitudes go on, from the first.
-    away = places[:, 1] - places[0, 1]
-    plan = EARTH_RADIUS_M * np.radians(np.column_stack([places[:, 0], (away + 180.0) % 360.0 - 180.0]))
-    plan[:, 1] *= np.cos(np.radians(np.median(places[:, 0])))
-    return far_from_others(names, plan, places[:, 2], "GPS")
-
-
-def far_from_others(names: np.ndarray, plan: np.ndarray, height: np.ndarray, by: str) -> list[str]:
-    """Warnings that name the photographs whose place (N, 2) or height (N,) [m], NaN where unknown, is far from all.
-
-    ``by`` is what has them there, "GPS" or "pose".
-    """
-    if len(names) < _FEWEST:
-        return []
-    main = _largest_group(plan)
-    warnings = named(names[~main].tolist(), "image", f"kilometres away from the others by {by}: of another survey?")
-    apart = KDTree(plan).query(plan, k=2)[0][:, 1]
-    warnings += named(
-        _few(names, main & (apart > max(_FAR * float(np.median(apart)), _FAR_PLAN_M))),
-        "image",
-        f"far from all others by its {by} position",
-    )
-    with_height = np.isfinite(height)
-    heights = height[with_height]
-    if len(heights) < _FEWEST:
-        return warnings
-    off = np.abs(heights - np.median(heights))
-    far = off > max(_FAR * float(np.median(off)), _FAR_HEIGHT_M)
-    low, high = heights[~far].min(), heights[~far].max()
-    said = [f"{name} ({of_it:.1f} m)" for name, of_it in zip(names[with_height], heights, strict=True)]
-    return warnings + named(
-        _few(np.array(said), far),
-        "image",
-        f"far from the others by its {by} height, which are at {low:.1f} to {high:.1f} m",
-    )
-
-
-def _largest_group(plan: np.ndarray) -> np.ndarray:
-    """Mask (N,) bool of the places (N, 2) [m] of the largest group. Groups are at least `_ELSEWHERE_M` apart."""
-    squares, square = np.unique(np.floor(plan / _ELSEWHERE_M), axis=0, return_inverse=True)
-    beside = np.array(list(KDTree(squares).query_pairs(1.0, p=np.inf))).reshape(-1, 2)
-    linked = coo_array((np.ones(len(beside)), tuple(beside.T)), shape=(len(squares), len(squares)))
-    group = connected_components(linked, directed=False)[1][square.ravel()]
-    return group == np.bincount(group).argmax()
-
-
-def _few(names: np.ndarray, far: np.ndarray) -> list[str]:
-    """Names of the far photographs, where these are few enough to be wrong."""
-    return names[far].tolist() if far.sum() <= max(1, int(_MOST_FAR * len(names))) else []

@@ -22,10 +22,11 @@ from survey.folder.camera_faults import require_apart, require_focal_lengths
 from survey.folder.contradiction import Contradiction
 from survey.folder.control import mark_doubts
 from survey.folder.datum_mixups import exif_doubts, low_flight_doubts, place_of, start_doubts
-from survey.folder.found import Found, far_from_others, find_survey
+from survey.folder.found import Found, find_survey
 from survey.folder.motion import Velocity, shutter_doubts, velocities_of, with_motion
 from survey.folder.plausible import doubts_of_places, require_true
 from survey.folder.pose_priors import PosePrior, common_plan_std
+from survey.folder.positions import far_from_others
 from survey.folder.reference import read_ground
 from survey.folder.reprojection import Reprojection
 from survey.photos.cameras import View, metres_per_px

@@ -1,0 +1,163 @@
+"""Positions of photographs far from the others: in height, in plan, off the line of flight, or the same twice."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from geo.crs import EARTH_RADIUS_M
+from survey.display.words import named
+from survey.photos.exif import Exif
+
+# A position is far from the others beyond so many times what is usual among them, and these lengths [m]; more than this
+# share of positions is another part of the flight.
+_FAR, _FAR_HEIGHT_M, _FAR_PLAN_M, _MOST_FAR = 10.0, 10.0, 50.0, 0.1
+_FEWEST = 4
+# Between parts of one survey [m]: no flight leaves so much out.
+_ELSEWHERE_M = 5000.0
+# Off the line of flight: beyond the noise of a receiver without corrections [m], and so many times what two photographs
+# before and two behind leave open, or the steps between photographs around it.
+_OFF_M, _TIMES_OPEN, _TIMES_STEP = 10.0, 5.0, 2.0
+_STEPS_BESIDE, _FEWEST_STEPS = 6, 4
+# A photograph for which a drone flew off and back takes longer than others, in units of their usual interval and [s].
+_LONGER, _CLOCK_STEP_S = 2.0, 1.0
+
+
+def position_doubts(heads: Mapping[str, Exif]) -> list[str]:
+    """Warnings that name the photographs whose GPS position or height lies far from all others."""
+    known = {name: head for name, head in heads.items() if head.lat_lon_height is not None}
+    if len(known) < _FEWEST:
+        return []
+    names, places = np.array(list(known)), np.array([head.lat_lon_height for head in known.values()])
+    # Across the meridian of 180 degrees longitudes go on, from the first.
+    away = places[:, 1] - places[0, 1]
+    plan = EARTH_RADIUS_M * np.radians(np.column_stack([places[:, 0], (away + 180.0) % 360.0 - 180.0]))
+    plan[:, 1] *= np.cos(np.radians(np.median(places[:, 0])))
+    clocks = [head.clock for head in known.values()]
+    seconds = None
+    if all(clock is not None for clock in clocks):
+        seconds = np.array([(clock - clocks[0]).total_seconds() for clock in clocks])  # type: ignore[operator]
+    return far_from_others(names, plan, places[:, 2], "GPS", seconds)
+
+
+def far_from_others(
+    names: np.ndarray, plan: np.ndarray, height: np.ndarray, by: str, seconds: np.ndarray | None = None
+) -> list[str]:
+    """Warnings that name the photographs whose place (N, 2) or height (N,) [m], NaN where unknown, is far from all.
+
+    ``by`` is what has them there, "GPS" or "pose"; ``seconds`` is when they were taken, where that is known, and their
+    order is that of the flight otherwise.
+    """
+    if len(names) < _FEWEST:
+        return []
+    main = _largest_group(plan)
+    warnings = named(names[~main].tolist(), "image", f"kilometres away from the others by {by}: of another survey?")
+    apart = KDTree(plan).query(plan, k=2)[0][:, 1]
+    alone = main & (apart > max(_FAR * float(np.median(apart)), _FAR_PLAN_M))
+    warnings += named(_few(names, alone), "image", f"far from all others by its {by} position")
+    off = _off_the_line(plan, seconds)
+    said = np.array([f"{name} (by {of_it:.0f} m)" for name, of_it in zip(names, off, strict=True)])
+    warnings += named(
+        _few(said, main & ~alone & (off > 0.0)),
+        "image",
+        f"off the line of flight by its {by} position, between those before and after it",
+    )
+    warnings += _again(names, np.column_stack([plan, height]), by)
+    with_height = np.isfinite(height)
+    heights = height[with_height]
+    if len(heights) < _FEWEST:
+        return warnings
+    away = np.abs(heights - np.median(heights))
+    far = away > max(_FAR * float(np.median(away)), _FAR_HEIGHT_M)
+    low, high = heights[~far].min(), heights[~far].max()
+    said = np.array([f"{name} ({of_it:.1f} m)" for name, of_it in zip(names[with_height], heights, strict=True)])
+    return warnings + named(
+        _few(said, far),
+        "image",
+        f"far from the others by its {by} height, which are at {low:.1f} to {high:.1f} m",
+    )
+
+
+def _again(names: np.ndarray, places: np.ndarray, by: str) -> list[str]:
+    """Warnings about photographs (N,) that have one and the same position (N, 3) to the last digit."""
+    if by != "GPS":
+        # Of poses those with the same rotation too are looked for where they are read.
+        return []
+    alike = defaultdict(list)
+    for name, place in zip(names, places, strict=True):
+        alike[place.tobytes()].append(str(name))
+    if len(alike) == 1:
+        return [f"all {len(names)} images have the same GPS position to the last digit: it tells nothing of them"]
+    again = [name for group in alike.values() for name in group[1:]]
+    return named(again, "image", "with the GPS position of an earlier one to the last digit")
+
+
+def _off_the_line(plan: np.ndarray, seconds: np.ndarray | None) -> np.ndarray:
+    """How far (N,) [m] places (N, 2) are from where the flight was before and after; 0 for those that are not far.
+
+    On a straight part both the two places before and the two behind tell where one is. Elsewhere one is far from the
+    line between its neighbours where these are no farther apart than others, and it is farther than usual steps: at
+    the turn of a flight no place is farther from that line than the shorter of its two steps.
+    """
+    num = len(plan)
+    off = np.zeros(num)
+    if num < _FEWEST + 1:
+        return off
+    order = np.arange(num) if seconds is None else np.argsort(seconds, kind="stable")
+    at = plan[order]
+    found = np.zeros(num)
+    found[1:-1] = _from_neighbours(at)
+    guesses = np.stack([2.0 * at[1:-3] - at[:-4], 2.0 * at[3:-1] - at[4:], (at[1:-3] + at[3:-1]) / 2.0])
+    middle = guesses.mean(axis=0)
+    open_m = np.linalg.norm(guesses - middle, axis=2).max(axis=0)
+    away = np.linalg.norm(at[2:-2] - middle, axis=1)
+    found[2:-2] = np.maximum(found[2:-2], np.where(away > np.maximum(_OFF_M, _TIMES_OPEN * open_m), away, 0.0))
+    if seconds is not None:
+        taken = np.diff(seconds[order])
+        longest = _LONGER * float(np.median(taken)) + _CLOCK_STEP_S
+        found[1:-1][(taken[:-1] > longest) | (taken[1:] > longest)] = 0.0
+    # What lies beside a place that is farther off looks off by it.
+    around = sliding_window_view(np.pad(found, 2), 5).max(axis=1)
+    off[order] = np.where(found >= around, found, 0.0)
+    return off
+
+
+def _from_neighbours(at: np.ndarray) -> np.ndarray:
+    """Distance (N - 2,) [m] of each place from the line between its neighbours where it is far; 0 elsewhere."""
+    before, here, behind = at[:-2], at[1:-1], at[2:]
+    along = behind - before
+    apart = np.linalg.norm(along, axis=1)
+    share = np.einsum("ni,ni->n", here - before, along) / np.maximum(apart**2, np.finfo(float).tiny)
+    away = np.linalg.norm(here - before - np.clip(share, 0.0, 1.0)[:, None] * along, axis=1)
+    step = np.linalg.norm(np.diff(at, axis=0), axis=1)
+    beside = sliding_window_view(np.pad(step, _STEPS_BESIDE, constant_values=np.nan), 2 * _STEPS_BESIDE + 2)[
+        :, [*range(_STEPS_BESIDE), *range(_STEPS_BESIDE + 2, 2 * _STEPS_BESIDE + 2)]
+    ]
+    enough = np.isfinite(beside).sum(axis=1) >= _FEWEST_STEPS
+    beside = np.where(enough[:, None], beside, np.inf)
+    # Around the place, and in all of the flight.
+    usual, most = np.nanquantile(beside, 0.75, axis=1), 1.1 * np.nanmax(beside, axis=1)
+    here_far = (away > np.maximum(_OFF_M, _TIMES_STEP * usual)) & (apart < np.maximum(_TIMES_STEP * usual, most))
+    usual, most = np.quantile(step, [0.75, 0.9])
+    all_far = (away > max(_OFF_M, _TIMES_STEP * usual)) & (apart < _TIMES_STEP * most)
+    return np.where(here_far | all_far, away, 0.0)
+
+
+def _largest_group(plan: np.ndarray) -> np.ndarray:
+    """Mask (N,) bool of the places (N, 2) [m] of the largest group. Groups are at least `_ELSEWHERE_M` apart."""
+    squares, square = np.unique(np.floor(plan / _ELSEWHERE_M), axis=0, return_inverse=True)
+    beside = np.array(list(KDTree(squares).query_pairs(1.0, p=np.inf))).reshape(-1, 2)
+    linked = coo_array((np.ones(len(beside)), tuple(beside.T)), shape=(len(squares), len(squares)))
+    group = connected_components(linked, directed=False)[1][square.ravel()]
+    return group == np.bincount(group).argmax()
+
+
+def _few(names: np.ndarray, far: np.ndarray) -> list[str]:
+    """Names of the far photographs, where these are few enough to be wrong."""
+    return names[far].tolist() if far.sum() <= max(1, int(_MOST_FAR * len(names))) else []

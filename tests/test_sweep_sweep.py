@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import fields, replace
 
 import cv2
@@ -186,7 +187,7 @@ def test_progress_is_the_share_of_the_samples_compared(device, monkeypatch):
     count_true, shares = [], []
 
     def counting(reference, hypotheses, columns):
-        count_true.append(hypotheses.start.size * hypotheses.count * len(reference.neighbours))
+        count_true.append(math.prod(hypotheses.start.shape) * hypotheses.count * len(reference.neighbours))
         return match_view(reference, hypotheses, columns)
 
     match_view = matching.match_view

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from fields.sweep.kernels.flat import (
     evaluate,
     flatten,
     gather,
+    is_torch,
     kth_smallest,
     nonzero,
     scalar,
@@ -182,20 +184,39 @@ def fill_nearest(height: Any, known: Any) -> Any:
     place, xp = places(flat, shape), kernels.namespace(flat)
     nowhere = scalar(flat, 4.0 * max(shape))
     nearest = [xp.where(mask, to_float(line), nowhere) for line in place]
-    evaluate(*nearest)
+    evaluate(*place, *nearest)
+    last, width = tuple(scalar(place[0], length - 1) for length in shape), scalar(place[0], shape[1])
+    jump = _jump if is_torch(flat) else _recorded_jump()
     # Steps of one pixel twice: of what is found otherwise one pixel in a thousand is a third too far away.
     for length in [*(1 << bit for bit in reversed(range(max(shape).bit_length()))), 1]:
-        reach = scalar(flat, length)
-        distance, rank = _distance(place, nearest), _scan_rank(place, nearest)
-        for y, x in ((y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if y or x):
-            there = [_shifted(each, shape, place, (y * reach, x * reach)) for each in nearest]
-            other, later = _distance(place, there), _scan_rank(place, there)
-            better = (other < distance) | ((other == distance) & (later < rank))
-            nearest = [xp.where(better, new, old) for new, old in zip(there, nearest, strict=True)]
-            distance, rank = xp.minimum(distance, other), xp.where(better, later, rank)
-        evaluate(*nearest)
+        nearest = jump(place, nearest, scalar(place[0], length), last, width)
     rows, columns = (_floor(each) for each in nearest)
     return unflatten(gather(flat, rows * scalar(flat, shape[1]) + columns), shape)
+
+
+def _jump(place: Place, nearest: list[Any], reach: Any, last: tuple[Any, Any], width: Any) -> list[Any]:
+    """Row and column of the nearest known pixel, of those that a pixel and eight in a distance know of."""
+    xp = kernels.namespace(nearest[0])
+    distance, rank = _distance(place, nearest), _scan_rank(place, nearest)
+    for y, x in ((y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if y or x):
+        row, column = (
+            xp.minimum(xp.maximum(line + step * reach, 0), end)
+            for line, step, end in zip(place, (y, x), last, strict=True)
+        )
+        there = [gather(each, row * width + column) for each in nearest]
+        other, later = _distance(place, there), _scan_rank(place, there)
+        better = (other < distance) | ((other == distance) & (later < rank))
+        nearest = [xp.where(better, new, old) for new, old in zip(there, nearest, strict=True)]
+        distance, rank = xp.minimum(distance, other), xp.where(better, later, rank)
+    return nearest
+
+
+@cache
+def _recorded_jump() -> Callable[..., list[Any]]:
+    """`_jump` by Dr.Jit, traced once: to trace a step takes longer than a GPU needs for it."""
+    import drjit
+
+    return drjit.freeze(_jump)
 
 
 def _distance(place: Place, other: list[Any]) -> Any:
@@ -215,7 +236,7 @@ def _scan_rank(place: Place, other: list[Any]) -> Any:
     """Rank of pixels in OpenCV's scans of the distance transform: down the image, up, last in a row."""
     xp = kernels.namespace(other[0])
     down, right = (_floor(each - to_float(line)) for line, each in zip(place, other, strict=True))
-    order, part = down * _FAR + right, scalar(down, _FAR * _FAR // 2)
+    order, part = down * _FAR + right, _FAR * _FAR // 2
     on_way_down = ((down < 0) & (right <= -2 * down)) | ((down == 0) & (right < 0))
     return xp.where(on_way_down, order - part, xp.where(down > 0, -order, order + part))
 

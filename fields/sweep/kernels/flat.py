@@ -12,6 +12,10 @@ import numpy as np
 
 from refract import kernels
 
+_SIGN = 1 << 31
+# Bits of a key before a digit, and of the digit.
+_DIGITS = ((0, 11), (11, 11), (22, 10))
+
 
 def _drjit() -> Any:
     """The module, which says nothing of its types; imported where arrays are not torch's."""
@@ -163,15 +167,19 @@ def kth_smallest(flat: Any, rank: int) -> float:
         return float(flat.sort().values[rank])
     drjit = _drjit()
     # Bits of floats rise with them once those of negative ones are turned over.
-    bits = drjit.reinterpret_array(drjit.int32_array_t(type(flat)), flat)
-    keys = drjit.select(bits < 0, bits ^ 0x7FFFFFFF, bits)
+    bits = drjit.reinterpret_array(drjit.uint32_array_t(type(flat)), flat)
+    keys = drjit.select(bits >= _SIGN, ~bits, bits | _SIGN)
     drjit.eval(keys)
-    low, high = -(2**31), 2**31 - 1
-    while low < high:
-        middle = (low + high) // 2
-        if count_true(keys <= drjit.opaque(type(keys), middle)) > rank:
-            high = middle
-        else:
-            low = middle + 1
-    found = np.int32(low if low >= 0 else low ^ 0x7FFFFFFF)
+    digits = 0
+    # Radix selection: a histogram of the next digit of all keys that begin with the digits found before.
+    for known, width in _DIGITS:
+        rest = 32 - known - width
+        begins_so = (keys >> (32 - known)) == drjit.opaque(type(keys), digits) if known else True
+        counts = drjit.zeros(type(keys), 1 << width)
+        drjit.scatter_add(counts, type(keys)(1), (keys >> rest) & ((1 << width) - 1), begins_so)
+        up_to = np.cumsum(counts.numpy(), dtype=np.int64)
+        digit = int(np.searchsorted(up_to, rank, side="right"))
+        rank -= int(up_to[digit - 1]) if digit else 0
+        digits = digits << width | digit
+    found = np.uint32(digits ^ _SIGN if digits & _SIGN else ~digits & 0xFFFFFFFF)
     return float(found.view(np.float32))

@@ -49,7 +49,7 @@ def composite(weights: Tensor, look: Callable[[Tensor], Tensor], opacity: Tensor
     """
     painted = weights.detach() > MIN_COLOUR_WEIGHT
     where = painted.view(-1).nonzero()[:, 0]
-    colours = torch.zeros(weights.numel(), 3).index_put((where,), look(where)).view(*weights.shape, 3)
+    colours = weights.new_zeros(weights.numel(), 3).index_put((where,), look(where)).view(*weights.shape, 3)
     share = weights * painted
     total = share.sum(dim=1, keepdim=True)
     share = share / total if opacity is None else share * (opacity / total.clamp(min=MIN_COLOUR_WEIGHT))

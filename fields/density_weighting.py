@@ -15,7 +15,7 @@ import drjit as dr
 import torch
 from torch import Tensor
 
-from fields.lookup import PACKET, flat_on, on_host
+from fields.lookup import PACKET, as_torch, flat_on
 
 # Lanes of the backward kernel per scale: few sums to add up at the end, yet enough packets for the processors.
 LANES = {"llvm": 256, "cuda": 8192}
@@ -59,7 +59,7 @@ class _Weighting(torch.autograd.Function):
         a = gate.read(flat_on(gate.module, features), row, True)
         layers, fine = gate.load(flat_on(gate.module, flat), row % gate.scales)
         gates, _ = gate.run(layers, a)
-        return on_host(_dot(gate.summed(a, gates[-1]), fine, 0.0)).reshape(-1, gate.scales)
+        return as_torch(_dot(gate.summed(a, gates[-1]), fine, 0.0), features).reshape(-1, gate.scales)
 
     @staticmethod
     def backward(ctx, gradient: Tensor):
@@ -135,9 +135,9 @@ class _Gate:
 
         _, sums = dr.while_loop((UInt(lane), zeros), lambda row, _: row < num, one_row, mode="symbolic")
         dr.eval(sums, to_features)
-        per_scale = torch.stack([on_host(s).reshape(-1, self.scales).sum(dim=0) for s in sums])
+        per_scale = torch.stack([as_torch(s, flat).reshape(-1, self.scales).sum(dim=0) for s in sums])
         to_flat = torch.cat([per_scale[:shared].sum(dim=1), per_scale[shared:].T.reshape(-1)])
-        return on_host(to_features), to_flat
+        return as_torch(to_features, features), to_flat
 
     def _row(self, layers: list, fine: list, a: list, incoming) -> tuple[list, list, list]:
         """Backwards through a row: pairs whose products belong to the last map, to the others, and what goes to `a`."""

@@ -100,6 +100,13 @@ def memory_bytes(device: Device) -> int:
     return 0 if failed else found.value
 
 
+def tensor_place(device: Device) -> str:
+    """Where fields in torch lie on a device: on the host where this build of torch knows no CUDA."""
+    import torch
+
+    return device.place if torch.cuda.is_available() else "cpu"
+
+
 @cache
 def choose_device(wanted: str = "auto") -> Device:
     """The backend for the inner loops.

@@ -132,7 +132,8 @@ class ColourHead(nn.Module):
         # The colour weights go into the map that follows them: no pass over all features for them alone.
         width = len(self.weights)
         maps = (self.first.weight[:, :width] * self.weights).t(), self.first.weight[:, width:].t()
-        parts = zip(features.split(PART), beside.split(PART), strict=True)
+        part = max(len(features), 1) if features.is_cuda else PART
+        parts = zip(features.split(part), beside.split(part), strict=True)
         return torch.cat([self._regress(f, torch.addmm(self.first.bias, b, maps[1]), maps[0]) for f, b in parts])
 
     def _regress(self, features: Tensor, start: Tensor, weighted: Tensor) -> Tensor:

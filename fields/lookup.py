@@ -56,7 +56,7 @@ class _Lookup(torch.autograd.Function):
                 for part in range(field.packets):
                     plane, vector = read.values(part)
                     dr.scatter(out, plane * vector, field.packet(sample, scale, place, part))
-        return on_host(out).reshape(u.shape[0], factors.num_features)
+        return as_torch(out, u).reshape(u.shape[0], factors.num_features)
 
     @staticmethod
     def backward(ctx, gradient: Tensor):
@@ -68,7 +68,7 @@ class _Lookup(torch.autograd.Function):
         add = _add_in_order if ctx.factors.device.name == "llvm" else _add_in_any_order
         add(field, flat_on(module, u), flat_on(module, gradient), u.shape[0], sums)
         dr.eval(sums)
-        to_planes, to_vectors = (on_host(s) for s in sums)
+        to_planes, to_vectors = (as_torch(s, planes) for s in sums)
         return to_planes.reshape(planes.shape), to_vectors.reshape(vectors.shape), None, None
 
 
@@ -199,13 +199,22 @@ def _lanes(module) -> int:
 
 
 def flat_on(module, tensor: Tensor):
-    """The numbers of a tensor on the device; on LLVM nothing is copied."""
-    return module.Float(tensor.detach().contiguous().reshape(-1).numpy())
+    """The numbers of a tensor on the device of the kernels; not copied on LLVM, nor from a CUDA tensor to CUDA."""
+    flat = tensor.detach().contiguous().reshape(-1)
+    if not flat.is_cuda:
+        return module.Float(flat.numpy())
+    # The two libraries work in streams of their own.
+    torch.cuda.current_stream().synchronize()
+    return module.Float(flat)
 
 
-def on_host(array) -> Tensor:
-    """Torch keeps the field in host memory, wherever the kernels run; on LLVM nothing is copied."""
-    return torch.from_numpy(array.numpy())
+def as_torch(array, like: Tensor) -> Tensor:
+    """An array of the kernels as a tensor where another one lies: in host memory, or that of the device."""
+    if not like.is_cuda:
+        return torch.from_numpy(array.numpy())
+    dr.eval(array)
+    dr.sync_thread()
+    return array.torch()
 
 
 def _point(module, u, sample, active) -> list:

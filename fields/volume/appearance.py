@@ -71,14 +71,15 @@ def match_appearance(
         raise ValueError("the volume has no appearance vectors to match; train it with `appearance_vectors`")
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
-    vectors = appearance_vectors(len(photographs.cameras), own.embedding_dim)
+    place = renderer.model.place
+    vectors, cells = appearance_vectors(len(photographs.cameras), own.embedding_dim).to(place), cells.to(place)
     vectors.weight.data += own.weight.detach().mean(dim=0)
     optimiser = torch.optim.Adam(vectors.parameters(), lr=0.05)
     falling = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
     renderer.appearance = vectors
     try:
         for _ in range(steps):
-            paths = photographs.draw(rays, renderer.model.box, rng)
+            paths = photographs.draw(rays, renderer.model.box, rng).to(place)
             rendered = renderer.render(paths, renderer.samples(paths, cells, SAMPLES, jitter=True))
             error = ((rendered.rgb - paths.rgb) ** 2).mean()
             optimiser.zero_grad(set_to_none=True)

@@ -57,12 +57,13 @@ def opacity(model: VolumeModel, x: Tensor, length: float) -> Tensor:
 def draw_nodes(model: VolumeModel, length: float, *, drawn: int = DRAWN, points: int = POINTS) -> Drawn:
     """Opacities and their gradients at points drawn uniformly in nodes drawn uniformly; ``length`` is l [m]."""
     counts = model.box.counts(NODES)
-    node = torch.randint(0, int(np.prod(counts)), (drawn,))
+    place = model.place
+    node = torch.randint(0, int(np.prod(counts)), (drawn,), device=place)
     corner = torch.stack(torch.unravel_index(node, counts), dim=-1)
-    size = torch.as_tensor(model.box.size / counts, dtype=torch.float32)
-    low = torch.as_tensor(model.box.low, dtype=torch.float32)
-    x = low + size * (corner[:, None] + torch.rand(drawn, points, 3))
-    aside = 0.5 * length * torch.cat([torch.zeros(1, 3), torch.eye(3), -torch.eye(3)])
+    low, size = (_single(v, place) for v in (model.box.low, model.box.size / counts))
+    x = low + size * (corner[:, None] + torch.rand(drawn, points, 3, device=place))
+    axes = torch.eye(3, device=place)
+    aside = 0.5 * length * torch.cat([axes.new_zeros(1, 3), axes, -axes])
     here, after, before = opacity(model, x[:, :, None] + aside, length).split([1, 3, 3], dim=2)
     return Drawn(node, here[:, :, 0], after - before)
 
@@ -78,11 +79,16 @@ def gaussian_density_loss(model: VolumeModel, length: float, *, points: int = DR
 
     Neighbours come in pairs about the point, so that density that changes linearly costs nothing.
     """
-    low, size = (torch.as_tensor(v, dtype=torch.float32) for v in (model.box.low, model.box.size))
-    x = low + size * torch.rand(points, 1, 3)
-    aside = length * torch.randn(points, PAIRS, 3)
+    place = model.place
+    low, size = (_single(v, place) for v in (model.box.low, model.box.size))
+    x = low + size * torch.rand(points, 1, 3, device=place)
+    aside = length * torch.randn(points, PAIRS, 3, device=place)
     a = opacity(model, torch.cat([x, x + aside, x - aside], dim=1), length)
     return ((a[:, 0] - a[:, 1:].mean(dim=1)) ** 2).mean()
+
+
+def _single(values: np.ndarray, place: torch.device) -> Tensor:
+    return torch.as_tensor(values, dtype=torch.float32, device=place)
 
 
 class NodeScores:
@@ -106,19 +112,20 @@ class NodeScores:
         """Look at some nodes."""
         drawn = draw_nodes(model, self.length)
         fresh = drawn.gradient.mean(dim=1).norm(dim=1) + drawn.opacity.var(dim=1, correction=0)
+        self.score = self.score.to(model.place)
         flat = self.score.view(-1)
         flat[drawn.node] = self.decay * flat[drawn.node] + (1.0 - self.decay) * fresh
 
     def at(self, x: Tensor) -> Tensor:
         """Scores (...) at positions (..., 3) [m]; of the nearest node outside the box."""
-        shape = torch.tensor(self.score.shape)
+        shape = torch.tensor(self.score.shape, device=x.device)
         index = torch.minimum(torch.floor(self.box.unit(x) * shape).long().clamp(min=0), shape - 1)
         return self.score[index.unbind(-1)]
 
     @torch.no_grad()
     def samples(self, cells: Cells, paths: Paths, num: int, share: float) -> Samples:
         """``num`` jittered samples a path: ``share`` of them by score, the others evenly over its occupied part."""
-        ends = torch.linspace(0.0, 1.0, BINS + 1)
+        ends = torch.linspace(0.0, 1.0, BINS + 1, device=paths.near.device)
         edges = paths.near[:, None] + ends * (paths.far - paths.near)[:, None]
         middle = paths.at(0.5 * (edges[:, 1:] + edges[:, :-1]))
         inside = cells.holds(middle).to(edges.dtype)
@@ -135,6 +142,6 @@ def _covered(edges: Tensor, inside: Tensor, mass: Tensor, num: int) -> Tensor:
     """Lengths (N, num) [m] of the occupied part of pieces of equal mass."""
     filled = torch.cumsum((edges[:, 1:] - edges[:, :-1]) * inside, dim=1)
     filled = torch.cat([torch.zeros_like(filled[:, :1]), filled], dim=1)
-    levels = torch.linspace(0.0, 1.0, num + 1).expand(len(edges), -1).contiguous()
+    levels = torch.linspace(0.0, 1.0, num + 1, device=edges.device).expand(len(edges), -1).contiguous()
     at_ends = inverse_cdf(filled, mass, levels)
     return at_ends[:, 1:] - at_ends[:, :-1]

@@ -18,6 +18,6 @@ def encoded_length(frequencies: int) -> int:
 
 def frequency_encoding(p: Tensor, frequencies: int) -> Tensor:
     """Equation (1) of coordinates (S, 3): (S, 3 + 6 L), the coordinates, all their sines, all their cosines."""
-    waves = torch.pi * 2.0 ** torch.arange(frequencies, dtype=p.dtype)
+    waves = torch.pi * 2.0 ** torch.arange(frequencies, dtype=p.dtype, device=p.device)
     angle = (p[:, None, :] * waves[:, None]).flatten(1)
     return torch.cat([p, torch.sin(angle), torch.cos(angle)], dim=1)

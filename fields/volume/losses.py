@@ -113,7 +113,7 @@ class Losses:
             (self.priors.depth, lambda: relative_depth_loss(paths, rendered, renderer.model.box.edge)),
             (self.priors.normal, lambda: normal_prior_loss(paths, seen.normals)),
         ]
-        return sum((weight * loss() for weight, loss in terms if weight), torch.zeros(()))
+        return sum((weight * loss() for weight, loss in terms if weight), rendered.rgb.new_zeros(()))
 
 
 @dataclass

@@ -24,6 +24,11 @@ class VolumeModel(nn.Module):
         super().__init__()
         self.box = box
 
+    @property
+    def place(self) -> torch.device:
+        """Where its parameters lie, and all that it is given; the host for a model without any."""
+        return next(self.parameters(), torch.empty(0)).device
+
     @abstractmethod
     def evaluate(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Density (S,) [1/m] and features (S, F) at positions (S, 3) [m], local."""
@@ -50,7 +55,7 @@ class VolumeModel(nn.Module):
 
     def penalty(self, x: Tensor) -> Tensor:
         """A scalar loss of the model itself in training, beside the photographs, at positions (S, 3) [m]."""
-        return torch.zeros(())
+        return x.new_zeros(())
 
     def normals(self, x: Tensor, step: float) -> Tensor:
         """Outward unit normals (S, 3) at positions (S, 3) [m]: against the gradient of density.
@@ -62,7 +67,7 @@ class VolumeModel(nn.Module):
 
     def density_gradient(self, x: Tensor, step: float) -> Tensor:
         """Gradient of density (S, 3) [1/m2] at positions (S, 3) [m], by central differences of ``step`` [m]."""
-        aside = step * torch.eye(3)
+        aside = step * torch.eye(3, device=x.device)
         ends = torch.cat([x + a for a in aside] + [x - a for a in aside])
         after, before = self.evaluate(ends)[0].view(2, 3, -1)
         return ((after - before) / (2.0 * step)).T

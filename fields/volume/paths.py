@@ -113,6 +113,10 @@ class Paths:
     def __getitem__(self, index) -> Paths:
         return Paths(*(getattr(self, f.name)[index] for f in fields(self)))
 
+    def to(self, place: torch.device) -> Paths:
+        """The same paths in the memory of a device."""
+        return Paths(*(getattr(self, f.name).to(place) for f in fields(self)))
+
     @staticmethod
     def concatenate(parts: list[Paths]) -> Paths:
         """Paths of several views in one."""
@@ -196,4 +200,4 @@ def _single(values: np.ndarray) -> Tensor:
 
 
 def _like(values: np.ndarray, x: Tensor) -> Tensor:
-    return torch.as_tensor(values, dtype=x.dtype)
+    return torch.as_tensor(values, dtype=x.dtype, device=x.device)

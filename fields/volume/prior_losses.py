@@ -103,7 +103,7 @@ def fit_views(terms: Tensor, target: Tensor, view: Tensor) -> tuple[Tensor, Tens
     views, index = torch.unique(view, return_inverse=True)
     t, y = terms.double(), target.double()
     products = torch.stack([t[:, 0] ** 2, t[:, 0] * t[:, 1], t[:, 1] ** 2, t[:, 0] * y, t[:, 1] * y], dim=1)
-    xx, xc, cc, xy, cy = torch.zeros(len(views), 5, dtype=torch.float64).index_add(0, index, products).unbind(1)
+    xx, xc, cc, xy, cy = products.new_zeros(len(views), 5).index_add(0, index, products).unbind(1)
     determinant = xx * cc - xc**2
     # The priors are float32: a determinant under their rounding, squared, is none.
     solved = determinant > 1e-12 * xx * cc
@@ -168,7 +168,7 @@ def smooth_normals_loss(normals: Tensor, seen: Tensor) -> Tensor:
     A pair counts ``exp(-10 |difference of grey|)``: bends of a surface tend to show as edges.
     """
     grey = seen.mean(dim=-1)
-    total = torch.zeros(())
+    total = normals.new_zeros(())
     for axis in (1, 2):
         bend = (normals.diff(dim=axis) ** 2).sum(dim=-1)
         total = total + (bend * torch.exp(-10.0 * grey.diff(dim=axis).abs())).mean()
@@ -186,7 +186,7 @@ def virtual_view_loss(
     paths, rendered = paths[::EVERY], _thinned(rendered)
     seen = (rendered.opacity > 0.5) & (paths.near < paths.far)
     if not seen.any():
-        return torch.zeros(())
+        return rendered.rgb.new_zeros(())
     paths, depth = paths[seen], rendered.depth[seen]
     points = paths.at(depth[:, None])[:, 0]
     centres = paths.origin + BASELINE * depth.mean() * _offsets(paths.view)
@@ -207,18 +207,19 @@ def paths_through(
     They carry the colours and views of the paths ``seen``. A point that no light reaches has a path that misses the
     box.
     """
-    origin, target = (v.detach().double().numpy() for v in (centres, points))
+    origin, target = (v.detach().double().cpu().numpy() for v in (centres, points))
     entry = crossing_point(target, origin, water)
     first = np.linalg.norm(entry - origin, axis=-1, keepdims=True)
     direction = (entry - origin) / np.maximum(first, 1e-9)
-    moved = paths_along(origin, direction, water, seen.rgb, box, seen.view)
+    place = points.device
+    moved = paths_along(origin, direction, water, seen.rgb.cpu(), box, seen.view.cpu()).to(place)
     length = first[:, 0] + np.linalg.norm(target - entry, axis=-1)
-    return moved, torch.as_tensor(length, dtype=points.dtype)
+    return moved, torch.as_tensor(length, dtype=points.dtype, device=place)
 
 
 def _offsets(view: Tensor) -> Tensor:
     """A random unit vector (N, 3) for each view, the same for all of its paths."""
-    directions = torch.nn.functional.normalize(torch.randn(int(view.max()) + 1, 3), dim=1)
+    directions = torch.nn.functional.normalize(torch.randn(int(view.max()) + 1, 3, device=view.device), dim=1)
     return directions[view]
 
 

@@ -101,7 +101,7 @@ class Proposal(nn.Module):
 
     def samples(self, paths: Paths, num: int, *, jitter: bool) -> Proposed:
         """``num`` samples a path where the densities put weight; they carry no gradient, their histograms do."""
-        edges, mass, rounds = torch.stack([paths.near, paths.far], dim=1), torch.ones(len(paths), 1), []
+        edges, mass, rounds = torch.stack([paths.near, paths.far], dim=1), paths.near.new_ones(len(paths), 1), []
         for index, count in enumerate(self.settings.samples):
             drawn = samples_by_mass(edges, mass, count, jitter, dense=True)
             density = self.density(index, paths.at(drawn.s).view(-1, 3)).view(len(paths), count)

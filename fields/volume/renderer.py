@@ -111,7 +111,7 @@ class VolumeRenderer(nn.Module):
 
     def penalty(self, paths: Paths, rendered: Rendered) -> Tensor:
         """What the parts ask for themselves in training, a scalar: the model at a sample of each path, the proposal."""
-        one = torch.randint(rendered.samples.s.shape[1], (len(paths), 1))
+        one = torch.randint(rendered.samples.s.shape[1], (len(paths), 1), device=paths.near.device)
         total = self.model.penalty(paths.at(rendered.samples.s.gather(1, one))[:, 0])
         if self.proposal is not None:
             if not isinstance(rendered.samples, Proposed):

@@ -62,8 +62,8 @@ def samples_by_mass(bin_edges: Tensor, mass: Tensor, num: int, jitter: bool, *, 
         of the bins with mass that it covers.
     """
     mass = torch.where(mass.sum(dim=1, keepdim=True) > 0.0, mass, torch.ones_like(mass))
-    levels = torch.arange(num + 1, dtype=mass.dtype) / num
-    shift = torch.rand(len(mass), 1) if jitter else torch.full((len(mass), 1), 0.5)
+    levels = torch.arange(num + 1, dtype=mass.dtype, device=mass.device) / num
+    shift = torch.rand(len(mass), 1, device=mass.device) if jitter else mass.new_full((len(mass), 1), 0.5)
     edges = inverse_cdf(bin_edges, mass, levels.expand(len(mass), -1).contiguous())
     s = inverse_cdf(bin_edges, mass, (levels[:-1] + shift / num).contiguous())
     if dense:
@@ -90,32 +90,36 @@ class Cells:
         """All cells, ``num`` along the longest edge."""
         return Cells(box, torch.ones(box.counts(num), dtype=torch.bool))
 
+    def to(self, place: torch.device) -> Cells:
+        """The same cells in the memory of a device."""
+        return Cells(self.box, self.occupied.to(place))
+
     def centres(self) -> Tensor:
         """Positions (cells, 3) [m] of all cell centres, float32."""
         shape = self.occupied.shape
         axes = [low + (np.arange(n) + 0.5) * size / n
                 for low, size, n in zip(self.box.low, self.box.size, shape, strict=True)]  # fmt: skip
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-        return torch.as_tensor(grid, dtype=torch.float32)
+        return torch.as_tensor(grid, dtype=torch.float32, device=self.occupied.device)
 
     def refined(self, opacity: Tensor, least: float, margin: float) -> Cells:
         """Cells whose opacity (cells,) is at least ``least`` and those within ``margin`` [m] of them."""
-        filled = (opacity.view(self.occupied.shape) >= least).numpy()
-        return Cells(self.box, torch.from_numpy(_thickened(filled, self.box, margin)))
+        filled = (opacity.view(self.occupied.shape) >= least).cpu().numpy()
+        return Cells(self.box, torch.from_numpy(_thickened(filled, self.box, margin)).to(opacity.device))
 
     @torch.no_grad()
     def samples(self, paths: Paths, num: int, *, jitter: bool) -> Samples:
         """``num`` samples a path, spread evenly over its occupied part, or over the whole path if none is occupied."""
-        share = torch.linspace(0.0, 1.0, BINS + 1)
+        share = torch.linspace(0.0, 1.0, BINS + 1, device=paths.near.device)
         edges = paths.near[:, None] + share * (paths.far - paths.near)[:, None]
         if self.occupied.all():
-            return samples_by_mass(edges, torch.ones(len(paths), BINS), num, jitter, dense=False)
+            return samples_by_mass(edges, edges.new_ones(len(paths), BINS), num, jitter, dense=False)
         inside = self.holds(paths.at(0.5 * (edges[:, 1:] + edges[:, :-1])))
         return samples_by_mass(edges, inside.to(torch.float32), num, jitter, dense=False)
 
     def holds(self, x: Tensor) -> Tensor:
         """Whether positions (..., 3) [m] lie in an occupied cell, (...) bool."""
-        shape = torch.tensor(self.occupied.shape)
+        shape = torch.tensor(self.occupied.shape, device=x.device)
         index = torch.floor(self.box.unit(x) * shape).long()
         inside = ((index >= 0) & (index < shape)).all(dim=-1)
         index = torch.minimum(index.clamp(min=0), shape - 1)

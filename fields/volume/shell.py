@@ -57,14 +57,15 @@ class Shell(nn.Module):
         """Linear radiance (N, 3) that comes in from outside the box."""
         origin, direction = self.scaled(paths)
         nearest = self.first(origin, direction)
-        ends = nearest[:, None] * torch.linspace(1.0, 0.0, self.layers + 1)
-        middle = torch.cat([0.5 * (ends[:, 1:] + ends[:, :-1]), torch.zeros(len(paths), 1)], dim=1)
+        ends = nearest[:, None] * torch.linspace(1.0, 0.0, self.layers + 1, device=nearest.device)
+        middle = torch.cat([0.5 * (ends[:, 1:] + ends[:, :-1]), nearest.new_zeros(len(paths), 1)], dim=1)
         raw = self.network(octaves(inverted(origin, direction, middle)))
         colour = nn.functional.softplus(raw[..., 1:], beta=4.0)
         corners = inverted(origin, direction, ends)
         length = (corners[:, 1:] - corners[:, :-1]).norm(dim=-1)
         thickness = torch.cumsum(nn.functional.softplus(raw[:, :-1, 0]) * length, dim=1)
-        passed = torch.cat([torch.ones(len(paths), 1), torch.exp(-thickness), torch.zeros(len(paths), 1)], dim=1)
+        ones, nothing = nearest.new_ones(len(paths), 1), nearest.new_zeros(len(paths), 1)
+        passed = torch.cat([ones, torch.exp(-thickness), nothing], dim=1)
         return ((passed[:, :-1] - passed[:, 1:])[..., None] * colour).sum(dim=1)
 
     def scaled(self, paths: Paths) -> tuple[Tensor, Tensor]:
@@ -93,5 +94,5 @@ def inverted(origin: Tensor, direction: Tensor, u: Tensor) -> Tensor:
 
 def octaves(x: Tensor) -> Tensor:
     """Coordinates (..., C) with sines and cosines of ``2^k x``, k = 0..OCTAVES-1: (..., C (1 + 2 OCTAVES))."""
-    turned = x[..., None] * 2.0 ** torch.arange(OCTAVES, dtype=x.dtype)
+    turned = x[..., None] * 2.0 ** torch.arange(OCTAVES, dtype=x.dtype, device=x.device)
     return torch.cat([x, turned.sin().flatten(-2), turned.cos().flatten(-2)], dim=-1)

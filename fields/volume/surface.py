@@ -110,7 +110,7 @@ def surface_of(
     advance : callable
         Called after each photograph.
     """
-    parts = []
+    parts, cells = [], cells.to(renderer.model.place)
     for view in range(len(photographs.cameras)):
         parts.append(_of_view(renderer, photographs, view, cells, samples, rule, density))
         advance()
@@ -135,12 +135,13 @@ def _of_view(
         rows, columns = np.divmod(flat, camera.width)
         rgb = photographs.images[view][rows, columns]
         paths = paths_of(camera, water, np.stack([columns + 0.5, rows + 0.5], axis=-1), rgb, box, view)
+        paths = paths.to(renderer.model.place)
         distance = distance_of(
             renderer.render(paths, renderer.samples(paths, cells, samples, jitter=False)), rule, density
         )
-        met = torch.isfinite(distance).numpy()
-        points = paths.at(torch.nan_to_num(distance)[:, None])[:, 0].numpy()[met].astype(np.float64)
-        incidence = np.arccos(np.clip(-(paths.air.numpy()[met] @ up), -1.0, 1.0))
+        met = torch.isfinite(distance).cpu().numpy()
+        points = paths.at(torch.nan_to_num(distance)[:, None])[:, 0].cpu().numpy()[met].astype(np.float64)
+        incidence = np.arccos(np.clip(-(paths.air.cpu().numpy()[met] @ up), -1.0, 1.0))
         parts.append(np.column_stack([points, rgb[met], incidence, np.full(met.sum(), view)]))
     return np.concatenate(parts)
 

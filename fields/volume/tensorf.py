@@ -146,7 +146,7 @@ class TensorfVolume(VolumeModel):
 
     def penalty(self, x: Tensor) -> Tensor:
         of, fall = self.settings, self.FALL ** (self._step / self.settings.steps)
-        total = torch.zeros(())
+        total = x.new_zeros(())
         if weight := of.l1[min(self._level, 1)]:
             total = total + weight * mean_magnitude(self.density)
         if of.tv_density:
@@ -202,7 +202,7 @@ def total_variation(factors: Factors) -> Tensor:
 @torch.no_grad()
 def resampled(factors: Factors, grid: Grid) -> Factors:
     """Factors of one scale on other cells, linear between the middles of the old ones."""
-    found = Factors([grid], factors.directions, factors.channels, factors.device)
+    found = Factors([grid], factors.directions, factors.channels, factors.device).to(factors.planes.device)
     for old, new in zip(planes_of(factors), planes_of(found), strict=True):
         new.copy_(_resized(old.permute(2, 0, 1), tuple(new.shape[:2]), "bilinear").permute(1, 2, 0))
     for old, new in zip(vectors_of(factors), vectors_of(found), strict=True):

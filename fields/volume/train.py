@@ -13,7 +13,8 @@ from fields.threads import half_the_threads
 from fields.training import adam, descend, psnr_db, set_rates
 from fields.volume.density_loss import NodeScores
 from fields.volume.losses import Losses
-from fields.volume.paths import Box, Paths
+from fields.volume.model import VolumeModel
+from fields.volume.paths import Paths
 from fields.volume.photographs import Photographs
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
@@ -126,11 +127,12 @@ def train_volume(
         raise ValueError(f"by_score is {training.by_score}, but the volume's proposal draws samples: use one of both")
     torch.manual_seed(seed)
     box = renderer.model.box
-    state = _State.begun(renderer, training, cells if cells is not None else Cells.everywhere(box, training.cells))
+    cells = cells if cells is not None else Cells.everywhere(box, training.cells)
+    state = _State.begun(renderer, training, cells.to(renderer.model.place))
     if checkpoints is not None and (saved := checkpoints.load()) is not None:
         state.restore(saved, renderer)
     refresh = {round(share * training.steps) for share in training.refresh}
-    for paths in _batches(photographs, box, training, seed, state.step):
+    for paths in _batches(photographs, renderer.model, training, seed, state.step):
         if checkpoints is not None and state.step % POOL_STEPS == 0:
             checkpoints.save(lambda: state.saved(renderer), last=False)
         if state.step in refresh:
@@ -172,7 +174,7 @@ class _State:
             "scores": None if self.scores is None else self.scores.score,
             "losses": torch.tensor(self.losses, dtype=torch.float64),
             "changed": self.changed,
-            "generator": torch.get_rng_state(),
+            "generator": _generator_states(),
         }
 
     def restore(self, saved: dict[str, Any], renderer: VolumeRenderer) -> None:
@@ -184,8 +186,8 @@ class _State:
         if self.scores is not None:
             self.scores.score = saved["scores"]
         self.step, self.changed, self.losses = saved["step"], list(saved["changed"]), saved["losses"].tolist()
-        self.cells = Cells(self.cells.box, saved["occupied"])
-        torch.set_rng_state(saved["generator"])
+        self.cells = Cells(self.cells.box, saved["occupied"]).to(renderer.model.place)
+        _restore_generators(saved["generator"])
 
 
 def _step(
@@ -222,7 +224,9 @@ def proxy_of(renderer: VolumeRenderer, cells: Cells, margin: float) -> Cells:
     return cells.refined(1.0 - torch.exp(-thick * cell), 0.1, margin)
 
 
-def _batches(photographs: Photographs, box: Box, training: Training, seed: int, start: int) -> Iterator[Paths]:
+def _batches(
+    photographs: Photographs, model: VolumeModel, training: Training, seed: int, start: int
+) -> Iterator[Paths]:
     """Paths of each step from `start` on: as many whole patches as its rays hold, one at least.
 
     `start` is a multiple of `POOL_STEPS`; each pool has its own generator, so that it depends on nothing before.
@@ -231,6 +235,19 @@ def _batches(photographs: Photographs, box: Box, training: Training, seed: int, 
     patches = max(training.rays // patch**2, 1)
     for first in range(start, training.steps, POOL_STEPS):
         count = min(POOL_STEPS, training.steps - first)
-        pool = photographs.draw(count * patches, box, np.random.default_rng((seed, first)), patch)
-        for part in torch.arange(len(pool)).split(patches * patch**2):
-            yield pool[part]
+        pool = photographs.draw(count * patches, model.box, np.random.default_rng((seed, first)), patch).to(model.place)
+        of_step = patches * patch**2
+        for begin in range(0, len(pool), of_step):
+            yield pool[begin : begin + of_step]
+
+
+def _generator_states() -> dict[str, torch.Tensor]:
+    """State of the random numbers of the host, and of a CUDA device."""
+    states = {"cpu": torch.get_rng_state()}
+    return states | ({"cuda": torch.cuda.get_rng_state()} if torch.cuda.is_available() else {})
+
+
+def _restore_generators(states: dict[str, torch.Tensor]) -> None:
+    torch.set_rng_state(states["cpu"])
+    if "cuda" in states and torch.cuda.is_available():
+        torch.cuda.set_rng_state(states["cuda"])

@@ -13,8 +13,9 @@ from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
 from refract import PinholeCamera, WaterSurface
 
-# Memory for the samples of paths rendered together: more is no faster, since it exceeds the cache.
-WORKING_BYTES = 16 << 20
+# Memory for the samples of paths rendered together: more is no faster, since it exceeds the cache; on a GPU less is
+# slower, since it is not filled.
+WORKING_BYTES = {"cpu": 16 << 20, "cuda": 1 << 30}
 BYTES_PER_NUMBER = 4
 
 
@@ -60,24 +61,27 @@ def render_volume(
     chunk = chunk or chunk_of(renderer, samples)
     pixels = camera.pixel_centres().reshape(-1, 2)
     none = np.zeros((len(pixels), 3))
-    parts = []
+    place = renderer.model.place
+    parts, cells = [], cells.to(place)
     for first in range(0, len(pixels), chunk):
         rows = slice(first, first + chunk)
-        paths = paths_of(camera, water, pixels[rows], none[rows], renderer.model.box, view)
+        paths = paths_of(camera, water, pixels[rows], none[rows], renderer.model.box, view).to(place)
         seen = renderer.render(paths, renderer.samples(paths, cells, samples, jitter=False), dry=dry)
         depth = torch.where(paths.far > paths.near, seen.depth, torch.nan)
         parts.append((seen.rgb.clamp(max=1.0), depth, seen.opacity, paths.at(depth[:, None])[:, 0]))
     shape = (camera.height, camera.width)
-    columns = [torch.cat(column).numpy() for column in zip(*parts, strict=True)]
+    columns = [torch.cat(column).cpu().numpy() for column in zip(*parts, strict=True)]
     return View(*(c.reshape(*shape, *c.shape[1:]) for c in columns))
 
 
 def chunk_of(renderer: VolumeRenderer, samples: int) -> int:
     """How many paths are rendered together, so that their samples take `WORKING_BYTES`."""
-    return max(WORKING_BYTES // (BYTES_PER_NUMBER * samples * _numbers_per_sample(renderer)), 64)
+    working = WORKING_BYTES[renderer.model.place.type]
+    return max(working // (BYTES_PER_NUMBER * samples * _numbers_per_sample(renderer)), 64)
 
 
 def _numbers_per_sample(renderer: VolumeRenderer) -> int:
     """Features, as they are, weighted, picked and joined to the direction; and some 60 others."""
-    middle = torch.as_tensor(0.5 * (renderer.model.box.low + renderer.model.box.high), dtype=torch.float32)
-    return 4 * renderer.model.evaluate(middle[None])[1].shape[1] + 60
+    model = renderer.model
+    middle = torch.as_tensor(0.5 * (model.box.low + model.box.high), dtype=torch.float32, device=model.place)
+    return 4 * model.evaluate(middle[None])[1].shape[1] + 60

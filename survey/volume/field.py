@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from evaluation import distance_statistics, psnr
-from fields.device import choose_device
+from fields.device import choose_device, tensor_place
 from fields.views.image_based import heights_over, normals_of
 from fields.views.novel_view import NovelView
 from fields.volume.appearance import appearance_vectors
@@ -250,7 +250,7 @@ def train(scene: Scene, flight: Flight, options: VolumeOptions, checkpoints: Che
         column=WaterColumn() if wet else None,
         appearance=appearance_vectors(len(scene.train.names), appearance) if appearance else None,
         proposal=proposal_for(options.model, scene.box, options.cells),
-    )
+    ).to(tensor_place(device))
     cells = min(Training.cells, options.cells)
     training = Training(
         steps=options.steps, rays=options.rays, samples=options.samples, cells=cells, losses=options.of_losses()

@@ -244,7 +244,7 @@ class VolumeFolder:
         if not state.is_file():
             return None
         try:
-            return torch.load(state, weights_only=True)
+            return torch.load(state, weights_only=True, map_location="cpu")
         except (OSError, RuntimeError, ValueError, KeyError, EOFError, pickle.UnpicklingError) as error:
             raise SurveyError(
                 f"{state} cannot be read ({str(error)[:80]}); delete it, and training begins anew"

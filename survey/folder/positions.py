@@ -140,13 +140,13 @@ def _from_neighbours(at: np.ndarray) -> np.ndarray:
         :, [*range(_STEPS_BESIDE), *range(_STEPS_BESIDE + 2, 2 * _STEPS_BESIDE + 2)]
     ]
     enough = np.isfinite(beside).sum(axis=1) >= _FEWEST_STEPS
-    beside = np.where(enough[:, None], beside, np.inf)
+    beside = np.where(enough[:, None], beside, 0.0)
     # Around the place, and in all of the flight.
     usual, most = np.nanquantile(beside, 0.75, axis=1), 1.1 * np.nanmax(beside, axis=1)
     here_far = (away > np.maximum(_OFF_M, _TIMES_STEP * usual)) & (apart < np.maximum(_TIMES_STEP * usual, most))
     usual, most = np.quantile(step, [0.75, 0.9])
     all_far = (away > max(_OFF_M, _TIMES_STEP * usual)) & (apart < _TIMES_STEP * most)
-    return np.where(here_far | all_far, away, 0.0)
+    return np.where((here_far & enough) | all_far, away, 0.0)
 
 
 def _largest_group(plan: np.ndarray) -> np.ndarray:

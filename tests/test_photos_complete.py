@@ -12,6 +12,7 @@ from PIL.PngImagePlugin import PngInfo
 from survey.errors import ImageError
 from survey.photos import images
 from survey.photos.complete import is_complete
+from survey.photos.heic import has_zeros
 from survey.photos.images import require_complete
 
 FORMATS = {
@@ -188,3 +189,81 @@ def test_a_black_photograph_is_whole(tmp_path, suffix):
         tmp_path / f"a.{suffix}", **({"compression": "tiff_lzw"} if suffix == "tif" else {})
     )
     require_complete(tmp_path / f"a.{suffix}")
+
+
+def textured(mode: str) -> np.ndarray:
+    pixels = np.random.default_rng(3).integers(1, 255, (120, 161, 3), dtype=np.uint8)
+    return {
+        "RGB": pixels, "L": pixels[:, :, 0], "RGBA": np.dstack([pixels, np.full(pixels.shape[:2], 255, np.uint8)]),
+        "I;16": pixels[:, :, 0].astype(np.uint16) * 257,
+    }[mode]  # fmt: skip
+
+
+def written(tmp_path, pixels: np.ndarray):
+    path = tmp_path / "a.tif"
+    Image.fromarray(pixels).save(path)
+    with Image.open(path) as image:
+        start = image.tag_v2[273][0]
+        return path, start, start + sum(image.tag_v2[279])
+
+
+@pytest.mark.parametrize("mode", ["RGB", "L", "RGBA", "I;16"])
+@pytest.mark.parametrize("share", [0.13, 0.47, 0.79])
+@pytest.mark.parametrize("kind", ["to the end", "a sector", "some sectors"])
+def test_an_uncompressed_tiff_with_zeros_in_place_of_pixels_is_refused(tmp_path, mode, share, kind):
+    path, start, end = written(tmp_path, textured(mode))
+    data = bytearray(path.read_bytes())
+    first = start + int(share * (end - start))
+    if kind == "to the end":
+        data[first:end] = bytes(end - first)
+    else:
+        first, num = first // 512 * 512, 512 if kind == "a sector" else 2048
+        data[first : first + num] = bytes(num)
+    path.write_bytes(data)
+    with pytest.raises(ImageError, match=r"damaged or cut off \(from within a row on zeros stand where"):
+        require_complete(path)
+
+
+@pytest.mark.parametrize("mode", ["RGB", "L", "RGBA", "I;16"])
+@pytest.mark.parametrize(
+    "border", ["none", "below", "beside", "around", "corner", "circle", "turned", "turned a little"]
+)
+def test_an_uncompressed_tiff_with_a_black_border_is_whole(tmp_path, mode, border):
+    pixels = textured(mode)
+    height, width = pixels.shape[:2]
+    y, x = np.mgrid[:height, :width]
+    black = {
+        "none": np.zeros((height, width), bool), "below": y > 0.6 * height, "beside": x > 0.6 * width,
+        "around": (np.minimum(y, height - y) < 12) | (np.minimum(x, width - x) < 12),
+        "corner": (y > 0.5 * height) & (x > 0.3 * width),
+        "circle": np.hypot(x - width / 2, y - height / 2) > 0.45 * height,
+        "turned": y > 0.5 * height + 0.3 * (x - width / 2), "turned a little": y > 0.9 * height - 0.005 * x,
+    }[border]  # fmt: skip
+    pixels[black] = 0
+    require_complete(written(tmp_path, pixels)[0])
+
+
+@pytest.mark.parametrize("quality", [50, 90])
+@pytest.mark.parametrize("kind", ["to the end", "a sector"])
+def test_a_heic_with_zeros_in_its_pixels_is_refused(tmp_path, quality, kind):
+    heif = pytest.importorskip("pillow_heif")
+    heif.register_heif_opener()
+    path, exif = tmp_path / "a.heic", Image.Exif()
+    exif[0x927C] = bytes(2000)
+    for pixels in (textured("RGB"), np.zeros((120, 161, 3), np.uint8)):
+        Image.fromarray(pixels).save(path, quality=quality, exif=exif)
+        require_complete(path)
+    Image.fromarray(textured("RGB")).save(path, quality=quality)
+    data = bytearray(path.read_bytes())
+    first, num = len(data) // 2, len(data) - len(data) // 2 if kind == "to the end" else 512
+    data[first : first + num] = bytes(num)
+    path.write_bytes(data)
+    with pytest.raises(ImageError, match=r"damaged or cut off \(zeros stand where"):
+        require_complete(path)
+
+
+@pytest.mark.parametrize("length", range(0, 200, 7))
+def test_boxes_that_are_no_picture_are_left_to_the_decoder(length):
+    data = b"\0\0\0\x10ftypheic\0\0\0\0" + b"\0\0\0\x60meta\0\0\0\0" + b"\0\0\0\x20iinf" + bytes(24)
+    data += b"\0\0\0\x30iloc\2\0\0\0\x44\x44\xff\xff\xff\xff" + bytes(40)
+    assert not has_zeros(data[:length])

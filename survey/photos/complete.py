@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 from PIL import Image
 
+from survey.photos.heic import has_zeros
 from survey.photos.jpeg import jpeg_fault
-from survey.photos.opening import open_image
+from survey.photos.opening import HEIC_SUFFIXES, open_image
+from survey.photos.zeros import has_lost_pixels
 
 # A complete JPEG ends with this marker, which the compressed pixels never contain; cameras add a few bytes behind it.
 _JPEG_END = b"\xff\xd9"
@@ -19,10 +22,11 @@ _PNG_PIXELS = (b"IHDR", b"PLTE", b"IDAT")
 _PNG_END = b"IEND\xae\x42\x60\x82"
 _NEAR_END = 64
 # Where a TIFF has its pixels, and how many bytes of them: in strips, or in tiles.
-_TIFF_COMPRESSION = 259
+_TIFF_BITS, _TIFF_COMPRESSION, _TIFF_PLANES, _TIFF_TILE_WIDTH = 258, 259, 284, 322
 _DEFLATE = (8, 32946)
 _ZEROS, _SECTOR = bytes(64), bytes(512)
 _ZEROS_SAID = "zeros stand where compressed pixels should"
+_ZEROS_OF_PIXELS = "from within a row on zeros stand where pixels should"
 _WEBP_BEGIN, _WEBP_LOSSLESS = b"RIFF", b"VP8L"
 # A sector of zeros is so many equal pixels at least where it is whole: of a flat photograph, in codes of a few bits.
 _EQUAL_PIXELS = 1024
@@ -44,6 +48,8 @@ def fault_of(path: Path) -> str | None:
     if path.suffix.lower() in (".tif", ".tiff"):
         with open_image(path) as image, path.open("rb") as file:
             return _damage_of_tiff(image, file)
+    if path.suffix.lower() in HEIC_SUFFIXES:
+        return _ZEROS_SAID if has_zeros(path.read_bytes()) else None
     with path.open("rb") as file:
         begin = file.read(len(_PNG_BEGIN))
         if begin == _PNG_BEGIN:
@@ -111,7 +117,7 @@ def _damage_of_tiff(image: Image.Image, file: BinaryIO) -> str | None:
     tags = getattr(image, "tag_v2", {})
     compression = tags.get(_TIFF_COMPRESSION, 1)
     if compression == 1:
-        return None
+        return _ZEROS_OF_PIXELS if _has_lost_pixels(image, tags, file) else None
     for where, length in _TIFF_PIXELS:
         for start, count in zip(tags.get(where, ()), tags.get(length, ()), strict=False):
             file.seek(start)
@@ -127,6 +133,22 @@ def _damage_of_tiff(image: Image.Image, file: BinaryIO) -> str | None:
             except zlib.error:
                 return "its compressed pixels cannot be decoded"
     return None
+
+
+def _has_lost_pixels(image: Image.Image, tags: Mapping, file: BinaryIO) -> bool:
+    """Whether the pixels of an uncompressed TIFF have zeros where they were lost; of strips that follow each other."""
+    per_pixel = tags.get(_TIFF_BITS, (8,))
+    for (where, length), width in zip(_TIFF_PIXELS, (image.width, tags.get(_TIFF_TILE_WIDTH, 0)), strict=True):
+        starts, counts = np.array(tags.get(where, ()), np.int64), np.array(tags.get(length, ()), np.int64)
+        bits = width * (per_pixel[0] if tags.get(_TIFF_PLANES, 1) != 1 else sum(per_pixel))
+        if len(starts) == 0 or len(starts) != len(counts) or bits < 8:
+            continue
+        if (starts[1:] != (starts + counts)[:-1]).any():
+            continue
+        file.seek(int(starts[0]))
+        pixels = np.frombuffer(file.read(int(counts.sum())), np.uint8)
+        return has_lost_pixels(pixels, -(-bits // 8), max(bits // width // 8, 1), int(starts[0]))
+    return False
 
 
 def is_complete(path: Path) -> bool:

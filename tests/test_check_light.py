@@ -168,3 +168,18 @@ def test_a_survey_without_times_says_so(tmp_path):
     rows = said([light_section(require_processable(small_survey(tmp_path / "s")))], "Light and sharpness")
     assert rows["sun"] == "unknown: EXIF has no times"
     assert "glitter" not in rows
+
+
+@pytest.mark.parametrize("colour", [0.0, 3.0, 128.0, 255.0])
+@pytest.mark.parametrize("suffix", ["png", "jpg"])
+@pytest.mark.parametrize("num", [6, 80])
+def test_a_photograph_that_is_black_or_of_one_colour_is_named(tmp_path, colour, suffix, num):
+    """With the noise of a sensor, and of many photographs, of which a sample is decoded."""
+    rng = np.random.default_rng(1)
+    paths = {f"{i:02d}.{suffix}": tmp_path / f"{i:02d}.{suffix}" for i in range(num)}
+    for i, path in enumerate(paths.values()):
+        plain = np.clip(colour + rng.normal(0.0, 1.0, (300, 400)), 0, 255)
+        cv2.imwrite(str(path), plain if i == 3 else textured(i % 6))
+    # So large that a sample has a few of them.
+    found = SimpleNamespace(images=paths, heads={name: SimpleNamespace(size_px=(4000, 3000)) for name in paths})
+    assert f"black or of one colour all over, and show nothing: 03.{suffix}" in sharpness_text(found)

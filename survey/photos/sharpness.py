@@ -27,6 +27,8 @@ _MOST_PX = 2048
 _FEWEST_PX = 16
 # Of one grey level squared, so that squares without any detail have a ratio.
 _LEAST = 1e-3
+# Grey levels of a photograph of one colour, with noise and JPEG, differ by less; those of one in the dark are below.
+_PLAIN_STD, _BLACK = 2.0, 16.0
 
 
 @dataclass(frozen=True)
@@ -39,10 +41,13 @@ class Look:
         See `detail_of`.
     white : [-]
         Share of its pixels that are white or beside white; see `survey.photos.saturation`.
+    is_plain : bool
+        Whether it is black, as under a lens cap, or has one colour all over.
     """
 
     detail: np.ndarray
     white: float
+    is_plain: bool = False
 
 
 def look_at(path: Path) -> Look:
@@ -54,7 +59,8 @@ def look_at(path: Path) -> Look:
         Where the image cannot be decoded.
     """
     grey = read_grey(path)
-    return Look(detail_of(grey), float(saturated(grey).mean()))
+    is_plain = bool(np.std(grey) < _PLAIN_STD or np.quantile(grey, 0.99) < _BLACK)
+    return Look(detail_of(grey), float(saturated(grey).mean()), is_plain)
 
 
 def detail_of(grey: np.ndarray) -> np.ndarray:

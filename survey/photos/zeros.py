@@ -42,7 +42,7 @@ def _ends_within_a_row(pixels: np.ndarray, row: int, pixel: int, offset: int) ->
         return False
     begun = pixels[last - column : last]
     rest = pixels[above : above + row - column]
-    return min(np.count_nonzero(begun) / len(begun), np.count_nonzero(rest) / len(rest)) > _LEAST_BRIGHT
+    return bool(min(np.count_nonzero(begun) / len(begun), np.count_nonzero(rest) / len(rest)) > _LEAST_BRIGHT)
 
 
 def _has_zero_sectors(pixels: np.ndarray, row: int, offset: int) -> bool:
@@ -51,7 +51,7 @@ def _has_zero_sectors(pixels: np.ndarray, row: int, offset: int) -> bool:
     num = (len(pixels) - first) // _SECTOR
     if num < 3:
         return False
-    is_zero = ~pixels[first : first + num * _SECTOR].reshape(num, _SECTOR).any(axis=1)
+    is_zero = np.asarray(pixels[first : first + num * _SECTOR].reshape(num, _SECTOR).max(axis=1) == 0)
     begins = np.flatnonzero(is_zero[1:] & ~is_zero[:-1]) + 1
     ends = np.flatnonzero(is_zero[:-1] & ~is_zero[1:]) + 1
     if len(begins) == 0 or len(ends) == 0:

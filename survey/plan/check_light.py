@@ -34,6 +34,8 @@ BLUR_GOOD_PX, BLUR_FAIR_PX = 0.5, 1.0
 LEAST_SHARP = 0.75
 # At most so many photographs are decoded, evenly through the flight [Mpx].
 _MOST_MPX = 150.0
+# Beside them so many whose files have less than this of the bytes that others have for a pixel.
+_MOST_SMALL, _SMALL = 10, 0.6
 # Blurred and white photographs are named up to this number.
 _MOST_NAMED = 6
 _WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
@@ -125,13 +127,25 @@ def sharpness_text(found: Found) -> str:
     names = _some(found)
     looks = [look_at(found.images[name]) for name in names]
     of = f"of {len(names)} photographs" + ("" if len(names) == len(found.images) else f" (of {len(found.images)})")
-    white = {name: look.white for name, look in zip(names, looks, strict=True) if look.white > MOSTLY_WHITE}
-    clear = [name for name in names if name not in white]
-    sharp = relative([look.detail for look in looks if look.white <= MOSTLY_WHITE]) if clear else np.ones(0)
+    plain = [name for name, look in zip(names, looks, strict=True) if look.is_plain]
+    white = {
+        name: look.white
+        for name, look in zip(names, looks, strict=True)
+        if look.white > MOSTLY_WHITE and not look.is_plain
+    }
+    clear = [name for name in names if name not in white and name not in plain]
+    details = [look.detail for name, look in zip(names, looks, strict=True) if name in clear]
+    sharp = relative(details) if clear else np.ones(0)
     if not np.isfinite(sharp).all():
         return "unknown: the photographs are too small"
     blurred = {name: float(value) for name, value in zip(clear, sharp, strict=True) if value < LEAST_SHARP}
     said, advice = [], []
+    if plain:
+        more = f" and {len(plain) - _MOST_NAMED} more" if len(plain) > _MOST_NAMED else ""
+        verb = "is" if len(plain) == 1 else "are"
+        named = ", ".join(plain[:_MOST_NAMED])
+        said.append(f"{len(plain)} {of} {verb} black or of one colour all over, and show nothing: {named}{more}")
+        advice.append("take these out of the image folder")
     if white:
         worst = _named([(name, f"{100.0 * white[name]:.0f} %") for name in sorted(white, key=lambda n: -white[n])])
         verb = "is" if len(white) == 1 else "are"
@@ -145,7 +159,7 @@ def sharpness_text(found: Found) -> str:
         advice.append("look at these, and take those that are blurred out of the image folder")
     elif clear:
         said.append(f"none {of} is blurred against the others (the worst has {sharp.min():.2f})")
-    bad = len(white) + len(blurred)
+    bad = len(plain) + len(white) + len(blurred)
     verdict = Verdict.good if not bad else Verdict.fair if bad <= 0.1 * len(names) else Verdict.poor
     return judged(verdict, "; ".join(said), "; ".join(advice))
 
@@ -157,11 +171,17 @@ def _named(worst: list[tuple[str, str]]) -> str:
 
 
 def _some(found: Found) -> list[str]:
-    """Names of a sample of photographs, evenly spaced over the flight."""
+    """Names of a sample of photographs, evenly spaced over the flight, and those whose files are small for their size.
+
+    What shows nothing takes few bytes to say so.
+    """
     names = sorted(found.images)
     mpx = np.median([head.size_px[0] * head.size_px[1] for head in found.heads.values()]) / 1e6
     number = int(np.clip(_MOST_MPX / mpx, 3, len(names)))
-    return [names[place] for place in np.unique(np.linspace(0, len(names) - 1, number).round().astype(int))]
+    chosen = {names[place] for place in np.linspace(0, len(names) - 1, number).round().astype(int)}
+    per_pixel = np.array([found.images[name].stat().st_size / math.prod(found.heads[name].size_px) for name in names])
+    small = np.flatnonzero(per_pixel < _SMALL * np.median(per_pixel))
+    return sorted(chosen | {names[place] for place in small[np.argsort(per_pixel[small], kind="stable")][:_MOST_SMALL]})
 
 
 def _motion(found: Found, survey: Survey | None) -> tuple[float | None, float | None, float | None, str]:

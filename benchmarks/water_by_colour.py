@@ -3,7 +3,8 @@
     python benchmarks/water_by_colour.py NAME=FOLDER ...
 
 Largest (and median) share of a photograph in each folder: of the largest connected area in which blue and green are a
-tenth brighter than red, of pixels that are saturated in all channels, and of the largest area without texture.
+tenth brighter than red, of pixels that are saturated in all channels, and of the largest areas without texture, and
+without texture and darker than the rest.
 """
 
 from __future__ import annotations
@@ -17,19 +18,12 @@ import numpy as np
 
 from survey.photos.images import list_images
 from survey.photos.pixels import read_rgb
+from survey.photos.water_like import SIZE, largest_area, water_signs
 
-SIZE = (256, 192)
-SIGNS = ("blue-green", "saturated", "smooth")
-
-
-def largest_area(mask: np.ndarray, opened_px: int) -> float:
-    """Share of the largest connected area of a mask, without what is narrower than so many pixels."""
-    opened = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((opened_px, opened_px), np.uint8))
-    _, _, areas, _ = cv2.connectedComponentsWithStats(opened)
-    return float(areas[1:, cv2.CC_STAT_AREA].max(initial=0)) / mask.size
+SIGNS = ("blue-green", "saturated", "smooth", "smooth and dark")
 
 
-def signs_of(pixels: np.ndarray) -> tuple[float, float, float]:
+def signs_of(pixels: np.ndarray) -> tuple[float, float, float, float]:
     """The shares of `SIGNS` in a photograph (height, width, 3) uint8."""
     small = cv2.resize(pixels, SIZE, interpolation=cv2.INTER_AREA).astype(np.float32)
     red, green, blue = np.moveaxis(small, -1, 0)
@@ -38,7 +32,12 @@ def signs_of(pixels: np.ndarray) -> tuple[float, float, float]:
     mean = cv2.blur(grey, (5, 5))
     deviation = np.sqrt(np.maximum(cv2.blur(grey**2, (5, 5)) - mean**2, 0.0))
     saturated = float((pixels.min(axis=2) >= 250).mean())
-    return largest_area(cast > 0.1, 3), saturated, largest_area(deviation < 0.06 * np.maximum(mean, 10.0), 5)
+    return (
+        largest_area(cast > 0.1, 3),
+        saturated,
+        largest_area(deviation < 0.06 * np.maximum(mean, 10.0), 5),
+        water_signs(cv2.resize(pixels, SIZE, interpolation=cv2.INTER_AREA))[0],
+    )
 
 
 def main() -> None:

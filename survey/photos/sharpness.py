@@ -63,6 +63,11 @@ def look_at(path: Path) -> Look:
     return Look(detail_of(grey), float(saturated(grey).mean()), is_plain)
 
 
+def bytes_per_pixel(paths: Sequence[Path], sizes: Sequence[tuple[int, int]]) -> np.ndarray:
+    """How many bytes (N,) the files of photographs have for each pixel: few where these show little."""
+    return np.array([path.stat().st_size / (w * h) for path, (w, h) in zip(paths, sizes, strict=True)])
+
+
 def detail_of(grey: np.ndarray) -> np.ndarray:
     """Ratios (4,) of fine to coarse detail along rows, columns and both diagonals; the higher, the sharper.
 

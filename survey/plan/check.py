@@ -12,6 +12,7 @@ import numpy as np
 
 from geo.crs import height_unit_m
 from survey.display.quantities import length
+from survey.display.words import named
 from survey.errors import SurveyError
 from survey.folder.motion import shutter_text
 from survey.folder.pose_priors import accuracy_of_gps, accuracy_of_priors, common_up_std_of_exif
@@ -19,6 +20,7 @@ from survey.folder.survey import Found, Survey, find_survey, load_survey
 from survey.folder.unposed import placing_control, require_solvable
 from survey.names import RUN_FOLDER
 from survey.photos.exif import position_sources
+from survey.photos.water_like import look_like_water
 from survey.plan.area import require_seen
 from survey.plan.check_inputs import control_rows, mark_rows, water_stds
 from survey.plan.choices import USUAL, Choices
@@ -77,10 +79,31 @@ def require_processable(folder: Path) -> Checked:
     """
     found = find_survey(Path(folder))
     if found.poses_path is None:
-        return Checked(found, None, (*found.warnings, *require_solvable(found)), level_doubt(found, None))
+        warnings = (*found.warnings, *require_solvable(found), *unnamed_water(found))
+        return Checked(found, None, warnings, level_doubt(found, None))
     survey = load_survey(folder, found=found)
     require_seen(survey)
-    return Checked(found, survey, survey.findings.warnings, level_doubt(found, survey))
+    return Checked(found, survey, (*survey.findings.warnings, *unnamed_water(found)), level_doubt(found, survey))
+
+
+def unnamed_water(found: Found) -> list[str]:
+    """A warning that names photographs which look as if they showed water, where none is given.
+
+    Raises
+    ------
+    ImageError
+        Where a photograph cannot be decoded.
+    """
+    if found.config.water is not None or found.config.dry:
+        return []
+    names, num = look_like_water(found.images)
+    of = f"of the {num} photographs looked at " if num < len(found.images) else ""
+    return named(
+        names,
+        "photograph",
+        f"{of}with large places as water looks, blue-green, or dark without texture (or asphalt, soil, shade): if it "
+        "is water, give [water] level_m",
+    )
 
 
 def check_survey(

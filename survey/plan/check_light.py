@@ -18,7 +18,7 @@ from survey.folder.survey import Survey
 from survey.photos.cameras import level_from_yaw_pitch_roll
 from survey.photos.exif import Exif
 from survey.photos.saturation import MOSTLY_WHITE
-from survey.photos.sharpness import look_at, relative
+from survey.photos.sharpness import bytes_per_pixel, look_at, relative
 from survey.plan.check import Checked, Section
 from survey.plan.glitter import USUAL_WIND_M_S, Glitter, GlitterOfFlight
 from survey.plan.places import in_the_middle
@@ -179,7 +179,7 @@ def _some(found: Found) -> list[str]:
     mpx = np.median([head.size_px[0] * head.size_px[1] for head in found.heads.values()]) / 1e6
     number = int(np.clip(_MOST_MPX / mpx, 3, len(names)))
     chosen = {names[place] for place in np.linspace(0, len(names) - 1, number).round().astype(int)}
-    per_pixel = np.array([found.images[name].stat().st_size / math.prod(found.heads[name].size_px) for name in names])
+    per_pixel = bytes_per_pixel([found.images[name] for name in names], [found.heads[name].size_px for name in names])
     small = np.flatnonzero(per_pixel < _SMALL * np.median(per_pixel))
     return sorted(chosen | {names[place] for place in small[np.argsort(per_pixel[small], kind="stable")][:_MOST_SMALL]})
 

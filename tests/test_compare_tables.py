@@ -13,6 +13,7 @@ from survey.compare.checkpoints import read_checkpoints
 from survey.compare.inputs import Paths, load_inputs
 from survey.compare.tables import read_shape
 from survey.files.column_units import Units
+from survey.files.crs_comment import crs_of_comment
 
 LEVEL = 3.0  # local, over the plane of the bed at its middle
 OFF_M = 0.05
@@ -124,3 +125,17 @@ def test_classes_of_a_table(tmp_path, cells, classes, note):
     shape = read_shape(path, None)
     assert (None if shape.classification is None else shape.classification.tolist()) == classes
     assert shape.notes == ((note,) if note else ())
+
+
+@pytest.mark.parametrize(
+    ("comment", "code"),
+    [("# EPSG:25833", 25833), ("#EPSG: 25833", 25833), ("// crs = EPSG:25833", 25833), ("# CRS EPSG:25833", 25833),
+     ("# SRID=25833", 25833), ("# Coordinates in EPSG:25833", 25833), ("# epsg:25833", 25833),
+     ("# CoordinateSystem: EPSG:25833", 25833), ("# converted from EPSG:25833 to EPSG:25832", None),
+     ("# not EPSG:25833", None), ("# points of May 2026", None)],
+)  # fmt: skip
+def test_a_comment_that_is_nothing_but_a_code_is_the_crs(tmp_path, comment, code):
+    path = tmp_path / "points.csv"
+    path.write_text(f"{comment}\ne,n,h\n1,2,3\n")
+    found = crs_of_comment(path, CompareError)
+    assert found is None if code is None else found == CRS.from_epsg(code)

@@ -128,6 +128,15 @@ def test_photographs_of_another_place_are_named_however_many_they_are(rng):
     assert position_doubts(heads(positions)) == []
 
 
+@pytest.mark.parametrize("num", [1, 2, 9])
+def test_heights_of_exactly_0_are_named_however_many_they_are(rng, num):
+    positions = serpentine(rng) + np.array([0.0, 0.0, 400.0])
+    positions[:num, 2] = 0.0
+    (doubt,) = position_doubts(heads(positions))
+    assert doubt.startswith(f"{num} image{'s' * (num > 1)} far from the others by its GPS height, which are at 429.")
+    assert all(f"{i:04d}.jpg (0.0 m)" in doubt for i in range(min(num, 2)))
+
+
 def test_two_flying_heights_are_no_doubt(rng):
     positions = strips(rng, 20, 0.1)
     positions[14:, 2] += 40.0

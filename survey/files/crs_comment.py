@@ -1,4 +1,4 @@
-"""The CRS that a table names in a comment, as Metashape writes it."""
+"""The CRS that a table names in a comment, as Metashape and other programs write it."""
 
 from __future__ import annotations
 
@@ -13,10 +13,19 @@ from survey.errors import SurveyError
 from survey.files.csv_table import shortened, text_lines
 
 _COMMENT = re.compile(r"#\s*CoordinateSystem:\s*(.+)", re.IGNORECASE)
+# A comment that is nothing but a code, under one of the names that people have for it.
+_CODE = re.compile(
+    r"(?:#|//)\s*(?:(?:crs|srs|srid|projection|coordinates?(?: reference)?(?: system)?)(?: in| is)?\s*[:=]?\s*)?"
+    r"(EPSG\s*[:=]\s*\d+(?:\+\d+)?)",
+    re.IGNORECASE,
+)
+_SRID = re.compile(r"(?:#|//)\s*SRID\s*[:=]\s*(\d+)", re.IGNORECASE)
 
 
 def crs_of_comment(path: Path, error: type[SurveyError]) -> CRS | None:
-    """The CRS in the line ``# CoordinateSystem: WKT or code``; None where there is none, or one of the site.
+    """The CRS in a line ``# CoordinateSystem: WKT or code``, ``# EPSG:code`` or ``# crs = EPSG:code``.
+
+    None where there is none, or one of the site.
 
     Raises
     ------
@@ -24,7 +33,7 @@ def crs_of_comment(path: Path, error: type[SurveyError]) -> CRS | None:
         If it is not known.
     """
     lines = (line.strip() for _, line in text_lines(path, error))
-    found = next((match[1] for line in lines if (match := _COMMENT.match(line))), None)
+    found = next((said for line in lines if (said := _said(line)) is not None), None)
     if found is None or "LOCAL_CS" in found:
         return None
     try:
@@ -34,3 +43,13 @@ def crs_of_comment(path: Path, error: type[SurveyError]) -> CRS | None:
             f"{path}: the CoordinateSystem {shortened(found)} is not a known CRS; correct the comment, or remove it "
             "where coordinates are in the crs of survey.toml"
         ) from wrong
+
+
+def _said(line: str) -> str | None:
+    """What a line of a file says of the CRS."""
+    if match := _COMMENT.match(line):
+        return match[1]
+    if match := _SRID.fullmatch(line):
+        return f"EPSG:{match[1]}"
+    match = _CODE.fullmatch(line)
+    return None if match is None else re.sub(r"\s*[:=]\s*", ":", match[1])

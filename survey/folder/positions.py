@@ -75,10 +75,12 @@ def far_from_others(
         return warnings
     away = np.abs(heights - np.median(heights))
     far = away > max(_FAR * float(np.median(away)), _FAR_HEIGHT_M)
+    # Exactly 0 is what receivers write without a height: no other flight, however many have it.
+    no_height = far & (heights == 0.0)
     low, high = heights[~far].min(), heights[~far].max()
     said = np.array([f"{name} ({of_it:.1f} m)" for name, of_it in zip(names[with_height], heights, strict=True)])
     return warnings + named(
-        _few(said, far),
+        said[no_height].tolist() + _few(said, far & ~no_height),
         "image",
         f"far from the others by its {by} height, which are at {low:.1f} to {high:.1f} m",
     )

@@ -32,7 +32,7 @@ from fields.sweep.kernels.arrays import floats
 from fields.sweep.kernels.stack import Hypotheses
 from fields.sweep.passes import PASSES
 from fields.sweep.sweep import sweep
-from fields.sweep.view_pass import view_passes
+from fields.sweep.view_pass import Search, view_passes
 from survey.folder.survey import load_survey
 from survey.plan.area import limits, local_area
 from survey.plan.choices import Choices
@@ -83,7 +83,7 @@ def stage_table(block: Block, chosen: list[int], bound: tuple[float, float], hei
     samples = sum(each.samples for of_pass in work for each in of_pass)
     for name, run, number in (
         ("range of heights", partial(ranging.find_range, block, heights), None),
-        ("sweep", partial(sweep, block, chosen, bound, lambda done: None), samples),
+        ("sweep", partial(sweep, block, chosen, Search(bound), lambda done: None), samples),
     ):
         spent: Counter = Counter()
         start = time.process_time()

@@ -29,6 +29,7 @@ from fields.sweep.maps import HeightMap, trusted
 from fields.sweep.passes import PASSES, Pass
 from fields.sweep.ranging import find_range
 from fields.sweep.sweep import sweep
+from fields.sweep.view_pass import Search
 from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.folder.survey import load_survey
 from survey.plan.area import limits, local_area
@@ -87,7 +88,8 @@ class Case:
     ) -> tuple[list[HeightMap], float]:
         """Height maps, without heights that other views contradict if ``checked``, and the seconds that they took."""
         start = time.monotonic()
-        maps = sweep(self.block, self.chosen if chosen is None else chosen, self.bound, lambda done: None, passes)
+        chosen = self.chosen if chosen is None else chosen
+        maps = sweep(self.block, chosen, Search(self.bound, passes), lambda done: None)
         if checked:
             maps = remove_free_space_violations(self.block, maps)
         return maps, time.monotonic() - start

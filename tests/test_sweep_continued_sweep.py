@@ -10,7 +10,8 @@ from fields.sweep.block import Block
 from fields.sweep.maps import HeightMap, trusted, upsample_map
 from fields.sweep.passes import PASSES as USUAL
 from fields.sweep.passes import Pass, passes_from
-from fields.sweep.sweep import sweep
+from fields.sweep.sweep import EarlierMaps, sweep
+from fields.sweep.view_pass import Search
 
 BED = PlaneBed(TILTED, -2.0, slope=0.1)
 PASSES = (
@@ -30,7 +31,7 @@ def halved(device) -> tuple[tuple[float, float], list[HeightMap]]:
     truth = BED.true_height(cameras[0])
     bound = (float(truth.min()) - 0.3, float(truth.max()) + 0.4)
     block = BED.block(device, [camera.scaled(0.5) for camera in cameras], None)
-    return bound, sweep(block, list(range(7)), bound, lambda share: None, PASSES)
+    return bound, sweep(block, list(range(7)), Search(bound, PASSES), lambda share: None)
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +40,11 @@ def gone_on(device, halved) -> tuple[Block, list[HeightMap], list[float]]:
     bound, before = halved
     block, shares = BED.block(device, ring(6), None), []
     maps = sweep(
-        block, list(range(7)), bound, shares.append, PASSES, before={m.view: m for m in before}, again=list(AGAIN)
+        block,
+        list(range(7)),
+        Search(bound, PASSES),
+        shares.append,
+        earlier=EarlierMaps({m.view: m for m in before}, list(AGAIN)),
     )
     return block, maps, shares
 

@@ -17,7 +17,8 @@ from fields.sweep.device_maps import DeviceMaps, device_map_store
 from fields.sweep.kernels import arrays, flat
 from fields.sweep.maps import HeightMap
 from fields.sweep.passes import Pass, StepSearch
-from fields.sweep.sweep import sweep
+from fields.sweep.sweep import EarlierMaps, sweep
+from fields.sweep.view_pass import Search
 from refract import FlatWater
 
 WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.34)
@@ -55,12 +56,12 @@ def block_of(device, *, holes: bool = False) -> Block:
     return PlaneBed(WATER, LOW).block(device, cameras, images)
 
 
-def swept(device, *, holes: bool = False, room: int = PLENTY, passes=PASSES, **options) -> list[HeightMap]:
+def swept(device, *, holes: bool = False, room: int = PLENTY, passes=PASSES, area=None, **options) -> list[HeightMap]:
     """Maps of all views, by a device whose memory has so many bytes."""
     block = block_of(device, holes=holes)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(device_maps, "memory_bytes", lambda device: room)
-        return list(sweep(block, list(VIEWS), (-2.4, -1.4), lambda share: None, passes, **options))
+        return list(sweep(block, list(VIEWS), Search((-2.4, -1.4), passes, area), lambda share: None, **options))
 
 
 def plain(apart):
@@ -121,7 +122,7 @@ def test_an_area_has_the_same_heights(apart):
 
 def test_a_sweep_goes_on_from_maps_of_the_host(apart):
     before = {m.view: m for m in swept(plain(apart), passes=PASSES[:1])}
-    maps, others = (swept(device, before=before, again=VIEWS[:3]) for device in (apart, plain(apart)))
+    maps, others = (swept(device, earlier=EarlierMaps(before, VIEWS[:3])) for device in (apart, plain(apart)))
     assert_same(maps, others)
 
 

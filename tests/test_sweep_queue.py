@@ -10,7 +10,7 @@ from fields.sweep.images import images
 from fields.sweep.kernels.arrays import floats
 from fields.sweep.kernels.queue import Launch, run_job, run_jobs
 from fields.sweep.passes import Pass, StepSearch
-from fields.sweep.view_pass import match_pass, view_passes
+from fields.sweep.view_pass import Search, match_pass, view_passes
 
 BED = PlaneBed(TILTED, -2.0, slope=0.1)
 PASSES = (
@@ -78,7 +78,7 @@ def test_height_maps_are_the_same_one_view_at_a_time_and_two(device):
         block, maps = BED.block(device, ring(6)), {}
         for p in PASSES:
             jobs = (
-                match_pass(block, p, each, bound, maps.get(each.view), None, 0)
+                match_pass(block, p, each, Search(bound), maps.get(each.view), 0)
                 for each in view_passes(block, [3, 0, 2, 5], p, None if maps else bound)
             )
             maps = {m.view: m for m, _ in run_jobs(device, jobs, most)}

@@ -17,7 +17,7 @@ from fields.sweep.maps import HeightMap, trusted
 from fields.sweep.passes import PASSES, Pass, before_solver, passes_from
 from fields.sweep.sweep import predict_selected_pixels, sweep
 from fields.sweep.tiles import PART_SIDE_PX, Tiles
-from fields.sweep.view_pass import match_pass, refine_part, view_passes
+from fields.sweep.view_pass import Search, match_pass, refine_part, view_passes
 
 BED = PlaneBed(TILTED, -2.0, slope=0.1)
 REFINING = Pass(1.0, 1, 5, 0.25, 6, True, points_only=True)
@@ -88,7 +88,7 @@ def test_a_part_is_refined_as_the_whole_view_is_and_the_rest_stays(block):
     backend, before = images(block.device), map_of(block, 0, OFF_M)
     (of_view,) = view_passes(block, [0], REFINING, None)
     placed = backend.upload(block.device, before)
-    whole, _ = run_job(block.device, match_pass(block, REFINING, of_view, (-3.0, -1.0), placed, None, 0))
+    whole, _ = run_job(block.device, match_pass(block, REFINING, of_view, Search((-3.0, -1.0)), placed, 0))
     part = np.zeros((SIZE[1] // 4, SIZE[0] // 4), dtype=bool)
     part[10:14, 12:20] = True
     found, gather = run_job(block.device, refine_part(block, REFINING, of_view, placed, part))
@@ -160,7 +160,7 @@ def test_points_of_a_sweep_that_refines_them_alone_are_as_near_to_the_bed(device
     passes = (Pass(0.5, 2, None, 0.5, 6, False), Pass(1.0, 2, 7, 0.4, 6, True), Pass(1.0, 1, 3, 0.25, 6, True))
     errors = []
     for chosen in (passes, before_solver(passes)):
-        maps = sweep(block, list(range(7)), bound, lambda share: None, chosen)
+        maps = sweep(block, list(range(7)), Search(bound, chosen), lambda share: None)
         kept = unique_pixels(block, maps, gsd=0.015)
         off = [
             np.abs(m.height - BED.true_height(block.cameras[m.view]))[keep & trusted(m)]

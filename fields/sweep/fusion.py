@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,25 +28,31 @@ PEERS = 12
 _SURROUNDINGS_PX = 5
 
 
+@dataclass(frozen=True)
+class Compared:
+    """Views that the map of a view is compared with, and the pixels of it that are (flat indices), all where None."""
+
+    peers: list[int]
+    pixels: Any | None = None
+
+
 def fuse(
     block: Block,
     maps: Maps,
     scale: float,
-    peers: Mapping[int, list[int]],
+    compared: Mapping[int, Compared],
     keep: Keep = dict,
     *,
     goes_on: bool = True,
-    only: Mapping[int, Any] | None = None,
 ) -> Maps:
     """Fused maps: mean height over the peers that agree, their number and spread; the input is emptied.
 
     A pixel that no other view confirms takes the median of its surroundings, and where a pass follows (``goes_on``) one
     whose height is not trusted that of the plane through the trusted ones around it, where these lie in one: a better
-    start. A pixel that matched nothing confirms nothing either. Maps without peers keep what they have, and so do
-    pixels of a view that has ``only`` some others (flat indices).
+    start. A pixel that matched nothing confirms nothing either. Maps that are not compared keep what they have.
     """
     fused, backend = keep(), images(block.device)
-    for m, tolerance, (agreeing, height, spread) in _agreement(block, maps, scale, peers, only or {}):
+    for m, tolerance, (agreeing, height, spread) in _agreement(block, maps, scale, compared):
         height = backend.where(agreeing > 0, height, backend.median_blur(m.height, _SURROUNDINGS_PX))
         found = HeightMap(m.view, height, m.score, agreeing, backend.to_half(spread))
         if goes_on:
@@ -59,11 +65,11 @@ def fuse(
 
 
 def _agreement(
-    block: Block, maps: Maps, scale: float, peers: Mapping[int, list[int]], only: Mapping[int, Any]
+    block: Block, maps: Maps, scale: float, compared: Mapping[int, Compared]
 ) -> Iterator[tuple[HeightMap, float, _Agreement]]:
-    """For each map that has peers: the map, the tolerance [m], and its `agreement`.
+    """For each map that is compared: the map, the tolerance [m], and its `agreement`.
 
-    Of a view that has ``only`` some pixels the others are as in its map.
+    Of a view of which some pixels are compared the others are as in its map.
     """
     chosen, backend = sorted(maps), images(block.device)
     cameras = [block.cameras[v].scaled(scale) if scale != 1.0 else block.cameras[v] for v in chosen]
@@ -76,7 +82,7 @@ def _agreement(
     heights = ViewStack.build(block.device, cameras, surfaces, block.water)
 
     def job(view: int) -> Job[tuple[HeightMap, float, _Agreement]]:
-        m, others, pixels = maps[view], peers[view], only.get(view)
+        m, others, pixels = maps[view], compared[view].peers, compared[view].pixels
         tolerance = block.agreement_tolerance(view, others, backend.median(m.height))
         found = yield from agreement(heights, chosen.index(view), [chosen.index(p) for p in others], tolerance, pixels)
         if pixels is not None:
@@ -86,13 +92,14 @@ def _agreement(
             found = tuple(backend.reshaped(each, m.height.shape) for each in whole)
         return m, tolerance, found
 
-    yield from run_jobs(block.device, (job(view) for view in chosen if peers.get(view)))
+    yield from run_jobs(block.device, (job(view) for view in chosen if view in compared and compared[view].peers))
 
 
 def confirm(block: Block, maps: Maps, peers: Mapping[int, list[int]]) -> None:
     """Confirm heights that stay unchanged by the other views at full size, where more agree than before."""
     if peers:
-        for m, _, (agreeing, _, _) in _agreement(block, maps, 1.0, peers, {}):
+        compared = {view: Compared(others) for view, others in peers.items()}
+        for m, _, (agreeing, _, _) in _agreement(block, maps, 1.0, compared):
             maps[m.view] = replace(m, agreeing=images(block.device).pixelwise_max(m.agreeing, agreeing))
 
 

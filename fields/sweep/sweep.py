@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,15 +17,15 @@ import numpy as np
 from fields.image_store import LazyImages
 from fields.sweep.block import Block
 from fields.sweep.device_maps import device_map_store, to_host_maps
-from fields.sweep.fusion import PEERS, confirm, fuse
+from fields.sweep.fusion import PEERS, Compared, confirm, fuse
 from fields.sweep.images import images
 from fields.sweep.kernels.backend import kernels
 from fields.sweep.kernels.queue import Job, run_jobs
 from fields.sweep.kernels.stack import ViewStack, largest
 from fields.sweep.maps import HeightMap, Keep, OrderedMaps, trusted, upsample_map
-from fields.sweep.passes import MATCHED_NCC, PASSES, POINTS_SHARE, Pass
+from fields.sweep.passes import MATCHED_NCC, POINTS_SHARE, Pass
 from fields.sweep.tiles import PART_SIDE_PX
-from fields.sweep.view_pass import Area, ViewPass, match_pass, pixels_of, refine_part, view_passes
+from fields.sweep.view_pass import Search, ViewPass, match_pass, pixels_of, refine_part, view_passes
 from fields.sweep.views import Footprint
 
 # A pass is finer than a map with so many times its pixels along a side: sizes of halved images are rounded.
@@ -33,16 +34,29 @@ _FINER = 1.2
 _SCALE = 0.25
 
 
+@dataclass(frozen=True)
+class EarlierMaps:
+    """Maps of an earlier sweep of the same bound, at a smaller scale or the same.
+
+    Attributes
+    ----------
+    maps : mapping of view to HeightMap
+        Views that have one keep its heights and confirm those of the others.
+    again : views of ``maps``
+        That go on from there, with the passes finer than it.
+    """
+
+    maps: Mapping[int, HeightMap]
+    again: Collection[int] = ()
+
+
 def sweep(
     block: Block,
     chosen: list[int],
-    bound: tuple[float, float],
+    search: Search,
     progress: Callable[[float], None],
-    passes: tuple[Pass, ...] = PASSES,
-    area: Area | None = None,
     *,
-    before: Mapping[int, HeightMap] | None = None,
-    again: Collection[int] = (),
+    earlier: EarlierMaps | None = None,
     keep: Keep = dict,
 ) -> OrderedMaps:
     """Sweep the chosen views, coarse to fine.
@@ -51,18 +65,10 @@ def sweep(
     ----------
     block : Block
     chosen : indices of the views that get a height map
-    bound : (low, high) [m] over the water plane
-        Spanned by the hypotheses of the first pass.
+    search : Search
     progress : called with the share done, 0 to 1
         Number of samples (pixels x hypotheses x compared views) of all passes, which take nearly all of the time.
-    passes : tuple of Pass
-    area : (x0, y0, x1, y1) [m], local, optional
-        Where heights are wanted: other pixels get no height of their own.
-    before : mapping of view to HeightMap, optional
-        Of an earlier sweep of the same bound, at a smaller scale or the same. Views that have one keep its heights and
-        confirm those of the others.
-    again : views of ``before``
-        That go on from there, with the passes finer than it.
+    earlier : EarlierMaps, optional
     keep : callable
         Makes the places in which maps are kept meanwhile; default in memory.
 
@@ -72,15 +78,20 @@ def sweep(
         Views that overlap with no other are left out.
     """
     size = (block.cameras[0].width, block.cameras[0].height)
+    earlier, passes = EarlierMaps({}) if earlier is None else earlier, search.passes
+    again = earlier.again
     store = device_map_store(block.device, keep)
     maps, widths = store(), dict[int, int]()
-    for view, m in (before or {}).items():
+    for view, m in earlier.maps.items():
         if view in chosen:
             known = m if view in again else upsample_map(m, size)
             maps[view], widths[view] = images(block.device).upload(block.device, known), m.height.shape[1]
     work = [
         view_passes(
-            block, [v for v in chosen if _takes_part(size, p, widths.get(v), v in again)], p, None if n else bound
+            block,
+            [v for v in chosen if _takes_part(size, p, widths.get(v), v in again)],
+            p,
+            None if n else search.bound,
         )
         for n, p in enumerate(passes)
     ]
@@ -105,7 +116,7 @@ def sweep(
         jobs: Iterator[Job[tuple[HeightMap, Any]]] = (
             refine_part(block, p, each, maps[each.view], wanted[each.view])
             if each.view in parts
-            else match_pass(block, p, each, bound, maps.get(each.view), area, wider[each.view])
+            else match_pass(block, p, each, search, maps.get(each.view), wider[each.view])
             for each in work[number]
         )
         found = run_jobs(block.device, jobs, _at_once(block, p))
@@ -128,8 +139,12 @@ def sweep(
                 # The others neither confirm nor are confirmed.
                 for view in taking_part[number] - set(taken):
                     taken[view] = images(block.device).indices_of(maps[view].score > MATCHED_NCC)
-            compared = {view: peers[view] for view in taking_part[number] if view not in taken or len(taken[view])}
-            maps = fuse(block, maps, p.scale, compared, store, goes_on=number + 1 < len(passes), only=taken)
+            compared = {
+                view: Compared(peers[view], taken.get(view))
+                for view in taking_part[number]
+                if view not in taken or len(taken[view])
+            }
+            maps = fuse(block, maps, p.scale, compared, store, goes_on=number + 1 < len(passes))
             done += fused[number]
             told = max(told, done / total)
             progress(told)

@@ -14,7 +14,7 @@ from fields.sweep.kernels.queue import Job
 from fields.sweep.kernels.stack import Hypotheses
 from fields.sweep.maps import HeightMap
 from fields.sweep.matching import LEAST_KNOWN, Reference, match_tiles, match_view, match_with_adaptive_windows
-from fields.sweep.passes import MATCHED_NCC, Pass
+from fields.sweep.passes import MATCHED_NCC, PASSES, Pass
 from fields.sweep.steps import search_steps
 from fields.sweep.tiles import PART_SIDE_PX, Tiles, in_tiles
 from refract import FlatWater, PinholeCamera
@@ -27,6 +27,24 @@ _PLACES = 17
 _RIM_PX = 6
 # Side of the squares of a height map whose heights decide together what is seen of an area [px].
 _SQUARE_PX = 4
+
+
+@dataclass(frozen=True)
+class Search:
+    """Where a sweep looks for the bed, and in which passes.
+
+    Attributes
+    ----------
+    bound : (low, high) [m] over the water plane
+        Spanned by the hypotheses of the first pass.
+    passes : tuple of Pass
+    area : (x0, y0, x1, y1) [m], local, or None
+        Where heights are wanted: other pixels get no height of their own.
+    """
+
+    bound: tuple[float, float]
+    passes: tuple[Pass, ...] = PASSES
+    area: Area | None = None
 
 
 @dataclass(frozen=True)
@@ -83,9 +101,8 @@ def match_pass(
     block: Block,
     p: Pass,
     of_view: ViewPass,
-    bound: tuple[float, float],
+    search: Search,
     before: HeightMap | None,
-    area: Area | None,
     wider: int,
 ) -> Job[tuple[HeightMap, int]]:
     """One pass over one view, with the hypotheses of the bound or those about the heights of the pass before.
@@ -94,6 +111,7 @@ def match_pass(
     which is returned.
     """
     stack, view, backend = block.stack(p.scale), of_view.view, images(block.device)
+    bound, area = search.bound, search.area
     shape = (stack.height_of(view), stack.width_of(view))
     middle = 0.5 * (bound[0] + bound[1]) if before is None else backend.median(before.height)
     step = _step(block, p, view, of_view.neighbours, middle)

@@ -20,7 +20,7 @@ from fields.sweep.height_std import small_sample_factor
 from fields.sweep.maps import HeightMap, Keep, OrderedMaps, trusted, upsample_map
 from fields.sweep.passes import Pass
 from fields.sweep.sweep import sweep
-from fields.sweep.view_pass import Area
+from fields.sweep.view_pass import Area, Search
 
 # The widest windows that there are kernels for, at a quarter of the size: the first pass tries all heights, the last
 # resolves them.
@@ -63,7 +63,7 @@ def with_wide_windows(
     pairs = wet_pairs(block, maps.views)
     if not pairs:
         return maps
-    wide = sweep(_smoothed(block), pairs, bound, lambda _share: None, _PASSES, area, keep=keep)
+    wide = sweep(_smoothed(block), pairs, Search(bound, _PASSES, area), lambda _share: None, keep=keep)
     found = keep()
     for number, view in enumerate(maps.views):
         found[view] = maps[number]

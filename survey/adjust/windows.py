@@ -19,7 +19,7 @@ from fields.sweep.block import Block
 from fields.sweep.maps import HeightMap, trusted
 from fields.sweep.passes import PASSES
 from fields.sweep.sweep import sweep
-from fields.sweep.view_pass import view_passes
+from fields.sweep.view_pass import Search, view_passes
 from refract import FlatWater, PinholeCamera
 from survey.adjust.matching import RADIUS, match, prepared, window
 from survey.errors import SurveyError
@@ -112,7 +112,7 @@ def measure(
         advance(of_sweep * (share - shares[-1]))
         shares.append(share)
 
-    maps = sweep(block, chosen, bound, swept, _SWEPT)
+    maps = sweep(block, chosen, Search(bound, _SWEPT), swept)
     windows = [w for w in (_windows_of(block, height_map, area, density) for height_map in maps) if len(w.corners)]
     parts: list[list[tuple[np.ndarray, int, np.ndarray]]] = [
         [(np.arange(len(w.corners)), w.view, w.corners)] for w in windows

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,8 @@ from fields.sweep.fusion import remove_free_space_violations
 from fields.sweep.maps import ByView, HeightMap
 from fields.sweep.passes import PASSES, before_solver, in_area, passes_from
 from fields.sweep.photo_consistency import photo_consistency
-from fields.sweep.sweep import sweep
+from fields.sweep.sweep import EarlierMaps, sweep
+from fields.sweep.view_pass import Search
 from fields.sweep.wide_windows import with_wide_windows
 from survey.errors import SurveyError
 from survey.files.json_values import write_json
@@ -70,11 +71,13 @@ def sweep_views(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         passes = passes if job.tiling is None else in_area(passes)
         start = time.monotonic()
         with kept_aside(folder / SCRATCH, HeightMap, show=_live(job, folder)) as keep:
-            maps = sweep(block, chosen, heights, shares(stage), passes, job.swept_ground, keep=keep)
+            search = Search(heights, passes, job.swept_ground)
+            maps = sweep(block, chosen, search, shares(stage), keep=keep)
             if not maps and job.tiling is None:
                 raise SurveyError("no two views overlap; check that the poses belong to the images")
             swept = with_wide_windows(block, _finished(block, maps, keep), heights, job.swept_ground, keep)
-            _save(job, folder, swept, swept.views, time.monotonic() - start, images_s, None)
+            took = _Took(swept.views, job.plan.image_scale, time.monotonic() - start, images_s)
+            _save(job, folder, swept, took, None)
     job.progress.note(f"bound: bed between {low:.2f} and {high:.2f} m over the {plane_name(job.survey)}")
     write_json(folder / BOUND, {"low_m": low, "high_m": high})
 
@@ -98,7 +101,7 @@ def _go_on(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     before = Stored(needs[EARLIER_SWEEP] / MAPS, HeightMap)
     earlier_scale = _swept(needs[EARLIER_SWEEP])["image_scale"]
     if earlier_scale == job.plan.image_scale:
-        _save(job, folder, before, before.views, 0.0, 0.0, earlier_scale)
+        _save(job, folder, before, _Took(before.views, earlier_scale), earlier_scale)
         return
     start = time.monotonic()
     block, images_s = job.block, time.monotonic() - start
@@ -119,18 +122,17 @@ def _go_on(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
             maps = sweep(
                 block,
                 before.views,
-                (bound["low_m"], bound["high_m"]),
+                Search((bound["low_m"], bound["high_m"]), area=job.swept_ground),
                 advance,
-                area=job.swept_ground,
-                before=ByView(before, before.views),
-                again=again,
+                earlier=EarlierMaps(ByView(before, before.views), again),
                 keep=keep,
             )
             swept = _finished(block, maps, keep)
-            _save(job, folder, swept, again, time.monotonic() - start, images_s, earlier_scale)
+            took = _Took(again, job.plan.image_scale, time.monotonic() - start, images_s)
+            _save(job, folder, swept, took, earlier_scale)
     except OutOfTimeError:
         job.progress.note("sweep: no time is left for this round; the heights of the previous round are kept")
-        _save(job, folder, before, [], 0.0, images_s, earlier_scale, scale=earlier_scale)
+        _save(job, folder, before, _Took([], earlier_scale, images_s=images_s), earlier_scale)
 
 
 def _to_sweep_again(job: Job, views: list[int], needs: Mapping[str, Path]) -> list[int]:
@@ -149,17 +151,22 @@ def _to_sweep_again(job: Job, views: list[int], needs: Mapping[str, Path]) -> li
     return needed
 
 
-def _save(
-    job: Job, folder: Path, maps: Sequence[HeightMap], swept: list[int], seconds: float, images_s: float,
-    before: float | None, *, scale: float | None = None,
-) -> None:  # fmt: skip
-    """The maps, and what they took; ``scale`` is that of the maps where it is not the plan's."""
+@dataclass(frozen=True)
+class _Took:
+    """Views that were swept, the scale of all maps, and the time that it took, for the images, too."""
+
+    views: list[int]
+    image_scale: float
+    seconds: float = 0.0
+    images_s: float = 0.0
+
+
+def _save(job: Job, folder: Path, maps: Sequence[HeightMap], took: _Took, before: float | None) -> None:
+    """The maps, and what they took, from those of the scale ``before``."""
     save_maps(folder / MAPS, HeightMap, maps)
-    scale = job.plan.image_scale if scale is None else scale
-    share = len(swept) / max(len(maps), 1)
+    share, scale = len(took.views) / max(len(maps), 1), took.image_scale
     num_samples = 0.0 if job.aimed is None else share * job.aimed.samples(scale, before)
-    told = {"views": swept, "image_scale": scale, "seconds": seconds, "images_s": images_s, "samples": num_samples}
-    write_json(folder / SWEPT, told)
+    write_json(folder / SWEPT, asdict(took) | {"samples": num_samples})
     names = [view.name for view in job.survey.views]
     write_json(folder / SATURATED, dict(zip(names, job.block.saturated, strict=True)))
     found = photo_consistency(job.block, maps) if scale == job.plan.image_scale else []

@@ -11,17 +11,16 @@ from small_survey import E0, LEVEL, N0
 from geo.frames import LocalFrame
 from refract.lens import Lens
 from survey.photos.tie_points import TiePoints
-from survey.sfm.poses import image_names
+from survey.sfm.poses import Photographs, image_names
 
 
 def solved(monkeypatch, names):
     """Put a solver in the place of structure from motion, which has tests of its own; returns its calls."""
     calls = []
 
-    def solve_poses(
-        image_paths, crs, workspace, *, gps_height, size_px, focal_px, control, spare_control, heads, report
-    ):
-        calls.append((image_paths, workspace, gps_height, size_px, focal_px))
+    def solve_poses(given, crs, workspace, *, control, spare_control, report):
+        focal_px = given.focal_px
+        calls.append((given.paths, workspace, given.gps_height, given.size_px, focal_px))
         frame = LocalFrame(crs, (E0, N0, LEVEL))
         lens = Lens("SIMPLE_RADIAL", (focal_px or 90.0, 32.0, 24.0, -0.01), 64, 48)
         down = np.diag([1.0, -1.0, -1.0])
@@ -30,6 +29,6 @@ def solved(monkeypatch, names):
         residuals = np.zeros((len(views), 3))
         return SimpleNamespace(frame=frame, views=views, notes=["placed by GPS"], ties=ties, gps_residual_m=residuals)
 
-    there = SimpleNamespace(solve_poses=solve_poses, image_names=image_names)
+    there = SimpleNamespace(solve_poses=solve_poses, image_names=image_names, Photographs=Photographs)
     monkeypatch.setitem(sys.modules, "survey.sfm.poses", there)
     return calls

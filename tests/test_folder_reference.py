@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import laspy
 import numpy as np
@@ -18,7 +19,7 @@ from survey.folder.place import water_plane
 from survey.folder.reference import read_ground
 from survey.settings.config import SurveyConfig, WaterConfig
 from survey.settings.control import ControlConfig
-from survey.water.surface import Departure
+from survey.water.surface import Departure, height_above
 
 CRS_OF_SURVEY, ORIGIN = "EPSG:25832+5778", (500000.0, 5200000.0, 100.0)
 # Local; the bank rises to the east, and the water is at 0.
@@ -50,7 +51,8 @@ def read(
     cloud.write(folder / "earlier.las")
     water = WaterConfig(level_m=100.0, level_at=ORIGIN[:2], refractive_index=1.333)
     config = SurveyConfig(crs=CRS_OF_SURVEY, water=water, control=ControlConfig(reference="earlier.las", **control))
-    return read_ground(folder, config, frame, PLACES, water_plane(frame, water), departure, is_level_known=True)
+    above_water = partial(height_above, water_plane(frame, water), departure)
+    return read_ground(folder, config, frame, PLACES, above_water, is_level_known=True)
 
 
 def test_dry_ground_near_the_photographs_counts_and_its_accuracy_is_asked_for(tmp_path):
@@ -121,6 +123,6 @@ def test_without_dry_ground_or_a_level_it_is_refused(tmp_path):
     config = SurveyConfig(crs=CRS_OF_SURVEY, control=ControlConfig(reference="earlier.las"))
     water = water_plane(frame, WaterConfig(level_m=100.0, level_at=ORIGIN[:2], refractive_index=1.333))
     with pytest.raises(ControlError, match="nothing tells which ground"):
-        read_ground(tmp_path, config, frame, PLACES, water, is_level_known=False)
+        read_ground(tmp_path, config, frame, PLACES, partial(height_above, water, None), is_level_known=False)
     config = replace(config, control=ControlConfig())
     assert read_ground(tmp_path, config, frame, PLACES, None, is_level_known=True)[0] is None

@@ -95,19 +95,13 @@ def _derivatives(line, centres, points, water: FlatWater):
     by_height = (by_deep - by_high) / stretch
     columns = [by_height]
     for axis in range(2):
+        # As the normal turns by a small vector about the reference point of the plane.
         turn = normal * slopes[axis] / stretch**2 - np.eye(3)[axis] / stretch
-        columns.append(
-            _by_normal(turn, normal, apart, centres - foot, foot - points, by_across, by_high, by_deep, high)
-        )
+        moved = np.einsum("nij,nj->ni", by_across, -np.outer(apart @ normal, turn) - np.outer(apart @ turn, normal))
+        moved = moved + by_high * ((centres - foot) @ turn)[:, None] + by_deep * ((foot - points) @ turn)[:, None]
+        columns.append(moved - np.outer(high, turn))
     columns.append(s_n[:, None] * towards)
     return by_point, by_centre, np.stack(columns, axis=-1)
-
-
-def _by_normal(turn, normal, apart, up, down, by_across, by_high, by_deep, high):
-    """Change of the line of sight as the normal of the plane turns by a small vector about its reference point."""
-    across = -np.outer(apart @ normal, turn) - np.outer(apart @ turn, normal)
-    moved = np.einsum("nij,nj->ni", by_across, across)
-    return moved + by_high * (up @ turn)[:, None] + by_deep * (down @ turn)[:, None] - np.outer(high, turn)
 
 
 @dataclass(frozen=True)

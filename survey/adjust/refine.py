@@ -8,7 +8,7 @@ windows matched to a fraction of a pixel on the adjusted block (`survey.adjust.w
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -91,46 +91,42 @@ def adjust_survey(
         If the photographs do not match, or the adjustment does not converge.
     """
     survey, note = with_square_pixels(survey)
-    found = _adjust(survey, device, advance, use_windows=use_windows, free_water=free_water, search=search)
+    found = _adjust(survey, _Asked(device, advance, use_windows, free_water), search)
     return found if note is None else replace(found, notes=(note, *found.notes))
 
 
-def _adjust(
-    survey: Survey,
-    device: str,
-    advance: Callable[[float], None],
-    *,
-    use_windows: bool,
-    free_water: bool,
-    search: Search | None,
-) -> Adjustment:
+@dataclass(frozen=True)
+class _Asked:
+    """Parameters of `adjust_survey`."""
+
+    device: str
+    advance: Callable[[float], None]
+    use_windows: bool
+    free_water: bool
+
+
+def _adjust(survey: Survey, asked: _Asked, search: Search | None) -> Adjustment:
     """See `adjust_survey`."""
-    known = known_of(survey, make_plan(survey).gsd_m, free_water=free_water)
-    if survey.observations.ties is not None or not use_windows:
+    known = known_of(survey, make_plan(survey).gsd_m, free_water=asked.free_water)
+    if survey.observations.ties is not None or not asked.use_windows:
         with open_roll_named(known.rolls):
-            return _adjusted(survey, known, None, device, advance, use_windows=use_windows, free_water=free_water)
+            return _adjusted(survey, known, None, asked)
     windows = windows_or_search(
-        survey, lambda: measure_windows(survey, device=device, advance=lambda part: advance(0.9 * part)), search
+        survey,
+        lambda: measure_windows(survey, device=asked.device, advance=lambda part: asked.advance(0.9 * part)),
+        search,
     )
     if isinstance(windows, TiePoints):
-        return _adjusted(survey, known, windows, device, advance, free_water=free_water)
+        return _adjusted(survey, known, windows, asked)
     survey = replace(survey, observations=replace(survey.observations, ties=windows.ties))
-    known = windows.start(known_of(survey, make_plan(survey).gsd_m, free_water=free_water))
-    found = _adjusted(survey, known, None, device, lambda _share: None, free_water=free_water)
+    known = windows.start(known_of(survey, make_plan(survey).gsd_m, free_water=asked.free_water))
+    found = _adjusted(survey, known, None, replace(asked, advance=lambda _share: None))
     return replace(found, warnings=(windows.warning, *found.warnings))
 
 
-def _adjusted(
-    survey: Survey,
-    known: Known,
-    windows: TiePoints | None,
-    device: str,
-    advance: Callable[[float], None],
-    *,
-    use_windows: bool = True,
-    free_water: bool = False,
-) -> Adjustment:
+def _adjusted(survey: Survey, known: Known, windows: TiePoints | None, asked: _Asked) -> Adjustment:
     """See `adjust_survey`; with the windows, where they were measured already."""
+    device, advance, use_windows, free_water = asked.device, asked.advance, asked.use_windows, asked.free_water
     gathered = _BlockAdjustment(survey, known, free_water)
     done: Adjusted | None = None
     shares = [0.0, 0.9, 0.1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,12 +19,10 @@ from geo.reading import read_reference
 from geo.reproject import Reprojection
 from geo.shapes import Cloud, Mesh, in_height_unit, left_out, part_of, vertices_of
 from geo.transformation import Transformation
-from refract import FlatWater
 from survey.control.ground import Ground
 from survey.errors import ControlError
 from survey.findings import Findings
 from survey.settings.config import SurveyConfig
-from survey.water.surface import Departure
 
 # Of a reference that does not say it: airborne lidar, or photogrammetry on control.
 DEFAULT_STD_M = 0.1
@@ -41,8 +40,7 @@ def read_ground(
     config: SurveyConfig,
     frame: LocalFrame,
     places: np.ndarray,
-    water: FlatWater | None,
-    departure: Departure | None = None,
+    above_water: Callable[[np.ndarray], np.ndarray] | None,
     *,
     is_level_known: bool,
 ) -> tuple[Ground | None, Findings]:
@@ -55,10 +53,8 @@ def read_ground(
     frame : LocalFrame
     places : (N, 3) [m], local
         Cameras and tie points.
-    water : FlatWater or None
-        Local.
-    departure : Departure or None
-        Of the water from that plane.
+    above_water : callable, or None
+        Heights (K,) [m] of places (K, 3), local, above the water; None where there is none.
     is_level_known : bool
 
     Raises
@@ -69,7 +65,7 @@ def read_ground(
     given = config.control
     if given.reference is None:
         return None, Findings()
-    if water is not None and not is_level_known and given.stable is None:
+    if above_water is not None and not is_level_known and given.stable is None:
         raise ControlError(
             "[control] reference: the level of the water is not given, so that nothing tells which ground of "
             f"{given.reference} is dry; give level_m, or polygons of stable ground in [control] stable"
@@ -93,10 +89,9 @@ def read_ground(
         cloud = part_of(cloud, keep)
     local = frame.local_from_crs(cloud.points)
     dry = np.ones(len(local), dtype=bool)
-    if water is not None and is_level_known:
+    if above_water is not None and is_level_known:
         level_std = config.water.level_std_m if config.water is not None else None
-        over = 0.0 if departure is None else departure.at(local[:, :2])[0]
-        dry = water.depth(local) + over < -max(_LEAST_ABOVE_M, _LEAST_SIGMAS * (level_std or 0.0))
+        dry = above_water(local) > max(_LEAST_ABOVE_M, _LEAST_SIGMAS * (level_std or 0.0))
     if dry.sum() < _FEWEST:
         raise ControlError(
             f"{path} has {int(dry.sum())} points of dry ground near the photographs, expected at least {_FEWEST} "

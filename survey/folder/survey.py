@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +37,7 @@ from survey.settings.config import SurveyConfig, WaterConfig
 from survey.water.level import with_level_of_clicks, with_plane_of_surface
 from survey.water.level_observation import LevelObservation
 from survey.water.position_check import doubts_of_water_places
-from survey.water.surface import Departure
+from survey.water.surface import Departure, height_above
 from survey.water.tides import Tide, with_tides
 
 __all__ = [
@@ -234,7 +235,8 @@ def load_survey(
     seen = np.array([view.camera.centre for view in views])
     seen = seen if block.points is None else np.concatenate([seen, block.points])
     departure = Departure.of(levels, frame, water)
-    ground, said = read_ground(found.folder, config, frame, seen, water, departure, is_level_known=is_level_known)
+    above_water = None if water is None else partial(height_above, water, departure)
+    ground, said = read_ground(found.folder, config, frame, seen, above_water, is_level_known=is_level_known)
     assumptions += said.assumptions
     warnings += said.warnings
     require_true(frame, views, water, config, found.heads, see_points=block.reprojection is not None)

@@ -150,7 +150,7 @@ def solve_views(found: Found, workspace: Path | None, report: Callable[[str], No
     """
     warnings = require_solvable(found)
     # Slow to import, and needed only without poses.
-    from survey.sfm.poses import image_names, solve_poses
+    from survey.sfm.poses import Photographs, image_names, solve_poses
 
     names = {path.absolute(): name for name, path in found.images.items()}
     name_of = {called: names[path] for called, path in image_names(list(found.images.values())).items()}
@@ -158,16 +158,20 @@ def solve_views(found: Found, workspace: Path | None, report: Callable[[str], No
     # Of blocks that fall apart, positions may place one and control another.
     spare = control_of_block(found) if control is None else None
     views_of = {name: called for called, name in name_of.items()}
-    result = solve_poses(
+    cameras = found.config.cameras
+    photographs = Photographs(
         list(found.images.values()),
+        {path: found.heads[name] for name, path in found.images.items()},
+        cameras.gps_height,
+        cameras.size_px,
+        cameras.focal_px,
+    )
+    result = solve_poses(
+        photographs,
         found.crs,
         workspace or found.folder / RUN_FOLDER / SFM_FOLDER,
-        gps_height=found.config.cameras.gps_height,
-        size_px=found.config.cameras.size_px,
-        focal_px=found.config.cameras.focal_px,
         control=None if control is None else control.with_views(views_of),
         spare_control=None if spare is None else spare.with_views(views_of),
-        heads={path: found.heads[name] for name, path in found.images.items()},
         report=report,
     )
     views = []

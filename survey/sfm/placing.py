@@ -61,7 +61,6 @@ def place_by_gps(
     gps: GpsPositions,
     alias_of: Mapping[str, str],
     sensors: list[Sensor],
-    say: Callable[[str], None],
     spare: BlockControl | None = None,
     attitudes: Mapping[str, np.ndarray] | None = None,
 ) -> Placed:
@@ -72,7 +71,6 @@ def place_by_gps(
     free, gps
     alias_of : mapping of name to name in the block
     sensors : list of Sensor
-    say : callable
     spare : BlockControl, optional
         For the blocks that positions cannot place, and for the roll of those on one line; its views have the names that
         are keys of `alias_of`.
@@ -87,7 +85,6 @@ def place_by_gps(
     positions = {alias_of[name]: position for name, position in gps.local.items()}
     turned = _by_alias(attitudes, alias_of)
     nearby = None if spare is None else spare.in_frame(gps.frame)
-    say(f"structure from motion: {free.num_images} images are placed by their GPS positions")
 
     def by_positions(block: pycolmap.Reconstruction) -> str:
         trusted = _to_positions(block, positions)
@@ -118,7 +115,6 @@ def place_by_control(
     control: BlockControl,
     alias_of: Mapping[str, str],
     sensors: list[Sensor],
-    say: Callable[[str], None],
     attitudes: Mapping[str, np.ndarray] | None = None,
 ) -> Placed:
     """Place blocks by control points; the blocks are changed.
@@ -130,7 +126,6 @@ def place_by_control(
         Its views have the names that are keys of `alias_of`.
     alias_of : mapping of name to name in the block
     sensors : list of Sensor
-    say : callable
     attitudes
         As for `place_by_gps`.
 
@@ -139,7 +134,6 @@ def place_by_control(
     ControlError
         If the control says of no block how it lies.
     """
-    say(f"structure from motion: {free.num_images} images are placed by {len(control.points)} control points")
     way = _way_of_control(control, control.frame, alias_of, _by_alias(attitudes, alias_of))
     return _place(free, [way], control.frame, alias_of, sensors)
 

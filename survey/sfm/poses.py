@@ -96,40 +96,52 @@ class SfmResult:
     ties: TiePoints
 
 
-def solve_poses(
-    image_paths: Sequence[Path],
-    crs: CRS | None,
-    workspace: Path,
-    *,
-    gps_height: str = "crs",
-    size_px: tuple[int, int] | None = None,
-    focal_px: float | tuple[float, float] | None = None,
-    control: BlockControl | None = None,
-    spare_control: BlockControl | None = None,
-    heads: Mapping[Path, Exif] | None = None,
-    report: Callable[[str], None] | None = None,
-) -> SfmResult:
-    """Poses, lenses and points of photographs with GPS positions, or with control points.
+@dataclass(frozen=True)
+class Photographs:
+    """Photographs without poses, and what is known of them.
 
-    Parameters
+    Attributes
     ----------
-    image_paths : sequence of Path
-    crs : pyproj.CRS or None
-        With a vertical part; None: UTM with heights above EGM96, said in the notes.
-    workspace : Path
-        Keeps the solved block, which is used again while images and settings are the same.
+    paths : sequence of Path
+    heads : mapping of path to Exif, optional
+        With positions that a table gives; default: what the images themselves have.
     gps_height : "crs" or "ellipsoidal"
         What the heights in EXIF count from.
     size_px : (width, height), optional
         That all images must have.
     focal_px : float, optional
         Of a calibration; it is kept. Without it, the one in EXIF is where the search starts.
+    """
+
+    paths: Sequence[Path]
+    heads: Mapping[Path, Exif] | None = None
+    gps_height: str = "crs"
+    size_px: tuple[int, int] | None = None
+    focal_px: float | tuple[float, float] | None = None
+
+
+def solve_poses(
+    photographs: Photographs,
+    crs: CRS | None,
+    workspace: Path,
+    *,
+    control: BlockControl | None = None,
+    spare_control: BlockControl | None = None,
+    report: Callable[[str], None] | None = None,
+) -> SfmResult:
+    """Poses, lenses and points of photographs with GPS positions, or with control points.
+
+    Parameters
+    ----------
+    photographs : Photographs
+    crs : pyproj.CRS or None
+        With a vertical part; None: UTM with heights above EGM96, said in the notes.
+    workspace : Path
+        Keeps the solved block, which is used again while images and settings are the same.
     control : BlockControl, optional
         Places blocks instead of GPS positions; its views have the names of `image_names`.
     spare_control : BlockControl, optional
         Places the blocks that GPS positions cannot.
-    heads : mapping of path to Exif, optional
-        Of the images, with positions that a table gives; default: what the images themselves have.
     report : callable, optional
         Called with a sentence on the progress.
 
@@ -145,11 +157,11 @@ def solve_poses(
     The same images on the same kind of computer give the same poses: seeds and threads are fixed.
     """
     say = report or (lambda _text: None)
-    images = image_names(image_paths)
-    given = {path.absolute(): head for path, head in (heads or {}).items()}
+    images, gps_height = image_names(photographs.paths), photographs.gps_height
+    given = {path.absolute(): head for path, head in (photographs.heads or {}).items()}
     known = {name: given[path] if path in given else read_exif(path) for name, path in images.items()}
-    require_size(images, known, size_px)
-    focal_px = one_focal(focal_px)
+    require_size(images, known, photographs.size_px)
+    focal_px = one_focal(photographs.focal_px)
     place: Callable[..., Placed]
     if control is None:
         gps = gps_positions(known, crs, gps_height)
@@ -160,8 +172,10 @@ def solve_poses(
     local = {name: frame.local_from_crs(position) for name, position in positions.items()}
     free = _solved(images, known, local, focal_px, workspace, say)
     alias_of = aliases(images)
-    sensors = sensors_of(known, alias_of, focal_px)
-    return _result(place(free, alias_of=alias_of, sensors=sensors, say=say), positions, alias_of)
+    by = "their GPS positions" if control is None else f"{len(control.points)} control points"
+    say(f"structure from motion: {free.num_images} images are placed by {by}")
+    placed = place(free, alias_of=alias_of, sensors=sensors_of(known, alias_of, focal_px))
+    return _result(placed, positions, alias_of)
 
 
 @dataclass(frozen=True)

@@ -182,6 +182,12 @@ class Departure:
         return self._over_plane(xy) + np.sum(shares * rest, axis=1), std
 
 
+def height_above(plane: FlatWater, departure: Departure | None, places: np.ndarray) -> np.ndarray:
+    """Heights (N,) [m] of places (N, 3), local, above the water: a plane, or what departs from it."""
+    over = 0.0 if departure is None else departure.at(places[:, :2])[0]
+    return -plane.depth(places) - over
+
+
 def _between(x: np.ndarray, y: np.ndarray, values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     """Values (rows, columns) at nodes x and y as a function of places (M, 2); beyond them that of the nearest place."""
     inside = RegularGridInterpolator((x, y), values.T)

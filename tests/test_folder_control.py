@@ -186,6 +186,16 @@ def test_check_points_are_read_with_or_without_names(tmp_path):
         load_survey(with_control(tmp_path, 'checkpoints = "rods.csv"', rods__csv=table([*POINTS, POINTS[0]])))
 
 
+@pytest.mark.parametrize("height", [LEVEL - 2.0, LEVEL + 1.0])
+def test_check_points_that_no_photograph_shows_are_named(tmp_path, height):
+    lines = [f"{name},{E0 + east},{N0},{height}" for name, east in (("near", 0.0), ("far", 60.0))]
+    rods = "\n".join(["name,easting,northing,height", *lines])
+    said = load_survey(with_control(tmp_path, 'checkpoints = "rods.csv"', rods__csv=rods)).findings.warnings
+    assert [line for line in said if "no photograph shows" in line] == [
+        "1 check point that no photograph shows, so that nothing is compared with it: far"
+    ]
+
+
 def test_the_files_of_control_are_inputs(tmp_path):
     folder = with_control(tmp_path, 'gcps = ["a.csv", "b.csv"]\nmarks = "m.csv"\ncheckpoints = "rods.csv"')
     written(folder, **dict.fromkeys(("a__csv", "b__csv", "m__csv", "rods__csv"), "\n"))

@@ -186,6 +186,21 @@ def mark_residuals(control: Control, views: Sequence[View], water: FlatWater | N
     return np.array(found)
 
 
+def checkpoint_doubts(checkpoints: Sequence[Checkpoint], views: Sequence[View], water: FlatWater | None) -> list[str]:
+    """A warning that names the check points which no photograph shows by its pose."""
+    if not checkpoints:
+        return []
+    places = np.array([point.local for point in checkpoints])
+    wet = np.zeros(len(places), bool) if water is None else np.asarray(water.depth(places)) > 0.0
+    seen = np.zeros(len(places), bool)
+    for view in views:
+        for part, over in ((wet, water), (~wet, None)):
+            if part.any():
+                seen[part] |= view.camera.sees(view.camera.project(places[part], over))
+    unseen = [point.name for point, is_seen in zip(checkpoints, seen, strict=True) if not is_seen]
+    return named(unseen, "check point", "that no photograph shows, so that nothing is compared with it")
+
+
 def mark_doubts(control: Control, views: Sequence[View], water: FlatWater | None) -> list[str]:
     """Warnings about marks that lie far from where the poses show their points."""
     away = mark_residuals(control, views, water)

@@ -21,7 +21,7 @@ from survey.folder import place
 from survey.folder.block import Block, block_of_file, block_of_photographs, block_over_water
 from survey.folder.camera_faults import require_apart, require_focal_lengths
 from survey.folder.contradiction import Contradiction
-from survey.folder.control import mark_doubts
+from survey.folder.control import checkpoint_doubts, mark_doubts
 from survey.folder.datum_mixups import exif_doubts, low_flight_doubts, place_of, start_doubts
 from survey.folder.found import Found, find_survey
 from survey.folder.motion import Velocity, shutter_doubts, velocities_of, with_motion
@@ -241,6 +241,8 @@ def load_survey(
     warnings += said.warnings
     require_true(frame, views, water, config, found.heads, see_points=block.reprojection is not None)
     warnings += _doubts(replace(found, config=config), frame, views, water, block.control)
+    if found.poses_path is not None:
+        warnings += checkpoint_doubts(block.checkpoints, views, water)
     config = _with_poses_name(config, found)
     return Survey(
         name=found.config.name or found.folder.resolve().name,

@@ -162,6 +162,23 @@ def test_a_webp_without_loss_with_a_sector_of_zeros_is_refused(tmp_path, rng, me
         require_complete(path)
 
 
+@pytest.mark.parametrize("quality", [30, 60, 95])
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.7])
+@pytest.mark.parametrize("num", [512, None])
+def test_a_webp_with_loss_with_zeros_in_its_pixels_is_refused(tmp_path, quality, share, num):
+    path, rng = tmp_path / "a.webp", np.random.default_rng(2)
+    pixels = Image.fromarray(rng.integers(0, 255, (80, 110, 3), dtype=np.uint8)).resize((440, 320))
+    pixels.save(path, quality=quality)
+    require_complete(path)
+    data = bytearray(path.read_bytes())
+    first = int(share * len(data))
+    num = len(data) - first if num is None else num
+    data[first : first + num] = bytes(num)
+    path.write_bytes(data)
+    with pytest.raises(ImageError, match=r"zeros stand where compressed pixels should|cannot be decoded"):
+        require_complete(path)
+
+
 @pytest.mark.parametrize("lossless", [True, False])
 def test_zeros_in_the_metadata_of_a_webp_are_no_damage(tmp_path, rng, lossless):
     path, exif = tmp_path / "a.webp", Image.Exif()

@@ -27,9 +27,11 @@ _DEFLATE = (8, 32946)
 _ZEROS, _SECTOR = bytes(64), bytes(512)
 _ZEROS_SAID = "zeros stand where compressed pixels should"
 _ZEROS_OF_PIXELS = "from within a row on zeros stand where pixels should"
-_WEBP_BEGIN, _WEBP_LOSSLESS = b"RIFF", b"VP8L"
+_WEBP_BEGIN, _WEBP_LOSSLESS, _WEBP_LOSSY = b"RIFF", b"VP8L", b"VP8 "
 # A sector of zeros is so many equal pixels at least where it is whole: of a flat photograph, in codes of a few bits.
 _EQUAL_PIXELS = 1024
+# With loss a flat photograph takes a byte for 550 pixels.
+_EQUAL_FOR_ZERO = 100
 # Channels of a PNG by the type of its colours, and how much of it is decompressed at once.
 _PNG_CHANNELS, _AT_ONCE = {2: 3, 4: 2, 6: 4}, 1 << 24
 _TIFF_PIXELS = ((273, 279), (324, 325))
@@ -92,11 +94,14 @@ def _bytes_of_png(header: bytes) -> int:
 
 
 def _damage_of_webp(path: Path, file: BinaryIO) -> str | None:
-    """By a sector of zeros in pixels compressed without loss; zeros in others, or in metadata, tell nothing."""
+    """By sectors of zeros in its compressed pixels, which are not equal over as many; in metadata they tell nothing."""
     file.seek(12)
     while len(head := file.read(8)) == 8:
         length = int.from_bytes(head[4:], "little")
-        if head[:4] == _WEBP_LOSSLESS and file.read(length).find(_SECTOR) >= 0:
+        if head[:4] in (_WEBP_LOSSLESS, _WEBP_LOSSY):
+            zeros = _longest_zeros(file.read(length))
+            if zeros < len(_SECTOR):
+                return None
             with open_image(path) as image:
                 try:
                     pixels = np.asarray(image.convert("RGB")).reshape(-1, 3)
@@ -104,12 +109,22 @@ def _damage_of_webp(path: Path, file: BinaryIO) -> str | None:
                     return "its compressed pixels cannot be decoded"
             changes = np.flatnonzero((pixels[1:] != pixels[:-1]).any(axis=1))
             longest = int(np.diff(changes, prepend=-1, append=len(pixels) - 1).max())
-            return _ZEROS_SAID if longest < _EQUAL_PIXELS else None
-        if head[:4] == _WEBP_LOSSLESS:
-            return None
+            equal = _EQUAL_PIXELS if head[:4] == _WEBP_LOSSLESS else _EQUAL_FOR_ZERO * zeros
+            return _ZEROS_SAID if longest < equal else None
         # Chunks begin at even bytes.
         file.seek(length + length % 2, 1)
     return None
+
+
+def _longest_zeros(data: bytes) -> int:
+    """The length of the longest run of zeros of a sector or more; 0 without one."""
+    longest, at = 0, 0
+    while (at := data.find(_SECTOR, at)) >= 0:
+        begin = at
+        while data.startswith(_SECTOR, at):
+            at += len(_SECTOR)
+        longest = max(longest, at - begin)
+    return longest
 
 
 def _damage_of_tiff(image: Image.Image, file: BinaryIO) -> str | None:

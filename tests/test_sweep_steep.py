@@ -86,7 +86,7 @@ def test_of_pixels_nearer_to_each_other_than_a_gap_one_is_added(device):
     assert kept[0][row].tolist() == [True, False, True]
 
 
-def test_maps_have_what_lies_between_their_four_heights_and_look_through_what_lies_above(device, rng):
+def test_maps_have_what_lies_between_heights_hold_what_is_at_one_and_look_through_what_lies_above(device, rng):
     stack = level_stack(device, [HEIGHT] * 3)
     heights = rng.uniform(-2.1, -1.9, SHAPE).astype(np.float32)
     stack = ViewStack.build(device, stack.cameras, [*stack.images[:2], heights], TILTED)
@@ -104,6 +104,9 @@ def test_maps_have_what_lies_between_their_four_heights_and_look_through_what_li
     assert clear.sum() > 300
     np.testing.assert_array_equal(found[0][clear], ((above < GSD) & (below < GSD))[clear])
     np.testing.assert_array_equal(found[1][clear], ((above > GSD) & known.all(axis=0))[clear])
+    off = np.abs(four - points[2])
+    clear &= (np.abs(off - GSD) > 1e-4).all(axis=0)
+    np.testing.assert_array_equal(found[2][clear], ((off < GSD) & known).any(axis=0)[clear])
 
 
 def test_points_spread_out_are_those_that_taking_turns_takes(rng):

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from fields.image_store import LazyImages, Masks
 from fields.median import median
+from fields.sweep.beneath import add_beneath, beside_steps
 from fields.sweep.block import Block
 from fields.sweep.height_std import height_std
 from fields.sweep.kernels.arrays import free_unused
@@ -114,7 +115,8 @@ def unique_pixels(block: Block, maps: Sequence[HeightMap], gsd: float) -> Masks:
     every later view, the four pixels around its projection whose heights agree with it; claimed pixels are duplicates.
     On walls, where neighbouring pixels lie far apart, it claims those alone that are as near to it as the bed's points
     are to each other (``gsd``, the ground sampling distance [m]). Only trusted pixels are kept. What is steep is
-    looked at once more in space: that adds pixels on walls, and takes away wrong ones (`fields.sweep.slopes`).
+    looked at once more in space: that adds pixels on walls, and takes away wrong ones (`fields.sweep.slopes`). So is
+    what lies beneath something (`fields.sweep.beneath`); there one view that confirms is enough.
 
     Returns
     -------
@@ -123,7 +125,7 @@ def unique_pixels(block: Block, maps: Sequence[HeightMap], gsd: float) -> Masks:
     chosen = [m.view for m in maps]
     cameras = [block.cameras[view] for view in chosen]
     shapes: list[tuple[int, ...]] = [(camera.height, camera.width) for camera in cameras]
-    kept, claimed, walls, steep, sure, fit = (Masks(list(shapes)) for _ in range(6))
+    kept, claimed, walls, steep, sure, fit, beside = (Masks(list(shapes)) for _ in range(7))
     ground, tolerances = [], []
     for index, m in enumerate(maps):
         others = block.neighbours(m.view, 8, among=chosen)
@@ -141,6 +143,7 @@ def unique_pixels(block: Block, maps: Sequence[HeightMap], gsd: float) -> Masks:
         shown = np.isfinite(block.images[chosen[index]])
         kept[index] = keep = sure[index] & shown & ~claimed[index]
         fit[index] = walls[index] & shown & confirmed(maps[index], WALL_NCC)
+        beside[index] = shown & (maps[index].agreeing > 0) & beside_steps(maps[index].height, gsd)
         if not keep.any():
             continue
         rays, own = kernels(block.device).rays_and_heights(heights, index, np.flatnonzero(keep))
@@ -150,6 +153,7 @@ def unique_pixels(block: Block, maps: Sequence[HeightMap], gsd: float) -> Masks:
                 claimed.add(later, same & (near | ~walls[later].ravel()))
         free_unused(block.device)
     filter_steep_pixels(heights, SteepPixels(steep, fit, sure), kept, gsd)
+    add_beneath(heights, beside, sure, kept, gsd)
     return kept
 
 

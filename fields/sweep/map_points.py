@@ -33,24 +33,25 @@ class MapPoints:
         """Those of masks (height, width) bool, one for each map."""
         pixels = [np.flatnonzero(mask) for mask in masks]
         number = np.repeat(np.arange(len(pixels)), [len(each) for each in pixels])
-        parts = [_points(stack, number, each) for number, each in enumerate(pixels)]
+        parts = [points_of_pixels(stack, number, each) for number, each in enumerate(pixels)]
         return MapPoints(number, np.concatenate(pixels), np.concatenate(parts, axis=1))
 
     def __getitem__(self, which: np.ndarray) -> MapPoints:
         return MapPoints(self.number[which], self.pixel[which], self.xyz[:, which])
 
-    def votes(self, stack: ViewStack, sure: Masks, apart: float) -> tuple[np.ndarray, np.ndarray]:
-        """Number of other maps (N,) that contain the point, and number that see through it."""
-        having, through = (np.zeros(len(self.number), dtype=np.int32) for _ in range(2))
+    def votes(self, stack: ViewStack, sure: Masks, apart: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Number of other maps (N,) that contain the point, that see through it, and that hold it in a pixel."""
+        having, through, holding = (np.zeros(len(self.number), dtype=np.int32) for _ in range(3))
         if not len(self.number):
-            return having, through
+            return having, through, holding
         points = tuple(floats(stack.device, each) for each in self.xyz)
         for number, mask in enumerate(sure):
             other = self.number != number
-            has, looks = kernels(stack.device).vote_on_points(stack, points, number, apart, mask)
+            has, looks, holds = kernels(stack.device).vote_on_points(stack, points, number, apart, mask)
             having += has & other
             through += looks & other
-        return having, through
+            holding += holds & other
+        return having, through, holding
 
     def mark(self, masks: Masks, to: bool) -> None:
         """Set these pixels of masks."""
@@ -102,12 +103,12 @@ def points_about(stack: ViewStack, masks: Iterable[np.ndarray], xyz: np.ndarray,
         reached[_hash_cells(xyz + corner, distance)] = True
     near = []
     for number, mask in enumerate(masks):
-        points = _points(stack, number, np.flatnonzero(mask))
+        points = points_of_pixels(stack, number, np.flatnonzero(mask))
         near.append(points[:, reached[_hash_cells(points, distance)]])
     return np.concatenate(near, axis=1).T
 
 
-def _points(stack: ViewStack, number: int, pixels: np.ndarray) -> np.ndarray:
+def points_of_pixels(stack: ViewStack, number: int, pixels: np.ndarray) -> np.ndarray:
     """Points (3, N) float32 of pixels of a map."""
     if not len(pixels):
         return np.zeros((3, 0), dtype=np.float32)

@@ -83,10 +83,10 @@ def filter_steep_pixels(stack: ViewStack, found: SteepPixels, kept: Masks, gsd: 
     if not len(kept):
         return
     old = MapPoints.of(stack, (keep & steep for keep, steep in zip(kept, found.steep, strict=True)))
-    having, through = old.votes(stack, found.sure, gsd)
+    having, through, _ = old.votes(stack, found.sure, gsd)
     old[through > having].mark(kept, False)
     new = MapPoints.of(stack, (fit & ~keep for fit, keep in zip(found.fit, kept, strict=True)))
     new = new[far_from(stack, kept, new.xyz, _GAP_GSD * gsd)]
-    having, through = new.votes(stack, found.sure, gsd)
+    having, through, _ = new.votes(stack, found.sure, gsd)
     new = new[(having >= _LEAST_FOR) & (through <= _MOST_AGAINST * having)]
     new[thin_out(new.xyz.T, _GAP_GSD * gsd)].mark(kept, True)

@@ -57,7 +57,7 @@ class Kernels(Protocol):
 
     def vote_on_points(
         self, stack: ViewStack, points: tuple, view: int, close_m: float, sure: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]: ...
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]: ...
 
 
 def kernels(device: Device) -> Kernels:

@@ -305,11 +305,12 @@ def find_duplicates(
 
 def vote_on_points(
     stack: ViewStack, points: tuple, view: int, close_m: float, sure: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Votes of height map `view` on points (P): bool where it contains them, bool where it sees through them.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Votes of height map `view` on points (P): bool where it contains, sees through, and holds them.
 
     A map contains points between the lowest and the highest of its four heights about them, or within `close_m` of
-    these. It sees through those above all four by more, if these are all ``sure`` (pixels) bool. Points are in the
+    these. It sees through those above all four by more, if these are all ``sure`` (pixels) bool. It holds those within
+    `close_m` of one of the four that is sure: beside a step the others are between two surfaces. Points are in the
     frame of the water plane.
     """
     Float, UInt, Byte = stack.device.module.Float, stack.device.module.UInt, stack.device.module.UInt8
@@ -326,9 +327,12 @@ def vote_on_points(
     for each in heights[2:]:
         low, high = dr.minimum(low, each), dr.maximum(high, each)
     below = high + reach < points[2]
-    shown, through = inside & ~below & (low - reach < points[2]), inside & below
-    for each in four:
-        through &= dr.gather(Byte, known, each, inside) > 0
-    found = [dr.select(each, Byte(1), Byte(0)) for each in (shown, through)]
+    shown, through, held = inside & ~below & (low - reach < points[2]), inside & below, inside & False
+    for each, height in zip(four, heights, strict=True):
+        is_sure = dr.gather(Byte, known, each, inside) > 0
+        through &= is_sure
+        held |= is_sure & (dr.abs(height - points[2]) < reach)
+    found = [dr.select(each, Byte(1), Byte(0)) for each in (shown, through, held & inside)]
     dr.eval(found)
-    return found[0].numpy().view(bool), found[1].numpy().view(bool)
+    shown, through, held = (each.numpy().view(bool) for each in found)
+    return shown, through, held

@@ -187,7 +187,7 @@ def find_duplicates(
 
 def vote_on_points(
     stack: ViewStack, points: tuple, view: int, close_m: float, sure: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Votes of height map `view` on points (P); see the twin."""
     u, v, inside = project(stack.camera_rows[view], points, stack.kernel_water, stack.terms)
     corner, _, _ = _corner(stack, view, u, v, inside)
@@ -196,9 +196,10 @@ def vote_on_points(
     heights = torch.stack([stack.pixels[view][each] for each in four])
     low, high = heights.amin(dim=0), heights.amax(dim=0)
     below = high + close_m < points[2]
-    is_sure = inside & torch.stack([known[each] for each in four]).all(dim=0)
-    shown, through = inside & ~below & (low - close_m < points[2]), is_sure & below
-    return shown.cpu().numpy(), through.cpu().numpy()
+    is_sure = inside & torch.stack([known[each] for each in four])
+    shown, through = inside & ~below & (low - close_m < points[2]), is_sure.all(dim=0) & below
+    held = (is_sure & ((heights - points[2]).abs() < close_m)).any(dim=0)
+    return shown.cpu().numpy(), through.cpu().numpy(), held.cpu().numpy()
 
 
 def _window_means(images: Tensor, radius: int) -> Tensor:

@@ -68,7 +68,7 @@ def test_winding_decides_where_it_is_asked_to(cloud, plane):
     numbers = compared(cloud, plane, sign="winding")
     assert numbers["mean_m"] == pytest.approx(-0.1, abs=LAS_M / 10)
     assert numbers["sign"] == "winding"
-    assert not any("wound against" in note for note in numbers["notes"])
+    assert not any("opposite winding" in note for note in numbers["notes"])
 
 
 def test_points_beside_the_reference_are_noted_with_the_bounds_that_leave_them_out(tmp_path, plane, cloud):
@@ -87,7 +87,7 @@ def test_triangles_that_are_wound_against_each_other_are_noted_where_winding_cou
     for faces, turned in (([[0, 2, 1], [0, 2, 3]], 1), (twice, 2), ([[0, 1, 2], [0, 2, 3]], 0)):
         mesh = write_mesh(tmp_path / "mesh.ply", corners, faces)
         for sign in ("up", "winding") if turned == 1 else ("winding",):
-            said = [note for note in compared(cloud, mesh, sign=sign)["notes"] if "wound against" in note]
+            said = [note for note in compared(cloud, mesh, sign=sign)["notes"] if "opposite winding" in note]
             assert len(said) == (sign == "winding" and turned > 0)
             assert all(f"along {turned} edges" in note for note in said)
 

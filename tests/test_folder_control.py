@@ -86,9 +86,9 @@ def test_a_survey_has_its_control_in_local_and_its_settings_say_what_was_assumed
 )
 def test_control_without_a_word_on_its_accuracy_is_a_warning(tmp_path, text, untold):
     survey = load_survey(with_control(tmp_path, text, gcp_list__txt=odm(), points__xml=METASHAPE))
-    told = [warning for warning in survey.findings.warnings if "how accurate" in warning]
+    told = [warning for warning in survey.findings.warnings if "no accuracy" in warning]
     assert len(told) == (untold > 0)
-    assert all(warning.startswith(f"nothing says how accurate {untold} of 3 control points are") for warning in told)
+    assert all(warning.startswith(f"no accuracy is stated for {untold} of 3 control points") for warning in told)
 
 
 def test_accuracies_of_survey_toml_count_where_the_file_has_none(tmp_path):

@@ -34,9 +34,9 @@ def test_a_block_under_its_water_or_far_above_it_begins_over_it(tmp_path, monkey
     # A tenth of the flying height over the matched points.
     assert depth[0] == pytest.approx(0.1 * (HEIGHT_M - POINT_M))
     np.testing.assert_allclose(depth[1:], depth[0] - (HEIGHT_M - POINT_M))
-    (said,) = (text for text in survey.findings.warnings if "the level of the water decides" in text)
+    (said,) = (text for text in survey.findings.warnings if "taken from the water level" in text)
     assert f"({HEIGHT_M - over:.1f} to {HEIGHT_M - over:.1f} m over it)" in said
-    assert ("lie under the water" in said) == (over > 0.0)
+    assert ("cameras under the water" in said) == (over > 0.0)
     # The positions stay what they are: the adjustment finds by how much they are off.
     for view in survey.views:
         prior = survey.observations.priors[view.name]
@@ -47,7 +47,7 @@ def test_a_block_under_its_water_or_far_above_it_begins_over_it(tmp_path, monkey
 def test_a_block_over_its_water_stays(tmp_path, monkeypatch):
     survey = survey_with(tmp_path / "s", monkeypatch, 15.0)
     assert float(survey.water.depth(survey.views[0].camera.centre)) == pytest.approx(-5.0)
-    assert not [text for text in survey.findings.warnings if "decides" in text]
+    assert not [text for text in survey.findings.warnings if "taken from the water level" in text]
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def test_heights_that_cannot_be_off_by_so_much_are_refused(tmp_path, monkeypatch
 
 def test_heights_that_are_said_to_be_off_by_so_much_are_not_refused_for_a_datum_that_explains_it(tmp_path, monkeypatch):
     survey = survey_with(tmp_path / "s", monkeypatch, 49.0, "[3.0, 3.0, 80.0]")
-    assert [text for text in survey.findings.warnings if "the level of the water decides" in text]
+    assert [text for text in survey.findings.warnings if "taken from the water level" in text]
 
 
 @pytest.mark.parametrize(

@@ -326,7 +326,7 @@ def test_local_poses_need_an_origin_and_take_their_frame_from_it(tmp_path):
     assert survey.views[0].lens.model == "SIMPLE_RADIAL"
     focal, bent = survey.findings.warnings
     assert focal == f"focal_px = 100 in survey.toml is not used: {model} has its own, 120.0 px"
-    assert bent.startswith("COLMAP adjusts with straight rays, and water bends them")
+    assert bent.startswith("COLMAP ignores refraction")
 
 
 @pytest.mark.parametrize(

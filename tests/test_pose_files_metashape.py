@@ -200,8 +200,8 @@ def test_without_accuracies_or_with_an_antenna_the_reference_is_not_used(tmp_pat
 
 def test_water_makes_straight_rays_bent_and_check_says_so(tmp_path, block):
     survey = loaded(tmp_path, block, cameras_xml(block), more="[water]\nlevel_m = 2106.0\nrefractive_index = 1.333")
-    (warning,) = [text for text in survey.findings.warnings if "straight rays" in text]
-    assert warning.startswith("Metashape adjusts with straight rays, and water bends them")
+    (warning,) = [text for text in survey.findings.warnings if "refraction" in text]
+    assert warning.startswith("Metashape ignores refraction")
     assert pose_choice(survey, "auto", free_water=False)[0] == "refine"
 
 

@@ -210,11 +210,11 @@ def _beside(inputs: Inputs, errors: np.ndarray | None) -> list[str]:
     name, box = inputs.paths.reference.name, (*low, *high)
     said = (
         f"{100.0 * beside:.1f} % of the points have no surface of {name} above or below: their distance is that to its "
-        "edge, no error of the cloud"
+        "nearest edge, and no error of the cloud"
     )
     around = np.isnan(errors) & ~within(inputs.cloud.points[inputs.inside], box, metres_in_crs(inputs.frame, 0.01))
     if around.mean() > _BESIDE_SHARE:
-        return [f"{said}; leave out what is around it by --bounds {as_text(box)}, all of the reference, or less"]
+        return [f"{said}; crop the cloud to the reference by --bounds {as_text(box)}, or less"]
     return [
         f"{said}; they are in holes of {name}, or between its edge and the box around it: fill it, or give --bounds"
     ]

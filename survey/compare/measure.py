@@ -164,8 +164,8 @@ def distances_of(scene: Scene, sign: Sign) -> tuple[Distances, ReferenceSurface 
     notes = []
     if turned:
         notes.append(
-            f"triangles of {scene.inputs.paths.reference.name} are wound against each other along {turned} edges: "
-            "signs by winding change from one to the next; --sign up does not"
+            f"triangles of {scene.inputs.paths.reference.name} have opposite winding along {turned} edges, where signs "
+            "by winding change; use --sign up, or orient the mesh"
         )
     if result.num_degenerate:
         notes.append(f"{result.num_degenerate} triangles of the reference have no area and were left out")

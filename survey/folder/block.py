@@ -140,8 +140,8 @@ def block_over_water(block: Block, views: list[View], water: FlatWater | None) -
     up = float(water.height(x, y)) - over_points(block.ties.start, centres)
     said = "under the water" if over.min() <= 0.0 else f"more than {most_m:.0f} m over the water"
     warning = (
-        f"by the heights of their positions, cameras lie {said} ({over.min():.1f} to {over.max():.1f} m over it): the "
-        "level of the water decides how high the block lies; check that level_m is right, and in the datum of crs"
+        f"the heights of their positions put the cameras {said} ({over.min():.1f} to {over.max():.1f} m over it): the "
+        "height of the block is taken from the water level; check level_m and its vertical datum"
     )
     shift = np.array([0.0, 0.0, up])
     ties = replace(block.ties, start=block.ties.start + shift)

@@ -199,8 +199,8 @@ def _other_datum(common: np.ndarray, std: np.ndarray, reach: float, priors: Mapp
     if (np.abs(common) <= bent + _MOST_STD * np.hypot(of_positions, std)).all():
         return None
     return (
-        f"{said}, more than the accuracy of both explains: control decides, and the block tells how good the positions "
-        "are; check the base station, and the datum of the heights"
+        f"{said}, more than their stated accuracies allow: the block is fitted to the control, and the accuracy of the "
+        "positions is estimated; check the base station, and the datum of the heights"
     )
 
 

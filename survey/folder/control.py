@@ -116,9 +116,9 @@ def _untold_accuracy(config: ControlConfig, gathered: Gathered) -> tuple[str, ..
     if config.std_m is not None or not untold:
         return ()
     return (
-        f"nothing says how accurate {len(untold)} of {len(gathered.points)} control points are: {DEFAULT_STD_M:g} m is "
-        "taken, which GNSS with corrections or a total station has, and the block follows them as closely; give "
-        "[control] std_m, e.g. 0.03, or [0.02, 0.03] horizontally and vertically",
+        f"no accuracy is stated for {len(untold)} of {len(gathered.points)} control points: {DEFAULT_STD_M:g} m is "
+        "assumed, as of GNSS with corrections or a total station; give [control] std_m, e.g. 0.03, or [0.02, 0.03] "
+        "horizontally and vertically",
     )
 
 

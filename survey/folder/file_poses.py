@@ -81,8 +81,8 @@ def read_file_poses(found: Found, path: Path) -> tuple[FilePoses, Findings]:
     frame, views = place.views_in_local(found, file, poses)
     if file.tool is not None and found.config.water is not None:
         warnings.append(
-            f"{file.tool} adjusts with straight rays, and water bends them: its poses are off by what it saw through "
-            "water; the plan says whether they are refined, and [cameras] position_std_m refines them in any case"
+            f"{file.tool} ignores refraction: tie points under water have biased its poses; the plan says whether they "
+            "are refined, and with [cameras] position_std_m they are in any case"
         )
     if found.control is not None:
         centres = np.array([view.camera.centre for view in views])

@@ -145,7 +145,9 @@ def with_motion(
             f"no times in EXIF of photographs along lines); give speed_m_s in {FILE_NAME}"
         ]
     else:
-        warnings = named(unknown, "image", "of unknown velocity (at a turn?), whose rows count as exposed at once")
+        warnings = named(
+            unknown, "image", "of unknown velocity (at a turn?), taken as exposed at once, without a rolling shutter"
+        )
     readout = cameras.rolling_shutter_s or 0.0
     moving = [replace(view, camera=replace(view.camera, motion=_motion(view, velocities, readout))) for view in views]
     return moving, Findings(warnings=tuple(warnings))

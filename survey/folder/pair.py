@@ -37,7 +37,7 @@ def require_scale(found: Found) -> None:
     positions = list(gps_positions(found.heads, found.crs, cameras.gps_height).local.values())
     apart = float(np.linalg.norm(positions[0] - positions[1]))
     std = best_plan_std(cameras, found.heads.values())
-    said = "good to" if math.isfinite(std) else "without a word on how good they are, which counts as"
+    said = "good to" if math.isfinite(std) else "of unstated accuracy, taken as"
     std = std if math.isfinite(std) else GPS_STD_M
     share = math.sqrt(2.0) * std / max(apart, 1e-9)
     if share > _MOST_SCALE_STD:

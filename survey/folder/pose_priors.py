@@ -196,7 +196,7 @@ def accuracy_of_priors(priors: Mapping[str, PosePrior]) -> str:
 
 
 def _in_common(plan_std: float) -> str:
-    return f"; beside {plan_std:.2g} m in plan that all have in common, by the change of datums" if plan_std else ""
+    return f"; plus {plan_std:.2g} m in plan in common, by the datum transformation" if plan_std else ""
 
 
 def accuracy_of_gps(cameras: CamerasConfig, heads: Mapping[str, Exif], datum: DatumStd = EXACT) -> str:

@@ -154,7 +154,7 @@ def _shared_std(
     return (DEFAULT_STD_M, DEFAULT_STD_M), Findings(
         (f"[control] reference_std_m = {DEFAULT_STD_M:g}, what all points of {name} may be off by together",),
         (
-            f"nothing says how well {name} is placed: {DEFAULT_STD_M:g} m is taken; give [control] reference_std_m, "
-            "e.g. 0.05, or [0.1, 0.05] horizontally and vertically",
+            f"no accuracy is stated for {name}: {DEFAULT_STD_M:g} m in common is assumed; give [control] "
+            "reference_std_m, e.g. 0.05, or [0.1, 0.05] horizontally and vertically",
         ),
     )

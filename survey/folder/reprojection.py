@@ -35,8 +35,8 @@ class Reprojection:
     def __str__(self) -> str:
         lost = f", {self.num_lost} more behind the cameras or beyond their lenses" if self.num_lost else ""
         return (
-            f"{self.rms_px:.2f} px rms, {self.median_px:.2f} px median, between {self.num_seen} places of "
-            f"{self.num_points} points in {self.num_images} images and where straight rays put them{lost}"
+            f"{self.rms_px:.2f} px rms, {self.median_px:.2f} px median: reprojection on straight rays, "
+            f"{self.num_seen} image points of {self.num_points} points in {self.num_images} images{lost}"
         )
 
 

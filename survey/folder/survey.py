@@ -312,9 +312,9 @@ def _doubts(
     warnings += require_apart(views, water) + doubts_of_places(frame, views, water, found.heads)
     if len(views) == 2:
         warnings.append(
-            "two photographs: no third view checks a height; places whose surroundings disagree are left out, heights "
-            "under water are means of wide windows, coarser than a pixel by far, and what moved between the exposures "
-            "may remain"
+            "two photographs: no third view checks a height; outliers against their surroundings are left out, heights "
+            "under water are means of wide windows, much coarser than a pixel, and errors by what moved between the "
+            "exposures may remain"
         )
     if not posed:
         return warnings

@@ -153,9 +153,8 @@ class AdjustmentFigures:
         if self.common is None:
             return None
         return (
-            f"by what is uncertain of water, lens and poses, the mean height of the cloud has a standard deviation of "
-            f"{length(self.common.mean)}, and the height at a typical place one of {length(self.common.typical)}; "
-            "errors of matching come on top"
+            f"standard deviation by water, lens and poses: {length(self.common.mean)} of the mean height, "
+            f"{length(self.common.typical)} of a typical height; matching errors add to it"
         )
 
 

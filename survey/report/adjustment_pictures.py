@@ -114,10 +114,10 @@ def draw_parts(path: Path, survey: Survey, found: Adjustment) -> Picture:
         axes.plot(*cameras[number_of < 0].T, "x", ms=5.0, color=INK, label="without points", zorder=5)
     _draw_control(axes, survey, found)
     figure.legend(loc="lower center", ncols=3, frameon=False, fontsize=9)
-    title = "Where the block falls apart"
-    write_title(axes, title, "dots: points that the photographs of a part share; no point is of two parts")
+    title = "Parts of the block without common points"
+    write_title(axes, title, "dots: tie points of each part; no tie point belongs to two parts")
     save(figure, path)
-    return Picture(path, title, "Positions, control and water alone hold the parts together.")
+    return Picture(path, title, "Only positions, control and water connect the parts.")
 
 
 def _draw_control(axes: Axes, survey: Survey, found: Adjustment) -> None:
@@ -163,7 +163,7 @@ def draw_correlation(path: Path, found: Adjustment) -> Picture:
     colour_bar(axes, image, "correlation", extend="neither")
     write_title(axes, "Correlation of water and lens")
     save(figure, path)
-    words = "Near 1 or -1 the photographs tell one of both only by what is known of the other."
+    words = "Near 1 or -1 the photographs do not separate the two: one is as good as what is known of the other."
     return Picture(path, "Correlation of the parameters", words)
 
 

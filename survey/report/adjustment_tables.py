@@ -70,7 +70,7 @@ def _digits(std: float) -> int:
 
 
 def _observations(found: AdjustmentFigures) -> Table:
-    titles = ("observations", "number", "1 sigma [px]", "variance times, for what neighbours share")
+    titles = ("observations", "number", "1 sigma [px]", "variance factor (correlated errors)")
     rows = [(row.name, count(row.num), number(row.std_px, 2), number(row.factor, 1)) for row in found.kinds]
     rows.append(("left out as outliers", count(found.num_left_out), "", ""))
     return Table(titles, rows, heading=f"Observations of {count(found.num_points)} points")

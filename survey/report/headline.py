@@ -180,7 +180,7 @@ def seen(figures: ReportFigures) -> list[Block]:
             "no bed, two photographs or more",
             f"{_part(found.two_views_m2, whole)}: turbid or too deep, glint, moving plants, or a bed without texture",
         ),
-        ("no bed, one photograph only", f"{_part(found.one_view_m2, whole)}: nothing crosses its rays"),
+        ("no bed, one photograph only", f"{_part(found.one_view_m2, whole)}: no second ray to intersect"),
     ]
     white = [each.saturated for each in figures.photographs]
     if white:
@@ -200,7 +200,8 @@ def limits(figures: ReportFigures) -> list[Block]:
     if std is not None:
         told = f"A typical height is within {length(_SIGMAS_95 * std.whole)} of the truth in 95 of 100 cases"
         if std.shared:
-            told += f"; of that, {length(_SIGMAS_95 * std.shared)} shift all heights together, and no mean removes it"
+            shared = length(_SIGMAS_95 * std.shared)
+            told += f"; of that, {shared} are a common shift of all heights, which averaging does not reduce"
         said.append(f"{told}, if level, index and positions are as good as was stated.")
     said.append(
         f"Things smaller than about {length(_SMALLEST_GSD * figures.plan.gsd_m)} are smoothed away or missing; what "

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from fields.occluded.consensus import Colours, consensus, windowed
+from fields.occluded.consensus import WINDOW, Colours, consensus, windowed
 from fields.occluded.explained import explained_above, sheet_heights
 from fields.occluded.holes import Holes
 from fields.occluded.sightings import Sighting
@@ -74,8 +74,33 @@ def points_of_holes(holes: Holes, sightings: Sequence[Sighting]) -> FoundPoints 
     if alike is None:
         return None
     context = binary_dilation(wanted, iterations=_WINDOW // 2)
+    part = _extent(context)
+    found = _search(holes, [each.part(part) for each in sightings], alike, context[part])
+    height, information = np.zeros(holes.shape), np.full(holes.shape, np.inf)
+    members = np.zeros((len(sightings), *holes.shape), dtype=bool)
+    height[part], information[part], members[:, *part] = found
+    kept = _hang_together(wanted & (members.sum(axis=0) >= LEAST_VIEWS))
+    if not kept.any():
+        return None
+    kept = _unexplained(holes, sightings, alike, height, members, kept)
+    if not kept.any():
+        return None
+    std = np.sqrt(1.0 / information + holes.roughness**2)
+    return _found(holes, sightings, kept, height, std, members)
+
+
+def _extent(mask: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns of the True cells of a mask."""
+    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+
+
+def _search(
+    holes: Holes, sightings: Sequence[Sighting], alike: _Alike, context: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Heights (rows, columns) [m] over the layer by Gauss-Newton steps, their information [1/m2], and the members."""
     use = np.stack([each.is_inside & ~each.hidden & context for each in sightings])
-    height, step = np.zeros(holes.shape), _STEP_GSD * holes.gsd
+    height, step = np.zeros(context.shape), _STEP_GSD * holes.gsd
     prior = 1.0 / ((_PRIOR_GSD * holes.gsd) ** 2 + holes.roughness**2)
     members = consensus(alike.colours(sightings, height, use)).members
     for _ in range(_ROUNDS):
@@ -84,18 +109,10 @@ def points_of_holes(holes: Holes, sightings: Sequence[Sighting]) -> FoundPoints 
         # The misfit is twice the negative logarithm of the likelihood.
         information = bend + prior
         height = height - np.clip((0.5 * slope + prior * height) / information, -step, step)
-    members = consensus(alike.colours(sightings, height, use)).members
-    kept = _hang_together(wanted & (members.sum(axis=0) >= LEAST_VIEWS))
-    if not kept.any():
-        return None
-    kept &= ~_explained(holes, sightings, alike, height, members, kept)
-    if not kept.any():
-        return None
-    std = np.sqrt(1.0 / information + holes.roughness**2)
-    return _found(holes, sightings, kept, height, std, members)
+    return height, information, consensus(alike.colours(sightings, height, use)).members
 
 
-def _explained(
+def _unexplained(
     holes: Holes,
     sightings: Sequence[Sighting],
     alike: _Alike,
@@ -103,12 +120,14 @@ def _explained(
     members: np.ndarray,
     kept: np.ndarray,
 ) -> np.ndarray:
-    """Cells (rows, columns) that a surface over the layer explains; all where it explains many of those kept."""
+    """Those of the kept cells (rows, columns) that no surface over the layer explains; none where many are."""
     inside = np.stack([each.is_inside for each in sightings])
     sheets = (alike.colours(sightings, each, inside) for each in sheet_heights(holes.gsd))
     slopes, on_layer = np.array([each.slope for each in sightings]), alike.colours(sightings, height, inside)
-    found = explained_above(slopes, on_layer, sheets, members, holes.gsd)
-    return found | (found[kept].mean() > _MOST_EXPLAINED)
+    part = _extent(binary_dilation(kept, iterations=WINDOW))
+    found = np.zeros_like(kept)
+    found[part] = explained_above(slopes, on_layer, sheets, members, holes.gsd, part)
+    return kept & ~found & (found[kept].mean() <= _MOST_EXPLAINED)
 
 
 def _misfit(colours: Colours, members: np.ndarray) -> np.ndarray:
@@ -165,8 +184,10 @@ class _Alike:
     def colours(self, sightings: Sequence[Sighting], height: np.ndarray | float, use: np.ndarray) -> Colours:
         """What the photographs show at heights over the layer, made alike."""
         values = np.stack([each.colours(height) for each in sightings])
-        values = (values - self.offset[:, None, None]) / self.gain[:, None, None]
-        return Colours(np.where(use[..., None], values, np.float32(0.0)), use, self.noise)
+        values -= self.offset[:, None, None]
+        values /= self.gain[:, None, None]
+        values[~use] = 0.0
+        return Colours(values, use, self.noise)
 
 
 def _found(

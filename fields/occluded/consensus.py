@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 # Cells about one whose colours are compared together: a window of 3.
-_WINDOW = 3
+WINDOW = 3
 # Of a pair of photographs the mean square of their difference, in variances of the noise, up to which they agree; what
 # counts beyond is nothing, and one cell counts at most so much.
 AGREE, _MOST = 1.2, 30.0
@@ -70,7 +70,7 @@ def consensus(colours: Colours) -> Consensus:
     return Consensus(weight.max(axis=0), members & colours.use)
 
 
-def windowed(values: np.ndarray, mask: np.ndarray, side: int = _WINDOW) -> np.ndarray:
+def windowed(values: np.ndarray, mask: np.ndarray, side: int = WINDOW) -> np.ndarray:
     """Means of values (rows, columns) over the cells of a mask in the window about each."""
     share = mask.astype(np.float32)
     total, count = (cv2.blur(each, (side, side), borderType=cv2.BORDER_CONSTANT) for each in (values * share, share))

@@ -22,9 +22,16 @@ _BY_CHANCE = 0.3
 
 
 def explained_above(
-    slopes: np.ndarray, on_layer: Colours, sheets: Iterable[Colours], members: np.ndarray, gsd: float
+    slopes: np.ndarray,
+    on_layer: Colours,
+    sheets: Iterable[Colours],
+    members: np.ndarray,
+    gsd: float,
+    part: tuple[slice, slice] = np.s_[:, :],
 ) -> np.ndarray:
     """Cells (rows, columns) bool whose colours other photographs show where the rays of the members pass over them.
+
+    Only of a ``part`` of the rows and columns.
 
     Parameters
     ----------
@@ -39,14 +46,15 @@ def explained_above(
     gsd : [m]
         Side of a cell.
     """
+    row, column = (each[part] for each in np.mgrid[: members.shape[1], : members.shape[2]])
+    members = members[:, *part]
     share, count = members[..., None].astype(np.float32), np.maximum(members.sum(axis=0), 1)
-    mean = (share * on_layer.values).sum(axis=0) / count[..., None]
+    mean = (share * on_layer.values[:, *part]).sum(axis=0) / count[..., None]
     shift = (
         np.einsum("kij,kc->ijc", members.astype(np.float32), slopes.astype(np.float32))
         / count[..., None]
         / np.float32(gsd)
     )
-    row, column = np.mgrid[: members.shape[1], : members.shape[2]]
     variance = on_layer.noise**2 * (1.0 + 1.0 / count)[..., None]
     most = np.zeros(count.shape)
     for height, sheet in zip(sheet_heights(gsd), sheets, strict=True):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -56,6 +56,11 @@ class Sighting:
     beside: np.ndarray
     incidence: float
     slope: np.ndarray
+
+    def part(self, cells: tuple[slice, slice]) -> Sighting:
+        """The same photograph of some rows and columns of the cells."""
+        names = ("start", "change", "is_inside", "hidden", "shown", "beside")
+        return replace(self, **{name: getattr(self, name)[cells] for name in names})
 
     def colours(self, height: np.ndarray | float) -> np.ndarray:
         """Stored values (rows, columns, 3) float32 at heights (rows, columns) [m] over the layer; NaN outside."""

@@ -18,16 +18,11 @@ from scipy.sparse import bsr_array, csr_array
 
 from survey.adjust.prediction import linearise
 from survey.adjust.problem import Problem
+from survey.adjust.robust import huber_loss, huber_weights, std_of_kinds
 from survey.adjust.state import SHIFT, State
 from survey.errors import SurveyError
 from survey.photos.tie_points import TiePoints
 
-# Huber's bound [standard deviations]: 95 % of good residuals lie within.
-HUBER = 2.0
-# The median of the length of a two-dimensional normal deviate of unit standard deviation per axis, sqrt(2 ln 2).
-_MEDIAN_LENGTH = 1.1774
-# Of two photographs residuals lie across epipolar lines: that of a deviate along one axis with the same mean square.
-_MEDIAN_OF_TWO = 0.9539
 _MOST_STEPS = 60
 # Of two photographs, where base, rotation and lens make a curved valley.
 _MOST_STEPS_OF_PAIR = 600
@@ -138,7 +133,7 @@ def _solved(problem: Problem, start: State, inflation: np.ndarray | None) -> Sol
             break
         state, system = descend(problem, state, std_px, inflation)
     residuals = problem.residuals(state)
-    weights = _weights(problem, residuals, std_px) / inflation
+    weights = huber_weights(problem, residuals, std_px) / inflation
     return Solution(state, inverse(system.normal), residuals, weights, std_px, system)
 
 
@@ -155,39 +150,6 @@ def system_at(problem: Problem, state: State, std_px: np.ndarray) -> System:
 def system_with(problem: Problem, state: State, weights: np.ndarray) -> System:
     """The normal equations at a state, for weights (N,) [1/px^2] of the observations."""
     return _weighted_system(problem, state, lambda _residuals: weights)
-
-
-def std_of_kinds(problem: Problem, residuals: np.ndarray, taken: float) -> np.ndarray:
-    """Standard deviation [px] of a coordinate of each kind of observation, from the median of its residuals.
-
-    Parameters
-    ----------
-    problem : Problem
-    residuals : (N, 2) [px]
-    taken : float
-        How many coordinates the parameters take.
-    """
-    length = np.linalg.norm(residuals, axis=1)
-    # Each point takes three of the coordinates that its observations have.
-    seen = np.bincount(problem.ties.point, minlength=len(problem.ties))[problem.ties.point]
-    left = 1.0 - taken / max(2 * len(problem.kind) - 3 * len(problem.ties), 1)
-    spare = np.sqrt(np.maximum((1.0 - 1.5 / seen) * left, 0.1))
-    spare = np.where(seen == 2, _MEDIAN_OF_TWO / _MEDIAN_LENGTH, 1.0) * spare
-    std = problem.given_std_px.copy()
-    present = np.bincount(problem.kind, minlength=len(std)) > 0
-    # Of a kind that was not observed, any number does.
-    std[~present & np.isnan(std)] = 1.0
-    for kind in np.flatnonzero(np.isnan(std)):
-        scaled = (length / spare)[(problem.kind == kind) & np.isfinite(length)]
-        std[kind] = max(float(np.median(scaled)) / _MEDIAN_LENGTH, 1e-3) if len(scaled) else 1.0
-    return std
-
-
-def _weights(problem: Problem, residuals: np.ndarray, std_px: np.ndarray) -> np.ndarray:
-    """Huber weights (N,) [1/px^2]; zero where there is no residual."""
-    std, length = std_px[problem.kind], np.linalg.norm(residuals, axis=1)
-    weights = np.minimum(1.0, HUBER * std / np.maximum(length, 1e-300)) / std**2
-    return np.where(np.isfinite(length), weights, 0.0)
 
 
 def descend(problem: Problem, state: State, std_px, inflation) -> tuple[State, System]:
@@ -254,7 +216,7 @@ def cost(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarr
     length = np.linalg.norm(residuals, axis=1) / std_px[problem.kind]
     # A point that went behind a camera costs more than any that did not.
     length = np.where(np.isfinite(length), length, 1e6)
-    huber = np.where(length < HUBER, length**2, HUBER * (2.0 * length - HUBER)) / inflation
+    huber = huber_loss(length) / inflation
     known = (state.points - problem.priors.state.points) / problem.priors.point_std
     planes = problem.priors.planes
     if planes is not None:
@@ -263,7 +225,7 @@ def cost(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarr
 
 
 def _system(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarray) -> System:
-    return _weighted_system(problem, state, lambda residuals: _weights(problem, residuals, std_px) / inflation)
+    return _weighted_system(problem, state, lambda residuals: huber_weights(problem, residuals, std_px) / inflation)
 
 
 def _weighted_system(problem: Problem, state: State, weights_of: Callable[[np.ndarray], np.ndarray]) -> System:

@@ -243,14 +243,16 @@ def test_an_uncompressed_tiff_with_zeros_in_place_of_pixels_is_refused(tmp_path,
 
 @pytest.mark.parametrize("mode", ["RGB", "L", "RGBA", "I;16"])
 @pytest.mark.parametrize(
-    "border", ["none", "below", "beside", "around", "corner", "circle", "turned", "turned a little"]
+    "border",
+    ["none", "below", "below dark pixels", "beside", "around", "corner", "circle", "turned", "turned a little"],
 )
 def test_an_uncompressed_tiff_with_a_black_border_is_whole(tmp_path, mode, border):
     pixels = textured(mode)
     height, width = pixels.shape[:2]
     y, x = np.mgrid[:height, :width]
     black = {
-        "none": np.zeros((height, width), bool), "below": y > 0.6 * height, "beside": x > 0.6 * width,
+        "none": np.zeros((height, width), bool), "below": y > 0.6 * height,
+        "below dark pixels": (y > 0.6 * height) | ((y > 0.6 * height - 1) & (x > width - 5)), "beside": x > 0.6 * width,
         "around": (np.minimum(y, height - y) < 12) | (np.minimum(x, width - x) < 12),
         "corner": (y > 0.5 * height) & (x > 0.3 * width),
         "circle": np.hypot(x - width / 2, y - height / 2) > 0.45 * height,

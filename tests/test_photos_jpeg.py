@@ -133,6 +133,15 @@ def test_what_is_joined_with_just_as_many_blocks_leaves_a_seam(form, row, column
 
 
 @pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("content", ["black", "white", "another"])
+@pytest.mark.parametrize("rows", [np.s_[:96], np.s_[-64:], np.s_[304:]], ids=["above", "below", "half"])
+def test_bars_and_pictures_over_each_other_are_no_seams(form, rows, content):
+    pixels = gravel(1)
+    pixels[rows] = {"black": 0, "white": 255, "another": gravel(2)[rows]}[content]
+    assert jpeg_fault(jpeg(pixels, **FORMS[form])) is None
+
+
+@pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("period", [8, 16, 30, 100])
 @pytest.mark.parametrize("kind", ["stripes", "squares", "one edge beside blocks"])
 def test_straight_edges_of_a_scene_are_no_seams(form, period, kind):

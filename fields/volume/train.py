@@ -247,7 +247,9 @@ def _generator_states() -> dict[str, torch.Tensor]:
     return states | ({"cuda": torch.cuda.get_rng_state()} if torch.cuda.is_available() else {})
 
 
-def _restore_generators(states: dict[str, torch.Tensor]) -> None:
+def _restore_generators(states: dict[str, torch.Tensor] | torch.Tensor) -> None:
+    if isinstance(states, torch.Tensor):  # states of the first version: of the host alone
+        states = {"cpu": states}
     torch.set_rng_state(states["cpu"])
     if "cuda" in states and torch.cuda.is_available():
         torch.cuda.set_rng_state(states["cuda"])

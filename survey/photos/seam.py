@@ -1,7 +1,8 @@
 """A seam in a decoded JPEG: where the rest of another photograph was joined to the first part of one.
 
 Two streams joined where both have used the same number of blocks decode without a fault. But the rows of pixels that
-meet there belong to different places: right of one block in its row of blocks, and left of it in the next row.
+meet there belong to different places: right of one block in its row of blocks, and left of it in the next row. Joined
+at the begin of a row of blocks they look like pictures one over the other, or over a bar, and are not told from them.
 """
 
 from __future__ import annotations
@@ -58,17 +59,13 @@ def _scores(grey: np.ndarray, step: int, shift: int) -> tuple[np.ndarray, np.nda
         grey[rows + i, : num * each].astype(np.float32).reshape(len(rows), num, each) for i in (-2, -1, 0, 1)
     )
     beside = (np.abs(last - above).mean(axis=2) + np.abs(below - first).mean(axis=2)) / 2
-    step_across = first - last
-    right, left = _sums(np.log((np.abs(step_across).mean(axis=2) + _QUIET) / (beside + _QUIET)))
-    # Borders of shadows, walls and pictures may be straight along rows of blocks, and tell nothing by their brightness.
-    step_across -= step_across.mean(axis=2, keepdims=True)
-    whole, _ = _sums(np.log((np.abs(step_across).mean(axis=2) + _QUIET) / (beside + _QUIET)))
+    across = np.abs(first - last).mean(axis=2)
+    right, left = _sums(np.log((across + _QUIET) / (beside + _QUIET)))
     found = (right[:-1] + left[1:]) / num
     parts = np.arange(1, num)
     of_sides = np.minimum(right[:-1, 1:-1] / (num - parts), left[1:, 1:-1] / parts)
     is_seam = of_sides > _LEAST_OF_A_SIDE * found[:, 1:-1]
-    found[:, 0] = whole[:-1, 0] / num
-    return found[:, :-1], np.concatenate([np.ones((len(found), 1), bool), is_seam], axis=1)
+    return found[:, 1:-1], is_seam
 
 
 def _sums(larger: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -13,6 +13,8 @@ _SECTOR = 512
 # Of a row above lost pixels so much is not black.
 _LEAST_BRIGHT = 0.5
 _BROADEST_BORDER = 0.15
+# A border that begins with a row may have dark pixels over so much of its end.
+_END_OF_A_ROW = 0.05
 
 
 def has_lost_pixels(pixels: np.ndarray, row: int, pixel: int, offset: int) -> bool:
@@ -33,7 +35,7 @@ def _ends_within_a_row(pixels: np.ndarray, row: int, pixel: int, offset: int) ->
     begin = max(end - row, 0)
     last = begin + int(np.flatnonzero(pixels[begin:end])[-1]) + 1
     column, above = last % row, last - row
-    if column == 0 or above < 0 or len(pixels) - last < row + _SECTOR:
+    if -last % row < _END_OF_A_ROW * row or above < 0 or len(pixels) - last < row + _SECTOR:
         return False
     # A picture that was put onto another may have a border that falls by less than a row over its width, but begins
     # it with a pixel, and is not broad.
@@ -61,6 +63,8 @@ def _has_zero_sectors(pixels: np.ndarray, row: int, offset: int) -> bool:
         if len(behind) == 0:
             break
         at, to = first + int(begin) * _SECTOR, first + int(behind[0]) * _SECTOR
-        if pixels[at - 1] and pixels[to] and at % row and to % row:
+        above = pixels[max(at - row, 0) : max(min(to - row, at), 0)]
+        within_rows = at % row and to % row and np.count_nonzero(above) > _LEAST_BRIGHT * len(above)
+        if pixels[at - 1] and pixels[to] and within_rows:
             return True
     return False

@@ -132,7 +132,7 @@ def test_classes_of_a_table(tmp_path, cells, classes, note):
     [("# EPSG:25833", 25833), ("#EPSG: 25833", 25833), ("// crs = EPSG:25833", 25833), ("# CRS EPSG:25833", 25833),
      ("# SRID=25833", 25833), ("# Coordinates in EPSG:25833", 25833), ("# epsg:25833", 25833),
      ("# CoordinateSystem: EPSG:25833", 25833), ("# converted from EPSG:25833 to EPSG:25832", None),
-     ("# not EPSG:25833", None), ("# points of May 2026", None)],
+     ("# not EPSG:25833", None), ("# EPSG:7837", None), ("# points of May 2026", None)],
 )  # fmt: skip
 def test_a_comment_that_is_nothing_but_a_code_is_the_crs(tmp_path, comment, code):
     path = tmp_path / "points.csv"

@@ -12,12 +12,13 @@ from small_survey import E0, LEVEL, N0, said, unposed, write_image
 
 from geo.errors import GeoError, PlaceMismatch, UnknownUnit
 from survey.errors import ConfigError, PosesError
+from survey.folder.geo_txt import with_positions
 from survey.folder.inputs import survey_inputs
 from survey.folder.pose_priors import accuracy_of_gps, common_up_std_of_exif
 from survey.folder.survey import find_survey
 from survey.init.draft import draft
 from survey.init.entry import Answers
-from survey.photos.exif import Exif, TablePlace
+from survey.photos.exif import Exif, TablePlace, without_void
 from survey.plan.check import check_survey
 from survey.pose_files import find_poses
 from survey.settings.config import CamerasConfig
@@ -216,3 +217,14 @@ def test_heights_of_the_datum_of_the_survey_are_brought_to_its_unit(header, fact
 
 def at(header: str, place: tuple[float, float, float]) -> Exif:
     return Exif((64, 48), (0.0, 0.0, 0.0), None, 1, "", None, table_place=TablePlace("geo.txt", CRS(header), place))
+
+
+@pytest.mark.parametrize("has_height", [True, False])
+def test_a_position_of_the_file_is_not_void_and_one_in_exif_still_gives_its_height(tmp_path, has_height):
+    heads = {name: Exif((64, 48), (47.0, 9.0, 500.0), None, 1, "", None, is_void=name == NAMES[0]) for name in NAMES}
+    lines = [f"{name} 9.0 47.0{' 510.0' if has_height else ''}" for name in NAMES]
+    (tmp_path / "geo.txt").write_text("\n".join(["EPSG:4326", *lines, ""]))
+    done, _ = with_positions(tmp_path / "geo.txt", heads)
+    assert without_void(done) == done
+    assert [head.lat_lon_height[2] for head in done.values()] == [510.0 if has_height else 500.0] * len(NAMES)
+    assert not any(head.is_void for head in done.values())

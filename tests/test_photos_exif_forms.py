@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import product
 
@@ -312,6 +313,8 @@ def test_positions_that_a_receiver_calls_void_count_only_where_there_are_no_othe
     assert among["a"].lat_lon_height is None
     assert among["b"] == valid
     assert any("GPSStatus is V" in line and "not used" in line for line in head_doubts(among))
+    others = without_void({"a": void, "b": void, "c": valid, "d": replace(void, serial="2"), "e": void})
+    assert all(each.lat_lon_height is not None for each in others.values())
     alone = without_void({"a": void})
     assert alone["a"].lat_lon_height is not None
     assert any("GPSStatus is V" in line and "is used" in line for line in head_doubts(alone))

@@ -215,3 +215,24 @@ def test_photographs_with_one_position_are_named(rng, same):
     else:
         (doubt,) = [line for line in doubts if "to the last digit" in line]
         assert doubt.endswith(": " + ", ".join(f"{i:04d}.jpg" for i in same[1:]))
+
+
+def taken(positions: np.ndarray, seconds: np.ndarray, **changes) -> dict[str, Exif]:
+    """Heads of photographs at some seconds."""
+    begin = datetime(2026, 5, 1, 10, 0)
+    return {
+        name: replace(head, clock=begin + timedelta(seconds=float(s)), **changes)
+        for (name, head), s in zip(heads(positions).items(), seconds, strict=True)
+    }
+
+
+@pytest.mark.parametrize("of_each", [2, 5])
+def test_photographs_of_a_rig_or_of_bands_are_taken_at_one_position_and_no_doubt(rng, of_each):
+    positions = np.repeat(serpentine(rng), of_each, axis=0)
+    assert position_doubts(taken(positions, np.repeat(2.0 * np.arange(20), of_each))) == []
+
+
+def test_two_aircraft_in_the_air_at_once_are_no_doubt(rng):
+    one = taken(serpentine(rng), 2.0 * np.arange(20), serial="a")
+    far = taken(np.add(serpentine(rng), [0.0, 300.0, 0.0]), 2.0 * np.arange(20) + 1.0, serial="b")
+    assert position_doubts(one | {f"b/{name}": head for name, head in far.items()}) == []

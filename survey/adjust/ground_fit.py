@@ -62,9 +62,9 @@ class GroundFit:
     std: tuple[float, ...]
     std_without: tuple[float, ...] | None
     is_against_positions: bool
-    off_m: tuple[float, ...] = (0.0, 0.0, 0.0)
-    off_std_m: tuple[float, ...] = (0.0, 0.0, 0.0)
-    off_prior_m: tuple[float, ...] = (0.0, 0.0, 0.0)
+    off_m: tuple[float, ...] = (0.0,) * 3
+    off_std_m: tuple[float, ...] = (math.inf,) * 3
+    off_prior_m: tuple[float, ...] = (0.0,) * 3
 
     @classmethod
     def of_record(cls, record: Mapping[str, Any] | None) -> GroundFit | None:

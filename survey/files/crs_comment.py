@@ -25,7 +25,7 @@ _SRID = re.compile(r"(?:#|//)\s*SRID\s*[:=]\s*(\d+)", re.IGNORECASE)
 def crs_of_comment(path: Path, error: type[SurveyError]) -> CRS | None:
     """The CRS in a line ``# CoordinateSystem: WKT or code``, ``# EPSG:code`` or ``# crs = EPSG:code``.
 
-    None where there is none, or one of the site.
+    None where there is none, one of the site, or a datum of heights alone.
 
     Raises
     ------
@@ -37,12 +37,14 @@ def crs_of_comment(path: Path, error: type[SurveyError]) -> CRS | None:
     if found is None or "LOCAL_CS" in found:
         return None
     try:
-        return crs_of(found.strip())
+        crs = crs_of(found.strip())
     except CRSError as wrong:
         raise error(
-            f"{path}: the CoordinateSystem {shortened(found)} is not a known CRS; correct the comment, or remove it "
+            f"{path}: the CRS {shortened(found)} of a comment is not a known CRS; correct the comment, or remove it "
             "where coordinates are in the crs of survey.toml"
         ) from wrong
+    # A comment on what heights count from does not tell where places are.
+    return None if crs.is_vertical and not crs.is_compound else crs
 
 
 def _said(line: str) -> str | None:

@@ -117,12 +117,13 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
     assumptions = [] if assumption is None else [assumption]
     images = list_images(folder / config.images.dir, deep=config.images.dir != ".")
     warnings: list[str] = []
-    heads = without_void({name: read_exif(path) for name, path in images.items()})
+    heads = {name: read_exif(path) for name, path in images.items()}
     table = find_geo_txt(folder, folder / config.images.dir)
     if table is not None:
         heads, said = with_positions(table, heads)
         assumptions += said.assumptions
         warnings += said.warnings
+    heads = without_void(heads)
     if not toml.is_file() or (config.crs is None and infer.says_no_place(config)):
         config, said = infer.config_of_images(folder, config, heads, poses_path)
         assumptions += said.assumptions

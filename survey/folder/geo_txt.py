@@ -127,6 +127,7 @@ def _placed(heads: Mapping[str, Exif], line_of: Mapping[str, _Line], crs: CRS) -
             std_m=None,
             height_datum=head.height_datum if math.isnan(line.place[2]) else None,
             gps_fault="",
+            is_void=False,
         )
     return done
 

@@ -27,6 +27,8 @@ _OFF_M, _TIMES_OPEN, _TIMES_STEP = 10.0, 5.0, 2.0
 _STEPS_BESIDE, _FEWEST_STEPS = 6, 4
 # A photograph for which a drone flew off and back takes longer than others, in units of their usual interval and [s].
 _LONGER, _CLOCK_STEP_S = 2.0, 1.0
+# Receivers give a position a second, clocks of cameras whole ones.
+_BETWEEN_FIXES_S = 2.0
 
 
 def position_doubts(heads: Mapping[str, Exif]) -> list[str]:
@@ -39,20 +41,25 @@ def position_doubts(heads: Mapping[str, Exif]) -> list[str]:
     away = places[:, 1] - places[0, 1]
     plan = EARTH_RADIUS_M * np.radians(np.column_stack([places[:, 0], (away + 180.0) % 360.0 - 180.0]))
     plan[:, 1] *= np.cos(np.radians(np.median(places[:, 0])))
-    clocks = [head.clock for head in known.values()]
+    clocks, cameras = [head.clock for head in known.values()], np.array([head.serial for head in known.values()])
     seconds = None
     if all(clock is not None for clock in clocks):
         seconds = np.array([(clock - clocks[0]).total_seconds() for clock in clocks])  # type: ignore[operator]
-    return far_from_others(names, plan, places[:, 2], "GPS", seconds)
+    return far_from_others(names, plan, places[:, 2], "GPS", seconds, cameras)
 
 
 def far_from_others(
-    names: np.ndarray, plan: np.ndarray, height: np.ndarray, by: str, seconds: np.ndarray | None = None
+    names: np.ndarray,
+    plan: np.ndarray,
+    height: np.ndarray,
+    by: str,
+    seconds: np.ndarray | None = None,
+    cameras: np.ndarray | None = None,
 ) -> list[str]:
     """Warnings that name the photographs whose place (N, 2) or height (N,) [m], NaN where unknown, is far from all.
 
     ``by`` is what has them there, "GPS" or "pose"; ``seconds`` is when they were taken, where that is known, and their
-    order is that of the flight otherwise.
+    order is that of the flight otherwise; ``cameras`` (N,) tells those of several aircraft apart.
     """
     if len(names) < _FEWEST:
         return []
@@ -61,14 +68,18 @@ def far_from_others(
     apart = KDTree(plan).query(plan, k=2)[0][:, 1]
     alone = main & (apart > max(_FAR * float(np.median(apart)), _FAR_PLAN_M))
     warnings += named(_few(names, alone), "image", f"far from all others by its {by} position")
-    off = _off_the_line(plan, seconds)
+    off = np.zeros(len(names))
+    for camera in [np.s_[:]] if cameras is None else [cameras == each for each in np.unique(cameras)]:
+        off[camera] = _off_the_line(plan[camera], None if seconds is None else seconds[camera])
     said = np.array([f"{name} (by {of_it:.0f} m)" for name, of_it in zip(names, off, strict=True)])
     warnings += named(
         _few(said, main & ~alone & (off > 0.0)),
         "image",
         f"off the line of flight by its {by} position, between those before and after it",
     )
-    warnings += _again(names, np.column_stack([plan, height]), by)
+    if by == "GPS":
+        # Of poses those with the same rotation too are looked for where they are read.
+        warnings += _again(names, np.column_stack([plan, height]), seconds)
     with_height = np.isfinite(height)
     heights = height[with_height]
     if len(heights) < _FEWEST:
@@ -86,18 +97,23 @@ def far_from_others(
     )
 
 
-def _again(names: np.ndarray, places: np.ndarray, by: str) -> list[str]:
-    """Warnings about photographs (N,) that have one and the same position (N, 3) to the last digit."""
-    if by != "GPS":
-        # Of poses those with the same rotation too are looked for where they are read.
-        return []
+def _again(names: np.ndarray, places: np.ndarray, seconds: np.ndarray | None) -> list[str]:
+    """Warnings about photographs (N,) that have one and the same position (N, 3) to the last digit.
+
+    Not about those that were taken at once, or between two fixes of the receiver: bands, brackets, rigs and bursts.
+    """
     alike = defaultdict(list)
-    for name, place in zip(names, places, strict=True):
-        alike[place.tobytes()].append(str(name))
+    for number, place in enumerate(places):
+        alike[place.tobytes()].append(number)
     if len(alike) == 1:
         return [f"all {len(names)} images have the same GPS position to the last digit: it tells nothing of them"]
-    again = [name for group in alike.values() for name in group[1:]]
-    return named(again, "image", "with the GPS position of an earlier one to the last digit")
+    again = [
+        number
+        for group in alike.values()
+        for number in group[1:]
+        if seconds is None or abs(seconds[number] - seconds[group[0]]) > _BETWEEN_FIXES_S
+    ]
+    return named(names[again].tolist(), "image", "with the GPS position of an earlier one to the last digit")
 
 
 def _off_the_line(plan: np.ndarray, seconds: np.ndarray | None) -> np.ndarray:

@@ -86,10 +86,11 @@ def draft(folder: Path, answers: Answers) -> str:
         images.set("dir", inferred.images.dir)
     if (folder / "masks").is_dir():
         images.set("masks", "masks", "black is left out")
-    heads = without_void({name: read_exif(path) for name, path in found.items()})
+    heads = {name: read_exif(path) for name, path in found.items()}
     table, said = find_geo_txt(folder, folder / inferred.images.dir), Findings()
     if table is not None:
         heads, said = with_positions(table, heads)
+    heads = without_void(heads)
     poses = find_poses(folder)
     if poses:
         others = ", ".join(path.relative_to(folder).as_posix() for path in poses[1:])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -207,10 +208,16 @@ def read_exif(path: Path) -> Exif:
 
 
 def without_void(heads: Mapping[str, Exif]) -> dict[str, Exif]:
-    """Heads of photographs by name, without the positions that receivers call void, where they have others."""
-    valid = any(head.lat_lon_height is not None and not head.is_void for head in heads.values())
+    """Heads of photographs by name, without the positions that receivers call void, where their camera has others.
+
+    A camera most of whose positions are void says so of all: they are kept.
+    """
+    void = Counter(head.serial for head in heads.values() if head.is_void)
+    known = Counter(head.serial for head in heads.values() if head.lat_lon_height is not None)
     return {
-        name: replace(head, lat_lon_height=None, gps_fault=_VOID) if head.is_void and valid else head
+        name: replace(head, lat_lon_height=None, gps_fault=_VOID)
+        if head.is_void and 2 * void[head.serial] <= known[head.serial]
+        else head
         for name, head in heads.items()
     }
 

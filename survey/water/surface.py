@@ -190,7 +190,7 @@ def height_above(plane: FlatWater, departure: Departure | None, places: np.ndarr
 
 def _between(x: np.ndarray, y: np.ndarray, values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     """Values (rows, columns) at nodes x and y as a function of places (M, 2); beyond them that of the nearest place."""
-    inside = RegularGridInterpolator((x, y), values.T)
+    inside = RegularGridInterpolator((x, y), values.T, bounds_error=False, fill_value=np.nan)
     low, high = np.array([x[0], y[0]]), np.array([x[-1], y[-1]])
     return lambda places: inside(np.clip(places, low, high))
 

@@ -10,6 +10,7 @@ from fields.device import choose_device
 from fields.occluded.boxes import Box, boxes_about
 from fields.occluded.consensus import Colours, consensus
 from fields.occluded.explained import explained_above, sheet_heights
+from fields.occluded.holes import Holes
 from fields.occluded.layer import BedLayer, smooth
 from fields.occluded.occluded import find_occluded
 from fields.sweep.block import Block
@@ -48,6 +49,19 @@ def test_the_layer_ends_far_from_the_bed():
     layer = BedLayer.of(Box(0.0, 0.0, GSD), np.column_stack([xy, np.full(len(xy), -2.0)]))
     assert np.isfinite(layer.at(np.array([0.4]), np.array([0.4]))).all()
     assert np.isnan(layer.at(np.array([1.6]), np.array([0.4]))).all()
+
+
+@pytest.mark.parametrize("depth_gsd", [5.0, 8.0])
+@pytest.mark.parametrize("half_gsd", [3, 8])
+def test_where_the_bed_is_lower_than_the_layer_is_no_hole(half_gsd, depth_gsd):
+    x, y = (each.ravel() * GSD for each in np.meshgrid(np.arange(-30, 130), np.arange(-30, 130)))
+    pit = (np.abs(x / GSD - 50) < half_gsd) & (np.abs(y / GSD - 50) < half_gsd)
+    cloud = np.column_stack([x, y, np.where(pit, -depth_gsd * GSD, 0.0)])
+    box = Box(0.0, 0.0, GSD)
+    middle = np.array([50 * GSD])
+    assert BedLayer.of(box, cloud).at(middle, middle) == pytest.approx(0.0, abs=0.5 * GSD)
+    assert Holes.of(box, cloud, None) is None
+    assert Holes.of(box, cloud[~pit], None) is not None
 
 
 def test_boxes_are_where_enough_steps_are():

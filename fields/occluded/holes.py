@@ -62,9 +62,12 @@ class Holes:
             return None
         points = np.stack([x, y, layer.at(x, y)], axis=-1)
         inside &= np.isfinite(points[..., 2])
-        # What lies over or under a cell by what heights may be off is on the layer, too.
+        # What lies over a cell by what heights may be off is on the layer, too. What lies under it shows that the bed
+        # is lower there than the layer, and no hole.
+        floor = layer.at(near[:, 0], near[:, 1])
+        seen = np.column_stack([near[:, :2], np.fmax(near[:, 2], floor)])
         flat, reach = np.array([1.0, 1.0, _NEAR_GSD / _LEVEL_GSD]), _NEAR_GSD * box.gsd
-        distance, _ = cKDTree(near * flat).query(points[inside] * flat, distance_upper_bound=reach)
+        distance, _ = cKDTree(seen * flat).query(points[inside] * flat, distance_upper_bound=reach)
         holes = np.zeros(x.shape, dtype=bool)
         holes[inside] = np.isinf(distance)
         if holes.sum() < _LEAST_CELLS:

@@ -119,6 +119,8 @@ class Forecast:
     _start: float | None = None
     # Whether a part goes on that nothing is expected of.
     _is_unforeseen: bool = False
+    # Whether the part that goes on has told its time by its own pace.
+    _tells_itself: bool = False
 
     def expect(self, expected_s: Mapping[str, float]) -> None:
         """Take in what parts take by stated rates [s], in their order; those that have begun keep what was expected."""
@@ -137,7 +139,7 @@ class Forecast:
     def begin(self, name: str, now: float) -> None:
         """Say that a part begins; parts before it that did not are left out."""
         self._start = now if self._start is None else self._start
-        self._is_unforeseen = name not in self._parts
+        self._is_unforeseen, self._tells_itself = name not in self._parts, False
         if self._is_unforeseen:
             return
         names = list(self._parts)
@@ -174,6 +176,10 @@ class Forecast:
         left = sum(pace * part.expected_s for part in self._parts.values() if part.began is None)
         if of_part_s is not None:
             left += of_part_s
+            self._tells_itself = True
+        elif self._tells_itself:
+            # It takes longer than it said: by the pace of the others much more may be left.
+            return None
         elif running is not None and running.began is not None:
             own = pace * running.expected_s - (now - running.began)
             if own <= 0.0:

@@ -159,7 +159,8 @@ def test_control_of_another_place_than_gps_is_refused(drawn, tmp_path, edit, wor
 def test_control_decides_where_stated_positions_have_another_datum(drawn, tmp_path):
     survey = loaded(drawn, tmp_path, shifted(None, 1.5, -1.0, 2.5))
     assert any(
-        "put control points -1.5" in warning and "control decides" in warning for warning in survey.findings.warnings
+        "put control points -1.5" in warning and "fitted to the control" in warning
+        for warning in survey.findings.warnings
     )
     errors = errors_of(survey, drawn, np.array([view.camera.centre for view in survey.views]))
     np.testing.assert_allclose(np.median(errors, axis=0), [1.5, -1.0, 2.5], atol=0.2)
@@ -170,7 +171,9 @@ def test_good_control_beside_gps_is_all_used(drawn, tmp_path):
     survey = loaded(drawn, tmp_path)
     assert len(survey.observations.control.points) == 5
     assert not [
-        warning for warning in survey.findings.warnings if "control" in warning and "how accurate" not in warning
+        warning
+        for warning in survey.findings.warnings
+        if "control" in warning and "no accuracy is stated" not in warning
     ]
 
 

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from survey.forecast import Forecast, StepForecast
@@ -139,6 +139,7 @@ def test_structure_from_motion_grows_with_pixels_pairs_and_photographs():
     assert sfm_s(10.0, 20, 190, 8)["Features"] < parts["Features"]
 
 
+@settings(deadline=None)
 @given(
     sizes=st.lists(st.floats(5.0, 3000.0), min_size=1, max_size=6),
     foreseen=st.lists(st.booleans(), min_size=6, max_size=6),

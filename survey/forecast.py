@@ -150,7 +150,7 @@ class Forecast:
 
     def end(self, name: str, now: float) -> None:
         """Say that a part is done."""
-        self._is_unforeseen = False
+        self._is_unforeseen = self._tells_itself = False
         part = self._parts.get(name)
         if part is not None and part.began is not None:
             part.took_s = now - part.began

@@ -12,8 +12,9 @@ from PIL import ExifTags, Image
 from PIL.TiffImagePlugin import IFDRational
 
 from survey.folder.found import head_doubts
-from survey.photos.exif import _altitude_reference, _position_of_gps, read_exif, without_void
+from survey.photos.exif import read_exif, without_void
 from survey.photos.exif_focal import focal_doubt, focal_px
+from survey.photos.exif_position import altitude_reference, position_of_gps
 from survey.photos.xmp import height_datum, rtk_of, xmp_place
 
 GPS = ExifTags.GPS
@@ -223,14 +224,14 @@ def test_a_calibration_of_another_size_is_not_used_and_said(film, xmp, expected,
     ],
 )
 def test_the_reference_of_a_height_in_other_types(value, expected):
-    assert _altitude_reference({GPS.GPSAltitudeRef: value}) == expected
+    assert altitude_reference({GPS.GPSAltitudeRef: value}) == expected
 
 
 @pytest.mark.parametrize(
     "value", [IFDRational(0, 0), (IFDRational(47), IFDRational(1, 0), IFDRational(0)), "47 N", b"\xff", (), "478 5"]
 )
 def test_a_latitude_that_cannot_be_read_is_said(value):
-    position, fault = _position_of_gps(gps_of() | {GPS.GPSLatitude: value})
+    position, fault = position_of_gps(gps_of() | {GPS.GPSLatitude: value})
     assert position is None
     assert fault == "a latitude and longitude that can be read"
 
@@ -239,7 +240,7 @@ def test_a_latitude_that_cannot_be_read_is_said(value):
     "value", [IFDRational(338567844, 10**7), "33.8567844", b"33.8567844\0", (IFDRational(338567844, 10**7),)]
 )
 def test_a_latitude_as_one_number_is_in_degrees(value):
-    assert _position_of_gps(gps_of() | {GPS.GPSLatitude: value})[0][0] == pytest.approx(LAT)
+    assert position_of_gps(gps_of() | {GPS.GPSLatitude: value})[0][0] == pytest.approx(LAT)
 
 
 @pytest.mark.parametrize("prefix", ["drone-dji", "ns1", "d-x"])

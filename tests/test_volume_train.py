@@ -16,7 +16,7 @@ from fields.volume.photographs import Photographs
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
 from fields.volume.tensor import TensorSettings, TensorVolume
-from fields.volume.train import POOL_STEPS, Training, proxy_of, train_volume
+from fields.volume.train import POOL_STEPS, Training, _restore_generators, proxy_of, train_volume
 from fields.volume.view import render_volume
 
 BED_M = -1.5
@@ -161,3 +161,11 @@ def test_the_proxy_of_a_field_is_where_it_stops_light():
     assert not proxy.occupied[z > BED_M + 0.1].any()
     fog = proxy_of(VolumeRenderer(Slab(1.0 / BOX.edge)), cells, margin=0.04)
     assert not fog.occupied.any()
+
+
+@pytest.mark.parametrize("wrapped", [lambda state: state, lambda state: {"cpu": state}], ids=["first version", "today"])
+def test_random_numbers_go_on_from_states_of_either_version(wrapped):
+    state = torch.get_rng_state()
+    drawn = torch.rand(3)
+    _restore_generators(wrapped(state))
+    assert torch.equal(torch.rand(3), drawn)

@@ -41,10 +41,11 @@ def position_doubts(heads: Mapping[str, Exif]) -> list[str]:
     away = places[:, 1] - places[0, 1]
     plan = EARTH_RADIUS_M * np.radians(np.column_stack([places[:, 0], (away + 180.0) % 360.0 - 180.0]))
     plan[:, 1] *= np.cos(np.radians(np.median(places[:, 0])))
-    clocks, cameras = [head.clock for head in known.values()], np.array([head.serial for head in known.values()])
+    cameras = np.array([head.serial for head in known.values()])
+    clocks = [head.clock for head in known.values() if head.clock is not None]
     seconds = None
-    if all(clock is not None for clock in clocks):
-        seconds = np.array([(clock - clocks[0]).total_seconds() for clock in clocks])  # type: ignore[operator]
+    if len(clocks) == len(known):
+        seconds = np.array([(clock - clocks[0]).total_seconds() for clock in clocks])
     return far_from_others(names, plan, places[:, 2], "GPS", seconds, cameras)
 
 
@@ -140,7 +141,7 @@ def _off_the_line(plan: np.ndarray, seconds: np.ndarray | None) -> np.ndarray:
         taken = np.diff(seconds[order])
         longest = _LONGER * float(np.median(taken)) + _CLOCK_STEP_S
         found[1:-1][(taken[:-1] > longest) | (taken[1:] > longest)] = 0.0
-    # What lies beside a place that is farther off looks off by it.
+    # Neighbours of a wrong place seem to be off, by less.
     around = sliding_window_view(np.pad(found, 2), 5).max(axis=1)
     off[order] = np.where(found >= around, found, 0.0)
     return off

@@ -98,7 +98,7 @@ class SfmResult:
 
 @dataclass(frozen=True)
 class Photographs:
-    """Photographs without poses, and what is known of them.
+    """Photographs without poses, with their metadata.
 
     Attributes
     ----------

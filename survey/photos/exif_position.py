@@ -1,0 +1,123 @@
+"""Position of a photograph by the GPS tags of EXIF, in all their legal forms, and by XMP."""
+
+from __future__ import annotations
+
+import math
+
+from PIL import ExifTags
+
+from survey.photos.exif_values import first, plain, words
+from survey.photos.xmp import horizontal_datum, number, xmp_place
+
+# Frames within 2 m of WGS 84, as a receiver's corrections have them, by the beginning of their bare names.
+_LIKE_WGS84 = (
+    *("WGS84", "WGS1984", "GCSWGS1984", "DWGS1984", "WORLDGEODETICSYSTEM1984", "ITRF"),
+    *("4326", "EPSG4326", "4979", "EPSG4979"),
+    *("ETRS89", "EPSG4258", "CGCS2000", "EPSG4490", "NAD832011", "EPSG6318"),
+    *("GDA2020", "EPSG7844", "JGD2011", "EPSG6668", "SIRGAS2000", "EPSG4674"),
+)
+# No drone flies higher; receivers without a height write the largest number.
+_HIGHEST_M = 20_000.0
+# Of GPSAltitudeRef: below the ellipsoid, below the sea.
+_BELOW = (1, 3)
+# A position in XMP that differs from that in EXIF by less (a tenth of a second and half) is the same with more digits.
+_SAME_PLACE_DEG = 1.5 * 0.1 / 3600.0
+
+
+def position_of(gps: dict, xmp: str) -> tuple[tuple[float, float, float] | None, str]:
+    """The position, by EXIF, or by XMP where that has more digits or EXIF none; and what EXIF lacks for one."""
+    by_exif, fault = position_of_gps(gps)
+    by_xmp = xmp_place(xmp)
+    if by_xmp is None:
+        return by_exif, fault
+    if by_exif is None:
+        height = math.nan if by_xmp.height is None else by_xmp.height
+        return (by_xmp.latitude, by_xmp.longitude, height), ""
+    apart = max(abs(by_exif[0] - by_xmp.latitude), abs(by_exif[1] - by_xmp.longitude))
+    if by_xmp.step_deg < _step_deg(gps) and apart < _SAME_PLACE_DEG:
+        return (by_xmp.latitude, by_xmp.longitude, by_exif[2]), ""
+    return by_exif, fault
+
+
+def position_of_gps(gps: dict) -> tuple[tuple[float, float, float] | None, str]:
+    places = []
+    for name, value, reference, letters in (
+        ("latitude", ExifTags.GPS.GPSLatitude, ExifTags.GPS.GPSLatitudeRef, "NS"),
+        ("longitude", ExifTags.GPS.GPSLongitude, ExifTags.GPS.GPSLongitudeRef, "EW"),
+    ):
+        degrees = _degrees(gps.get(value))
+        # The letter, or the word that begins with it.
+        letter = plain(gps.get(reference))[:1].upper()
+        if math.isfinite(degrees) and (not letter or letter not in letters):
+            return None, f"{name}'s reference ({' or '.join(letters)})"
+        places.append(-abs(degrees) if letter == letters[1] else degrees)
+    latitude, longitude = places
+    # A receiver without a fix writes 0, 0.
+    if latitude == longitude == 0.0:
+        return None, "a fix (latitude and longitude are 0)"
+    if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
+        given = [tag for tag in (ExifTags.GPS.GPSLatitude, ExifTags.GPS.GPSLongitude) if tag in gps]
+        return None, "a latitude and longitude that can be read" if given else ""
+    height = number(first(gps.get(ExifTags.GPS.GPSAltitude)))
+    height = height if abs(height) < _HIGHEST_M else math.nan
+    return (latitude, longitude, -abs(height) if altitude_reference(gps) in _BELOW else height), ""
+
+
+def std_of_gps(gps: dict) -> tuple[float, float, float] | None:
+    """One standard deviation of the position, (east, north, up) [m], by the horizontal positioning error (Exif 2.31).
+
+    This is a distance, so that each axis has its part; heights of GNSS are about half as good as places.
+    """
+    error = number(first(gps.get(ExifTags.GPS.GPSHPositioningError)))
+    if not 0.0 < error < _HIGHEST_M:
+        return None
+    axis = error / math.sqrt(2.0)
+    return axis, axis, 2.0 * axis
+
+
+def other_datum(gps: dict, xmp: str) -> str:
+    """The datum of a position by its name in EXIF or XMP; empty where there is none, or it is WGS 84 or alike."""
+    for said in (words(plain(gps.get(ExifTags.GPS.GPSMapDatum))), horizontal_datum(xmp)):
+        bare = "".join(letter for letter in said.upper() if letter.isalnum())
+        if bare and not bare.startswith(_LIKE_WGS84) and bare not in ("NONE", "UNKNOWN", "UNDEFINED"):
+            return said
+    return ""
+
+
+def altitude_reference(gps: dict) -> int | None:
+    """0 and 1: above and below the ellipsoid, or the sea before Exif 3.0; 2 and 3: above and below the sea."""
+    value = first(gps.get(ExifTags.GPS.GPSAltitudeRef))
+    if isinstance(value, str):
+        value = value.encode("ascii", errors="replace")
+    if isinstance(value, bytes):
+        bare = value.strip(b"\0 ")
+        if not bare:
+            return 0 if value else None
+        # The number itself, its digit, or words that begin like it.
+        words = {b"above": 0, b"below": 1}
+        value = bare[0] if len(bare) == 1 and bare[0] < 0x20 else words.get(bare[:5].lower(), plain(bare))
+    found = number(value)
+    return int(found) if found in (0.0, 1.0, 2.0, 3.0) else None
+
+
+def _step_deg(gps: dict) -> float:
+    """The step [deg] of the coarser coordinate, as the denominators of degrees, minutes and seconds tell."""
+    steps = [1.0 / 3600.0]
+    for tag in (ExifTags.GPS.GPSLatitude, ExifTags.GPS.GPSLongitude):
+        try:
+            parts = list(gps[tag])[:3]
+            steps.append(min(60.0**-i / max(getattr(part, "denominator", 1), 1) for i, part in enumerate(parts)))
+        except (KeyError, TypeError, ValueError):
+            continue
+    return max(steps[1:], default=steps[0])
+
+
+def _degrees(parts) -> float:
+    if isinstance(parts, bytes | str):
+        return number(plain(parts))
+    try:
+        values = [number(part) for part in parts[:3]]
+    except TypeError:
+        return number(parts)
+    size = sum(abs(value) / 60.0**i for i, value in enumerate(values)) if values else math.nan
+    return -size if any(value < 0.0 for value in values) else size

@@ -79,32 +79,17 @@ DISK = (
     | {"cv2.imread", "cv2.imwrite", "laspy.read", "trimesh.load_scene", "pye57.E57"}
     | {"tempfile.mkdtemp", "tempfile.TemporaryDirectory"}
 )
-# Folders whose files may touch the disk: formats, inputs, runs and products. All others compute.
+# Folders whose files may touch the disk: formats, inputs, runs and products. All others compute: there a function reads
+# and writes only under a path that it is given.
 DISK_FOLDERS = (
     {"geo", "survey"}
     | {f"survey/{name}" for name in ("commands", "control", "files", "folder", "init", "marking", "photos")}
     | {f"survey/{name}" for name in ("benchmark", "export", "handles", "pose_files", "profile", "run", "sfm", "water")}
     | {"survey/simulate/output", "survey/simulate/staging", "survey/volume"}
 )
-# Files elsewhere that do so all the same. fields/device.py only looks for libLLVM, bathynerf/_rooms.py for foreign
-# packages.
-DISK_FILES = {
-    "bathynerf/_rooms.py",
-    "fields/device.py",
-    "survey/adjust/adjustment.py",
-    "survey/adjust/waterline.py",
-    "survey/adjust/applied.py",
-    "survey/change/surveys.py",
-    "survey/compare/canvas.py",
-    "survey/compare/comparison.py",
-    "survey/plan/workload.py",
-    "survey/report/__init__.py",
-    "survey/report/page.py",
-    "survey/report/pdf.py",
-    "survey/simulate/ground/objects.py",
-    "survey/viewer/session.py",
-    "survey/viewer/page.py",
-}
+GIVEN_PATHS = {"Path", "RunDir"}
+# These search what is installed on the machine: libLLVM, and foreign packages.
+SEARCHES = {"fields/device.py", "bathynerf/_rooms.py"}
 # The files that import a module by a name that they put together, which no other test here can follow.
 IMPORT_BY_NAME_FILES = {"bathynerf/__init__.py", "geo/optional.py"}
 IMPORT_BY_NAME = {"import_module", ".import_module", "__import__"}
@@ -144,17 +129,17 @@ def imported(tree: ast.Module) -> set[str]:
 @cache
 def called(tree: ast.Module) -> set[str]:
     """Names that a file calls: ``open``, ``print``, and of ``a.b.c()`` the last part with a dot before it."""
-    names = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Call):
-            target = node.func
-            if isinstance(target, ast.Name):
-                names.add(target.id)
-            elif isinstance(target, ast.Attribute):
-                names.add("." + target.attr)
-                if isinstance(target.value, ast.Name):
-                    names.add(f"{target.value.id}.{target.attr}")
-    return names
+    return {name for node in ast.walk(tree) if isinstance(node, ast.Call) for name in names_of(node.func)}
+
+
+def names_of(function: ast.expr) -> set[str]:
+    """The names of a function that is called, as `called` has them."""
+    if isinstance(function, ast.Name):
+        return {function.id}
+    if not isinstance(function, ast.Attribute):
+        return set()
+    owner = function.value
+    return {"." + function.attr} | ({f"{owner.id}.{function.attr}"} if isinstance(owner, ast.Name) else set())
 
 
 def module_files(files: Iterable[str]) -> dict[str, str]:
@@ -294,13 +279,51 @@ def test_survey_itself_holds_only_what_all_its_parts_share():
     assert len(files) <= MOST_SHARED
 
 
-def test_folders_that_compute_do_not_touch_the_disk():
-    found = {name_of(path): sorted(called(tree_of(path)) & DISK) for path in FILES}
-    touching = {name for name, calls in found.items() if calls and folder_of(name) not in DISK_FOLDERS}
-    assert {name: found[name] for name in touching - DISK_FILES} == {}, "these files touch the disk in such a folder"
-    assert DISK_FILES - touching == set(), "DISK_FILES names files that do not touch the disk (any more)"
-    idle = DISK_FOLDERS - {folder_of(name) for name, calls in found.items() if calls}
+def test_folders_that_compute_touch_the_disk_only_at_paths_that_they_are_given():
+    wrong = {name_of(path): sorted(unasked(tree_of(path)) & DISK) for path in FILES}
+    wrong = {name: calls for name, calls in wrong.items() if calls and folder_of(name) not in DISK_FOLDERS}
+    assert wrong.keys() - SEARCHES == set(), wrong
+    assert SEARCHES - wrong.keys() == set(), "SEARCHES names files that do not touch the disk (any more)"
+    idle = DISK_FOLDERS - {folder_of(name_of(path)) for path in FILES if called(tree_of(path)) & DISK}
     assert idle == set(), "DISK_FOLDERS names folders whose files do not touch the disk (any more)"
+
+
+def unasked(tree: ast.Module) -> set[str]:
+    """Names called outside functions, and classes, that are given a path; as `called` writes them."""
+    found: set[str] = set()
+
+    def visit(node: ast.AST) -> None:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and is_given_a_path(node):
+            return
+        if isinstance(node, ast.Call):
+            found.update(names_of(node.func))
+        for child in ast.iter_child_nodes(node):
+            visit(child)
+
+    visit(tree)
+    return found
+
+
+def is_given_a_path(node: ast.FunctionDef | ast.ClassDef) -> bool:
+    """Whether a parameter of a function, or a field or a parameter of ``__init__`` of a class, is a path."""
+    if isinstance(node, ast.ClassDef):
+        fields = [item.annotation for item in node.body if isinstance(item, ast.AnnAssign)]
+        makers = [item for item in node.body if isinstance(item, ast.FunctionDef) and item.name == "__init__"]
+        return any(names_a_path(field) for field in fields) or any(is_given_a_path(maker) for maker in makers)
+    parameters = node.args
+    given = [*parameters.posonlyargs, *parameters.args, *parameters.kwonlyargs]
+    return any(names_a_path(parameter.annotation) for parameter in given)
+
+
+def names_a_path(annotation: ast.expr | None) -> bool:
+    return annotation is not None and bool(GIVEN_PATHS & set(re.findall(r"\w+", ast.unparse(annotation))))
+
+
+def test_a_call_at_a_path_that_is_not_given_is_seen():
+    tree = ast.parse(
+        "def f(p: Path): p.open()\ndef g():\n    p.stat()\nclass C:\n    def __init__(self, r: RunDir): r.glob()"
+    )
+    assert unasked(tree) & DISK == {".stat"}
 
 
 def test_only_the_files_that_are_named_import_modules_by_name():

@@ -39,7 +39,7 @@ def test_the_camera_of_a_viewpoint_sees_the_same(folder):
 @pytest.mark.parametrize("dry", [True, False])
 def test_the_picture_shows_the_field_and_white_beside_it(folder, dry):
     view = Viewpoint(np.array([0.0, 0.0, 8.0]), DOWN, math.radians(60.0), 1.5, 900.0)
-    picture = TrainedField(folder).picture(view, dry=dry)
+    picture = TrainedField.slab(folder).picture(view, dry=dry)
     assert picture.shape == (200, 300, 3)
     is_white = (picture == 255).all(axis=2)
     assert not is_white[100, 150]
@@ -52,7 +52,7 @@ def test_the_picture_shows_the_field_and_white_beside_it(folder, dry):
 
 def test_a_run_with_a_field_offers_it(folder, tmp_path):
     shown = shown_of(tmp_path / "t", num=20)
-    shown.field_folder = folder
+    shown.fields = [TrainedField.slab(folder)]
     with served(shown) as session:
         labels = [handle.label for handle in session.server.gui._gui_input_handle_from_uuid.values()]
     assert "render from here" in labels

@@ -9,11 +9,13 @@ import typer
 
 from survey.commands.console import command
 from survey.commands.options import Quiet, RunFolder, Verbose
+from survey.errors import SurveyError
 
 _SERVED = "Where it is served"
 EXAMPLES = """
     bathynerf view my_survey/bathynerf
     bathynerf view RUN --reference lidar.ply --port 9000
+    bathynerf view RUN --field mdw
     bathynerf view RUN --export view.html
 """
 
@@ -22,6 +24,9 @@ def run(
     run: RunFolder,
     reference: Annotated[
         Path | None, typer.Option(metavar="FILE", help="A surface beside the cloud: mesh, GeoTIFF or points.")
+    ] = None,
+    field: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="A field trained by bathynerf field, to render from any place.")
     ] = None,
     export: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write one HTML file that opens without a server, and end.")
@@ -56,7 +61,9 @@ def run(
     with command(verbose, quiet, run) as results:
         from survey.viewer.session import ViewOptions, export_page, serve
 
-        options = ViewOptions(survey=survey, reference=reference, host=host, port=port)
+        if export is not None and field is not None:
+            raise SurveyError("a field is rendered by the server; leave out --field or --export")
+        options = ViewOptions(survey=survey, reference=reference, field=field, host=host, port=port)
         if export is not None:
             export_page(run, export, options)
             results.line(export)

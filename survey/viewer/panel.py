@@ -6,9 +6,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from survey.display.quantities import count, number
-from survey.viewer.detail import Style
+from survey.errors import SurveyError
+from survey.viewer.detail import Style, viewpoint_of
 from survey.viewer.shown import SCALES, Shown
+from survey.viewer.trained import TrainedField
 
 if TYPE_CHECKING:
     import viser
@@ -92,3 +96,22 @@ class Panel:
     def _apply(self, **changes: Any) -> None:
         self.style = replace(self.style, **changes)
         self._restyle(self.style)
+
+
+def add_field(server: viser.ViserServer, field: TrainedField, show: Callable[[np.ndarray], None]) -> None:
+    """A button in the panel that renders a field from where a browser looks; ``show`` gets the picture."""
+    with server.gui.add_folder(f"trained field: {field.name}"):
+        wet = server.gui.add_checkbox("through the water", False)
+        button = server.gui.add_button("render from here")
+
+    @button.on_click
+    def render(event: viser.GuiEvent) -> None:
+        if event.client is None:
+            return
+        said = event.client.add_notification("trained field", "is being rendered", loading=True)
+        try:
+            show(field.picture(viewpoint_of(event.client.camera), dry=not wet.value))
+        except SurveyError as error:
+            event.client.add_notification("trained field", str(error), color="red")
+        finally:
+            said.remove()

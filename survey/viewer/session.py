@@ -26,10 +26,9 @@ from survey.viewer.clicks import Clicks
 from survey.viewer.detail import CloudInBrowser, Style
 from survey.viewer.layers import add_cameras, add_frusta, add_water, look_from, median_height
 from survey.viewer.page import require_page, write_page
-from survey.viewer.panel import Panel
+from survey.viewer.panel import Panel, add_field
 from survey.viewer.shown import Shown, load_shown
 from survey.viewer.surfaces import OnDemand, coloured_mesh, mesh, reference_node, terrain
-from survey.viewer.trained import TrainedField, add_field
 
 if TYPE_CHECKING:
     import viser
@@ -126,12 +125,15 @@ class ViewOptions:
         Folder of the survey, if it was moved since the run.
     reference : Path or None
         Mesh, GeoTIFF or points beside the cloud.
+    field : Path or None
+        Folder of `bathynerf field`, whose field is rendered on request.
     host : str
     port : int
     """
 
     survey: str | None = None
     reference: Path | None = None
+    field: Path | None = None
     host: str = HOST
     port: int = PORT
 
@@ -153,8 +155,8 @@ class Session:
         self.panel = Panel(self.server, shown, self._restyle)
         self._add_layers()
         self.clicks = Clicks(self.server, shown, lambda: self.panel.style)
-        if shown.field_folder is not None:
-            add_field(server, TrainedField(shown.field_folder), self.clicks.show)
+        for field in shown.fields:
+            add_field(server, field, self.clicks.show)
         if shown.reference is not None:
             Thread(target=self._compare, daemon=True).start()
         self.server.on_client_connect(self._welcome)
@@ -250,7 +252,7 @@ def _load(run: str | Path, options: ViewOptions) -> Shown:
     with LoadedRun(run) as loaded:
         loaded.folder.warn_if_unfinished()
         with current().stage("Octree"):
-            return load_shown(loaded, options.survey, options.reference)
+            return load_shown(loaded, options.survey, options.reference, options.field)
 
 
 def _watch(folder: RunDir, server: viser.ViserServer) -> None:

@@ -18,6 +18,7 @@ from survey.photos.cameras import View
 from survey.progress import current
 from survey.run.flight import Flight
 from survey.viewer.slices import Reference, load_reference
+from survey.viewer.trained import TrainedField
 from survey.viewer.tree import CloudTree, build_tree
 
 # Points that tell where a cloud lies.
@@ -120,8 +121,8 @@ class Shown:
         Ground sampling distance, about that of the points.
     reference : Reference or None
         What the cloud is compared with.
-    field_folder : Path or None
-        Of the stage that trained a field, where the run has one.
+    fields : list of TrainedField
+        Of the run's own stage, where it has one, and of a folder of `bathynerf field`.
     low, high : (3,) [m], local
         Corners of a box about all points but strays.
     """
@@ -135,7 +136,7 @@ class Shown:
     has_photographs: bool
     gsd_m: float
     reference: Reference | None = None
-    field_folder: Path | None = None
+    fields: list[TrainedField] = field(default_factory=list)
     low: np.ndarray = field(init=False)
     high: np.ndarray = field(init=False)
 
@@ -197,13 +198,16 @@ class Shown:
         return np.column_stack([x, y, self.water.height(x, y) + np.zeros(4)])
 
 
-def load_shown(run: LoadedRun, survey: str | None, reference: Path | None = None) -> Shown:
-    """What is shown of a run, beside a reference; ``survey`` is the folder of the survey, if it was moved since.
+def load_shown(run: LoadedRun, survey: str | None, reference: Path | None = None, volume: Path | None = None) -> Shown:
+    """What is shown of a run, beside a reference and with the field in a folder of `bathynerf field`.
+
+    ``survey`` is the folder of the survey, if it was moved since.
 
     Raises
     ------
     SurveyError, GeoError
-        If the run has no cloud, or was made before runs kept their cameras; if the reference cannot be used.
+        If the run has no cloud, or was made before runs kept their cameras; if the reference or the field cannot be
+        used.
     """
     arrays = run.columns(*_COLUMNS)
     points, rgb = arrays.pop("xyz"), arrays.pop("rgb")
@@ -215,7 +219,9 @@ def load_shown(run: LoadedRun, survey: str | None, reference: Path | None = None
         run.folder.path, run.place.name, build_tree(points), rgb, columns, flight, has_photographs, run.place.gsd_m
     )
     if _FIELD in run.stages:
-        shown.field_folder = run.folder.load_stage(_FIELD)
+        shown.fields.append(TrainedField.slab(run.folder.load_stage(_FIELD)))
+    if volume is not None:
+        shown.fields.append(TrainedField.volume(volume, run))
     columns["height"] = (points[:, 2] + shown.base_m).astype(np.float32)
     if reference is not None:
         some = flight.frame.crs_from_local(points[:: len(points) // _SOME + 1])

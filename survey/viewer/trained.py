@@ -1,4 +1,4 @@
-"""The field that `process --field slab` trained, as a browser's camera would see it."""
+"""A trained field of a run, as a browser's camera would see it."""
 
 from __future__ import annotations
 
@@ -10,18 +10,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from refract import PinholeCamera
-from survey.viewer.detail import viewpoint_of
 from survey.viewer.tree import Viewpoint
 
 if TYPE_CHECKING:
-    import viser
-
-    from fields.slab.tensor_field import TensorField
-    from refract import FlatWater
+    from fields.views.novel_view import NovelView
+    from survey.export.loaded import LoadedRun
 
 # Rows of a picture: a second or two of one core.
 _ROWS = 200
 _PAPER = 255
+# What a camera sees of a field, with the water or (True) without it.
+Render = Callable[[PinholeCamera, bool], "NovelView"]
 
 
 class TrainedField:
@@ -29,20 +28,38 @@ class TrainedField:
 
     Parameters
     ----------
-    folder : Path
-        Of its stage.
+    name : str
+        As the panel has it.
+    load : callable
+        Gives what renders it.
     """
 
-    def __init__(self, folder: Path):
-        self._folder = folder
+    def __init__(self, name: str, load: Callable[[], Render]):
+        self.name, self._load = name, load
+
+    @staticmethod
+    def slab(folder: Path) -> TrainedField:
+        """The field that `process --field slab` left in the folder of its stage."""
+        return TrainedField("slab", lambda: _slab(folder))
+
+    @staticmethod
+    def volume(folder: Path, run: LoadedRun) -> TrainedField:
+        """The field that `bathynerf field` left in a folder; see `survey.volume.stored.StoredVolume`.
+
+        Raises
+        ------
+        SurveyError
+            If the folder has none, or one of another run.
+        """
+        # It takes torch.
+        from survey.volume.stored import StoredVolume
+
+        stored = StoredVolume.of_run(folder, run)
+        return TrainedField(stored.recipe.model, stored.load)
 
     @cached_property
-    def _loaded(self) -> tuple[TensorField, FlatWater | None]:
-        # They take torch.
-        from fields.device import choose_device
-        from survey.run.stored_field import load_field, load_place
-
-        return load_field(self._folder, choose_device("auto")), load_place(self._folder)[1]
+    def _render(self) -> Render:
+        return self._load()
 
     def picture(self, view: Viewpoint, *, dry: bool) -> np.ndarray:
         """What a viewpoint sees (rows, columns, 3) uint8, white where there is no bed; ``dry``: along straight rays.
@@ -52,11 +69,17 @@ class TrainedField:
         SurveyError
             If the file of the field is damaged.
         """
-        from fields.slab.novel_view import render_view
-
-        field, water = self._loaded
-        seen = render_view(field, camera_of(view, _ROWS), water, dry=dry)
+        seen = self._render(camera_of(view, _ROWS), dry)
         return np.where(seen.seen[..., None], seen.rgb, np.uint8(_PAPER))
+
+
+def _slab(folder: Path) -> Render:
+    from fields.device import choose_device
+    from fields.slab.novel_view import render_view
+    from survey.run.stored_field import load_field, load_place
+
+    field, water = load_field(folder, choose_device("auto")), load_place(folder)[1]
+    return lambda camera, dry: render_view(field, camera, water, dry=dry)
 
 
 def camera_of(view: Viewpoint, rows: int) -> PinholeCamera:
@@ -66,20 +89,3 @@ def camera_of(view: Viewpoint, rows: int) -> PinholeCamera:
     return PinholeCamera(
         view.position, view.cam_from_local, focal, focal, 0.5 * columns, 0.5 * rows, columns, rows
     )  # fmt: skip
-
-
-def add_field(server: viser.ViserServer, field: TrainedField, show: Callable[[np.ndarray], None]) -> None:
-    """A button in the panel that renders a field from where a browser looks; ``show`` gets the picture."""
-    with server.gui.add_folder("trained field"):
-        wet = server.gui.add_checkbox("through the water", False)
-        button = server.gui.add_button("render from here")
-
-    @button.on_click
-    def render(event: viser.GuiEvent) -> None:
-        if event.client is None:
-            return
-        said = event.client.add_notification("trained field", "is being rendered", loading=True)
-        try:
-            show(field.picture(viewpoint_of(event.client.camera), dry=not wet.value))
-        finally:
-            said.remove()

@@ -10,21 +10,17 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from evaluation import distance_statistics, psnr
-from fields.device import choose_device, tensor_place
-from fields.views.image_based import heights_over, normals_of
+from fields.views.image_based import heights_over
 from fields.views.novel_view import NovelView
-from fields.volume.appearance import appearance_vectors
 from fields.volume.losses import Losses, PatchWeights, PriorWeights
-from fields.volume.models import APPEARANCE, MODELS, build_model, proposal_for
+from fields.volume.models import MODELS
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
-from fields.volume.surface import LEAST_OPACITY, Rule, Surface, surface_of
+from fields.volume.surface import Rule, Surface, surface_of
 from fields.volume.train import Checkpoints, Training, VolumeFigures, train_volume
-from fields.volume.view import render_volume
-from fields.water_column import WaterColumn
 from geo import read_reference
 from geo.las import write_cloud
-from refract import FlatWater, PinholeCamera
+from refract import PinholeCamera
 from survey.compare.comparison import compare_files
 from survey.compare.json_numbers import numbers_of
 from survey.compare.options import CompareOptions
@@ -39,6 +35,7 @@ from survey.run.flight import Flight
 from survey.settings.field import LossesConfig
 from survey.volume.monocular import priors_hash
 from survey.volume.scene import Scene, VolumeFolder, load_scene
+from survey.volume.stored import Recipe, view_of
 
 CLOUD, REPORT, VIEWS, HELD = "cloud.las", "report.json", "views", "held out"
 # Weights of depth and of normals (MonoSDF, Yu et al. 2022).
@@ -132,6 +129,11 @@ class VolumeOptions:
         priors = None if self.monocular is None else priors_hash(self.monocular)
         return {"result": run.stages} | settings | {"monocular": priors}
 
+    @property
+    def recipe(self) -> Recipe:
+        """What decides the model and its paths."""
+        return Recipe(**{name: getattr(self, name) for name in Recipe.__dataclass_fields__})
+
     def of_losses(self) -> Losses:
         """The weights of the losses."""
         of = self.losses
@@ -160,10 +162,6 @@ class Trained:
     scene: Scene
     flight: Flight
     options: VolumeOptions
-
-    @property
-    def water(self) -> FlatWater | None:
-        return None if self.options.straight else self.flight.water
 
 
 def train_field(run: str | Path, output: str | Path, options: VolumeOptions | None = None) -> dict[str, Any]:
@@ -240,17 +238,7 @@ def _targets(run: LoadedRun, flight: Flight, output: Path, options: VolumeOption
 
 def train(scene: Scene, flight: Flight, options: VolumeOptions, checkpoints: Checkpoints | None = None) -> Trained:
     """Train the field of the options on a scene of a flight, or go on from a checkpoint."""
-    device, appearance = choose_device(options.device), APPEARANCE if options.appearance else 0
-    model = build_model(
-        options.model, scene.box, options.cells, device, appearance=appearance, seed=options.seed, steps=options.steps
-    )
-    wet = flight.water is not None and not options.straight
-    renderer = VolumeRenderer(
-        model,
-        column=WaterColumn() if wet else None,
-        appearance=appearance_vectors(len(scene.train.names), appearance) if appearance else None,
-        proposal=proposal_for(options.model, scene.box, options.cells),
-    ).to(tensor_place(device))
+    renderer = options.recipe.renderer(scene.box, flight.water, len(scene.train.names), options.device)
     cells = min(Training.cells, options.cells)
     training = Training(
         steps=options.steps, rays=options.rays, samples=options.samples, cells=cells, losses=options.of_losses()
@@ -328,21 +316,9 @@ def _held_out(trained: Trained, folder: Path) -> dict[str, float]:
 
 
 def _view(trained: Trained, camera: PinholeCamera, *, dry: bool = False) -> NovelView:
-    seen = render_volume(
-        trained.renderer,
-        camera,
-        None if dry else trained.water,
-        trained.cells,
-        samples=trained.options.samples,
-        dry=dry,
-    )
-    points = seen.points.astype(np.float64)
-    known = np.isfinite(seen.distance) & (seen.opacity > LEAST_OPACITY)
-    points[~known] = np.nan
-    height = heights_over(points.reshape(-1, 3), trained.flight.water).reshape(known.shape).astype(np.float32)
-    rgb = np.where(known[..., None], np.round(255.0 * seen.rgb.clip(0.0, 1.0)), 0.0).astype(np.uint8)
-    distance = np.where(known, seen.distance, np.nan).astype(np.float32)
-    return NovelView(rgb, height, distance, normals_of(points))
+    return view_of(
+        trained.renderer, trained.cells, trained.options.recipe, trained.flight.water, camera, dry=dry
+    )  # fmt: skip
 
 
 def rows_of(report: dict[str, Any], output: Path) -> list[tuple[str, str]]:

@@ -21,6 +21,7 @@ from fields.volume.photographs import Photographs
 from fields.volume.sampling import Cells
 from fields.volume.surface import LEAST_VIEWS
 from geo.files import disk_refusals, write_whole
+from geo.frames import LocalFrame
 from refract import FlatWater, PinholeCamera
 from survey.errors import OutputError, SurveyError
 from survey.export.loaded import LoadedRun
@@ -119,7 +120,7 @@ def load_scene(
     SurveyError
         If no bed lies in the bounds, or too few photographs look into the box.
     """
-    bed = flight.frame.local_from_crs(_within(run.columns("points_crs")["points_crs"], bounds))
+    bed = _bed_of(run, flight.frame, bounds)
     box = _box_about(bed, cells)
     gsd_m = run.place.gsd_m
     scale = image_scale or min(1.0, _PIXELS_PER_CELL * gsd_m * cells / box.edge)
@@ -141,6 +142,16 @@ def load_scene(
     if monocular is not None:
         learned.photographs.priors = monocular_priors(monocular, learned.names, learned.photographs.cameras)
     return Scene(box, bed[inside], learned, _named(held, water), gsd_m / scale)
+
+
+def box_of_run(run: LoadedRun, frame: LocalFrame, bounds: tuple[float, float, float, float] | None, cells: int) -> Box:
+    """The box about the bed of a run that `load_scene` makes; errors as there."""
+    return _box_about(_bed_of(run, frame, bounds), cells)
+
+
+def _bed_of(run: LoadedRun, frame: LocalFrame, bounds: tuple[float, float, float, float] | None) -> np.ndarray:
+    """Points (N, 3) [m], local, of the bed in bounds in crs."""
+    return frame.local_from_crs(_within(run.columns("points_crs")["points_crs"], bounds))
 
 
 @dataclass(frozen=True)
@@ -241,14 +252,7 @@ class VolumeFolder:
             If it is damaged.
         """
         state = self.path / STATE
-        if not state.is_file():
-            return None
-        try:
-            return torch.load(state, weights_only=True, map_location="cpu")
-        except (OSError, RuntimeError, ValueError, KeyError, EOFError, pickle.UnpicklingError) as error:
-            raise SurveyError(
-                f"{state} cannot be read ({str(error)[:80]}); delete it, and training begins anew"
-            ) from error
+        return read_state(state) if state.is_file() else None
 
     def save(self, make: Callable[[], dict[str, Any]], *, last: bool) -> None:
         """Save a state, if it is the last or the one before is half a minute old."""
@@ -256,3 +260,17 @@ class VolumeFolder:
             with write_whole(self.path / STATE) as stream:
                 torch.save(make(), stream)
         self._saved_at = time.monotonic()
+
+
+def read_state(path: Path) -> dict[str, Any]:
+    """A state of a training.
+
+    Raises
+    ------
+    SurveyError
+        If it is damaged.
+    """
+    try:
+        return torch.load(path, weights_only=True, map_location="cpu")
+    except (OSError, RuntimeError, ValueError, KeyError, EOFError, pickle.UnpicklingError) as error:
+        raise SurveyError(f"{path} cannot be read ({str(error)[:80]}); delete it, and training begins anew") from error

@@ -1,0 +1,90 @@
+"""A trained field that is read back from its folder shows what its training showed."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+
+import numpy as np
+import pytest
+from command_line import bathynerf
+from painted_survey import painted_survey, run_over
+from PIL import Image
+
+from survey.commands.faults import BAD_INPUT
+from survey.errors import SurveyError
+from survey.export.loaded import LoadedRun
+from survey.viewer import trained
+from survey.viewer.shown import load_shown
+from survey.viewer.tree import Viewpoint
+from survey.volume.field import VolumeOptions, train_field
+from survey.volume.stored import StoredVolume
+
+OPTIONS = VolumeOptions(model="vm", steps=3, rays=64, samples=8, cells=16, image_scale=0.5, appearance=True)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A run ``run`` with a field ``f``, and the photographs' own cameras rendered in ``f/views``."""
+    folder = tmp_path_factory.mktemp("stored")
+    run = run_over(painted_survey(folder / "s"), folder / "run")
+    train_field(run, folder / "f", VolumeOptions(**{**vars(OPTIONS), "cameras": folder / "s" / "cameras.csv"}))
+    return folder
+
+
+def test_it_renders_what_the_training_rendered(folder):
+    with LoadedRun(folder / "run") as run:
+        stored, view = StoredVolume.of_run(folder / "f", run), run.flight.views[1]
+    seen = stored.load("torch")(view.camera, False)
+    with Image.open(folder / "f" / "views" / "0001.png") as picture:
+        before = np.asarray(picture)
+    assert (seen.seen == (before[..., 3] > 0)).mean() > 0.999
+    assert np.abs(seen.rgb.astype(int) - before[..., :3])[seen.seen].max() <= 1
+
+
+def test_the_viewer_renders_it_from_a_browsers_place(folder, monkeypatch):
+    monkeypatch.setattr(trained, "_ROWS", 40)
+    with LoadedRun(folder / "run") as run:
+        shown = load_shown(run, None, volume=folder / "f")
+    (field,) = shown.fields
+    assert field.name == "vm"
+    above = shown.middle + np.array([0.0, 0.0, 8.0])
+    down = Viewpoint(above, np.diag([1.0, -1.0, -1.0]), math.radians(60.0), 1.5, 900.0)
+    wet, dry = (field.picture(down, dry=dry) for dry in (False, True))
+    assert wet.shape == dry.shape == (40, 60, 3)
+    assert (wet != dry).any()
+    assert (dry[20, 30] < 255).any()
+
+
+def test_one_of_another_result_is_refused(folder, tmp_path):
+    shutil.copytree(folder / "f", tmp_path / "f")
+    settings = json.loads((tmp_path / "f" / "settings.json").read_text())
+    (tmp_path / "f" / "settings.json").write_text(json.dumps(settings | {"result": {"bed": "another"}}))
+    with LoadedRun(folder / "run") as run, pytest.raises(SurveyError, match="trained on another run"):
+        StoredVolume.of_run(tmp_path / "f", run)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("settings.json", None, "holds no trained field"),
+        ("settings.json", {"model": "vm"}, "cannot be read"),
+        ("settings.json", {"cells": 24}, "does not fit its settings.json"),
+    ],
+)
+def test_what_cannot_be_rendered_is_named(folder, tmp_path, name, content, said):
+    shutil.copytree(folder / "f", tmp_path / "f")
+    path = tmp_path / "f" / name
+    whole = json.loads(path.read_text())
+    path.unlink()
+    if content is not None:
+        path.write_text(json.dumps({**(whole if "cells" in content else {"result": whole["result"]}), **content}))
+    with LoadedRun(folder / "run") as run, pytest.raises(SurveyError, match=said):
+        StoredVolume.of_run(tmp_path / "f", run).load("torch")
+
+
+def test_a_page_without_a_server_has_no_field(folder):
+    done = bathynerf("view", folder / "run", "--field", folder / "f", "--export", folder / "view.html")
+    assert done.exit_code == BAD_INPUT
+    assert "leave out --field or --export" in done.stderr

@@ -33,8 +33,7 @@ from survey.folder.survey import Survey, load_survey
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
 from survey.plan.tile_choice import choose_tiles
-from survey.plan.tiling import ground_of
-from survey.plan.water_tiles import aside_px
+from survey.plan.tiling import aside_px, ground_of
 from survey.plan.workload import workload_of
 from survey.water.surface import Departure
 

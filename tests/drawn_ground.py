@@ -7,7 +7,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from survey.control.ground import Ground
+from survey.control.points import Ground
 from survey.folder.survey import Survey
 from survey.settings.control import ControlConfig
 from tests import drawn_block

@@ -13,7 +13,7 @@ from survey.adjust.adjustment import read_adjustment, write_adjustment
 from survey.adjust.ground_fit import GroundFit
 from survey.adjust.on_ground import planes_under, shift_onto
 from survey.adjust.refine import adjust_survey
-from survey.control.ground import Ground
+from survey.control.points import Ground
 from survey.errors import ControlError
 from tests.block_survey import height_error, pose_errors
 from tests.changed_survey import changed

@@ -13,7 +13,7 @@ from survey.compare.checkpoints import read_checkpoints
 from survey.compare.inputs import Paths, load_inputs
 from survey.compare.tables import read_shape
 from survey.files.column_units import Units
-from survey.files.crs_comment import crs_of_comment
+from survey.files.text_crs import crs_of_comment
 
 LEVEL = 3.0  # local, over the plane of the bed at its middle
 OFF_M = 0.05

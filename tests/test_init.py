@@ -14,8 +14,8 @@ from small_survey import unposed, write_image
 from test_pose_files_metashape import cameras_xml
 from test_pose_files_opensfm import REFERENCE, block_json, tracks_csv
 
+from geo.area_of_use import height_systems_at
 from geo.crs import vertical_crs
-from geo.height_systems import height_systems_at
 from survey.errors import ConfigError
 from survey.init.draft import draft
 from survey.init.entry import Answers, Table

@@ -14,8 +14,7 @@ from survey.plan import tile_choice
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
 from survey.plan.tile_choice import choose_tiles
-from survey.plan.tiling import Tiling, ground_of, inside
-from survey.plan.water_tiles import aside_px, water_doubts
+from survey.plan.tiling import Tiling, aside_px, ground_of, inside, water_doubts
 from survey.plan.workload import workload_of
 from survey.water.surface import Departure
 from tests.changed_survey import changed

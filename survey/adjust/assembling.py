@@ -21,7 +21,18 @@ from survey.adjust.observability import Unobservable, not_observable
 from survey.adjust.observed import KINDS, MARK, Observed
 from survey.adjust.priors import Known, is_held
 from survey.adjust.rounds import Adjusted
-from survey.adjust.state import LENS_NAMES, RATE_NAME, READOUT_NAME, WATER, WATER_NAMES, Layout, State
+from survey.adjust.state import (
+    LENS_NAMES,
+    RATE_NAME,
+    READOUT_NAME,
+    WATER,
+    WATER_NAMES,
+    Layout,
+    State,
+    settings_by_local,
+    settings_of,
+    with_settings,
+)
 from survey.adjust.verdicts import (
     Estimate,
     lens_verdicts,
@@ -32,7 +43,6 @@ from survey.adjust.verdicts import (
     water_limits,
     water_verdicts,
 )
-from survey.adjust.water_settings import settings_by_local, settings_of, with_settings
 from survey.folder.survey import Survey
 from survey.settings.config import WaterConfig
 

@@ -33,9 +33,8 @@ from survey.adjust.priors import HELD, Known, is_held, known_of, priors_for
 from survey.adjust.problem import Problem
 from survey.adjust.robust import std_of_kinds
 from survey.adjust.rounds import Adjusted, adjust, std_over_points
-from survey.adjust.state import LENS_NAMES, WATER, Layout, State
+from survey.adjust.state import LENS_NAMES, WATER, WATER_PARAMETERS, Layout, State
 from survey.adjust.verdicts import MOST_SIGMAS, MOST_SIGMAS_OF_FOUR, MOST_STD_INDEX
-from survey.adjust.water_settings import WATER_PARAMETERS
 from survey.errors import SurveyError
 from survey.folder.contradiction import Contradiction
 from survey.folder.pose_priors import BAROMETER_STD_M

@@ -22,9 +22,17 @@ from survey.adjust.bundle import NotConvergedError
 from survey.adjust.observed import Observed
 from survey.adjust.priors import FREE_WATER, HELD, Known
 from survey.adjust.rounds import Adjusted, adjust
-from survey.adjust.state import LENS_NAMES, RATE_NAME, READOUT_NAME, WATER, Layout, State
+from survey.adjust.state import (
+    LENS_NAMES,
+    RATE_NAME,
+    READOUT_NAME,
+    WATER,
+    WATER_PARAMETERS,
+    Layout,
+    State,
+    settings_by_local,
+)
 from survey.adjust.verdicts import water_limits
-from survey.adjust.water_settings import WATER_PARAMETERS, settings_by_local
 from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints
 

@@ -27,7 +27,7 @@ from survey.adjust.bundle import Solution, System, inverse, system_with
 from survey.adjust.planes import Planes
 from survey.adjust.problem import Problem
 from survey.adjust.state import State
-from survey.control.ground import Ground
+from survey.control.points import Ground
 from survey.errors import ControlError
 from survey.photos.cameras import View
 

@@ -37,12 +37,11 @@ from survey.adjust.priors import Known, known_of
 from survey.adjust.roll_notes import open_roll_named, roll_notes
 from survey.adjust.rounds import Adjusted, adjust
 from survey.adjust.square_pixels import with_square_pixels
-from survey.adjust.state import POSE, WATER
+from survey.adjust.state import POSE, WATER, WATER_PARAMETERS
 from survey.adjust.unnamed_water import water_seen
 from survey.adjust.verdicts import MOST_SIGMAS, MOST_SIGMAS_OF_FOUR, MOST_STD_LEVEL_M
-from survey.adjust.water_settings import WATER_PARAMETERS
 from survey.adjust.windows import measure_windows
-from survey.control.ground import Ground
+from survey.control.points import Ground
 from survey.errors import SurveyError
 from survey.folder.contradiction import Contradiction
 from survey.folder.pose_priors import GPS_STD_M

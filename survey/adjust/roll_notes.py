@@ -13,7 +13,7 @@ from survey.adjust.roll import Roll, spans_area
 from survey.adjust.rounds import Adjusted
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
-from survey.plan.limits import max_height_std
+from survey.plan.recipe import max_height_std
 from survey.sfm.gps_fit import HOLD_THE_ROLL
 
 

@@ -21,6 +21,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from refract import FlatWater
+from survey.folder.place import water_plane
+from survey.folder.survey import Survey
+from survey.settings.config import WaterConfig
 
 COEFFICIENTS = ("k1", "k2", "k3", "p1", "p2")
 WATER_NAMES = ("height_m", "slope_x", "slope_y", "refractive_index")
@@ -30,6 +33,8 @@ RATE_NAME = "level_rate_m_per_h"
 WATER, RELIEF, SHIFT, LENS, POSE = 4, 3, 3, 8, 6
 # An index outside these is no water; a step never leaves them.
 _INDEX_RANGE = (1.0, 2.0)
+WATER_PARAMETERS = ("level_m", "slope_east", "slope_north", "refractive_index")
+_STEPS = (1e-3, 1e-6, 1e-6, 1e-6)
 
 
 def distort(xy: np.ndarray, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -201,3 +206,27 @@ def with_parameters(water: FlatWater | None, parameters: np.ndarray) -> FlatWate
     x, y, _ = water.point
     index = min(max(index, _INDEX_RANGE[0]), _INDEX_RANGE[1])
     return replace(water, point=(x, y, height), slope_x=slope_x, slope_y=slope_y, n_water=index)
+
+
+def settings_by_local(survey: Survey, place: np.ndarray) -> np.ndarray:
+    """Derivative (4, 4) of the settings by height at a place (x, y), slopes and index in local; it is constant."""
+    _, given = survey.require_water()
+    start, values = _at(survey, given, place), settings_of(given)
+    moved = [_at(survey, with_settings(given, values + step), place) - start for step in np.diag(_STEPS)]
+    return np.linalg.inv(np.stack(moved, axis=-1) / _STEPS)
+
+
+def settings_of(water: WaterConfig) -> np.ndarray:
+    """The four parameters as numbers."""
+    return np.array([float(getattr(water, name)) for name in WATER_PARAMETERS])
+
+
+def with_settings(water: WaterConfig, values: np.ndarray) -> WaterConfig:
+    """The water with other numbers (4,)."""
+    level, east, north, index = np.asarray(values).tolist()
+    return replace(water, level_m=level, slope_east=east, slope_north=north, refractive_index=index)
+
+
+def _at(survey: Survey, water: WaterConfig, place: np.ndarray) -> np.ndarray:
+    plane = water_plane(survey.frame, water)
+    return np.array([float(plane.height(*place)), plane.slope_x, plane.slope_y, plane.n_water])

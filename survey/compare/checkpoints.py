@@ -18,8 +18,8 @@ from survey.compare.measure import Scene
 from survey.compare.tables import GIVE_LEVEL
 from survey.display.words import named
 from survey.files.column_units import Units
-from survey.files.crs_comment import crs_of_comment
 from survey.files.point_table import PLACE, read_points, require_exact, several_heights
+from survey.files.text_crs import crs_of_comment
 
 
 def read_checkpoints(

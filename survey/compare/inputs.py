@@ -18,7 +18,7 @@ from geo.shapes import beside_ground, in_height_unit, left_out, part_of, vertice
 from geo.values import rounded_coordinates
 from survey.compare.area import Bounds, CompareError, ShiftedFrame, as_text, within
 from survey.compare.tables import is_table, level_of_cloud, read_shape
-from survey.files.crs_comment import crs_of_comment
+from survey.files.text_crs import crs_of_comment
 
 # Heights further apart than this many times the size of the data are another place, not an error of the bed.
 _FARTHEST_HEIGHT = 10.0

@@ -15,9 +15,9 @@ from geo.shapes import Cloud, Mesh, as_classes
 from geo.values import check_values
 from survey.compare.area import CompareError
 from survey.files.column_units import Units
-from survey.files.crs_comment import crs_of_comment
 from survey.files.csv_table import Row, shortened
 from survey.files.point_table import PLACE, read_points
+from survey.files.text_crs import crs_of_comment
 
 # How a user tells the level that depths count from.
 GIVE_LEVEL = "give --water-level"

@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 from survey.control.content import Content, ControlFormat, GivenMark, GivenPoint, is_check_role
 from survey.errors import ControlError
 from survey.files.csv_table import shortened, text_lines
-from survey.files.odm_crs import is_odm_crs, odm_crs
+from survey.files.text_crs import is_odm_crs, odm_crs
 from survey.photos.exif import SUFFIXES
 
 _FORM = "x y z px py image name"

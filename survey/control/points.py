@@ -1,4 +1,4 @@
-"""Control points, their marks in photographs, and check points, in crs and in local."""
+"""Control: points, their marks in photographs, check points, and dry ground of an earlier survey; crs and local."""
 
 from __future__ import annotations
 
@@ -81,3 +81,18 @@ class Checkpoint:
     name: str
     crs: tuple[float, float, float]
     local: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """Points of ground that did not change since they were surveyed.
+
+    Attributes
+    ----------
+    points : (N, 3) float64 [m], local
+    std_m : (horizontal, vertical) [m]
+        Standard deviation of a shift that all of them share.
+    """
+
+    points: np.ndarray
+    std_m: tuple[float, float]

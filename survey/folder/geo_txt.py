@@ -20,7 +20,7 @@ from geo.transformation import lon_lat
 from survey.display.words import named
 from survey.errors import PosesError
 from survey.files.csv_table import shortened, text_lines
-from survey.files.odm_crs import odm_crs
+from survey.files.text_crs import odm_crs
 from survey.findings import Findings
 from survey.names import GEO_TXT
 from survey.photos.exif import SUFFIXES, Exif, TablePlace

@@ -19,7 +19,7 @@ from geo.reading import read_reference
 from geo.reproject import Reprojection
 from geo.shapes import Cloud, Mesh, in_height_unit, left_out, part_of, vertices_of
 from geo.transformation import Transformation
-from survey.control.ground import Ground
+from survey.control.points import Ground
 from survey.errors import ControlError
 from survey.findings import Findings
 from survey.settings.config import SurveyConfig

@@ -13,8 +13,7 @@ from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from geo.transformation import lon_lat
 from refract import FlatWater
-from survey.control.ground import Ground
-from survey.control.points import Checkpoint, Control
+from survey.control.points import Checkpoint, Control, Ground
 from survey.errors import FILE_NAME, SurveyError
 from survey.findings import Findings
 from survey.folder import place

@@ -10,10 +10,9 @@ from textwrap import shorten
 import numpy as np
 from pyproj import CRS
 
-from geo.area_of_use import require_at
+from geo.area_of_use import height_systems_at, require_at
 from geo.crs import crs_code, has_height, horizontal_crs, parse_crs, utm_code, vertical_crs
 from geo.frames import LocalFrame
-from geo.height_systems import height_systems_at
 from survey.errors import ConfigError
 from survey.folder import infer
 from survey.folder.plausible import distances_to_exif

@@ -20,7 +20,7 @@ from survey.control.content import Content, GivenPoint
 from survey.control.gcp_list import is_of_content, line_cells, mark_line, read_gcp_list
 from survey.errors import ConfigError, ControlError
 from survey.files.csv_table import column_names, read_table, text_lines
-from survey.files.odm_crs import odm_crs
+from survey.files.text_crs import odm_crs
 from survey.photos.names import ImageNames
 
 # Decimals of coordinates in metres and in degrees: to a tenth of a millimetre.

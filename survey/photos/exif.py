@@ -11,16 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import ExifTags
+from PIL import ExifTags, Image
 from pyproj import CRS
 
 from geo.crs import utm_code
 from survey.photos.exif_focal import FocalCandidate, focal_candidates, focal_doubt, focal_px
-from survey.photos.exif_position import altitude_reference, other_datum, position_of, std_of_gps
-from survey.photos.exif_values import plain, words
+from survey.photos.exif_position import altitude_reference, other_datum, plain, position_of, std_of_gps, words
 from survey.photos.opening import HEIC_SUFFIXES, damage_named, open_image, without_complaints
 from survey.photos.pixels import channel_bits, stored_size
-from survey.photos.png import exif_of_png
 from survey.photos.xmp import (
     SEA_LEVEL,
     Motion,
@@ -43,6 +41,9 @@ _LONGEST_EXPOSURE_S = 60.0
 # Clocks on Earth differ from UTC by up to 14 hours.
 _MOST_OFFSET_H = 14
 _VOID = "a valid measurement (GPSStatus is V)"
+_SIGNATURE_BYTES, _CHECKSUM_BYTES = 8, 4
+# EXIF of photographs has some kilobytes, with a preview some hundred.
+_LONGEST_EXIF = 4_000_000
 
 
 @dataclass(frozen=True)
@@ -278,3 +279,23 @@ def utm_code_of(heads: Mapping[str, Exif]) -> int | None:
     """EPSG code of the UTM zone (WGS 84) in which the GPS positions of photographs lie; None without positions."""
     places = [head.lat_lon_height[:2] for head in heads.values() if head.lat_lon_height is not None]
     return utm_code(*np.median(np.array(places), axis=0)) if places else None
+
+
+def exif_of_png(path: Path) -> Image.Exif:
+    """The EXIF of a PNG file; empty where there is none.
+
+    Raises
+    ------
+    SyntaxError, ValueError
+        Where it is damaged.
+    """
+    exif = Image.Exif()
+    with path.open("rb") as file:
+        file.seek(_SIGNATURE_BYTES)
+        while len(head := file.read(8)) == 8:
+            length, kind = int.from_bytes(head[:4], "big"), head[4:]
+            if kind == b"eXIf" and length <= _LONGEST_EXIF:
+                exif.load(b"Exif\0\0" + file.read(length))
+                break
+            file.seek(length + _CHECKSUM_BYTES, 1)
+    return exif

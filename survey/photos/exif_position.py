@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from PIL import ExifTags
 
-from survey.photos.exif_values import first, plain, words
 from survey.photos.xmp import horizontal_datum, number, xmp_place
 
 # Frames within 2 m of WGS 84, as a receiver's corrections have them, by the beginning of their bare names.
@@ -22,6 +22,7 @@ _HIGHEST_M = 20_000.0
 _BELOW = (1, 3)
 # A position in XMP that differs from that in EXIF by less (a tenth of a second and half) is the same with more digits.
 _SAME_PLACE_DEG = 1.5 * 0.1 / 3600.0
+_LONGEST_WORDS = 60
 
 
 def position_of(gps: dict, xmp: str) -> tuple[tuple[float, float, float] | None, str]:
@@ -121,3 +122,20 @@ def _degrees(parts) -> float:
         return number(parts)
     size = sum(abs(value) / 60.0**i for i, value in enumerate(values)) if values else math.nan
     return -size if any(value < 0.0 for value in values) else size
+
+
+def first(value: Any) -> Any:
+    """The first of several values, which some programs write where the standard has one."""
+    return value[0] if isinstance(value, tuple | list) and value else value
+
+
+def plain(value: Any) -> str:
+    """A text of EXIF without its padding."""
+    text = value.decode("ascii", errors="replace") if isinstance(value, bytes) else str("" if value is None else value)
+    return text.strip("\0 ")
+
+
+def words(value: Any) -> str:
+    """A text of EXIF for messages: without what a terminal obeys, and not longer than a line."""
+    text = str(value)[:_LONGEST_WORDS]
+    return "".join(letter for letter in text if letter.isprintable()).strip()

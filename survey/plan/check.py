@@ -29,7 +29,7 @@ from survey.plan.plan import Plan, device_decision, make_plan
 from survey.plan.poses import require_placeable
 from survey.plan.skipped import Decision
 from survey.plan.tile_choice import choose_tiles
-from survey.plan.water_tiles import water_doubts
+from survey.plan.tiling import water_doubts
 from survey.plan.workload import Workload, room_doubts, workload_of, workload_of_images
 from survey.settings.config import SurveyConfig
 from survey.sfm.datum import WELL_KNOWN_M

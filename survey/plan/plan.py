@@ -15,9 +15,8 @@ from survey.plan import choices
 from survey.plan.choices import USUAL, Choices
 from survey.plan.ground import dry_ground
 from survey.plan.heights import in_words
-from survey.plan.image_size import image_decision, image_scale
 from survey.plan.poses import pose_choice
-from survey.plan.recipe import AIMED, RECIPES, Recipe
+from survey.plan.recipe import AIMED, RECIPES, Recipe, image_decision, image_scale
 from survey.plan.skipped import FULL, Decision, finer_passes, first_heights, lens_terms, pixels, refraction
 from survey.water.tides import MOST_SHIFT_PX
 

@@ -1,13 +1,22 @@
-"""The numeric settings of each quality."""
+"""The numeric settings of each quality, the working size of photographs, and the limits that a cloud has to meet."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
+from evaluation.standards import TO_95, TVU
+from refract import PinholeCamera
 from survey.plan.choices import Quality
+from survey.plan.skipped import Decision
 
 # In place of a quality where `survey.plan.aim` makes the recipe.
 AIMED = "aimed"
+# Of the standard deviation that points have of their own, in ground sampling distances.
+MAX_STD_GSD = 1.5
+# Of the standard deviation of a height with all that it shares: that of IHO S-44's strictest order in shallow water,
+# 77 mm, where one and a half ground sampling distances are less.
+STRICTEST_ORDER_M = TVU[0][1] / TO_95
 
 
 @dataclass(frozen=True)
@@ -39,3 +48,28 @@ RECIPES = {
     # More than any place is seen: every view is matched.
     Quality.fine.value: Recipe(megapixels=100.0, times_seen=(1000, 1000), field="solver"),
 }
+
+
+def image_decision(camera: PinholeCamera, scale: float, quality: str, recipe: Recipe, *, asked: bool) -> Decision:
+    """Line of the plan on the working size."""
+    size = f"images of {camera.width} x {camera.height} px"
+    if asked:
+        return Decision("image scale", f"{scale:g}", f"set by --image-scale, for {size}")
+    if quality == AIMED:
+        reason = f"of {size}; each round has its own, and poses are looked at with that of standard"
+        return Decision("image scale", f"{scale:g}", reason)
+    if scale == 1.0:
+        return Decision("image scale", "1", f"{size} are worked on whole")
+    limit = f"at most {recipe.megapixels:g} Mpx for {quality} quality"
+    return Decision("image scale", f"{scale:g}", f"{size} are halved until they have {limit}")
+
+
+def image_scale(width: int, height: int, megapixels: float) -> float:
+    """Scale [-], at most 1, that reduces an image of a size [px] to a limit [px]."""
+    halvings = math.ceil(0.5 * math.log2(width * height / (1e6 * megapixels)) - 1e-9)
+    return 0.5 ** max(halvings, 0)
+
+
+def max_height_std(gsd_m: float) -> float:
+    """Largest standard deviation [m] of a height, all included, at a ground sampling distance [m]."""
+    return max(MAX_STD_GSD * gsd_m, STRICTEST_ORDER_M)

@@ -14,8 +14,7 @@ from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.files.sizes import bytes_of, room, size
 from survey.plan.skipped import Decision
-from survey.plan.tiling import RIM_GSD, Area, Tiling, ground_of
-from survey.plan.water_tiles import MOST_ASIDE_PX, aside_px
+from survey.plan.tiling import MOST_ASIDE_PX, RIM_GSD, Area, Tiling, aside_px, ground_of
 from survey.plan.workload import POINT_BYTES, amounts_of, memory_of
 
 if TYPE_CHECKING:

@@ -24,10 +24,9 @@ from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area
 from survey.plan.block import camera_of
 from survey.plan.choices import Choices
 from survey.plan.ground import dry_ground
-from survey.plan.image_size import image_scale
 from survey.plan.plan import Plan
 from survey.plan.rates import FIRST_HYPOTHESES, SFM_PARTS, Amounts, parts_s, run_s, sfm_s
-from survey.plan.recipe import RECIPES
+from survey.plan.recipe import RECIPES, image_scale
 from survey.progress import rough
 from survey.sfm.settings import FEATURES_PX, pairs_about
 

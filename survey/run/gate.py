@@ -17,7 +17,7 @@ import numpy as np
 
 from survey.display.quantities import NO_BREAK, length, share
 from survey.plan.aim import SHARE
-from survey.plan.limits import MAX_STD_GSD, max_height_std
+from survey.plan.recipe import MAX_STD_GSD, max_height_std
 from survey.report.collect import height_std
 from survey.report.seen_cells import SeenCells, cells_of
 from survey.report.verdict import Gate, Verdict

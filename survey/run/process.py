@@ -30,7 +30,7 @@ from survey.plan.plan import device_decision, make_plan
 from survey.plan.poses import require_placeable
 from survey.plan.rates import parts_in_tiles, parts_s
 from survey.plan.tile_choice import SHARED, TileChoice, choose_tiles, require_dask
-from survey.plan.water_tiles import water_doubts
+from survey.plan.tiling import water_doubts
 from survey.plan.workload import amounts_of_run, parts_of_found, require_room, workload_of, workload_of_found
 from survey.progress import Progress, opened
 from survey.run.aimed_run import AimedRun

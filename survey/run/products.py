@@ -23,7 +23,7 @@ from survey.files.toml_table import table_of
 from survey.folder.survey import Survey
 from survey.photos.exif import read_exif
 from survey.photos.texture import matched_light
-from survey.plan.water_tiles import water_doubts
+from survey.plan.tiling import water_doubts
 from survey.report import NUM_STEPS, ReportFacts, write_report
 from survey.report.checkpoints import checkpoint_doubts
 from survey.report.coverage import CoverageFigures, coverage_of

@@ -15,13 +15,14 @@ from fields.image_store import GreyImages, Masks
 from fields.sweep.block import Block
 from survey.plan.block import backend, cameras_of_block
 from survey.plan.rates import part_name
+from survey.plan.tiling import Area, places_of
 from survey.run.job import Job
 from survey.run.stored import load_arrays
-from survey.run.tile_water import heights_over, over_own_plane
 from survey.run.windows import WindowStore, windows_of
 
 if TYPE_CHECKING:
-    from survey.plan.tiling import Area
+    from refract import FlatWater, PinholeCamera
+    from survey.folder.survey import Survey
     from survey.progress import Progress, Step
 
 # Which pixels of each map become points in the tile or beside it, and which show points of the tile: packed bits.
@@ -219,3 +220,29 @@ class _ProgressOfTile:
     def warn(self, text: str) -> None:
         """As `Progress.warn`."""
         self._progress.warn(f"tile {self._number + 1}: {text}")
+
+
+def over_own_plane(survey: Survey, ground: Area, bound: tuple[float, float]) -> tuple[Survey, tuple[float, float]]:
+    """A survey over the plane that fits its water best on some ground, and the bound [m] of the bed over it.
+
+    As they are where the water of the survey is a plane.
+    """
+    water, departure = survey.water, survey.observations.departure
+    if water is None or departure is None:
+        return survey, bound
+    places = places_of(ground)
+    plane = departure.tangent(places, water)
+    higher = plane.height(*places.T) - water.height(*places.T)
+    observations = replace(survey.observations, departure=departure.over(water, plane))
+    low, high = bound[0] - float(higher.max()), bound[1] - float(higher.min())
+    return replace(survey, water=plane, observations=observations), (low, high)
+
+
+def heights_over(
+    water: FlatWater | None, own: FlatWater | None, camera: PinholeCamera, pixels: np.ndarray, heights: np.ndarray
+) -> np.ndarray:
+    """Heights (N,) [m] over the water of a survey of what pixels (N, 2) show at heights over the water of a tile."""
+    if water is None or own is None or own == water:
+        return heights
+    xyz = camera.paths(pixels, own).at_height(heights.astype(np.float64), own)
+    return ((xyz - np.array(water.point)) @ np.array(water.up)).astype(heights.dtype)

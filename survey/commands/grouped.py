@@ -1,16 +1,12 @@
-"""Groups of options: a command takes one record, and its help shows an option for each field of it.
-
-Between options and survey.toml stand variables of the environment, ``BATHYNERF_PROCESS_*``.
-"""
+"""Groups of options: a command takes one record, and its help shows an option for each field of it."""
 
 from __future__ import annotations
 
 import inspect
-import os
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from functools import wraps
-from typing import Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
@@ -26,15 +22,14 @@ from survey.commands.options import (
     TimeBudget,
     words_of,
 )
-from survey.errors import ConfigError
-from survey.files.toml_table import parse_values
-from survey.settings.process import ProcessConfig
 from survey.words import Quality
+
+if TYPE_CHECKING:
+    from survey.settings.process import ProcessConfig
 
 _WATER = "Water"
 # Options whose name leaves out the unit that the settings have.
 _SETTINGS = {"target_std": "target_std_m", "time_budget": "time_budget_s"}
-PREFIX = "BATHYNERF_PROCESS_"
 
 
 def grouped(command: Callable[..., None]) -> Callable[..., None]:
@@ -88,7 +83,7 @@ class PlanOptions:
 
     def config(self) -> ProcessConfig:
         """The same as settings, over those of the environment."""
-        from survey.commands.grouped import asked_of_environment
+        from survey.commands.environment import asked_of_environment
         from survey.settings.process import ProcessConfig
 
         asked = ProcessConfig(**{_SETTINGS.get(name, name): value for name, value in asdict(self).items()})
@@ -129,37 +124,3 @@ class ProcessOptions(PlanOptions):
         str | None,
         typer.Option(metavar="ADDRESS", help="Dask scheduler whose workers compute tiles.", rich_help_panel=HOW),
     ] = None
-
-
-def asked_of_environment(environ: Mapping[str, str] = os.environ) -> ProcessConfig:
-    """What variables like BATHYNERF_PROCESS_QUALITY ask, each named like its key in [process] of survey.toml.
-
-    Raises
-    ------
-    ConfigError
-        At a variable that is no such key, or a value that is none of it.
-    """
-    names = {f"{PREFIX}{field.name.upper()}": field.name for field in fields(ProcessConfig)}
-    given = {variable: text for variable, text in environ.items() if variable.startswith(PREFIX)}
-    for variable in given.keys() - names.keys():
-        raise ConfigError(f"unknown variable {variable} in the environment; known are {', '.join(names)}")
-    asked = ProcessConfig()
-    for variable, text in given.items():
-        name = names[variable]
-        try:
-            asked = replace(asked, **{name: getattr(parse_values({name: _value(text)}, ProcessConfig), name)})
-            asked.require_sane()
-        except ConfigError as error:
-            said = str(error).replace("[process] has", "it has").replace("[process] ", "").replace(name, variable, 1)
-            raise ConfigError(f"in the environment: {said}") from error
-    return asked
-
-
-def _value(text: str) -> str | float | int | bool:
-    """A text as TOML would have it; words stand without quotes."""
-    if text.lower() in ("true", "false"):
-        return text.lower() == "true"
-    try:
-        return int(text) if text.isdecimal() else float(text)
-    except ValueError:
-        return text

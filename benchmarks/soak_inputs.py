@@ -2,7 +2,7 @@
 
     python benchmarks/soak_inputs.py [--seconds 60] [--seed 0] [--only las exif ...] [--out FOLDER]
 
-Files of every kind that is read from outside are written whole (poses: tests/test_pose_files_fuzz.py), then damaged:
+Files of every kind that is read from outside are written whole (those of poses as tests write them), then damaged:
 bytes are replaced, repeated, cut out and cut off, lines swapped, numbers replaced by what nobody can mean.
 A reader may return, or raise SurveyError or GeoError; anything else, a warning of numpy, more than ten seconds or a
 gigabyte, is printed with its seed and kept in FOLDER. Exits 1 if there was one.
@@ -40,6 +40,7 @@ from survey.errors import SurveyError
 from survey.folder.geo_txt import with_positions
 from survey.photos.complete import fault_of
 from survey.photos.exif import Exif, read_exif
+from survey.pose_files import find_poses, read_poses, read_ties
 from survey.settings.config import parse_config
 from survey.simulate.output.sidecars import gps_exif
 from survey.simulate.output.truth import write_ply
@@ -159,6 +160,11 @@ def photograph(path: Path) -> None:
     Image.fromarray(shades).save(path, "JPEG", exif=exif, xmp=XMP.encode())
 
 
+def picture(kind: str) -> Callable[[Path], None]:
+    shades = np.random.default_rng(0).integers(0, 255, (24, 32, 3), np.uint8)
+    return lambda path: Image.fromarray(shades).save(path, kind)
+
+
 def obj(path: Path) -> None:
     path.write_text("v 0 0 0\nv 1 0 0.5\nv 0 1 1\nf 1 2 3\n")
 
@@ -186,7 +192,33 @@ KINDS = {
     "ply": Kind("mesh.ply", ply, read_reference),
     "obj": Kind("mesh.obj", obj, read_reference),
     "photograph": Kind("0000.jpg", photograph, look),
+    "PNG": Kind("0000.png", picture("PNG"), look),
+    "TIFF": Kind("0000.tif", picture("TIFF"), look),
+    "WebP": Kind("0000.webp", picture("WEBP"), look),
 }
+
+
+def poses_kinds(folder: Path) -> dict[str, Kind]:
+    """A kind for each file of each format of poses, the others of its format beside it."""
+    sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+    from whole_pose_files import whole_pose_files
+
+    return {
+        f"{form} {name}": poses_kind(name, files, given)
+        for form, (files, given) in whole_pose_files(folder).items()
+        for name in files
+    }
+
+
+def poses_kind(name: str, files: dict[str, bytes], given: str) -> Kind:
+    def write(path: Path) -> None:
+        for file, content in files.items():
+            (path.parent / file).write_bytes(content)
+
+    def read(path: Path) -> object:
+        return find_poses(path.parent), read_poses(path.parent / given), read_ties(path.parent / given)
+
+    return Kind(name, write, read)
 
 
 def damaged(whole: bytes, dice: random.Random) -> bytes:
@@ -244,28 +276,29 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=60.0, help="of processor time")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", nargs="*", default=list(KINDS))
+    parser.add_argument("--only", nargs="*")
     parser.add_argument("--out", type=Path, default=Path("build/soak"))
     given = parser.parse_args()
     signal.signal(signal.SIGALRM, _too_slow)
     resource.setrlimit(resource.RLIMIT_AS, (8 * MOST_BYTES, resource.getrlimit(resource.RLIMIT_AS)[1]))
-    counts = dict.fromkeys(given.only, 0)
     found: dict[str, str] = {}
     with tempfile.TemporaryDirectory() as work:
-        whole = {}
-        for name in given.only:
+        kinds = KINDS | poses_kinds(Path(tempfile.mkdtemp(dir=work)))
+        only = given.only or list(kinds)
+        whole, counts = {}, dict.fromkeys(only, 0)
+        for name in only:
             folder = Path(work, name)
             folder.mkdir()
-            KINDS[name].whole(folder / KINDS[name].name)
-            whole[name] = (folder / KINDS[name].name).read_bytes()
-            if (first := fault_in(KINDS[name], folder / KINDS[name].name)) is not None:
+            kinds[name].whole(folder / kinds[name].name)
+            whole[name] = (folder / kinds[name].name).read_bytes()
+            if (first := fault_in(kinds[name], folder / kinds[name].name)) is not None:
                 raise SystemExit(f"the whole file of {name} is not read: {first}")
         seed = given.seed
         while time.process_time() < given.seconds:
-            name = given.only[seed % len(given.only)]
-            path = Path(work, name, KINDS[name].name)
+            name = only[seed % len(only)]
+            path = Path(work, name, kinds[name].name)
             path.write_bytes(damaged(whole[name], random.Random(seed)))
-            fault = fault_in(KINDS[name], path)
+            fault = fault_in(kinds[name], path)
             counts[name] += 1
             if fault is not None:
                 # The same line of code is the same fault.

@@ -20,6 +20,8 @@ camera rotation R [3x3]
 camera model m = K [R|-Rt] X
 
 """
+# Lines of an image whose rotation would overflow in its product with itself.
+SPOILT_ROTATION = "520 0 320\n0 520 240\n0 0 1\n0 0 0\n0 0\n0 0 0\n1e300 0 0\n0 -1 0\n0 0 -1\n0001.jpg 640 480\n"
 EXTERNAL, CAMERAS = "site_calibrated_external_camera_parameters.txt", "site_calibrated_camera_parameters.txt"
 
 
@@ -113,6 +115,7 @@ def most_missed_px_in(survey, block, crs: str) -> float:
         (CAMERAS, "0001.jpg 640", "0001.jpg -640", "expected a name, width and height"),
         (CAMERAS, "520.000000000000 0.000000000000", "520.0 7.0", "no camera without skew"),
         (CAMERAS, "520.0", "-520.0", "a focal length above zero"),
+        (CAMERAS, "0000.jpg 640 480\n", "0000.jpg 640 480\n" + SPOILT_ROTATION, "are no rotation"),
         (CAMERAS, "0001.jpg 640 480\n", "0001.jpg 640 480\n1 2 3\n", "expected 2 finite numbers|expected 3 finite"),
         ("site_wkt.prj", "PROJCS", "PROJ", "is not a known CRS"),
         ("site_offset.xyz", " ", " nan ", "expected 3 finite numbers"),

@@ -99,6 +99,8 @@ class AdjustedPoses:
         Tide at each camera, as it was found.
     hours : (V,) [h], or None
         See `survey.adjust.state.Layout`.
+    focals : (V,), or None
+        Focal length of each photograph over that of its lens, less one; None where they do not differ.
     """
 
     names: tuple[str, ...]
@@ -110,6 +112,7 @@ class AdjustedPoses:
     flow: np.ndarray | None = None
     tides: np.ndarray | None = None
     hours: np.ndarray | None = None
+    focals: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -231,6 +234,7 @@ class Adjustment:
             finds_readouts=finds_readouts,
             tides=poses.tides,
             hours=poses.hours,
+            finds_focals=poses.focals is not None,
         )
 
 
@@ -247,6 +251,7 @@ _FILE_NAMES = {"covariance_matrix": "covariance", "covariance_water_point": "wat
 _ARRAYS = {
     "lens_of", "centres", "rotations", "position_std", "rotation_std_deg", "covariance", "residual_view",
     "residual_px", "residual_at_px", "residual_point", "points", "flow", "tides", "hours",
+    "focals",
 }  # fmt: skip
 
 

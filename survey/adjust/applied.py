@@ -13,7 +13,7 @@ from geo.crs import is_geographic
 from geo.files import write_whole
 from refract.lens import Lens
 from survey.adjust.adjustment import Adjustment
-from survey.adjust.assembling import lens_with
+from survey.adjust.assembling import enlarged, lens_with
 from survey.adjust.observed import pixels_taken
 from survey.adjust.priors import Known
 from survey.adjust.state import Layout, State
@@ -45,6 +45,7 @@ def apply_adjustment(survey: Survey, found: Adjustment) -> Survey:
         found.poses.rotations,
         found.readouts_s,
         found.poses.tides,
+        found.poses.focals,
     )
     tide = survey.observations.tide
     if found.poses.hours is not None and tide is not None and found.water is not None:
@@ -70,7 +71,14 @@ def at_state(survey: Survey, known: Known, state: State) -> Survey:
     """The survey at a state of its adjustment."""
     lenses = [lens_with(lens, state.lenses[i]) for i, lens in enumerate(known.lenses)]
     views = _views(
-        survey, lenses, known.layout, state.centres, state.rotations, state.readouts, state.tides(known.layout)
+        survey,
+        lenses,
+        known.layout,
+        state.centres,
+        state.rotations,
+        state.readouts,
+        state.tides(known.layout),
+        state.focals if known.layout.finds_focals else None,
     )
     return replace(
         survey,
@@ -89,11 +97,14 @@ def _views(
     rotations: np.ndarray,
     readouts,
     tides: np.ndarray | None,
+    focals: np.ndarray | None,
 ) -> tuple[View, ...]:
-    """The views with other lenses, poses, readouts of their shutters (L,) [s], and tides (V,) [m]."""
+    """The views with other lenses, poses, readouts of their shutters (L,) [s], tides (V,) [m], focal lengths (V,)."""
     views = []
     for number, view in enumerate(survey.views):
         lens = lenses[layout.lens_of[number]]
+        if focals is not None:
+            lens = enlarged(lens, 1.0 + float(focals[number]))
         tide = 0.0 if tides is None else float(tides[number])
         camera = replace(lens.camera(centres[number], rotations[number]), tide=tide)
         if layout.flow is not None and layout.flow[number].any():

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from refract.lens import Lens, is_affine
+from refract.lens import MODELS, Lens, is_affine
 from survey.adjust.adjustment import (
     AdjustedPoses,
     Adjustment,
@@ -22,6 +23,7 @@ from survey.adjust.observed import KINDS, MARK, Observed
 from survey.adjust.priors import Known, is_held
 from survey.adjust.rounds import Adjusted
 from survey.adjust.state import (
+    FOCAL_NAME,
     LENS_NAMES,
     RATE_NAME,
     READOUT_NAME,
@@ -61,6 +63,13 @@ def lens_with(lens: Lens, parameters: np.ndarray) -> Lens:
         inner = (f, f * fy / fx, cx, cy, k1, k2, p1, p2, k3)
         return Lens(lens.model, (*inner, lens["k4"], lens["skew"]), lens.width, lens.height)
     return Lens("FULL_OPENCV", (f, f * fy / fx, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0), lens.width, lens.height)
+
+
+def enlarged(lens: Lens, factor: float) -> Lens:
+    """A lens with its focal lengths times a factor."""
+    names = MODELS[lens.model][1]
+    params = tuple(p * factor if name in ("f", "fx", "fy") else p for name, p in zip(names, lens.params, strict=True))
+    return replace(lens, params=params)
 
 
 def result(
@@ -114,6 +123,7 @@ def result(
             flow=layout.flow,
             tides=state.tides(layout),
             hours=layout.hours,
+            focals=state.focals if layout.finds_focals else None,
         ),
         covariance=Covariance(covariance[np.ix_(kept, kept)], _names_of(survey, layout), known.place_of_water),
         residuals=Residuals(used.ties.view, solution.residuals, used.ties.pixel, used.ties.point),
@@ -146,7 +156,8 @@ def _names_of(survey: Survey, layout: Layout) -> tuple[str, ...]:
         *WATER_NAMES,
         *(f"camera{i}.{name}" for i in range(num_lenses) for name in LENS_NAMES),
         *(f"camera{i}.{READOUT_NAME}" for i in range(num_readouts)),
-        *(RATE_NAME for _ in range(layout.first_pose - layout.first_rate)),
+        *(RATE_NAME for _ in range(layout.first_focal - layout.first_rate)),
+        *(f"{view.name}.{FOCAL_NAME}" for view in survey.views if layout.finds_focals),
         *(f"{view.name}.{name}" for view in survey.views for name in _POSE_NAMES),
     )
 

@@ -231,6 +231,6 @@ def _step(done: Adjusted, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     back[: len(water)], back[layout.first_lens : layout.first_readout] = water, lenses
     if layout.finds_readouts:
         back[layout.first_readout : layout.first_rate] = done.known.mean.readouts - state.readouts
-    back[layout.first_rate : layout.first_pose] = done.known.mean.rate - state.rate
+    back[layout.first_rate : layout.first_focal] = done.known.mean.rate - state.rate
     step = covariance[:, held] @ np.linalg.solve(covariance[np.ix_(held, held)], back[held])
     return step, done.solution.system.point_steps(step)

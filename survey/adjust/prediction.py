@@ -160,6 +160,10 @@ def linearise(
     by_rate = (
         by_water[:, :, :0] if layout.hours is None else by_water[:, :, :1] * layout.hours[ties.view][:, None, None]
     )
+    by_focal = by_lens[:, :, :0]
+    if layout.finds_focals:
+        of_lens = state.lenses[layout.lens_of[ties.view], 0]
+        by_focal = by_lens[:, :, :1] * (of_lens / _enlarged(state, ties))[:, None, None]
     dense = np.concatenate(
         [
             by_water,
@@ -167,6 +171,7 @@ def linearise(
             by_lens,
             by_readout,
             by_rate,
+            by_focal,
             by_centre,
             -imaged.by_cam @ _cross(imaged.in_cam),
         ],
@@ -260,15 +265,21 @@ def _imaged(layout: Layout, state: State, ties: TiePoints, line: np.ndarray) -> 
     z = np.where(in_cam[:, 2] > 0.0, in_cam[:, 2], np.nan)
     xy = in_cam[:, :2] / z[:, None]
     distorted, by_xy, by_coefficients = distort(xy, lens[:, 3:])
-    focal = np.column_stack([lens[:, 0], lens[:, 0] * aspect])
+    enlarged = _enlarged(state, ties)
+    focal = np.column_stack([lens[:, 0], lens[:, 0] * aspect]) * enlarged[:, None]
     pixels = distorted * focal + lens[:, 1:3]
     zero, one = np.zeros(len(z)), np.ones(len(z))
     flat = np.stack([np.column_stack([one, zero, -xy[:, 0]]), np.column_stack([zero, one, -xy[:, 1]])], axis=1)
     by_cam = focal[:, :, None] * (by_xy @ flat) / z[:, None, None]
-    by_focal = distorted * np.column_stack([one, aspect])
+    by_focal = distorted * np.column_stack([one, aspect]) * enlarged[:, None]
     by_middle = np.tile(np.eye(2), (len(z), 1, 1))
     by_lens = np.concatenate([by_focal[:, :, None], by_middle, focal[:, :, None] * by_coefficients], axis=-1)
     return pixels, _Imaged(in_cam, by_cam, by_lens)
+
+
+def _enlarged(state: State, ties: TiePoints) -> np.ndarray:
+    """Focal lengths (N,) of the photographs of the observations, over those of their lenses."""
+    return 1.0 + state.focals[ties.view] if len(state.focals) else np.ones(len(ties.view))
 
 
 def _cross(vectors: np.ndarray) -> np.ndarray:
@@ -280,14 +291,15 @@ def _cross(vectors: np.ndarray) -> np.ndarray:
 
 
 def _placed(layout: Layout, ties: TiePoints, dense: np.ndarray) -> csr_array:
-    """Derivatives (N, 2, 4 + 3 + 8 + 6), one more each with readouts and a rate, at their parameters, (2 N, P)."""
+    """Derivatives (N, 2, 4 + 3 + 8 + 6), one more each with readouts, rate and focals, at their places, (2 N, P)."""
     count = len(ties.view)
     shared = np.tile(np.arange(WATER + RELIEF), (count, 1))
     number = layout.lens_of[ties.view][:, None]
     lens = layout.first_lens + LENS * number + np.arange(LENS)
     readout = layout.first_readout + number[:, : int(layout.finds_readouts)]
-    rate = np.tile(np.arange(layout.first_rate, layout.first_pose), (count, 1))
+    rate = np.tile(np.arange(layout.first_rate, layout.first_focal), (count, 1))
+    focal = layout.first_focal + ties.view[:, None][:, : int(layout.finds_focals)]
     pose = layout.first_pose + POSE * ties.view[:, None] + np.arange(POSE)
-    columns = np.repeat(np.concatenate([shared, lens, readout, rate, pose], axis=1), 2, axis=0)
+    columns = np.repeat(np.concatenate([shared, lens, readout, rate, focal, pose], axis=1), 2, axis=0)
     ends = np.arange(2 * count + 1) * columns.shape[1]
     return csr_array((dense.reshape(-1), columns.reshape(-1), ends), shape=(2 * count, len(layout)))

@@ -155,7 +155,7 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
             _shift_std(survey),
             *(_lens_std(lens) * (_CALIBRATED if calibrated else of_given) for lens in lenses),
             np.full(layout.first_rate - layout.first_readout, readout_std, dtype=np.float64),
-            np.full(layout.first_pose - layout.first_rate, _rate_std(survey), dtype=np.float64),
+            np.full(layout.first_focal - layout.first_rate, _rate_std(survey), dtype=np.float64),
             np.concatenate([position_std, rotation_std], axis=1).ravel(),
         ]
     )

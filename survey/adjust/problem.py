@@ -44,9 +44,10 @@ class Priors:
         water = state.water_parameters() - self.state.water_parameters()
         lenses = (state.lenses - self.state.lenses).ravel()
         readouts = (state.readouts - self.state.readouts)[: layout.first_rate - layout.first_readout]
-        rate = np.full(layout.first_pose - layout.first_rate, state.rate - self.state.rate)
+        rate = np.full(layout.first_focal - layout.first_rate, state.rate - self.state.rate)
         relief, shift = state.relief - self.state.relief, state.shift - self.state.shift
-        return np.concatenate([water, relief, shift, lenses, readouts, rate, poses.ravel()])
+        focals = state.focals - self.state.focals
+        return np.concatenate([water, relief, shift, lenses, readouts, rate, focals, poses.ravel()])
 
     def squares(self, layout: Layout, state: State) -> float:
         """The sum of squares of the parameters, in units of variances."""

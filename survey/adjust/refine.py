@@ -20,6 +20,7 @@ from survey.adjust.bundle import NotConvergedError
 from survey.adjust.common_height import apply_level_datum, height_doubts, water_start, with_common, without_common
 from survey.adjust.control_check import contradicted_points, contradiction_warning, has_unchecked_control
 from survey.adjust.far_poses import Search, windows_or_search
+from survey.adjust.focal_drift import FocalDrift, with_focal_std, with_focals
 from survey.adjust.given_values import LEVEL, LEVEL_NAME, check_dry_block, dry_bed_error, released, worst_contradiction
 from survey.adjust.ground_fit import ground_fit
 from survey.adjust.observability import (
@@ -147,7 +148,9 @@ def _adjusted(survey: Survey, known: Known, windows: TiePoints | None, asked: _A
         advance(shares[2])
     assert done is not None
     against: list[Contradiction] = []
+    drift: FocalDrift | None = None
     if not free_water:
+        done, drift = gathered.with_focals(done)
         done, against = gathered.without_contradictions(done)
     water = None if survey.water is not None else water_seen(done, gathered.marks_std)
     notes = roll_notes(survey, done, make_plan(survey).gsd_m) if done.known.rolls and not free_water else []
@@ -156,6 +159,7 @@ def _adjusted(survey: Survey, known: Known, windows: TiePoints | None, asked: _A
         raise _level_error(survey, found.parameter("level_m").std)
     warnings = [*(_against(found, each) for each in against), *height_doubts(survey, done)]
     warnings += parts_warning(found, survey.water) + ([] if water is None else [str(water)])
+    warnings += [] if drift is None else [str(drift)]
     if not free_water:
         warnings += gathered.against_control()
     contradiction = survey.provenance.contradiction
@@ -281,6 +285,16 @@ class _BlockAdjustment:
     def _are_stated(self) -> bool:
         """Whether anything says how good positions are."""
         return any(prior.position_std is not None for prior in self._survey.observations.priors.values())
+
+    def with_focals(self, done: Adjusted) -> tuple[Adjusted, FocalDrift | None]:
+        """Adjust with a focal length for each photograph, where they differ."""
+        if self._survey.observations.ground is not None:
+            return done, None
+        seen = self._observed
+        done, drift = with_focals(self.known, done, lambda start: adjust(start, seen, self._sizes, self.marks_std))
+        if drift is not None:
+            self.known = with_focal_std(self.known, done, drift.std)
+        return done, drift
 
     def without_contradictions(self, done: Adjusted) -> tuple[Adjusted, list[Contradiction]]:
         """Adjust with what the photographs contradict of the water set free, the worst first; and what that was."""

@@ -1,7 +1,7 @@
 """The unknowns of an adjustment: water, lenses, poses and points, and their update by a step.
 
-The vector of parameters is [water (4) | relief (3) | shift | lenses (8 each) | readouts | rate | poses (6 each)];
-points have three each besides.
+The vector of parameters is [water (4) | relief (3) | shift | lenses (8 each) | readouts | rate | focals | poses (6
+each)]; points have three each besides.
 
     water     height of the plane at its reference point [m], slopes along local x and y, index
     relief    by how much a rough bed seems to rise with the direction of view, see `relief_sides` [m]
@@ -9,6 +9,7 @@ points have three each besides.
     lens      `LENS_NAMES`; the ratio of both focal lengths is held
     readouts  seconds from the first to the last row, of each lens, where they are to be found; else none
     rate      by how much faster the water rises than was given [m/h], where that is to be found; else none
+    focals    focal length of each photograph over that of its lens, less one, where they differ; else none
     pose      centre [m] along the axes of local, turn [rad] about the axes of cam
 """
 
@@ -30,6 +31,7 @@ WATER_NAMES = ("height_m", "slope_x", "slope_y", "refractive_index")
 LENS_NAMES = ("f", "cx", "cy", *COEFFICIENTS)
 READOUT_NAME = "readout_s"
 RATE_NAME = "level_rate_m_per_h"
+FOCAL_NAME = "focal"
 WATER, RELIEF, SHIFT, LENS, POSE = 4, 3, 3, 8, 6
 # An index outside these is no water; a step never leaves them.
 _INDEX_RANGE = (1.0, 2.0)
@@ -94,6 +96,8 @@ class Layout:
         By how much (N,) [m] the water stands over its plane; None where it is a plane.
     has_ground : bool
         Whether the shift of an earlier survey is a parameter.
+    finds_focals : bool
+        Whether each photograph has a focal length of its own (autofocus).
     """
 
     lens_of: np.ndarray
@@ -104,6 +108,7 @@ class Layout:
     hours: np.ndarray | None = None
     departure: Callable[[np.ndarray], np.ndarray] | None = None
     has_ground: bool = False
+    finds_focals: bool = False
 
     @property
     def shift(self) -> slice:
@@ -123,8 +128,12 @@ class Layout:
         return self.first_readout + (len(self.aspect) if self.finds_readouts else 0)
 
     @property
-    def first_pose(self) -> int:
+    def first_focal(self) -> int:
         return self.first_rate + (self.hours is not None)
+
+    @property
+    def first_pose(self) -> int:
+        return self.first_focal + (len(self.lens_of) if self.finds_focals else 0)
 
     def __len__(self) -> int:
         return self.first_pose + POSE * len(self.lens_of)
@@ -155,6 +164,8 @@ class State:
         By how much faster the water rises than `Layout.tides` have it.
     shift : (3,) [m], local
         By how much an earlier survey as it is given is to be moved; empty where the block lies on none.
+    focals : (V,)
+        Focal length of each photograph over that of its lens, less one; empty where they do not differ.
     """
 
     water: FlatWater | None
@@ -166,6 +177,7 @@ class State:
     readouts: np.ndarray = field(default_factory=lambda: np.zeros(0))
     rate: float = 0.0
     shift: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    focals: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def water_parameters(self) -> np.ndarray:
         """The water as parameters (4,); zeros for a dry survey."""
@@ -193,8 +205,9 @@ class State:
             readouts=self.readouts + step[layout.first_readout : layout.first_rate]
             if layout.finds_readouts
             else self.readouts,
-            rate=self.rate + float(step[layout.first_rate : layout.first_pose].sum()),
+            rate=self.rate + float(step[layout.first_rate : layout.first_focal].sum()),
             shift=self.shift + step[layout.shift],
+            focals=self.focals + step[layout.first_focal : layout.first_pose],
         )
 
 

@@ -121,8 +121,10 @@ def place_moves(found: Adjustment, water: FlatWater | None, ties: TiePoints) -> 
         x, y = found.covariance.water_point
         water = replace(water, point=(x, y, float(water.height(x, y))))
     lenses = np.array([parameters_of(lens) for lens in found.lenses])
-    readouts = np.array(found.readouts_s or ())
-    state = State(water, np.zeros(RELIEF), lenses, found.poses.centres, found.poses.rotations, ties.start, readouts)
+    poses, readouts = found.poses, np.array(found.readouts_s or ())
+    state = State(water, np.zeros(RELIEF), lenses, poses.centres, poses.rotations, ties.start, readouts)
+    if poses.focals is not None:
+        state = replace(state, focals=poses.focals)
     return moves_of(layout, state, ties, rows_taken(ties, found.lenses, found.poses.lens_of))
 
 

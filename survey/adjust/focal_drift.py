@@ -1,0 +1,172 @@
+"""Focal lengths that differ between the photographs of one camera: autofocus, heat.
+
+Image-variant interior orientation (H.-G. Maas, ISPRS Archives 32(5), 1998): each photograph has a focal length of its
+own, that of its lens times 1 + c, c of a common standard deviation s. Whether they differ, and by how much, is what the
+block says (`focal_std`); where it does, `with_focals` adjusts it with them.
+
+A focal length acts as the height of its camera does, but for relief and refraction. So what tells it are positions as
+good as some thousandths of the flying height, which it contradicts; and the rival explanation is that these are worse
+than stated. Both are held against each other by their marginal likelihoods, in the linear model at the adjusted block:
+
+    -2 ln p = v' W v - b' N^-1 b + ln |N| - ln |W|
+
+v are the deviations from the priors, W their weights; N, b the normal equations with these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from survey.adjust.bundle import system_with
+from survey.adjust.observed import rows_taken
+from survey.adjust.prediction import relief_sides
+from survey.adjust.priors import Known, is_held, priors_for
+from survey.adjust.problem import Problem
+from survey.adjust.rounds import Adjusted
+from survey.adjust.state import POSE
+
+# With fewer photographs nothing tells a scatter.
+_FEWEST = 5
+# Standard deviations of focal lengths that are tried, as shares.
+_STDS = np.geomspace(1e-4, 2e-2, 24)
+# -2 ln p must fall by so much: very strong evidence (R. E. Kass and A. E. Raftery, JASA 90, 1995).
+_SIGNIFICANT = 10.0
+# The standard deviation follows from the focal lengths that were found, until it changes by less than this share.
+_STEADY, _MOST_ROUNDS = 0.1, 4
+
+
+@dataclass(frozen=True)
+class FocalDrift:
+    """Scatter of the focal lengths of a block.
+
+    Attributes
+    ----------
+    std : float
+        Of a focal length, as a share.
+    gain : float
+        By how much -2 ln p falls with them.
+    """
+
+    std: float
+    gain: float
+
+    def __str__(self) -> str:
+        return (
+            f"focal lengths differ between photographs by {100.0 * self.std:.2g} % (one sigma), as those of a camera "
+            "with autofocus do: each photograph has its own; fix the focus for the next flight"
+        )
+
+
+def with_focals(
+    known: Known, done: Adjusted, adjusted: Callable[[Known], Adjusted]
+) -> tuple[Adjusted, FocalDrift | None]:
+    """The block with a focal length for each photograph, where these differ; else as it was.
+
+    Parameters
+    ----------
+    known : Known
+        What the survey says, with the standard deviations of positions as stated.
+    done : Adjusted
+        With one focal length for each lens.
+    adjusted : callable
+        Adjusts the block from what is known.
+    """
+    if len(known.layout.lens_of) < _FEWEST or any(map(is_held, known.lenses)):
+        return done, None
+    drift = focal_drift(known, done)
+    if drift is None:
+        return done, None
+    for _ in range(_MOST_ROUNDS):
+        known = with_focal_std(known, done, drift.std)
+        done = adjusted(known)
+        layout, solution = done.known.layout, done.solution
+        variance = np.diag(solution.covariance)[layout.first_focal : layout.first_pose]
+        before, drift = drift, replace(drift, std=float(np.sqrt(np.mean(solution.state.focals**2 + variance))))
+        if abs(drift.std / before.std - 1.0) < _STEADY:
+            break
+    return done, drift
+
+
+def focal_drift(known: Known, done: Adjusted) -> FocalDrift | None:
+    """Scatter of the focal lengths that a block with one for each lens shows; None where it shows none."""
+    stated = with_focal_std(known, done, np.inf)
+    layout, solution = stated.layout, done.solution
+    state = replace(solution.state, focals=np.zeros(len(layout.lens_of)))
+    seen = done.used
+    sides, rows = relief_sides(state, seen.ties), rows_taken(seen.ties, known.lenses, layout.lens_of)
+
+    def normals(mine: Known) -> tuple[np.ndarray, np.ndarray, float]:
+        """N, b, and ``v' W v - ln |W|``."""
+        priors = priors_for(mine, seen.ties, seen.point_std)
+        given = np.full(int(seen.kind.max()) + 1, np.nan)
+        problem = Problem(layout, seen.ties, seen.kind, priors, given, sides, rows)
+        system = system_with(problem, state, solution.weights)
+        weights = mine.std[np.isfinite(mine.std)] ** -2.0
+        return system.normal, system.right, priors.squares(layout, state) - float(np.log(weights).sum())
+
+    own = np.r_[: layout.first_focal, layout.first_pose : len(layout)]
+    # One focal length for each lens, positions as good as the block has them.
+    as_found = np.insert(done.known.std, layout.first_focal, np.full(len(layout.lens_of), np.inf))
+    rival = replace(stated, std=as_found)
+    normal, right, base = normals(rival)
+    without = base + _Eliminated.of(normal, right, own).bayes
+    normal, right, base = normals(stated)
+    left = _Eliminated.of(normal, right, own)
+    # In the axes of the focal lengths that are told apart, each of the standard deviations is a sum.
+    told, axes = np.linalg.eigh(left.normal)
+    told, along = np.maximum(told, 0.0), np.square(axes.T @ left.right)
+    logs = [np.sum(2.0 * np.log(std) + np.log(told + std**-2.0) - along / (told + std**-2.0)) for std in _STDS]
+    best = int(np.argmin(logs))
+    gain = without - (base + left.bayes + float(logs[best]))
+    return FocalDrift(float(_STDS[best]), gain) if gain > _SIGNIFICANT else None
+
+
+@dataclass(frozen=True)
+class _Eliminated:
+    """Normal equations of some parameters (K,) with the others eliminated, and ``ln |N| - b' N^-1 b`` of these."""
+
+    normal: np.ndarray
+    right: np.ndarray
+    bayes: float
+
+    @classmethod
+    def of(cls, normal: np.ndarray, right: np.ndarray, others: np.ndarray) -> _Eliminated:
+        kept = np.setdiff1d(np.arange(len(right)), others)
+        scale = 1.0 / np.sqrt(np.diag(normal)[others])
+        factor = cho_factor(normal[np.ix_(others, others)] * np.outer(scale, scale))
+        mixed = scale[:, None] * normal[np.ix_(others, kept)]
+        mine = scale * right[others]
+        step = cho_solve(factor, np.column_stack([mixed, mine]))
+        log = 2.0 * float(np.log(np.diag(factor[0])).sum() - np.log(scale).sum())
+        return cls(
+            normal[np.ix_(kept, kept)] - mixed.T @ step[:, :-1], right[kept] - mixed.T @ step[:, -1],
+            log - float(mine @ step[:, -1]),
+        )  # fmt: skip
+
+
+def with_focal_std(known: Known, done: Adjusted, std: float) -> Known:
+    """What is known, with a focal length for each photograph, from an adjusted block on.
+
+    Positions that were stated are as good as that, but for those that the block contradicts.
+    """
+    count, layout = len(known.layout.lens_of), replace(known.layout, finds_focals=True)
+    poses = known.std[known.layout.first_pose :].reshape(-1, POSE).copy()
+    found = done.known.std[done.known.layout.first_pose :].reshape(-1, POSE)
+    poses[known.unknown_positions, :3] = found[known.unknown_positions, :3]
+    poses[known.unknown_rotations, 3:] = found[known.unknown_rotations, 3:]
+    poses = np.where(np.isfinite(found), poses, np.inf)
+    first = known.layout.first_focal
+    values = np.concatenate([known.std[:first], np.full(count, std), poses.ravel()])
+    state, none = done.solution.state, np.zeros((0, 3))
+    focals = state.focals if len(state.focals) else np.zeros(count)
+    return replace(
+        known,
+        layout=layout,
+        state=replace(state, points=none, focals=focals),
+        mean=replace(known.mean, focals=np.zeros(count)),
+        std=values,
+    )

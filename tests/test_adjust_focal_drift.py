@@ -1,0 +1,95 @@
+"""Focal lengths that differ between photographs: predictions, whether a block shows them, and what is kept of them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from refract.lens import distorted
+from survey.adjust.adjustment import read_adjustment, write_adjustment
+from survey.adjust.applied import apply_adjustment
+from survey.adjust.prediction import predict
+from survey.adjust.refine import adjust_survey
+from survey.adjust.state import LENS, RELIEF
+from survey.adjust.std_common import height_moves, seen_places
+from tests.adjusted_block import assert_same
+from tests.block_state import require_derivatives, state_of
+from tests.block_survey import pose_errors, rms, survey_of
+from tests.drawn_block import DrawnBlock, draw_block
+
+SHARE = 0.002
+
+
+def focals_of(block: DrawnBlock, share: float) -> np.ndarray:
+    """Focal lengths over that of the lens, less one."""
+    return share * np.random.default_rng([block.seed, 77]).standard_normal(len(block.cameras))
+
+
+def drifting(block: DrawnBlock, share: float = SHARE) -> DrawnBlock:
+    """The block with the focal lengths of an autofocus, which enlarge photographs about their principal point."""
+    middle = np.array([block.lens["cx"], block.lens["cy"]])
+    return replace(block, pixel=middle + (block.pixel - middle) * (1.0 + focals_of(block, share)[block.view])[:, None])
+
+
+def test_predictions_with_focal_lengths_and_their_derivatives():
+    block = draw_block(2, num_points=30, num_views=8, pixel_std=1e-9)
+    layout, state, ties = state_of(drifting(block))
+    sides = np.zeros((len(ties.view), RELIEF))
+    layout, state = replace(layout, finds_focals=True), replace(state, focals=focals_of(block, SHARE))
+    assert len(layout) == 4 + RELIEF + 2 * LENS + 8 + 6 * 8
+    np.testing.assert_allclose(predict(layout, state, ties, sides), ties.pixel, atol=1e-6)
+    require_derivatives(layout, state, ties)
+
+
+@pytest.fixture(scope="module")
+def drifted():
+    """A block whose focal lengths drift, its survey and its adjustment."""
+    block = drifting(draw_block(2, num_points=300, num_views=16))
+    survey = survey_of(block)
+    return block, survey, adjust_survey(survey, use_windows=False)
+
+
+def test_focal_lengths_that_differ_are_found_within_what_is_stated_and_said(drifted):
+    block, _, found = drifted
+    assert found.poses.focals is not None
+    names = [f"{name}.focal" for name in found.poses.names]
+    rows = [found.covariance.names.index(name) for name in names]
+    std = np.sqrt(np.diag(found.covariance.matrix)[rows])
+    # Their mean is part of the focal length of the lens.
+    error = found.poses.focals - focals_of(block, SHARE)
+    # Of 16 the root mean square of what has unit variance is below 1.5 in all but one of a thousand.
+    assert rms((error - error.mean()) / std) < 1.5
+    # Positions of 3 cm at 20 m tell it to 0.15 %.
+    assert rms(std) < 0.7 * SHARE
+    positions = pose_errors(block, found.poses.centres, found.poses.rotations)[0]
+    assert rms(positions / found.poses.position_std) < 1.5
+    said = [re.search(r"focal lengths differ between photographs by ([0-9.]+) %", text) for text in found.warnings]
+    # The scatter of 16 is good to a sixth.
+    assert float(next(filter(None, said))[1]) == pytest.approx(100.0 * SHARE, rel=0.5)
+
+
+def test_each_photograph_has_its_own_lens_and_files_keep_it(drifted, tmp_path):
+    _, survey, found = drifted
+    moved = apply_adjustment(survey, found)
+    for number, (view, change) in enumerate(zip(moved.views, found.poses.focals, strict=True)):
+        lens = found.lenses[found.poses.lens_of[number]]
+        assert view.lens.focal == pytest.approx(np.array(lens.focal) * (1.0 + change))
+        mine = found.residuals.view == number
+        points = found.points[found.residuals.point[mine]]
+        pinhole = view.lens.pinhole(view.camera.centre, view.camera.cam_from_local)
+        seen = distorted(view.lens, pinhole.project(points, moved.water)) + found.residuals.px[mine]
+        # What a rough bed seems to rise by, some millimetres, is in the residuals alone.
+        np.testing.assert_allclose(seen, found.residuals.at_px[mine], atol=0.5)
+    write_adjustment(tmp_path, found)
+    assert_same(read_adjustment(tmp_path), found)
+    ties = seen_places(found.points[:3], moved)
+    assert height_moves(found, moved.water, ties).shape == (3, len(found.covariance.names))
+
+
+def test_where_focal_lengths_are_alike_none_is_found():
+    found = adjust_survey(survey_of(draw_block(2, num_points=400, num_views=16)), use_windows=False)
+    assert found.poses.focals is None
+    assert not any("focal lengths differ" in text for text in found.warnings)

@@ -37,6 +37,7 @@ from survey.adjust.parts import parts_warning
 from survey.adjust.priors import Known, known_of
 from survey.adjust.roll_notes import open_roll_named, roll_notes
 from survey.adjust.rounds import Adjusted, adjust
+from survey.adjust.second_start import of_two_starts
 from survey.adjust.square_pixels import with_square_pixels
 from survey.adjust.state import POSE, WATER, WATER_PARAMETERS
 from survey.adjust.unnamed_water import water_seen
@@ -110,7 +111,9 @@ def _adjust(survey: Survey, asked: _Asked, search: Search | None) -> Adjustment:
     known = known_of(survey, make_plan(survey).gsd_m, free_water=asked.free_water)
     if survey.observations.ties is not None or not asked.use_windows:
         with open_roll_named(known.rolls):
-            return _adjusted(survey, known, None, asked)
+            found = _adjusted(survey, known, None, asked)
+            silent = replace(asked, advance=lambda _share: None)
+            return of_two_starts(survey, known, found, lambda other, start: _adjusted(other, start, None, silent))
     windows = windows_or_search(
         survey,
         lambda: measure_windows(survey, device=asked.device, advance=lambda part: asked.advance(0.9 * part)),

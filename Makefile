@@ -6,6 +6,7 @@
 #   make types    what the type checker finds (mypy)
 #   make format   let ruff mend what it can
 #   make bench    the benchmarks of minutes, on what they draw themselves: tables and figures of the documentation
+#   make tables   tables of the documentation, written anew from benchmarks/results
 #   make stress   one thing after another made worse on a small drawn survey: where it degrades, and whether it says so
 #   make soak     damaged files of every kind (a minute of processor time; SECONDS=3600 for more): a value or a sentence;
 #                 runs that are killed (KILLS=9; each costs half a run): the same cloud
@@ -33,7 +34,7 @@ ifneq ($(shell cat $(READY) 2>/dev/null),$(CURDIR))
 .PHONY: $(READY)
 endif
 
-.PHONY: help install demo test check types format bench stress soak docs licences clean distclean
+.PHONY: help install demo test check types format bench tables stress soak docs licences clean distclean
 
 help:
 	@sed -n '2,/^$$/s/^# \{0,1\}//p' Makefile
@@ -73,6 +74,9 @@ format: $(READY)
 
 bench: $(READY)
 	@for name in $(BENCHMARKS); do echo "benchmarks/bench_$$name.py"; $(BIN)/python "benchmarks/bench_$$name.py"; done
+
+tables: $(READY)
+	@$(BIN)/python benchmarks/tables.py
 
 stress: $(READY)
 	@$(BIN)/python benchmarks/stress.py

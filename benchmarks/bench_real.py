@@ -26,7 +26,7 @@ from pathlib import Path
 
 from published import publish
 from real_measures import left_out, profile, shutter, streams
-from real_tables import profile_rows, shutter_rows, stream_rows, target_rows
+from real_tables import TABLES
 
 from survey.benchmark.running import run_bathynerf
 
@@ -62,7 +62,6 @@ MEASURES: dict[str, Callable[[Path], dict]] = {
     "shutter": lambda folder: shutter(DATA / "swindale", folder, folder.parent / "targets" / "sfm"),
     "streams": lambda folder: streams(DATA),
 }
-TABLES = {"greenland": profile_rows, "targets": target_rows, "shutter": shutter_rows, "streams": stream_rows}
 
 
 def main() -> None:

@@ -81,3 +81,6 @@ def stream_rows(found: dict) -> list[str]:
         "|---|---|",
     ]
     return [*lines, *(f"| {name} | {100 * rms:.1f} cm |" for name, rms in found["palau_rms_m"].items())]
+
+
+TABLES = {"greenland": profile_rows, "targets": target_rows, "shutter": shutter_rows, "streams": stream_rows}

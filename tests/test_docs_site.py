@@ -7,7 +7,10 @@ from pathlib import Path
 
 from survey.commands.verbs import VERBS
 
-DOCS = Path(__file__).resolve().parent.parent / "docs"
+ROOT = Path(__file__).resolve().parent.parent
+DOCS = ROOT / "docs"
+# What a reader has the patience for. Rows of tables cannot be broken in Markdown.
+README_LINES, LINE, PAGE_WORDS, MEASUREMENT_WORDS, ALL_WORDS = 110, 120, 1500, 1200, 35_000
 
 
 def test_every_page_is_in_a_section():
@@ -22,3 +25,38 @@ def test_every_page_is_in_a_section():
 def test_the_options_of_every_command_are_in_the_reference():
     named = re.findall(r"^```\{help\} (\S+)$", (DOCS / "options.md").read_text(), re.MULTILINE)
     assert named == [verb.__name__.rpartition(".")[2] for verb in VERBS]
+
+
+def pages() -> dict[Path, str]:
+    """All pages of the site but those of notes, with their text."""
+    found = [*DOCS.glob("*.md"), *DOCS.glob("sections/*.md"), *DOCS.glob("notebooks/*.md")]
+    return {page: page.read_text(encoding="utf-8") for page in sorted(found)}
+
+
+def words(text: str) -> int:
+    """Words of a page; bars and rules of tables are none."""
+    return sum(any(letter.isalnum() for letter in word) for word in text.split())
+
+
+def test_pages_are_short():
+    measurements = re.findall(r"^\.\./(\S+)$", (DOCS / "sections" / "measurements.md").read_text(), re.MULTILINE)
+    counts = {page: words(text) for page, text in pages().items()}
+    long = {
+        page.name: count
+        for page, count in counts.items()
+        if count > (MEASUREMENT_WORDS if page.stem in measurements else PAGE_WORDS)
+    }
+    assert long == {}
+    assert sum(counts.values()) < ALL_WORDS
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= README_LINES
+
+
+def test_lines_of_pages_fit_a_screen():
+    texts = pages() | {page: page.read_text(encoding="utf-8") for page in ROOT.glob("*.md")}
+    wide = {
+        f"{page.relative_to(ROOT)}:{number}": len(line)
+        for page, text in texts.items()
+        for number, line in enumerate(text.splitlines(), 1)
+        if len(line) > LINE and not line.startswith("|")
+    }
+    assert wide == {}

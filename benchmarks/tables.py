@@ -1,0 +1,85 @@
+"""Tables of the documentation, written anew from the results that lie in benchmarks/results: nothing is measured.
+
+    python benchmarks/tables.py
+
+Commands that measure write the results with --publish; those of stress and of drawn conditions write their tables, too.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from drawn_front import lines_of
+from published import publish
+from real_tables import TABLES
+
+from survey.benchmark.measured import METHODS
+from survey.benchmark.records import Record, read_results
+
+ROOT = Path(__file__).resolve().parent.parent
+RESULTS, DOCS = ROOT / "benchmarks" / "results", ROOT / "docs"
+# Method and quality of the rows of data/quick.
+QUICK = (
+    ("full", "draft"), ("full", "standard"), ("slab", "standard"), ("straight", "standard"),
+    ("times_index", "standard"), ("per_camera", "standard"),
+)  # fmt: skip
+# Of surveys with straight rays: name in the results, words, mean depth [m].
+STRAIGHT = (
+    ("drawn_0.5_nadir_20", "0.5 m, nadir", 0.5),
+    ("drawn_2_oblique_20", "2 m, oblique", 2.0),
+    ("quick", "data/quick, 2.9 m, oblique", 2.9),
+    ("drawn_3.5_nadir_20", "3.5 m, nadir", 3.5),
+    ("drawn_8_oblique_20", "8 m, oblique", 8.0),
+)
+
+
+def tables() -> dict[tuple[Path, str], list[str]]:
+    """All tables, by the page and the name of the marks that they stand between."""
+    quick, drawn = (read_results(RESULTS / f"{name}.json") for name in ("quick", "drawn"))
+    real = json.loads((RESULTS / "real.json").read_text(encoding="utf-8"))
+    page = DOCS / "benchmark.md"
+    found = {
+        (page, "quick"): quick_rows(quick.records),
+        (page, "straight"): straight_rows((*quick.records, *drawn.records)),
+        (DOCS / "notes" / "benchmark.md", "drawn"): lines_of(drawn),
+    }
+    return found | {(DOCS / "real.md", name): rows(real[name]) for name, rows in TABLES.items()}
+
+
+def quick_rows(records: tuple[Record, ...]) -> list[str]:
+    """Time, memory and errors of methods on data/quick."""
+    lines = [
+        "| method | quality | time | memory | mean | std | complete at 0.2, 0.05 m |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for method, quality in QUICK:
+        record = next(r for r in records if (r.method, r.quality, r.poses) == (method, quality, "given"))
+        errors, cost = record.errors, record.costs[0]
+        shares = ", ".join(f"{100.0 * errors.completeness[key]:.1f}" for key in ("0.2", "0.05"))
+        lines.append(
+            f"| {METHODS[method].words} | {quality} | {cost.wall_s:.0f} s | {cost.peak_bytes / 1e9:.2f} GB | "
+            f"{1000.0 * errors.mean_m:.1f} mm | {1000.0 * errors.std_m:.1f} mm | {shares} % |"
+        )
+    return lines
+
+
+def straight_rows(records: tuple[Record, ...]) -> list[str]:
+    """Median vertical errors of straight rays, as they are and corrected, at standard quality."""
+    lines = ["| survey | straight rays | of the depth | depth times n | per camera |", "|---|---|---|---|---|"]
+    for case, words, depth_m in STRAIGHT:
+        median = {r.method: r.errors.median_m for r in records
+                  if (r.case, r.quality, r.poses) == (case, "standard", "given")}  # fmt: skip
+        mm = [f"{1000.0 * median[method]:.0f} mm" for method in ("straight", "times_index", "per_camera")]
+        lines.append(f"| {words} | {mm[0]} | {100.0 * median['straight'] / depth_m:.0f} % | {mm[1]} | {mm[2]} |")
+    return lines
+
+
+def main() -> None:
+    """Write them."""
+    for (page, name), lines in tables().items():
+        publish(page, name, lines)
+
+
+if __name__ == "__main__":
+    main()

@@ -134,8 +134,9 @@ class _Gate:
             return row + lanes, [dr.fma(x, y, s) for s, (x, y) in zip(sums, [*to_sums, *outside], strict=True)]
 
         _, sums = dr.while_loop((UInt(lane), zeros), lambda row, _: row < num, one_row, mode="symbolic")
-        dr.eval(sums, to_features)
-        per_scale = torch.stack([as_torch(s, flat).reshape(-1, self.scales).sum(dim=0) for s in sums])
+        # In one array: each that goes to torch waits for the device.
+        joint = as_torch(dr.concat(sums), flat).reshape(len(sums), -1, self.scales)
+        per_scale = joint.sum(dim=1)
         to_flat = torch.cat([per_scale[:shared].sum(dim=1), per_scale[shared:].T.reshape(-1)])
         return as_torch(to_features, features), to_flat
 

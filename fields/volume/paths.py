@@ -69,6 +69,44 @@ class Box:
         return np.where(outside, np.inf, enters), np.where(outside, -np.inf, leaves)
 
 
+@dataclass(frozen=True)
+class Rays:
+    """Rays (N) of pixels in the air, local frame.
+
+    Attributes
+    ----------
+    origin, direction : (N, 3) [m], (N, 3) unit
+    rgb : (N, 3) uint8
+    view : (N,) int64
+        Which photograph.
+    """
+
+    origin: np.ndarray
+    direction: np.ndarray
+    rgb: np.ndarray
+    view: np.ndarray
+
+    @staticmethod
+    def of(camera: PinholeCamera, pixels: np.ndarray, rgb: np.ndarray, view: int) -> Rays:
+        """Rays through pixel positions (N, 2) [px]."""
+        direction = camera.directions(pixels)
+        origin = np.broadcast_to(camera.centres(pixels), direction.shape)
+        return Rays(origin, direction, rgb, np.full(len(pixels), view))
+
+    @staticmethod
+    def concatenate(parts: list[Rays]) -> Rays:
+        """Rays of several views in one."""
+        return Rays(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Rays)))
+
+    def __getitem__(self, index) -> Rays:
+        return Rays(*(getattr(self, f.name)[index] for f in fields(self)))
+
+    def paths(self, water: WaterSurface | None, box: Box) -> Paths:
+        """The paths on which they go on through the water, clipped to a box."""
+        colours = torch.as_tensor(self.rgb / 255.0, dtype=torch.float32)
+        return paths_along(self.origin, self.direction, water, colours, box, torch.from_numpy(self.view))
+
+
 @dataclass
 class Paths:
     """Paths (N) of light from cameras through a box, torch float32, local frame.
@@ -148,10 +186,7 @@ def paths_of(
 
     Light that the surface reflects totally, or whose refraction is not known, misses the box.
     """
-    direction = camera.directions(pixels)
-    origin = np.broadcast_to(camera.centres(pixels), direction.shape)
-    colours = torch.as_tensor(rgb / 255.0, dtype=torch.float32)
-    return paths_along(origin, direction, water, colours, box, torch.full((len(pixels),), view))
+    return Rays.of(camera, pixels, rgb, view).paths(water, box)
 
 
 def paths_along(

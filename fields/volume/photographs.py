@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from scipy.ndimage import minimum_filter
 
-from fields.volume.paths import Box, Paths, paths_of
+from fields.volume.paths import Box, Paths, Rays, paths_of
 from fields.volume.priors import PriorImages
 from refract import PinholeCamera, WaterSurface
 
@@ -67,18 +67,19 @@ class Photographs:
         if not sizes.sum():
             raise ValueError(f"no photograph shows the scene in {patch} x {patch} px; draw smaller patches")
         shares = rng.multinomial(count, sizes / sizes.sum())
-        parts = []
+        parts, priors = [], []
         for view in np.flatnonzero(shares):
             camera, drawn = self.cameras[view], corners[view][rng.integers(0, sizes[view], shares[view])]
             rows, columns = np.divmod((drawn[:, None] + _square(patch, camera.width)).ravel(), camera.width)
             pixels = np.stack([columns + 0.5, rows + 0.5], axis=-1)
-            rgb = self.images[view][rows, columns]
-            paths = paths_of(camera, self.water, pixels, rgb, box, int(view))
+            parts.append(Rays.of(camera, pixels, self.images[view][rows, columns], int(view)))
             if self.priors is not None:
-                paths.priors = self.priors[view].at(camera, rows, columns)
-            parts.append(paths)
-        order = rng.permutation(count)[:, None] * patch**2 + np.arange(patch**2)
-        return Paths.concatenate(parts)[torch.from_numpy(order.ravel())]
+                priors.append(self.priors[view].at(camera, rows, columns))
+        order = (rng.permutation(count)[:, None] * patch**2 + np.arange(patch**2)).ravel()
+        paths = Rays.concatenate(parts)[order].paths(self.water, box)
+        if self.priors is not None:
+            paths.priors = torch.cat(priors)[torch.from_numpy(order)]
+        return paths
 
     def _corners(self, view: int, patch: int) -> np.ndarray:
         """Flat indices of the upper left pixels of all patches whose every pixel shows the scene."""

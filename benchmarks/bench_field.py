@@ -1,13 +1,15 @@
 """Which field draws a scene best, how true is its surface, and what does it cost?
 
-    python benchmarks/bench_field.py WORK [--objects wreck ship hull] [--models vm dw m mdw ...] [--steps N]
-                                     [--scale S] [--cells N_MAX] [--rays N] [--write]
+    python benchmarks/bench_field.py WORK [--objects wreck ship hull] [--models vm dw m mdw ...] [--seeds N]
+                                     [--steps N | --seconds S] [--scale S] [--cells N_MAX] [--rays N]
+                                     [--device auto|cpu|cuda|torch] [--write TABLE]
 
 VM (planes times vectors, TensoRF's decomposition), DW, M and MDW-NeRF are one code with four settings, compared with
-TensoRF as published, NeRF, TinyNeRF, a hash grid with proposals (as Nerfacto) and a signed distance (as NeuS). All see
-the same photographs, paths and steps, and sample alike (the hash grid by its proposals). One photograph in eight is
-held out. Every row is a file in WORK; what is there is not computed again. With --write the tables and pictures go to
-docs/notes/field.md. The defaults are for two cores; full size is --scale 1 --cells 256 --steps 30000 --rays 4096.
+TensoRF as published, NeRF, TinyNeRF, hash grids with proposals (Nerfacto, and one for processors) and a signed
+distance (as NeuS). All see the same photographs and paths and sample alike (hash grids by their proposals), for as many
+steps, or with --seconds for as many as take that time here. One photograph in eight is held out. Every row is a file in
+WORK; what is there is not computed again. With --write the table goes between its marks in docs/notes/field.md, and
+pictures with it. The defaults are for two cores; full size is --scale 1 --cells 256 --steps 30000 --rays 4096.
 """
 
 from __future__ import annotations
@@ -22,51 +24,53 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from field_tables import ablation_table, baseline_table, write_page
+import torch
+from field_tables import table_of, write_page
 from object_scenes import NAMES, ObjectScene, chamfer, load_scene
 from PIL import Image
 from point_clouds import thinned
 
-from fields.device import choose_device
+from fields.device import choose_device, tensor_place
 from fields.volume.model import VolumeModel
 from fields.volume.models import build_model, proposal_for
 from fields.volume.renderer import Backdrop, VolumeRenderer
 from fields.volume.sampling import Cells
 from fields.volume.sdf import SdfSettings, SdfVolume
 from fields.volume.tensor import TensorVolume
-from fields.volume.train import Training, train_volume
+from fields.volume.train import POOL_STEPS, Training, train_volume
 from fields.volume.view import render_volume
 from fields.water_column import WaterColumn
 
 ABLATION = ("vm", "dw", "m", "mdw")
-# Beside them. The hash grid is one for processors: a step of Nerfacto's own takes 5.6 s.
-BASELINES = ("tensorf", "nerf", "tinynerf", "hash", "neus")
+# Beside them. The second hash grid is one for processors, where a step of Nerfacto's own takes 5.6 s.
+BASELINES = ("tensorf", "nerf", "tinynerf", "nerfacto", "hash", "neus")
 # Steps of each model in turn, to compare their times: (rounds, steps of a round). After the switch from coarse to fine
 # density, where a model has one: most steps of a training are such.
-TIMED = (4, 8)
+TIMED = (4, POOL_STEPS)
 # Renderings whose memory is measured: one may take twice that of another, as the allocator and its threads go.
 MEMORY_RUNS = 3
+# Fewer steps show nothing.
+LEAST_STEPS = 50
 
 
-def build(model: str, scene: ObjectScene, cells: int, steps: int) -> VolumeRenderer:
-    """An untrained scene of one of the models, ``cells`` along the longest edge at the finest scale."""
+def build(model: str, scene: ObjectScene, options, *, steps: int, seed: int = 0) -> VolumeRenderer:
+    """An untrained scene of one of the models, where the options place it."""
     column = WaterColumn() if scene.train.water is not None else None
     # What an orbit sees beside the box is black; from above, every path ends in it.
     background = Backdrop((0.0, 0.0, 0.0)) if scene.name == "ship" else None
-    proposal = proposal_for(model, scene.box, cells)
-    return VolumeRenderer(_volume(model, scene, cells, steps), column=column, background=background, proposal=proposal)
-
-
-def _volume(model: str, scene: ObjectScene, cells: int, steps: int) -> VolumeModel:
-    if model not in ABLATION + BASELINES:
-        raise SystemExit(f"there is no model {model}; expected one of {', '.join(ABLATION + BASELINES)}")
-    if model == "neus":
-        # Objects are closed.
-        return SdfVolume(scene.box, SdfSettings.small())
-    return build_model(model, scene.box, cells, choose_device("auto"), steps=steps)
+    device = choose_device(options.device)
+    torch.manual_seed(seed)
+    if model == "neus":  # objects are closed
+        volume: VolumeModel = SdfVolume(scene.box, SdfSettings.small())
+    else:
+        volume = build_model(model, scene.box, options.cells, device, seed=seed, steps=steps)
+    proposal = proposal_for(model, scene.box, options.cells)
+    renderer = VolumeRenderer(volume, column=column, background=background, proposal=proposal)
+    return renderer.to(tensor_place(device))
 
 
 def switch_to_fine(scene: VolumeRenderer) -> None:
@@ -83,34 +87,49 @@ def scene_of(name: str, options) -> ObjectScene:
     return pickle.loads(path.read_bytes())
 
 
-def row(model: str, scene: ObjectScene, options, folder: Path) -> dict:
+def row(model: str, scene: ObjectScene, options, steps: int, seed: int) -> dict:
     """Train one model on one object, and measure it."""
-    built = build(model, scene, options.cells, options.steps)
-    training = Training(steps=options.steps, rays=options.rays, samples=options.samples)
+    device_mb()
+    built = build(model, scene, options, steps=steps, seed=seed)
+    training = Training(steps=steps, rays=options.rays, samples=options.samples)
     start = time.perf_counter()
-    cells, figures = train_volume(built, scene.train, training, lambda share: None)
-    seconds = time.perf_counter() - start
-    held, rate, error = [], [], []
+    cells, figures = train_volume(built, scene.train, training, lambda share: None, seed=seed)
+    seconds, memory = time.perf_counter() - start, device_mb()
+    rate, error = [], []
     for number, camera in enumerate(scene.held.cameras):
         start = time.perf_counter()
         view = render_volume(built, camera, scene.held.water, cells, samples=options.samples)
         rate.append(view.rgb[..., 0].size / (time.perf_counter() - start))
         wrong = (view.rgb - scene.held.images[number] / 255.0).reshape(-1, 3)[scene.held.pixels[number]]
         error.append(float((wrong**2).mean()))
-        if number == len(scene.held.cameras) // 2:
-            held = view.rgb
-    picture = np.round(255.0 * np.clip(held, 0.0, 1.0)).astype(np.uint8)
-    Image.fromarray(picture).save(folder / f"{scene.name}_{model}.png")
+        if number == len(scene.held.cameras) // 2 and seed == 0:
+            picture = np.round(255.0 * np.clip(view.rgb, 0.0, 1.0)).astype(np.uint8)
+            Image.fromarray(picture).save(options.work / f"{scene.name}_{model}.png")
     return asdict(figures) | {
         "object": scene.name,
         "model": model,
+        "seed": seed,
         "held_out_psnr_db": float(-10.0 * np.log10(np.mean(error))),
         "chamfer_m": chamfer(surface_of(built, scene, cells, options.samples), scene.surface),
         "parameters_mb": sum(p.numel() * p.element_size() for p in built.parameters()) / 1e6,
         "train_s": seconds,
+        "train_mb": memory,
         "rays_per_s": statistics.median(rate),
-        "settings": {k: getattr(options, k) for k in ("scale", "cells", "steps", "rays", "samples")},
+        "settings": {k: getattr(options, k) for k in ("scale", "cells", "rays", "samples", "seconds", "device")},
     }
+
+
+def device_mb() -> float | None:
+    """Most memory [MB] that torch and Dr.Jit held on a CUDA device since the last call; None without one."""
+    if not torch.cuda.is_available():
+        return None
+    import drjit as dr
+
+    most = torch.cuda.max_memory_allocated() + dr.detail.malloc_watermark(dr.JitBackend.CUDA)
+    dr.flush_malloc_cache()
+    dr.detail.malloc_clear_statistics()
+    torch.cuda.reset_peak_memory_stats()
+    return most / 1e6
 
 
 def surface_of(built: VolumeRenderer, scene: ObjectScene, cells: Cells, samples: int) -> np.ndarray:
@@ -127,7 +146,7 @@ def surface_of(built: VolumeRenderer, scene: ObjectScene, cells: Cells, samples:
 
 def step_times(models: tuple[str, ...], scene: ObjectScene, options) -> dict[str, float]:
     """Seconds of a training step of each model in its fine stage, median of rounds in which all take their turn."""
-    scenes = {model: build(model, scene, options.cells, options.steps) for model in models}
+    scenes = {model: build(model, scene, options, steps=options.steps) for model in models}
     for built in scenes.values():
         switch_to_fine(built)
     training = Training(steps=TIMED[1], rays=options.rays, samples=options.samples, refresh=())
@@ -143,7 +162,7 @@ def step_times(models: tuple[str, ...], scene: ObjectScene, options) -> dict[str
 
 def inference_mb(model: str, scene: str, options) -> float:
     """Memory [MB] to render a view, with parameters: median over separate processes."""
-    numbers = [f"--{name}={getattr(options, name)}" for name in ("scale", "cells", "samples", "steps")]
+    numbers = [f"--{name}={getattr(options, name)}" for name in ("scale", "cells", "samples", "steps", "device")]
     command = [sys.executable, __file__, str(options.work), "--memory", scene, model, *numbers]
     runs = [subprocess.run(command, check=True, capture_output=True, text=True) for _ in range(MEMORY_RUNS)]
     return statistics.median(float(run.stdout.split()[-1]) for run in runs)
@@ -153,11 +172,12 @@ def print_memory(scene: str, model: str, options) -> None:
     """For `inference_mb`: the most that was held while a view was rendered, over what was held before."""
     loaded = scene_of(scene, options)
     camera = replace(loaded.held.cameras[0], width=64, height=64)
-    tiny = build("mdw", loaded, 16, options.steps)  # compilers and libraries are loaded once, for all models alike
+    # Compilers and libraries are loaded once, for all models alike.
+    tiny = build("mdw", loaded, argparse.Namespace(**(vars(options) | {"cells": 16})), steps=options.steps)
     render_volume(tiny, camera, None, Cells.everywhere(loaded.box, 16), samples=options.samples)
     before = _resident_mb("VmRSS")
     Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
-    built = build(model, loaded, options.cells, options.steps)
+    built = build(model, loaded, options, steps=options.steps)
     switch_to_fine(built)
     render_volume(
         built, loaded.held.cameras[0], loaded.held.water, Cells.everywhere(loaded.box, 32), samples=options.samples
@@ -189,43 +209,60 @@ def measure(options) -> list[dict]:
         scene = scene_of(name, options)
         middle = len(scene.held.images) // 2
         Image.fromarray(scene.held.images[middle]).save(options.work / f"{name}_photograph.png")
-        for model in options.models:
-            stem = options.work / f"{name}_{model}"
-            found = kept(stem.with_suffix(".json"), lambda m=model, s=scene: row(m, s, options, options.work))
-            memory = kept(Path(f"{stem}_memory.json"), lambda m=model, n=name: {"mb": inference_mb(m, n, options)})
-            rows.append(found | {"inference_mb": memory["mb"]})
         path = options.work / f"{name}_times_{'_'.join(options.models)}.json"
         times = kept(path, lambda s=scene: step_times(tuple(options.models), s, options))
-        for found in rows[-len(options.models) :]:
-            found["step_s"] = times[found["model"]]
+        for model in options.models:
+            make = partial(row, model, scene, options, steps_of(options, times[model]))
+            of_model = [
+                kept(options.work / f"{name}_{model}_{seed}.json", partial(make, seed)) for seed in range(options.seeds)
+            ]
+            memory = None
+            if of_model[0]["train_mb"] is None:
+                path = options.work / f"{name}_{model}_memory.json"
+                memory = kept(path, lambda m=model, n=name: {"mb": inference_mb(m, n, options)})["mb"]
+            rows += [each | {"inference_mb": memory, "step_s": times[model]} for each in of_model]
     return rows
 
 
-def main() -> None:
-    """Measure, print, and write with --write."""
+def steps_of(options, step_s: float) -> int:
+    """Steps of a training: as asked, or as many as take the time that was asked for."""
+    return options.steps if options.seconds is None else max(round(options.seconds / step_s), LEAST_STEPS)
+
+
+def options_of(arguments: list[str] | None = None) -> argparse.Namespace:
+    """The command line, with the folder of the surveys."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("work", type=Path, help="folder for rows and pictures")
     parser.add_argument("--objects", nargs="+", default=NAMES, choices=NAMES)
     parser.add_argument("--models", nargs="+", default=ABLATION, choices=ABLATION + BASELINES)
+    parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--scale", type=float, default=0.25, help="of the pictures")
     parser.add_argument("--cells", type=int, default=128, help="along the longest edge, at the finest scale")
     parser.add_argument("--steps", type=int, default=1000)
+    parser.add_argument("--seconds", type=float, help="of each training, in place of --steps")
     parser.add_argument("--rays", type=int, default=2048)
     parser.add_argument("--samples", type=int, default=32, help="of each path")
-    parser.add_argument("--write", action="store_true", help="put tables and pictures into docs/")
+    parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda", "torch"))
+    parser.add_argument("--write", metavar="TABLE", help="put the table between these marks, and pictures, into docs/")
     parser.add_argument("--memory", nargs=2, help=argparse.SUPPRESS)
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     folder = os.environ.get("BATHYNERF_DATA")
     options.data = Path(folder) if folder else Path(__file__).resolve().parents[2] / "shared" / "data"
+    return options
+
+
+def main() -> None:
+    """Measure, print, and write with --write."""
+    options = options_of()
     options.work.mkdir(parents=True, exist_ok=True)
     if options.memory:
         print_memory(*options.memory, options)
         return
     rows = measure(options)
-    tables = {"ablation": ablation_table(rows, ABLATION), "baselines": baseline_table(rows, BASELINES)}
-    sys.stdout.write("\n\n".join(t for t in tables.values() if t) + "\n")
+    table = table_of(rows)
+    sys.stdout.write(table + "\n")
     if options.write:
-        write_page(tables, options.work, options.objects, rows)
+        write_page(options.write, table, options.work, rows)
 
 
 if __name__ == "__main__":

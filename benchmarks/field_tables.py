@@ -2,75 +2,82 @@
 
 from __future__ import annotations
 
+import statistics
 from pathlib import Path
 
 import numpy as np
 from gallery_canvas import canvas, save
 from PIL import Image
+from published import publish
+from scipy.special import stdtrit
 
 from survey.display.palette import INK, SOFT
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 LABELS = {
     "vm": "VM", "dw": "DW", "m": "M", "mdw": "MDW", "tensorf": "TensoRF", "nerf": "NeRF", "tinynerf": "TinyNeRF",
-    "hash": "hash grid, proposals", "neus": "signed distance",
+    "nerfacto": "Nerfacto", "hash": "hash grid, proposals", "neus": "signed distance",
 }  # fmt: skip
 # What the object fills of its held-out photograph, in shares of its sides: left, right, top, bottom.
 PARTS = {"wreck": (0.28, 0.74, 0.24, 0.74), "ship": (0.38, 0.66, 0.05, 0.92), "hull": (0.15, 0.85, 0.24, 0.70)}
 # By which differences are enlarged, and how high a picture of a row may be [inch].
 TIMES, _HIGHEST_IN = 4.0, 3.2
 HEAD = (
-    "| object | model | held-out PSNR | Chamfer distance | parameters | memory to render | a step | rays/s rendered |",
-    "|---|---|---|---|---|---|---|---|",
+    "| object | model | held-out PSNR | Chamfer distance | parameters | memory | steps | a step | rays/s rendered |",
+    "|---|---|---|---|---|---|---|---|---|",
 )
+CONFIDENCE = 0.95
 
 
-def ablation_table(rows: list[dict], models: tuple[str, ...]) -> str:
-    """Markdown: each object's models, with ratios to its first one."""
+def table_of(rows: list[dict]) -> str:
+    """Markdown: each object's models; of several seeds the mean, and half of the 95 % interval of the mean.
+
+    Of PSNR and distance the difference and the ratio to the first model of the object stand in brackets, by seed.
+    """
     lines = []
     for name in dict.fromkeys(r["object"] for r in rows):
-        of = {r["model"]: r for r in rows if r["object"] == name and r["model"] in models}
-        base = of.get(models[0])
-        for model in (m for m in models if m in of):
-            lines.append("| " + " | ".join([name, LABELS[model], *_columns(of[model], base)]) + " |")
-    return "\n".join([*HEAD, *lines]) if lines else ""
+        of = [r for r in rows if r["object"] == name]
+        models = list(dict.fromkeys(r["model"] for r in of))
+        base = [r for r in of if r["model"] == models[0]]
+        for model in models:
+            cells = _columns([r for r in of if r["model"] == model], None if model == models[0] else base)
+            lines.append("| " + " | ".join([name, LABELS[model], *cells]) + " |")
+    return "\n".join([*HEAD, *lines])
 
 
-def _columns(row: dict, base: dict | None) -> list[str]:
-    def ratio(key: str) -> str:
-        return "" if base is None or row is base else f" (x {row[key] / base[key]:.2f})"
-
-    gain = "" if base is None or row is base else f" ({row['held_out_psnr_db'] - base['held_out_psnr_db']:+.2f})"
+def _columns(rows: list[dict], base: list[dict] | None) -> list[str]:
+    psnr, distance = ([f * r[key] for r in rows] for key, f in (("held_out_psnr_db", 1.0), ("chamfer_m", 1e3)))
+    gain = ratio = ""
+    if base is not None:
+        gain = f" ({interval([r - b['held_out_psnr_db'] for r, b in zip(psnr, base, strict=True)], 2, sign=True)})"
+        ratio = f" (x {interval([1e-3 * r / b['chamfer_m'] for r, b in zip(distance, base, strict=True)], 2)})"
+    memory = statistics.fmean(r["train_mb"] or r["inference_mb"] for r in rows)
     return [
-        f"{row['held_out_psnr_db']:.2f} dB{gain}",
-        f"{1e3 * row['chamfer_m']:.1f} mm{ratio('chamfer_m')}",
-        f"{row['parameters_mb']:.2f} MB{ratio('parameters_mb')}",
-        f"{row['inference_mb']:.0f} MB{ratio('inference_mb')}",
-        f"{1e3 * row['step_s']:.0f} ms{ratio('step_s')}",
-        f"{row['rays_per_s'] / 1e3:.0f} k",
+        f"{interval(psnr, 2)} dB{gain}",
+        f"{interval(distance, 1)} mm{ratio}",
+        f"{rows[0]['parameters_mb']:.2f} MB",
+        f"{memory:.0f} MB",
+        f"{statistics.fmean(r['steps'] for r in rows):.0f}",
+        f"{1e3 * rows[0]['step_s']:.1f} ms",
+        f"{statistics.fmean(r['rays_per_s'] for r in rows) / 1e3:.0f} k",
     ]
 
 
-def baseline_table(rows: list[dict], models: tuple[str, ...]) -> str:
-    """Markdown: the other fields on the same photographs."""
-    found = [r for r in rows if r["model"] in models]
-    lines = ["| " + " | ".join([r["object"], LABELS[r["model"]], *_columns(r, None)]) + " |" for r in found]
-    return "\n".join([*HEAD, *lines]) if lines else ""
+def interval(values: list[float], digits: int, *, sign: bool = False) -> str:
+    """The mean, and where there are several values half of the interval that holds it with `CONFIDENCE` (Student)."""
+    mean = f"{statistics.fmean(values):{'+' if sign else ''}.{digits}f}"
+    if len(values) == 1:
+        return mean
+    half = stdtrit(len(values) - 1, 0.5 + 0.5 * CONFIDENCE) * statistics.stdev(values) / len(values) ** 0.5
+    return f"{mean} ± {half:.{digits}f}"
 
 
-def write_page(tables: dict[str, str], work: Path, objects: list[str], rows: list[dict]) -> None:
-    """Replace the tables of docs/notes/field.md, each between its two marks, and its pictures."""
-    page = DOCS / "notes" / "field.md"
-    text = page.read_text(encoding="utf-8")
-    for name, table in tables.items():
-        if table:
-            first, last = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
-            start, end = text.index(first) + len(first), text.index(last)
-            text = text[:start] + table + "\n" + text[end:]
-    page.write_text(text, encoding="utf-8")
-    for name in objects:
-        of = {r["model"]: r for r in rows if r["object"] == name}
-        draw_row(work, name, of, DOCS / "img" / f"field_{name}.png")
+def write_page(name: str, table: str, work: Path, rows: list[dict]) -> None:
+    """Replace a table of docs/notes/field.md, and its pictures."""
+    publish(DOCS / "notes" / "field.md", name, table.splitlines())
+    for each in dict.fromkeys(r["object"] for r in rows):
+        of = {r["model"]: r for r in rows if r["object"] == each and r["seed"] == 0}
+        draw_row(work, each, of, DOCS / "img" / f"field_{each}.png")
 
 
 def draw_row(work: Path, name: str, rows: dict[str, dict], path: Path) -> None:

@@ -1,9 +1,12 @@
-"""The study's Table 4, repeated: wet and dry, bent and straight rays, sweep alone and with the field.
+"""The study's Tables 3 and 4, repeated: wet and dry, bent and straight rays, by the sweep and by radiance fields.
 
     python benchmarks/table4.py [--full] [--chains C ...] [--quality Q] [--samples N] [-o FOLDER]
+                                [--steps N] [--rays N] [--cells N] [--device D]
 
 By default the two are drawn small; with --full they are wreck_water and wreck_dry of the survey data, of the study's
-size (130 images of 1024 x 768). Runs lie in FOLDER and are used again. Prints a table in Markdown and writes
+size (130 images of 1024 x 768). Chains: the sweep alone, with the slab trained about its bed (field), or a model of
+`bathynerf field`, which begins anywhere in a box about the bed, is trained --steps steps, and leaves out one photograph
+in eight, whose PSNR is printed (Table 3). Runs lie in FOLDER and are used again. Prints a table in Markdown and writes
 table4.json: the study's protocol (`study_protocol`), and ours (nothing dropped, nothing aligned), beside its figures.
 """
 
@@ -24,6 +27,7 @@ import study_protocol as study
 from straight_bias import straight_bias
 
 from evaluation import distance_statistics, distance_to_mesh, is_reached, sample_mesh
+from fields.volume.models import MODELS
 from geo import read_cloud, read_reference
 from survey.folder.survey import Survey, load_survey
 from survey.plan.recipe import RECIPES
@@ -31,13 +35,19 @@ from survey.plan.recipe import RECIPES
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("BATHYNERF_DATA", ROOT.parent / "shared" / "data"))
 TOLERANCE_M = 0.2
-CHAINS = ("sweep", "field")
+CHAINS = ("sweep", "field", *MODELS)
 STUDY = {  # mean, std [m], completeness of the study's Table 4; the dry field after a shift of 18.9 cm by hand
     ("dry", "sweep"): (0.0003, 0.006, 0.791),
     ("dry", "field"): (-0.030, 0.058, 0.881),
     ("wet straight", "sweep"): (1.092, 0.346, 0.638),
     ("wet straight", "field"): (0.706, 0.360, 0.831),
+    # The study's field is Nerfacto, without a sweep.
+    ("dry", "nerfacto"): (-0.030, 0.058, 0.881),
+    ("wet straight", "nerfacto"): (0.706, 0.360, 0.831),
 }
+# PSNR [dB] of photographs that were left out: the study's Table 3.
+STUDY_DB = {"dry": 23.34, "wet straight": 24.52}
+HELD_EVERY = 8
 
 
 @dataclass(frozen=True)
@@ -48,6 +58,11 @@ class Case:
     chain: str
     folder: Path
     run: Path
+
+    @property
+    def is_volume(self) -> bool:
+        """Whether a radiance field without the sweep."""
+        return self.chain in MODELS
 
 
 def cases(wet: Path, dry: Path, folder: Path, chains: list[str]) -> list[Case]:
@@ -66,18 +81,47 @@ def cases(wet: Path, dry: Path, folder: Path, chains: list[str]) -> list[Case]:
     places = {"dry": dry, "wet bent": wet, "wet straight": straight}
     return [
         Case(name, chain, place, folder / f"{name} {chain}".replace(" ", "_"))
-        for name, place in places.items()
         for chain in chains
+        for name, place in places.items()
     ]
 
 
-def process(case: Case, quality: str) -> None:
+def process(case: Case, options: argparse.Namespace) -> None:
     """Run the case through the command line; a quality gate that fails (3) is a result too."""
-    command = [sys.executable, "-c", "from survey.commands.app import main; main()", "process", str(case.folder)]
     field = "slab" if case.chain == "field" else "off"
-    done = subprocess.run([*command, "-o", str(case.run), "--quality", quality, "--field", field, "-qq"], check=False)
+    device = ["--device", options.device]
+    bathynerf("process", case.folder, "-o", case.run, "--quality", options.quality, "--field", field, *device)
+
+
+def train(case: Case, options: argparse.Namespace) -> None:
+    """Train a radiance field on the poses and the water of the sweep's run, if it is not trained yet."""
+    if (case.run / "report.json").is_file():
+        return
+    sweep = case.run.with_name(case.run.name.replace(case.chain, "sweep"))
+    straight = ["--straight"] if case.name == "wet straight" else []
+    if straight:  # of the bent run: its heights give the box, and nothing else
+        sweep = sweep.with_name(sweep.name.replace("straight", "bent"))
+    sizes = [f"--{name}={getattr(options, name)}" for name in ("steps", "rays", "cells", "device")]
+    e0, n0, e1, n1 = load_survey(case.folder).bounds
+    bounds = ["--bounds", *(str(v) for v in (e0, n0, e1, n1))]
+    bathynerf(
+        "field", sweep, "--model", case.chain, "-o", case.run, "--from-scratch", "--held-every", HELD_EVERY,
+        *straight, *sizes, *bounds,
+    )  # fmt: skip
+
+
+def bathynerf(*arguments: object) -> None:
+    """Run a command.
+
+    Raises
+    ------
+    SystemExit
+        If it ends with anything but 0 or 3.
+    """
+    command = [sys.executable, "-m", "bathynerf", *(str(each) for each in arguments), "-qq"]
+    done = subprocess.run(command, check=False)
     if done.returncode not in (0, 3):
-        raise SystemExit(f"{case.name}, {case.chain}: process ended with exit code {done.returncode}")
+        raise SystemExit(f"{' '.join(command)} ended with exit code {done.returncode}")
 
 
 def measure(case: Case, truth: Survey, reference: Path, samples: int, times_seen: tuple[int, int]) -> dict:
@@ -101,7 +145,10 @@ def measure(case: Case, truth: Survey, reference: Path, samples: int, times_seen
             "std_m": found.std_inner90_m,
             "completeness": float(is_reached(surface, points, tolerance_m=TOLERANCE_M).mean()),
         }
-    if case.name == "wet straight":
+    if case.is_volume:
+        held = json.loads((case.run / "report.json").read_text())["held_out_psnr_db"]
+        record["held_out_db"] = float(np.mean(list(held.values())))
+    elif case.name == "wet straight":
         visible = frame.local_from_crs(read_reference(reference.with_name("visible.ply")).points)
         record["bias"] = asdict(straight_bias(ours, visible, truth, times_seen))
     return record
@@ -109,11 +156,16 @@ def measure(case: Case, truth: Survey, reference: Path, samples: int, times_seen
 
 def table(records: list[dict]) -> str:
     """The records beside the study's figures."""
-    rows = ["| survey | chain | study's own | its protocol, here | ours, nothing dropped |", "|---|---|---|---|---|"]
+    rows = [
+        "| survey | chain | study's own | its protocol, here | ours, nothing dropped | PSNR, study | PSNR, here |",
+        "|---|---|---|---|---|---|---|",
+    ]
     for r in records:
         own = STUDY.get((r["survey"], r["chain"]))
         cells = [_cell(*own) if own else "not given"]
         cells += [_cell(r[k]["mean_m"], r[k]["std_m"], r[k]["completeness"]) for k in ("study", "ours")]
+        own_db = STUDY_DB.get(r["survey"]) if r["chain"] == "nerfacto" else None
+        cells += ["" if db is None else f"{db:.1f} dB" for db in (own_db, r.get("held_out_db"))]
         rows.append(f"| {r['survey']} | {r['chain']} | " + " | ".join(cells) + " |")
     return "\n".join(rows + [_predicted(r["chain"], r["bias"]) for r in records if "bias" in r]) + "\n"
 
@@ -143,11 +195,18 @@ def drawn(folder: Path) -> tuple[Path, Path, Path]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--full", action="store_true")
-    parser.add_argument("--chains", nargs="+", choices=CHAINS, default=CHAINS)
+    parser.add_argument("--chains", nargs="+", choices=CHAINS, default=["sweep", "field"])
     parser.add_argument("--quality", default="draft")
     parser.add_argument("--samples", type=int, default=1_500_000, help="of the reference (the study: 15,000,000)")
     parser.add_argument("-o", "--output", type=Path)
+    parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"))
+    for name, default in (("steps", 2000), ("rays", 4096), ("cells", 256)):
+        parser.add_argument(f"--{name}", type=int, default=default, help="of a model's training")
     options = parser.parse_args()
+    # Models take poses and water from the sweep's runs.
+    options.chains = sorted(options.chains, key=CHAINS.index)
+    if options.chains[-1] in MODELS and options.chains[0] != "sweep":
+        parser.error(f"--chains has {options.chains[-1]} but not sweep, whose poses and water it takes; add sweep")
     folder = options.output or Path(tempfile.mkdtemp(prefix="bathynerf_table4_"))
     folder.mkdir(parents=True, exist_ok=True)
     if options.full:
@@ -157,7 +216,7 @@ def main() -> None:
         wet, dry, reference = drawn(folder)
     truth, records = load_survey(wet), []
     for case in cases(wet, dry, folder, options.chains):
-        process(case, options.quality)
+        (train if case.is_volume else process)(case, options)
         records.append(measure(case, truth, reference, options.samples, RECIPES[options.quality].times_seen))
         (folder / "table4.json").write_text(json.dumps(records, indent=2))
     print(table(records))  # noqa: T201

@@ -47,11 +47,7 @@ def steps_for(run: Path, options: VolumeOptions, seconds: float) -> int:
     """Number of steps that take so many seconds of processor time here."""
     with LoadedRun(run) as loaded:
         flight = flight_of(loaded, options.survey)
-        scene = load_scene(
-            loaded, flight, cells=options.cells, bounds=options.bounds, image_scale=options.image_scale,
-            held_every=options.held_every, straight=options.straight, monocular=None,
-            advance=lambda: None,
-        )  # fmt: skip
+        scene = load_scene(loaded, flight, replace(options.scene, monocular=None), lambda: None)
         train(scene, flight, replace(options, steps=COMPILING))
         start = time.process_time()
         train(scene, flight, replace(options, steps=TIMED))

@@ -54,26 +54,26 @@ def every_path(surface, path_slope, camera, point, disc):
     for start in range(0, point[0].size, _CHUNK):
         part = slice(start, start + _CHUNK)
         ends = tuple(c[part] for c in camera), tuple(p[part] for p in point)
-        owner, x, y, unproven[part] = _cut(surface, path_slope, *ends, disc.x[part], disc.y[part], disc.radius[part])
+        owner, x, y, unproven[part] = _cut(surface, path_slope, *ends, (disc.x[part], disc.y[part]), disc.radius[part])
         found.append((owner + start, x, y))
     owner, x, y = (np.concatenate(parts) for parts in zip(*found, strict=True))
     keep = _distinct(owner, x, y, 1e-9 * np.abs(camera[2] - point[2]))
     return owner[keep], x[keep], y[keep], unproven
 
 
-def _cut(surface, path_slope, camera, point, mid_x, mid_y, radius):
+def _cut(surface, path_slope, camera, point, middle, radius):
     """`every_path` of one chunk, with roots that neighbouring boxes share still repeated."""
     smallest = _SMALLEST * np.hypot(np.hypot(camera[0] - point[0], camera[1] - point[1]), camera[2] - point[2])
     unproven = ~np.isfinite(radius)
     owner = np.flatnonzero(~unproven)
-    mid_x, mid_y = mid_x[owner], mid_y[owner]
+    mid_x, mid_y = (c[owner] for c in middle)
     half_x = half_y = radius[owner]
     cut = np.zeros(radius.size, dtype=np.int64)
     roots = []
     while owner.size:
         cut += np.bincount(owner, minlength=cut.size)
         ends = tuple(c[owner] for c in camera), tuple(p[owner] for p in point)
-        empty, single, lo, hi = _judge(surface, path_slope, *ends, mid_x, mid_y, half_x, half_y)
+        empty, single, lo, hi = _judge(surface, path_slope, *ends, (mid_x, mid_y), (half_x, half_y))
         if single.any():
             single_camera, single_point = (tuple(c[single] for c in end) for end in ends)
             at = _polished(
@@ -93,8 +93,9 @@ def _cut(surface, path_slope, camera, point, mid_x, mid_y, radius):
     return owner, x, y, unproven
 
 
-def _judge(surface, path_slope, camera, point, mid_x, mid_y, half_x, half_y):
+def _judge(surface, path_slope, camera, point, middle, half):
     """Which boxes are empty, which hold one root, and the part of each box, about its middle, where roots may lie."""
+    (mid_x, mid_y), (half_x, half_y) = middle, half
     wide_x, wide_y = _OVERLAP * half_x, _OVERLAP * half_y
     # The corners are rounded: by far less than the overlap.
     box = Interval(mid_x - wide_x, mid_x + wide_x), Interval(mid_y - wide_y, mid_y + wide_y)

@@ -207,18 +207,19 @@ def crossing(surface: Relief, camera, point):
         count = xp.whole(count)
     found = bent & (count > 0)
     if xp.name != "numpy":
-        x, y = _attached(xp, surface, camera, point, x, y, found)
+        x, y = _attached(surface, camera, point, (x, y), found)
     at = x, y, surface.height(x, y)
     seen = tuple(xp.where(found, a, xp.where(bent, math.nan, p)) for a, p in zip(at, point, strict=True))
     return seen, depth, xp.where(bent, count, 1)
 
 
-def _attached(xp, surface, camera, point, x, y, found):
-    """The crossing x, y with derivatives with respect to everything."""
+def _attached(surface, camera, point, crossing, found):
+    """The crossing (x, y) with derivatives with respect to everything."""
+    xp = namespace(*point)
     # By the point, since x is not a number where no path is found.
     anchor = _anchor(xp, surface, point[0])[:2]
     camera, point = _harmless(xp, surface, camera, point, found)
-    x, y = (xp.where(found, c, a) for c, a in zip((x, y), anchor, strict=True))
+    x, y = (xp.where(found, c, a) for c, a in zip(crossing, anchor, strict=True))
     _, (hxx, hxy, hyy) = path_slope(surface, camera, point, x, y)
     firm = xp.abs(hxx * hyy - hxy * hxy) > _FIRM * (hxx * hxx + 2.0 * hxy * hxy + hyy * hyy)
 

@@ -149,8 +149,8 @@ def test_strips_and_pixels_are_put_where_they_belong(apart, height, rng):
     lost = radius * (strip.stop - strip.start + 1)
     result = rng.random((rows.stop - rows.start + 2 * radius) * 48 - 2 * lost).astype(np.float32)
     host, device = images_host.flat_copy(height), images_device.flat_copy(there(apart, height))
-    images_host.put_strip(host, SHAPE[1], result, rows, columns, strip, radius)
-    images_device.put_strip(device, SHAPE[1], floats(apart, result), rows, columns, strip, radius)
+    images_host.put_strip(host, SHAPE[1], result, (rows, columns), strip, radius)
+    images_device.put_strip(device, SHAPE[1], floats(apart, result), (rows, columns), strip, radius)
     np.testing.assert_array_equal(as_numpy(device), host)
     part = rows, columns
     np.testing.assert_array_equal(as_numpy(images_device.crop(there(apart, height), part)), height[part].ravel())

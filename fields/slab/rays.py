@@ -150,7 +150,7 @@ def draw_rays(sources: Sources, slab: Slab, count: int, rng: np.random.Generator
             continue
         drawn = pixels[rng.integers(0, len(pixels), round(count * len(pixels) / share))]
         rows, columns = np.divmod(drawn, height_map.height.shape[1])
-        parts.append(slab_rays(camera, height_map, image, sources.water, slab, rows, columns)[0])
+        parts.append(slab_rays(camera, height_map, image, sources.water, slab, (rows, columns))[0])
     if not sum(len(p) for p in parts):
         raise ValueError("no pixel with a confirmed height looks into the slab: a field has nothing to train on")
     return Rays.concatenate(parts)
@@ -162,10 +162,13 @@ def slab_rays(
     image: np.ndarray,
     water: FlatWater | None,
     slab: Slab,
-    rows: np.ndarray,
-    columns: np.ndarray,
+    places: tuple[np.ndarray, np.ndarray],
 ) -> tuple[Rays, np.ndarray]:
-    """Rays through pixels whose own height lies inside the slab, set on the proxy; and which of the pixels they are."""
+    """Rays through pixels whose own height lies inside the slab, set on the proxy; and which of the pixels they are.
+
+    ``places`` are rows and columns of the pixels.
+    """
+    rows, columns = places
     pixels = np.stack([columns + 0.5, rows + 0.5], axis=-1)
     own = height_map.height[rows, columns]
     rays = rays_of(camera, water, pixels, own, image[rows, columns])

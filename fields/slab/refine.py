@@ -38,7 +38,7 @@ def refine(
     moved = 0
     for first in range(0, len(rows), CHUNK):
         r, c = rows[first : first + CHUNK], columns[first : first + CHUNK]
-        rays, held = slab_rays(camera, height_map, image, water, field.slab, r, c)
+        rays, held = slab_rays(camera, height_map, image, water, field.slab, (r, c))
         if len(rays) == 0:
             continue
         heights, _ = field.heights(rays)

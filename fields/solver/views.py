@@ -144,7 +144,7 @@ class Views:
         """Projections of the tiles of one map."""
         index = batch[0].index
         view, tolerance, tiles = self.views[index], batch[0].tolerance, [job.tile for job in batch]
-        return project_tiles(tiles, view, batch[0].others, self.cameras, self._surfaces, self._projector, tolerance)
+        return project_tiles(tiles, view, batch[0].others, self._surfaces, self._projector, tolerance)
 
 
 def _batches(jobs: Iterable[Job]) -> Iterator[list[Job]]:

@@ -121,7 +121,6 @@ def project_tiles(
     tiles: Sequence[Tile],
     view: int,
     others: Sequence[int],
-    cameras: Mapping[int, PinholeCamera],
     maps: Mapping[int, Surface],
     projector: Projector,
     tolerance: float,
@@ -147,7 +146,8 @@ def project_tiles(
     for other in others:
         all_at, all_inside = projector.seen(other, points)
         at, raised, right, down = all_at.reshape(2, 4, total).swapaxes(0, 1)
-        size = np.array([[cameras[other].width], [cameras[other].height]]) - np.float32(_RIM_PX)
+        width, height = projector.size(other)
+        size = np.array([[width], [height]]) - np.float32(_RIM_PX)
         inside = all_inside[:total] & ((at > _RIM_PX) & (at < size)).all(axis=0)
         shows = np.add.reduceat(inside, firsts, dtype=np.int64) >= 0.1 * np.array(counts)
         if not shows.any():
@@ -205,6 +205,11 @@ class Projector:
         self._beyond = CameraTerms.of(list(cameras.values()))
         table = camera_table(list(cameras.values()), self._beyond, self._water)
         self._rows = {view: [constant(device, c) for c in row] for view, row in zip(cameras, table, strict=True)}
+
+    def size(self, view: int) -> tuple[int, int]:
+        """Width and height of a photograph [px]."""
+        camera = self._cameras[view]
+        return camera.width, camera.height
 
     def points(self, view: int, pixels: np.ndarray, heights: np.ndarray) -> tuple[Any, ...]:
         """Points of pixels (P, 2) [px] of a photograph at heights (P,) [m], for `seen`."""

@@ -251,13 +251,14 @@ def put(target: Any, pixels: Any, values: Any, mask: Any | None = None) -> None:
     scatter(target, pixels, values, mask)
 
 
-def put_strip(target: Any, width: int, result: Any, rows: slice, columns: slice, strip: slice, radius: int) -> None:
-    """Set rows and columns of flat pixels, of a width, to the results of a strip that spans other columns."""
+def put_strip(target: Any, width: int, result: Any, part: tuple[slice, slice], strip: slice, radius: int) -> None:
+    """Set a part of flat pixels, of a width, (rows, columns), to the results of a strip that spans other columns."""
+    rows, columns = part
     wide, left = strip.stop - strip.start, strip.start
     lost = radius * (wide + 1)
     local = slice(radius, radius + rows.stop - rows.start), slice(columns.start - left, columns.stop - left)
     values = gather(result, _places(result, local, wide) - scalar(result, lost))
-    scatter(target, _places(target, (rows, columns), width), values)
+    scatter(target, _places(target, part, width), values)
 
 
 def _in_tiles(like: Any, tiles: Tiles, part: slice) -> tuple[Any, Place, Place]:

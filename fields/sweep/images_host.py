@@ -229,15 +229,15 @@ def put(target: np.ndarray, pixels: np.ndarray, values: np.ndarray, mask: np.nda
 
 
 def put_strip(
-    target: np.ndarray, width: int, result: np.ndarray, rows: slice, columns: slice, strip: slice, radius: int
+    target: np.ndarray, width: int, result: np.ndarray, part: tuple[slice, slice], strip: slice, radius: int
 ) -> None:
-    """Set rows and columns of flat pixels, of a width, to the results of a strip that spans other columns.
+    """Set a part of flat pixels, of a width, (rows, columns), to the results of a strip that spans other columns.
 
     These begin with the first whole window: ``radius`` pixels into the first row of the target.
     """
     image = np.pad(result, radius).reshape(-1, strip.stop - strip.start)
-    inner = image[:, columns.start - strip.start : columns.stop - strip.start]
-    target.reshape(-1, width)[rows, columns] = inner
+    columns = part[1]
+    target.reshape(-1, width)[part] = image[:, columns.start - strip.start : columns.stop - strip.start]
 
 
 def tile_indices(device: Device, tiles: Tiles, part: slice) -> np.ndarray:

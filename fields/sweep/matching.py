@@ -101,7 +101,7 @@ def match_view(reference: Reference, hypotheses: Hypotheses, columns: np.ndarray
         rays = partial(_rays_of_strip, stack, view, strip)
         results = yield partial(_launch, reference, rays, grey, replace(hypotheses, start=begin), right - left)
         for target, result in zip(found, results, strict=True):
-            backend.put_strip(target, width, result, slice(first, last), inner, strip[1], radius)
+            backend.put_strip(target, width, result, (slice(first, last), inner), strip[1], radius)
     best, score, curvature = (backend.reshaped(each, (height, width)) for each in found)
     return backend.fill_nearest(best, score > MATCHED_NCC), score, curvature
 

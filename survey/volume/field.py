@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,7 @@ from survey.progress import current, shares
 from survey.run.flight import Flight
 from survey.settings.field import LossesConfig
 from survey.volume.monocular import priors_hash
-from survey.volume.scene import Scene, VolumeFolder, load_scene
+from survey.volume.scene import Scene, SceneOptions, VolumeFolder, load_scene
 from survey.volume.stored import Recipe, view_of
 
 CLOUD, REPORT, VIEWS, HELD = "cloud.las", "report.json", "views", "held out"
@@ -130,6 +130,11 @@ class VolumeOptions:
         return {"result": run.stages} | settings | {"monocular": priors}
 
     @property
+    def scene(self) -> SceneOptions:
+        """What decides the box and its photographs."""
+        return SceneOptions(**{each.name: getattr(self, each.name) for each in fields(SceneOptions)})
+
+    @property
     def recipe(self) -> Recipe:
         """What decides the model and its paths."""
         return Recipe(**{name: getattr(self, name) for name in Recipe.__dataclass_fields__})
@@ -199,17 +204,7 @@ def train_field(run: str | Path, output: str | Path, options: VolumeOptions | No
         targets = _targets(loaded, flight, output, options)
         folder = VolumeFolder(output, options.of_training(loaded), loaded.folder.inputs())
         with current().stage("Photographs", len(flight.views)) as stage:
-            scene = load_scene(
-                loaded,
-                flight,
-                cells=options.cells,
-                bounds=options.bounds,
-                image_scale=options.image_scale,
-                held_every=options.held_every,
-                straight=options.straight,
-                monocular=options.monocular,
-                advance=stage.advance,
-            )
+            scene = load_scene(loaded, flight, options.scene, stage.advance)
         trained = train(scene, flight, options, folder)
         surface = _surface(trained)
         _write_cloud(output / CLOUD, surface, loaded, flight)

@@ -81,25 +81,12 @@ class Scene:
         return everywhere.refined(torch.from_numpy(filled.ravel()), 0.5, margin * self.box.edge / num)
 
 
-def load_scene(
-    run: LoadedRun,
-    flight: Flight,
-    *,
-    cells: int,
-    bounds: tuple[float, float, float, float] | None,
-    image_scale: float | None,
-    held_every: int | None,
-    straight: bool,
-    monocular: Path | None,
-    advance: Callable[[], object],
-) -> Scene:
-    """The photographs of a run about its bed.
+@dataclass(frozen=True)
+class SceneOptions:
+    """Which photographs of a run a field is trained on, and in which box.
 
-    Parameters
+    Attributes
     ----------
-    run : LoadedRun
-    flight : Flight
-        Its photographs, where they are now.
     cells : int
         Of the volume along its longest edge.
     bounds : (e0, n0, e1, n1), optional
@@ -112,6 +99,30 @@ def load_scene(
         Rays are not bent.
     monocular : Path, optional
         Folder of priors of those that are learned from.
+    """
+
+    cells: int
+    bounds: tuple[float, float, float, float] | None = None
+    image_scale: float | None = None
+    held_every: int | None = None
+    straight: bool = False
+    monocular: Path | None = None
+
+
+def load_scene(
+    run: LoadedRun,
+    flight: Flight,
+    options: SceneOptions,
+    advance: Callable[[], object],
+) -> Scene:
+    """The photographs of a run about its bed.
+
+    Parameters
+    ----------
+    run : LoadedRun
+    flight : Flight
+        Its photographs, where they are now.
+    options : SceneOptions
     advance : callable
         Called after each photograph.
 
@@ -120,16 +131,17 @@ def load_scene(
     SurveyError
         If no bed lies in the bounds, or too few photographs look into the box.
     """
-    bed = _bed_of(run, flight.frame, bounds)
-    box = _box_about(bed, cells)
+    bed = _bed_of(run, flight.frame, options.bounds)
+    box = _box_about(bed, options.cells)
     gsd_m = run.place.gsd_m
-    scale = image_scale or min(1.0, _PIXELS_PER_CELL * gsd_m * cells / box.edge)
-    water = None if straight else flight.water
+    scale = options.image_scale or min(1.0, _PIXELS_PER_CELL * gsd_m * options.cells / box.edge)
+    water = None if options.straight else flight.water
     shown = []
     for photograph in at_scale(flight, scale):
         each = _looking_at(photograph, box, water)
         shown += [each] if each is not None else []
         advance()
+    held_every = options.held_every
     held = [] if held_every is None else shown[held_every // 2 :: held_every]
     train = [each for each in shown if not any(each is other for other in held)]
     if len(train) < LEAST_VIEWS:
@@ -139,8 +151,8 @@ def load_scene(
         )
     inside = ((bed > box.low) & (bed < box.high)).all(axis=1)
     learned = _named(train, water)
-    if monocular is not None:
-        learned.photographs.priors = monocular_priors(monocular, learned.names, learned.photographs.cameras)
+    if options.monocular is not None:
+        learned.photographs.priors = monocular_priors(options.monocular, learned.names, learned.photographs.cameras)
     return Scene(box, bed[inside], learned, _named(held, water), gsd_m / scale)
 
 

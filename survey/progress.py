@@ -67,7 +67,8 @@ class Step:
     def __init__(self, progress: Progress, name: str, total: float | None):
         self.name, self.total, self.done = name, total, 0.0
         self._progress = progress
-        self._start = self._last_line = time.monotonic()
+        self._now = progress.now
+        self._start = self._last_line = self._now()
         self._step_forecast = StepForecast(self._start)
         self._bars = progress._bars
         self._task = self._bars.add_task(name, total=total, step=self) if self._bars is not None else None
@@ -75,7 +76,7 @@ class Step:
     @property
     def seconds(self) -> float:
         """Since the step began [s]."""
-        return time.monotonic() - self._start
+        return self._now() - self._start
 
     @property
     def is_underway(self) -> bool:
@@ -86,13 +87,13 @@ class Step:
     def seconds_left(self) -> float | None:
         """Remaining time of the step [s]; None before estimates agree."""
         with self._progress.lock:
-            return self._step_forecast.left_s(time.monotonic(), self.total)
+            return self._step_forecast.left_s(self._now(), self.total)
 
     def advance(self, amount: float = 1.0, *, detail: str = "") -> None:
         """Say that ``amount`` more of the total is done; ``detail`` is a word or number to show beside."""
         self.done += amount
         with self._progress.lock:
-            self._step_forecast.advance(time.monotonic(), self.done, self.total)
+            self._step_forecast.advance(self._now(), self.done, self.total)
             self._progress.look_ahead()
         if self._bars is not None and self._task is not None:
             description = f"{self.name}  {detail}" if detail else self.name
@@ -102,7 +103,7 @@ class Step:
 
     def say_if_due(self, detail: str = "") -> None:
         """Say how far the step is where the last line of it is a minute old."""
-        now = time.monotonic()
+        now = self._now()
         if now - self._last_line < _LINE_EVERY_S:
             return
         self._last_line = now
@@ -164,8 +165,15 @@ class Progress:
         Of the run, whose parts have the names of stages.
     """
 
-    def __init__(self, *, verbosity: int = 0, log_path: Path | None = None, stream: TextIO | None = None):
-        self.verbosity = verbosity
+    def __init__(
+        self,
+        *,
+        verbosity: int = 0,
+        log_path: Path | None = None,
+        stream: TextIO | None = None,
+        now: Callable[[], float] = time.monotonic,
+    ):
+        self.verbosity, self.now = verbosity, now
         self._console = Console(file=stream or sys.stderr, highlight=False, markup=False, soft_wrap=True)
         self._log: TextIO | None = None
         self._bars: Bars | None = None
@@ -203,7 +211,7 @@ class Progress:
         self._steps.append(step)
         if outermost and self.forecast is not None:
             with self.lock:
-                self.forecast.begin(name, time.monotonic())
+                self.forecast.begin(name, self.now())
         try:
             with ticking:
                 yield step
@@ -214,7 +222,7 @@ class Progress:
                 self._bars = None
         if outermost and self.forecast is not None:
             with self.lock:
-                self.forecast.end(name, time.monotonic())
+                self.forecast.end(name, self.now())
         of_run = self.look_ahead() if outermost else None
         rest = "" if of_run is None or of_run < _LINE_EVERY_S else f", about {rough(of_run)} to the end of the run"
         self._said(f"{name}: done in {clock(step.seconds)}{rest}")
@@ -230,7 +238,7 @@ class Progress:
             of_part = self._steps[0].seconds_left if self._steps else None
             if of_part is None and self._steps and self._steps[0].is_underway:
                 return None
-            return self.forecast.left_s(time.monotonic(), of_part)
+            return self.forecast.left_s(self.now(), of_part)
 
     def note(self, text: str) -> None:
         """A line that the user should see."""

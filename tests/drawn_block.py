@@ -7,6 +7,7 @@ errors of the stated standard deviations.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -121,8 +122,11 @@ class Wanted:
     readout: float = 0.0
 
 
-def draw_block(seed: int, **settings) -> DrawnBlock:
-    """A random block; settings as `Wanted`. One seed draws the same block on every machine, up to rounding."""
+def draw_block(seed: int, *, bed: Callable[..., np.ndarray] | None = None, **settings) -> DrawnBlock:
+    """A random block; settings as `Wanted`. One seed draws the same block on every machine, up to rounding.
+
+    ``bed`` draws the points in place of `_bed`, with its arguments.
+    """
     wanted, rng = Wanted(**settings), np.random.default_rng([seed, 30])
     num_views = int(rng.integers(16, 41)) if wanted.num_views is None else wanted.num_views
     nadir_only = rng.random() < 0.25 if wanted.nadir_only is None else wanted.nadir_only
@@ -146,7 +150,7 @@ def draw_block(seed: int, **settings) -> DrawnBlock:
         half = height / lens.focal[0] * np.array([0.1 * lens.width * num_views, 0.45 * lens.height])
     strips = half * [1.0, 0.0 if wanted.strip else 1.0]
     cameras = _fly(rng, lens, water[0], height, strips, num_views, nadir_only)
-    points = _bed(rng, plane, half, depth, wanted.num_points, dry_share)
+    points = (bed or _bed)(rng, plane, half, depth, wanted.num_points, dry_share)
 
     velocities = _velocities(np.random.default_rng([seed, 32]), len(cameras), wanted.speed)
     point, view, pixel = _seen(rng, lens, cameras, velocities * wanted.readout, points, plane)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from unittest.mock import patch
 
 import numpy as np
 
 from survey.control.points import Ground
 from survey.folder.survey import Survey
 from survey.settings.control import ControlConfig
-from tests import drawn_block
 from tests.block_survey import survey_of, with_shift
 from tests.changed_survey import changed
 from tests.drawn_block import DrawnBlock, draw_block, water_plane
@@ -52,10 +50,9 @@ def drawn_on_ground(
         half_of["extent"] = half
         return np.column_stack([places, plane.height(*places.T) + height(places)])
 
-    with patch.object(drawn_block, "_bed", bed):
-        block = draw_block(
-            seed, num_points=num_points, num_control=num_control, dry_share=0.35, num_views=18, nadir_only=False
-        )
+    block = draw_block(
+        seed, bed=bed, num_points=num_points, num_control=num_control, dry_share=0.35, num_views=18, nadir_only=False
+    )
     survey = with_shift(survey_of(block), shift, 3.0)
     x, y = (np.arange(-1.1 * side, 1.1 * side, SPACING_M) for side in half_of["extent"])
     places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)

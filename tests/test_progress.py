@@ -6,7 +6,6 @@ import io
 
 import pytest
 
-from survey import progress as progress_room
 from survey.forecast import Forecast
 from survey.progress import Progress, Step
 
@@ -20,21 +19,16 @@ class Clock:
     def monotonic(self) -> float:
         return self.now
 
-    def strftime(self, form: str) -> str:
-        return form
-
 
 @pytest.fixture
-def clock(monkeypatch) -> Clock:
-    clock = Clock()
-    monkeypatch.setattr(progress_room, "time", clock)
-    return clock
+def clock() -> Clock:
+    return Clock()
 
 
 @pytest.fixture
 def stage(clock):
     """A stage of 100 parts."""
-    with Progress(verbosity=-1) as progress, progress.stage("sweep", total=100) as stage:
+    with Progress(verbosity=-1, now=clock.monotonic) as progress, progress.stage("sweep", total=100) as stage:
         yield stage
 
 
@@ -106,14 +100,14 @@ def test_the_time_runs_down_while_a_part_is_worked_on_and_ends_where_it_takes_lo
 
 
 def test_a_stage_without_a_total_tells_nothing(clock):
-    with Progress(verbosity=-1) as progress, progress.stage("reading") as stage:
+    with Progress(verbosity=-1, now=clock.monotonic) as progress, progress.stage("reading") as stage:
         work(stage, clock, 50, 1.0)
         assert stage.seconds_left is None
 
 
 def test_a_terminal_shows_the_same_estimate_beside_the_bar(clock, monkeypatch):
     monkeypatch.setenv("FORCE_COLOR", "1")
-    progress = Progress(stream=io.StringIO())
+    progress = Progress(stream=io.StringIO(), now=clock.monotonic)
     with progress, progress.stage("sweep", total=100) as stage:
         work(stage, clock, 40, 1.0)
         (task,) = progress._bars.tasks
@@ -123,7 +117,7 @@ def test_a_terminal_shows_the_same_estimate_beside_the_bar(clock, monkeypatch):
 
 def test_a_run_with_a_forecast_says_when_it_will_end(clock):
     stream = io.StringIO()
-    with Progress(stream=stream) as progress:
+    with Progress(stream=stream, now=clock.monotonic) as progress:
         progress.forecast = Forecast()
         progress.forecast.expect({"sweep": 100.0, "report": 50.0})
         with progress.stage("sweep", total=100) as stage:
@@ -142,7 +136,7 @@ def test_a_run_with_a_forecast_says_when_it_will_end(clock):
 
 
 def test_nothing_is_told_of_the_run_while_the_pace_of_what_goes_on_contradicts_what_was_expected(clock):
-    progress = Progress(verbosity=-1)
+    progress = Progress(verbosity=-1, now=clock.monotonic)
     progress.forecast = Forecast()
     progress.forecast.expect({"first": 100.0, "sweep": 50.0})
     with progress:

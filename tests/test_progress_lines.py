@@ -14,11 +14,10 @@ from survey.lines import fitted
 from survey.progress import Progress, clock
 
 
-def test_stages_are_plain_lines_with_the_time_left_where_there_is_no_terminal(monkeypatch, tmp_path):
+def test_stages_are_plain_lines_with_the_time_left_where_there_is_no_terminal(tmp_path):
     now = [0.0]
-    monkeypatch.setattr(progress_room.time, "monotonic", lambda: now[0])
     stream = io.StringIO()
-    with Progress(stream=stream, log_path=tmp_path / "run" / "log.txt") as progress:
+    with Progress(stream=stream, log_path=tmp_path / "run" / "log.txt", now=lambda: now[0]) as progress:
         assert progress_room.current() is progress
         with progress.stage("sweep", total=4) as stage:
             assert stage.seconds_left is None

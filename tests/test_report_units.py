@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-
 import numpy as np
 import pytest
 from chromium import PROGRAM
@@ -104,14 +102,11 @@ def test_a_pdf_of_somebody_else_is_not_ours(tmp_path):
     assert not pdf.is_our_pdf(other)
 
 
-def test_without_a_browser_the_page_says_what_to_do(tmp_path, monkeypatch):
-    monkeypatch.setattr(shutil, "which", lambda _name: None)
-    monkeypatch.setattr(pdf, "_PLACES", ())
+def test_without_a_browser_the_page_says_what_to_do(tmp_path):
     with pytest.raises(UnwritableFile, match="Chromium, Chrome or Edge"):
-        pdf.write_pdf(tmp_path / "report.html", tmp_path / "report.pdf")
+        pdf.write_pdf(tmp_path / "report.html", tmp_path / "report.pdf", browsers=(str(tmp_path / "none"),))
     broken = tmp_path / "chromium"
     broken.write_text("#!/bin/sh\necho no display >&2\nexit 1\n")
     broken.chmod(0o755)
-    monkeypatch.setattr(shutil, "which", lambda _name: str(broken))
     with pytest.raises(UnwritableFile, match="no display"):
-        pdf.write_pdf(tmp_path / "report.html", tmp_path / "report.pdf")
+        pdf.write_pdf(tmp_path / "report.html", tmp_path / "report.pdf", browsers=(str(broken),))

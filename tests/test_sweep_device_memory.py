@@ -164,13 +164,12 @@ def test_maps_for_which_the_device_has_no_room_wait_on_the_host(apart, beside, r
     assert_same(swept(apart, room=room), beside)
 
 
-def test_a_place_for_maps_takes_and_gives_room(apart, monkeypatch, rng):
+def test_a_place_for_maps_takes_and_gives_room(apart, rng):
     shape = (4, 6)
     nothing = (np.zeros(shape, kind) for kind in (np.float16, np.uint8, np.float16))
     m = HeightMap(2, rng.random(shape).astype(np.float32), *nothing)
-    monkeypatch.setattr(device_maps, "memory_bytes", lambda device: 2 * 16 * 24)
     aside = {}
-    maps = device_map_store(apart, lambda: aside)()
+    maps = device_map_store(apart, lambda: aside, 16 * 24)()
     for view in (2, 5):
         maps[view] = images_device.upload(apart, replace(m, view=view))
     assert sorted(aside) == [5]

@@ -211,9 +211,8 @@ def test_the_twin_has_the_same_functions_and_signatures():
         assert list(inspect.signature(twin).parameters) == list(inspect.signature(function).parameters), name
 
 
-def test_packed_images_take_a_quarter_of_the_memory_of_a_device_at_most(apart, monkeypatch, rng):
-    images = [rng.integers(0, 200, SHAPE).astype(np.float32) for _ in range(60)]
-    monkeypatch.setattr(stack, "KEPT_BYTES", 0)
-    for memory, kept in ((0, stack.FEWEST_KEPT), (4 * 30 * 4 * 45 * 70, 30), (10**9, 60)):
-        monkeypatch.setattr(stack, "memory_bytes", lambda device, memory=memory: memory)
-        assert min(stack.PackedImages.build(apart, images).values.most, 60) == kept
+def test_packed_images_take_a_quarter_of_the_memory_of_a_device_at_most():
+    size = 20_000_000
+    for memory, kept in ((0, stack.FEWEST_KEPT), (4 * 30 * size, 30), (4 * 60 * size, 60)):
+        assert stack.num_packed(size, memory) == kept
+    assert stack.num_packed(2_000_000, 0) == stack.KEPT_BYTES // 2_000_000

@@ -12,11 +12,14 @@ from fields.sweep.maps import HeightMap, Keep, Maps
 _SHARE, _PIXEL_BYTES = 0.5, 16
 
 
-def device_map_store(device: Device, keep: Keep) -> Keep:
-    """Factory of map stores for the kernels of a device; ``keep`` is that of stores on the host."""
+def device_map_store(device: Device, keep: Keep, room_bytes: int | None = None) -> Keep:
+    """Factory of map stores for the kernels of a device; ``keep`` is that of stores on the host.
+
+    Maps on the device take ``room_bytes``, by default half of its memory.
+    """
     if not device.apart:
         return keep
-    room = _Budget(int(_SHARE * memory_bytes(device)))
+    room = _Budget(int(_SHARE * memory_bytes(device)) if room_bytes is None else room_bytes)
     return lambda: DeviceMaps(device, keep(), room)
 
 

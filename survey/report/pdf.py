@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 from geo.errors import UnwritableFile
@@ -13,9 +14,9 @@ from geo.files import write_whole
 
 # After the end of the document, where readers look no further.
 MARK = b"% bathynerf\n"
-_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge", "msedge")
-# Where it is no program of the path.
-_PLACES = (
+BROWSERS = (
+    *("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge", "msedge"),
+    # Where it is no program of the path.
     "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
     "/Applications/Microsoft Edge.app/Contents/MacOS/Microsoft Edge",
     "C:/Program Files/Google/Chrome/Application/chrome.exe",
@@ -24,15 +25,15 @@ _PLACES = (
 _MOST_S = 300.0
 
 
-def write_pdf(html: Path, path: Path) -> None:
-    """Write a page as PDF, A4, whole or not at all.
+def write_pdf(html: Path, path: Path, *, browsers: Sequence[str] = BROWSERS) -> None:
+    """Write a page as PDF, A4, whole or not at all, by the first of the browsers that is there: a name or a path.
 
     Raises
     ------
     UnwritableFile
         If the file cannot be written, or there is no browser, or it does not print.
     """
-    browser = _browser(path)
+    browser = _first_of(browsers, path)
     with tempfile.TemporaryDirectory(prefix="bathynerf-pdf-") as work:
         printed = Path(work, "report.pdf")
         options = ["--headless", "--disable-gpu", "--no-first-run", "--no-pdf-header-footer", f"--user-data-dir={work}"]
@@ -55,9 +56,8 @@ def write_pdf(html: Path, path: Path) -> None:
         stream.write(content.rstrip(b"\n") + b"\n" + MARK)
 
 
-def _browser(path: Path) -> str:
-    found = next((place for name in _NAMES if (place := shutil.which(name)) is not None), None)
-    found = found or next((place for place in _PLACES if Path(place).is_file()), None)
+def _first_of(browsers: Sequence[str], path: Path) -> str:
+    found = next((place for name in browsers if (place := shutil.which(name)) is not None), None)
     if found is None:
         raise UnwritableFile(
             f"{path} is printed by Chromium, Chrome or Edge, and none was found; install one (Debian, Ubuntu: apt-get "

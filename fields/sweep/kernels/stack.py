@@ -218,8 +218,11 @@ class PackedImages:
     step: float
 
     @staticmethod
-    def build(device: Device, images: Sequence[np.ndarray]) -> PackedImages:
-        """Pack images (height, width) float32 of one size, each when it is needed; NaN is masked."""
+    def build(device: Device, images: Sequence[np.ndarray], kept: int | None = None) -> PackedImages:
+        """Pack images (height, width) float32 of one size, each when it is needed; NaN is masked.
+
+        The last ``kept`` stay on the device, by default as many as its memory has room for.
+        """
         least, most, are_unmasked, pixels = np.inf, -np.inf, True, 0
         for image in images:
             pixels = max(pixels, image.size)
@@ -230,11 +233,14 @@ class PackedImages:
         bits = 8 if most - least < 2**8 and are_unmasked else 16
         step = 1.0 if bits == 8 else 2.0 ** np.ceil(np.log2(max(most - least, LEAST_SPAN) / (MASKED - 2)))
         low = step * np.floor(least / step)
-        size = pixels * bits // 2
-        budget = max(int(_OF_MEMORY * memory_bytes(device)), KEPT_BYTES)
-        kept = num_cached(size, budget, FEWEST_KEPT)
+        kept = num_packed(pixels * bits // 2, memory_bytes(device)) if kept is None else kept
         values: LruCache[int, Any] = LruCache(lambda view: words(device, _packed(images[view], low, step, bits)), kept)
         return PackedImages(values, bits, float(low), float(step))
+
+
+def num_packed(image_bytes: int, memory: int) -> int:
+    """Number of packed images that a device of so many bytes of memory keeps."""
+    return num_cached(image_bytes, max(int(_OF_MEMORY * memory), KEPT_BYTES), FEWEST_KEPT)
 
 
 def _packed(image: np.ndarray, low: float, step: float, bits: int) -> np.ndarray:

@@ -21,7 +21,7 @@ class ForeignPackage(ImportError):
     """A package of another project has the name of one of ours, and its place."""
 
 
-class _Beside(importlib.abc.MetaPathFinder):
+class _RoomFinder(importlib.abc.MetaPathFinder):
     """Finds the rooms, and nothing else: a folder ``survey`` in the working directory is not one of them."""
 
     def find_spec(
@@ -36,8 +36,8 @@ class _Beside(importlib.abc.MetaPathFinder):
 
 def find_beside() -> None:
     """Let imports of the rooms find those of this installation first."""
-    if not any(isinstance(finder, _Beside) for finder in sys.meta_path):
-        sys.meta_path.insert(0, _Beside())
+    if not any(isinstance(finder, _RoomFinder) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _RoomFinder())
 
 
 @cache

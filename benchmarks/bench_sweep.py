@@ -25,9 +25,9 @@ from fields.sweep import bed as bed_module
 from fields.sweep import views
 from fields.sweep.bed import BedPoints
 from fields.sweep.fusion import remove_free_space_violations
+from fields.sweep.height_range import find_range
 from fields.sweep.maps import HeightMap, trusted
 from fields.sweep.passes import PASSES, Pass
-from fields.sweep.ranging import find_range
 from fields.sweep.sweep import sweep
 from fields.sweep.view_pass import Search
 from survey.compare.comparison import CompareOptions, compare_surfaces

@@ -39,9 +39,9 @@ def straight_bias(cloud: np.ndarray, bed: np.ndarray, survey: Survey, times_seen
     cameras, water = [view.camera for view in survey.views], survey.water
     bed = bed[away_from_objects(bed)]
     bed = bed[np.random.default_rng(0).permutation(len(bed))[:POINTS]]
-    sight = Sight.of(bed, cameras, water)
-    everyone = apparent_points(sight.centres, sight.directions, sight.seen)
-    same = matched_points(sight, bed, water.depth(bed), cameras, water, times_seen)
+    projections = Projections.of(bed, cameras, water)
+    everyone = apparent_points(projections.centres, projections.directions, projections.seen)
+    same = matched_points(projections, bed, water.depth(bed), cameras, water, times_seen)
     known = np.isfinite(same).all(axis=1) & np.isfinite(everyone).all(axis=1)
     reach = 2.0 * float(np.median([-water.depth(c.centre) / c.fx for c in cameras]))
     measured = rise_of(cloud, same, bed, HIGHEST * water.depth(bed), reach)
@@ -51,7 +51,7 @@ def straight_bias(cloud: np.ndarray, bed: np.ndarray, survey: Survey, times_seen
 
 
 @dataclass(frozen=True)
-class Sight:
+class Projections:
     """Where N points appear to V cameras: pixels (V, N, 2), and rays as `apparent_points` takes them, (N, V, ...)."""
 
     pixels: np.ndarray
@@ -60,17 +60,22 @@ class Sight:
     seen: np.ndarray
 
     @staticmethod
-    def of(points: np.ndarray, cameras: list[PinholeCamera], water: FlatWater) -> Sight:
+    def of(points: np.ndarray, cameras: list[PinholeCamera], water: FlatWater) -> Projections:
         pixels = np.array([c.project(points, water) for c in cameras])
         size = np.array([(c.width, c.height) for c in cameras])[:, None]
         seen = ((pixels > 0.0) & (pixels < size)).all(axis=2).T
         centres = np.broadcast_to(np.array([c.centre for c in cameras]), (len(points), len(cameras), 3))
         directions = np.stack([c.directions(p) for c, p in zip(cameras, pixels, strict=True)], axis=1)
-        return Sight(pixels, centres, directions, seen)
+        return Projections(pixels, centres, directions, seen)
 
 
 def matched_points(
-    sight: Sight, bed: np.ndarray, depth: np.ndarray, cameras: list[PinholeCamera], water: FlatWater, times_seen
+    projections: Projections,
+    bed: np.ndarray,
+    depth: np.ndarray,
+    cameras: list[PinholeCamera],
+    water: FlatWater,
+    times_seen,
 ) -> np.ndarray:
     """Where the apparent rays of the views that the sweep matches meet, (N, 3): of its height maps the steepest, as in
     the cloud (`fields.sweep.bed.unique_pixels`).
@@ -84,24 +89,24 @@ def matched_points(
     chosen = views.cover(seen, cells, cameras, *times_seen)
     for view in sorted(chosen, key=lambda v: cameras[v].cam_from_local[2][2]):
         others = views.neighbours(cameras, seen, cells, view, list(range(len(cameras))), PASSES[-1].neighbours)
-        ray, centre = sight.directions[:, view], cameras[view].centre
+        ray, centre = projections.directions[:, view], cameras[view].centre
         t = (bed[:, 2:] + rises - centre[2]) / ray[:, 2:]
-        ladder = centre + t[..., None] * ray[:, None]
+        hypotheses = centre + t[..., None] * ray[:, None]
         miss = [
             np.where(
-                sight.seen[:, o, None],
-                ((cameras[o].project(ladder, None) - sight.pixels[o][:, None]) ** 2).sum(axis=2),
+                projections.seen[:, o, None],
+                ((cameras[o].project(hypotheses, None) - projections.pixels[o][:, None]) ** 2).sum(axis=2),
                 np.inf,
             )
             for o in others
         ]
-        found.append(_best_half_meets(sight, np.array(miss), view, others))
+        found.append(_best_half_meets(projections, np.array(miss), view, others))
     found = np.array(found)
     first = np.isfinite(found[..., 0]).argmax(axis=0)
     return found[first, np.arange(len(bed))]
 
 
-def _best_half_meets(sight: Sight, miss: np.ndarray, view: int, others: list[int]) -> np.ndarray:
+def _best_half_meets(projections: Projections, miss: np.ndarray, view: int, others: list[int]) -> np.ndarray:
     """Where a view's rays meet those of the neighbours that ``miss`` them least (neighbours, N, hypotheses): (N, 3)."""
     count = np.isfinite(miss[:, :, 0]).sum(axis=0)
     keep = np.maximum((count + 1) // 2, 1)
@@ -110,11 +115,11 @@ def _best_half_meets(sight: Sight, miss: np.ndarray, view: int, others: list[int
     nearest = np.where(among, order, 0.0).sum(axis=0).argmin(axis=1)
     there = np.take_along_axis(miss, nearest[None, :, None], axis=2)[:, :, 0]
     rank = there.argsort(axis=0).argsort(axis=0)
-    chosen = np.zeros_like(sight.seen)
+    chosen = np.zeros_like(projections.seen)
     chosen[:, others] = ((rank < keep) & np.isfinite(there)).T
     chosen[:, view] = True
-    points = apparent_points(sight.centres, sight.directions, chosen & sight.seen)
-    edge = (nearest == 0) | (nearest == miss.shape[2] - 1) | ~sight.seen[:, view] | (count == 0)
+    points = apparent_points(projections.centres, projections.directions, chosen & projections.seen)
+    edge = (nearest == 0) | (nearest == miss.shape[2] - 1) | ~projections.seen[:, view] | (count == 0)
     points[edge] = np.nan
     return points
 

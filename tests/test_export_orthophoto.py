@@ -29,8 +29,8 @@ from refract import FlatWater
 from survey.errors import SurveyError
 from survey.export.cell_projection import CellProjection, Windows
 from survey.export.export import export
-from survey.export.hidden import Tops, common_exposure
 from survey.export.mosaic import Mosaic
+from survey.export.occlusion import HeightBuffer, common_exposure
 from survey.export.photographs import Pixels
 from survey.export.plan_cells import PlanCells, Window
 from survey.export.product import ExportOptions
@@ -119,7 +119,7 @@ def test_exposures_are_compared_however_many_cells_one_window_has():
     u, v = np.meshgrid(np.linspace(1.0, 99.0, 200), np.linspace(1.0, 99.0, 190))
     sight = CellProjection(u, v, np.ones_like(u), np.zeros_like(u))
     bed = SimpleNamespace(all=lambda: iter([(window, height)]), through=lambda _: iter([(window, height, sight)]))
-    hides_nothing = SimpleNamespace(unhidden=lambda sight, _: sight)
+    hides_nothing = SimpleNamespace(visible=lambda sight, _: sight)
     shown = [
         SimpleNamespace(camera=None, pixels=lambda grey=grey: Pixels(np.full((100, 100, 3), grey, np.uint8), None))
         for grey in (50, 200)
@@ -142,9 +142,9 @@ def test_what_stands_behind_something_is_hidden():
     x, y = np.moveaxis(cells.middles(window) - [E0, N0], -1, 0)
     heights = LEVEL + np.where((np.abs(x) < 1.0) & (np.abs(y) < 1.0), 2.0, 0.0)
     bed = Windows(flown(None), cells, lambda w: heights[w.slices])
-    tops = Tops.of(camera, bed, cell_m=0.1, cell_px=300.0 * 0.1 / 11.3)
+    buffer = HeightBuffer.of(camera, bed, cell_m=0.1, cell_px=300.0 * 0.1 / 11.3)
     ((_, height, sight),) = bed.through(camera)
-    seen = np.isfinite(tops.unhidden(sight, height).u)
+    seen = np.isfinite(buffer.visible(sight, height).u)
     # The ray over the far edge of the deck comes down to the bed at x = 4; the deck's own edges are blurred.
     shadow = (x > 1.4) & (x < 3.4) & (np.abs(y) < 0.7)
     assert not seen[shadow].any()

@@ -11,7 +11,7 @@ from scene_files import SCENE, scene_file, staged, write_mesh
 
 from refract import FlatWater
 from survey.errors import SurveyError
-from survey.simulate.ground.ground import NOTHING, Ground, Look, shade_of_normals
+from survey.simulate.ground.ground import NOTHING, Ground, Material, shade_of_normals
 from survey.simulate.ground.shapes import BedGrid
 from survey.simulate.ground.skin import VertexSkin
 from survey.simulate.ground.triangles import TriangleMesh
@@ -44,7 +44,7 @@ def test_rays_meet_any_mesh_where_they_meet_the_same_bed_as_a_grid(rng):
 
 def test_a_ray_beside_a_bed_of_limited_extent_meets_nothing_and_is_black():
     mesh = TriangleMesh(np.array([[0.0, 0, -1], [1, 0, -1], [0, 1, -1]]), np.array([[0, 1, 2]]))
-    look = Look(VertexSkin(np.ones((3, 3)), mesh.vertices, mesh.faces), shade_of_normals(mesh.normals, Light()))
+    look = Material(VertexSkin(np.ones((3, 3)), mesh.vertices, mesh.faces), shade_of_normals(mesh.normals, Light()))
     for water in (None, FlatWater((0.0, 0.0, 0.0))):
         renderer = DirectRenderer(Ground(mesh, (), (look,)), water, WaterColour(veil=(0.0, 0.0, 0.0), sky=0.0))
         origin = np.array([[0.2, 0.2, 3.0], [5.0, 5.0, 3.0]])
@@ -104,7 +104,7 @@ def test_an_object_is_scaled_turned_heeled_and_stands_on_the_bed(tmp_path):
 def test_depth_is_nan_where_a_pixel_sees_nothing(tmp_path):
     scene = staged(scene_file(tmp_path))
     triangle = TriangleMesh(np.array([[-0.3, -9.0, -1.0], [9.0, -9.0, -1.0], [-0.3, 9.0, -1.0]]), np.array([[0, 1, 2]]))
-    look = Look(
+    look = Material(
         VertexSkin(np.ones((3, 3)), triangle.vertices, triangle.faces), shade_of_normals(triangle.normals, Light())
     )
     renderer = dataclasses.replace(scene.renderer, ground=Ground(triangle, (), (look,)))

@@ -12,7 +12,7 @@ from slow_cases import slow
 from refract import FlatWater, HeightFieldWater, PinholeCamera, WavyWater
 from refract.lens import Lens
 from survey.errors import ConfigError
-from survey.simulate.ground.ground import Ground, Look, shade_of_normals
+from survey.simulate.ground.ground import Ground, Material, shade_of_normals
 from survey.simulate.ground.objects import skin_of_bed
 from survey.simulate.ground.shapes import BedGrid, rotation
 from survey.simulate.light import Light
@@ -81,7 +81,7 @@ def checkered(albedo: float | None = None, reach: float = 60.0) -> Ground:
     )
     if albedo is not None:
         skin.image[:] = albedo
-    return Ground(bed, (), (Look(skin, shade_of_normals(np.array([[0.0, 0.0, 1.0]]), NO_SUN)),))
+    return Ground(bed, (), (Material(skin, shade_of_normals(np.array([[0.0, 0.0, 1.0]]), NO_SUN)),))
 
 
 def tracer(

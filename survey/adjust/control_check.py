@@ -55,20 +55,22 @@ _LEAST_PROBABILITY = 2.5e-4
 _FEWEST_POSITIONS = 3
 
 
-class Given(NamedTuple):
+class StatedPoint(NamedTuple):
     """The coordinates of a control point (3,) [m], local, and their standard deviations."""
 
     place: np.ndarray
     std: np.ndarray
 
 
-def given_points(seen: Observed) -> dict[str, Given]:
+def stated_points(seen: Observed) -> dict[str, StatedPoint]:
     """Stated coordinates of all control points, by name."""
     first = len(seen.ties) - len(seen.control)
-    return {name: Given(seen.ties.start[k], seen.point_std[k]) for k, name in enumerate(seen.control, start=first)}
+    return {
+        name: StatedPoint(seen.ties.start[k], seen.point_std[k]) for k, name in enumerate(seen.control, start=first)
+    }
 
 
-def checked_points(problem: Problem, solution: Solution, seen: Observed, stated: Mapping[str, Given]) -> Observed:
+def checked_points(problem: Problem, solution: Solution, seen: Observed, stated: Mapping[str, StatedPoint]) -> Observed:
     """Observations with wrong control freed and optimistic standard deviations widened; the same where none is.
 
     Only the worst point is freed: it pulls the block away from others, which are judged without it.
@@ -78,18 +80,18 @@ def checked_points(problem: Problem, solution: Solution, seen: Observed, stated:
     problem : Problem
     solution : Solution
     seen : Observed
-    stated : name to Given
+    stated : name to StatedPoint
         Of control points, before any was freed or widened.
     """
     first = len(seen.ties) - len(seen.control)
     std = seen.point_std.copy()
     known = [k for k in range(first, len(std)) if np.isfinite(std[k]).all()]
 
-    def given(point: int) -> Given:
+    def given(point: int) -> StatedPoint:
         return stated[seen.control[point - first]]
 
     def misfit(point: int, own_std: np.ndarray) -> float:
-        return _misfit(problem, solution, seen, point, Given(given(point).place, own_std))
+        return _misfit(problem, solution, seen, point, StatedPoint(given(point).place, own_std))
 
     off = {k: value for k in known if np.isfinite(value := misfit(k, std[k]))}
     if not off:
@@ -118,7 +120,7 @@ def checked_points(problem: Problem, solution: Solution, seen: Observed, stated:
     return replace(seen, point_std=std)
 
 
-def _misfit(problem: Problem, solution: Solution, seen: Observed, point: int, given: Given) -> float:
+def _misfit(problem: Problem, solution: Solution, seen: Observed, point: int, given: StatedPoint) -> float:
     """Normalised residual of the coordinates of a control point; infinite where it is not determined."""
     marks = np.flatnonzero(seen.ties.point == point)
     if len(marks) < 2:

@@ -237,7 +237,7 @@ def _descended(planes: _PlanesOnGrid, points: np.ndarray, start: np.ndarray) -> 
 
 
 @dataclass(frozen=True)
-class Placed:
+class GroundAlignment:
     """How an adjusted block lies on the ground.
 
     Attributes
@@ -271,7 +271,7 @@ class Placed:
     shift_prior: np.ndarray
 
 
-def placed_on(on_ground: OnGround, problem: Problem, solution: Solution) -> Placed:
+def alignment_on(on_ground: OnGround, problem: Problem, solution: Solution) -> GroundAlignment:
     """The placement of a block."""
     of_shift, covariance = problem.layout.shift, solution.covariance
     planes, points = on_ground.planes, solution.state.points
@@ -283,7 +283,7 @@ def placed_on(on_ground: OnGround, problem: Problem, solution: Solution) -> Plac
         without = _std_of_block(system, points, middle, inverse(system.normal))
     except np.linalg.LinAlgError:
         without = None
-    return Placed(
+    return GroundAlignment(
         num_points=int(used.sum()),
         num_over=int(on_ground.over.sum()),
         num_changed=int(on_ground.changed.sum()),
@@ -317,7 +317,7 @@ def _std_of_block(system: System, points: np.ndarray, middle: np.ndarray, covari
 
 
 def moved_by(before: Sequence[View], state: State, middle: np.ndarray) -> np.ndarray:
-    """How a block was moved (7,): shift at a middle (3,) of the moved block, turn and scale as in `Placed.std`."""
+    """How a block was moved (7,): shift at a middle (3,) of the moved block, turn, scale, as `GroundAlignment.std`."""
     centres = np.array([view.camera.centre for view in before])
     rotations = np.array([view.camera.cam_from_local for view in before])
     turns = Rotation.from_matrix(state.rotations.transpose(0, 2, 1) @ rotations)

@@ -8,9 +8,9 @@ import numpy as np
 
 from survey.adjust.bundle import NotConvergedError, Solution, System, inverse, solve, system_with
 from survey.adjust.clusters import inflation, terrain_design_effect
-from survey.adjust.control_check import checked_points, given_points
+from survey.adjust.control_check import checked_points, stated_points
 from survey.adjust.observed import KINDS, MARK, Observed, rows_taken
-from survey.adjust.on_ground import OnGround, Placed, placed_on, planes_under
+from survey.adjust.on_ground import GroundAlignment, OnGround, alignment_on, planes_under
 from survey.adjust.pose_std import judged
 from survey.adjust.prediction import relief_sides
 from survey.adjust.priors import Known, priors_for
@@ -88,7 +88,7 @@ class Adjusted:
         On variances, for what neighbouring observations and neighbouring ground share.
     blunders : (V, 2) bool
         Positions and rotations that the block contradicts and that were left out.
-    placed : Placed or None
+    placed : GroundAlignment or None
         On the ground of an earlier survey.
     """
 
@@ -97,7 +97,7 @@ class Adjusted:
     solution: Solution
     factor: np.ndarray
     blunders: np.ndarray
-    placed: Placed | None = None
+    placed: GroundAlignment | None = None
 
 
 def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted:
@@ -122,7 +122,7 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
     factors = np.ones(len(KINDS) * (1 + _STRATA))
     given = np.full(len(factors), np.nan)
     given[MARK :: len(KINDS)] = marks_std_px
-    coordinates, remaining = given_points(seen), _ROUNDS
+    coordinates, remaining = stated_points(seen), _ROUNDS
     most = _ROUNDS + len(coordinates)
     while True:
         kind = _by_depth(seen, state)
@@ -159,7 +159,7 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
         solution = replace(solution, covariance=covariance_over_shore(problem, solution))
     for roll, std in stds:
         solution = replace(solution, covariance=widened(problem, solution.covariance, roll, std))
-    placed = None if on_ground is None else placed_on(on_ground, problem, solution)
+    placed = None if on_ground is None else alignment_on(on_ground, problem, solution)
     solution = replace(solution, std_px=np.sqrt(_means(found[kind] ** 2, seen.kind)))
     return Adjusted(known, seen, solution, _means(factors[kind], seen.kind), blunders, placed)
 

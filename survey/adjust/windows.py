@@ -93,7 +93,7 @@ def measure(
     block : Block
         Its water is only the start.
     bound : (low, high) [m] over the water plane
-        Range of heights searched for the bed; `fields.sweep.ranging.find_range` gives it.
+        Range of heights searched for the bed; `fields.sweep.height_range.find_range` gives it.
     area : (x0, y0, x1, y1) [m], local, or None
         Where windows are chosen, to one pixel of the sweep.
     advance : callable
@@ -277,7 +277,7 @@ def loaded(survey: Survey, plan: Plan) -> tuple[Block, tuple[float, float]]:
         If the photographs do not match.
     """
     # Starts Dr.Jit, which the adjustment does not need.
-    from fields.sweep.ranging import find_range
+    from fields.sweep.height_range import find_range
 
     block = load_block(survey, plan, lambda _amount: None)
     try:

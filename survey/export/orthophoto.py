@@ -52,8 +52,8 @@ def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
     from survey.errors import SurveyError
     from survey.export.cell_projection import Windows
     from survey.export.gridded import gridded
-    from survey.export.hidden import Tops, common_exposure
     from survey.export.mosaic import Mosaic, log_weight
+    from survey.export.occlusion import HeightBuffer, common_exposure
     from survey.export.photographs import at_scale, flight_of
     from survey.export.plan_cells import round_side
     from survey.progress import current
@@ -79,12 +79,12 @@ def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
     fine = Windows(flight, cells, lambda window: _heights(grid, cells, window))
     with current().stage("Orthophoto", 2.0 * len(photographs)) as stage:
         cell_px = grid.cells.side_m / grid.pixel_m * scale
-        tops = [Tops.of(p.camera, coarse, cell_m=grid.cells.side_m, cell_px=cell_px) for p in photographs]
-        factors = common_exposure(photographs, tops, coarse, stage.advance)
-        for photograph, hiding, factor in zip(photographs, tops, factors, strict=True):
+        buffers = [HeightBuffer.of(p.camera, coarse, cell_m=grid.cells.side_m, cell_px=cell_px) for p in photographs]
+        factors = common_exposure(photographs, buffers, coarse, stage.advance)
+        for photograph, buffer, factor in zip(photographs, buffers, factors, strict=True):
             pixels = photograph.pixels()
-            for window, height, sight in fine.through(photograph.camera):
-                seen = hiding.unhidden(sight, height)
+            for window, height, projection in fine.through(photograph.camera):
+                seen = buffer.visible(projection, height)
                 colour = pixels.at(seen.u, seen.v) * factor
                 weight = np.where(np.isfinite(colour[..., 0]), log_weight(seen, photograph.camera), np.nan)
                 mosaic.add(window, weight, colour_of(colour, window, height, seen))

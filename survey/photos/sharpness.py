@@ -32,7 +32,7 @@ _PLAIN_STD, _BLACK = 2.0, 16.0
 
 
 @dataclass(frozen=True)
-class Look:
+class ImageDetail:
     """What a photograph shows of its sharpness.
 
     Attributes
@@ -50,7 +50,7 @@ class Look:
     is_plain: bool = False
 
 
-def look_at(path: Path) -> Look:
+def image_detail(path: Path) -> ImageDetail:
     """Detail and white of a photograph.
 
     Raises
@@ -60,7 +60,7 @@ def look_at(path: Path) -> Look:
     """
     grey = read_grey(path)
     is_plain = bool(np.std(grey) < _PLAIN_STD or np.quantile(grey, 0.99) < _BLACK)
-    return Look(detail_of(grey), float(saturated(grey).mean()), is_plain)
+    return ImageDetail(detail_of(grey), float(saturated(grey).mean()), is_plain)
 
 
 def bytes_per_pixel(paths: Sequence[Path], sizes: Sequence[tuple[int, int]]) -> np.ndarray:

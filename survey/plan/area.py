@@ -42,7 +42,7 @@ def limits(survey: Survey) -> tuple[float, float]:
     return found.low, found.high
 
 
-class Placed(Protocol):
+class Located(Protocol):
     """What has a place on the map: a survey, or the flight of a run."""
 
     @property
@@ -52,7 +52,7 @@ class Placed(Protocol):
     def bounds(self) -> tuple[float, float, float, float] | None: ...
 
 
-def local_area(survey: Placed) -> tuple[float, float, float, float] | None:
+def local_area(survey: Located) -> tuple[float, float, float, float] | None:
     """The bounds of the survey as (x0, y0, x1, y1) [m], local, that hold them; None where it has none."""
     if survey.bounds is None:
         return None
@@ -62,7 +62,7 @@ def local_area(survey: Placed) -> tuple[float, float, float, float] | None:
     return (*corners[:, :2].min(axis=0), *corners[:, :2].max(axis=0))
 
 
-def beyond_bounds(survey: Placed) -> float:
+def beyond_bounds(survey: Located) -> float:
     """How far the cloud may reach beyond the bounds [m]: the margin, and what the map is turned against local."""
     area = local_area(survey)
     if survey.bounds is None or area is None:

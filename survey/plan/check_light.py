@@ -18,7 +18,7 @@ from survey.folder.survey import Survey
 from survey.photos.cameras import level_from_yaw_pitch_roll
 from survey.photos.exif import Exif
 from survey.photos.saturation import MOSTLY_WHITE
-from survey.photos.sharpness import bytes_per_pixel, look_at, relative
+from survey.photos.sharpness import bytes_per_pixel, image_detail, relative
 from survey.plan.check import Checked, Section
 from survey.plan.glitter import USUAL_WIND_M_S, Glitter, GlitterOfFlight
 from survey.plan.places import in_the_middle
@@ -125,16 +125,16 @@ def motion_text(speed: float | None, exposure: float | None, pixel: float | None
 def sharpness_text(found: Found) -> str:
     """The verdict on photographs that are mostly white, and on those that are blurred against the others."""
     names = _some(found)
-    looks = [look_at(found.images[name]) for name in names]
+    images = [image_detail(found.images[name]) for name in names]
     of = f"of {len(names)} photographs" + ("" if len(names) == len(found.images) else f" (of {len(found.images)})")
-    plain = [name for name, look in zip(names, looks, strict=True) if look.is_plain]
+    plain = [name for name, image in zip(names, images, strict=True) if image.is_plain]
     white = {
-        name: look.white
-        for name, look in zip(names, looks, strict=True)
-        if look.white > MOSTLY_WHITE and not look.is_plain
+        name: image.white
+        for name, image in zip(names, images, strict=True)
+        if image.white > MOSTLY_WHITE and not image.is_plain
     }
     clear = [name for name in names if name not in white and name not in plain]
-    details = [look.detail for name, look in zip(names, looks, strict=True) if name in clear]
+    details = [image.detail for name, image in zip(names, images, strict=True) if name in clear]
     sharp = relative(details) if clear else np.ones(0)
     if not np.isfinite(sharp).all():
         return "unknown: the photographs are too small"

@@ -140,14 +140,14 @@ class Job:
 
     @cached_property
     def bound(self) -> tuple[float, float]:
-        """Heights [m] over the water plane between which thumbnails find the bed; `fields.sweep.ranging.find_range`.
+        """Heights [m] over the water plane of the bed, by thumbnails; `fields.sweep.height_range.find_range`.
 
         Raises
         ------
         SurveyError
             If too little matches.
         """
-        from fields.sweep.ranging import find_range
+        from fields.sweep.height_range import find_range
 
         try:
             return find_range(self.block, self.limits)

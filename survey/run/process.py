@@ -258,7 +258,7 @@ def _announce(
 
 
 def _import_products(job: Job) -> None:
-    # Before, each file that is read hands Python's lock to this thread, which gives it back after 5 ms.
+    # Before, each read releases the GIL to this thread, which holds it for 5 ms (sys.getswitchinterval).
     job.waits_for_kernels.wait()
     with suppress(Exception):
         import survey.run.products  # noqa: F401

@@ -14,7 +14,7 @@ from geo.frames import LocalFrame
 from refract import FlatWater, PinholeCamera, channel_indices, water_index
 from refract.lens import Lens
 from survey.simulate.drawn.settings import DrawnScene
-from survey.simulate.ground.ground import Ground, Look, seen_area, shade_beside_bed, shade_of_map
+from survey.simulate.ground.ground import Ground, Material, seen_area, shade_beside_bed, shade_of_map
 from survey.simulate.ground.paint import ROCK, in_texels, light_of_bed, noise, periodic, sand
 from survey.simulate.ground.shapes import BedGrid, Solid, rotation
 from survey.simulate.ground.skin import ImageSkin, skin_from_above
@@ -52,10 +52,10 @@ def build_ground(scene: DrawnScene, cameras: Sequence[PinholeCamera], light: Lig
     solids = tuple(solid for solid, _, _ in bodies)
     stone = in_texels(stones, cell, texel)
     skin = skin_from_above(sand(stone.shape, texel, rng, stone), west, south, texel)
-    looks = [Look(skin, shade_of_map(bed, light_of_bed(bed, solids, light)))]
+    looks = [Material(skin, shade_of_map(bed, light_of_bed(bed, solids, light)))]
     tile = np.exp(sum(0.15 * periodic(rng, size) for size in (2, 4, 8, 32))).astype(np.float32)
     looks += [
-        Look(_skin(scene, solid, tile, colour, grain), shade_beside_bed(solid, bed, light))
+        Material(_skin(scene, solid, tile, colour, grain), shade_beside_bed(solid, bed, light))
         for solid, colour, grain in bodies
     ]
     return Ground(bed, solids, tuple(looks))

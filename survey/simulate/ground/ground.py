@@ -23,7 +23,7 @@ _MARGIN_M = 0.5
 
 
 @dataclass(frozen=True)
-class Look:
+class Material:
     """How a body looks.
 
     Attributes
@@ -47,13 +47,13 @@ class Ground:
     bed : BedGrid or TriangleMesh
     solids : tuple of Solid or TriangleMesh
         The bodies on the bed.
-    looks : tuple of Look
+    looks : tuple of Material
         Of the bed, then of each body.
     """
 
     bed: BedGrid | TriangleMesh
     solids: tuple[Solid | TriangleMesh, ...]
-    looks: tuple[Look, ...]
+    looks: tuple[Material, ...]
 
     def first(self, origin: np.ndarray, direction: np.ndarray, t_end: np.ndarray):
         """What rays meet first up to ``t_end``: distance (N,) [m], body (N,) and face (N,).

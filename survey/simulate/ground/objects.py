@@ -14,7 +14,7 @@ from PIL import Image
 from fields.gamma import GAMMA
 from geo import Mesh, read_reference
 from survey.errors import SurveyError
-from survey.simulate.ground.ground import Look, shade_beside_bed
+from survey.simulate.ground.ground import Material, shade_beside_bed
 from survey.simulate.ground.paint import periodic, sand
 from survey.simulate.ground.shapes import rotation
 from survey.simulate.ground.skin import ImageSkin, VertexSkin, skin_from_above
@@ -31,7 +31,7 @@ _DARK, _BRIGHT = 0.08, 0.6
 Area = tuple[float, float, float, float]
 
 
-def place_object(settings: ObjectSettings, folder: Path, bed, light: Light) -> tuple[TriangleMesh, Look]:
+def place_object(settings: ObjectSettings, folder: Path, bed, light: Light) -> tuple[TriangleMesh, Material]:
     """A body with its look, standing on the bed.
 
     The axes of the file are those of a ship: x ahead, z up; heel turns about x, then pitch about y, yaw about z. The
@@ -58,7 +58,7 @@ def place_object(settings: ObjectSettings, folder: Path, bed, light: Light) -> t
         raise SurveyError(f"{path} is placed at {x:g}, {y:g} m, outside the bed; correct at, in metres from the origin")
     shape = TriangleMesh(points - [*(0.5 * (low + high)[:2]), low[2]] + (x, y, z), mesh.faces)
     skin = _speckled(shape, settings) if mesh.rgb is None else vertex_skin(shape, mesh.rgb)
-    return shape, Look(skin, shade_beside_bed(shape, bed, light))
+    return shape, Material(skin, shade_beside_bed(shape, bed, light))
 
 
 def _speckled(shape: TriangleMesh, settings: ObjectSettings) -> ImageSkin:

@@ -22,7 +22,7 @@ from survey.simulate.drawn.ground import build_ground
 from survey.simulate.drawn.settings import DrawnScene
 from survey.simulate.flight.coverage import Coverage, coverage, picture
 from survey.simulate.ground.bed import plane
-from survey.simulate.ground.ground import Ground, Look, seen_area, shade_of_normals
+from survey.simulate.ground.ground import Ground, Material, seen_area, shade_of_normals
 from survey.simulate.ground.objects import place_object, require_texels, skin_of_bed
 from survey.simulate.ground.shapes import BedGrid
 from survey.simulate.ground.triangles import TriangleMesh
@@ -246,10 +246,10 @@ def _drawn(plan: Plan, light: Light) -> Ground:
     if texture.kind == "sand":
         return ground
     skin = skin_of_bed(texture, plan.folder, ground.bed, None, area, settings.seed)
-    return Ground(ground.bed, ground.solids, (Look(skin, ground.looks[0].shade), *ground.looks[1:]))
+    return Ground(ground.bed, ground.solids, (Material(skin, ground.looks[0].shade), *ground.looks[1:]))
 
 
-def _bed(plan: Plan, light: Light) -> tuple[BedGrid | TriangleMesh, Look]:
+def _bed(plan: Plan, light: Light) -> tuple[BedGrid | TriangleMesh, Material]:
     """A bed that is a plane, or comes from a file."""
     settings = plan.settings
     shape: BedGrid | TriangleMesh
@@ -262,4 +262,4 @@ def _bed(plan: Plan, light: Light) -> tuple[BedGrid | TriangleMesh, Look]:
         low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
         area = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
     skin = skin_of_bed(settings.texture, plan.folder, shape, rgb, area, settings.seed)
-    return shape, Look(skin, shade_of_normals(normals, light))
+    return shape, Material(skin, shade_of_normals(normals, light))

@@ -27,7 +27,7 @@ _COMPARED, _ROUNDS = 20_000, 6
 
 
 @dataclass(frozen=True)
-class Tops:
+class HeightBuffer:
     """The highest bed in each block of a photograph's pixels.
 
     Attributes
@@ -45,8 +45,8 @@ class Tops:
     allowed: float
 
     @staticmethod
-    def of(camera: PinholeCamera, bed: Windows, *, cell_m: float, cell_px: float) -> Tops:
-        """Those of a camera.
+    def of(camera: PinholeCamera, bed: Windows, *, cell_m: float, cell_px: float) -> HeightBuffer:
+        """The height buffer of a camera.
 
         Parameters
         ----------
@@ -57,33 +57,33 @@ class Tops:
         """
         block = max(_BLOCK_CELLS * cell_px, 1.0)
         highest = np.full((int(camera.height / block) + 1, int(camera.width / block) + 1), -np.inf)
-        tops = Tops(highest, block, _HIDDEN_CELLS * cell_m)
-        for _, height, sight in bed.through(camera):
-            seen, place = tops._block_of(sight)
+        buffer = HeightBuffer(highest, block, _HIDDEN_CELLS * cell_m)
+        for _, height, projection in bed.through(camera):
+            seen, place = buffer._block_of(projection)
             np.maximum.at(highest, tuple(at[seen] for at in place), height[seen])
-        return tops
+        return buffer
 
-    def unhidden(self, sight: CellProjection, height: np.ndarray) -> CellProjection:
+    def visible(self, projection: CellProjection, height: np.ndarray) -> CellProjection:
         """What is seen of cells with these heights (rows, columns) [m]; NaN where something hides them."""
-        seen, place = self._block_of(sight)
-        return sight.where(seen & (np.where(seen, height, -np.inf) >= self.height[place] - self.allowed))
+        seen, place = self._block_of(projection)
+        return projection.where(seen & (np.where(seen, height, -np.inf) >= self.height[place] - self.allowed))
 
-    def _block_of(self, sight: CellProjection) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    def _block_of(self, projection: CellProjection) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
         """Which cells are in the photograph, and the row and column of their blocks."""
-        seen = np.isfinite(sight.u)
-        rows, columns = (np.where(seen, at, 0.0) / self.block for at in (sight.v, sight.u))
+        seen = np.isfinite(projection.u)
+        rows, columns = (np.where(seen, at, 0.0) / self.block for at in (projection.v, projection.u))
         return seen, (rows.astype(np.int64), columns.astype(np.int64))
 
 
 def common_exposure(
-    photographs: list[Photograph], tops: list[Tops], bed: Windows, advance: Callable[[], object]
+    photographs: list[Photograph], buffers: list[HeightBuffer], bed: Windows, advance: Callable[[], object]
 ) -> np.ndarray:
     """Factors (V, 3) on the colours of photographs that make them alike; they are 1 on average.
 
     Parameters
     ----------
     photographs : V of them
-    tops : what hides what in each
+    buffers : HeightBuffer of each
     bed : Windows
     advance : callable
         Called after each photograph.
@@ -96,9 +96,9 @@ def common_exposure(
     shown = np.full((len(photographs), sum(map(len, compared.values())), 3), np.nan, dtype=np.float32)
     for number, photograph in enumerate(photographs):
         pixels = photograph.pixels()
-        for window, height, sight in bed.through(photograph.camera):
+        for window, height, projection in bed.through(photograph.camera):
             at = compared[window]
-            seen = tops[number].unhidden(sight, height)
+            seen = buffers[number].visible(projection, height)
             colour = pixels.at(seen.u.ravel()[at][None], seen.v.ravel()[at][None])[0]
             shown[number, first[window] : first[window] + len(at)] = np.log(np.maximum(colour, 1.0))
         advance()

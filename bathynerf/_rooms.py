@@ -1,4 +1,4 @@
-"""The packages of the project are found beside this one, whatever else has their names on the path."""
+"""Import of the packages beside this one, whatever else on the path has their names."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Intervals of confidence of a mean whose errors are correlated in space: blocks of the plan are resampled, not points.
+"""Block bootstrap: confidence intervals of a mean whose errors are correlated in space.
 
 Neighbouring points of a cloud share windows, views and poses, and so their errors: sigma / sqrt(n) of a million
 points would be micrometres, far too small. Blocks some correlation lengths wide are nearly independent.

@@ -1,4 +1,4 @@
-"""Heights over a reference of points: a surface through those around each place, with the uncertainty of its heights.
+"""Local surfaces through a reference of points, and the uncertainty of their heights.
 
 The distance to the nearest point of a sparse reference measures its spacing, not the error of what is compared.
 """

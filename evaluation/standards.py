@@ -1,4 +1,4 @@
-"""What two standards say about vertical errors: IHO S-44 and the ASPRS positional accuracy standards.
+"""Vertical accuracy by two standards: IHO S-44 and the ASPRS positional accuracy standards.
 
 Only what was tested is judged; both standards ask for more than vertical accuracy.
 """

@@ -1,4 +1,4 @@
-"""Signed distances as numbers for a report."""
+"""Summary statistics of signed distances."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The median by one partition: numpy's takes several, which do not run in vectors."""
+"""Median by a single partition, which is faster than numpy's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the training of the survey's field and of a volume have in common: rates, a step, and whether it has converged.
+"""Training shared by the survey's field and volumes: learning rates, a step, and convergence.
 
 The two loops stay apart. The field's knows its number of steps from the size of its slab, holds the bed while colours
 learn, and compares colours alone; a volume's renews its proxy, draws patches, adds losses, and begins with a new

@@ -1,4 +1,4 @@
-"""Grids of geoids that a user keeps beside the data, for PROJ to find."""
+"""Geoid grids that a user keeps beside the data, for PROJ to find."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Operations between two CRSs that PROJ knows at a place, searched once for the same question."""
+"""Operations of PROJ between two CRSs at a place, each question asked once."""
 
 from __future__ import annotations
 

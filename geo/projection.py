@@ -1,4 +1,4 @@
-"""Between the coordinates of a CRS and longitude, latitude, height on its own datum.
+"""Conversion between the coordinates of a CRS and longitude, latitude, height on its own datum.
 
 Only the map projection and the units are undone and redone: the same datum on both sides, no grids, no geoid.
 """

@@ -1,4 +1,4 @@
-"""Points from the CRS of a survey into another one that a user asks for.
+"""Reprojection of points from the CRS of a survey into another.
 
 Horizontal coordinates are transformed by PROJ, heights stay as they are where both systems count them from the same
 datum; between two vertical datums the grid of one of them is needed, and without it the way is refused.

@@ -1,4 +1,4 @@
-"""The one way of coordinates from one CRS into another: which operation is chosen, how good it is, in which units.
+"""Transformation from one CRS into another: choice of the operation, its accuracy, and units.
 
 Everything that enters or leaves a survey in another CRS than its own goes through here: `Transformation` for places in
 plan, `height_scale` for heights. Between the grid of a CRS and its own longitudes and latitudes, with no change of

@@ -1,4 +1,4 @@
-"""Clouds and meshes that are read again by their own readers, and compared, before they take their place."""
+"""Verification of written clouds and meshes by their own readers, before they take their place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One source for three array libraries: the few functions that numpy, torch and Dr.Jit name differently.
+"""Array namespace: the functions that numpy, torch and Dr.Jit name differently, so that formulas are written once.
 
 The optics are written once, component by component, and run unchanged on numpy (float64, the oracle),
 torch (float32 or float64, differentiable) and Dr.Jit (compiled for CPU or GPU).

@@ -1,4 +1,4 @@
-"""Every stationary path of a point: boxes cut until each is proven empty or the home of exactly one.
+"""All stationary paths of a point by interval Newton: boxes are cut until each is empty or has exactly one.
 
 Krawczyk's operator: with gradient F and Hessian H of the optical length, Y an approximate inverse of H and m the middle
 of a box X, every root of F in X lies in ``K = m - Y F(m) + (I - Y H(X)) (X - m)``. If K misses X there is none; if K

@@ -1,4 +1,4 @@
-"""A disc that holds every path through a curved surface, from bounds of its height, slope and curvature alone.
+"""Search disc of all paths through a curved surface, from bounds of its height, slope and curvature.
 
 The first two steps of `refract.fermat`, on numpy and Dr.Jit. Angles only occur as sines, cosines and tangents. Suffixes
 _lo and _hi bound a quantity over the disc, far_w and far_a are the largest ways from P and C along x, y:

@@ -1,4 +1,4 @@
-"""The way back up through plane triangles: every locally shortest path, found exactly and counted.
+"""Projection through plane triangles: all locally shortest paths, exact and counted.
 
 Over one plane the optical length is convex, so each triangle has one shortest path, in closed form through its plane;
 it counts where it lies inside the triangle. Between triangles the length has a kink. At a ridge both sides lead away

@@ -1,4 +1,4 @@
-"""Derivatives of roots that were found without them: Newton's steps at the root, by a slope that carries none.
+"""Derivatives of roots by the implicit function theorem: a Newton step at a root that was found without derivatives.
 
 Each step leaves the part ``1 - slope_there / slope`` of the error, which vanishes at the root: it makes one more order
 of derivatives exact (the implicit function theorem is the first), and moves the value by a rounding only. torch gets

@@ -1,4 +1,4 @@
-"""Arguments of this package: numbers of a water surface, their ranges, and empty arrays.
+"""Checks of arguments: numbers of a water surface, their ranges, and empty arrays.
 
 Numbers are plain ones, or arrays of any library, which may carry gradients. A range is an error for what cannot be, a
 warning where a formula was not fitted. Dr.Jit combines empty arrays with no numbers: functions are called with one NaN

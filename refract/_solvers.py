@@ -1,4 +1,4 @@
-"""Solvers that go by values, and the surfaces they solve, by name: torch calls them where it hides what tensors hold.
+"""Solvers on values, and the surfaces they solve, by name: one operator of torch's graph for each.
 
 Solvers work in numpy and give no derivatives; their callers attach those at the root (`refract._implicit`).
 """

@@ -1,4 +1,4 @@
-"""How much light pure water absorbs along the water leg of a ray, per wavelength and per channel of a camera."""
+"""Absorption by pure water along the water leg of a ray, per wavelength and per channel of a camera."""
 
 from __future__ import annotations
 

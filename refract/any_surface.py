@@ -1,4 +1,4 @@
-"""Rays over any smooth surface that knows its height and its normal: the way down and back up by Newton's steps.
+"""Rays through any smooth surface with known height and normal: tracing and projection by Newton's method.
 
 Nothing is proven here: the meeting or the path that the steps arrive at is the answer, and others are not looked for.
 `refract.wavy` and `refract.fermat` find all of them, from bounds that a surface must then give.

@@ -1,4 +1,4 @@
-"""A measured water surface without edges: cubic pieces over a raster, whose normal is continuous."""
+"""A measured water surface of bicubic pieces over a raster, with a continuous normal."""
 
 from __future__ import annotations
 

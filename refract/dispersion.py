@@ -1,4 +1,4 @@
-"""Dispersion: the index of water that a mixture of the channels of a camera sees, and to which wavelength it belongs.
+"""Dispersion: the effective index for a mixture of the channels of a camera, and its wavelength.
 
 An index belongs to a wavelength. Where grey images of several channels are matched, each channel shows the bed where
 its own index puts it, and least squares finds the place between: to first order that of the mean index, each channel

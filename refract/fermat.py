@@ -1,4 +1,4 @@
-"""The way back up through a curved surface z = f(x, y): all stationary optical paths, proven and counted.
+"""Projection through a curved surface z = f(x, y): all stationary optical paths, proven and counted (Fermat).
 
 The path from camera C over a surface point S to a bed point P has the optical length |C - S| + n |S - P|; light
 takes those S where it is stationary (Fermat). Three steps, each with a bound behind it:

@@ -1,4 +1,4 @@
-"""What a water surface reflects and lets pass: Fresnel's equations, and how radiance changes on the way through.
+"""Fresnel's equations: reflectance and transmittance of a water surface, and radiance across it.
 
     a = n_from cos(angle_from)      b = n_to cos(angle_to)        both polarisations depend on these
     c = n_to cos(angle_from)        d = n_from cos(angle_to)

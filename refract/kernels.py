@@ -1,4 +1,4 @@
-"""The optics of a plane interface, component by component, for numpy, torch and Dr.Jit alike.
+"""Optics of a plane interface, component by component, for numpy, torch and Dr.Jit.
 
 Vectors are triples ``(x, y, z)`` of arrays of any one library; all lengths are in one unit (metres).
 

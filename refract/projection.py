@@ -1,4 +1,4 @@
-"""Where a point under water appears to a camera: the way back up through the surface."""
+"""Projection of points under water: the direction in which a camera sees them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Water whose level changes with time: a gauge series, and the flat water at the time of each photograph."""
+"""Tide: a series of gauge readings, and the plane of water at the time of each photograph."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lines for people: on a terminal broken between words, elsewhere as long as they are."""
+"""Line breaks of output: between words on a terminal, none elsewhere."""
 
 from __future__ import annotations
 

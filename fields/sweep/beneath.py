@@ -1,4 +1,4 @@
-"""Pixels of the bed beneath what stands over it, which agreement of heights takes for duplicates.
+"""Bed beneath overhangs: pixels that agreement of heights alone takes for duplicates.
 
 Heights are compared along the rays of pixels. Beside a depth step a ray may pass near two surfaces of one height, of
 which only one becomes points; there the points that are kept are told apart in space.

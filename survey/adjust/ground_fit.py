@@ -1,4 +1,4 @@
-"""How a block was placed on the dry ground of an earlier survey: shift, turn and scale with standard deviations."""
+"""Fit of a block to the dry ground of an earlier survey: shift, turn and scale with standard deviations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A block placed on the dry ground of an earlier survey: point to plane, robust, iterated with the adjustment.
+"""Registration of a block to the dry ground of an earlier survey: robust point to plane, iterated with the adjustment.
 
 Tie points over the ground lie on it, each on the plane through the points around it, to the scatter of these
 (`evaluation.local_surface`). So the ground tells height and tilt of the block, scale by its extent, and its place in

@@ -1,4 +1,4 @@
-"""What an adjustment is to solve: observations, and priors of the unknowns."""
+"""An adjustment problem: observations, and priors of the unknowns."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is known of the roll of a block about the line of its positions, in words, and whether it is too open."""
+"""Notes on the roll of a block about the line of its positions, and refusal of one that is too uncertain."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Water that nobody named: whether photographs of a survey without water show bent rays.
+"""Test for water that survey.toml does not name: whether bent rays fit the tie points better.
 
 The block is adjusted with straight rays, and again over a water plane that was not given: its level is free, its index
 that of water. Where the bed lies dry the second adjustment gains nothing. Where it lies under water the squares of

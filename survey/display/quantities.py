@@ -1,4 +1,4 @@
-"""Quantities as text for people: sensible digits, and a unit that no line break takes from its number.
+"""Quantities as text: significant digits, and a unit that no line break takes from its number.
 
 Lengths are in metres unless a caller is within `lengths_in_feet`.
 """

@@ -1,4 +1,4 @@
-"""Water without a bed, by cause: turbid, too deep, glint, or one view only."""
+"""Causes of water without a bed: turbid, too deep, glint, or one view only."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where results may go: one rule for every command, applied before anything is computed.
+"""Checks of output paths: one rule for every command, applied before anything is computed.
 
 - The folder of a named file has to exist; a folder that is named (-o DIR) is made, with those above it.
 - No output is a file that the command reads, under whatever name, nor lies in a folder of them.

@@ -1,4 +1,4 @@
-"""XML of other programs as a tree, without what XML can be made to do: no document types, no entities of its own.
+"""XML of other programs as a tree; document types and entities are refused.
 
 defusedxml does not bound the depth, and forbids no more than what stands here.
 """

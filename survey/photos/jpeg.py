@@ -1,4 +1,4 @@
-"""Whether the compressed pixels of a JPEG are all there, and nothing else between them.
+"""Completeness of the compressed pixels of a JPEG, by the count of its blocks.
 
 A decoder that runs out of data, or has some left, goes on without an error: what is missing becomes grey. Here the one
 scan of a sequential JPEG is decoded from a stream that tells how much of it was asked for: all blocks have to be there

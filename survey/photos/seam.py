@@ -1,4 +1,4 @@
-"""A seam in a decoded JPEG: where the rest of another photograph was joined to the first part of one.
+"""Seams in decoded JPEGs: where the rest of another photograph was joined to the first part of one.
 
 Two streams joined where both have used the same number of blocks decode without a fault. But the rows of pixels that
 meet there belong to different places: right of one block in its row of blocks, and left of it in the next row. Joined

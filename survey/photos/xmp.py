@@ -1,4 +1,4 @@
-"""What XMP says of an exposure: accuracy and datum of the position, attitudes of drone and camera, speed, shutter.
+"""XMP of an exposure: accuracy and datum of the position, attitudes of drone and camera, speed, shutter.
 
 DJI, Parrot, Autel and Skydio have namespaces of their own; senseFly, Parrot, older Autel and many others write that of
 Pix4D, `Camera`; programs that rewrite XMP put the position into that of EXIF. Texts are searched, not parsed as XML:

@@ -1,4 +1,4 @@
-"""What a poses format offers."""
+"""A format of pose files: how it is found, recognised and read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether one plane is enough for points of the water: what they depart from it, as error of the bed, against its std.
+"""Test whether a plane fits points of the water: departure from it as error of the bed, against its std.
 
 Polynomials on top of the plane are fitted to either half of the points. What both halves show alike is a departure; the
 scatter of points, and a single wrong one, are not in both. The mean product of the two is its square without bias.

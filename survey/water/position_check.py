@@ -1,4 +1,4 @@
-"""Whether places on the water lie where the cameras are: points of its surface, and where its level holds."""
+"""Test whether places on the water lie where the cameras are."""
 
 from __future__ import annotations
 

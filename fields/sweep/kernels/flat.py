@@ -1,4 +1,4 @@
-"""Flat arrays of a device, for what is written once for Dr.Jit and torch: the functions these name differently.
+"""Flat arrays of a device: the functions that Dr.Jit and torch name differently.
 
 Whole numbers have a sign. Numbers that differ from view to view are made by `scalar`: kernels of Dr.Jit take them as
 arguments, and need not be made anew.

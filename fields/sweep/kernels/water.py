@@ -1,4 +1,4 @@
-"""The one seam where the water enters the kernels of sweep and solver: what they ask of a surface.
+"""Water of the kernels of sweep and solver: the protocol of a surface, and its implementation for each kind.
 
 Kernels work in a frame of the water in which z is the height over it. A ray bends where it enters the water, and a
 point is seen from a camera by way of its crossing; no other part of a kernel knows what surface there is. A second kind

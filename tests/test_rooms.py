@@ -261,6 +261,16 @@ def test_files_and_modules_that_texts_name_exist():
     assert wrong == []
 
 
+def test_the_files_to_open_first_have_the_names_that_are_looked_for():
+    said = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    rows = said.partition("| wanted | file |")[2].partition("\n\n")[0]
+    pairs = re.findall(r"`([\w/]+\.py)` \(`(\w+)`\)", rows)
+    assert len(pairs) > 12
+    for file, name in pairs:
+        paths = [path for path in FILES if name_of(path).endswith(file)]
+        assert any(re.search(rf"^(?:def )?{name}\b", path.read_text("utf-8"), re.MULTILINE) for path in paths), file
+
+
 def is_defined(name: str) -> bool:
     """Whether a dotted name is that of a folder or file of a room, or of something in it."""
     parts = name.split(".")

@@ -1,4 +1,4 @@
-"""Completeness of the compressed pixels of a JPEG, by the count of its blocks.
+"""Completeness of the compressed pixels of a JPEG, by the count of its blocks (`survey.photos.pixels` decodes them).
 
 A decoder that runs out of data, or has some left, goes on without an error: what is missing becomes grey. Here the one
 scan of a sequential JPEG is decoded from a stream that tells how much of it was asked for: all blocks have to be there

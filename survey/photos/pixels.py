@@ -1,8 +1,8 @@
-"""Pixels of image files as they are stored, with the depth that they have: 8 or 16 bits for each channel.
+"""Decoding of image files (JPEG, PNG, TIFF, WebP, HEIC): pixels as stored, with 8 or 16 bits for each channel.
 
-Pillow decodes what has 8 bits. It opens 16 bits of three channels too and drops half of them without a word, so that
-OpenCV decodes those; pillow-heif does in HEIC. Both, and Pillow in TIFF, turn pixels by the tag of the orientation,
-which is undone here: poses and sizes are those of the stored pixels.
+Pillow decodes what has 8 bits, as JPEG has. It opens 16 bits of three channels too and drops half of them without a
+word, so that OpenCV decodes those; pillow-heif does in HEIC. Both, and Pillow in TIFF, turn pixels by the tag of the
+orientation, which is undone here: poses and sizes are those of the stored pixels.
 """
 
 from __future__ import annotations

@@ -71,7 +71,7 @@ class StepForecast:
     def left_s(self, now: float, total: float | None) -> float | None:
         """Remaining time by the speed over the later half of the time since the first advance [s].
 
-        None before it is steady, and where the step takes longer than the estimate said.
+        None before it is steady, and where the step takes longer than the estimate said; 0 where all of it is done.
         """
         if not total or not self._history or not self._steady.agrees:
             return None
@@ -80,7 +80,9 @@ class StepForecast:
         if needed is None or done < LEAST_SHARE * total or now - self._start < _LEAST_S:
             return None
         left = needed - (now - last)
-        return left if left > 0.0 or done >= total else None
+        if done >= total:
+            return 0.0
+        return left if left > 0.0 else None
 
     def _needed(self, total: float) -> float | None:
         """Time [s] from the last advance to the end."""

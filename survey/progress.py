@@ -110,7 +110,7 @@ class Step:
         share = f"{100.0 * min(self.done / self.total, 1.0):3.0f} %" if self.total else ""
         left, of_run = self.seconds_left, self._progress.look_ahead()
         times = (
-            f"{clock(self.seconds)} so far" if left is None else f"{clock(left)} left",
+            f"{clock(left)} left" if left else f"{clock(self.seconds)} so far",
             "" if of_run is None else f"about {rough(of_run)} to the end of the run",
         )
         self._progress._said(f"{self.name}: {', '.join(part for part in (share, *times, detail) if part)}")
@@ -141,7 +141,7 @@ class _TimeLeft(ProgressColumn):
     def render(self, task: Task) -> Text:
         step = task.fields["step"]
         left, of_run = step.seconds_left, step._progress.look_ahead()
-        parts = [] if left is None else [f"{clock(left)} left"]
+        parts = [f"{clock(left)} left"] if left else []
         parts += [] if of_run is None else [f"run: about {rough(of_run)}"]
         return Text(", ".join(parts))
 

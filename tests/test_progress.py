@@ -99,6 +99,17 @@ def test_the_time_runs_down_while_a_part_is_worked_on_and_ends_where_it_takes_lo
     assert stage.seconds_left is None
 
 
+def test_a_stage_whose_parts_are_done_and_that_goes_on_has_nothing_left(clock):
+    stream = io.StringIO()
+    with Progress(stream=stream, now=clock.monotonic) as progress, progress.stage("sweep", total=100) as stage:
+        work(stage, clock, 100, 1.0)
+        clock.now += 65.0
+        assert stage.seconds_left == 0.0
+        stage.say_if_due()
+    assert "sweep: 100 %, 2 min 45 s so far" in stream.getvalue()
+    assert " -" not in stream.getvalue()
+
+
 def test_a_stage_without_a_total_tells_nothing(clock):
     with Progress(verbosity=-1, now=clock.monotonic) as progress, progress.stage("reading") as stage:
         work(stage, clock, 50, 1.0)

@@ -110,7 +110,7 @@ def _cloud(_job: Job, _run: Path, folder: Path) -> Callable[[], None]:
 
 def _report(job: Job, run: Path, folder: Path) -> Callable[[], None]:
     from survey.run import products
-    from survey.run.truth import Truth
+    from survey.run.repeat import Truth
 
     done = {name: RunDir(run).load_stage(name) for name in RunDir(run).result()["stages"] if "tile" not in name}
     shutil.copy(next(iter(done.values())) / "stage.json", folder / "bed" / "stage.json")

@@ -1,9 +1,11 @@
-"""Operations of PROJ between two CRSs at a place, each question asked once."""
+"""PROJ: operations between two CRSs at a place, each question asked once, and geoid grids beside the data."""
 
 from __future__ import annotations
 
+import os
 import warnings
 from functools import lru_cache
+from pathlib import Path
 from threading import get_ident
 
 from pyproj import CRS, datadir
@@ -11,6 +13,7 @@ from pyproj.transformer import AreaOfInterest, TransformerGroup
 
 # Around the middle of a survey, for PROJ to choose among regional operations [deg].
 _AREA_DEG = 0.01
+_SUFFIXES = (".tif", ".gtx")
 
 
 def operations(source: CRS | str, target: CRS | str, area: AreaOfInterest | None) -> TransformerGroup:
@@ -42,3 +45,17 @@ def area_about(lon_deg: float, lat_deg: float, margin_deg: float = _AREA_DEG) ->
     """Where a survey lies, for PROJ to choose among regional operations."""
     south, north = max(lat_deg - margin_deg, -90.0), min(lat_deg + margin_deg, 90.0)
     return AreaOfInterest(lon_deg - margin_deg, south, lon_deg + margin_deg, north)
+
+
+def use_grids(folder: Path) -> list[Path]:
+    """Let PROJ find the grids (.tif, .gtx) in a folder, for the rest of the process; returns them.
+
+    A grid is found by its own name, e.g. us_nga_egm96_15.tif or, of the same model, egm96_15.gtx.
+    """
+    if not folder.is_dir():
+        return []
+    grids = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES)
+    known = datadir.get_data_dir().split(os.pathsep)
+    if grids and str(folder.resolve()) not in known:
+        datadir.append_data_dir(str(folder.resolve()))
+    return grids

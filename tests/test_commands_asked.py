@@ -16,8 +16,7 @@ from survey.commands.environment import PREFIX, asked_of_environment
 from survey.errors import ConfigError
 from survey.plan.aim import Aim, aim_and_choices
 from survey.plan.choices import USUAL, Choices
-from survey.run.repeat import command_of
-from survey.run.truth import Truth
+from survey.run.repeat import Truth, command_of
 from survey.settings.config import dump_config, parse_config
 from survey.settings.process import ProcessConfig
 

@@ -11,7 +11,7 @@ import pytest
 from pyproj import datadir
 
 from geo.crs import parse_crs
-from geo.grids import use_grids
+from geo.operations import use_grids
 from geo.undulation import rough_undulation_m
 from survey.errors import ConfigError
 from survey.folder.datum_mixups import exif_doubts, explanation, xmp_doubts

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from survey.display.quantities import bytes_of, room, size
 from survey.errors import SurveyError
-from survey.files.sizes import bytes_of, room, size
 from survey.plan import tile_choice
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan

@@ -20,10 +20,9 @@ from survey.display.plan_grid import PlanGrid
 from survey.folder.survey import load_survey
 from survey.photos.exif import read_exif
 from survey.report import NUM_STEPS, profile, write_report
-from survey.report.cut import choose_cut
 from survey.report.flight import draw_plan, flight_lines
 from survey.report.maps import codes_of, draw_std, draw_unseen
-from survey.report.profile import _medians, draw_profile, has_profile, two_digits
+from survey.report.profile import _medians, choose_cut, draw_profile, has_profile, two_digits
 from survey.report.seen_cells import SeenCells, cells_of
 from survey.run.folder import RunDir
 from tests.changed_survey import changed

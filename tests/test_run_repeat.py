@@ -13,8 +13,7 @@ from survey.folder.survey import load_survey
 from survey.plan.choices import Choices
 from survey.progress import opened
 from survey.run.job import Job
-from survey.run.repeat import command_of, options_of, settings_text
-from survey.run.truth import Truth
+from survey.run.repeat import Truth, command_of, options_of, settings_text
 from survey.settings.config import parse_config
 
 

@@ -13,7 +13,7 @@ from fields.image_store import GreyImages
 from fields.sweep.map_points import places_in_plan
 from fields.sweep.maps import HeightMap
 from survey.plan.tiling import Tiling, inside
-from survey.run.array_files import ArrayFiles
+from survey.run.stored import ArrayFiles
 from survey.run.tile_job import load_masks, pack_masks
 from survey.run.windows import windows_of
 

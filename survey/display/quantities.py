@@ -1,4 +1,4 @@
-"""Quantities as text: significant digits, and a unit that no line break takes from its number.
+"""Quantities as text: significant digits, a unit that no line break takes from its number, sizes of memory.
 
 Lengths are in metres unless a caller is within `lengths_in_feet`.
 """
@@ -6,11 +6,14 @@ Lengths are in metres unless a caller is within `lengths_in_feet`.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import TypeGuard
+
+from survey.errors import SurveyError
 
 # Between a number and its unit, and between groups of three digits.
 NO_BREAK, NARROW = "\u00a0", "\u202f"
@@ -19,6 +22,7 @@ MINUS, UNKNOWN = "−", "unknown"
 _SMALL_M = 0.5
 # Length of the foot in use [m]; None for metres.
 _FOOT_M: ContextVar[float | None] = ContextVar("foot_m", default=None)
+_UNITS = {"": 1.0, "B": 1.0, "KB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12, "KIB": 2**10, "MIB": 2**20, "GIB": 2**30}
 
 
 @contextmanager
@@ -137,3 +141,29 @@ def density(value_per_m2: float) -> str:
 def with_unit(text: str, unit: str) -> str:
     """A number and its unit, if it has one; degrees have no space before them."""
     return text + (unit if unit == "°" else f"{NO_BREAK}{unit}" if unit else "")
+
+
+def bytes_of(text: str) -> float:
+    """Bytes of a size in words: "8GB", "500 MB", "2GiB".
+
+    Raises
+    ------
+    SurveyError
+        If it is none.
+    """
+    found = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]*)?)\s*([A-Za-z]*)\s*", text)
+    if found is None or found[2].upper() not in _UNITS or float(found[1]) <= 0.0:
+        raise SurveyError(f"--memory is {text!r}, expected a size such as 8GB or 500MB")
+    return float(found[1]) * _UNITS[found[2].upper()]
+
+
+def room(num_bytes: float) -> str:
+    """Room that there is, rounded down."""
+    if num_bytes >= 1e9:
+        return f"{math.floor(num_bytes / 1e8) / 10:.1f} GB"
+    return f"{math.floor(num_bytes / 1e7) * 10} MB"
+
+
+def size(num_bytes: float) -> str:
+    """Room that is needed."""
+    return f"{num_bytes / 1e9:.1f} GB" if num_bytes >= 1e9 else f"{math.ceil(num_bytes / 1e7) * 10} MB"

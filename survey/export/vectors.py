@@ -113,7 +113,7 @@ def _is_our_unseen(path: Path) -> bool:
 
 def _write_unseen(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     if path.suffix.lower() in _RASTERS:
-        from survey.export.unseen_mask import write_mask
+        from survey.export.footprints import write_mask
 
         write_mask(path, run, options)
     else:

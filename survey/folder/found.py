@@ -14,7 +14,7 @@ from pyproj import CRS
 
 from geo.area_of_use import require_at
 from geo.crs import height_unit_m, parse_crs
-from geo.grids import use_grids
+from geo.operations import use_grids
 from survey.display.words import named
 from survey.errors import FILE_NAME, ConfigError, PosesError, SurveyError
 from survey.folder import infer

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from survey.display.quantities import bytes_of
 from survey.errors import SurveyError
-from survey.files.sizes import bytes_of
 from survey.words import SCALES, Device, Field, Plan, Poses, Quality
 
 

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from survey import machine
-from survey.display.quantities import length
+from survey.display.quantities import bytes_of, length, room, size
 from survey.errors import SurveyError
-from survey.files.sizes import bytes_of, room, size
 from survey.plan.skipped import Decision
 from survey.plan.tiling import MOST_ASIDE_PX, RIM_GSD, Area, Tiling, aside_px, ground_of
 from survey.plan.workload import POINT_BYTES, amounts_of, memory_of

@@ -16,8 +16,8 @@ from fields.sweep.block import Overlap
 from fields.sweep.kernels.stack import FEWEST_KEPT, KEPT_BYTES
 from fields.sweep.passes import PASSES
 from survey import machine
+from survey.display.quantities import room, size
 from survey.errors import SurveyError
-from survey.files.sizes import room, size
 from survey.folder.found import Found
 from survey.folder.survey import Survey
 from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area

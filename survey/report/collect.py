@@ -21,7 +21,6 @@ from survey.photos.texture import MatchedLight
 from survey.report.adjustment_figures import adjustment_of
 from survey.report.baselines import baselines_of
 from survey.report.checkpoints import checkpoint_doubts, checkpoints_of
-from survey.report.dryness import dry_doubts
 from survey.report.facts import ReportFacts
 from survey.report.figures import (
     CloudFigures,
@@ -37,6 +36,7 @@ from survey.report.figures import (
 from survey.report.photographs import doubts
 from survey.report.stated import stated_of
 from survey.report.taken import taken_of
+from survey.report.verdict import dry_doubts
 
 if TYPE_CHECKING:
     from fields.sweep.bed import BedPoints

@@ -20,9 +20,8 @@ from survey.display.palette import COUNTS, EMPTY, INK, OBLIQUE, RED, SPREADS, WA
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, cell_size, share
 from survey.photos.images import load_image
-from survey.report.cut import Cut
 from survey.report.facts import ReportFacts
-from survey.report.profile import draw_line
+from survey.report.profile import Cut, draw_line
 from survey.report.raster import Picture, shaded_bed, without_pinholes
 from survey.report.seen_cells import SeenCells, cells_of
 

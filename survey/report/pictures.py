@@ -20,11 +20,11 @@ from survey.compare.canvas import canvas, nice_limit, plain_log_ticks, save, wri
 from survey.display.palette import BLUE, INK, RED, SERIES, SOFT
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, number, with_unit
-from survey.report import adjustment_pictures, control_picture, flight, maps, profile
+from survey.report import adjustment_pictures, flight, maps, profile
 from survey.report.checkpoints import CheckpointFigures
-from survey.report.cut import choose_cut
 from survey.report.facts import ReportFacts, distances_of
 from survey.report.maps import draw_unseen
+from survey.report.profile import choose_cut
 from survey.report.raster import Picture
 
 if TYPE_CHECKING:
@@ -88,9 +88,9 @@ def draw_pictures(
         drawings["histograms"] = partial(draw_histograms, facts=facts)
     if facts.adjustment is not None:
         drawings |= _of_adjustment(facts, facts.adjustment)
-    residuals = control_picture.residuals_of(facts.survey, facts.adjustment, checkpoints)
+    residuals = adjustment_pictures.residuals_of(facts.survey, facts.adjustment, checkpoints)
     if residuals:
-        drawings["control"] = partial(control_picture.draw_residuals, survey=facts.survey, residuals=residuals)
+        drawings["control"] = partial(adjustment_pictures.draw_residuals, survey=facts.survey, residuals=residuals)
     drawings["plan"] = partial(flight.draw_plan, facts=facts)
     pictures = []
     for name, draw in drawings.items():

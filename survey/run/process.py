@@ -38,7 +38,7 @@ from survey.run.clock import Clock
 from survey.run.feasibility import begin_aimed_run, require_some_time
 from survey.run.folder import RunDir
 from survey.run.owner import Owner
-from survey.run.truth import Truth
+from survey.run.repeat import Truth
 from survey.settings.process import ProcessConfig
 
 if TYPE_CHECKING:

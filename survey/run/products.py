@@ -27,21 +27,19 @@ from survey.plan.tiling import water_doubts
 from survey.report import NUM_STEPS, ReportFacts, write_report
 from survey.report.checkpoints import checkpoint_doubts
 from survey.report.coverage import CoverageFigures, coverage_of
-from survey.report.dryness import dry_doubts
 from survey.report.photographs import PhotographFigures, doubts, photographs_of, summary
 from survey.report.seen_cells import SeenCells, cells_of
-from survey.report.verdict import Verdict
+from survey.report.verdict import Verdict, dry_doubts
 from survey.run.cloud import write_bed_las
 from survey.run.flight import save_flight
 from survey.run.folder import RunDir, seconds_of, versions, versions_of
 from survey.run.gate import asked_gate, verdict_of
 from survey.run.job import Job
-from survey.run.repeat import options_of, settings_text
+from survey.run.repeat import Truth, options_of, settings_text
 from survey.run.stage_solver import SIGHTINGS
 from survey.run.stage_sweep import CONSISTENCY, MAPS, SATURATED
 from survey.run.stored import StoredBed, load_bed
 from survey.run.stored_maps import Stored
-from survey.run.truth import Truth
 
 # At which the report asks how complete the cloud is: that of the study which this work follows, and a finer one.
 TOLERANCES_M = (0.2, 0.05)

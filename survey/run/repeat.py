@@ -1,12 +1,12 @@
-"""The options of a run, and the command that repeats it."""
+"""Repetition of a run: its options, the reference of its report, and the command."""
 
 from __future__ import annotations
 
 import shlex
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 from survey.run.job import Job
-from survey.run.truth import Truth
 from survey.settings.config import dump_config
 from survey.settings.process import ProcessConfig
 
@@ -72,3 +72,17 @@ def settings_text(job: Job, options: dict) -> str:
         f"# The same run again: {options['command']}\n\n"
     )
     return head + dump_config(replace(job.survey.config, process=ProcessConfig()))
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A known surface; the reconstruction never reads it.
+
+    Attributes
+    ----------
+    reference, visible : Path or None
+        True surface, and the points of it that cameras see.
+    """
+
+    reference: Path | None = None
+    visible: Path | None = None

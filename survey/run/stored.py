@@ -1,4 +1,4 @@
-"""Arrays on disk between the stages of a run: written whole, read back as they were.
+"""Arrays on disk between the stages of a run: written whole, read back as they were, whole or in parts.
 
 The points of a bed stay there: their columns are mapped into memory, of which the system keeps what is in use.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import shutil
 import struct
 import zipfile
 from collections.abc import Iterable
@@ -18,7 +19,7 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 from pyproj import CRS
 
-from geo.files import write_whole
+from geo.files import disk_refusals, write_whole
 from survey.errors import SurveyError
 
 if TYPE_CHECKING:
@@ -241,3 +242,36 @@ def load_bed_columns(folder: str | Path, *names: str) -> dict[str, np.ndarray]:
         If the file is missing or damaged.
     """
     return mapped_arrays(Path(folder) / BED_FILE, names)
+
+
+class FileArray:
+    """Array (height, width) in a file; rows are read on demand and not cached."""
+
+    def __init__(self, path: Path, array: np.ndarray):
+        self._path, self.shape, self._dtype = path, array.shape, array.dtype
+        with disk_refusals(path):
+            path.write_bytes(np.ascontiguousarray(array).tobytes())
+
+    def __getitem__(self, part: tuple[slice, slice]) -> np.ndarray:
+        rows, columns = part
+        height, width = self.shape
+        first, last, _ = rows.indices(height)
+        count = max(last - first, 0)
+        offset = first * width * self._dtype.itemsize
+        whole = np.fromfile(self._path, self._dtype, count * width, offset=offset).reshape(count, width)
+        return whole[:, columns]
+
+
+class ArrayFiles:
+    """Makes a `FileArray` of each array, in a folder that is made here, and empty."""
+
+    def __init__(self, folder: Path):
+        # Workers open them by this path, whatever their working directory.
+        self._folder, self._count = folder.absolute(), 0
+        with disk_refusals(folder):
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir()
+
+    def __call__(self, array: np.ndarray) -> FileArray:
+        self._count += 1
+        return FileArray(self._folder / f"{self._count}.raw", array)

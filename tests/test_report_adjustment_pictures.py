@@ -10,8 +10,8 @@ from small_survey import E0, LEVEL, N0, small_survey
 from survey.adjust.adjustment import ControlResidual
 from survey.control.points import Checkpoint, Control, ControlPoint
 from survey.folder.survey import load_survey
+from survey.report.adjustment_pictures import Residual, clipped, draw_residuals, residuals_of
 from survey.report.checkpoints import CheckpointFigures, CheckpointRow
-from survey.report.control_picture import Residual, clipped, draw_residuals, residuals_of
 from tests.changed_survey import changed
 
 

@@ -55,7 +55,8 @@ def answer(server, path: str, body=None, **headers):
         with urllib.request.urlopen(asked, timeout=20) as said:
             return said.status, said.read()
     except urllib.error.HTTPError as error:
-        return error.code, error.read()
+        with error:
+            return error.code, error.read()
 
 
 def state(server, path="/state", body=None) -> dict:

@@ -87,6 +87,26 @@ def test_rigs_and_frames_that_are_cut_off_are_refused(rigs, tmp_path, kind, name
 
 
 @pytest.mark.parametrize(
+    ("number", "value", "words"),
+    [
+        (9, "9" * 400, "frames.* is damaged"),
+        (2, "nan", "is not that of its rig in frames"),
+        (3, "inf", "is not that of its rig in frames"),
+        (6, "1e308", "is not that of its rig in frames"),
+    ],
+    ids=["photographs without end", "NaN", "infinite", "far away"],
+)
+def test_numbers_of_a_frame_that_nobody_means_are_refused(rigs, tmp_path, number, value, words):
+    rigs[1].write_text(tmp_path)
+    lines = (tmp_path / "frames.txt").read_text().splitlines()
+    parts = lines[-1].split()
+    parts[number] = value
+    (tmp_path / "frames.txt").write_text("\n".join([*lines[:-1], " ".join(parts), ""]))
+    with pytest.raises(PosesError, match=words):
+        read_poses(tmp_path)
+
+
+@pytest.mark.parametrize(
     ("model", "params"),
     [
         ("SIMPLE_RADIAL_FISHEYE", (500.0, 321.0, 239.0, 0.03)),

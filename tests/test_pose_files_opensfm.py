@@ -258,6 +258,16 @@ def test_tracks_that_are_damaged_are_refused(tmp_path, block):
         read_ties(path)
 
 
+def test_a_track_whose_place_overflows_is_left_out(tmp_path, block):
+    path = write(tmp_path, block)
+    lines = tracks_csv(block).splitlines()
+    whole = path.with_name("tracks.csv").write_text("\n".join(lines)) and read_ties(path)
+    parts = lines[1].split("\t")
+    lines[1] = "\t".join([*parts[:3], "1e308", *parts[4:]])
+    path.with_name("tracks.csv").write_text("\n".join(lines))
+    assert len(read_ties(path).pixel) == len(whole.pixel) - 1
+
+
 def test_without_survey_toml_and_positions_in_exif_the_poses_tell_the_zone(tmp_path, block):
     write(tmp_path, block, reference_lla=REFERENCE)
     write_images(tmp_path, block.names)

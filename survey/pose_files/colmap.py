@@ -117,9 +117,11 @@ def _require_rigs_agree(folder: Path, suffix: str, photos: list[files.Photo]) ->
             photo, cam_from_rig = by_number.get(image), rigs.get((rig, camera))
             if photo is None or cam_from_rig is None:
                 continue
-            expected = _matrix(cam_from_rig) @ _matrix(rig_from_world)
-            # A pose that is not finite differs from every other.
-            if not np.abs(expected - _matrix(photo.pose)).max() <= _SAME_POSE * max(1.0, np.abs(expected).max()):
+            # A pose that is not finite, or too large, differs from every other.
+            with np.errstate(over="ignore", invalid="ignore"):
+                expected = _matrix(cam_from_rig) @ _matrix(rig_from_world)
+                apart = np.abs(expected - _matrix(photo.pose)).max()
+            if not apart <= _SAME_POSE * max(1.0, np.abs(expected).max()):
                 raise PosesError(
                     f"{folder}: the pose of {shortened(photo.name)} in images{suffix} is not that of its rig in "
                     f"frames{suffix} and rigs{suffix}; write the model again, or remove these two "
@@ -130,7 +132,8 @@ def _require_rigs_agree(folder: Path, suffix: str, photos: list[files.Photo]) ->
 def _matrix(pose: list[float]) -> np.ndarray:
     """(3, 4) and a last row."""
     found = np.eye(4)
-    found[:3, :3] = rotation_from_quaternion(*pose[:4]) if np.any(pose[:4]) else np.nan
+    has_rotation = np.any(pose[:4]) and np.isfinite(pose[:4]).all()
+    found[:3, :3] = rotation_from_quaternion(*pose[:4]) if has_rotation else np.nan
     found[:3, 3] = pose[4:]
     return found
 

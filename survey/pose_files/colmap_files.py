@@ -131,7 +131,10 @@ def frames_txt(path: Path) -> list[tuple[int, list[float], list[tuple[int, int]]
     found = []
     for line in _lines(path):
         numbers = line.split()
-        data = [numbers[10 + 3 * i : 13 + 3 * i] for i in range(int(numbers[9]))]
+        count = int(numbers[9])
+        if len(numbers) < 10 + 3 * count:
+            raise ValueError(f"the line of frame {numbers[0][:20]} has {len(numbers)} words for {count} photographs")
+        data = [numbers[10 + 3 * i : 13 + 3 * i] for i in range(count)]
         photos = [(int(sensor), int(image)) for kind, sensor, image in data if kind == _CAMERA]
         found.append((int(numbers[1]), _seven(numbers[2:9]), photos))
     return found

@@ -164,10 +164,13 @@ def _pose(
     name: str, matrix: Element, world_from_chunk: np.ndarray, lens: Lens, given: GivenPosition | None, where: str
 ) -> Pose:
     chunk_from_cam = _numbers(matrix, 16, where).reshape(4, 4)
-    world_from_cam = world_from_chunk @ chunk_from_cam
-    turn = world_from_cam[:3, :3]
-    size = float(np.cbrt(np.linalg.det(turn)))
-    if not size > 0.0 or np.abs(turn.T @ turn / size**2 - np.eye(3)).max() > _ROUNDED:
+    # Numbers that overflow are not finite, and no rotation.
+    with np.errstate(over="ignore", invalid="ignore"):
+        world_from_cam = world_from_chunk @ chunk_from_cam
+        turn = world_from_cam[:3, :3]
+        size = float(np.cbrt(np.linalg.det(turn)))
+        is_rotation = 0.0 < size < np.inf and np.abs(turn.T @ turn / size**2 - np.eye(3)).max() <= _ROUNDED
+    if not is_rotation or not np.isfinite(world_from_cam).all():
         raise PosesError(f"{where}: its transform is no rotation with a scale; {_EXPORT}")
     return Pose(name, world_from_cam[:3, 3], nearest_rotation(turn / size).T, lens, given)
 

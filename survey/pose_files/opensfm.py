@@ -97,7 +97,9 @@ def read_ties(path: Path) -> FileTies | None:
     lenses = [block.lenses[str(shot["camera"])] for shot in block.shots.values()]
     point, image, place = _seen(tracks, ids, numbers)
     size = np.array([[max(lens.width, lens.height), lens.width, lens.height] for lens in lenses], dtype=np.float64)
-    pixel = size[image, :1] * place + 0.5 * size[image, 1:]
+    # A place that overflows is not finite, and left out as one.
+    with np.errstate(over="ignore"):
+        pixel = size[image, :1] * place + 0.5 * size[image, 1:]
     good = np.isfinite(points).all(axis=1)
     keep = good[point] & np.isfinite(pixel).all(axis=1)
     number = np.cumsum(good) - 1

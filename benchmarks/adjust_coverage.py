@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from survey.adjust.adjustment import FREE, Adjustment
 from survey.adjust.applied import apply_adjustment
 from survey.adjust.refine import adjust_survey
-from survey.adjust.std_common import common_error
+from survey.adjust.result.adjustment import FREE, Adjustment
+from survey.adjust.result.std_common import common_error
 from survey.folder.pose_priors import BAROMETER_STD_M
 from survey.folder.survey import Survey
 

@@ -26,8 +26,8 @@ from scipy.stats import beta
 from stress_scenes import with_waves
 
 from survey.adjust import pose_check
-from survey.adjust.observed import WINDOW
-from survey.adjust.windows import loaded, windows_of_block
+from survey.adjust.block.observed import WINDOW
+from survey.adjust.block.windows import loaded, windows_of_block
 from survey.errors import SurveyError
 from survey.folder.place import water_plane
 from survey.folder.survey import Survey, load_survey

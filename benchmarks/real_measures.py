@@ -13,10 +13,10 @@ from bench_real_points import corrected, palau, read_stream
 from pyproj import Transformer
 
 from geo import read_cloud
-from survey.adjust.adjustment import Adjustment, ControlResidual
 from survey.adjust.applied import apply_adjustment
 from survey.adjust.refine import adjust_survey
-from survey.adjust.std_common import place_moves
+from survey.adjust.result.adjustment import Adjustment, ControlResidual
+from survey.adjust.result.std_common import place_moves
 from survey.folder.survey import Survey, load_survey
 from survey.photos.tie_points import TiePoints
 

@@ -8,7 +8,8 @@ import numpy as np
 from drawn_block import DrawnBlock, draw_block, water_plane
 
 from refract.lens import Lens
-from survey.adjust.adjustment import (
+from survey.adjust.block.state import LENS_NAMES, WATER_NAMES
+from survey.adjust.result.adjustment import (
     FREE,
     HELD,
     AdjustedPoses,
@@ -19,7 +20,6 @@ from survey.adjust.adjustment import (
     Parameter,
     Residuals,
 )
-from survey.adjust.state import LENS_NAMES, WATER_NAMES
 from survey.settings.config import WaterConfig
 
 POSE_NAMES = ("x", "y", "z", "turn_x", "turn_y", "turn_z")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from survey.adjust.prediction import Linear, linearise, predict, relief_sides
-from survey.adjust.state import LENS, RELIEF, Layout, State
+from survey.adjust.block.prediction import Linear, linearise, predict, relief_sides
+from survey.adjust.block.state import LENS, RELIEF, Layout, State
 from survey.photos.tie_points import TiePoints
 from tests.drawn_block import DrawnBlock, water_plane
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from geo import LocalFrame, parse_crs
-from survey.adjust.adjustment import Adjustment
+from survey.adjust.result.adjustment import Adjustment
 from survey.control.points import Control, ControlPoint, Mark
 from survey.folder.motion import BY_XMP, Velocity
 from survey.folder.place import water_plane

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from small_survey import TOML, replaced, small_survey
 
 from refract.lens import Lens
-from survey.adjust.adjustment import read_adjustment, write_adjustment
 from survey.adjust.applied import write_cameras
+from survey.adjust.result.adjustment import read_adjustment, write_adjustment
 from survey.folder.survey import Survey, load_survey
 from survey.run import products
 

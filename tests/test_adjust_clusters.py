@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from slow_cases import slow
 
-from survey.adjust.bundle import Solution, solve
+from survey.adjust.block.bundle import Solution, solve
+from survey.adjust.block.prediction import predict, relief_sides
+from survey.adjust.block.priors import known_of, priors_for
+from survey.adjust.block.problem import Problem
 from survey.adjust.clusters import inflation, terrain_design_effect
-from survey.adjust.prediction import predict, relief_sides
-from survey.adjust.priors import known_of, priors_for
-from survey.adjust.problem import Problem
 from survey.photos.tie_points import TiePoints
 from tests.block_survey import survey_of
 from tests.drawn_block import draw_block

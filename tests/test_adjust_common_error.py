@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from adjusted_block import drawn_adjustment, plane_of
 
-from survey.adjust.adjustment import Residuals
-from survey.adjust.prediction import linearise, predict
-from survey.adjust.priors import parameters_of
-from survey.adjust.state import Layout, State
-from survey.adjust.std_common import _places_of_mean, common_error, height_moves
+from survey.adjust.block.prediction import linearise, predict
+from survey.adjust.block.priors import parameters_of
+from survey.adjust.block.state import Layout, State
+from survey.adjust.result.adjustment import Residuals
+from survey.adjust.result.std_common import _places_of_mean, common_error, height_moves
 
 
 def _along(found, step: dict[str, float]) -> np.ndarray:

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from slow_cases import slow
 
-from survey.adjust.adjustment import HELD
-from survey.adjust.bundle import inverse
+from survey.adjust.block.bundle import inverse
+from survey.adjust.block.observed import MATCH, observed
+from survey.adjust.block.priors import known_of
+from survey.adjust.block.state import POSE
 from survey.adjust.common_height import apply_level_datum
-from survey.adjust.observed import MATCH, observed
-from survey.adjust.priors import known_of
 from survey.adjust.refine import adjust_survey
+from survey.adjust.result.adjustment import HELD
+from survey.adjust.result.std_common import common_error
 from survey.adjust.rounds import Adjusted, adjust
-from survey.adjust.state import POSE
-from survey.adjust.std_common import common_error
 from survey.folder.place import water_plane
 from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import Survey

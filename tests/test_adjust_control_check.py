@@ -9,7 +9,7 @@ import pytest
 from block_survey import pose_errors, rms, survey_of
 from drawn_block import draw_block
 
-from survey.adjust.control_check import has_unchecked_control
+from survey.adjust.block.control_check import has_unchecked_control
 from survey.adjust.refine import adjust_survey
 from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import Survey

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from survey.adjust.adjustment import read_adjustment, write_adjustment
 from survey.adjust.applied import CAMERAS, apply_adjustment, write_cameras
 from survey.adjust.refine import adjust_survey
+from survey.adjust.result.adjustment import read_adjustment, write_adjustment
 from survey.errors import SurveyError
 from survey.photos.poses import PoseFrame
 from survey.pose_files import read_poses, read_ties

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from refract.lens import distorted
-from survey.adjust.adjustment import read_adjustment, write_adjustment
 from survey.adjust.applied import apply_adjustment
-from survey.adjust.prediction import predict
+from survey.adjust.block.prediction import predict
+from survey.adjust.block.state import LENS, RELIEF
 from survey.adjust.refine import adjust_survey
-from survey.adjust.state import LENS, RELIEF
-from survey.adjust.std_common import height_moves, seen_places
+from survey.adjust.result.adjustment import read_adjustment, write_adjustment
+from survey.adjust.result.std_common import height_moves, seen_places
 from tests.adjusted_block import assert_same
 from tests.block_state import require_derivatives, state_of
 from tests.block_survey import pose_errors, rms, survey_of

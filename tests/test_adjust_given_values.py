@@ -11,10 +11,10 @@ from scipy.stats import norm
 from slow_cases import slow
 
 from survey.adjust import pose_check
+from survey.adjust.block.observed import WINDOW
 from survey.adjust.given_values import worst_contradiction
-from survey.adjust.observed import WINDOW
 from survey.adjust.refine import adjust_survey
-from survey.adjust.verdicts import MOST_SIGMAS_OF_FOUR
+from survey.adjust.result.verdicts import MOST_SIGMAS_OF_FOUR
 from survey.errors import SurveyError
 from survey.folder.contradiction import Contradiction
 from survey.folder.survey import Survey

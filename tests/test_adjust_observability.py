@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from survey.adjust.adjustment import FREE, UNKNOWN
-from survey.adjust.priors import _FOCAL_SHARE
+from survey.adjust.block.priors import _FOCAL_SHARE
 from survey.adjust.refine import adjust_survey
+from survey.adjust.result.adjustment import FREE, UNKNOWN
 from survey.errors import SurveyError
 from tests.block_survey import pose_errors, survey_of, with_water
 from tests.changed_survey import changed

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from survey.adjust.adjustment import read_adjustment, write_adjustment
-from survey.adjust.ground_fit import GroundFit
-from survey.adjust.on_ground import planes_under, shift_onto
+from survey.adjust.block.on_ground import planes_under, shift_onto
 from survey.adjust.refine import adjust_survey
+from survey.adjust.result.adjustment import read_adjustment, write_adjustment
+from survey.adjust.result.ground_fit import GroundFit
 from survey.control.points import Ground
 from survey.errors import ControlError
 from tests.block_survey import height_error, pose_errors

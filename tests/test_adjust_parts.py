@@ -10,8 +10,8 @@ from adjusted_block import drawn_adjustment, plane_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from survey.adjust.adjustment import Adjustment, Residuals
-from survey.adjust.parts import parts_of_adjustment, parts_warning
+from survey.adjust.result.adjustment import Adjustment, Residuals
+from survey.adjust.result.parts import parts_of_adjustment, parts_warning
 from survey.display.quantities import length
 from survey.photos.tie_points import parts_of
 

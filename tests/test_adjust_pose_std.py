@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from slow_cases import slow
 
-from survey.adjust.observed import MATCH, observed
-from survey.adjust.priors import known_of
+from survey.adjust.block.observed import MATCH, observed
+from survey.adjust.block.priors import known_of
 from survey.adjust.refine import adjust_survey
 from survey.adjust.rounds import adjust
 from survey.folder.pose_priors import BY_POSES, PosePrior

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from survey.adjust.bundle import NotConvergedError
+from survey.adjust.block.bundle import NotConvergedError
+from survey.adjust.block.roll import rolls_of
 from survey.adjust.refine import adjust_survey
-from survey.adjust.roll import rolls_of
 from survey.adjust.roll_notes import open_roll_named
 from survey.errors import SurveyError
 from tests.block_survey import pose_errors, rms, survey_of

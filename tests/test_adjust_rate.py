@@ -10,11 +10,11 @@ from block_state import state_of
 from block_survey import survey_of
 from drawn_block import DrawnBlock, draw_block
 
-from survey.adjust.adjustment import read_adjustment, write_adjustment
 from survey.adjust.applied import apply_adjustment
-from survey.adjust.prediction import predict, relief_sides
+from survey.adjust.block.prediction import predict, relief_sides
 from survey.adjust.refine import adjust_survey
-from survey.adjust.std_common import common_error
+from survey.adjust.result.adjustment import read_adjustment, write_adjustment
+from survey.adjust.result.std_common import common_error
 from survey.settings.water import LevelRate
 from survey.water.tides import Tide
 from tests.changed_survey import changed

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from refract.lens import Lens, affine_from_brown, distorted
-from survey.adjust.adjustment import FREE, HELD, UNKNOWN
 from survey.adjust.applied import apply_adjustment
-from survey.adjust.observed import thinned
+from survey.adjust.block.observed import thinned
 from survey.adjust.refine import adjust_survey
-from survey.adjust.verdicts import Estimate, judge
+from survey.adjust.result.adjustment import FREE, HELD, UNKNOWN
+from survey.adjust.result.verdicts import Estimate, judge
 from survey.photos.tie_points import TiePoints
 from tests.block_survey import pose_errors, rms, survey_of
 from tests.changed_survey import changed

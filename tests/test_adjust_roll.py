@@ -11,11 +11,11 @@ from block_survey import survey_of
 from drawn_block import DrawnBlock, _turned, draw_block
 from scipy.spatial.transform import Rotation
 
-from survey.adjust.adjustment import Adjustment
+from survey.adjust.block.roll import rolls_of
+from survey.adjust.block.roll_profile import std_by_profile
+from survey.adjust.block.state import POSE
 from survey.adjust.refine import adjust_survey
-from survey.adjust.roll import rolls_of
-from survey.adjust.roll_profile import std_by_profile
-from survey.adjust.state import POSE
+from survey.adjust.result.adjustment import Adjustment
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.sfm.gps_fit import Across, Line, roll_by_attitudes, roll_by_control, roll_by_ground

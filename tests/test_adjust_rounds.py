@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from survey.adjust import rounds
-from survey.adjust.bundle import Solution, inverse, system_at
-from survey.adjust.prediction import relief_sides
-from survey.adjust.problem import Priors, Problem
+from survey.adjust.block.bundle import Solution, inverse, system_at
+from survey.adjust.block.prediction import relief_sides
+from survey.adjust.block.problem import Priors, Problem
+from survey.adjust.block.state import POSE, RELIEF, with_parameters
 from survey.adjust.refine import adjust_survey
 from survey.adjust.rounds import covariance_over_shore
-from survey.adjust.state import POSE, RELIEF, with_parameters
 from survey.folder.pose_priors import PosePrior
 from tests.block_state import state_of
 from tests.block_survey import pose_errors, rms, survey_of

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from survey.adjust.priors import known_of
+from survey.adjust.block.priors import known_of
 from survey.adjust.second_start import of_two_starts
 from tests.adjusted_block import drawn_adjustment
 from tests.block_survey import survey_of

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from refract.lens import Lens, distorted, undistorted
-from survey.adjust import verdicts
-from survey.adjust.adjustment import FREE, HELD, UNKNOWN, read_adjustment, write_adjustment
 from survey.adjust.applied import apply_adjustment
-from survey.adjust.observed import rows_taken
-from survey.adjust.prediction import predict
+from survey.adjust.block.observed import rows_taken
+from survey.adjust.block.prediction import predict
+from survey.adjust.block.state import LENS, RELIEF
 from survey.adjust.refine import adjust_survey
-from survey.adjust.state import LENS, RELIEF
-from survey.adjust.std_common import common_error
+from survey.adjust.result import verdicts
+from survey.adjust.result.adjustment import FREE, HELD, UNKNOWN, read_adjustment, write_adjustment
+from survey.adjust.result.std_common import common_error
 from survey.photos.tie_points import TiePoints
 from tests.adjusted_block import assert_same
 from tests.block_state import require_derivatives, state_of

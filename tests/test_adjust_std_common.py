@@ -10,7 +10,7 @@ import pytest
 from adjusted_block import drawn_adjustment
 from block_survey import survey_of
 
-from survey.adjust.std_common import shift_std, std_common
+from survey.adjust.result.std_common import shift_std, std_common
 from tests.changed_survey import changed
 
 GSD = 0.02
@@ -66,7 +66,7 @@ def test_points_that_no_two_views_see_have_none():
 
 
 def test_the_median_is_that_of_the_report():
-    from survey.adjust.std_common import common_error
+    from survey.adjust.result.std_common import common_error
 
     block, found = drawn_adjustment(dry_share=0.0)
     survey = changed(survey_of(block), ties=None)

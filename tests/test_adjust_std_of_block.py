@@ -9,7 +9,7 @@ import pytest
 from adjusted_block import drawn_adjustment
 from block_survey import survey_of
 
-from survey.adjust.std_of_block import BedCells, std_of_block
+from survey.adjust.result.std_of_block import BedCells, std_of_block
 from tests.changed_survey import changed
 
 GSD = 0.05

@@ -14,10 +14,10 @@ from scipy.stats import chi2
 from refract import PinholeCamera
 from refract.lens import Lens
 from survey.adjust import refine, waterline
-from survey.adjust.bundle import NotConvergedError
+from survey.adjust.block.bundle import NotConvergedError
+from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M
+from survey.adjust.block.state import WATER_PARAMETERS, settings_of
 from survey.adjust.observability import dry_or_within_bounds, within_bounds
-from survey.adjust.priors import EXACT_STD_DEG, EXACT_STD_M
-from survey.adjust.state import WATER_PARAMETERS, settings_of
 from survey.adjust.waterline import calibrate_water, nadir_views, with_water
 from survey.errors import SurveyError
 from survey.folder.place import water_plane

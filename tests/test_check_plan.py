@@ -12,7 +12,7 @@ from small_survey import said, small_survey
 from typer.testing import CliRunner
 
 from survey import machine
-from survey.adjust.foreseen import foresee
+from survey.adjust.result.foreseen import foresee
 from survey.commands.verbs import app
 from survey.errors import ConfigError, SurveyError
 from survey.plan.choices import Choices

@@ -8,7 +8,7 @@ from drawn_pair import FRAME, draw_pair
 
 from survey.adjust.applied import apply_adjustment
 from survey.adjust.refine import adjust_survey
-from survey.adjust.std_common import std_common
+from survey.adjust.result.std_common import std_common
 from survey.errors import SurveyError
 from survey.folder.survey import load_survey
 from survey.photos.tie_points import TiePoints, least_track

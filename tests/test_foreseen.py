@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from survey.adjust.foreseen import DEPTH_M, MATCH_STD_PX, foresee, foreseen_section, heights_by_depth
-from survey.adjust.std_common import std_common
+from survey.adjust.result.foreseen import DEPTH_M, MATCH_STD_PX, foresee, foreseen_section, heights_by_depth
+from survey.adjust.result.std_common import std_common
 from survey.folder.survey import load_survey
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan

@@ -13,7 +13,7 @@ from small_report import PLAN
 from small_survey import small_survey
 from test_adjust_parts import cut
 
-from survey.adjust.adjustment import UNKNOWN
+from survey.adjust.result.adjustment import UNKNOWN
 from survey.control.points import Control, ControlPoint
 from survey.display.quantities import length
 from survey.folder.pose_priors import PosePrior

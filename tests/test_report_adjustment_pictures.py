@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 from small_survey import E0, LEVEL, N0, small_survey
 
-from survey.adjust.adjustment import ControlResidual
+from survey.adjust.result.adjustment import ControlResidual
 from survey.control.points import Checkpoint, Control, ControlPoint
 from survey.folder.survey import load_survey
 from survey.report.adjustment_pictures import Residual, clipped, draw_residuals, residuals_of

@@ -12,11 +12,11 @@ import numpy as np
 from geo.crs import is_geographic
 from geo.files import write_whole
 from refract.lens import Lens
-from survey.adjust.adjustment import Adjustment
 from survey.adjust.assembling import enlarged, lens_with
-from survey.adjust.observed import pixels_taken
-from survey.adjust.priors import Known
-from survey.adjust.state import Layout, State
+from survey.adjust.block.observed import pixels_taken
+from survey.adjust.block.priors import Known
+from survey.adjust.block.state import Layout, State
+from survey.adjust.result.adjustment import Adjustment
 from survey.folder.motion import rows_between
 from survey.folder.place import water_plane
 from survey.folder.survey import Survey, View

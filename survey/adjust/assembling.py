@@ -8,21 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from refract.lens import MODELS, Lens, is_affine
-from survey.adjust.adjustment import (
-    AdjustedPoses,
-    Adjustment,
-    ControlResidual,
-    Covariance,
-    FitStatistics,
-    Parameter,
-    Residuals,
-)
-from survey.adjust.control_check import control_warnings
-from survey.adjust.observability import Unobservable, not_observable
-from survey.adjust.observed import KINDS, MARK, Observed
-from survey.adjust.priors import Known, is_held
-from survey.adjust.rounds import Adjusted
-from survey.adjust.state import (
+from survey.adjust.block.control_check import control_warnings
+from survey.adjust.block.observed import KINDS, MARK, Observed
+from survey.adjust.block.priors import Known, is_held
+from survey.adjust.block.state import (
     FOCAL_NAME,
     LENS_NAMES,
     RATE_NAME,
@@ -35,7 +24,17 @@ from survey.adjust.state import (
     settings_of,
     with_settings,
 )
-from survey.adjust.verdicts import (
+from survey.adjust.observability import Unobservable, not_observable
+from survey.adjust.result.adjustment import (
+    AdjustedPoses,
+    Adjustment,
+    ControlResidual,
+    Covariance,
+    FitStatistics,
+    Parameter,
+    Residuals,
+)
+from survey.adjust.result.verdicts import (
     Estimate,
     lens_verdicts,
     rate_verdict,
@@ -45,6 +44,7 @@ from survey.adjust.verdicts import (
     water_limits,
     water_verdicts,
 )
+from survey.adjust.rounds import Adjusted
 from survey.folder.survey import Survey
 from survey.settings.config import WaterConfig
 

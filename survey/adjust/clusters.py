@@ -22,11 +22,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.sparse import csr_array
 
-from survey.adjust.bundle import Solution
-from survey.adjust.prediction import linearise
-from survey.adjust.problem import Problem
-from survey.adjust.state import WATER, State
-from survey.adjust.std_common import moves_of
+from survey.adjust.block.bundle import Solution
+from survey.adjust.block.prediction import linearise
+from survey.adjust.block.problem import Problem
+from survey.adjust.block.state import WATER, State
+from survey.adjust.result.std_common import moves_of
 from survey.photos.tie_points import TiePoints
 
 # Sides of the squares, as shares of the longer side of a photograph: the one in which most is shared counts.

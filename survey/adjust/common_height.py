@@ -15,16 +15,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from refract import FlatWater
-from survey.adjust.adjustment import Adjustment
-from survey.adjust.bundle import NotConvergedError, Solution, cost, solve
-from survey.adjust.observed import KINDS, MARK, Observed, rows_taken
-from survey.adjust.prediction import relief_sides
-from survey.adjust.priors import Known, priors_for, shared_height_std
-from survey.adjust.problem import Problem
+from survey.adjust.block.bundle import NotConvergedError, Solution, cost, solve
+from survey.adjust.block.observed import KINDS, MARK, Observed, rows_taken
+from survey.adjust.block.prediction import relief_sides
+from survey.adjust.block.priors import Known, priors_for, shared_height_std
+from survey.adjust.block.problem import Problem
+from survey.adjust.block.state import POSE, State, with_parameters
+from survey.adjust.result.adjustment import Adjustment
+from survey.adjust.result.std_common import common_error
+from survey.adjust.result.verdicts import MOST_SIGMAS, MOST_STD_LEVEL_M
 from survey.adjust.rounds import Adjusted
-from survey.adjust.state import POSE, State, with_parameters
-from survey.adjust.std_common import common_error
-from survey.adjust.verdicts import MOST_SIGMAS, MOST_STD_LEVEL_M
 from survey.folder.place import over_points
 from survey.sfm.datum import WELL_KNOWN_M
 

@@ -6,10 +6,10 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from survey.adjust.adjustment import Adjustment
+from survey.adjust.block.windows import loaded
 from survey.adjust.pose_check import PoseCheck, check_of_windows
 from survey.adjust.refine import adjust_survey
-from survey.adjust.windows import loaded
+from survey.adjust.result.adjustment import Adjustment
 from survey.errors import SurveyError
 from survey.folder.survey import load_survey
 from survey.plan.check import Section

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from geo.similarity import Similarity
 from survey.adjust.assembling import FEW_MATCHES
-from survey.adjust.priors import Known
+from survey.adjust.block.priors import Known
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints

@@ -21,13 +21,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from survey.adjust.bundle import system_with
-from survey.adjust.observed import rows_taken
-from survey.adjust.prediction import relief_sides
-from survey.adjust.priors import Known, is_held, priors_for
-from survey.adjust.problem import Problem
+from survey.adjust.block.bundle import system_with
+from survey.adjust.block.observed import rows_taken
+from survey.adjust.block.prediction import relief_sides
+from survey.adjust.block.priors import Known, is_held, priors_for
+from survey.adjust.block.problem import Problem
+from survey.adjust.block.state import POSE
 from survey.adjust.rounds import Adjusted
-from survey.adjust.state import POSE
 
 # With fewer photographs nothing tells a scatter.
 _FEWEST = 5

@@ -17,12 +17,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from survey.adjust.adjustment import UNKNOWN, Parameter
-from survey.adjust.bundle import NotConvergedError
-from survey.adjust.observed import Observed
-from survey.adjust.priors import FREE_WATER, HELD, Known
-from survey.adjust.rounds import Adjusted, adjust
-from survey.adjust.state import (
+from survey.adjust.block.bundle import NotConvergedError
+from survey.adjust.block.observed import Observed
+from survey.adjust.block.priors import FREE_WATER, HELD, Known
+from survey.adjust.block.state import (
     LENS_NAMES,
     RATE_NAME,
     READOUT_NAME,
@@ -32,7 +30,9 @@ from survey.adjust.state import (
     State,
     settings_by_local,
 )
-from survey.adjust.verdicts import water_limits
+from survey.adjust.result.adjustment import UNKNOWN, Parameter
+from survey.adjust.result.verdicts import water_limits
+from survey.adjust.rounds import Adjusted, adjust
 from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints
 

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from survey.adjust.bundle import NotConvergedError, solve
+from survey.adjust.block.bundle import NotConvergedError, solve
+from survey.adjust.block.observed import KINDS, MATCH, WINDOW, observed, rows_taken
+from survey.adjust.block.prediction import relief_sides
+from survey.adjust.block.priors import FREE_WATER, HELD, known_of, priors_for
+from survey.adjust.block.problem import Problem
+from survey.adjust.block.state import State
+from survey.adjust.block.windows import windows_of_block
 from survey.adjust.given_values import check_dry_bed, check_given_values, dry_bed_error, misfit, most_contradicted
-from survey.adjust.observed import KINDS, MATCH, WINDOW, observed, rows_taken
-from survey.adjust.prediction import relief_sides
-from survey.adjust.priors import FREE_WATER, HELD, known_of, priors_for
-from survey.adjust.problem import Problem
-from survey.adjust.state import State
-from survey.adjust.windows import windows_of_block
 from survey.folder.contradiction import Contradiction
 from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints

@@ -2,7 +2,7 @@
 
 matches of structure from motion (`Survey.ties`), where there are any -> a first adjustment, that takes the bend out;
 poses of a file that are too far off for windows get such matches first (`survey.adjust.far_poses`)
-windows matched to a fraction of a pixel on the adjusted block (`survey.adjust.windows`) -> the final adjustment
+windows matched to a fraction of a pixel on the adjusted block (`survey.adjust.block.windows`) -> the final adjustment
 """
 
 from __future__ import annotations
@@ -13,16 +13,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from survey import machine
-from survey.adjust.adjustment import UNKNOWN, Adjustment
 from survey.adjust.applied import at_state
 from survey.adjust.assembling import result
-from survey.adjust.bundle import NotConvergedError
+from survey.adjust.block.bundle import NotConvergedError
+from survey.adjust.block.control_check import contradicted_points, contradiction_warning, has_unchecked_control
+from survey.adjust.block.observed import CELLS, MATCH, PER_CELL, WINDOW, Observed, observed, thinned
+from survey.adjust.block.on_ground import moved_by, shift_onto
+from survey.adjust.block.priors import Known, known_of
+from survey.adjust.block.state import POSE, WATER, WATER_PARAMETERS
+from survey.adjust.block.windows import measure_windows
 from survey.adjust.common_height import apply_level_datum, height_doubts, water_start, with_common, without_common
-from survey.adjust.control_check import contradicted_points, contradiction_warning, has_unchecked_control
 from survey.adjust.far_poses import Search, windows_or_search
 from survey.adjust.focal_drift import FocalDrift, with_focal_std, with_focals
 from survey.adjust.given_values import LEVEL, LEVEL_NAME, check_dry_block, dry_bed_error, released, worst_contradiction
-from survey.adjust.ground_fit import ground_fit
 from survey.adjust.observability import (
     Unobservable,
     adjust_free,
@@ -31,18 +34,15 @@ from survey.adjust.observability import (
     water_std,
     within_bounds,
 )
-from survey.adjust.observed import CELLS, MATCH, PER_CELL, WINDOW, Observed, observed, thinned
-from survey.adjust.on_ground import moved_by, shift_onto
-from survey.adjust.parts import parts_warning
-from survey.adjust.priors import Known, known_of
+from survey.adjust.result.adjustment import UNKNOWN, Adjustment
+from survey.adjust.result.ground_fit import ground_fit
+from survey.adjust.result.parts import parts_warning
+from survey.adjust.result.verdicts import MOST_SIGMAS, MOST_SIGMAS_OF_FOUR, MOST_STD_LEVEL_M
 from survey.adjust.roll_notes import open_roll_named, roll_notes
 from survey.adjust.rounds import Adjusted, adjust
 from survey.adjust.second_start import of_two_starts
 from survey.adjust.square_pixels import with_square_pixels
-from survey.adjust.state import POSE, WATER, WATER_PARAMETERS
 from survey.adjust.unnamed_water import water_seen
-from survey.adjust.verdicts import MOST_SIGMAS, MOST_SIGMAS_OF_FOUR, MOST_STD_LEVEL_M
-from survey.adjust.windows import measure_windows
 from survey.control.points import Ground
 from survey.errors import SurveyError
 from survey.folder.contradiction import Contradiction

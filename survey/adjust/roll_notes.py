@@ -8,8 +8,8 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from survey.adjust.bundle import NotConvergedError
-from survey.adjust.roll import Roll, spans_area
+from survey.adjust.block.bundle import NotConvergedError
+from survey.adjust.block.roll import Roll, spans_area
 from survey.adjust.rounds import Adjusted
 from survey.errors import SurveyError
 from survey.folder.survey import Survey

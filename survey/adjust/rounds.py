@@ -6,18 +6,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from survey.adjust.bundle import NotConvergedError, Solution, System, inverse, solve, system_with
+from survey.adjust.block.bundle import NotConvergedError, Solution, System, inverse, solve, system_with
+from survey.adjust.block.control_check import checked_points, stated_points
+from survey.adjust.block.observed import KINDS, MARK, Observed, rows_taken
+from survey.adjust.block.on_ground import GroundAlignment, OnGround, alignment_on, planes_under
+from survey.adjust.block.pose_std import judged
+from survey.adjust.block.prediction import relief_sides
+from survey.adjust.block.priors import Known, priors_for
+from survey.adjust.block.problem import Problem
+from survey.adjust.block.roll import Roll
+from survey.adjust.block.roll_profile import profiled, widened
+from survey.adjust.block.state import State, with_parameters
 from survey.adjust.clusters import inflation, terrain_design_effect
-from survey.adjust.control_check import checked_points, stated_points
-from survey.adjust.observed import KINDS, MARK, Observed, rows_taken
-from survey.adjust.on_ground import GroundAlignment, OnGround, alignment_on, planes_under
-from survey.adjust.pose_std import judged
-from survey.adjust.prediction import relief_sides
-from survey.adjust.priors import Known, priors_for
-from survey.adjust.problem import Problem
-from survey.adjust.roll import Roll
-from survey.adjust.roll_profile import profiled, widened
-from survey.adjust.state import State, with_parameters
 
 # Observations of more standard deviations than this are left out.
 _OUTLIER = 4.0

@@ -15,10 +15,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from survey.adjust.adjustment import Adjustment
-from survey.adjust.bundle import NotConvergedError
-from survey.adjust.observed import KINDS, MARK
-from survey.adjust.priors import Known
+from survey.adjust.block.bundle import NotConvergedError
+from survey.adjust.block.observed import KINDS, MARK
+from survey.adjust.block.priors import Known
+from survey.adjust.result.adjustment import Adjustment
 from survey.folder.survey import Survey
 
 # A start that looks less aside is level itself.

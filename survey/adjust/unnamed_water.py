@@ -18,14 +18,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from refract import FlatWater
-from survey.adjust.bundle import NotConvergedError, cost, solve
+from survey.adjust.block.bundle import NotConvergedError, cost, solve
+from survey.adjust.block.observed import KINDS, MARK, Observed, rows_taken
+from survey.adjust.block.prediction import relief_sides
+from survey.adjust.block.priors import Known, priors_for
+from survey.adjust.block.problem import Problem
+from survey.adjust.block.state import State
 from survey.adjust.observability import FEWEST_WET
-from survey.adjust.observed import KINDS, MARK, Observed, rows_taken
-from survey.adjust.prediction import relief_sides
-from survey.adjust.priors import Known, priors_for
-from survey.adjust.problem import Problem
 from survey.adjust.rounds import Adjusted, std_over_points
-from survey.adjust.state import State
 
 # Fresh water and the sea, in the light of photographs, and how far they differ; what a river falls [m/m].
 _INDEX, _INDEX_STD, _SLOPE_STD = 1.338, 0.004, 0.005

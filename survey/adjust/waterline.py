@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from geo.files import write_whole
-from survey.adjust.adjustment import Adjustment, Parameter
-from survey.adjust.bundle import NotConvergedError
+from survey.adjust.block.bundle import NotConvergedError
+from survey.adjust.block.state import WATER, WATER_PARAMETERS, settings_by_local, settings_of
 from survey.adjust.observability import none_observable
 from survey.adjust.refine import adjust_survey
-from survey.adjust.state import WATER, WATER_PARAMETERS, settings_by_local, settings_of
-from survey.adjust.verdicts import unobservable_verdict
+from survey.adjust.result.adjustment import Adjustment, Parameter
+from survey.adjust.result.verdicts import unobservable_verdict
 from survey.errors import SurveyError
 from survey.files.json_values import json_text
 from survey.files.outputs import is_json, require_file

@@ -88,7 +88,7 @@ def _chosen(asked: ProcessConfig) -> tuple[Aim | None, Choices]:
 def _sections(folder: Path, asked: ProcessConfig, wind: float, deep: bool) -> Iterator[Section]:
     """What a survey has and lacks, its light, what it promises, and what an aim would cost."""
     from survey import machine
-    from survey.adjust.foreseen import foreseen_section
+    from survey.adjust.result.foreseen import foreseen_section
     from survey.folder.found import process_config
     from survey.plan.check import Section, check_survey, require_processable
     from survey.plan.check_light import light_section

@@ -152,7 +152,7 @@ class LoadedRun:
         That of an adjustment, else what survey.toml says of the positions, else 0: they were taken as exact.
         """
         if (self.folder.path / "adjustment.json").is_file():
-            from survey.adjust.adjustment import read_adjustment
+            from survey.adjust.result.adjustment import read_adjustment
 
             return float(read_adjustment(self.folder.path).poses.position_std[:, :2].max(axis=1).mean())
         given = self.config.cameras.position_std_m

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from survey.adjust.adjustment import Adjustment, ControlResidual, Parameter
-from survey.adjust.ground_fit import GroundFit
-from survey.adjust.parts import Part, parts_of_adjustment
-from survey.adjust.state import RELIEF
-from survey.adjust.std_common import CommonError, common_error
+from survey.adjust.block.state import RELIEF
+from survey.adjust.result.adjustment import Adjustment, ControlResidual, Parameter
+from survey.adjust.result.ground_fit import GroundFit
+from survey.adjust.result.parts import Part, parts_of_adjustment
+from survey.adjust.result.std_common import CommonError, common_error
 from survey.display.quantities import length
 from survey.folder.survey import Survey
 from survey.report.stated import CE90, LE90
@@ -52,7 +52,7 @@ class PositionFigures:
     rms_m : (east, north, up) [m]
         Of adjusted less given, and less what the heights have in common.
     common_up_m : (error, standard deviation) [m] or None
-        See `survey.adjust.adjustment.Adjustment`.
+        See `survey.adjust.result.adjustment.Adjustment`.
     largest_m, largest_name : [m], str
         The largest distance, and its photograph.
     """

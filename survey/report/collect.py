@@ -11,7 +11,7 @@ from pyproj import CRS
 from geo.crs import crs_code
 from refract import water_index
 from refract.dispersion import USUAL_SALINITY_PSU, USUAL_TEMPERATURE_C
-from survey.adjust.adjustment import FREE
+from survey.adjust.result.adjustment import FREE
 from survey.display.plan_grid import PlanGrid
 from survey.files.json_values import plain
 from survey.folder.motion import shutter_text

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from survey.adjust.adjustment import Adjustment
+from survey.adjust.result.adjustment import Adjustment
 from survey.folder.survey import Survey
 from survey.photos.exif import Exif
 from survey.photos.texture import MatchedLight

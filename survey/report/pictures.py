@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from geo.crs import height_unit_m
-from survey.adjust.parts import part_numbers
+from survey.adjust.result.parts import part_numbers
 from survey.compare import pictures as compare_report
 from survey.compare.canvas import canvas, nice_limit, plain_log_ticks, save, write_title
 from survey.display.palette import BLUE, INK, RED, SERIES, SOFT
@@ -28,7 +28,7 @@ from survey.report.profile import choose_cut
 from survey.report.raster import Picture
 
 if TYPE_CHECKING:
-    from survey.adjust.adjustment import Adjustment
+    from survey.adjust.result.adjustment import Adjustment
     from survey.compare.figures import Comparison
 
 # Cells of the orthophoto and of the maps along the longer side, at most.

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from survey import machine
-from survey.adjust.foreseen import DEPTH_M, foresee
+from survey.adjust.result.foreseen import DEPTH_M, foresee
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.folder.survey import Survey

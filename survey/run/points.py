@@ -18,8 +18,8 @@ from fields.sweep.bed import BedPoints, has_neighbours, is_supported, points_of,
 from fields.sweep.block import AGREEMENT_PX
 from fields.sweep.fusion import PEERS
 from fields.sweep.maps import HeightMap, trusted
-from survey.adjust.adjustment import Adjustment, read_adjustment
-from survey.adjust.std_of_block import std_of_block
+from survey.adjust.result.adjustment import Adjustment, read_adjustment
+from survey.adjust.result.std_of_block import std_of_block
 from survey.plan.area import within
 from survey.plan.block import camera_of
 

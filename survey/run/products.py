@@ -13,8 +13,8 @@ import numpy as np
 
 from fields.sweep.maps import HeightMap
 from fields.sweep.photo_consistency import Consistency
-from survey.adjust.adjustment import ARRAYS, JSON, Adjustment, read_adjustment
 from survey.adjust.applied import CAMERAS, MODEL_FOLDER
+from survey.adjust.result.adjustment import ARRAYS, JSON, Adjustment, read_adjustment
 from survey.compare.figures import Comparison
 from survey.display.quantities import length, lengths_in_feet
 from survey.display.units import foot_m

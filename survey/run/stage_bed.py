@@ -12,7 +12,7 @@ import numpy as np
 from fields.solver.solver import SolvedMap
 from fields.sweep.bed import unique_pixels
 from fields.sweep.maps import HeightMap
-from survey.adjust.std_common import BASIS_ADJUSTED, BASIS_STATED, std_common
+from survey.adjust.result.std_common import BASIS_ADJUSTED, BASIS_STATED, std_common
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.plan.block import backend

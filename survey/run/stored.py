@@ -68,10 +68,10 @@ class StoredBed:
     gsd_m : [m]
         Ground sampling distance that was worked at.
     std_common : (N,) float32 [m] or None
-        Standard deviation of the heights by water, lens and poses, `survey.adjust.std_common`; None where not known.
+        Standard deviation of the heights by water, lens and poses, `survey.adjust.result.std_common`; None: not known.
     std_placed : (N,) float32 [m] or None
         The part of the standard deviations in `bed` by how GPS or control has placed the block
-        (`survey.adjust.std_of_block`); None where a file has.
+        (`survey.adjust.result.std_of_block`); None where a file has.
     """
 
     bed: BedPoints

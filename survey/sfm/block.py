@@ -33,8 +33,8 @@ _THREADS = 2
 _SEED = 0
 # f, cx, cy, k1, k2. With one coefficient a real block is bent by decimetres; more than two gain nothing (see tests).
 MODEL = "RADIAL"
-# Most features of an image. The adjustment uses a few hundred of them (`survey.adjust.observed`), and twice as many
-# take twice the time.
+# Most features of an image. The adjustment uses a few hundred of them (`survey.adjust.block.observed`), and twice
+# as many take twice the time.
 _MOST_FEATURES = 4096
 # All images are adjusted whenever their number, or that of the points, has grown by this factor.
 _GROWN = 1.3

@@ -3,7 +3,7 @@
 Attitudes of the camera in XMP tell the roll about the one line that positions lie on, and control points by where they
 lie across it. Without either, a block is taken to look straight down across the line, or, where its ground would then
 be steep, to lie over level ground. The adjustment finds the roll from all that tells it, and how well
-(`survey.adjust.roll`).
+(`survey.adjust.block.roll`).
 """
 
 from __future__ import annotations

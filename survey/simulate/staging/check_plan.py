@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from geo.sun import sun_at
-from survey.adjust.foreseen import DEPTH_M, foreseen_section
+from survey.adjust.result.foreseen import DEPTH_M, foreseen_section
 from survey.display.quantities import length
 from survey.errors import FILE_NAME, SurveyError
 from survey.folder.datum_mixups import place_of

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from survey.adjust.adjustment import FREE, HELD, UNKNOWN, Parameter
-from survey.adjust.state import LENS_NAMES, RATE_NAME, READOUT_NAME, WATER_PARAMETERS, Layout, State
+from survey.adjust.block.state import LENS_NAMES, RATE_NAME, READOUT_NAME, WATER_PARAMETERS, Layout, State
+from survey.adjust.result.adjustment import FREE, HELD, UNKNOWN, Parameter
 from survey.folder.motion import rows_between
 from survey.settings.config import WaterConfig
 

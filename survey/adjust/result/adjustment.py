@@ -10,8 +10,8 @@ import numpy as np
 
 from geo.files import write_whole
 from refract.lens import Lens
-from survey.adjust.ground_fit import GroundFit
-from survey.adjust.state import READOUT_NAME, Layout
+from survey.adjust.block.state import READOUT_NAME, Layout
+from survey.adjust.result.ground_fit import GroundFit
 from survey.errors import SurveyError
 from survey.files.json_values import json_text, read_json_object
 from survey.files.toml_table import parse_values, table_of
@@ -98,7 +98,7 @@ class AdjustedPoses:
     tides : (V,) [m], or None
         Tide at each camera, as it was found.
     hours : (V,) [h], or None
-        See `survey.adjust.state.Layout`.
+        See `survey.adjust.block.state.Layout`.
     focals : (V,), or None
         Focal length of each photograph over that of its lens, less one; None where they do not differ.
     """

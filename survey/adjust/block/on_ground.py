@@ -5,8 +5,8 @@ Tie points over the ground lie on it, each on the plane through the points aroun
 plan where it is not flat. Whether a tie point is dry is asked of the earlier survey, whose heights count from the datum
 of crs, and not of the block, which may lie metres off. Tie points off their plane by more than others (what grew, was
 washed away or built) are left out. Of each square one point counts, so that their errors are independent. The shift
-that all points of the earlier survey share is a parameter with a prior (`survey.adjust.planes`), so that control and
-positions that are known better than the earlier survey place the block, and it, and not it the block.
+that all points of the earlier survey share is a parameter with a prior (`survey.adjust.block.planes`), so that control
+and positions that are known better than the earlier survey place the block, and it, and not it the block.
 
 First the block is shifted onto the ground: from the best of many places on a grid in plan, by least squares with robust
 weights. Positions tell the plan to some metres.
@@ -23,10 +23,10 @@ from scipy.ndimage import minimum_filter
 from scipy.spatial.transform import Rotation
 
 from evaluation.local_surface import local_surface
-from survey.adjust.bundle import Solution, System, inverse, system_with
-from survey.adjust.planes import Planes
-from survey.adjust.problem import Problem
-from survey.adjust.state import State
+from survey.adjust.block.bundle import Solution, System, inverse, system_with
+from survey.adjust.block.planes import Planes
+from survey.adjust.block.problem import Problem
+from survey.adjust.block.state import State
 from survey.control.points import Ground
 from survey.errors import ControlError
 from survey.photos.cameras import View

@@ -1,6 +1,6 @@
 """Bundle adjustment through the water: Levenberg-Marquardt on tie points and priors, the points eliminated.
 
-M points, N observations (a point in a photograph), P parameters (`survey.adjust.state`)
+M points, N observations (a point in a photograph), P parameters (`survey.adjust.block.state`)
 r      residual, measured minus predicted pixel (N, 2)
 X, B   derivatives of the prediction by its point (N, 2, 3) and by the parameters (2 N, P), sparse
 w      weight of an observation (N,) [1/px^2]
@@ -16,10 +16,10 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import bsr_array, csr_array
 
-from survey.adjust.prediction import linearise
-from survey.adjust.problem import Problem
-from survey.adjust.robust import huber_loss, huber_weights, std_of_kinds
-from survey.adjust.state import SHIFT, State
+from survey.adjust.block.prediction import linearise
+from survey.adjust.block.problem import Problem
+from survey.adjust.block.robust import huber_loss, huber_weights, std_of_kinds
+from survey.adjust.block.state import SHIFT, State
 from survey.errors import SurveyError
 from survey.photos.tie_points import TiePoints
 

@@ -1,8 +1,8 @@
 """Roll of a block about the line that its positions lie on, as a prior and as a result.
 
 Structure from motion leaves the rotation of a block open, and positions on a line the roll about it. The weak priors of
-single rotations (`survey.adjust.priors.ROTATION_STD`) count from where the block starts and would hold the roll by
-nothing that was measured. With D their precision, f the parameters that a roll of the whole block by one radian
+single rotations (`survey.adjust.block.priors.ROTATION_STD`) count from where the block starts and would hold the roll
+by nothing that was measured. With D their precision, f the parameters that a roll of the whole block by one radian
 changes, g the mean of the rolls of its photographs and s its standard deviation by attitudes, they are replaced by
 
     D - D f f' D / (f' D f) + g' g / s^2
@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from survey.adjust.state import POSE, Layout
+from survey.adjust.block.state import POSE, Layout
 from survey.photos.tie_points import least_track, parts_of
 from survey.sfm.control_fit import line_of_control
 from survey.sfm.gps_fit import Across, Line, gps_std, line_of, roll_by_attitudes

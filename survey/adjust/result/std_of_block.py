@@ -3,7 +3,7 @@
 Over a slope, a block that lies beside its place shows heights of other places. At a fixed place in plan the error of a
 height is ``e_z - s . e_xy``, with e the error of the point where the rays meet and s the slope of the bed there. With
 the moves M of a place by the parameters and C their covariance, that of e is ``(M - N) C (M - N)'``, N the mean of the
-moves of heights over the bed: what lifts all heights alike is left to `survey.adjust.std_common`.
+moves of heights over the bed: what lifts all heights alike is left to `survey.adjust.result.std_common`.
 
 A slope holds for a few pixels only. Where the block lies farther beside its place, as with positions of GPS alone, the
 heights that are there count in place of slopes: the mean square of their differences over all displacements.
@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import ndimage
 
-from survey.adjust.adjustment import Adjustment
-from survey.adjust.std_common import interpolated, place_moves, places_of, portions, seen_places
+from survey.adjust.result.adjustment import Adjustment
+from survey.adjust.result.std_common import interpolated, place_moves, places_of, portions, seen_places
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey

@@ -24,12 +24,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.special import chdtrc
 
-from survey.adjust.bundle import Solution
-from survey.adjust.observed import MARK, Observed, rows_taken
-from survey.adjust.prediction import linearise
-from survey.adjust.priors import Known
-from survey.adjust.problem import Problem
-from survey.adjust.state import POSE, RELIEF, State
+from survey.adjust.block.bundle import Solution
+from survey.adjust.block.observed import MARK, Observed, rows_taken
+from survey.adjust.block.prediction import linearise
+from survey.adjust.block.priors import Known
+from survey.adjust.block.problem import Problem
+from survey.adjust.block.state import POSE, RELIEF, State
 from survey.control.points import Control
 from survey.display.words import named
 from survey.photos.cameras import View

@@ -15,10 +15,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from survey.adjust.bundle import NotConvergedError, Solution, cost, descend, solve
-from survey.adjust.problem import Problem
-from survey.adjust.roll import Roll
-from survey.adjust.state import State
+from survey.adjust.block.bundle import NotConvergedError, Solution, cost, descend, solve
+from survey.adjust.block.problem import Problem
+from survey.adjust.block.roll import Roll
+from survey.adjust.block.state import State
 
 # Angles [deg] at which the roll is held, on both sides.
 _ANGLES_DEG = range(3, 22, 3)
@@ -44,7 +44,7 @@ def profiled(problem: Problem, solution: Solution, inflation: np.ndarray, roll: 
     solution : Solution
         Of it.
     inflation : (N,)
-        As for `survey.adjust.bundle.solve`.
+        As for `survey.adjust.block.bundle.solve`.
     roll : Roll
     """
     sides = [_scanned(problem, solution, inflation, roll, sign) for sign in (1, -1)]

@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from survey.adjust.bundle import Solution, inverse
-from survey.adjust.priors import ROTATION_STD, Known, without_shift
-from survey.adjust.problem import Priors
-from survey.adjust.state import POSE
+from survey.adjust.block.bundle import Solution, inverse
+from survey.adjust.block.priors import ROTATION_STD, Known, without_shift
+from survey.adjust.block.problem import Priors
+from survey.adjust.block.state import POSE
 
 # A pose is a blunder beyond this many standard deviations.
 _BLUNDER = 6.0

@@ -9,12 +9,12 @@ so that the place moves by ``-(A' A)^-1 A' B`` times a small change of the param
 predictions by the place and by the parameters. With the covariance of the parameters this gives that of the heights: of
 their mean over the area (`common_error`), and of each at its place (`std_common`). What of it differs from place to
 place (tilt, bend, the bank against the bed) is in the std of the points of an adjusted block, too:
-`survey.adjust.std_of_block`. An error of all places in plan, of a transformation of datums, is one of heights where the
-bed slopes.
+`survey.adjust.result.std_of_block`. An error of all places in plan, of a transformation of datums, is one of heights
+where the bed slopes.
 
 Worked out at places spread over the bed, wet and dry apart, and interpolated in plan. The covariance is that of the
 adjustment; without one the parameters count as independent, as good as survey.toml says or else as the defaults of
-`survey.adjust.priors` say, poses and lens those of an adjusted block.
+`survey.adjust.block.priors` say, poses and lens those of an adjusted block.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from refract import FlatWater
-from survey.adjust.adjustment import Adjustment
-from survey.adjust.observed import rows_taken
-from survey.adjust.prediction import linearise
-from survey.adjust.priors import EXACT_STD_DEG, EXACT_STD_M, known_of, parameters_of
-from survey.adjust.state import RELIEF, WATER, Layout, State
+from survey.adjust.block.observed import rows_taken
+from survey.adjust.block.prediction import linearise
+from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M, known_of, parameters_of
+from survey.adjust.block.state import RELIEF, WATER, Layout, State
+from survey.adjust.result.adjustment import Adjustment
 from survey.photos.tie_points import TiePoints, least_track
 
 if TYPE_CHECKING:
@@ -131,7 +131,7 @@ def place_moves(found: Adjustment, water: FlatWater | None, ties: TiePoints) -> 
 def moves_of(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray) -> np.ndarray:
     """Derivative (K, 3, P) of places, those of the state, by water, lenses and poses.
 
-    ``rows`` (N,) as `survey.adjust.observed.rows_taken` gives them.
+    ``rows`` (N,) as `survey.adjust.block.observed.rows_taken` gives them.
     """
     linear = linearise(layout, state, ties, np.zeros((len(ties.view), RELIEF)), rows)
     kept = np.r_[:WATER, layout.first_lens : len(layout)]

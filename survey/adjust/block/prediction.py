@@ -18,7 +18,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from refract import FlatWater, crossing_point
-from survey.adjust.state import LENS, POSE, RELIEF, WATER, Layout, State, distort
+from survey.adjust.block.state import LENS, POSE, RELIEF, WATER, Layout, State, distort
 from survey.photos.tie_points import TiePoints
 
 # Four are exact to the last bits in drone geometry (docs/optics.md), two more for lower flights.

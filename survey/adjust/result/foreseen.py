@@ -15,14 +15,14 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from evaluation.standards import TO_95, TVU
-from survey.adjust.bundle import covariance_at
-from survey.adjust.observed import CELLS, KINDS, PER_CELL, WINDOW
-from survey.adjust.prediction import linearise, predict, relief_sides
-from survey.adjust.priors import EXACT_STD_DEG, EXACT_STD_M, INDEX_STD, LEVEL_STD_M, known_of, priors_for
-from survey.adjust.problem import Problem
-from survey.adjust.state import WATER
-from survey.adjust.std_common import std_common
-from survey.adjust.verdicts import MOST_STD_FOCAL, MOST_STD_INDEX, MOST_STD_LEVEL_M
+from survey.adjust.block.bundle import covariance_at
+from survey.adjust.block.observed import CELLS, KINDS, PER_CELL, WINDOW
+from survey.adjust.block.prediction import linearise, predict, relief_sides
+from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M, INDEX_STD, LEVEL_STD_M, known_of, priors_for
+from survey.adjust.block.problem import Problem
+from survey.adjust.block.state import WATER
+from survey.adjust.result.std_common import std_common
+from survey.adjust.result.verdicts import MOST_STD_FOCAL, MOST_STD_INDEX, MOST_STD_LEVEL_M
 from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints
 from survey.plan.check import Section
@@ -63,7 +63,7 @@ class HeightStds:
         One sigma of the height of a point by the noise of matching.
     of_all_m : [m]
         Of all heights together by water, lens and poses: by what an adjustment leaves uncertain of them, all known
-        before as survey.toml says; where the plan keeps the poses, as `survey.adjust.std_common` has it without one.
+        before as survey.toml says; where the plan keeps the poses, as `std_common` has it without an adjustment.
     """
 
     depth_m: float

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from refract import FlatWater
-from survey.adjust.adjustment import Adjustment, Residuals
-from survey.adjust.std_common import moves_over_area
+from survey.adjust.result.adjustment import Adjustment, Residuals
+from survey.adjust.result.std_common import moves_over_area
 from survey.display.quantities import length
 from survey.photos.tie_points import parts_of
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from survey.adjust.problem import Problem
+from survey.adjust.block.problem import Problem
 
 # Huber's bound [standard deviations]: 95 % of good residuals lie within.
 HUBER = 2.0

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from survey.adjust.planes import Planes
-from survey.adjust.prediction import predict
-from survey.adjust.state import Layout, State
+from survey.adjust.block.planes import Planes
+from survey.adjust.block.prediction import predict
+from survey.adjust.block.state import Layout, State
 from survey.photos.tie_points import TiePoints
 
 
@@ -73,9 +73,9 @@ class Problem:
     given_std_px : (kinds,) [px]
         Standard deviations of the kinds; NaN where the residuals tell.
     sides : (N, 3)
-        See `survey.adjust.prediction.relief_sides`.
+        See `survey.adjust.block.prediction.relief_sides`.
     rows : (N,) [px], optional
-        See `survey.adjust.prediction.predict`.
+        See `survey.adjust.block.prediction.predict`.
     holds_parameters : bool
         Nothing but points moves: parameters stay as they are in the state that the adjustment starts from, which saves
         their part of the normal equations.

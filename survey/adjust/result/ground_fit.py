@@ -12,7 +12,7 @@ import numpy as np
 from survey.display.quantities import length
 
 if TYPE_CHECKING:
-    from survey.adjust.on_ground import GroundAlignment
+    from survey.adjust.block.on_ground import GroundAlignment
 
 NAMES = ("east_m", "north_m", "up_m", "turn_east_deg", "turn_north_deg", "turn_up_deg", "scale_ppm")
 _AXES = ("east", "north", "up")
@@ -139,7 +139,7 @@ class GroundFit:
 
 
 def ground_fit(placed: GroundAlignment, moved: np.ndarray, reference: str, *, is_against_positions: bool) -> GroundFit:
-    """The placement in the units of a report; ``moved`` (7,) is that of `survey.adjust.on_ground.moved_by`."""
+    """The placement in the units of a report; ``moved`` (7,) is that of `survey.adjust.block.on_ground.moved_by`."""
 
     def in_units(values: np.ndarray) -> tuple[float, ...]:
         return tuple((values * _UNITS).tolist())

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from refract.lens import MODELS, Lens, is_affine
-from survey.adjust.planes import Planes
-from survey.adjust.problem import Priors
-from survey.adjust.roll import Roll, rolled_to_attitudes, rolls_of, without_starts
-from survey.adjust.state import LENS, LENS_NAMES, POSE, RELIEF, SHIFT, Layout, State
+from survey.adjust.block.planes import Planes
+from survey.adjust.block.problem import Priors
+from survey.adjust.block.roll import Roll, rolled_to_attitudes, rolls_of, without_starts
+from survey.adjust.block.state import LENS, LENS_NAMES, POSE, RELIEF, SHIFT, Layout, State
 from survey.folder.motion import rows_between
 from survey.folder.pose_priors import BY_POSES, GPS_STD_M, common_up_std
 from survey.photos.tie_points import TiePoints

@@ -21,7 +21,7 @@ from fields.sweep.passes import PASSES
 from fields.sweep.sweep import sweep
 from fields.sweep.view_pass import Search, view_passes
 from refract import FlatWater, PinholeCamera
-from survey.adjust.matching import RADIUS, match, prepared, window
+from survey.adjust.block.matching import RADIUS, match, prepared, window
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints, least_track
@@ -299,7 +299,7 @@ def windows_of_block(
 
     ``sparse`` takes fewer windows: as many as means over photographs need.
     """
-    from survey.adjust.windows import DENSE, SPARSE, measure
+    from survey.adjust.block.windows import DENSE, SPARSE, measure
 
     ties = measure(block, bound, local_area(survey), advance, SPARSE if sparse else DENSE)
     full = [(view.camera, camera_of(view, plan)) for view in survey.views]

@@ -11,22 +11,25 @@ from pyproj import CRS
 from stored_run import run_of, stored_points
 
 from evaluation.standards import TVU
+from geo import write_cloud
 from survey.errors import SurveyError
 from survey.export.export import export
 from survey.export.product import ExportOptions
 from survey.export.registry import PRODUCTS
+from survey.export.styles import of_clouds
 from survey.settings.config import dump_config, parse_config
 
-STYLED = {product.option: product for product in PRODUCTS if product.style is not None}
+STYLED = {product.option: product for product in PRODUCTS if product.style is not None and product.option != "copc"}
+
+
+PLAN = np.random.default_rng(5).uniform(0, [6, 4], (6000, 2))
+POINTS = np.column_stack([PLAN, 100.0 + 0.2 * PLAN[:, 0]]) + np.array([500_000.0, 5_200_000.0, 0.0])
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    random = np.random.default_rng(5)
-    plan = random.uniform(0, [6, 4], (6000, 2))
-    points = np.column_stack([plan, 100.0 + 0.2 * plan[:, 0]]) + np.array([500_000.0, 5_200_000.0, 0.0])
     folder = run_of(
-        stored_points(points, CRS("EPSG:25832+7837"), level_m=102.0), tmp_path_factory.mktemp("styles") / "run"
+        stored_points(POINTS, CRS("EPSG:25832+7837"), level_m=102.0), tmp_path_factory.mktemp("styles") / "run"
     )
     settings = parse_config('crs = "EPSG:25832+7837"\n[water]\nlevel_m = 102\nrefractive_index = 1.333')
     (folder / "settings.toml").write_text(dump_config(settings))
@@ -35,6 +38,26 @@ def run(tmp_path_factory):
 
 def test_rasters_of_numbers_have_a_style():
     assert {"dem", "slope", "s44", "bag"} == STYLED.keys()
+
+
+@pytest.mark.parametrize(("is_dry", "attribute", "ends"), [(False, "depth", (0.8, 2)), (True, "Z", (100, 101.2))])
+def test_a_cloud_has_colours_of_depth_or_of_height_where_it_is_dry(run, tmp_path, is_dry, attribute, ends):
+    path = tmp_path / "bed.copc.laz"
+    export(run, copc=path)
+    text = (tmp_path / "bed.copc.qml").read_text()
+    if is_dry:
+        n = len(POINTS)
+        write_cloud(
+            path, POINTS, CRS("EPSG:25832+7837"), rgb=np.full((n, 3), 90, np.uint8), depth_m=np.full(n, np.nan),
+            std_m=np.full(n, 0.02), num_views=np.full(n, 5, np.uint8), incidence_deg=np.zeros(n),
+            is_wet=np.zeros(n, bool),
+        )  # fmt: skip
+        text = of_clouds(path)
+    renderer = ElementTree.fromstring(text).find("renderer")
+    assert (renderer.get("type"), renderer.get("attribute")) == ("ramp", attribute)
+    assert (float(renderer.get("min")), float(renderer.get("max"))) == pytest.approx(ends, abs=0.05)
+    values = [float(item.get("value")) for item in renderer.iter("item")]
+    assert values == sorted(set(values))
 
 
 @pytest.mark.parametrize("option", STYLED)

@@ -14,6 +14,7 @@ from survey.export.product import ExportOptions, Product
 from survey.export.registry import FAMILIES, PRODUCTS
 
 _HOW = "How they are made"
+_MESHES = "Meshes"
 EXAMPLES = "".join(f"bathynerf export RUN {product.example}\n" for product in PRODUCTS)
 
 
@@ -44,11 +45,11 @@ def run(
         typer.Option(
             metavar="METHOD",
             help="delaunay: one height at each place; poisson: overhangs too (extra mesh).",
-            rich_help_panel=_HOW,
+            rich_help_panel=_MESHES,
         ),
     ] = "delaunay",
     watertight: Annotated[
-        bool, typer.Option("--watertight", help="Close the mesh with walls and a bottom.", rich_help_panel=_HOW)
+        bool, typer.Option("--watertight", help="Close the mesh with walls and a bottom.", rich_help_panel=_MESHES)
     ] = False,
     interval: Annotated[
         float | None,

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from survey.export.product import ExportOptions, Product, begins_with
+from survey.export.styles import of_clouds
 
 if TYPE_CHECKING:
     from survey.export.loaded import LoadedRun
@@ -81,6 +82,7 @@ CLOUDS = (
         takes=("crs", "no_bed"),
         is_ours=is_our_las,
         write=_write_las,
+        style=of_clouds,
     ),
     Product(
         option="ply",

@@ -1,4 +1,4 @@
-"""Styles of QGIS beside rasters (.qml): QGIS takes that of a raster's own name when the raster is opened."""
+"""Styles of QGIS beside rasters and clouds (.qml): QGIS takes that of a file's own name when the file is opened."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    import numpy as np
     from matplotlib.colors import Colormap
 
 # QGIS leaves comments out when it saves a style: one that somebody changed is kept.
@@ -15,12 +16,14 @@ _HEAD = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"
 _NUM_COLOURS = 8
 # Of the values of a band, the ends of the colours; cells along a side that are looked at.
 _ENDS, _MOST_SIDE = (0.01, 0.99), 1024
+# Levels of the octree of a cloud that are looked at: some 10,000 points.
+_COARSE_LEVELS = 2
 
 Style = Callable[[Path], str]
 
 
 def write_style(path: Path, style: Style) -> None:
-    """Write the style of a raster beside it, unless there is one of somebody else."""
+    """Write the style of a raster or cloud beside it, unless there is one of somebody else."""
     from geo.files import write_whole
     from survey.progress import current
 
@@ -62,33 +65,67 @@ def of_orders(_path: Path) -> str:
 
 
 def _ramp(path: Path, colours: Colormap) -> str:
-    return _document(ramp(path, colours))
+    return _document(_pipe(ramp(path, colours)))
 
 
 def ramp(path: Path, colours: Colormap, band: int = 1) -> str:
     """The renderer of a raster: colours between the ends of the values of a band."""
-    import numpy as np
     import rasterio
-    from matplotlib.colors import to_hex
 
     with rasterio.open(path) as raster:
         scale = max(max(raster.shape) / _MOST_SIDE, 1.0)
         shape = tuple(max(int(side / scale), 1) for side in raster.shape)
         values = raster.read(band, out_shape=shape, masked=True).compressed()
+    low, high = _ends(values)
+    return (
+        f'<rasterrenderer type="singlebandpseudocolor" band="{band}" opacity="1" alphaBand="-1" nodataColor="" '
+        f'classificationMin="{low:.9g}" classificationMax="{high:.9g}"><rasterTransparency/><rastershader>'
+        f"{_shader(low, high, colours)}</rastershader></rasterrenderer>"
+    )
+
+
+def of_clouds(path: Path) -> str:
+    """True depth of the points of a COPC, dark blue where deep, or their heights where no point has a depth."""
+    import numpy as np
+    from laspy.copc import CopcReader
+
+    from survey.display.palette import DEPTHS
+
+    with CopcReader.open(path) as reader:
+        some = reader.query(level=range(_COARSE_LEVELS))
+    depth = np.asarray(some["depth"]) if "depth" in some.point_format.extra_dimension_names else np.empty(0)
+    # What is not known is not positive either.
+    wet = depth[depth > 0.0]
+    is_wet = len(wet) > 0
+    low, high = _ends(wet if is_wet else np.asarray(some.z))
+    return _document(
+        f'<renderer type="ramp" attribute="{"depth" if is_wet else "Z"}" min="{low:.9g}" max="{high:.9g}" '
+        'pointSize="1" pointSizeUnit="MM" pointSymbol="0" maximumScreenError="0.3" maximumScreenErrorUnit="MM">'
+        f"{_shader(low, high, DEPTHS if is_wet else DEPTHS.reversed())}</renderer>"
+    )
+
+
+def _ends(values: np.ndarray) -> tuple[float, float]:
+    """The first and the last value of the colours."""
+    import numpy as np
+
     values = values[np.isfinite(values)].astype(np.float64)
     low, high = np.quantile(values, _ENDS).tolist() if len(values) else (0.0, 1.0)
-    high = high if high > low else low + 1.0
+    return low, high if high > low else low + 1.0
+
+
+def _shader(low: float, high: float, colours: Colormap) -> str:
+    import numpy as np
+    from matplotlib.colors import to_hex
+
     steps = np.linspace(0.0, 1.0, _NUM_COLOURS)
     items = "".join(
         f'<item alpha="255" value="{value:.9g}" label="{value:.5g}" color="{to_hex(colours(step))}"/>'
         for step, value in zip(steps, low + steps * (high - low), strict=True)
     )
-    ends = f'minimumValue="{low:.9g}" maximumValue="{high:.9g}"'
     return (
-        f'<rasterrenderer type="singlebandpseudocolor" band="{band}" opacity="1" alphaBand="-1" nodataColor="" '
-        f'classificationMin="{low:.9g}" classificationMax="{high:.9g}"><rasterTransparency/><rastershader>'
-        f'<colorrampshader colorRampType="INTERPOLATED" classificationMode="1" clip="0" {ends}>{items}'
-        "</colorrampshader></rastershader></rasterrenderer>"
+        '<colorrampshader colorRampType="INTERPOLATED" classificationMode="1" clip="0" '
+        f'minimumValue="{low:.9g}" maximumValue="{high:.9g}">{items}</colorrampshader>'
     )
 
 
@@ -101,11 +138,16 @@ def _codes(codes: Mapping[int, tuple[str, str]]) -> str:
         for code, (colour, name) in codes.items()
     )
     return _document(
-        '<rasterrenderer type="paletted" band="1" opacity="1" alphaBand="-1" nodataColor=""><rasterTransparency/>'
-        f"<colorPalette>{entries}</colorPalette></rasterrenderer>"
+        _pipe(
+            '<rasterrenderer type="paletted" band="1" opacity="1" alphaBand="-1" nodataColor=""><rasterTransparency/>'
+            f"<colorPalette>{entries}</colorPalette></rasterrenderer>"
+        )
     )
 
 
-def _document(renderer: str) -> str:
-    pipe = f"<pipe>{renderer}</pipe>"
-    return f'{_HEAD}<qgis version="3.22.0" styleCategories="AllStyleCategories">{_MARK}{pipe}</qgis>\n'
+def _pipe(renderer: str) -> str:
+    return f"<pipe>{renderer}</pipe>"
+
+
+def _document(content: str) -> str:
+    return f'{_HEAD}<qgis version="3.22.0" styleCategories="AllStyleCategories">{_MARK}{content}</qgis>\n'

@@ -181,11 +181,12 @@ def trace(origin, direction, surface):
         parallel = valid & ~wet & (xp.abs(kernels.dot(d, normal)) <= kernels.GRAZING)
     crossing = kernels.chosen(wet, at, math.nan)
     air_length = kernels.selector(valid)(kernels.selector(wet)(reach, math.inf), math.nan)
-    return _paths(origin, direction, crossing, air_length, bent, wet, parallel)
+    return _paths(origin, direction, (crossing, air_length, bent), wet, parallel)
 
 
-def _paths(origin, direction, crossing, air_length, bent, wet, parallel) -> BentPaths:
-    """Everything in the precision of the rays, and of one shape."""
+def _paths(origin, direction, refracted, wet, parallel) -> BentPaths:
+    """All in the precision of the rays, and of one shape; ``refracted`` has crossing, length in air, direction."""
+    crossing, air_length, bent = refracted
     xp, like = namespace(air_length), components(direction)[0]
     air_length = xp.like(air_length, like)
     zero = air_length * 0.0

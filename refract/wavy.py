@@ -215,7 +215,7 @@ class WavyWater:
 
         t, going = start, start >= 0.0
         for _ in range(_MOST_STEPS // _ROUND):
-            t, going = self._round(origin, direction, t, end, bend, side, going)
+            t, going = self._round((origin, direction), t, end, bend, side, going)
             drjit.eval(t, going)
             if not drjit.any(going):
                 break
@@ -232,14 +232,14 @@ class WavyWater:
                 if left.size == 0:
                     break
                 o, d = (tuple(c[left] for c in v) for v in (origin, direction))
-                t[left], going = self._round(o, d, t[left], end[left], bend[left], side, np.ones(left.size, dtype=bool))
+                t[left], going = self._round((o, d), t[left], end[left], bend[left], side, np.ones(left.size, bool))
                 left = left[going]
         t[left] = np.nan
         return t.reshape(shape)
 
-    def _round(self, origin, direction, t, end, bend, side, going):
-        """A few steps, for the rays that are going; a ray that has left the waves is NaN."""
-        xp = namespace(t)
+    def _round(self, ray, t, end, bend, side, going):
+        """A few steps, for the rays (origin, direction) that are going; a ray that has left the waves is NaN."""
+        xp, (origin, direction) = namespace(t), ray
         for _ in range(_ROUND):
             clearance, rate = self._clearance(origin, direction, t)
             clearance, rate = side * clearance, side * rate

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -39,13 +39,11 @@ def apply_adjustment(survey: Survey, found: Adjustment) -> Survey:
     """The survey with the poses, lenses and water that an adjustment found."""
     views = _views(
         survey,
-        found.lenses,
-        found.layout,
+        _lenses(found.lenses, found.layout, found.poses.focals),
         found.poses.centres,
         found.poses.rotations,
-        found.readouts_s,
+        _motions(found.layout, found.readouts_s),
         found.poses.tides,
-        found.poses.focals,
     )
     tide = survey.observations.tide
     if found.poses.hours is not None and tide is not None and found.water is not None:
@@ -72,13 +70,11 @@ def at_state(survey: Survey, known: Known, state: State) -> Survey:
     lenses = [lens_with(lens, state.lenses[i]) for i, lens in enumerate(known.lenses)]
     views = _views(
         survey,
-        lenses,
-        known.layout,
+        _lenses(lenses, known.layout, state.focals if known.layout.finds_focals else None),
         state.centres,
         state.rotations,
-        state.readouts,
+        _motions(known.layout, state.readouts),
         state.tides(known.layout),
-        state.focals if known.layout.finds_focals else None,
     )
     return replace(
         survey,
@@ -89,26 +85,36 @@ def at_state(survey: Survey, known: Known, state: State) -> Survey:
     )
 
 
+def _lenses(lenses: Sequence[Lens], layout: Layout, focals: np.ndarray | None) -> list[Lens]:
+    """The lens of each view, its focal length longer by a share (V,)."""
+    of_views = [lenses[number] for number in layout.lens_of]
+    if focals is None:
+        return of_views
+    return [enlarged(lens, 1.0 + share) for lens, share in zip(of_views, focals.tolist(), strict=True)]
+
+
+def _motions(layout: Layout, readouts) -> dict[int, np.ndarray]:
+    """Motion (3,) of the cameras that moved during the readout of their lens (L,) [s]."""
+    if layout.flow is None:
+        return {}
+    return {number: flow * readouts[layout.lens_of[number]] for number, flow in enumerate(layout.flow) if flow.any()}
+
+
 def _views(
     survey: Survey,
     lenses: Sequence[Lens],
-    layout: Layout,
     centres: np.ndarray,
     rotations: np.ndarray,
-    readouts,
+    motions: Mapping[int, np.ndarray],
     tides: np.ndarray | None,
-    focals: np.ndarray | None,
 ) -> tuple[View, ...]:
-    """The views with other lenses, poses, readouts of their shutters (L,) [s], tides (V,) [m], focal lengths (V,)."""
+    """The views with other lenses, poses, motions and tides (V,) [m]."""
     views = []
-    for number, view in enumerate(survey.views):
-        lens = lenses[layout.lens_of[number]]
-        if focals is not None:
-            lens = enlarged(lens, 1.0 + float(focals[number]))
+    for number, (view, lens) in enumerate(zip(survey.views, lenses, strict=True)):
         tide = 0.0 if tides is None else float(tides[number])
         camera = replace(lens.camera(centres[number], rotations[number]), tide=tide)
-        if layout.flow is not None and layout.flow[number].any():
-            camera = replace(camera, motion=layout.flow[number] * readouts[layout.lens_of[number]])
+        if number in motions:
+            camera = replace(camera, motion=motions[number])
         views.append(replace(view, camera=camera, lens=lens))
     return tuple(views)
 

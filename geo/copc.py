@@ -8,6 +8,8 @@ compresses.
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
+from copy import deepcopy
 from typing import BinaryIO
 
 import laspy
@@ -21,30 +23,51 @@ _INFO, _HIERARCHY = ("copc", 1), ("copc", 1000)
 # Centre, half side, spacing, root page (offset and size), first and last GPS time, reserved.
 _INFO_LAYOUT = "<3d2d2Q2d88x"
 _EXTENDED_HEAD = "<2x16sHQ32s"
-# Nodes that are compressed at a time, on all cores.
-_BATCH = 16
+# Nodes that are compressed at a time, on all cores; points that are made into records at a time otherwise.
+_BATCH, _PORTION = 16, 500_000
 _CHUNK_TABLE_OFFSET = 8
 
+Records = Callable[[slice | np.ndarray], laspy.LasData]
 
-def write_copc(las: laspy.LasData, stream: BinaryIO) -> None:
+
+def write_copc(
+    header: laspy.LasHeader, records: Records, count: int, stream: BinaryIO, portion: int = _PORTION
+) -> None:
     """Write points of format 6, 7 or 8 as COPC; the stream can be read and sought in.
+
+    Records are made a portion at a time, once for the places of the points and once, node by node, to be written.
 
     Parameters
     ----------
-    las : laspy.LasData
-        One point at least. Its header is changed.
+    header : laspy.LasHeader
+        Of the records.
+    records : callable
+        Records of some rows: a slice, or indices (n,).
+    count : int
+        Number of points, one at least.
+    portion : int
+        Points that are made into records at a time, where they are not those of nodes.
 
     Raises
     ------
     lazrs.LazrsError
         If the system refuses to write.
     """
-    header = las.header
-    header.update(las.points)
+    # laspy counts the points of each record that is made in the header of the records.
+    header = deepcopy(header)
+    header.partial_reset()
+    places = [np.empty(count, dtype=np.int32) for _ in "XYZ"]
+    for first in range(0, count, portion):
+        part = slice(first, first + portion)
+        points = records(part).points
+        header.grow(points)
+        for place, axis in zip(places, "XYZ", strict=True):
+            place[part] = points.array[axis]
     header.are_points_compressed = True
     finest = header.scales.min()
     per_step = np.round(header.scales / finest).astype(np.int64)
-    tree = build_octree([las.points.array[axis] for axis in "XYZ"], per_step)
+    tree = build_octree(places, per_step)
+    del places
     laz = lazrs.LazVlr.new_for_compression(
         header.point_format.id, header.point_format.num_extra_bytes, use_variable_size_chunks=True
     )
@@ -54,7 +77,7 @@ def write_copc(las: laspy.LasData, stream: BinaryIO) -> None:
     header.vlrs.insert(1, laspy.VLR("laszip encoded", 22204, "lazrs", laz.record_data()))
     start = stream.tell()
     header.write_to(stream)
-    _write_chunks(stream, laz, las.points.array, tree)
+    _write_chunks(stream, laz, records, tree)
     end = stream.tell()
     page = _page(stream, laz, header.offset_to_point_data, tree)
     stream.seek(end)
@@ -64,26 +87,30 @@ def write_copc(las: laspy.LasData, stream: BinaryIO) -> None:
     header.start_of_first_evlr, header.number_of_evlrs = end, 1
     low = header.offsets + tree.corner * finest
     half = 0.5 * tree.side * finest
-    times = np.asarray(las.points.array["gps_time"])
     info.record_data = struct.pack(
-        _INFO_LAYOUT, *(low + half), half, 2.0 * half / CELLS, page_at, len(page), times.min(), times.max()
+        _INFO_LAYOUT,
+        *(low + half),
+        half,
+        2.0 * half / CELLS,
+        page_at,
+        len(page),
+        header.min_gps_time,
+        header.max_gps_time,
     )
     stream.seek(start)
     header.write_to(stream, ensure_same_size=True)
     stream.seek(0, 2)
 
 
-def _write_chunks(stream: BinaryIO, laz: lazrs.LazVlr, points: np.ndarray, tree: Octree) -> None:
+def _write_chunks(stream: BinaryIO, laz: lazrs.LazVlr, records: Records, tree: Octree) -> None:
     """The points of each node as one chunk, in the order of the nodes."""
     compressor = lazrs.ParLasZipCompressor(stream, laz)
     compressor.reserve_offset_to_chunk_table()
     ends = np.cumsum(tree.counts)
     for first in range(0, len(ends), _BATCH):
-        rows = [
-            tree.order[end - count : end]
-            for end, count in zip(ends[first : first + _BATCH], tree.counts[first : first + _BATCH], strict=True)
-        ]
-        compressor.compress_chunks([points[row].view(np.uint8) for row in rows])
+        counts, end = tree.counts[first : first + _BATCH], ends[first : first + _BATCH][-1]
+        points = records(tree.order[end - counts.sum() : end]).points.array
+        compressor.compress_chunks([part.view(np.uint8) for part in np.split(points, np.cumsum(counts)[:-1])])
     compressor.done()
 
 

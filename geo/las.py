@@ -6,7 +6,6 @@ Sources: ASPRS LAS 1.4 R16 and its topo-bathy profile (classes 40 and up).
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -110,7 +109,7 @@ def write_cloud(
     header = _header(points, crs, path)
     add_extra_bytes(header, extra)
 
-    def records(part: slice) -> laspy.LasData:
+    def records(part: slice | np.ndarray) -> laspy.LasData:
         las = laspy.LasData(header)
         las.points = laspy.ScaleAwarePointRecord.zeros(len(points[part]), header=header)
         las.x, las.y, las.z = points[part].T
@@ -135,13 +134,13 @@ def classes_of(is_wet: np.ndarray) -> np.ndarray:
     return np.where(np.asarray(is_wet, dtype=bool), CLASS_BATHYMETRIC, CLASS_GROUND).astype(np.uint8)
 
 
-def _write(records: Callable[[slice], laspy.LasData], count: int, header: laspy.LasHeader, path: Path) -> None:
-    """Write records, made a portion at a time, except into an octree, which holds all of them; and read them again."""
+def _write(records: copc.Records, count: int, header: laspy.LasHeader, path: Path) -> None:
+    """Write records, made a portion at a time, and read them again, but for an octree."""
     compress, sums = path.suffix.lower() == ".laz", Sums()
     with write_whole(path) as stream:
         try:
             if path.name.lower().endswith(copc.SUFFIX):
-                copc.write_copc(records(slice(None)), stream)
+                copc.write_copc(header, records, count, stream)
                 return
             writer = laspy.open(stream, mode="w", header=header, do_compress=compress, closefd=False)
             with writer:

@@ -167,7 +167,7 @@ def add_extra_bytes(header: laspy.LasHeader, values: dict[str, np.ndarray]) -> N
     header.vlrs.append(laspy.VLR("LASF_Spec", 4, "Extra Bytes Record", b"".join(descriptors)))
 
 
-def stored_extra(values: dict[str, np.ndarray], part: slice) -> dict[str, np.ndarray]:
+def stored_extra(values: dict[str, np.ndarray], part: slice | np.ndarray) -> dict[str, np.ndarray]:
     """A part of values (N,), by name, as they are to be stored."""
     found = {}
     for name, dtype, _ in EXTRA_BYTES:

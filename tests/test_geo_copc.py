@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import struct
+from io import BytesIO
 
 import laspy
 import numpy as np
 import pytest
 
+from geo.copc import write_copc
 from geo.crs import parse_crs
 from geo.errors import EmptyCloud
 from geo.las import read_cloud, write_cloud
@@ -138,6 +140,32 @@ def test_clouds_without_extent_and_in_degrees_are_written_too(tmp_path, rng, kin
 def test_the_same_cloud_gives_the_same_file(bed, copc, tmp_path):
     write_cloud(tmp_path / "again.copc.laz", bed, CRS, **values_for(bed))
     assert (tmp_path / "again.copc.laz").read_bytes() == copc.read_bytes()
+
+
+def test_records_are_made_a_portion_at_a_time_with_the_same_file(rng):
+    header = laspy.LasHeader(version="1.4", point_format=7)
+    header.scales = np.full(3, 0.001)
+    steps = rng.integers(-50_000, 50_000, (40_000, 3), dtype=np.int32)
+    asked: list[int] = []
+
+    def records(part: slice | np.ndarray) -> laspy.LasData:
+        las = laspy.LasData(header)
+        las.points = laspy.ScaleAwarePointRecord.zeros(len(steps[part]), header=header)
+        las.X, las.Y, las.Z = steps[part].T
+        las.return_number[:] = 1
+        asked.append(len(las.points))
+        return las
+
+    whole, portions = BytesIO(), BytesIO()
+    write_copc(header, records, len(steps), whole)
+    asked.clear()
+    write_copc(header, records, len(steps), portions, portion=7_000)
+    assert asked[:6] == [7_000] * 5 + [5_000]
+    assert portions.getvalue() == whole.getvalue()
+    found = laspy.read(BytesIO(portions.getvalue()))
+    assert found.header.point_count == len(steps)
+    assert sorted(found.X) == sorted(steps[:, 0])
+    np.testing.assert_allclose(found.header.mins, 0.001 * steps.min(axis=0))
 
 
 def test_an_empty_cloud_is_refused(tmp_path):

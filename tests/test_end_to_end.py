@@ -25,8 +25,8 @@ from refract import FlatWater
 from survey.commands.verbs import app
 from survey.errors import SurveyError
 from survey.folder.survey import load_survey
-from survey.plan.block import load_block
 from survey.plan.plan import make_plan
+from survey.plan.sweep_block import load_block
 from survey.run.folder import RunDir
 
 # A matched pixel is known to a fifth of a pixel or so, the mean of the 10,000 points of a survey to 0.05 mm; what is

@@ -10,9 +10,9 @@ from survey.folder.survey import load_survey
 from survey.photos import images
 from survey.photos.images import load_image
 from survey.photos.store import ImageStore
-from survey.plan.block import load_block
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
+from survey.plan.sweep_block import load_block
 
 BYTES = 64 * 48 * 3
 

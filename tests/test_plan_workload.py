@@ -15,11 +15,11 @@ from survey.folder.survey import load_survey
 from survey.plan import check
 from survey.plan import workload as workload_module
 from survey.plan.area import local_area
-from survey.plan.block import camera_of
 from survey.plan.check import check_survey
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
 from survey.plan.rates import Amounts, run_s
+from survey.plan.sweep_block import camera_of
 from survey.plan.workload import Workload, require_room, workload_of, workload_of_images
 
 GIGA = 1e9

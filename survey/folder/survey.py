@@ -17,13 +17,13 @@ from survey.control.points import Checkpoint, Control, Ground
 from survey.errors import FILE_NAME, SurveyError
 from survey.findings import Findings
 from survey.folder import place
-from survey.folder.block import Block, block_of_file, block_of_photographs, block_over_water
 from survey.folder.camera_faults import require_apart, require_focal_lengths
 from survey.folder.contradiction import Contradiction
 from survey.folder.control import checkpoint_doubts, mark_doubts
 from survey.folder.datum_mixups import exif_doubts, low_flight_doubts, place_of, start_doubts
 from survey.folder.found import Found, find_survey
 from survey.folder.motion import Velocity, shutter_doubts, velocities_of, with_motion
+from survey.folder.placed_views import PlacedViews, lifted_over_water, views_of_file, views_of_photographs
 from survey.folder.plausible import doubts_of_places, require_true
 from survey.folder.pose_priors import PosePrior, common_plan_std
 from survey.folder.positions import far_from_others
@@ -211,37 +211,37 @@ def load_survey(
     """
     found = find_survey(Path(folder)) if found is None else found
     if found.poses_path is None:
-        block, said = block_of_photographs(found, workspace, report)
+        placed, said = views_of_photographs(found, workspace, report)
     else:
-        block, said = block_of_file(found, found.poses_path)
+        placed, said = views_of_file(found, found.poses_path)
     assumptions, warnings = [*found.assumptions, *said.assumptions], [*found.warnings, *said.warnings]
-    found, frame = block.found, block.frame
-    places = {view.name: view.camera.centre for view in block.views}
+    found, frame = placed.found, placed.frame
+    places = {view.name: view.camera.centre for view in placed.views}
     velocities = velocities_of(places, found.heads, found.config.cameras.speed_m_s)
-    views, said = with_motion(block.views, velocities, found.config.cameras)
+    views, said = with_motion(placed.views, velocities, found.config.cameras)
     warnings += said.warnings
     if found.poses_path is not None:
         # Held against the GPS positions already where structure from motion finds the poses.
         centres = frame.crs_from_local(np.array([view.camera.centre for view in views]))
         warnings += doubts_of_water_places(found.crs, lon_lat(found.crs, centres), found.config.water, found.levels)
-    config, water, is_level_known, levels, said = _water(block, views)
+    config, water, is_level_known, levels, said = _water(placed, views)
     assumptions += said.assumptions
     warnings += said.warnings
     if is_level_known:
-        block, views, said = block_over_water(block, views, water)
+        placed, views, said = lifted_over_water(placed, views, water)
         warnings += said.warnings
     views, tide = with_tides(views, found.tide, water)
     seen = np.array([view.camera.centre for view in views])
-    seen = seen if block.points is None else np.concatenate([seen, block.points])
+    seen = seen if placed.points is None else np.concatenate([seen, placed.points])
     departure = Departure.of(levels, frame, water)
     above_water = None if water is None else partial(height_above, water, departure)
     ground, said = read_ground(found.folder, config, frame, seen, above_water, is_level_known=is_level_known)
     assumptions += said.assumptions
     warnings += said.warnings
-    require_true(frame, views, water, config, found.heads, see_points=block.reprojection is not None)
-    warnings += _doubts(replace(found, config=config), frame, views, water, block.control)
+    require_true(frame, views, water, config, found.heads, see_points=placed.reprojection is not None)
+    warnings += _doubts(replace(found, config=config), frame, views, water, placed.control)
     if found.poses_path is not None:
-        warnings += checkpoint_doubts(block.checkpoints, views, water)
+        warnings += checkpoint_doubts(placed.checkpoints, views, water)
     config = _with_poses_name(config, found)
     return Survey(
         name=found.config.name or found.folder.resolve().name,
@@ -251,11 +251,11 @@ def load_survey(
         water=water,
         config=config,
         observations=Observations(
-            block.points,
-            block.ties,
-            block.priors,
-            block.control,
-            block.checkpoints,
+            placed.points,
+            placed.ties,
+            placed.priors,
+            placed.control,
+            placed.checkpoints,
             levels,
             velocities,
             tide,
@@ -263,27 +263,27 @@ def load_survey(
             departure,
         ),
         provenance=Provenance(
-            block.tool,
-            block.reprojection,
+            placed.tool,
+            placed.reprojection,
             is_level_known=is_level_known,
-            is_index_known=block.found.config.water is None or block.found.config.water.says_index,
+            is_index_known=placed.found.config.water is None or placed.found.config.water.says_index,
         ),
         findings=Findings(tuple(assumptions), tuple(warnings)),
     )
 
 
 def _water(
-    block: Block, views: list[View]
+    placed: PlacedViews, views: list[View]
 ) -> tuple[SurveyConfig, FlatWater | None, bool, tuple[LevelObservation, ...], Findings]:
     """Settings with the water filled in, water plane, whether its level is known, and its measurements."""
-    found, frame = block.found, block.frame
+    found, frame = placed.found, placed.frame
     config, is_level_known, levels, said = found.config, True, found.levels, Findings()
     if found.poses_path is None:
         # A poses file has placed the clicks already.
         config, clicked, said = with_level_of_clicks(found.folder, config, views, frame)
         levels += clicked
     if config.water is not None and config.water.level_m is None:
-        (config, of_points), is_level_known = place.with_level_of_points(config, frame, views, block.points), False
+        (config, of_points), is_level_known = place.with_level_of_points(config, frame, views, placed.points), False
         said += of_points
     config, of_surface = with_plane_of_surface(config, levels, views, frame)
     said += of_surface

@@ -17,8 +17,8 @@ import numpy as np
 
 from fields.sweep.block import Overlap
 from survey.plan.area import AREA_MARGIN_M, grown, local_area
-from survey.plan.block import camera_of
 from survey.plan.ground import dry_ground
+from survey.plan.sweep_block import camera_of
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey

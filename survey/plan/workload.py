@@ -21,12 +21,12 @@ from survey.errors import SurveyError
 from survey.folder.found import Found
 from survey.folder.survey import Survey
 from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area
-from survey.plan.block import camera_of
 from survey.plan.choices import Choices
 from survey.plan.ground import dry_ground
 from survey.plan.plan import Plan
 from survey.plan.rates import FIRST_HYPOTHESES, SFM_PARTS, Amounts, parts_s, run_s, sfm_s
 from survey.plan.recipe import RECIPES, image_scale
+from survey.plan.sweep_block import camera_of
 from survey.progress import rough
 from survey.sfm.settings import FEATURES_PX, pairs_about
 

@@ -16,8 +16,8 @@ from survey.errors import SurveyError
 from survey.files.toml_table import table_of
 from survey.photos.store import ImageStore
 from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area
-from survey.plan.block import load_block
 from survey.plan.plan import make_plan
+from survey.plan.sweep_block import load_block
 from survey.run.stored import ArrayFiles
 from survey.run.water_colour import colour_of
 from survey.stage_key import stage_key

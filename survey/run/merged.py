@@ -13,7 +13,7 @@ from fields.solver.solver import SolvedMap
 from fields.sweep.maps import HeightMap
 from fields.sweep.photo_consistency import Consistency
 from survey.files.json_values import read_json_object, write_json
-from survey.plan.block import cameras_of_block
+from survey.plan.sweep_block import cameras_of_block
 from survey.run.stage_bed import finish_bed
 from survey.run.stage_of_tile import gather_points
 from survey.run.stage_solver import SIGHTINGS, SOLVED

@@ -21,7 +21,7 @@ from fields.sweep.maps import HeightMap, trusted
 from survey.adjust.result.adjustment import Adjustment, read_adjustment
 from survey.adjust.result.std_of_block import std_of_block
 from survey.plan.area import within
-from survey.plan.block import camera_of
+from survey.plan.sweep_block import camera_of
 
 if TYPE_CHECKING:
     from fields.slab.tensor_field import TensorField

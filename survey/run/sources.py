@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from fields.sweep.maps import Sources
-from survey.plan.block import camera_of
+from survey.plan.sweep_block import camera_of
 
 if TYPE_CHECKING:
     from fields.sweep.maps import HeightMap

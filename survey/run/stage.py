@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from survey.run.job import Job
 
 # What gives the photographs to all stages.
-LOADING = ("survey.plan.block", "survey.photos.store", "survey.run.windows")
+LOADING = ("survey.plan.sweep_block", "survey.photos.store", "survey.run.windows")
 
 Compute = Callable[["Job", Path, Mapping[str, Path]], None]
 

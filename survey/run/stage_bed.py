@@ -15,7 +15,7 @@ from fields.sweep.maps import HeightMap
 from survey.adjust.result.std_common import BASIS_ADJUSTED, BASIS_STATED, std_common
 from survey.display.quantities import length
 from survey.errors import SurveyError
-from survey.plan.block import backend
+from survey.plan.sweep_block import backend
 from survey.run.curved_water import through_surface
 from survey.run.occluded import with_occluded
 from survey.run.points import adjustment_of, bed_points, is_placed, with_std_of_block

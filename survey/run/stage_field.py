@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from fields.sweep.maps import HeightMap
 from survey.plan.area import AREA_MARGIN_M, grown, local_area
-from survey.plan.block import backend
+from survey.plan.sweep_block import backend
 from survey.progress import shares
 from survey.run.sources import sources_of
 from survey.run.stage_sweep import MAPS

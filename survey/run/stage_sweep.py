@@ -22,7 +22,7 @@ from fields.sweep.wide_windows import with_wide_windows
 from survey.errors import SurveyError
 from survey.files.json_values import write_json
 from survey.plan.area import plane_name
-from survey.plan.block import camera_of
+from survey.plan.sweep_block import camera_of
 from survey.progress import shares
 from survey.run.clock import OutOfTimeError
 from survey.run.live import LiveMaps

@@ -13,8 +13,8 @@ import numpy as np
 
 from fields.image_store import GreyImages, Masks
 from fields.sweep.block import Block
-from survey.plan.block import backend, cameras_of_block
 from survey.plan.rates import part_name
+from survey.plan.sweep_block import backend, cameras_of_block
 from survey.plan.tiling import Area, places_of
 from survey.run.job import Job
 from survey.run.stored import load_arrays

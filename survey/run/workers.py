@@ -305,7 +305,7 @@ def _with_absolute_paths(survey: Survey) -> Survey:
 def _tiles_of(path: Path) -> dict[int, TileJob]:
     """The tiles of a job that `save_job` wrote."""
     from fields.sweep.block import Block
-    from survey.plan.block import backend, cameras_of_block
+    from survey.plan.sweep_block import backend, cameras_of_block
     from survey.run.job import Job
     from survey.run.tile_job import TileJob
 

@@ -26,10 +26,10 @@ from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints, least_track
 from survey.plan.area import limits, local_area, within
-from survey.plan.block import camera_of, load_block
 from survey.plan.choices import Choices
 from survey.plan.plan import Plan, make_plan
 from survey.plan.rates import STEPS_PER_CORE_S, search_s
+from survey.plan.sweep_block import camera_of, load_block
 
 # The coarse sweep: approximate heights of the bed. Beside steps, where there are no windows, nothing more is searched.
 _SWEPT = (PASSES[0], replace(PASSES[1], fuse=True, search=None))

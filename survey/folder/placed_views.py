@@ -32,7 +32,7 @@ from survey.photos.tie_points import TiePoints
 
 
 @dataclass(frozen=True)
-class Block:
+class PlacedViews:
     """Views that a poses file or structure from motion placed.
 
     Attributes
@@ -58,8 +58,8 @@ class Block:
     checkpoints: tuple[Checkpoint, ...]
 
 
-def block_of_file(found: Found, path: Path) -> tuple[Block, Findings]:
-    """The block of a poses file.
+def views_of_file(found: Found, path: Path) -> tuple[PlacedViews, Findings]:
+    """The views that a poses file places.
 
     Raises
     ------
@@ -71,14 +71,16 @@ def block_of_file(found: Found, path: Path) -> tuple[Block, Findings]:
     views, of_images = _with_images(found, file.views, file.masks)
     control, checkpoints, of_control = place_control(found.control, frame, [view.name for view in views])
     priors = file.priors if control is None else _held_by_control(file.priors)
-    block = Block(found, frame, views, file.points, None, file.tool, file.reprojection, priors, control, checkpoints)
-    return block, said + of_images + of_control
+    placed = PlacedViews(
+        found, frame, views, file.points, None, file.tool, file.reprojection, priors, control, checkpoints
+    )
+    return placed, said + of_images + of_control
 
 
-def block_of_photographs(
+def views_of_photographs(
     found: Found, workspace: Path | None, report: Callable[[str], None] | None
-) -> tuple[Block, Findings]:
-    """The block that structure from motion finds.
+) -> tuple[PlacedViews, Findings]:
+    """The views that structure from motion places.
 
     Raises
     ------
@@ -93,13 +95,13 @@ def block_of_photographs(
     priors: Mapping[str, PosePrior] = priors_of_gps(found, frame, views, solved.rejected)
     control, checkpoints, of_control = place_control(found.control, frame, [view.name for view in views])
     said = Findings(tuple(solved.assumptions), tuple(solved.warnings)) + of_images + of_control
-    block = Block(found, frame, views, points, ties, None, None, priors, control, checkpoints)
+    placed = PlacedViews(found, frame, views, points, ties, None, None, priors, control, checkpoints)
     if control is None:
-        return block, said
+        return placed, said
     priors = _held_by_control(priors)
     views, ties, control, priors, of_parts = checked_parts(found, frame, views, ties, control, priors)
-    block = replace(block, views=views, points=ties.start, ties=ties, control=control, priors=priors)
-    return block, said + of_parts
+    placed = replace(placed, views=views, points=ties.start, ties=ties, control=control, priors=priors)
+    return placed, said + of_parts
 
 
 def _held_by_control(priors: Mapping[str, PosePrior]) -> dict[str, PosePrior]:
@@ -115,35 +117,37 @@ def _with_images(found: Found, views: list[View], masks: Path | None) -> tuple[l
     return views, said
 
 
-def block_over_water(block: Block, views: list[View], water: FlatWater | None) -> tuple[Block, list[View], Findings]:
-    """Block and views, shifted in height where all cameras lie under the water or far above it.
+def lifted_over_water(
+    placed: PlacedViews, views: list[View], water: FlatWater | None
+) -> tuple[PlacedViews, list[View], Findings]:
+    """All shifted in height where all cameras lie under the water or far above it.
 
     Only of positions whose heights have an error in common that the adjustment finds from the water; a warning says by
     how much.
 
     Parameters
     ----------
-    block : Block
+    placed : PlacedViews
     views : list of View
-        Those of the block, with all else that is known of them.
+        Those of `placed`, with all else that is known of them.
     water : FlatWater or None
         Whose level is known.
     """
-    if water is None or block.ties is None or block.control is not None or common_up_std(block.priors) == 0.0:
-        return block, views, Findings()
+    if water is None or placed.ties is None or placed.control is not None or common_up_std(placed.priors) == 0.0:
+        return placed, views, Findings()
     centres = np.array([view.camera.centre for view in views])
     over = -water.depth(centres)
     most_m = most_over_water([view.camera for view in views])
     if over.min() > 0.0 and over.max() < most_m:
-        return block, views, Findings()
+        return placed, views, Findings()
     x, y, _ = np.median(centres, axis=0).tolist()
-    up = float(water.height(x, y)) - over_points(block.ties.start, centres)
+    up = float(water.height(x, y)) - over_points(placed.ties.start, centres)
     said = "under the water" if over.min() <= 0.0 else f"more than {most_m:.0f} m over the water"
     warning = (
         f"the heights of their positions put the cameras {said} ({over.min():.1f} to {over.max():.1f} m over it): the "
         "height of the block is taken from the water level; check level_m and its vertical datum"
     )
     shift = np.array([0.0, 0.0, up])
-    ties = replace(block.ties, start=block.ties.start + shift)
+    ties = replace(placed.ties, start=placed.ties.start + shift)
     views = [replace(view, camera=replace(view.camera, centre=view.camera.centre + shift)) for view in views]
-    return replace(block, ties=ties, points=ties.start), views, Findings(warnings=(warning,))
+    return replace(placed, ties=ties, points=ties.start), views, Findings(warnings=(warning,))

@@ -33,8 +33,8 @@ from survey.adjust.rounds import Adjusted
 _FEWEST = 5
 # Standard deviations of focal lengths that are tried, as shares.
 _STDS = np.geomspace(1e-4, 2e-2, 24)
-# -2 ln p must fall by so much: very strong evidence (R. E. Kass and A. E. Raftery, JASA 90, 1995).
-_SIGNIFICANT = 10.0
+# -2 ln p must fall by so much: strong evidence (R. E. Kass and A. E. Raftery, JASA 90, 1995).
+_SIGNIFICANT = 6.0
 # The standard deviation follows from the focal lengths that were found, until it changes by less than this share.
 _STEADY, _MOST_ROUNDS = 0.1, 4
 

@@ -1,23 +1,26 @@
 """Does a run that is killed at any moment end, when it is given again, with the same cloud?
 
-    python benchmarks/soak_kills.py [--kills 100] [--seed 0] [--out FOLDER]
+    python benchmarks/soak_kills.py [--kills 100] [--seed 0] [--only adjusted ...] [--out FOLDER]
 
-A small survey is drawn and processed once, in one piece and in two tiles. Then each is started again and again, killed
-(SIGKILL) after a random time up to that of the whole run, until enough kills are made; whenever a run is done, its
-cloud is compared to the byte, nothing half written may lie beside it, and the next one starts from nothing. Prints one
-row for each way of processing, and exits 1 if a cloud differs or a run ends with an error.
+A small survey is drawn and processed: in one piece, in two tiles, and with poses adjusted. Each is done again on one
+core (Linux), which has to give the same cloud. Then each is started again and again, killed (SIGKILL) after a random
+time up to that of the whole run, until enough kills are made; whenever a run is done, its cloud is compared to the
+byte, nothing half written may lie beside it, and the next one starts from nothing. Prints one row for each way of
+processing, and exits 1 if a cloud differs or a run ends with an error.
 """
 
 from __future__ import annotations
 
 import argparse
 import hashlib
+import os
 import random
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from survey.simulate.drawn import DrawnScene, draw_survey
@@ -26,11 +29,17 @@ COMMAND = [sys.executable, "-c", "from survey.commands.app import main; main()",
 WAYS = {"one piece": (), "two tiles": ("--tiles", "2"), "adjusted": ("--poses", "refine")}
 
 
-def run_for(folder: Path, options: tuple[str, ...], seconds: float | None) -> subprocess.CompletedProcess | None:
-    """Process a survey; None if it was killed before it was done."""
-    with subprocess.Popen(
-        [*COMMAND, str(folder), *options, "-q"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT
-    ) as run:
+def on_one_core() -> None:
+    """Let this process, and what it starts, use one core alone."""
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+
+
+def run_for(
+    folder: Path, options: tuple[str, ...], seconds: float | None, before: Callable[[], None] | None = None
+) -> subprocess.CompletedProcess | None:
+    """Process a survey; None if it was killed before it was done. ``before`` is called in the process."""
+    command = [*COMMAND, str(folder), *options, "-q"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, preexec_fn=before) as run:
         try:
             said, _ = run.communicate(timeout=seconds)
         except subprocess.TimeoutExpired:
@@ -58,6 +67,10 @@ def soak(folder: Path, options: tuple[str, ...], kills: int, chance: random.Rand
         return 0, [f"the run that nobody killed failed: {first}"]
     expected, faults, ended = cloud_of(folder), [], 0
     shutil.rmtree(folder / "bathynerf")
+    if hasattr(os, "sched_setaffinity"):
+        run_for(folder, options, None, on_one_core)
+        faults += [] if cloud_of(folder) == expected else ["another cloud on one core"]
+        shutil.rmtree(folder / "bathynerf")
     made = 0
     while made < kills or (folder / "bathynerf").exists():
         result = run_for(folder, options, chance.uniform(0.0, whole_s) if made < kills else None)
@@ -79,14 +92,16 @@ def main() -> int:
     parser.add_argument("--kills", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path)
+    parser.add_argument("--only", nargs="*", choices=WAYS, default=list(WAYS))
     given = parser.parse_args()
     chance, is_whole = random.Random(given.seed), True
     sys.stdout.write("| run | kills | runs that ended after them | faults |\n|---|---|---|---|\n")
     with tempfile.TemporaryDirectory() as place:
-        for name, options in WAYS.items():
+        for name in given.only:
+            options = WAYS[name]
             folder = (given.out or Path(place)) / name.replace(" ", "_")
             draw_survey(folder, DrawnScene.tiny())
-            kills = -(-given.kills // len(WAYS))
+            kills = -(-given.kills // len(given.only))
             ended, faults = soak(folder, options, kills, chance)
             is_whole &= not faults
             sys.stdout.write(f"| {name} | {kills} | {ended} | {'; '.join(faults) or 'none'} |\n")

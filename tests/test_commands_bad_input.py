@@ -69,7 +69,8 @@ def test_bad_input_ends_with_code_2_and_one_sentence_that_names_it_and_the_mend(
     result = bathynerf("check", folder)
     assert result.exit_code == 2
     assert result.stdout == ""
-    (line,) = result.stderr.splitlines()
+    first, line = result.stderr.splitlines()
+    assert first.endswith(f"reading {folder}")
     assert line.startswith("error: ")
     assert "Traceback" not in line
     for word in words:

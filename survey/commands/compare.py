@@ -93,7 +93,7 @@ def run(
 
     Nothing is aligned.
     """
-    with command(verbose, quiet, report or json or cloud) as results:
+    with command(verbose, quiet, report or json or cloud, reads=cloud) as results:
         from survey.compare.comparison import CompareOptions, compare_files
         from survey.compare.text import sections_of
 

@@ -60,7 +60,9 @@ class Results:
 
 
 @contextmanager
-def command(verbose: int, quiet: int, place: Path, *, stopped: str = "") -> Iterator[Results]:
+def command(
+    verbose: int, quiet: int, place: Path, *, stopped: str = "", reads: Path | None = None
+) -> Iterator[Results]:
     """The body of a verb: an error in it becomes one sentence on standard error and an exit code.
 
     Parameters
@@ -71,12 +73,16 @@ def command(verbose: int, quiet: int, place: Path, *, stopped: str = "") -> Iter
         Named when a disk error does not name a file.
     stopped : str
         What becomes of the work that Ctrl-C stops, if the folder ``place`` is there by then.
+    reads : Path, optional
+        What is read first: it is named at once, for the libraries alone take seconds to load.
     """
     from survey.progress import Progress
 
     verbosity = verbose - quiet + BEFORE_VERB.get()
     with Progress(verbosity=verbosity) as progress:
         try:
+            if reads is not None and reads.exists():
+                progress.note(f"reading {reads}")
             yield Results(is_silent=verbosity <= _NO_RESULTS)
             return
         except typer.Exit:

@@ -125,7 +125,7 @@ def run(
     Rays are bent at the water before the field is sampled. The same command again goes on where it was stopped. What no
     option says is what [field] in survey.toml says, then the default.
     """
-    with command(verbose, quiet, output) as results:
+    with command(verbose, quiet, output, reads=run) as results:
         from fields.volume.surface import Rule as SurfaceRule
         from survey.settings.field import FieldConfig
         from survey.volume.field import rows_of, train_field

@@ -58,7 +58,7 @@ def run(
     Photographs, poses, control and water levels are found by their names; a comment stands at every value that is not
     certain. On a terminal it asks for what no file tells.
     """
-    with command(verbose, quiet, folder) as results:
+    with command(verbose, quiet, folder, reads=folder) as results:
         from survey.init.draft import SCHEMA_LINE, require_level_and_dry_apart, write_schema, write_settings
         from survey.init.entry import Answers
         from survey.progress import current

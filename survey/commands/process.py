@@ -44,7 +44,7 @@ def run(
     in survey.toml, then the default.
     """
     folder = output or survey / RUN_FOLDER
-    with command(verbose, quiet, folder, stopped=KEPT) as results:
+    with command(verbose, quiet, folder, stopped=KEPT, reads=survey) as results:
         require_address_space()
         from survey.machine import process_age_s
         from survey.run.process import process

@@ -44,7 +44,7 @@ def run(
     quiet: Quiet = 0,
 ) -> None:
     """Draw profiles of the bed along lines: bed, water, standard deviation, reference."""
-    with command(verbose, quiet, csv or picture or dxf or run) as results:
+    with command(verbose, quiet, csv or picture or dxf or run, reads=run) as results:
         from survey.profile.profiles import profiles_along, subtitle_of
 
         found = profiles_along(

@@ -33,7 +33,7 @@ def run(
     quiet: Quiet = 0,
 ) -> None:
     """Render the bed of a run for other cameras: colours, heights, distances and normals."""
-    with command(verbose, quiet, output) as results:
+    with command(verbose, quiet, output, reads=run) as results:
         from survey.export.render import render
 
         for path in render(run, cameras, output, dry=dry, trained=field, survey=survey, device=device.value):

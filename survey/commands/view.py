@@ -58,7 +58,7 @@ def run(
     While `process` works on it, height maps are shown as they come. Ctrl-C ends it. From another machine:
     ssh -L 8080:localhost:8080 HOST.
     """
-    with command(verbose, quiet, run) as results:
+    with command(verbose, quiet, run, reads=run) as results:
         from survey.viewer.session import ViewOptions, export_page, serve
 
         if export is not None and field is not None:

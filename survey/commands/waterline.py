@@ -46,7 +46,7 @@ def run(
 
     The survey is not changed.
     """
-    with command(verbose, quiet, json or survey) as results:
+    with command(verbose, quiet, json or survey, reads=survey) as results:
         require_address_space()
         from survey.adjust.waterline import estimate_water
 

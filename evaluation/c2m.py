@@ -35,7 +35,7 @@ _EQUAL_COS = 1e-9
 
 @dataclass(frozen=True)
 class MeshDistances:
-    """How far points are from a mesh.
+    """Distances of points to a mesh.
 
     Attributes
     ----------

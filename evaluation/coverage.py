@@ -36,7 +36,7 @@ class Coverage:
 
 
 def interval_score(error: np.ndarray, std: np.ndarray) -> float:
-    """How sharp and true intervals of 95 % are, as a mean [m]: their width, and forty times what lies beyond them.
+    """Interval score of intervals of 95 %, as a mean [m]: their width, and forty times what lies beyond them.
 
     Of intervals that cover as much the narrower ones win, and nothing is won by narrower ones than those of the true
     standard deviations (Gneiting and Raftery 2007, equation 43).

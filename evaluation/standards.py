@@ -64,7 +64,7 @@ class TvuBand:
 
 @dataclass(frozen=True)
 class TvuOrder:
-    """How one order of IHO S-44 is met.
+    """Fulfilment of one order of IHO S-44.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ class TvuOrder:
 
 @dataclass(frozen=True)
 class IhoS44:
-    """Which orders' total vertical uncertainty a cloud meets.
+    """Orders of IHO S-44 whose total vertical uncertainty a cloud meets.
 
     Attributes
     ----------
@@ -172,7 +172,7 @@ class AsprsAccuracy:
 
 
 def iho_s44(errors: np.ndarray, depth_m: np.ndarray, reference_std_m: np.ndarray | None = None) -> IhoS44 | None:
-    """Which orders' total vertical uncertainty the points under water meet; None if there is no such point.
+    """Orders of IHO S-44 whose total vertical uncertainty the points under water meet; None if there is no such point.
 
     Parameters
     ----------

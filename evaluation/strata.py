@@ -39,7 +39,7 @@ class Band:
 
 @dataclass(frozen=True)
 class ReachedBand:
-    """How much of the reference a cloud reaches where its slope lies between two limits [deg].
+    """Completeness where the slope of the reference lies between two limits [deg].
 
     Attributes
     ----------

@@ -34,7 +34,7 @@ def weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def distinct(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which of the points (N, 3) appear for the first time, and which of those each one equals.
+    """First occurrences among points (N, 3), and the one that each equals.
 
     Returns
     -------

@@ -94,7 +94,7 @@ class _Gate:
         return layers, fine
 
     def run(self, layers: list, a: list) -> tuple[list, list]:
-        """What each map makes of a row, and the slopes of its GELU."""
+        """Forward pass of a row through each map, and the slopes of its GELU."""
         values: list[Sequence] = [a]
         slopes: list[Sequence] = []
         for weights, biases in layers:

@@ -101,7 +101,7 @@ def memory_bytes(device: Device) -> int:
 
 
 def tensor_place(device: Device) -> str:
-    """Where fields in torch lie on a device: on the host where this build of torch knows no CUDA."""
+    """Place of fields in torch for a device: the host where this build of torch has no CUDA."""
     import torch
 
     return device.place if torch.cuda.is_available() else "cpu"

@@ -93,11 +93,11 @@ class _Field:
         return [dr.gather(self.module.UInt, flat, scale * columns + k) for k in range(columns)]
 
     def packet(self, sample, scale, place: int, part):
-        """Which packet of the features holds a part of a direction's channels."""
+        """Packet of the features that holds a part of a direction's channels."""
         return ((sample * self.scales + scale) * len(self.directions) + place) * self.packets + part
 
     def reads(self, layout: list, point: list, active) -> Iterator[_Read]:
-        """What each direction reads of one scale at a point."""
+        """Lookups of each direction in one scale at a point."""
         nodes = [_nodes(self.module, x, cells) for x, cells in zip(point, layout[:3], strict=True)]
         for place, direction in enumerate(self.directions):
             axis, a, b = axes_of(direction)
@@ -234,6 +234,6 @@ def _lerp(left, right, share):
 
 
 def _split(value, share):
-    """What of a gradient goes to the left and to the right of two nodes."""
+    """Shares of a gradient for the left and the right of two nodes."""
     right = value * share
     return value - right, right

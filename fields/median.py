@@ -6,7 +6,7 @@ import numpy as np
 
 
 def median(values: np.ndarray) -> float:
-    """That of numpy, of an array of any shape: NaN where any value is NaN. (384, 512): 0.14 instead of 2.3 ms."""
+    """Median of an array of any shape as numpy's: NaN where any value is NaN. (384, 512): 0.14 instead of 2.3 ms."""
     return float(median_reordering(values.flatten()))
 
 

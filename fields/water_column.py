@@ -12,7 +12,7 @@ RAW_VEIL = -1.5
 
 
 class WaterColumn(nn.Module):
-    """What the water does to the light of the bed: absorption per channel, a veil, and the surface's reflection.
+    """Effect of the water on the light of the bed: absorption per channel, backscatter, reflection at the surface.
 
         seen = (1 - R) (exp(-a w) bed + (1 - exp(-a w)) veil) + R sky
 

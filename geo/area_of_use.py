@@ -38,7 +38,7 @@ def require_in_area(crs: CRS, points: np.ndarray, said: str, where: str = "crs")
 
 
 def require_at(crs: CRS, lon_lat_deg: np.ndarray, said: str, where: str) -> None:
-    """As `require_in_area`, of longitudes and latitudes (N, 2) of WGS 84 [deg]."""
+    """Raise PlaceMismatch as `require_in_area`, for longitudes and latitudes (N, 2) of WGS 84 [deg]."""
     if len(lon_lat_deg):
         east, north = np.median(lon_lat_deg, axis=0).tolist()
         lon, lat = np.radians([east, north])

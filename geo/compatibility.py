@@ -29,7 +29,7 @@ _SAMPLES_M = np.array([-2e5, 0.0, 3e5])
 
 
 def crs_difference(a: CRS, b: CRS) -> str | None:
-    """In what two CRSs differ, as words for a message; None if they do not, as far as is known.
+    """Difference of two CRSs in words for a message; None if there is none, as far as is known.
 
     A part that one of them leaves out (a vertical datum, the name of a datum) counts as equal. The order of axes that
     the authority prefers is ignored: coordinates are always easting, northing, height here.

@@ -127,7 +127,7 @@ def horizontal_crs(crs: CRS) -> CRS:
 
 @lru_cache(maxsize=256)
 def _horizontal_part(srs: str) -> CRS:
-    """Of a CRS given by its text: nearly every question about a CRS asks for it, and PROJ takes 1 ms to make it."""
+    """Horizontal part of a CRS given by its text; kept, since PROJ takes 1 ms to make it."""
     part = _unbound(crs_of(srs))
     if part.is_compound:
         part = _unbound(part.sub_crs_list[0])
@@ -226,7 +226,7 @@ def crs_code(crs: CRS) -> str | None:
 
 
 def degrees_outside_area(crs: CRS, lon: float, lat: float) -> float:
-    """How far [deg] a longitude and latitude [rad] lie outside the area of use of a CRS.
+    """Distance [deg] of a longitude and latitude [rad] from the area of use of a CRS; 0 inside.
 
     Zero inside it, and where the area is not known. The longitude counts from the CRS's own prime meridian.
     """

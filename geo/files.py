@@ -114,7 +114,7 @@ def write_whole(path: str | Path) -> Iterator[BinaryIO]:
 
 @contextmanager
 def write_whole_at(path: str | Path) -> Iterator[Path]:
-    """As `write_whole`, for libraries that want a path: that of the temporary file, which does not exist yet.
+    """Path of a temporary file for libraries that write by path; otherwise as `write_whole`.
 
     Raises
     ------

@@ -23,7 +23,7 @@ _MOST_UINT32 = 2**32
 
 @dataclass(frozen=True)
 class Octree:
-    """Where each point goes.
+    """Node of each point.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ def build_octree(columns: Sequence[np.ndarray], per_unit: Sequence[int] = (1, 1,
 
 
 def _taken(code: np.ndarray, bits: int, level: int, rng: np.random.Generator) -> np.ndarray:
-    """Which of the sorted points (N,) bool the nodes of a level take: one of each cell, or all that are left."""
+    """Sorted points (N,) bool that the nodes of a level take: one of each cell, or all that are left."""
     if level == bits:
         return np.ones(len(code), dtype=bool)
     node = _starts(code >> 3 * (bits - level))
@@ -104,7 +104,7 @@ def _taken(code: np.ndarray, bits: int, level: int, rng: np.random.Generator) ->
 
 
 def _starts(sorted_values: np.ndarray) -> np.ndarray:
-    """Where a new value begins."""
+    """Starts of runs of equal values."""
     return np.flatnonzero(np.append(True, sorted_values[1:] != sorted_values[:-1]))
 
 

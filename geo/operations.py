@@ -42,7 +42,7 @@ def _operations(source: str, target: str, area: AreaOfInterest | None, _folders:
 
 
 def area_about(lon_deg: float, lat_deg: float, margin_deg: float = _AREA_DEG) -> AreaOfInterest:
-    """Where a survey lies, for PROJ to choose among regional operations."""
+    """Area of interest about a survey, for PROJ to choose among regional operations."""
     south, north = max(lat_deg - margin_deg, -90.0), min(lat_deg + margin_deg, 90.0)
     return AreaOfInterest(lon_deg - margin_deg, south, lon_deg + margin_deg, north)
 

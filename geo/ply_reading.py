@@ -38,7 +38,7 @@ _COARSEST_STEP = 0.005
 
 
 class _Damaged(Exception):
-    """What is wrong with a file, to be completed with its name."""
+    """Fault of a file, to be completed with its name."""
 
 
 @dataclass(frozen=True)

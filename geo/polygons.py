@@ -88,7 +88,7 @@ def in_map_of(ring: np.ndarray, source: CRS, target: CRS, path: Path) -> np.ndar
 
 
 def read_geojson(path: Path, shapes: str, gather: Callable[[Any], Found]) -> tuple[Found, CRS]:
-    """What ``gather`` takes from the content of a GeoJSON file, and the horizontal CRS of its coordinates.
+    """Result of ``gather`` on the content of a GeoJSON file, and the horizontal CRS of its coordinates.
 
     ``shapes`` says in an error what was looked for; ``gather`` raises what a content of another form leads to.
 

@@ -129,7 +129,7 @@ def metres_per_unit(crs: CRS, places: np.ndarray) -> np.ndarray:
 
 
 def ground_units_m(crs: CRS, place: np.ndarray) -> np.ndarray:
-    """As `metres_per_unit`, near a place (east, north, ...): of a cell, a map, a product.
+    """Metres per unit near a place (east, north, ...), of a cell, a map, a product.
 
     Grids for surveying (UTM, Gauss-Krüger, the Lambert grids of countries) keep within a hundredth of true lengths: one
     unit of theirs is what it is called. Degrees are shorter along parallels, and others stretch the ground: Web

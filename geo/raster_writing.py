@@ -47,7 +47,7 @@ class Band:
 
 @dataclass(frozen=True)
 class RasterForm:
-    """What is said of a raster beside its values.
+    """Metadata of a raster.
 
     Attributes
     ----------

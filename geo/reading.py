@@ -68,7 +68,7 @@ def read_reference(path: str | Path) -> Mesh | Cloud:
 
 
 def reader_of(path: Path) -> Callable[[Path], Mesh | Cloud]:
-    """What reads files of this suffix, whatever values they hold; it must be one that is known."""
+    """Reader for a known suffix, whatever values the files hold."""
     return _READERS[path.suffix.lower()]
 
 

@@ -77,7 +77,7 @@ class Reprojection:
 
     @property
     def height_std_m(self) -> float:
-        """What PROJ states of the operation for heights; 0 where they stay, or nothing is stated."""
+        """Accuracy of heights that PROJ states for the operation; 0 where they stay, or nothing is stated."""
         return 0.0 if self.keeps_height else max(self._transformer.accuracy, 0.0)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:

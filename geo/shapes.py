@@ -105,7 +105,7 @@ def as_classes(values: np.ndarray | None) -> np.ndarray | None:
 
 
 def left_out(cloud: Cloud) -> tuple[np.ndarray, str]:
-    """Which points (N,) bool are not of the ground by what their own file says, and how many of what, in words."""
+    """Points (N,) bool that are not ground by the classes and flags of their file, and their numbers in words."""
     out = np.zeros(len(cloud.points), dtype=bool)
     said = []
     if cloud.withheld is not None and cloud.withheld.any():
@@ -120,7 +120,7 @@ def left_out(cloud: Cloud) -> tuple[np.ndarray, str]:
 
 
 def beside_ground(cloud: Cloud) -> str:
-    """How many points count as ground that may be none, by their classes, in words; empty where there are none."""
+    """Number of points that count as ground and may be none, by their classes, in words; empty where there are none."""
     if cloud.classification is None:
         return ""
     count = np.bincount(cloud.classification, minlength=256)

@@ -258,7 +258,7 @@ def _is_known(geographic: CRS) -> bool:
 
 
 def _known_operations(source: CRS, target: CRS) -> list[Transformer]:
-    """All that can be done, at any place."""
+    """All operations between two CRSs, at any place."""
     try:
         return operations(source, target, None).transformers
     except ProjError:
@@ -348,7 +348,7 @@ def _chosen(source: CRS, target: CRS, middle: np.ndarray) -> _Chosen:
 
 
 def _spread_m(ways: list[Transformer], source: CRS, target: CRS, middle: np.ndarray) -> float | None:
-    """By how much operations differ from the first at a place outside the areas of all [m]; None with less than two.
+    """Spread of operations about the first at a place outside the areas of all [m]; None with less than two.
 
     At least what is stated of the first in its own area.
     """
@@ -383,7 +383,7 @@ def _keeps_degrees(source: CRS, target: CRS, transformer: Transformer, middle: n
 
 
 def _height_names(source: CRS, target: CRS) -> tuple[str, str] | None:
-    """What the heights of two CRSs count from, in words; None where that is the same."""
+    """Vertical datums of two CRSs in words; None where they are the same."""
     first, second = vertical_crs(source), vertical_crs(target)
     if first is second is None:
         return None

@@ -118,7 +118,7 @@ def _is_multiple(values: np.ndarray, origin: float, step: float, metres: float) 
 
 
 def _narrowed_by(plan: np.ndarray, steps: np.ndarray, metres: np.ndarray) -> str | None:
-    """What leaves steps (2,) like these on coordinates (N, 2) of this size, in words; None if nothing that is known.
+    """Cause of steps (2,) like these on coordinates (N, 2) of this size, in words; None if none is known.
 
     Equal steps along both axes say nothing: they may be meant.
     """

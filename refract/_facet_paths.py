@@ -100,7 +100,7 @@ def _found(surface, camera, point, depth):
 
 
 def _shortest(surface, camera, point, owner, triangle):
-    """Of all local paths of each point: the shortest, as in `_found`."""
+    """The shortest of all local paths of each point, as in `_found`."""
     paths = [
         _in_triangles(surface, camera, point, owner, triangle),
         _on_edges(surface, camera, point, owner, triangle),

@@ -90,7 +90,7 @@ def moved(surface, place: Iterable, options: dict) -> Any:
 
 
 def read(solver: Callable, surface, arrays: tuple) -> tuple:
-    """What a solver of `refract._solvers` makes of a surface and arrays of one shape, in their library.
+    """Result of a solver of `refract._solvers` for a surface and arrays of one shape, in their library.
 
     Without derivatives. Under a transform of torch it is called where the values can be read.
     """

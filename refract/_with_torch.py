@@ -101,7 +101,7 @@ def _(info, in_dims, name, kind, numbers, arrays):
 
 
 def solve(name: str, kind: str, numbers, arrays) -> tuple:
-    """What a solver (`refract._solvers`) finds, as tensors like the first of `arrays`, without derivatives.
+    """Result of a solver (`refract._solvers`) as tensors like the first of `arrays`, without derivatives.
 
     An operator of its own for torch: torch.compile does not look into it, and vmap calls it once for each row.
     """

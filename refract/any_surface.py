@@ -89,7 +89,7 @@ class AnySurface(ABC):
         return z - self.height(x, y), direction[2] - slope_x * direction[0] - slope_y * direction[1]
 
     def _arrived(self, origin, direction):
-        """Where Newton's steps along rays lead, and whether they arrive; without derivatives."""
+        """Newton's method along rays, and its convergence; without derivatives."""
         xp = namespace(*origin)
         t, arrived, rounding = origin[0] * 0.0, origin[0] < math.inf, _ROUNDING * _size(origin)
         for _ in range(_MOST_STEPS):
@@ -160,7 +160,7 @@ class AnySurface(ABC):
         return rows
 
     def _located(self, camera, point, depth):
-        """Where Newton's steps lead from the crossing of a level plane, and whether they arrive."""
+        """Newton's method from the crossing of a level plane, and its convergence."""
         xp = namespace(*point)
         way = kernels.minus(point, camera)
         square = way[0] * way[0] + way[1] * way[1]
@@ -183,11 +183,11 @@ class AnySurface(ABC):
 
 @solver(outputs=2)
 def arrived_at(surface: AnySurface, *ends):
-    """Of origins and directions: where Newton's steps along rays lead, and whether they arrive."""
+    """Intersection of rays (origins, directions) with the surface by Newton's method, and its convergence."""
     return surface._arrived(ends[:3], ends[3:])
 
 
 @solver(outputs=3)
 def path_found(surface: AnySurface, *arrays):
-    """Of cameras, points and depths: the crossing x, y where Newton's steps lead, and whether they arrive."""
+    """Crossing x, y of the paths from cameras to points by Newton's method, and its convergence."""
     return surface._located(arrays[:3], arrays[3:6], arrays[6])

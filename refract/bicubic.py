@@ -65,7 +65,7 @@ class BicubicWater(AnySurface):
 
     @property
     def numbers(self) -> tuple:
-        """All that the surface is made of."""
+        """Parameters of the surface."""
         return *self.corner, self.spacing, self.heights, self.n_water
 
     @classmethod
@@ -157,7 +157,7 @@ def _cell(at, nodes: int):
 
 
 def _weights(u):
-    """Of the four nodes around, at the part u of the cell between the middle two."""
+    """Weights of the four nodes around, at the part u of the cell between the middle two."""
     return (
         ((-0.5 * u + 1.0) * u - 0.5) * u,
         (1.5 * u - 2.5) * u * u + 1.0,

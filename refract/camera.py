@@ -131,7 +131,7 @@ class PinholeCamera:
 
     @property
     def widening(self) -> float:
-        """How much farther from the axis the border of the image looks than it would without distortion, at least 1.
+        """Ratio of the field of view at the border of the image to that without distortion, at least 1.
 
         The ratio of the tangents of the widest angles, which are taken to be at most 76 degrees.
         """
@@ -203,7 +203,7 @@ class PinholeCamera:
         return places if self.tide == 0.0 else places - (0.0, 0.0, self.tide)
 
     def _project_from(self, centre: np.ndarray, points: np.ndarray, water, steps: int) -> np.ndarray:
-        """As `project`, of points over the camera's own water, seen from a place in local."""
+        """Projection of points over the camera's own water, seen from a place in local; as `project`."""
         centre = self._over_own(centre)
         if isinstance(water, ParallelLayers):
             way = project(points, centre, water).direction

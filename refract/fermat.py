@@ -104,7 +104,7 @@ def newton(surface, camera, point, disc):
 
 
 def _least(surface, camera, point, disc):
-    """Of all clear paths (numpy): the crossing of the shortest, and how many there are; -1 where that is open."""
+    """Crossing of the shortest of all clear paths (numpy), and their number; -1 where that is open."""
     owner, x, y, unproven = every_path(surface, path_slope, camera, point, disc)
     camera, point = tuple(c[owner] for c in camera), tuple(p[owner] for p in point)
     crossing = x, y, surface.height(x, y)
@@ -174,7 +174,7 @@ def _anchor(xp, surface, like):
 
 
 def crossing(surface: Relief, camera, point):
-    """Where the camera sees the point through the surface: `refract.surfaces.WaterSurface.crossing`, in float64.
+    """Crossing of the ray from a camera to a point: `refract.surfaces.WaterSurface.crossing`, in float64.
 
     Parameters
     ----------

@@ -82,7 +82,7 @@ def fresnel_coefficients(cos_from, *, n_from, n_to) -> Fresnel:
 
 @of_any_size
 def radiance_factor(*, n_from, n_to):
-    """By how much radiance grows, beside the transmittance, where light passes from one medium into another.
+    """Factor of radiance, beside the transmittance, from one medium into another.
 
     Snell's law narrows a bundle of rays on its way into the denser medium: ``n^2 cos(angle) d(solid angle)`` is
     the same on both sides, and so is ``radiance / n^2``, but for what is reflected (C. D. Mobley, Light and Water,

@@ -70,7 +70,7 @@ class HeightFieldWater:
 
     @property
     def numbers(self) -> tuple:
-        """All that the surface is made of."""
+        """Parameters of the surface."""
         return self.points, self.heights, self.triangles, self.n_water
 
     @classmethod

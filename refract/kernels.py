@@ -106,12 +106,12 @@ def selector(mask):
 
 
 def is_unit(direction):
-    """Where a direction is of length one within `UNIT`; not where a component is NaN or infinite."""
+    """Whether a direction has length one within `UNIT`; false where a component is NaN or infinite."""
     return namespace(*direction).abs(dot(direction, direction) - 1.0) < 2.0 * UNIT
 
 
 def in_reach(*triples):
-    """Where no component is NaN, or beyond `REACH`."""
+    """Whether all components are finite and within `REACH`."""
     first, *others = (_squared(triple) for triple in triples)
     return sum(others, first) < REACH * REACH
 
@@ -127,7 +127,7 @@ def _squared(triple):
 
 
 def cleaned(*triples):
-    """Where all components are `in_reach`, and the triples with zeros elsewhere.
+    """Whether all components are `in_reach`, and the triples with zeros elsewhere.
 
     Through zeros a ray that is not a number leaves the gradients of the others alone; numpy has none, and keeps its
     numbers. The caller puts the NaN back into the results.
@@ -138,7 +138,7 @@ def cleaned(*triples):
 
 
 def near_critical(ray, normal, n_from, n_to):
-    """Where a ray leaves the denser medium so nearly along the surface that its derivative is not to be trusted.
+    """Whether a ray leaves the denser medium so near the critical angle that its derivative is not to be trusted.
 
     The cosine behind the surface is the root of a small difference: its derivative grows as one over it, and so
     does the rounding, as ``eps / cos^2``. Nearer than ``cos^2 = sqrt(eps)`` less than half of the digits are left.
@@ -276,7 +276,7 @@ class WaterPlane(NamedTuple):
 
 
 def crossing_of_point(camera, point, plane: WaterPlane, steps, like=None):
-    """Where the ray from a bed point to the camera crosses the water plane, and the depth of the point.
+    """Crossing of the water plane by the ray from a bed point to the camera, and the depth of the point.
 
     For a point on or above the plane (depth <= 0), and for a camera on or below it, the crossing is the
     point itself: the ray is straight. ``steps`` and ``like`` as in `air_share`.
@@ -315,7 +315,7 @@ def _shared_out(camera, point, plane: WaterPlane, steps, like):
 
 
 def at_height(origin, direction, height, plane_point, normal, n):
-    """Where a path from ``origin`` reaches ``height`` over the plane, below it after the bend; NaN where it never does.
+    """Point at which a path from ``origin`` reaches ``height`` over the plane, below it after the bend; NaN for none.
 
     In closed form, the direction of any length: along the plane the path runs ``|d_t| / d_n`` per metre of height
     in air, and ``eta |d_t| / sqrt((1 - eta^2) |d|^2 + eta^2 d_n^2)`` in water, ``eta = 1 / n``. So both legs meet at

@@ -87,7 +87,7 @@ class LayeredPath:
         return replace(self, origin=self.origin + up, crossings=tuple(c + up for c in self.crossings))
 
     def counts(self) -> dict[str, int]:
-        """How many rays there are of each `Regime`, by its name in lower case."""
+        """Number of rays of each `Regime`, by its name in lower case."""
         return counts(self.regime)
 
 

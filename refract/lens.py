@@ -124,7 +124,7 @@ class Lens:
 
 
 def normalised(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
-    """Where the pixels of a photograph look, at depth 1 in cam, and how that changes across a pixel.
+    """Normalised coordinates of pixels, at depth 1 in cam, and their change across a pixel.
 
     Returns
     -------
@@ -145,7 +145,7 @@ def normalised(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
 
 
 def undistorted(lens: Lens, pixels: np.ndarray) -> np.ndarray:
-    """Where pixels (N, 2) of a distorted photograph look, at depth 1 in cam (N, 2)."""
+    """Undistorted normalised coordinates (N, 2) of pixels (N, 2), at depth 1 in cam."""
     # OpenCV has no answer to no points.
     if len(pixels) == 0:
         return np.empty((0, 2))
@@ -198,6 +198,6 @@ def _brown_part(lens: Lens) -> Lens:
 
 
 def _coefficients(lens: Lens) -> np.ndarray:
-    """In OpenCV's order."""
+    """Coefficients in OpenCV's order."""
     fisheye = lens.model == "OPENCV_FISHEYE"
     return np.array([lens[name] for name in (("k1 k2 k3 k4") if fisheye else "k1 k2 p1 p2 k3 k4 k5 k6").split()])

@@ -160,7 +160,7 @@ def channel_indices(temperature_c, salinity_psu, wavelengths_nm=CHANNEL_WAVELENG
 
 @of_any_size
 def water_index_parrish(wavelength_nm, temperature_c, salinity_psu):
-    """As `water_index`, after Parrish: a second opinion that also knows sea water, to 2e-4.
+    """Refractive index of fresh and sea water after Parrish, to 2e-4: a check of `water_index`.
 
     Notes
     -----
@@ -175,7 +175,7 @@ def water_index_parrish(wavelength_nm, temperature_c, salinity_psu):
 
 @of_any_size
 def water_index_iapws(wavelength_nm, temperature_c):
-    """As `water_index`, for fresh water at one atmosphere, after the release of IAPWS: a second opinion.
+    """Refractive index of fresh water at one atmosphere after the release of IAPWS: a check of `water_index`.
 
     Notes
     -----

@@ -60,7 +60,7 @@ class BentPaths:
         return xp.where(xp.isnan(self.air_length), int(Regime.INVALID), code)
 
     def counts(self) -> dict[str, int]:
-        """How many rays there are of each `Regime`, by its name in lower case."""
+        """Number of rays of each `Regime`, by its name in lower case."""
         return counts(self.regime)
 
     def raised(self, by: float) -> BentPaths:

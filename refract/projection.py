@@ -23,7 +23,7 @@ _NO_LEG = 1e-200
 @final
 @dataclass(frozen=True)
 class Projection:
-    """How a camera sees points through the water; arrays of the library and precision of the points, local frame.
+    """Projection of points through the water; arrays of the library and precision of the points, local frame.
 
     Crossing and lengths are computed when they are asked for.
 
@@ -94,7 +94,7 @@ class Projection:
         return xp.where(xp.isnan(self.depth) | (length == 0.0), int(Regime.INVALID), code)
 
     def counts(self) -> dict[str, int]:
-        """How many points there are of each `Regime`, by its name in lower case."""
+        """Number of points of each `Regime`, by its name in lower case."""
         return counts(self.regime)
 
 
@@ -119,7 +119,7 @@ def _stacked(keep, triple, like):
 @of_any_size
 @quiet
 def project(points, camera, surface: WaterSurface | ParallelLayers | None, *, steps: int = EXACT_STEPS) -> Projection:
-    """How a camera sees points of the bed: the way of least optical path (Fermat) through the surface.
+    """Projection of points of the bed into a camera: the least optical path (Fermat) through the surface.
 
     Points and camera in float32 are computed in float64 where digits would be lost, and rounded once at the end.
 

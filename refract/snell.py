@@ -13,7 +13,7 @@ from refract._numbers import hold, of_any_size
 
 
 class Regime(IntEnum):
-    """How a ray meets the water, as `BentPaths.regime`, `Projection.regime` and `bend_regime` say it."""
+    """Regime of a ray at the water, as in `BentPaths.regime`, `Projection.regime` and `bend_regime`."""
 
     BENT = 0
     """It passes through the surface."""
@@ -34,7 +34,7 @@ class Regime(IntEnum):
 
 
 def counts(regime) -> dict[str, int]:
-    """How many rays there are of each `Regime`, by its name in lower case; `regime` is an array of any library."""
+    """Number of rays of each `Regime`, by its name in lower case; `regime` is an array of any library."""
     found = np.bincount(as_numpy(regime).ravel().astype(np.int64), minlength=len(Regime))
     return {kind.name.lower(): int(found[kind]) for kind in Regime}
 
@@ -92,7 +92,7 @@ def _require_positive(n_from, n_to) -> None:
 @of_any_size
 @quiet
 def bend_regime(ray, normal, *, n_from, n_to):
-    """What `bend` makes of each ray: an array (...) of `Regime` codes, for `counts`. Arguments as for `bend`."""
+    """Regime of each ray in `bend`: an array (...) of codes, for `counts`. Arguments as for `bend`."""
     ray, normal = common(ray=ray, normal=normal)
     _require_positive(n_from, n_to)
     ray, normal = components(ray), components(normal)

@@ -22,7 +22,7 @@ _WGS84_A, _WGS84_F = 6_378_137.0, 1.0 / 298.257223563
 
 @of_any_size
 def curvature_drop(distance, radius=MEAN_RADIUS_M):
-    """How far a level surface falls below its tangent plane [m], ``distance`` [m] from where they touch.
+    """Drop of a level surface below its tangent plane [m], ``distance`` [m] from where they touch.
 
     ``R - sqrt(R^2 - d^2)``, written without the difference: 2.0 cm at 500 m, 7.8 cm at 1 km. NaN beyond the radius.
     """

@@ -22,7 +22,7 @@ ENOUGH_STEPS_SINGLE, ENOUGH_STEPS_DOUBLE = 3, 4
 
 
 class WaterSurface(Protocol):
-    """What `trace` and `project` ask of a water surface, in the local frame [m].
+    """Protocol of a water surface for `trace` and `project`, in the local frame [m].
 
     Component arrays are numpy float64, torch or Dr.Jit; where an answer is the same everywhere it may be a plain
     number, which broadcasts.

@@ -50,5 +50,5 @@ def without_water(
 
 
 def stored_colours(radiance: np.ndarray) -> np.ndarray:
-    """What a photograph stores, 0 to 255 with fractions, of linear radiance; brighter than white is white."""
+    """Stored levels, 0 to 255 with fractions, of linear radiance; brighter than white is white."""
     return 255.0 * np.clip(radiance, 0.0, 1.0) ** (1.0 / GAMMA)

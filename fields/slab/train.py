@@ -35,7 +35,7 @@ MIN_STEPS = 3 * SWITCH_WINDOW
 
 @dataclass(frozen=True)
 class Schedule:
-    """How long and how fast.
+    """Schedule of the training: steps and learning rates.
 
     Attributes
     ----------

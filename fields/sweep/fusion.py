@@ -67,7 +67,7 @@ def fuse(
 def _agreement(
     block: Block, maps: Maps, scale: float, compared: Mapping[int, Compared]
 ) -> Iterator[tuple[HeightMap, float, _Agreement]]:
-    """For each map that is compared: the map, the tolerance [m], and its `agreement`.
+    """Maps that are compared, each with the tolerance [m] and its `agreement`.
 
     Of a view of which some pixels are compared the others are as in its map.
     """

@@ -106,7 +106,7 @@ class Images(Protocol):
 
 
 def images(device: Device) -> Images:
-    """What works on the images of a device: in a memory of its own, or on the host."""
+    """Functions on the images of a device: in a memory of its own, or on the host."""
     if device.apart:
         from fields.sweep import images_device
 

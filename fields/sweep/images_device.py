@@ -131,7 +131,7 @@ def subtract(image: Any, by: float) -> Any:
 
 
 def exceeds_parallax(low: Any, high: Any, parallax: float, least: float) -> Any:
-    """Where heights differ by more than a parallax [px]."""
+    """Pixels whose heights differ by more than a parallax [px]."""
     low_flat, high_flat = flatten(low), flatten(high)
     return unflatten((high_flat - low_flat) * scalar(low_flat, parallax) > scalar(low_flat, least), low.shape)
 

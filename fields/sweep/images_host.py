@@ -94,7 +94,7 @@ def subtract(image: np.ndarray, by: float) -> np.ndarray:
 
 
 def exceeds_parallax(low: np.ndarray, high: np.ndarray, parallax: float, least: float) -> np.ndarray:
-    """Where heights differ by more than a parallax [px]."""
+    """Pixels whose heights differ by more than a parallax [px]."""
     return (high - low) * parallax > least
 
 

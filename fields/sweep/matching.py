@@ -113,7 +113,7 @@ def match_tiles(
     step: float,
     take: Callable[[Any, Any, list[Any]], None],
 ) -> Job[None]:
-    """As `match_view`, of tiles with their halos, a batch of them at a time.
+    """Matching of tiles with their halos, a batch of them at a time; otherwise as `match_view`.
 
     ``starts`` gives the lowest hypotheses [m] of a batch, with the flat indices of its pixels; ``step`` [m] is between
     hypotheses. ``take`` is called with what each batch finds, flat, for those of its pixels around which a whole window

@@ -69,7 +69,7 @@ class Sums:
     def of(
         weight: Any, height: Any, along: Callable[[Any, int, int], Any], over: Callable[[Any], Any] | None = None
     ) -> Sums:
-        """Of weights, 1 where a height is known, else 0, and heights [m] times these, which float32 holds.
+        """Sums of weights, 1 where a height is known, else 0, and of heights [m] times these, in float32.
 
         ``along(values, power, axis)`` are sums over a side of the square of values times a power of the distance
         [px], along rows (0) or columns (1), and ``over(values)`` those over the square.

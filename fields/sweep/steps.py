@@ -68,7 +68,7 @@ def search_steps(
 
 
 def _best_of_tiles(reference: Reference, found: Found, tiles: Tiles, step: float, least: Any) -> Job[Found]:
-    """What was found, replaced by what tiles find with hypotheses a step [m] apart where that scores over ``least``."""
+    """Heights replaced by those of tiles, with hypotheses a step [m] apart, where these score over ``least``."""
     stack, backend = reference.stack, images(reference.stack.device)
     better, worse = [backend.flat_copy(each) for each in found], backend.flat_view(least)
 

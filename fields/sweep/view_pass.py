@@ -31,7 +31,7 @@ _SQUARE_PX = 4
 
 @dataclass(frozen=True)
 class Search:
-    """Where a sweep looks for the bed, and in which passes.
+    """Search of a sweep: range of heights, passes, area.
 
     Attributes
     ----------
@@ -214,7 +214,7 @@ def columns_seeing_area(
 
 
 def columns_over_area(camera: PinholeCamera, water: FlatWater | None, area: Area, height: np.ndarray) -> np.ndarray:
-    """As `columns_seeing_area`, of pixels that see the area at heights (height, width) [m] of a map, or around them.
+    """Columns with pixels that see the area at heights (height, width) [m] of a map, or around them.
 
     The map may be smaller than the image of the camera. Heights around a pixel are those of its square of `_SQUARE_PX`
     in the map and of the squares beside it.

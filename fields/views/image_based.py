@@ -70,7 +70,7 @@ class Source:
         return path.at_height(self.heights[rows, columns].astype(np.float64), water)
 
     def observe(self, points: np.ndarray, water: FlatWater | None) -> Observation:
-        """How the photograph sees points (N, 3) [m], local."""
+        """Observation of points (N, 3) [m], local, by the photograph."""
         uv = self.camera.project(points, water).astype(np.float32)
         inside = self.camera.sees(uv)
         uv[~inside] = -2.0
@@ -87,7 +87,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Observation:
-    """How a photograph sees N points.
+    """Observation of N points by a photograph.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class Observation:
 
 @dataclass(frozen=True)
 class ImageBasedField:
-    """What photographs with height maps show to other cameras.
+    """Image-based field: photographs with height maps, rendered for other cameras.
 
     Attributes
     ----------
@@ -152,7 +152,7 @@ class ImageBasedField:
     def render(
         self, camera: PinholeCamera, *, dry: bool = False, without_water: WithoutWater | None = None
     ) -> NovelView:
-        """What a camera sees: `dry`, by straight rays; `without_water` takes the water out of the colours."""
+        """View of a camera: `dry`, by straight rays; `without_water` takes the water out of the colours."""
         optics, numbers = self._optics(dry), self.sources_of(camera, dry=dry)
         shape = (camera.height, camera.width)
         surface = self._front_surface(camera, optics, map(self.load, numbers))
@@ -178,7 +178,7 @@ class ImageBasedField:
         return replace(self.water, n_water=1.0) if dry and self.water is not None else self.water
 
     def _nearest(self, points: np.ndarray, centre: np.ndarray, among: Iterable[int]) -> list[list[int]]:
-        """For each of N points (N, 3) the `_SOURCES` photographs that see it under the smallest angle to a place."""
+        """The `_SOURCES` photographs that see each of N points (N, 3) under the smallest angle to a place."""
         own, among = _directions(points, centre), np.array(list(among), dtype=np.int64)
         angles = np.full((len(among), len(points)), np.inf)
         for row, number in enumerate(among):

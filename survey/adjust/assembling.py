@@ -136,7 +136,7 @@ def result(
 
 
 def _statistics(done: Adjusted, total: int) -> FitStatistics:
-    """How well the observations fit, of which there were ``total`` before any was left out."""
+    """Statistics of the fit of observations, of which there were ``total`` before any was left out."""
     solution, used = done.solution, done.used
     counts = {name: int((used.kind == kind).sum()) for kind, name in enumerate(KINDS)}
     return FitStatistics(
@@ -218,7 +218,7 @@ def _judged(
 
 
 def _rate(survey: Survey, known: Known, state: State, std: float) -> Parameter:
-    """How fast the level rises, with its verdict."""
+    """Rate of the level, with its verdict."""
     hours, given = known.layout.hours, survey.require_water()[1].rate.level_rate_m_per_h or 0.0
     assert hours is not None
     before = Estimate(given, float(known.std[known.layout.first_rate]))
@@ -268,7 +268,7 @@ def _water(
 
 
 def _control(survey: Survey, used: Observed, solution, state: State) -> tuple[ControlResidual, ...]:
-    """How the block fits its control points."""
+    """Residuals at control points."""
     control = survey.observations.control
     if control is None:
         return ()

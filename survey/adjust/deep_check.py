@@ -19,7 +19,7 @@ from survey.progress import current
 
 
 def deep_check(folder: Path, *, device: str = "auto") -> list[Section]:
-    """What the photographs say of poses, lens and water, without a point cloud.
+    """Test of poses, lens and water against the photographs, without a point cloud.
 
     Poses that structure from motion has to find are kept in ``folder/bathynerf``, for `process` to use.
 

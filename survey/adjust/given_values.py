@@ -260,7 +260,7 @@ def check_dry_bed(survey: Survey, problem: Problem, state: State, gsd: float) ->
 
 
 def dry_bed_error(level: Contradiction, way_out: str) -> SurveyError:
-    """What ends a run whose level leaves dry what photographs show under water, with a way out beside mending it."""
+    """Error of a level that leaves dry what photographs show under water, with a way out beside mending it."""
     return SurveyError(
         f"[water] level_m is {level.given:.3f} m, which leaves all of the bed dry, and the photographs show it under "
         f"water whose level is {level.found:.2f} +- {level.std:.2g} m; correct level_m in survey.toml, whose vertical "

@@ -207,7 +207,7 @@ def _windows_at(survey: Survey, done: Adjusted | None, device: str, advance: Cal
 
 
 class _BlockAdjustment:
-    """What is observed of a survey, as more of it is measured, and the adjustments of all that there is."""
+    """Adjustment of a survey in stages: observations as they are added, and adjustments of all that there are."""
 
     def __init__(self, survey: Survey, known: Known, free_water: bool):
         self._survey, self.known, self._free_water = survey, known, free_water

@@ -18,7 +18,7 @@ from survey.sfm.gps_fit import HOLD_THE_ROLL
 
 
 def roll_notes(survey: Survey, done: Adjusted, gsd_m: float) -> list[str]:
-    """What is known of the rolls that positions leave open, in sentences.
+    """Sentences on the rolls that positions leave open, and their std.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def open_roll_named(rolls: Sequence[Roll]) -> Iterator[None]:
 
 
 def _held_by(survey: Survey, done: Adjusted, roll: Roll) -> str:
-    """What tells a roll, in words."""
+    """Sources that determine a roll, in words."""
     used = done.used
     is_known = np.isfinite(used.point_std).all(axis=1)[len(used.ties) - len(used.control) :]
     control = [name for name, known in zip(used.control, is_known, strict=True) if known]

@@ -94,7 +94,7 @@ def water_seen(done: Adjusted, marks_std_px: float) -> WaterSeen | None:
 def _over(
     known: Known, seen: Observed, dry: State, level: float, shared: np.ndarray, marks_std_px: float
 ) -> tuple[float, WaterSeen] | None:
-    """What bent rays gain, in units of variances, and the water; None where too little of it is sure."""
+    """Gain of bent rays in units of variances, and the water; None where too little of it is sure."""
     x, y = dry.centres[:, :2].mean(axis=0).tolist()
     water, std = FlatWater((x, y, level), n_water=_INDEX), known.std.copy()
     std[:4] = [_LEVEL_STD_M, _SLOPE_STD, _SLOPE_STD, _INDEX_STD]

@@ -126,7 +126,7 @@ class M3C2:
 
 @dataclass(frozen=True)
 class Circumstances:
-    """How figures came about.
+    """Circumstances of the figures: files, CRS, bounds, options.
 
     Attributes
     ----------
@@ -208,7 +208,7 @@ class Figures:
 
     @property
     def wet(self) -> DistanceStatistics | None:
-        """Of the points under water: their vertical differences."""
+        """Vertical differences of the points under water."""
         depth = self.parts.depth if self.vertical is None else self.vertical.depth
         return None if depth is None else depth.wet
 

@@ -43,7 +43,7 @@ _VIEWS_NAMES = ("num_views",)
 
 @dataclass(frozen=True)
 class Scene:
-    """What is compared, local [m].
+    """Data of a comparison, local [m].
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ def _samples(vertices: np.ndarray, shape: Mesh | Cloud) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Distances:
-    """Of the compared points.
+    """Distances of the compared points.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ class Distances:
 
 @dataclass(frozen=True)
 class Reach:
-    """What of the reference a cloud reaches.
+    """Part of the reference that a cloud reaches.
 
     Attributes
     ----------

@@ -14,7 +14,7 @@ from survey.files.outputs import ReadFiles, is_json, require_file, require_folde
 
 @dataclass(frozen=True)
 class CompareOptions:
-    """How a cloud is compared.
+    """Options of a comparison.
 
     Attributes
     ----------

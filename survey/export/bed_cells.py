@@ -100,7 +100,7 @@ class LevelFit:
 
     @staticmethod
     def of(points: np.ndarray, depth: np.ndarray) -> LevelFit | None:
-        """Of points (N, 3), in crs with heights in metres, and their depths (N,) [m]; None where none has a depth."""
+        """Level at points (N, 3), in crs with heights in metres, by their depths (N,) [m]; None where none has a depth."""
         known = np.flatnonzero(np.isfinite(depth))
         if not len(known):
             return None

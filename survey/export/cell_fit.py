@@ -133,7 +133,7 @@ def _covered(cell: np.ndarray, offset: np.ndarray) -> np.ndarray:
 
 
 def _independent(count: np.ndarray, side: float, pixel: float, correlated: float) -> np.ndarray:
-    """As how many independent points those of a cell count: by the area that they cover, at most that of the cell."""
+    """Number of independent points in a cell: by the area that they cover, at most that of the cell."""
     covered = np.minimum((side / pixel) ** 2, count.astype(np.float64))
     return np.minimum(1.0 + covered / correlated, count)
 

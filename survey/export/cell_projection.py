@@ -25,7 +25,7 @@ _LEAST_RELIEF_M = 0.01
 
 @dataclass(frozen=True)
 class CellProjection:
-    """How a camera sees cells, (rows, columns) each; NaN where it does not.
+    """Projection of cells into a camera, (rows, columns) each; NaN where it does not see them.
 
     Attributes
     ----------

@@ -191,14 +191,14 @@ def _tile_side(num_points: int, cells: PlanCells, margin: float) -> int:
 
 
 def margin_of(pixel: float) -> float:
-    """How far around a place points decide about it [m], for a pixel [m]."""
+    """Radius around a place within which points decide about it [m], for a pixel [m]."""
     return MARGIN_SQUARES * _SQUARE_PX * pixel
 
 
 def seen_from_above(
     plan: np.ndarray, height: np.ndarray, std: np.ndarray, pixel: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Which points nothing covers, and how uncertain they are because of walls.
+    """Topmost points, and their uncertainty beside walls.
 
     Parameters
     ----------

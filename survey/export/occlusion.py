@@ -64,12 +64,12 @@ class HeightBuffer:
         return buffer
 
     def visible(self, projection: CellProjection, height: np.ndarray) -> CellProjection:
-        """What is seen of cells with these heights (rows, columns) [m]; NaN where something hides them."""
+        """Projection of the visible cells with these heights (rows, columns) [m]; NaN where something hides them."""
         seen, place = self._block_of(projection)
         return projection.where(seen & (np.where(seen, height, -np.inf) >= self.height[place] - self.allowed))
 
     def _block_of(self, projection: CellProjection) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-        """Which cells are in the photograph, and the row and column of their blocks."""
+        """Cells in the photograph, and the row and column of their blocks."""
         seen = np.isfinite(projection.u)
         rows, columns = (np.where(seen, at, 0.0) / self.block for at in (projection.v, projection.u))
         return seen, (rows.astype(np.int64), columns.astype(np.int64))
@@ -106,7 +106,7 @@ def common_exposure(
 
 
 def exposure_gains(shown: np.ndarray) -> np.ndarray:
-    """What photographs (V, 3) add to the logarithms of colours (V, K, 3), NaN where one does not show a cell."""
+    """Exposure gains (V, 3) in the logarithms of colours (V, K, 3) of photographs, NaN where one does not show a cell."""
     gain = np.zeros((len(shown), 3))
     shown = shown[:, np.isfinite(shown[..., 0]).sum(axis=0) >= 2]
     if not shown.shape[1]:

@@ -30,7 +30,7 @@ from survey.water.level import with_level_of_clicks
 
 @dataclass(frozen=True)
 class FilePoses:
-    """What the poses file of a survey says, in its local frame.
+    """Contents of the poses file of a survey, in its local frame.
 
     Attributes
     ----------

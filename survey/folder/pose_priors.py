@@ -41,7 +41,7 @@ BY_POSES = "poses file"
 
 @dataclass(frozen=True, eq=False)
 class PosePrior:
-    """What is known of the pose of one view.
+    """Prior of the pose of one view.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ def priors_of_poses(
     given: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
     datum: DatumStd = EXACT,
 ) -> dict[str, PosePrior]:
-    """Of views with poses from a file: these poses, as accurate as [cameras] says.
+    """Priors of views with poses from a file: these poses, as accurate as [cameras] says.
 
     Where it says nothing, the positions [m], local, and standard deviations [m] that the file gives for before its
     adjustment, by name of the view. ``datum`` is what their way into crs adds.
@@ -111,7 +111,7 @@ def priors_of_poses(
 def priors_of_gps(
     found: Found, frame: LocalFrame, views: Sequence[View], rejected: Collection[str] = ()
 ) -> dict[str, PosePrior]:
-    """Of views that structure from motion placed in a frame: the positions in EXIF, without the ``rejected`` ones.
+    """Priors of views that structure from motion placed: the positions in EXIF, without the ``rejected`` ones.
 
     As accurate as [cameras] says, else as XMP does, where the receiver had a fixed solution.
     """
@@ -190,7 +190,7 @@ def _by_gps(cameras: CamerasConfig, position: np.ndarray | None, head: Exif, dat
 
 
 def accuracy_of_priors(priors: Mapping[str, PosePrior]) -> str:
-    """How well the positions of views are known, and where from, in one sentence."""
+    """Accuracy of the positions of views, and its source, in one sentence."""
     said = _accuracy([(prior.position_std, prior.source) for prior in priors.values()])
     return f"{said}{_in_common(common_plan_std(priors))}"
 
@@ -200,7 +200,7 @@ def _in_common(plan_std: float) -> str:
 
 
 def accuracy_of_gps(cameras: CamerasConfig, heads: Mapping[str, Exif], datum: DatumStd = EXACT) -> str:
-    """How well the positions in EXIF will be known, in one sentence, before structure from motion.
+    """Expected accuracy of the positions in EXIF, in one sentence, before structure from motion.
 
     ``datum`` is what their way into crs adds.
     """
@@ -216,7 +216,7 @@ def accuracy_of_gps(cameras: CamerasConfig, heads: Mapping[str, Exif], datum: Da
 
 
 def _accuracy(all_stds: Sequence[tuple[np.ndarray | None, str]]) -> str:
-    """How many standard deviations come from where, with their medians."""
+    """Numbers of standard deviations by source, with their medians."""
     parts = []
     for source in dict.fromkeys(source for _, source in all_stds):
         stds = [std for std, own in all_stds if own == source]

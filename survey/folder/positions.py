@@ -118,7 +118,7 @@ def _again(names: np.ndarray, places: np.ndarray, seconds: np.ndarray | None) ->
 
 
 def _off_the_line(plan: np.ndarray, seconds: np.ndarray | None) -> np.ndarray:
-    """How far (N,) [m] places (N, 2) are from where the flight was before and after; 0 for those that are not far.
+    """Distances (N,) [m] of places (N, 2) from the line of flight before and after; 0 for those that are not far.
 
     On a straight part both the two places before and the two behind tell where one is. Elsewhere one is far from the
     line between its neighbours where these are no farther apart than others, and it is farther than usual steps: at

@@ -96,7 +96,7 @@ class Observations:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where poses, level and index of a survey come from, and how well they fit the photographs.
+    """Sources of poses, level and index of a survey, and their fit to the photographs.
 
     Attributes
     ----------

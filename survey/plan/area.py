@@ -43,7 +43,7 @@ def limits(survey: Survey) -> tuple[float, float]:
 
 
 class Located(Protocol):
-    """What has a place on the map: a survey, or the flight of a run."""
+    """Protocol of what has a place on the map: a survey, or the flight of a run."""
 
     @property
     def frame(self) -> LocalFrame: ...
@@ -63,7 +63,7 @@ def local_area(survey: Located) -> tuple[float, float, float, float] | None:
 
 
 def beyond_bounds(survey: Located) -> float:
-    """How far the cloud may reach beyond the bounds [m]: the margin, and what the map is turned against local."""
+    """Reach of the cloud beyond the bounds [m]: the margin, and the rotation of the map against local."""
     area = local_area(survey)
     if survey.bounds is None or area is None:
         return 0.0
@@ -83,7 +83,7 @@ def grown(area: tuple[float, float, float, float], margin: float) -> tuple[float
 
 
 def within(xyz: np.ndarray, area: tuple[float, float, float, float]) -> np.ndarray:
-    """Which points (N, 3) stand over an area (x0, y0, x1, y1), (N,) bool."""
+    """Points (N, 3) over an area (x0, y0, x1, y1), as (N,) bool."""
     return (xyz[:, 0] >= area[0]) & (xyz[:, 1] >= area[1]) & (xyz[:, 0] <= area[2]) & (xyz[:, 1] <= area[3])
 
 

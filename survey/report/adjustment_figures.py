@@ -112,7 +112,7 @@ class ControlGroup:
 
 @dataclass(frozen=True)
 class AdjustmentFigures:
-    """What an adjustment found.
+    """Figures of an adjustment.
 
     Attributes
     ----------
@@ -149,7 +149,7 @@ class AdjustmentFigures:
 
     @property
     def note(self) -> str | None:
-        """How well all heights together are known, as a sentence."""
+        """Std of all heights together, as a sentence."""
         if self.common is None:
             return None
         return (

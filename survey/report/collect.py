@@ -93,7 +93,7 @@ def stated_std(std: np.ndarray, std_common: np.ndarray | None) -> np.ndarray:
 
 
 def height_std(std: np.ndarray, std_common: np.ndarray | None) -> HeightStd:
-    """How well the height of a point is known, all included: medians over points (N,), one at least."""
+    """Std of the height of a point, all included: medians over points (N,), one at least."""
     told = np.zeros(0) if std_common is None else std_common[np.isfinite(std_common)]
     shared = float(np.median(told)) if len(told) else None
     return HeightStd(float(np.median(stated_std(std, std_common))), shared, float(np.nanmedian(std)))

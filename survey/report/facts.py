@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ReportFacts:
-    """What a run knows at its end.
+    """Inputs of a report at the end of a run.
 
     Attributes
     ----------

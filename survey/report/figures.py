@@ -36,7 +36,7 @@ class CrsFigures:
 
 @dataclass(frozen=True)
 class SurveyFigures:
-    """Where and with what was photographed.
+    """Place, cameras and photographs of the survey.
 
     Attributes
     ----------
@@ -225,7 +225,7 @@ class Baselines:
 
 @dataclass(frozen=True)
 class HeightStd:
-    """How well the height of a point is known, one standard deviation; medians over the points [m].
+    """Standard deviation of the height of a point; medians over the points [m].
 
     Attributes
     ----------

@@ -46,7 +46,7 @@ _UNSEEN_PIXELS = 900
 
 
 def representative(height_maps: Sequence[HeightMap]) -> int:
-    """Which height map to show: the one with the most pixels that another view confirms."""
+    """The height map to show: that with the most pixels that another view confirms."""
     return int(np.argmax([np.count_nonzero(m.agreeing) for m in height_maps]))
 
 

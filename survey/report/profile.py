@@ -114,7 +114,7 @@ def draw_profile(path: Path, facts: ReportFacts, cut: Cut) -> Picture:
 
 
 def draw_line(axes: Axes, facts: ReportFacts, cut: Cut) -> None:
-    """Where the profile lies, into a map."""
+    """Line of the profile, drawn into a map."""
     ends = facts.survey.frame.crs_from_local(np.column_stack([cut.ends, np.zeros(2)]))[:, :2]
     axes.plot(*ends.T, color="white", lw=2.4, alpha=0.7, zorder=4)
     axes.plot(*ends.T, color=INK, lw=1.0, ls=(0, (5, 3)), zorder=5)
@@ -162,7 +162,7 @@ def two_digits(value: float) -> str:
 
 
 def _stretch(axes: Axes) -> float:
-    """How much larger heights are drawn than lengths along the line."""
+    """Exaggeration of heights against lengths along the line."""
     lay_out(figure_of(axes))
     box = axes.get_window_extent()
     (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()

@@ -131,5 +131,5 @@ def _around(camera: PinholeCamera, x: np.ndarray, y: np.ndarray, height: np.ndar
 
 
 def cells_of(survey: Survey, xyz: np.ndarray, gsd_m: float) -> SeenCells:
-    """Which cells of the ground of a survey have points (N, 3) [m], local, and how many of its views see each."""
+    """Cells of the ground of a survey: which have points (N, 3) [m], local, and the number of views that see each."""
     return cells_seen([view.camera for view in survey.views], survey.water, local_area(survey), xyz, gsd_m)

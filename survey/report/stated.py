@@ -37,7 +37,7 @@ class StatedOrder:
 
 @dataclass(frozen=True)
 class StatedFigures:
-    """What the cloud states of the heights of its points.
+    """Uncertainty that the cloud states of the heights of its points.
 
     Attributes
     ----------

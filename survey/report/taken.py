@@ -35,7 +35,7 @@ class CameraFigures:
 
 @dataclass(frozen=True)
 class TakenFigures:
-    """Who surveyed, when, and with what.
+    """Operator, time and cameras of a survey.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ def taken_of(said: ReportConfig, heads: Mapping[str, Exif], now: datetime) -> Ta
 
 
 def flown(found: TakenFigures) -> str | None:
-    """When it was flown, in words; None where no photograph has a time."""
+    """Time of the flight in words; None where no photograph has one."""
     if found.first is None or found.last is None:
         return None
     whose = "UTC" if found.clock == "UTC" else "by the clock of the camera"

@@ -65,7 +65,7 @@ def through_surface(
 
 
 def by_level(incidence: np.ndarray, n_water: float) -> np.ndarray:
-    """By how much a bed point sinks when the water over it is taken to be a metre higher [-].
+    """Change of a bed point's height per metre of the water over it [-].
 
     A ray that enters the water a metre earlier comes out ``tan a - tan b`` aside at the bed, with ``sin a = n sin b``,
     and rays of this incidence meet lower by that over ``tan b``: n - 1 straight down, and more for oblique rays.
@@ -102,7 +102,7 @@ def _placed(
 def _entered(
     crossing: np.ndarray, ray: np.ndarray, surface: BicubicWater, tide: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where rays in air meet the surface, near their crossing of a plane, and their directions in water (N, 3)."""
+    """Crossings of rays in air with the surface, near those with a plane, and their directions in water (N, 3)."""
     for _ in range(_STEPS):
         normal = np.column_stack(surface.normal(crossing[:, 0], crossing[:, 1]))
         over = surface.height(crossing[:, 0], crossing[:, 1]) + tide - crossing[:, 2]

@@ -51,7 +51,7 @@ class Stage:
     apply: Callable[[Job, Path], None] | None = None
 
     def key(self, job: Job, done: Mapping[str, Path]) -> Key:
-        """What the result depends on, given the folders of the stages before."""
+        """Dependencies of the result, given the folders of the stages before."""
         parts = {name: job.part(name) for name in self.depends_on}
         # The name of a stage's folder ends in the hash of all that it depends on.
         parts |= {name: done[name].name for name in self.needs if name in done}

@@ -103,7 +103,7 @@ def sample(stack: ViewStack, view: int, u, v, inside):
 
 
 def sample_packed(stack: ViewStack, view: int, u, v, inside):
-    """As `sample`, of `ViewStack.packed`: one lookup instead of four."""
+    """Bilinear samples of `ViewStack.packed`: one lookup instead of the four of `sample`."""
     Float, UInt, packed = stack.device.module.Float, stack.device.module.UInt, stack.packed
     corner, fx, fy = _corner(stack, view, u, v, inside)
     Word = type(packed.values[view])

@@ -142,7 +142,7 @@ def _score(moments: tuple[Any, Any, Any], m_i, v_i):
 
 
 def _ncc_of_wide(windows: WideWindows, scale: float, least_known: float) -> list:
-    """As `ncc`, each computed before the next, whose sums over rows take the room of its own."""
+    """NCC of wide windows, one neighbour before the next, so that their sums over rows share memory; as `ncc`."""
     if least_known < 1.0:
         return [
             _evaluated(_score_of_known(windows.sums(_known_row, room), least_known / scale)) for room in windows.values

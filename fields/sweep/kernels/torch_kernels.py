@@ -82,7 +82,7 @@ def sample(stack: ViewStack, view: int, u: Tensor, v: Tensor, inside: Tensor) ->
 
 
 def sample_packed(stack: ViewStack, view: int, u: Tensor, v: Tensor, inside: Tensor) -> Tensor:
-    """As `sample`, of `ViewStack.packed`: one lookup instead of four."""
+    """Bilinear samples of `ViewStack.packed`: one lookup instead of the four of `sample`."""
     packed = stack.packed
     corner, fx, fy = _corner(stack, view, u, v, inside)
     word = packed.values[view][corner]
@@ -144,7 +144,7 @@ def compare_heights(
 
 
 def count_seeing_through(stack: ViewStack, view: int, peers: list[int], tolerance: float) -> Tensor:
-    """How many peers (P) see, through the point of each pixel, something that lies lower; see the twin."""
+    """Number of peers (P) that see something lower through the point of each pixel; see the twin."""
     rays, own_height = rays_of_rows(stack, view, 0, stack.height_of(view)), stack.pixels[view]
     count, least = torch.zeros_like(own_height), own_height - tolerance
     for peer in peers:
@@ -220,7 +220,7 @@ def buffers(device: Device, count: int, size: int) -> list[Tensor]:
 
 
 def windows(device: Device, reference: Tensor, values: list[Tensor], width: int, radius: int) -> tuple:
-    """What `ncc` takes: here no window is laid out before it is needed."""
+    """Windows for `ncc`: here none is laid out before it is needed."""
     return reference, values, width
 
 

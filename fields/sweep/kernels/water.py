@@ -40,7 +40,7 @@ class KernelWater(Protocol):
         """Direction of a ray in water, from its unit direction in air."""
 
     def crossing(self, centre: Triple, point: Triple, steps: int) -> Triple:
-        """Where a camera sees a point through the surface: the crossing, or the point where the ray is straight."""
+        """Crossing of the ray from a camera to a point; the point itself where the ray is straight."""
 
 
 @dataclass(frozen=True)

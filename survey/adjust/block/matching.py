@@ -124,6 +124,6 @@ def match(image: PreparedImage, templates, slopes, expected, offsets) -> tuple[n
 
 
 def _is_clear(clear: np.ndarray, at: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-    """Which windows (K,) bool have all of their samples, which lie inside the photograph, clear of masked pixels."""
+    """Windows (K,) bool all of whose samples, inside the photograph, are clear of masked pixels."""
     columns, lines = np.floor(at[:, :, None] + offsets).astype(int).transpose(1, 0, 2)
     return clear[lines, columns].all(axis=1)

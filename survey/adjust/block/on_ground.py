@@ -201,7 +201,7 @@ def _cost(planes: _PlanesOnGrid, points: np.ndarray, shift: np.ndarray) -> float
 
 
 def _cost_of(off: np.ndarray, count: int, shift: np.ndarray) -> float:
-    """Of distances (K,) [m] of those of so many points that lie over ground, and of a shift in plan."""
+    """Cost of distances (K,) [m] of those of so many points that lie over ground, and of a shift in plan."""
     scale = max(_MAD_TO_STD * float(np.median(np.abs(off))), _LEAST_STD_M)
     # Few points over the ground may fit anywhere.
     return math.log(scale) + math.log(count / len(off)) + float(shift[:2] @ shift[:2]) / (40.0 * _PLAN_STD_M**2)
@@ -238,7 +238,7 @@ def _descended(planes: _PlanesOnGrid, points: np.ndarray, start: np.ndarray) -> 
 
 @dataclass(frozen=True)
 class GroundAlignment:
-    """How an adjusted block lies on the ground.
+    """Alignment of an adjusted block to the ground.
 
     Attributes
     ----------
@@ -317,7 +317,7 @@ def _std_of_block(system: System, points: np.ndarray, middle: np.ndarray, covari
 
 
 def moved_by(before: Sequence[View], state: State, middle: np.ndarray) -> np.ndarray:
-    """How a block was moved (7,): shift at a middle (3,) of the moved block, turn, scale, as `GroundAlignment.std`."""
+    """Motion of a block (7,): shift at a middle (3,) of the moved block, turn, scale, as `GroundAlignment.std`."""
     centres = np.array([view.camera.centre for view in before])
     rotations = np.array([view.camera.cam_from_local for view in before])
     turns = Rotation.from_matrix(state.rotations.transpose(0, 2, 1) @ rotations)

@@ -39,7 +39,7 @@ class Planes:
         return float(self.strength @ self.distances(points, shift) ** 2)
 
     def of_points(self, points: np.ndarray, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What they add to normal matrices (M, 3, 3) and right sides (M, 3) of the points.
+        """Contribution to the normal matrices (M, 3, 3) and right sides (M, 3) of the points.
 
         The shift has the sums of both over the points, with the sign of the right sides reversed; the normal matrices
         of a point and the shift are those of the points with the sign reversed.

@@ -88,13 +88,13 @@ class Known:
 
     @property
     def place_of_water(self) -> tuple[float, float]:
-        """Where the height of the water is a parameter, (x, y) [m] in local; the origin for a dry survey."""
+        """Reference point (x, y) [m], local, of the height of the water; the origin for a dry survey."""
         water = self.mean.water
         return (0.0, 0.0) if water is None else (float(water.point[0]), float(water.point[1]))
 
 
 def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
-    """What a survey says of the unknowns.
+    """Prior knowledge of the unknowns, by a survey.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def without_shift(known: Known, shared_std: np.ndarray, strength: np.ndarray) ->
 
 
 def _shift_std(survey: Survey) -> np.ndarray:
-    """Of the shift of an earlier survey (3,) [m]; empty without one."""
+    """Std of the shift of an earlier survey (3,) [m]; empty without one."""
     ground = survey.observations.ground
     if ground is None:
         return np.zeros(0)
@@ -218,7 +218,7 @@ def _rate_std(survey: Survey) -> float | None:
 
 
 def _departure(survey: Survey) -> Callable[[np.ndarray], np.ndarray] | None:
-    """By how much the water stands over its plane where the photographs look; None where nothing is said of it."""
+    """Departure of the water from its plane where the photographs look; None where nothing is said of it."""
     departure = survey.observations.departure
     if survey.water is None or departure is None:
         return None

@@ -75,7 +75,7 @@ def distort(xy: np.ndarray, coefficients: np.ndarray) -> tuple[np.ndarray, np.nd
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the parameters of a block of photographs lie in the vector.
+    """Layout of the parameters of a block of photographs in the vector.
 
     Attributes
     ----------
@@ -186,7 +186,7 @@ class State:
         return np.array([self.water.point[2], self.water.slope_x, self.water.slope_y, self.water.n_water])
 
     def tides(self, layout: Layout) -> np.ndarray | None:
-        """Of the cameras (V,) [m]; None where one level holds for all."""
+        """Tides at the cameras (V,) [m]; None where one level holds for all."""
         if layout.hours is None:
             return layout.tides
         return self.rate * layout.hours + (0.0 if layout.tides is None else layout.tides)

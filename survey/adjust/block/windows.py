@@ -48,7 +48,7 @@ Area = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Density:
-    """How many windows are taken of a photograph.
+    """Density of windows in a photograph.
 
     Attributes
     ----------
@@ -134,7 +134,7 @@ def _share_of_sweep(block: Block, chosen: list[int], bound: tuple[float, float])
 
 
 def _found_in(block: Block, windows: list[_Windows], other: int) -> list[tuple[int, np.ndarray, np.ndarray]]:
-    """What is found in a photograph: numbers of windows, which of each match (K,), and where (K, 2) [px]."""
+    """Matches in a photograph: numbers of windows (K,), and their positions (K, 2) [px]."""
     camera, water = block.cameras[other], block.water
     asking = [i for i, w in enumerate(windows) if other in w.others]
     if not asking:
@@ -199,7 +199,7 @@ def _templates(image: np.ndarray, corners: np.ndarray):
 
 
 def _warp(camera, there, corners, height, water: FlatWater | None) -> np.ndarray:
-    """Where the samples of windows lie in another view, beside their middle, on a level bed: (K, 2, S*S) [px].
+    """Offsets of the samples of windows in another view from their middle, on a level bed: (K, 2, S*S) [px].
 
     Exact at nine nodes and a parabola between them: over a window the perspective bends by hundredths of a pixel,
     always to the same side, and its next term is a hundred times smaller.

@@ -58,7 +58,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class ControlResidual:
-    """How an adjusted block fits a control point.
+    """Residual of an adjusted block at a control point.
 
     Attributes
     ----------
@@ -155,7 +155,7 @@ class Residuals:
 
 @dataclass(frozen=True)
 class FitStatistics:
-    """How well the observations fit.
+    """Statistics of the fit of the observations.
 
     Attributes
     ----------

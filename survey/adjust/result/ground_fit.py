@@ -68,7 +68,7 @@ class GroundFit:
 
     @classmethod
     def of_record(cls, record: Mapping[str, Any] | None) -> GroundFit | None:
-        """What was stored of it."""
+        """The fit of a stored record."""
         if record is None:
             return None
         values: dict[str, Any] = {name: tuple(v) if isinstance(v, list | tuple) else v for name, v in record.items()}
@@ -76,7 +76,7 @@ class GroundFit:
 
     @property
     def is_told(self) -> tuple[bool, ...]:
-        """Which parts of the transformation the ground tells."""
+        """Parts of the transformation that the ground determines."""
         without = (math.inf,) * len(self.std) if self.std_without is None else self.std_without
         return tuple(std <= _TOLD * before for std, before in zip(self.std, without, strict=True))
 
@@ -106,7 +106,7 @@ class GroundFit:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Where much of the ground changed, or it contradicts what positions state."""
+        """Warnings about ground that changed, or contradicts the positions."""
         said = []
         for value, std, prior, axis in zip(self.off_m, self.off_std_m, self.off_prior_m, _AXES, strict=True):
             if abs(value) > _MOST_OFF * prior:

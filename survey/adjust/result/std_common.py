@@ -83,7 +83,7 @@ class CommonError:
 
 
 def common_error(found: Adjustment, water: FlatWater | None) -> CommonError | None:
-    """How well the heights over an adjusted block are known, but for errors of single points; None without points.
+    """Std of the mean height over an adjusted block, but for errors of single points; None without points.
 
     Parameters
     ----------
@@ -268,7 +268,7 @@ def places_of(xyz: np.ndarray, among: np.ndarray | None = None) -> np.ndarray:
 
 
 def _first_of_squares(found: np.ndarray) -> np.ndarray:
-    """Of each square the nearest, by columns of index, square and distance."""
+    """The nearest of each square, by columns of index, square and distance."""
     order = np.lexsort((found[0], found[2]))
     _, first = np.unique(found[1, order], return_index=True)
     return found[:, order[first]]
@@ -295,7 +295,7 @@ def _some(views: np.ndarray) -> np.ndarray:
 
 
 def _variance(survey: Survey, found: Adjustment | None, ties: TiePoints, gsd: float) -> np.ndarray:
-    """Of the height of each place (K,) [m^2]."""
+    """Variance of the height of each place (K,) [m^2]."""
     if found is not None:
         moves = height_moves(found, survey.water, ties)
         return np.einsum("ki,ij,kj->k", moves, found.covariance.matrix, moves)

@@ -94,7 +94,7 @@ def _cut(surface, path_slope, camera, point, middle, radius):
 
 
 def _judge(surface, path_slope, camera, point, middle, half):
-    """Krawczyk test of boxes: which are empty, which hold one root, and their part, about the middle, that may hold roots."""
+    """Krawczyk test of boxes: which are empty, which hold one root, and their part that may hold roots."""
     (mid_x, mid_y), (half_x, half_y) = middle, half
     wide_x, wide_y = _OVERLAP * half_x, _OVERLAP * half_y
     # The corners are rounded: by far less than the overlap.

@@ -100,7 +100,7 @@ class LevelFit:
 
     @staticmethod
     def of(points: np.ndarray, depth: np.ndarray) -> LevelFit | None:
-        """Level at points (N, 3), in crs with heights in metres, by their depths (N,) [m]; None where none has a depth."""
+        """Paraboloid of the level by points (N, 3), heights in metres, and depths (N,) [m]; None without depths."""
         known = np.flatnonzero(np.isfinite(depth))
         if not len(known):
             return None

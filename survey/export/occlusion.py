@@ -106,7 +106,7 @@ def common_exposure(
 
 
 def exposure_gains(shown: np.ndarray) -> np.ndarray:
-    """Exposure gains (V, 3) in the logarithms of colours (V, K, 3) of photographs, NaN where one does not show a cell."""
+    """Exposure gains (V, 3) in the logarithms of colours (V, K, 3), NaN where a photograph does not show a cell."""
     gain = np.zeros((len(shown), 3))
     shown = shown[:, np.isfinite(shown[..., 0]).sum(axis=0) >= 2]
     if not shown.shape[1]:

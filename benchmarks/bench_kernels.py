@@ -25,7 +25,7 @@ import numpy as np
 from array_libraries import seconds as best_seconds
 from kernel_limits import Limits, measure_limits, shares
 
-from fields.sweep import ranging
+from fields.sweep import height_range
 from fields.sweep.block import Block, Overlap
 from fields.sweep.kernels import drjit_kernels
 from fields.sweep.kernels.arrays import floats
@@ -82,7 +82,7 @@ def stage_table(block: Block, chosen: list[int], bound: tuple[float, float], hei
     work = [view_passes(block, chosen, p, bound if k == 0 else None) for k, p in enumerate(PASSES)]
     samples = sum(each.samples for of_pass in work for each in of_pass)
     for name, run, number in (
-        ("range of heights", partial(ranging.find_range, block, heights), None),
+        ("range of heights", partial(height_range.find_range, block, heights), None),
         ("sweep", partial(sweep, block, chosen, Search(bound), lambda done: None), samples),
     ):
         spent: Counter = Counter()
@@ -143,7 +143,7 @@ def main() -> None:
     options = parser.parse_args()
     job = Job(load_survey(options.survey), Choices(quality=options.quality, device="cpu"), current())
     heights, block = limits(job.survey), job.block
-    bound = ranging.find_range(block, heights)
+    bound = height_range.find_range(block, heights)
     block.judge_overlap_at(0.5 * (bound[0] + bound[1]))
     chosen = block.cover(*RECIPES[options.quality].times_seen, local_area(job.survey))
     sys.stdout.write(stage_table(block, chosen, bound, heights) + "\n\n")

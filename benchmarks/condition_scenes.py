@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from refract import FlatWater, WavyWater
 from survey.simulate.drawn import DrawnScene, stage_drawing
-from survey.simulate.ground.ground import Ground, Look, shade_of_normals
+from survey.simulate.ground.ground import Ground, Material, shade_of_normals
 from survey.simulate.ground.paint import TILE, periodic
 from survey.simulate.ground.shapes import Solid
 from survey.simulate.ground.skin import ImageSkin
@@ -242,8 +242,8 @@ def reeds(scene: StagedScene, number: float) -> StagedScene:
         solids = [Solid.around(_stalk(foot, high, way)) for foot, high, way in zip(feet, tall, sway, strict=True)] + [
             _leaves(place + 0.04 * wind.standard_normal(3)) for place in boughs
         ]
-        looks = [Look(skin, shade_of_normals(solid.normals, light)) for solid in solids]
-        ground = Ground(bed, tuple(solids), (plain.renderer.ground.looks[0], *looks))
+        materials = [Material(skin, shade_of_normals(solid.normals, light)) for solid in solids]
+        ground = Ground(bed, tuple(solids), (plain.renderer.ground.looks[0], *materials))
         return replace(plain, renderer=replace(plain.renderer, ground=ground))
 
     return changing(scene, at)

@@ -20,7 +20,7 @@ from geo.frames import LocalFrame
 from refract import FlatWater, PinholeCamera, WavyWater
 from refract.fresnel import fresnel_coefficients
 from refract.lens import Lens, normalised
-from survey.simulate.ground.ground import BED, Ground, Look, seen_area, shade_of_map
+from survey.simulate.ground.ground import BED, Ground, Material, seen_area, shade_of_map
 from survey.simulate.ground.paint import in_texels, light_of_bed, noise, sand
 from survey.simulate.ground.shapes import BedGrid
 from survey.simulate.ground.skin import skin_from_above
@@ -223,7 +223,7 @@ def _ground(settings: FieldSettings, cameras: tuple[PinholeCamera, ...]) -> Grou
     strength = settings.contrast * (1.0 - (1.0 - settings.bare_contrast) * in_texels(bare, _CELL_M, texel))
     painted = np.maximum(mean + strength[..., None] * (painted - mean), 0.02).astype(np.float32)
     lit = light_of_bed(bed, (), Light())
-    look = Look(skin_from_above(painted, west, south, texel), shade_of_map(bed, lit))
+    look = Material(skin_from_above(painted, west, south, texel), shade_of_map(bed, lit))
     return Ground(bed, (), (look,))
 
 

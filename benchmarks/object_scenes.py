@@ -17,7 +17,7 @@ from geo import read_reference
 from refract import FlatWater, PinholeCamera
 from survey.folder.survey import load_image, load_survey
 from survey.simulate.ground.bed import plane
-from survey.simulate.ground.ground import NOTHING, Ground, Look
+from survey.simulate.ground.ground import NOTHING, Ground, Material
 from survey.simulate.ground.objects import place_object, skin_of_bed
 from survey.simulate.ground.triangles import TriangleMesh
 from survey.simulate.light import Light
@@ -148,7 +148,7 @@ def _orbit(
     # In air the sand ends with the box, before black; under water it goes on, and what lies beyond the box is masked.
     (x0, y0), (x1, y1) = ((-reach, -reach), (reach, reach)) if water else (box.low[:2], box.high[:2])
     corners = np.array([[x0, y0, 0.0], [x1, y0, 0.0], [x1, y1, 0.0], [x0, y1, 0.0]])
-    sand = Look(
+    sand = Material(
         skin_of_bed(TextureSettings(texel_m=GRAIN_M), Path(), bed, None, area, 1),
         lambda points, face: np.ones(len(points)),
     )

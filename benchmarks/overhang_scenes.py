@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from survey.simulate.drawn import DrawnScene, stage_drawing
-from survey.simulate.ground.ground import Ground, Look, shade_beside_bed, shade_of_map
+from survey.simulate.ground.ground import Ground, Material, shade_beside_bed, shade_of_map
 from survey.simulate.ground.paint import ROCK, light_of_bed, periodic
 from survey.simulate.ground.shapes import BedGrid, Solid, rotation
 from survey.simulate.ground.skin import ImageSkin
@@ -64,9 +64,9 @@ class OverhangSurvey:
         rng = np.random.default_rng([self.seed, 52])
         bodies = (pier if self.kind == "pier" else boulders)(rng, bed, scene.size_m)
         solids, light = tuple(solid for solid, _ in bodies), Light()
-        looks = [Look(look.skin, shade_of_map(bed, light_of_bed(bed, solids, light)))]
+        looks = [Material(look.skin, shade_of_map(bed, light_of_bed(bed, solids, light)))]
         texel = 0.5 * scene.flying_m / scene.focal_px
-        looks += [Look(_speckled(rng, s, colour, texel), shade_beside_bed(s, bed, light)) for s, colour in bodies]
+        looks += [Material(_speckled(rng, s, colour, texel), shade_beside_bed(s, bed, light)) for s, colour in bodies]
         return replace(staged, renderer=replace(staged.renderer, ground=Ground(bed, solids, tuple(looks))))
 
 

@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 
 from refract import FlatWater, PinholeCamera, WavyWater
 from survey.simulate.drawn import DrawnScene
-from survey.simulate.ground.ground import Ground, Look, shade_of_map
+from survey.simulate.ground.ground import Ground, Material, shade_of_map
 from survey.simulate.ground.paint import TILE, light_of_bed, periodic, sand
 from survey.simulate.ground.shapes import BedGrid
 from survey.simulate.ground.skin import ImageSkin
@@ -173,5 +173,5 @@ def _smooth(scene: StagedScene, skin: ImageSkin) -> StagedScene:
     bed = scene.renderer.ground.bed
     assert isinstance(bed, BedGrid)
     bed = BedGrid(gaussian_filter(bed.heights, _SMOOTH_M / bed.cell), bed.west, bed.south, bed.cell)
-    look = Look(skin, shade_of_map(bed, light_of_bed(bed, (), Light())))
+    look = Material(skin, shade_of_map(bed, light_of_bed(bed, (), Light())))
     return replace(scene, renderer=replace(scene.renderer, ground=Ground(bed, (), (look,))))

@@ -37,13 +37,13 @@ def departure():
     return Departure(np.column_stack([xy, over]), np.full(len(xy), 0.002))
 
 
-def intersected(views, points, tide=0.0):
-    """Where rays bent at the plane meet of the pixels that show points (N, 3) through the true surface."""
+def intersected(views, points, true=TRUE, plane=PLANE):
+    """Where rays bent at a plane meet of the pixels that show points (N, 3) through the true surface."""
     normal, right = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
     for camera in views:
-        pixels = camera.project(points, TRUE)
+        pixels = camera.project(points, true)
         seen = camera.sees(pixels)
-        path = camera.paths(pixels[seen], PLANE)
+        path = camera.paths(pixels[seen], plane)
         along, through = (
             np.where(path.wet[:, None], wet, dry)
             for wet, dry in ((path.water_direction, path.air_direction), (path.crossing, path.origin))

@@ -33,6 +33,7 @@ from survey.photos.cameras import View, metres_per_px
 from survey.photos.images import load_image, load_mask
 from survey.photos.tie_points import TiePoints
 from survey.settings.config import SurveyConfig, WaterConfig
+from survey.water.curvature import still_water
 from survey.water.level import with_level_of_clicks, with_plane_of_surface
 from survey.water.level_observation import LevelObservation
 from survey.water.position_check import doubts_of_water_places
@@ -234,6 +235,8 @@ def load_survey(
     seen = np.array([view.camera.centre for view in views])
     seen = seen if placed.points is None else np.concatenate([seen, placed.points])
     departure = Departure.of(levels, frame, water)
+    if departure is None and water is not None:
+        departure = still_water(frame, water, seen)
     above_water = None if water is None else partial(height_above, water, departure)
     ground, said = read_ground(found.folder, config, frame, seen, above_water, is_level_known=is_level_known)
     assumptions += said.assumptions

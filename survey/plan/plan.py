@@ -18,6 +18,8 @@ from survey.plan.heights import in_words
 from survey.plan.poses import pose_choice
 from survey.plan.recipe import AIMED, RECIPES, Recipe, image_decision, image_scale
 from survey.plan.skipped import FULL, Decision, finer_passes, first_heights, lens_terms, pixels, refraction
+from survey.water.curvature import SOURCE as EARTH
+from survey.water.surface import Departure
 from survey.water.tides import MOST_SHIFT_PX
 
 
@@ -193,15 +195,25 @@ def device_decision(device: str) -> Decision:
 
 
 def _level(survey: Survey) -> tuple[Decision, ...]:
+    """Decisions on levels by photograph and by place; none for one plane at a constant level."""
+    departure = survey.observations.departure
+    return (*_tide(survey), *(() if departure is None else (_by_place(survey, departure),)))
+
+
+def _by_place(survey: Survey, departure: Departure) -> Decision:
+    """Decision to follow water that is no plane."""
+    under = np.array([view.camera.centre[:2] for view in survey.views])
+    away = length(float(np.abs(departure.at(under)[0]).max()))
+    moved = "points of the bed are moved to it"
+    if departure.source == EARTH:
+        return Decision(EARTH, "followed", f"still water lies up to {away} below the plane that touches it; {moved}")
+    said = f"{departure.source} lies up to {away} beside one plane under the cameras"
+    return Decision("level", "by place", f"{said}; {moved}")
+
+
+def _tide(survey: Survey) -> tuple[Decision, ...]:
     """Decision whether each photograph has its own level; none for a level that is constant."""
-    tide, departure = survey.observations.tide, survey.observations.departure
-    if departure is not None:
-        under = np.array([view.camera.centre[:2] for view in survey.views])
-        away = length(float(np.abs(departure.at(under)[0]).max()))
-        said = (
-            f"[water] surface lies up to {away} beside one plane under the cameras; points of the bed are moved to it"
-        )
-        return (Decision("level", "by place", said),)
+    tide = survey.observations.tide
     if tide is None:
         return ()
     water = survey.config.water

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
@@ -53,8 +54,11 @@ class Departure:
         Local x and y, and the height over the plane.
     stds : (N,) [m]
         Of these heights, without what all share.
+    source : str
+        What departs from the plane, in words.
     """
 
+    source: ClassVar[str] = "[water] surface"
     points: np.ndarray
     stds: np.ndarray
     _tree: KDTree = field(init=False, repr=False)
@@ -107,7 +111,7 @@ class Departure:
         """The same water over another plane than that which heights count from."""
         points = self.points.copy()
         points[:, 2] += plane.height(*points[:, :2].T) - other.height(*points[:, :2].T)
-        return Departure(points, self.stds)
+        return type(self)(points, self.stds)
 
     def surface(self, area: Area, plane: FlatWater) -> BicubicWater:
         """The water over a rectangle (x0, y0, x1, y1), with the plane that heights count from."""

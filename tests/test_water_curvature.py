@@ -1,0 +1,75 @@
+"""Still water over a large survey: heights below the plane that touches it, and the bed under it, against a sphere."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_run_curved_water import bed_of, cameras, intersected
+
+from geo.crs import parse_crs
+from geo.frames import LocalFrame
+from refract import FlatWater, SphericalWater, curvature_drop, gaussian_radius
+from survey.run.curved_water import through_surface
+from survey.water.curvature import SOURCE, still_water
+
+N, LATITUDE = 1.333, math.radians(46.9)
+FRAME = LocalFrame(parse_crs("EPSG:25832+5778"), (589012.0, 5194736.0, 2105.0))
+PLANE = FlatWater((0.0, 0.0, 0.0), n_water=N)
+RADIUS = gaussian_radius(LATITUDE) + 2105.0
+
+
+def around(reach, middle=(0.0, 0.0)):
+    corners = reach * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    return np.column_stack([corners + middle, np.full(4, 80.0)])
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.004])
+@pytest.mark.parametrize("reach", [300.0, 1000.0, 3000.0])
+def test_still_water_falls_as_a_sphere_does(rng, reach, slope):
+    plane = replace(PLANE, slope_x=slope, slope_y=-slope)
+    water = still_water(FRAME, plane, around(reach))
+    assert water is not None
+    assert water.source == SOURCE
+    xy = rng.uniform(-reach, reach, (200, 2))
+    over, std = water.at(xy)
+    drop = curvature_drop(np.linalg.norm(xy, axis=1), RADIUS)
+    # The radii of the ellipsoid differ by 0.3 % there.
+    np.testing.assert_allclose(over, -drop, atol=0.003 * drop.max() + 1e-4)
+    assert (std == 0.0).all()
+
+
+def test_water_that_touches_its_plane_elsewhere_falls_from_there(rng):
+    away = np.array([800.0, -500.0])
+    level = FRAME.local_from_crs(FRAME.crs_from_local([[*away, 0.0]]) * [1.0, 1.0, 0.0] + [0.0, 0.0, 2105.0])[0]
+    slope = -away / RADIUS
+    plane = FlatWater(tuple(level.tolist()), n_water=N, slope_x=slope[0], slope_y=slope[1])
+    water = still_water(FRAME, plane, around(1000.0))
+    xy = rng.uniform(-900.0, 900.0, (100, 2))
+    over, _ = water.at(xy)
+    # Whichever plane they count from, heights of the water are the same.
+    np.testing.assert_allclose(
+        over + plane.height(*xy.T), -curvature_drop(np.linalg.norm(xy, axis=1), RADIUS), atol=1e-3
+    )
+
+
+@pytest.mark.parametrize("reach", [20.0, 170.0])
+def test_a_plane_is_as_good_over_a_small_survey(reach):
+    assert still_water(FRAME, PLANE, around(reach)) is None
+
+
+def test_the_bed_a_kilometre_away_lies_where_rays_through_a_sphere_meet(rng):
+    middle = np.array([900.0, 400.0])
+    sphere = SphericalWater((0.0, 0.0, 0.0), RADIUS, n_water=N)
+    drop = float(curvature_drop(np.linalg.norm(middle), RADIUS))
+    moved = np.array([*middle, -drop])
+    views = [replace(each, centre=each.centre + moved) for each in cameras()]
+    points = rng.uniform((-6.0, -2.0, -2.5), (6.0, 2.0, -0.5), (200, 3)) + moved
+    bed = bed_of(intersected(views, points, sphere, PLANE))
+    water = still_water(FRAME, PLANE, around(1000.0))
+    found = through_surface(bed, views, PLANE, water)
+    assert np.abs(bed.xyz[:, 2] - points[:, 2]).max() > 0.02
+    assert np.abs(found.xyz - points).max() < 5e-4
+    np.testing.assert_allclose(found.depth, -drop - found.xyz[:, 2], atol=2e-3)

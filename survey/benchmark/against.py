@@ -141,7 +141,7 @@ def _error(key: tuple[str, ...], now: Errors, then: Errors) -> Change:
 
 
 def _mean(key: tuple[str, ...], now: Errors, then: Errors) -> Change:
-    """How far the mean of the inner 90 % is from zero, over the error then, by pairs of blocks that are drawn anew."""
+    """Bias of the inner 90 % over the earlier error, by a bootstrap over pairs of blocks."""
     difference, drawn = (abs(now.mean_m) - abs(then.mean_m)) / then.error_m, _drawn(now, then)
     if isinstance(drawn, str):
         return Change(key, MEAN, float("nan"), None, UNKNOWN, drawn, difference)

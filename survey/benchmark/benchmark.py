@@ -24,7 +24,7 @@ _CLOUD = "cloud.las"
 
 @dataclass(frozen=True)
 class Settings:
-    """What is measured.
+    """Settings of a benchmark: methods, qualities, poses.
 
     Attributes
     ----------

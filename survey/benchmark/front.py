@@ -76,7 +76,7 @@ def draw_front(path: Path, records: Sequence[Record]) -> None:
 
 
 def legend_of(methods: Sequence[str], cases: Sequence[str]) -> list[tuple[str, str, str, bool]]:
-    """What marks mean: words, marker, colour, and whether it is filled."""
+    """Legend of the marks: words, marker, colour, and whether it is filled."""
     return [
         *((METHODS[name].words, "o", _COLOURS[i % len(_COLOURS)], True) for i, name in enumerate(methods)),
         *((case, _MARKERS[i % len(_MARKERS)], INK, False) for i, case in enumerate(cases)),

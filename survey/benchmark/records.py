@@ -17,7 +17,7 @@ _TABLE = ("version", "machine", "versions", "commit", "records")
 
 @dataclass(frozen=True)
 class Cost:
-    """What a process took, start and imports included.
+    """Cost of a process, start and imports included.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class Cost:
 
 @dataclass(frozen=True)
 class Errors:
-    """How far a cloud is from the true bed, within the bounds of the survey.
+    """Errors of a cloud against the true bed, within the bounds of the survey.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class Record:
 
     @property
     def key(self) -> tuple[str, str, str, str, str]:
-        """By which records of two files are paired."""
+        """Key by which records of two files are paired."""
         return self.case, self.method, self.quality, self.poses, self.device
 
 

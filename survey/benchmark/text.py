@@ -44,7 +44,7 @@ def _row(record: Record, is_front: bool) -> tuple[str, ...]:
 
 
 def comparison(now: Results, then: Results) -> list[str]:
-    """What became better or worse: over all surveys, then of each, then what could not be compared."""
+    """Changes for better or worse: over all surveys, then of each, then what could not be compared."""
     found = changes(now, then)
     lines = lines_of(over_surveys(found)) + lines_of(found)
     for keys, where in zip(unpaired(now, then), ("this", "the earlier"), strict=True):

@@ -20,7 +20,7 @@ FEWEST_CELLS = 30
 
 @dataclass(frozen=True)
 class Alignment:
-    """How the second survey was shifted.
+    """Shift of the second survey.
 
     Attributes
     ----------

@@ -58,7 +58,7 @@ class ChangeOptions:
 
 @dataclass(frozen=True)
 class Change:
-    """What changed between two surveys.
+    """Changes between two surveys.
 
     Attributes
     ----------

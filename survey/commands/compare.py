@@ -22,7 +22,7 @@ _MEASURED = "What is measured"
 
 
 class Sign(StrEnum):
-    """Which side of a triangle counts as positive."""
+    """Side of a triangle that counts as positive."""
 
     up = "up"
     winding = "winding"

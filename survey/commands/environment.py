@@ -14,7 +14,7 @@ PREFIX = "BATHYNERF_PROCESS_"
 
 
 def asked_of_environment(environ: Mapping[str, str] = os.environ) -> ProcessConfig:
-    """What variables like BATHYNERF_PROCESS_QUALITY ask, each named like its key in [process] of survey.toml.
+    """Settings by variables like BATHYNERF_PROCESS_QUALITY, each named like its key in [process] of survey.toml.
 
     Raises
     ------

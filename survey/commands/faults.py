@@ -28,7 +28,7 @@ _NO_ROOM = ("no space left on device", "disk is full")
 
 @dataclass(frozen=True)
 class Fault:
-    """How a command failed.
+    """Failure of a command.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ def fault_of(error: BaseException, place: Path | None = None, *, stopped: str = 
 
 
 def refusal_of(error: OSError, path: Path | str | None) -> str | None:
-    """What the system refuses; see `geo.files.refusal`."""
+    """Refusal by the system; see `geo.files.refusal`."""
     from geo.files import refusal
 
     return refusal(error, path if path is not None else Path(), verb="use")

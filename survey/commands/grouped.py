@@ -62,7 +62,7 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """What a run is asked for, by `check` and by `process`."""
+    """Options of a run, of `check` and of `process`."""
 
     quality: Annotated[
         Quality | None,
@@ -92,7 +92,7 @@ class PlanOptions:
 
 @dataclass(frozen=True)
 class ProcessOptions(PlanOptions):
-    """What `process` is asked for besides."""
+    """Further options of `process`."""
 
     calibrate_water: Annotated[
         bool | None,

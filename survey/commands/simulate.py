@@ -19,7 +19,7 @@ EXAMPLES = """
 
 
 class Mode(StrEnum):
-    """How light is traced."""
+    """Tracing of light."""
 
     direct = "direct"
     physical = "physical"

@@ -49,7 +49,7 @@ class GivenPoint:
 
 @dataclass(frozen=True)
 class GivenMark:
-    """Where a file has a point in a photograph.
+    """Mark of a point in a photograph, as a file has it.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class GivenMark:
 
 @dataclass(frozen=True)
 class Content:
-    """All that a file says; either may be empty."""
+    """Contents of a file: points and marks; either may be empty."""
 
     points: tuple[GivenPoint, ...] = ()
     marks: tuple[GivenMark, ...] = ()

@@ -34,7 +34,7 @@ class ControlPoint:
 
 @dataclass(frozen=True)
 class Mark:
-    """Where a photograph shows a control point.
+    """Mark of a control point in a photograph.
 
     Attributes
     ----------

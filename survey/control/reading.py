@@ -48,7 +48,7 @@ class Gathered:
 
 
 def read_control(path: Path) -> Content:
-    """What a file of control says, whichever format it has.
+    """Contents of a file of control, in any known format.
 
     Raises
     ------

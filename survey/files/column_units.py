@@ -40,7 +40,7 @@ class Units:
 
     @staticmethod
     def of(crs: CRS | None, heights: CRS | None = None) -> Units:
-        """Those of a CRS, with those of another one's heights where it has none; metres where nothing says them."""
+        """Units of a CRS, with those of another one's heights where it has none; metres where nothing says them."""
         heights = crs if heights is None or (crs is not None and has_height(crs)) else heights
         height = height_unit_m(heights) if heights is not None and has_height(heights) else 1.0
         if crs is None:
@@ -61,7 +61,7 @@ class Units:
         return 1.0 if self.height_m is None or target.height_m is None else self.height_m / target.height_m
 
     def plan_fault(self, target: Units) -> str | None:
-        """What is wrong with the unit of eastings and northings, whose CRS has those of the target; None for nothing.
+        """Fault of the unit of eastings and northings, whose CRS has those of the target; None for none.
 
         Examples
         --------
@@ -105,7 +105,7 @@ def common_unit_m(
 
 
 def meaning(cell: str, words: Mapping[str, str]) -> tuple[str, float | None] | None:
-    """What a column means and its unit [m], by its name in lower case; None where the name is none of the words.
+    """Meaning of a column and its unit [m], by its name in lower case; None where the name is none of the words.
 
     Examples
     --------

@@ -21,7 +21,7 @@ _HEAD_BYTES = 2048
 
 @dataclass(frozen=True)
 class ReadFiles:
-    """What a command reads.
+    """Files that a command reads.
 
     Attributes
     ----------

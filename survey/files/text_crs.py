@@ -54,7 +54,7 @@ def crs_of_comment(path: Path, error: type[SurveyError]) -> CRS | None:
 
 
 def _said(line: str) -> str | None:
-    """What a line of a file says of the CRS."""
+    """CRS that a line of a file names."""
     if match := _COMMENT.match(line):
         return match[1]
     if match := _SRID.fullmatch(line):

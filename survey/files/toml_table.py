@@ -58,7 +58,7 @@ def table_of(record: Any) -> dict[str, Any]:
 
 
 def read_toml(path: Path, parse: Callable[[str], Any]) -> Any:
-    """What `parse` makes of the text in a TOML file.
+    """Result of `parse` for the text of a TOML file.
 
     Raises
     ------

@@ -103,7 +103,7 @@ class Run:
         return export(self.folder, options=options or ExportOptions(), **files)
 
     def compare(self, reference: str | Path, options: CompareOptions | None = None) -> Figures:
-        """How far the cloud is from a reference; see `survey.compare.comparison.compare_files`."""
+        """Compare the cloud with a reference; see `survey.compare.comparison.compare_files`."""
         from survey.compare.comparison import compare_files
         from survey.compare.options import CompareOptions
 
@@ -181,7 +181,7 @@ class Run:
         return beds[reference]
 
     def _repr_html_(self) -> str:
-        """For notebooks: the verdict in numbers, and a picture of the report."""
+        """HTML for notebooks: the verdict in numbers, and a picture of the report."""
         report = self.report
         gates = [gate["sentence"] for gate in report.get("verdict", {}).get("gates", ())]
         rows = [

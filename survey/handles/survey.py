@@ -41,14 +41,14 @@ class Survey:
 
     @property
     def name(self) -> str:
-        """That of survey.toml, else that of the folder."""
+        """Name by survey.toml, else that of the folder."""
         return self.found.config.name or self.folder.resolve().name
 
     def __repr__(self) -> str:
         return f"Survey({str(self.folder)!r})"
 
     def check(self, **choices: Any) -> list[Section]:
-        """What was found, what is assumed and what `process` would do; keywords are those of `Choices`."""
+        """Check the survey: findings, assumptions, and the plan of `process`; keywords are those of `Choices`."""
         return check_survey(self.folder, chosen=Choices(**choices))
 
     def load(self) -> folder_survey.Survey:
@@ -84,7 +84,7 @@ class Survey:
         return self.folder / RUN_FOLDER if run is None else Path(run)
 
     def _repr_html_(self) -> str:
-        """For notebooks: what the folder holds."""
+        """HTML for notebooks: contents of the folder."""
         poses = self.found.poses_path
         rows = [
             ("survey", self.name),

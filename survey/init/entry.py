@@ -16,7 +16,7 @@ Ask = Callable[[str], str]
 
 @dataclass(frozen=True)
 class Answers:
-    """What the command line says.
+    """Answers on the command line.
 
     Attributes
     ----------

@@ -221,7 +221,7 @@ class Book:
         return self._cache[path].content  # type: ignore[return-value]
 
     def _contents(self) -> list[Content]:
-        """What the other files of control and check points say, and the one of --points."""
+        """Contents of the other files of control and check points, and of that of --points."""
         folder, control = self._found.folder, self._config.control
         paths = [folder / name for name in control.gcp_files if folder / name != self.control_path]
         paths += [] if self._points_path is None else [self._points_path]

@@ -37,7 +37,7 @@ def seen_at(view: View, place: np.ndarray, water: FlatWater | None) -> tuple[flo
 
 
 def epipolar_curve(source: View, pixel: tuple[float, float], target: View, water: FlatWater | None) -> Curve:
-    """Where a photograph shows the places along the ray of a pixel in another one.
+    """Epipolar curve: the places along the ray of a pixel, as another photograph shows them.
 
     The ray is bent at the water and each place is projected back up through it, so that the part below the water is a
     curve. Samples are spaced evenly in the inverse of the distance above the water, evenly in length below it.
@@ -65,7 +65,7 @@ def epipolar_curve(source: View, pixel: tuple[float, float], target: View, water
 
 
 def crossing(view: View, pixel: tuple[float, float], water: FlatWater) -> np.ndarray | None:
-    """Where the ray of a pixel meets the water (3,), local; None where it never does."""
+    """Crossing of the ray of a pixel with the water (3,), local; None where it never meets it."""
     place = np.asarray(view.camera.paths(np.array(pixel), water).crossing)
     return place if np.isfinite(place).all() else None
 
@@ -90,7 +90,7 @@ def by_gain(
 
 
 def _information(view: View, place: np.ndarray, water: FlatWater | None, std_px: float) -> np.ndarray:
-    """What a mark in a photograph tells of a place (3, 3) [1/m^2]."""
+    """Information of a mark in a photograph about a place (3, 3) [1/m^2]."""
     _, slope = projection_and_slope(view.camera, place, water)
     # A place on the other side of a camera is told nothing of.
     return slope.T @ slope / std_px**2 if np.isfinite(slope).all() else np.zeros((3, 3))

@@ -84,7 +84,7 @@ class Session:
         }
 
     def look(self, key: Key, image: str) -> dict:
-        """What a photograph shows of a point: its mark, the predicted place, epipolar curves; photographs to go on in.
+        """A point in a photograph: its mark, the predicted place, epipolar curves; photographs to go on in.
 
         Raises
         ------
@@ -201,7 +201,7 @@ class Session:
         return None if self._posed is None or key.kind == WATER else self._posed.water
 
     def _depth(self, place: np.ndarray) -> float | None:
-        """Of a place below the water [m]; None above it."""
+        """Depth of a place below the water [m]; None above it."""
         if self._posed is None or self._posed.water is None:
             return None
         depth = float(self._posed.water.depth(place))
@@ -215,7 +215,7 @@ class Session:
         return local if np.isfinite(local).all() else None
 
     def _meet(self, key: Key, own: Mapping[str, Pixel]) -> Intersection | None:
-        """Where the marks of a point meet; None without two photographs that tell it."""
+        """Intersection of the marks of a point; None without two photographs that determine it."""
         names = [name for name in own if name in self._views]
         if len(names) < 2:
             return None
@@ -230,7 +230,7 @@ class Session:
     def _place(
         self, key: Key, point: GivenPoint | None, own: Mapping[str, Pixel], common: np.ndarray
     ) -> np.ndarray | None:
-        """Where a point is looked for (3,), local: where its marks meet, else by its coordinates, else on the water.
+        """Predicted place of a point (3,), local: where its marks meet, else by its coordinates, else on the water.
 
         Coordinates are moved by what the marked points have in common: positions by GPS put a block metres aside.
         """

@@ -49,7 +49,7 @@ _END_OF_A_ROW = 0.05
 
 
 def fault_of(path: Path) -> str | None:
-    """What an image file has lost within, in words: sectors that became zeros, parts of another file; None for nothing.
+    """Damage within an image file, in words: sectors that became zeros, parts of another file; None for none.
 
     Where a file is cut off, `is_complete` tells it too.
 
@@ -73,7 +73,7 @@ def fault_of(path: Path) -> str | None:
 
 
 def _damage_of_png(file: BinaryIO) -> str | None:
-    """By the checksums of the chunks that pixels come from, and by how many pixels these hold."""
+    """Damage by the checksums of the chunks that pixels come from, and by the number of pixels in them."""
     header, stream, num_bytes = b"", zlib.decompressobj(), 0
     while len(head := file.read(8)) == 8 and head[4:] != b"IEND":
         length = int.from_bytes(head[:4], "big")
@@ -95,7 +95,7 @@ def _damage_of_png(file: BinaryIO) -> str | None:
 
 
 def _bytes_of_png(header: bytes) -> int:
-    """How many bytes the pixels of a PNG have with a filter for each row; those of the first pass if interlaced."""
+    """Bytes of the pixels of a PNG with a filter for each row; those of the first pass if interlaced."""
     if len(header) < 13:
         return 0
     width, height = (int.from_bytes(header[i : i + 4], "big") for i in (0, 4))
@@ -105,7 +105,7 @@ def _bytes_of_png(header: bytes) -> int:
 
 
 def _damage_of_webp(path: Path, file: BinaryIO) -> str | None:
-    """By sectors of zeros in its compressed pixels, which are not equal over as many; in metadata they tell nothing."""
+    """Damage by sectors of zeros in compressed pixels that are not equal over as many; in metadata they tell nothing."""
     file.seek(12)
     while len(head := file.read(8)) == 8:
         length = int.from_bytes(head[4:], "little")
@@ -139,7 +139,7 @@ def _longest_zeros(data: bytes) -> int:
 
 
 def _damage_of_tiff(image: Image.Image, file: BinaryIO) -> str | None:
-    """By zeros in compressed strips or tiles, which no compression writes so many of, and by deflate's checksum."""
+    """Damage by zeros in compressed strips or tiles, more than any compression writes, and by deflate's checksum."""
     tags = getattr(image, "tag_v2", {})
     compression = tags.get(_TIFF_COMPRESSION, 1)
     if compression == 1:
@@ -217,7 +217,7 @@ def _tiff_is_complete(image: Image.Image, size: int) -> bool:
 
 
 def _boxes_end(file: BinaryIO, size: int) -> int:
-    """Where the last of the boxes ends that a HEIC file consists of: at the end of a complete one."""
+    """End of the last of the boxes of a HEIC file: the end of a complete one."""
     at = 0
     while at + 8 <= size:
         file.seek(at)

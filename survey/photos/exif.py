@@ -48,7 +48,7 @@ _LONGEST_EXIF = 4_000_000
 
 @dataclass(frozen=True)
 class TablePlace:
-    """Where a table beside the photographs says that one was taken.
+    """Position of a photograph by a table beside the photographs.
 
     Attributes
     ----------
@@ -216,7 +216,7 @@ def _text_of_xmp(value: Any) -> str:
 
 
 def _taken(gps: dict, details: dict, changed: Any) -> datetime | None:
-    """When a photograph was taken, in UTC: by the GPS clock, else by the camera's with its offset.
+    """Time of a photograph in UTC: by the GPS clock, else by the camera's with its offset.
 
     ``changed`` is EXIF's DateTime.
     """
@@ -235,7 +235,7 @@ def _taken(gps: dict, details: dict, changed: Any) -> datetime | None:
 
 
 def _offsets(details: dict, local: str, changed: Any) -> list[str]:
-    """What EXIF says of the offset of the camera's clock from UTC, as "+02:00"; the standard's own tag comes first.
+    """Offsets of the camera's clock from UTC in EXIF, as "+02:00"; the standard's own tag comes first.
 
     The offsets of DateTimeDigitized and DateTime are that of the exposure where these are the time of the exposure:
     a program that changed the file writes its own.
@@ -269,7 +269,7 @@ def _exposure(details: dict) -> float | None:
 
 
 def position_sources(heads: Mapping[str, Exif]) -> str:
-    """Where GPS positions of photographs are written, in words: EXIF, a table, or both."""
+    """Sources of the GPS positions of photographs, in words: EXIF, a table, or both."""
     places = [head for head in heads.values() if head.lat_lon_height is not None]
     sources = {"EXIF" if head.table_place is None else head.table_place.source for head in places}
     return " and ".join(sorted(sources)) or "EXIF"

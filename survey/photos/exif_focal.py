@@ -113,7 +113,7 @@ def _by_focal_plane(size: tuple[int, int], details: Mapping[int, Any], focal_mm:
 
 
 def _reduction(size: tuple[int, int], details: Mapping[int, Any]) -> float:
-    """How many pixels of the image that the camera made go into one of the stored image, along its longer side."""
+    """Pixels of the image that the camera made per pixel of the stored image, along its longer side."""
     made = [number(details.get(tag)) for tag in (ExifTags.Base.ExifImageWidth, ExifTags.Base.ExifImageHeight)]
     longer = max((side for side in made if side > 0.0), default=math.nan)
     return longer / max(size) if math.isfinite(longer) else 1.0

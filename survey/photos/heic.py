@@ -59,7 +59,7 @@ def _pictures(data: bytes, at: int, end: int) -> set[int]:
 
 
 def _extents(data: bytes, at: int, items: set[int]) -> Iterator[tuple[int, int]]:
-    """Where the parts of items begin and end in the file."""
+    """Extents of the items in the file."""
     version, sizes = data[at], (data[at + 4] >> 4, data[at + 4] & 15, data[at + 5] >> 4, data[at + 5] & 15)
     of_offset, of_length, of_base, of_index = sizes
     wide = 2 if version < _WITH_TYPES else 4

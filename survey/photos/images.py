@@ -146,7 +146,7 @@ def grey_levels(pixels: np.ndarray) -> np.ndarray:
 
 
 def load_mask(view: View, *, scale: float = 1.0) -> np.ndarray | None:
-    """Where the photograph may be used, (height, width) bool; None where everywhere.
+    """Mask of the usable pixels of a photograph, (height, width) bool; None where all are.
 
     Black of the mask of the view is left out, and so is what is transparent in the photograph itself.
     """
@@ -163,7 +163,7 @@ def load_mask(view: View, *, scale: float = 1.0) -> np.ndarray | None:
 
 
 def read_mask(path: Path) -> np.ndarray:
-    """Where a mask lets its photograph be used, (height, width) bool: everywhere but where it is black.
+    """Usable pixels by a mask, (height, width) bool: all that are not black.
 
     JPEG has grey levels about the edges of black and white, so that the darker half counts as black there.
 

@@ -39,7 +39,7 @@ class Intersection:
 def intersect(
     cameras: Sequence[PinholeCamera], pixels: np.ndarray, stds_px: np.ndarray, water: FlatWater | None
 ) -> Intersection | None:
-    """Where the rays of marks meet; None where they do not, or are nearly parallel.
+    """Intersection of the rays of marks; None where they do not meet, or are nearly parallel.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def projection_and_slope(
 def _misses(
     cameras: Sequence[PinholeCamera], pixels: np.ndarray, place: np.ndarray, water: FlatWater | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """By how much a place is seen beside its marks (2 N,) [px], and the derivative (2 N, 3)."""
+    """Residuals of a place at its marks (2 N,) [px], and their derivatives (2 N, 3)."""
     seen = [projection_and_slope(camera, place, water) for camera in cameras]
     miss = np.concatenate([at - pixel for (at, _), pixel in zip(seen, pixels, strict=True)])
     return miss, np.concatenate([slope for _, slope in seen])

@@ -47,7 +47,7 @@ _SEAM_SAID = "from one row of blocks on it shows another place, as where parts o
 
 @dataclass
 class _Layout:
-    """Where a JPEG has its parts.
+    """Layout of a JPEG.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class _Layout:
 
 
 def jpeg_fault(data: bytes) -> str | None:
-    """What the compressed pixels of a JPEG lack or have too much of, in words; None where they are whole.
+    """Fault of the compressed pixels of a JPEG, missing or surplus, in words; None where they are whole.
 
     Nothing is said of a JPEG whose structure is another one: of lossless and arithmetic ones.
     """
@@ -126,7 +126,7 @@ def _layout(data: bytes, pixels: np.ndarray) -> _Layout | None:
 
 
 def _scan_ends(pixels: np.ndarray) -> np.ndarray:
-    """Where a marker stands that ends a scan, with the fill bytes before it."""
+    """Position of a marker that ends a scan, with the fill bytes before it."""
     first = np.flatnonzero(pixels[:-1] == 0xFF)
     second = pixels[first + 1]
     is_end = (second != 0) & (second != 0xFF) & ~np.isin(second, _RESTARTS)

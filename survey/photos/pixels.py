@@ -84,7 +84,7 @@ def read_grey(path: Path) -> np.ndarray:
 
 
 def read_opaque(path: Path) -> np.ndarray | None:
-    """Where the transparency that an image may have lets it be seen, (height, width) bool; None where it has none.
+    """Opaque pixels of an image with transparency, (height, width) bool; None where it has none.
 
     A band beyond the colours that is a picture, as near infrared is, is no transparency, whatever the file calls it.
 

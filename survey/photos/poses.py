@@ -32,7 +32,7 @@ class SecondPose(PosesError):
 
 
 class PoseFrame(Enum):
-    """What the positions and rotations of a poses file count from.
+    """Frame of the positions and rotations of a poses file.
 
     | frame | positions | rotations, from |
     |---|---|---|
@@ -50,7 +50,7 @@ class PoseFrame(Enum):
 
 @dataclass(frozen=True, eq=False)
 class GivenPosition:
-    """Where a file says that a camera was before any adjustment, by GPS.
+    """Position of a camera before any adjustment, by GPS, as a file has it.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class PoseFile:
-    """What a poses file holds.
+    """Contents of a poses file.
 
     Attributes
     ----------

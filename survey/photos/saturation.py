@@ -14,7 +14,7 @@ _RIM_PX = 1
 
 
 def saturated(grey: np.ndarray) -> np.ndarray:
-    """Which pixels of an image (height, width) of 0 to 255 are white, or beside white, (height, width) bool."""
+    """Saturated pixels of an image (height, width) of 0 to 255, and those beside them, (height, width) bool."""
     white = (grey >= _WHITE).astype(np.uint8)
     side = 2 * _RIM_PX + 1
     return cv2.dilate(white, np.ones((side, side), np.uint8)).astype(bool) if white.any() else white.astype(bool)

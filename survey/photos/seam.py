@@ -43,7 +43,7 @@ def _most(found: tuple[np.ndarray, np.ndarray]) -> float:
 
 
 def _scores(grey: np.ndarray, step: int, shift: int) -> tuple[np.ndarray, np.ndarray] | None:
-    """How much larger differences are across a seam than beside it, and whether both its sides have that; (R, N).
+    """Ratio of differences across a seam to those beside it, and whether both its sides have it; (R, N).
 
     By its row and the part of the width it begins in; left of this part it lies in the next row of blocks. None for
     pictures that are too small.

@@ -33,7 +33,7 @@ _PLAIN_STD, _BLACK = 2.0, 16.0
 
 @dataclass(frozen=True)
 class ImageDetail:
-    """What a photograph shows of its sharpness.
+    """Detail in a photograph, for its sharpness.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ def image_detail(path: Path) -> ImageDetail:
 
 
 def bytes_per_pixel(paths: Sequence[Path], sizes: Sequence[tuple[int, int]]) -> np.ndarray:
-    """How many bytes (N,) the files of photographs have for each pixel: few where these show little."""
+    """Bytes per pixel (N,) of the files of photographs: few where these show little."""
     return np.array([path.stat().st_size / (w * h) for path, (w, h) in zip(paths, sizes, strict=True)])
 
 
@@ -87,7 +87,7 @@ def detail_of(grey: np.ndarray) -> np.ndarray:
 
 
 def relative(details: Sequence[np.ndarray]) -> np.ndarray:
-    """How sharp each image (N,) is, of `detail_of`: its worst direction over the median of all images."""
+    """Relative sharpness of images (N,), by `detail_of`: the worst direction over the median of all images."""
     every = np.array(details)
     return (every / np.median(every, axis=0)).min(axis=1)
 

@@ -44,7 +44,7 @@ class MatchedLight:
 
     @property
     def wavelength_nm(self) -> float:
-        """At which water has the index of this mixture of the channels [nm]."""
+        """Wavelength [nm] at which water has the index of this mixture of the channels."""
         return mixed_wavelength(self.shares)
 
     def __str__(self) -> str:
@@ -53,7 +53,7 @@ class MatchedLight:
         return f"light of {self.wavelength_nm:.0f} nm (red {red}, green {green}, blue {blue} {source})"
 
     def index(self, temperature_c: float, salinity_psu: float) -> float:
-        """Of water, relative to air."""
+        """Index of water, relative to air."""
         return mixed_index(self.shares, temperature_c, salinity_psu)
 
 

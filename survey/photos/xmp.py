@@ -114,7 +114,7 @@ def stated_std(xmp: str) -> tuple[float, float, float] | None:
 
 
 def height_datum(xmp: str) -> str | None:
-    """What XMP says that heights count from: "ellipsoidal", a name such as "EGM96", or None where it says nothing.
+    """Vertical datum in XMP: "ellipsoidal", a name such as "EGM96", or None where it has none.
 
     DJI's receivers with corrections give heights above the ellipsoid (AltitudeType RtkAlt).
     """
@@ -127,7 +127,7 @@ def height_datum(xmp: str) -> str | None:
 
 
 def horizontal_datum(xmp: str) -> str:
-    """What XMP says that longitude and latitude are on, e.g. "EPSG:4326"; empty where it says nothing."""
+    """Horizontal datum in XMP, e.g. "EPSG:4326"; empty where it has none."""
     return _text_in(xmp, "CRSInfo", "HORIZCRS") or _text_in(xmp, _PIX4D, "HorizCS") or ""
 
 

@@ -40,7 +40,7 @@ def find_unread(folder: Path) -> list[str]:
 
 
 def read_poses(path: Path) -> PoseFile:
-    """What a poses file, or the folder of a model, holds.
+    """Contents of a poses file, or of the folder of a model.
 
     Raises
     ------

@@ -79,7 +79,7 @@ def _pose(name: str, frame: dict, lens: Lens, applied: np.ndarray, scale: float,
 
 
 def _applied(path: Path, data: dict) -> tuple[np.ndarray, float]:
-    """What the converter applied: saved = scale * (rotation @ original + shift); a matrix (3, 4), and the scale."""
+    """Transform of the converter: saved = scale * (rotation @ original + shift); a matrix (3, 4), and the scale."""
     given = data.get("applied_transform", [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]])
     applied, scale = _matrix(given, 3), finite_number(data.get("applied_scale", 1.0))
     turn = np.zeros((3, 3)) if applied is None else applied[:, :3]
@@ -101,7 +101,7 @@ def _matrix(value, num_rows: int) -> np.ndarray | None:
 
 
 def _with_root(data: dict, frame: dict) -> dict:
-    """What a frame says, else the root of the file; a focal length of the frame leaves no other one of the root."""
+    """Values of a frame, else of the root of the file; a focal length of the frame leaves no other one of the root."""
     own = {key for keys in _FOCALS for key in keys if any(key in frame for key in keys)}
     return {**{key: value for key, value in data.items() if key not in own}, **frame}
 

@@ -116,7 +116,7 @@ def _units(path: Path) -> dict[str, float]:
 
 
 def _columns(names: list[str]) -> dict[str, str] | None:
-    """What the columns of a pose are called in a table that has these; None where they are not all there."""
+    """Names of the columns of a pose in a table; None where they are not all there."""
     found = set(names)
     estimated = all(_ESTIMATED[name] in found for name in _PLACE)
     place = [_ESTIMATED[name] if estimated else name for name in _PLACE]

@@ -180,7 +180,7 @@ class Job:
         return self.block.cover(*self.plan.recipe.times_seen, local_area(self.survey))
 
     def once(self, folder: Path, find: Callable[[], Masks]) -> Masks:
-        """Which pixels become points of the maps in the folder of a sweep: found once for the stages that ask.
+        """Pixels of the maps of a sweep that become points, found once for the stages that ask.
 
         The name of the folder ends in the hash of all that they depend on.
         """

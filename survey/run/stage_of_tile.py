@@ -74,7 +74,7 @@ def find_points(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
 
 
 def gather_points(folders: Sequence[Path], path: Path) -> BedPoints:
-    """What `find_points` found in tiles, gathered in a file, where it stays."""
+    """Points of `find_points` in all tiles, gathered in a file, where they stay."""
     names = [each.name for each in fields(BedPoints)]
 
     def column(name: str) -> Column:
@@ -93,7 +93,7 @@ def learn_figures(
     of_tiles: Mapping[str, list[Path]],
     _needs: Mapping[str, Path],
 ) -> None:
-    """What the solver learns of the survey, from a sample of the pixels of all tiles."""
+    """Figures of the solver for the survey, from a sample of the pixels of all tiles."""
     swept = of_tiles["sweep"]
     with job.progress.stage("Sample of the solver"):
         filled, maps_of = [], []
@@ -123,7 +123,7 @@ def learn_figures(
 
 
 def read_figures(folder: Path) -> SolverFigures | None:
-    """What `learn_figures` found; None where there was nothing to learn from."""
+    """Figures of `learn_figures`; None where there was nothing to learn from."""
     told = read_json_object(folder / FIGURES)["figures"]
     if told is None:
         return None

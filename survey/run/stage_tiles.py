@@ -25,6 +25,6 @@ def find_shared(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
 
 
 def read_shared(folder: Path) -> TilePlan:
-    """What `find_shared` found."""
+    """Result of `find_shared`."""
     found = read_json_object(folder / SHARED)
     return TilePlan((found["low_m"], found["high_m"]), found["views"])

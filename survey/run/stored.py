@@ -45,7 +45,7 @@ class Column:
 
 @dataclass(frozen=True)
 class BedPlace:
-    """What is known of a stored bed without its points; the attributes are those of `StoredBed`."""
+    """A stored bed without its points; the attributes are those of `StoredBed`."""
 
     crs: CRS
     name: str
@@ -54,7 +54,7 @@ class BedPlace:
 
 @dataclass(frozen=True)
 class StoredBed:
-    """What the stage of the bed leaves behind, all that an export needs.
+    """Result of the stage of the bed, all that an export needs.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ def save_arrays(path: str | Path, **arrays: np.ndarray) -> None:
 
 
 def write_arrays(path: str | Path, arrays: Iterable[tuple[str, np.ndarray | Column]]) -> None:
-    """As `save_arrays`, of names with their arrays one after the other: they need not be in memory together."""
+    """Write arrays one after the other: they need not be in memory together; otherwise as `save_arrays`."""
     with write_whole(path) as stream, zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
         for name, array in arrays:
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
@@ -139,7 +139,7 @@ def load_arrays(path: str | Path, names: tuple[str, ...] | None = None) -> dict[
 
 
 def mapped_arrays(path: str | Path, names: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
-    """As `load_arrays`, with arrays that stay in the file; what is written to them does not reach it."""
+    """Arrays mapped from a file; what is written to them does not reach it; otherwise as `load_arrays`."""
     try:
         with Path(path).open("rb") as stream, zipfile.ZipFile(stream) as archive:
             found = {}
@@ -192,7 +192,7 @@ def save_bed(folder: str | Path, stored: StoredBed) -> None:
 
 
 def load_bed(folder: str | Path) -> StoredBed:
-    """What `save_bed` wrote.
+    """The bed that `save_bed` wrote.
 
     Raises
     ------
@@ -212,7 +212,7 @@ def load_bed(folder: str | Path) -> StoredBed:
 
 
 def load_bed_place(folder: str | Path) -> BedPlace:
-    """What `save_bed` wrote of a bed beside its points.
+    """The attributes of a bed beside its points, as `save_bed` wrote them.
 
     Raises
     ------

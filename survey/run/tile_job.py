@@ -32,7 +32,7 @@ KEPT, OWN = "kept", "own"
 
 @dataclass(frozen=True)
 class TilePlan:
-    """What all tiles of a survey share.
+    """Plan that all tiles of a survey share.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class TileJob(Job):
         return len(self.windows) < 2 or not self.views_to_match()
 
     def views_to_match(self) -> list[int]:
-        """Those of the whole survey that show the tile, by their numbers here."""
+        """Views of the whole survey that show the tile, by their numbers here."""
         here = {window.view: number for number, window in enumerate(self.windows)}
         return [here[view] for view in self._plan_of_tiles.views if view in here]
 
@@ -121,12 +121,12 @@ class TileJob(Job):
 
     @property
     def bound(self) -> tuple[float, float]:
-        """That of the whole survey, over the plane of the tile."""
+        """Bound of the whole survey, over the plane of the tile."""
         return self._bound
 
     @property
     def shared_bound(self) -> tuple[float, float]:
-        """That of the whole survey, over its plane."""
+        """Bound of the whole survey, over its plane."""
         return self._plan_of_tiles.bound
 
     @property

@@ -57,7 +57,7 @@ class Light:
 
     @property
     def elevation(self) -> float:
-        """Of the middle of the sun above the horizon [rad]."""
+        """Elevation of the middle of the sun [rad]."""
         return math.asin(min(float(self.sun[2]), 1.0))
 
     def on(self, normal: np.ndarray) -> np.ndarray:
@@ -84,5 +84,5 @@ class Light:
 
     @property
     def sun_irradiance(self) -> float:
-        """On a surface that faces the sun, if all of the disc is above it."""
+        """Irradiance by the sun on a surface that faces it, if all of the disc is above it."""
         return math.pi * self.sun_share / float(self.sun[2])

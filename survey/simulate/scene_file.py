@@ -260,7 +260,7 @@ class SceneSettings:
 
     @property
     def blur_m(self) -> float:
-        """How far the drone flies while the shutter is open [m]."""
+        """Motion of the drone while the shutter is open [m]."""
         if self.sensor.shutter_s is None or self.flight.speed_m_s is None:
             return self.sensor.blur_m
         return self.flight.speed_m_s * self.sensor.shutter_s

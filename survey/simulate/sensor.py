@@ -22,7 +22,7 @@ _STEPS = 1.0 / 1.2207440846057596 ** np.arange(1, 4)
 
 @dataclass(frozen=True)
 class Sensor:
-    """How light becomes an image.
+    """Sensor: from radiance to an image.
 
     Attributes
     ----------

@@ -44,7 +44,7 @@ MONOCULAR = (0.1, 0.05)
 
 @dataclass(frozen=True)
 class VolumeOptions:
-    """How a radiance field is trained on a run, and what is made of it.
+    """Options of the training of a radiance field on a run, and of its products.
 
     Attributes
     ----------
@@ -123,7 +123,7 @@ class VolumeOptions:
             )
 
     def of_training(self, run: LoadedRun) -> dict[str, Any]:
-        """What the trained field depends on."""
+        """Dependencies of the trained field."""
         made = ("rule", "density", "reference", "cameras", "dry", "survey", "device")
         settings = {k: v for k, v in asdict(self).items() if k not in made}
         priors = None if self.monocular is None else priors_hash(self.monocular)
@@ -131,12 +131,12 @@ class VolumeOptions:
 
     @property
     def scene(self) -> SceneOptions:
-        """What decides the box and its photographs."""
+        """Options of the box and its photographs."""
         return SceneOptions(**{each.name: getattr(self, each.name) for each in fields(SceneOptions)})
 
     @property
     def recipe(self) -> Recipe:
-        """What decides the model and its paths."""
+        """Options of the model and its paths."""
         return Recipe(**{name: getattr(self, name) for name in Recipe.__dataclass_fields__})
 
     def of_losses(self) -> Losses:
@@ -317,7 +317,7 @@ def _view(trained: Trained, camera: PinholeCamera, *, dry: bool = False) -> Nove
 
 
 def rows_of(report: dict[str, Any], output: Path) -> list[tuple[str, str]]:
-    """What the command prints of `train_field`: labels and values."""
+    """Rows that the command prints of `train_field`: labels and values."""
     training, over = report["training"], report["over_the_bed_of_the_run_m"]
     rows = [
         ("model", f"{report['model']}, {training['parameters']:,} parameters, {training['steps']:,} steps"),

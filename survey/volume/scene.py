@@ -83,7 +83,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class SceneOptions:
-    """Which photographs of a run a field is trained on, and in which box.
+    """Options of the photographs of a run that a field is trained on, and of its box.
 
     Attributes
     ----------

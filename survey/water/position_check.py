@@ -76,7 +76,7 @@ def _too_far(crs: CRS, cameras: np.ndarray, source: str, places: np.ndarray, awa
 
 
 def _distances_m(crs: CRS, cameras: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """From places (K, 2) in crs to the nearest camera [m], as on a sphere; infinite off the map."""
+    """Distances of places (K, 2) in crs to the nearest camera [m], as on a sphere; infinite off the map."""
     degrees = lon_lat(crs, places)
     middle = np.median(cameras, axis=0)
     metres = EARTH_RADIUS_M * np.radians([np.cos(np.radians(middle[1])), 1.0])

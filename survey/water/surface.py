@@ -83,7 +83,7 @@ class Departure:
 
     @staticmethod
     def of(levels: Sequence[LevelObservation], frame: LocalFrame, plane: FlatWater | None) -> Departure | None:
-        """By measurements of the source `surface`; None where there are none."""
+        """Surface by measurements of the source `surface`; None where there are none."""
         found = [level for level in levels if level.source == SOURCE]
         if not found or plane is None:
             return None

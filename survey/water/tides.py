@@ -59,7 +59,7 @@ class Tide:
 
     @property
     def moves_m(self) -> float:
-        """From the lowest level to the highest."""
+        """Range from the lowest level to the highest [m]."""
         return float(np.ptp(list(self.over.values()))) if self.over else 0.0
 
     @property
@@ -163,7 +163,7 @@ def with_shift(tide: Tide, views: Sequence[View], water: FlatWater) -> Tide:
 
 
 def _shift_per_m(view: View, water: FlatWater) -> float:
-    """How far along the bed the most oblique ray of a view moves per metre of level [-].
+    """Shift along the bed of the most oblique ray of a view per metre of level [-].
 
     A ray that enters the water a metre earlier runs that metre at its slope in water instead of that in air:
     ``tan a - tan b`` with ``sin a = n sin b``.

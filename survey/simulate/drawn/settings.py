@@ -140,7 +140,7 @@ class DrawnScene:
 
     @property
     def unit_m(self) -> float:
-        """What objects and the large shapes of the bed scale with: 1 for an area of 12 m."""
+        """Scale of objects and of the large shapes of the bed: 1 for an area of 12 m."""
         return min(self.size_m) / 12.0
 
     def cameras(self) -> list[PinholeCamera]:
@@ -161,7 +161,7 @@ class DrawnScene:
         return [replace(camera, motion=motion) for camera, motion in zip(cameras, motions, strict=True)]
 
     def velocities(self) -> np.ndarray:
-        """Of the cameras (views, 3) [m/s], local: level, in any direction."""
+        """Velocities of the cameras (views, 3) [m/s], local: level, in any direction."""
         toward = np.random.default_rng([self.seed, 9]).uniform(0.0, 2.0 * math.pi, self.num_views)
         return self.speed_m_s * np.stack([np.sin(toward), np.cos(toward), np.zeros(self.num_views)], axis=-1)
 

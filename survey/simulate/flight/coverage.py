@@ -30,7 +30,7 @@ _SIDE_IN = 7.0
 
 @dataclass(frozen=True)
 class Coverage:
-    """What a block sees.
+    """Coverage by a block.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Coverage:
 
     @property
     def warnings(self) -> list[str]:
-        """What to improve before flying, in sentences."""
+        """Warnings about the flight, in sentences."""
         found = []
         hidden = self.level_hidden_m
         if hidden is not None and hidden > _LEVEL_KNOWN_M:
@@ -76,7 +76,7 @@ class Coverage:
 
 
 def coverage(cameras: Sequence[PinholeCamera], site: Site) -> Coverage:
-    """What a block sees of a level bed at the site's mean depth."""
+    """Coverage of a level bed at the site's mean depth by a block."""
     half = 0.5 * np.array(site.size_m)
     east, north = (np.linspace(-h, h, _POINTS) for h in half)
     x, y = np.meshgrid(east, north)

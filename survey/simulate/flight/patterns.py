@@ -24,7 +24,7 @@ PATTERNS = ("nadir", "five", "oblique", "outer")
 
 @dataclass(frozen=True)
 class Site:
-    """What is flown over, local.
+    """Site of a flight, local.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Site:
 
     @property
     def apparent_depth(self) -> float:
-        """How far below the water the bed seems to be, straight below a camera [m]."""
+        """Apparent depth of the bed straight below a camera [m]."""
         return self.depth_m / (1.0 if self.water is None else float(self.water.n_water))
 
 
@@ -191,7 +191,7 @@ def _axes(heading: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _extent(site: Site, axis: np.ndarray) -> float:
-    """Of the area along a horizontal unit vector [m]."""
+    """Extent of the area along a horizontal unit vector [m]."""
     return float(np.abs(axis) @ np.array(site.size_m))
 
 

@@ -24,7 +24,7 @@ _MARGIN_M = 0.5
 
 @dataclass(frozen=True)
 class Material:
-    """How a body looks.
+    """Material of a body.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Ground:
     looks: tuple[Material, ...]
 
     def first(self, origin: np.ndarray, direction: np.ndarray, t_end: np.ndarray):
-        """What rays meet first up to ``t_end``: distance (N,) [m], body (N,) and face (N,).
+        """First hits of rays up to ``t_end``: distance (N,) [m], body (N,) and face (N,).
 
         The distance is infinite, and the body `NOTHING`, where a ray meets nothing.
         """

@@ -90,7 +90,7 @@ def _in_reach(camera: PinholeCamera, lens: Lens, points: np.ndarray) -> np.ndarr
 
 
 def depth_map(renderer: DirectRenderer, camera: PinholeCamera, lens: Lens) -> tuple[np.ndarray, np.ndarray]:
-    """What the middle of each pixel sees.
+    """Depth map of the bed at the middles of pixels.
 
     Returns
     -------

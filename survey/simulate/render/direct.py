@@ -22,7 +22,7 @@ _RAYS_AT_A_TIME = 1 << 15
 
 @dataclass(frozen=True)
 class Hits:
-    """Where rays end.
+    """Ends of rays.
 
     Attributes
     ----------
@@ -65,12 +65,12 @@ class DirectRenderer:
     sun: SunOnWaves | None = None
 
     def trace(self, camera: PinholeCamera, pixels: np.ndarray) -> Hits:
-        """What pixels (N, 2) [px] of a camera see."""
+        """Hits of the rays of pixels (N, 2) [px] of a camera."""
         direction = camera.directions(pixels)
         return self.trace_rays(np.broadcast_to(camera.centres(pixels), direction.shape), direction)
 
     def trace_rays(self, origin: np.ndarray, direction: np.ndarray) -> Hits:
-        """What rays from origins (N, 3) [m] in unit directions (N, 3), local, see."""
+        """Hits of rays from origins (N, 3) [m] in unit directions (N, 3), local."""
         if self.water is None:
             t, body, face = self.ground.first(origin, direction, np.full(len(direction), np.inf))
             return Hits(_at(origin, direction, t), body, face, np.zeros(len(t)), np.ones(len(t)))

@@ -45,7 +45,7 @@ def load_mitsuba(device: str = "auto") -> ModuleType:
 
 
 def solid_scene(mi: ModuleType, ground: Ground):
-    """All that is solid, matt and with its albedo, as a Mitsuba scene."""
+    """The solids, matt and with their albedo, as a Mitsuba scene."""
     shapes = (ground.bed, *ground.solids)
     bodies = enumerate(zip(shapes, ground.looks, strict=True))
     parts = {f"shape_{i}": _matt(mi, f"shape_{i}", shape, look.skin) for i, (shape, look) in bodies}

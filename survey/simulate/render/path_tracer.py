@@ -124,7 +124,7 @@ def not_(mask):
 
 
 def _clearance(place):
-    """How far off a surface a ray starts [m]: above the rounding of float32 at that distance from the origin."""
+    """Offset of a ray's start from a surface [m]: above the rounding of float32 at that distance from the origin."""
     return (1.0 + dr.max(dr.abs(place))) * _CLEAR
 
 
@@ -222,7 +222,7 @@ class PathTracer:
         return light
 
     def _meet(self, ray, active):
-        """What rays meet of ground and water, how far they go to the first of both, and whether it is the water."""
+        """Hits of rays with ground and water, the distance to the first of both, and whether it is the water."""
         ground = self.solids.ray_intersect(ray, active)
         t = dr.select(ground.is_valid(), ground.t, dr.inf)
         if self.surface is None:

@@ -41,7 +41,7 @@ _NO_TIME = 'unknown: give [light] time, e.g. time = "2026-07-14T09:30+02:00"'
 
 
 def check_plan(path: Path, *, quality: str, device: str, wind_m_s: float) -> list[Section]:
-    """What a flight promises before it is flown; nothing is written.
+    """Pre-analysis of a flight before it is flown; nothing is written.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ def _light_rows(plan: Plan, survey: Survey, wind_m_s: float) -> list[tuple[str, 
 
 
 def _hours_text(flight: GlitterOfFlight, time: datetime, place: tuple[float, float], wind_m_s: float) -> str:
-    """When on that day the sun lights the bed and glitters little, by the clock of the time that was given."""
+    """Hours of the day in which the sun lights the bed and glitters little, by the clock of the given time."""
     day = time.replace(hour=0, minute=0, second=0, microsecond=0)
     lost: dict[datetime, float] = {}
     for minute in range(0, 24 * 60, _STEP_MIN):

@@ -105,7 +105,7 @@ def _bytes_of_png(header: bytes) -> int:
 
 
 def _damage_of_webp(path: Path, file: BinaryIO) -> str | None:
-    """Damage by sectors of zeros in compressed pixels that are not equal over as many; in metadata they tell nothing."""
+    """Damage by sectors of zeros in compressed pixels that are not equal over as many; metadata may have them."""
     file.seek(12)
     while len(head := file.read(8)) == 8:
         length = int.from_bytes(head[4:], "little")

@@ -89,12 +89,12 @@ def scene_of(name: str, options) -> ObjectScene:
 
 def row(model: str, scene: ObjectScene, options, steps: int, seed: int) -> dict:
     """Train one model on one object, and measure it."""
-    device_mb()
+    device_mb(options.device)
     built = build(model, scene, options, steps=steps, seed=seed)
     training = Training(steps=steps, rays=options.rays, samples=options.samples)
     start = time.perf_counter()
     cells, figures = train_volume(built, scene.train, training, lambda share: None, seed=seed)
-    seconds, memory = time.perf_counter() - start, device_mb()
+    seconds, memory = time.perf_counter() - start, device_mb(options.device)
     rate, error = [], []
     for number, camera in enumerate(scene.held.cameras):
         start = time.perf_counter()
@@ -115,13 +115,19 @@ def row(model: str, scene: ObjectScene, options, steps: int, seed: int) -> dict:
         "train_s": seconds,
         "train_mb": memory,
         "rays_per_s": statistics.median(rate),
-        "settings": {k: getattr(options, k) for k in ("scale", "cells", "rays", "samples", "seconds", "device")},
+        "settings": settings_of(options),
     }
 
 
-def device_mb() -> float | None:
+def settings_of(options) -> dict:
+    """What a row depends on beside object, model and seed."""
+    names = ("scale", "cells", "rays", "samples", "steps", "seconds", "device")
+    return {name: getattr(options, name) for name in names}
+
+
+def device_mb(wanted: str) -> float | None:
     """Most memory [MB] that torch and Dr.Jit held on a CUDA device since the last call; None without one."""
-    if not torch.cuda.is_available():
+    if tensor_place(choose_device(wanted)) != "cuda":
         return None
     import drjit as dr
 
@@ -216,6 +222,8 @@ def measure(options) -> list[dict]:
             of_model = [
                 kept(options.work / f"{name}_{model}_{seed}.json", partial(make, seed)) for seed in range(options.seeds)
             ]
+            if any(each["settings"] != settings_of(options) for each in of_model):
+                raise SystemExit(f"{options.work} has rows of {name}, {model} with other settings; name another folder")
             memory = None
             if of_model[0]["train_mb"] is None:
                 path = options.work / f"{name}_{model}_memory.json"

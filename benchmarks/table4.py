@@ -134,7 +134,7 @@ def measure(case: Case, truth: Survey, reference: Path, samples: int, times_seen
     corners = frame.local_from_crs([[e0, n0, frame.origin[2]], [e1, n1, frame.origin[2]]])[:, :2]
     middle, size = corners.mean(axis=0), np.abs(corners[1] - corners[0])
     ours = study.cropped(cloud, middle, *size)
-    theirs = study.study_cloud(cloud, middle, wet=case.name != "dry", field=case.chain == "field")
+    theirs = study.study_cloud(cloud, middle, wet=case.name != "dry", field=case.chain != "sweep")
     theirs = study.cropped(theirs, middle, *np.minimum(size, study.CROP_M))  # the reference ends there
     surface = study.cropped(sample_mesh(vertices, mesh.faces, samples), middle, *np.minimum(size, study.OBJECT_M))
     record = {"survey": case.name, "chain": case.chain, "n_points": len(ours), "n_points_study": len(theirs)}

@@ -10,7 +10,7 @@ import torch
 from volume_scenes import BOX, WATER, looking_down
 
 from fields.volume.paths import Box, Paths, paths_of
-from refract import FlatWater, fresnel_coefficients
+from refract import FlatWater, SphericalWater, fresnel_coefficients
 
 # Positions of some metres in float32: half a step is 0.12 um for 2 m, and a path adds up a dozen roundings.
 FLOAT32_M = 3e-6
@@ -21,7 +21,15 @@ def whole(camera, water, box=BOX, view=0) -> Paths:
     return paths_of(camera, water, pixels, np.full((len(pixels), 3), 128, dtype=np.uint8), box, view)
 
 
-@pytest.mark.parametrize("water", [None, WATER, FlatWater((0.0, 0.0, 0.0), n_water=1.333, slope_x=0.05)])
+@pytest.mark.parametrize(
+    "water",
+    [
+        None,
+        WATER,
+        FlatWater((0.0, 0.0, 0.0), n_water=1.333, slope_x=0.05),
+        SphericalWater((0.0, 0.0, 0.0), 200.0, n_water=1.333),
+    ],
+)
 @pytest.mark.parametrize("tilt", [0.0, 0.6])
 def test_positions_are_those_of_the_bent_paths(water, tilt):
     camera = looking_down(tilt=tilt)

@@ -219,7 +219,7 @@ def paths_along(
     reflectance, fall = np.zeros(len(origin)), np.zeros(len(origin))
     if water is not None and bent.wet.any():
         at = bent.crossing[bent.wet]
-        up = water.normal(at[:, 0], at[:, 1])
+        up = np.stack(np.broadcast_arrays(*water.normal(at[:, 0], at[:, 1])), axis=-1)
         before = -(bent.air_direction[bent.wet] * up).sum(axis=-1)
         reflectance[bent.wet] = fresnel_coefficients(before, n_from=1.0, n_to=water.n_water).reflectance
         fall[bent.wet] = -(wet[bent.wet] * up).sum(axis=-1)

@@ -44,7 +44,7 @@ class StillWater(Departure):
         return self._design(xy) @ self._terms, np.zeros(len(xy))
 
 
-def still_water(frame: LocalFrame, plane: FlatWater, seen: np.ndarray) -> StillWater | None:
+def still_water(frame: LocalFrame, plane: FlatWater, centres: np.ndarray) -> StillWater | None:
     """Heights over the plane of water that has one height in crs; None where the plane is as good.
 
     Parameters
@@ -52,10 +52,10 @@ def still_water(frame: LocalFrame, plane: FlatWater, seen: np.ndarray) -> StillW
     frame : LocalFrame
     plane : FlatWater
         That touches the water at its point, apart from slopes that both have.
-    seen : (N, 3) [m], local
-        Cameras and points, to know how far the survey reaches.
+    centres : (N, 3) [m], local
+        Of the cameras, to know how far the survey reaches.
     """
-    point, xy = np.array(plane.point), seen[:, :2]
+    point, xy = np.array(plane.point), centres[:, :2]
     if not curvature_drop(np.linalg.norm(xy - point[:2], axis=1).max()) > _LEAST_DROP_M:
         return None
     place = frame.crs_from_local(point)

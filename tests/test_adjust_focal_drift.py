@@ -10,11 +10,16 @@ import pytest
 
 from refract.lens import distorted
 from survey.adjust.applied import apply_adjustment
+from survey.adjust.block.bundle import NotConvergedError
+from survey.adjust.block.observed import MATCH, observed
 from survey.adjust.block.prediction import predict
+from survey.adjust.block.priors import known_of
 from survey.adjust.block.state import LENS, RELIEF
+from survey.adjust.focal_drift import with_focals
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import read_adjustment, write_adjustment
 from survey.adjust.result.std_common import height_moves, seen_places
+from survey.adjust.rounds import adjust
 from tests.adjusted_block import assert_same
 from tests.block_state import require_derivatives, state_of
 from tests.block_survey import pose_errors, rms, survey_of
@@ -87,6 +92,21 @@ def test_each_photograph_has_its_own_lens_and_files_keep_it(drifted, tmp_path):
     assert_same(read_adjustment(tmp_path), found)
     ties = seen_places(found.points[:3], moved)
     assert height_moves(found, moved.water, ties).shape == (3, len(found.covariance.names))
+
+
+def test_a_block_that_does_not_converge_with_them_keeps_one_focal_length(drifted):
+    survey = drifted[1]
+    known = known_of(survey, 0.02)
+    sizes = [(view.lens.width, view.lens.height) for view in survey.views]
+    seen = observed([(MATCH, survey.observations.ties)], survey.observations.control, survey, known)
+    alone = adjust(known, seen, sizes, 0.5)
+
+    def adjusted(_known):
+        raise NotConvergedError("")
+
+    kept, drift = with_focals(known, alone, adjusted)
+    assert kept is alone
+    assert drift is None
 
 
 def test_where_focal_lengths_are_alike_none_is_found():

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from survey.adjust.block.bundle import system_with
+from survey.adjust.block.bundle import NotConvergedError, system_with
 from survey.adjust.block.observed import rows_taken
 from survey.adjust.block.prediction import relief_sides
 from survey.adjust.block.priors import Known, is_held, priors_for
@@ -80,9 +80,14 @@ def with_focals(
     drift = focal_drift(known, done)
     if drift is None:
         return done, None
+    alone = done
     for _ in range(_MOST_ROUNDS):
         known = with_focal_std(known, done, drift.std)
-        done = adjusted(known)
+        try:
+            done = adjusted(known)
+        except NotConvergedError:
+            # What the linear model promised the block does not bear out.
+            return alone, None
         layout, solution = done.known.layout, done.solution
         variance = np.diag(solution.covariance)[layout.first_focal : layout.first_pose]
         before, drift = drift, replace(drift, std=float(np.sqrt(np.mean(solution.state.focals**2 + variance))))

@@ -15,10 +15,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from survey.adjust.block.bundle import NotConvergedError
 from survey.adjust.block.observed import KINDS, MARK
 from survey.adjust.block.priors import Known
 from survey.adjust.result.adjustment import Adjustment
+from survey.errors import SurveyError
 from survey.folder.survey import Survey
 
 # A start that looks less aside is level itself.
@@ -61,7 +61,8 @@ def of_two_starts(
     mean = replace(known.mean, rotations=known.mean.rotations @ turn.T)
     try:
         second = adjusted(level, replace(start, mean=mean))
-    except NotConvergedError:
+    except SurveyError:
+        # What contradicts the level start is no error of the block.
         return first
     if not _are_apart(first, second):
         return first

@@ -161,10 +161,13 @@ class Forecast:
         """Time to the end of the run [s]; None before it is steady.
 
         ``of_part_s`` is that to the end of the part that goes on, by its own pace. None, too, where that is not known
-        and the part was not foreseen, or takes longer than it should by the pace of the others: what is left would
-        stand still while time goes on.
+        and the part was not foreseen, where it takes longer than it should by the pace of the others, and where it goes
+        on though all of it is done: what is left would stand still, or grow, while time goes on.
         """
         if self._start is None or not self._parts:
+            return None
+        if of_part_s == 0.0:
+            self._tells_itself = True
             return None
         took, expected, running = 0.0, 0.0, None
         for part in self._parts.values():

@@ -25,6 +25,9 @@ _MOST_BOXES = 64
 _SAMPLE, _LEAST_SHARE = 32, 1.0 / 3.0
 # Fewer boxes with holes do not speak for the others.
 _FEWEST = 6
+# First those of the sample with the most holes are asked: where points are found in less than this share of their
+# holes, the others are not.
+_LEAST_FOUND = 0.03
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,9 @@ def find_occluded(
         def holes_in(boxes: list[Box]) -> list[Holes]:
             return [holes for holes in pool.map(lambda box: Holes.of(box, cloud, area), boxes) if holes is not None]
 
+        def most_first(found: list[Holes]) -> list[Holes]:
+            return sorted(found, key=lambda holes: -int(holes.are_holes.sum()))
+
         def points_in(found: list[Holes], share: float) -> list[FoundPoints]:
             points: list[FoundPoints] = []
             for first in range(0, len(found), _TOGETHER):
@@ -98,11 +104,16 @@ def find_occluded(
                 advance(share * len(part) / len(found))
             return points
 
-        found = holes_in(sample)
-        points = points_in(found, len(sample) / max(len(sample) + len(others), 1))
+        found, share = most_first(holes_in(sample)), len(sample) / max(len(sample) + len(others), 1)
+        first, rest = found[:_TOGETHER], found[_TOGETHER:]
+        points = points_in(first, share * len(first) / max(len(found), 1))
+        num_holes = sum(int(holes.are_holes.sum()) for holes in first)
+        if len(found) >= _FEWEST and sum(len(each.xyz) for each in points) < _LEAST_FOUND * num_holes:
+            return replace(_together(block, [], len(first)), is_no_bed=True)
+        points += points_in(rest, share * len(rest) / max(len(found), 1))
         if (len(found) >= _FEWEST or not others) and len(points) < _LEAST_SHARE * len(found):
             return replace(_together(block, [], len(found)), is_no_bed=True)
-        more = sorted(holes_in(others), key=lambda holes: -int(holes.are_holes.sum()))
+        more = most_first(holes_in(others))
         most = max(_MOST_BOXES, len(views)) - len(found)
         points += points_in(more[:most], len(others) / (len(sample) + max(len(others), 1)))
     return replace(_together(block, points, len(found) + len(more[:most])), num_left_out=len(more[most:]))

@@ -28,7 +28,7 @@ _WINDOWS_S, _SEARCH_S, _SOLVING_S = 2.5, 0.4, (1.0, 0.25)
 _FEATURES_S, _PAIR_S, _PLACING_S = 0.6, 0.1, 0.1
 _MATCHING_CORES = 2
 # Parts that a run in tiles has once for each.
-_OF_TILES = ("Sweep", "Solver", "Bed")
+_OF_TILES = ("Sweep", "Solver", "Bed", "Boxes beside edges")
 SFM_PARTS = ("Features", "Matches", "Structure from motion")
 # Decoding a megapixel; bed and report, per point.
 _DECODING_S, _POINT_S = 0.02, 3e-6
@@ -37,6 +37,9 @@ _RANGE_S, _THUMBNAIL_PX = 2.0, 512 * 384
 # Of the solver: once, and per pixel of a height map.
 _SOLVER_S = (1.4, 1.2e-6)
 _FIELD_S_PER_CELL = 2.3e-4
+# Of boxes beside edges: one of a sample, of so many ground sampling distances squared, by two cores. Whether the others
+# are looked at shows there.
+_BOX_S, _BOX_POINTS, _MOST_BOXES, _BOX_CORES = 0.4, 1e4, 32, 2
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,7 @@ class Amounts:
         Of a trained field; 0 without.
     poses : "check", "refine" or "fixed"
         What is done with them first.
-    solves : bool
+    solves, has_boxes : bool
     first_hypotheses : float
         Heights that the first pass of the sweep tries.
     """
@@ -71,6 +74,7 @@ class Amounts:
     field_cells: float
     poses: str
     solves: bool
+    has_boxes: bool = False
     first_hypotheses: float = FIRST_HYPOTHESES
 
 
@@ -93,7 +97,11 @@ def parts_s(amounts: Amounts, num_cores: int) -> dict[str, float]:
         parts["Solver"] = (_SOLVER_S[0] + _SOLVER_S[1] * amounts.map_px) / num_cores
     if amounts.field_cells:
         parts["Field"] = _FIELD_S_PER_CELL * amounts.field_cells / num_cores
-    return parts | {"Bed": 0.5 * _POINT_S * amounts.points, "Report": _REPORT_S + 0.5 * _POINT_S * amounts.points}
+    parts["Bed"] = 0.5 * _POINT_S * amounts.points
+    if amounts.has_boxes:
+        sample = min(amounts.points / _BOX_POINTS, _MOST_BOXES)
+        parts["Boxes beside edges"] = _BOX_S * sample / min(num_cores, _BOX_CORES)
+    return parts | {"Report": _REPORT_S + 0.5 * _POINT_S * amounts.points}
 
 
 def part_name(name: str, number: int, count: int) -> str:

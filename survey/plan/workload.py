@@ -167,6 +167,7 @@ def _amounts(survey: Survey, plan: Plan, pixels: np.ndarray, chosen: list[int], 
         field_cells=num_cells if plan.field == "slab" else 0.0,
         poses=plan.poses[0],
         solves=plan.field == "solver",
+        has_boxes=plan.boxes,
         first_hypotheses=_first_hypotheses(survey, plan),
     )
 
@@ -264,6 +265,7 @@ def _parts_of_images(sizes: Sequence[tuple[int, int]], scale: float, quality: st
         field_cells=0.0,
         poses="refine",
         solves=RECIPES[quality].field == "solver",
+        has_boxes=RECIPES[quality].field == "solver",
     )
     looked_at = sum(w * h * min(1.0, FEATURES_PX / max(w, h)) ** 2 for w, h in sizes) / 1e6
     cores = machine.num_cores()

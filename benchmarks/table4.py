@@ -129,6 +129,12 @@ def measure(case: Case, truth: Survey, reference: Path, samples: int, times_seen
     frame = truth.frame
     mesh = read_reference(reference)
     vertices = frame.local_from_crs(mesh.vertices)
+    record = {"survey": case.name, "chain": case.chain}
+    if case.is_volume:
+        report = json.loads((case.run / "report.json").read_text())
+        record["held_out_db"] = float(np.mean(list(report["held_out_psnr_db"].values())))
+        if not report["points"]:
+            return record | dict.fromkeys(("ours", "study"))
     cloud = frame.local_from_crs(read_cloud(case.run / "cloud.las").points)
     e0, n0, e1, n1 = truth.bounds
     corners = frame.local_from_crs([[e0, n0, frame.origin[2]], [e1, n1, frame.origin[2]]])[:, :2]
@@ -137,7 +143,7 @@ def measure(case: Case, truth: Survey, reference: Path, samples: int, times_seen
     theirs = study.study_cloud(cloud, middle, wet=case.name != "dry", field=case.chain != "sweep")
     theirs = study.cropped(theirs, middle, *np.minimum(size, study.CROP_M))  # the reference ends there
     surface = study.cropped(sample_mesh(vertices, mesh.faces, samples), middle, *np.minimum(size, study.OBJECT_M))
-    record = {"survey": case.name, "chain": case.chain, "n_points": len(ours), "n_points_study": len(theirs)}
+    record |= {"n_points": len(ours), "n_points_study": len(theirs)}
     for label, points in (("ours", ours), ("study", theirs)):
         found = distance_statistics(distance_to_mesh(points, vertices, mesh.faces).signed)
         record[label] = {
@@ -145,10 +151,7 @@ def measure(case: Case, truth: Survey, reference: Path, samples: int, times_seen
             "std_m": found.std_inner90_m,
             "completeness": float(is_reached(surface, points, tolerance_m=TOLERANCE_M).mean()),
         }
-    if case.is_volume:
-        held = json.loads((case.run / "report.json").read_text())["held_out_psnr_db"]
-        record["held_out_db"] = float(np.mean(list(held.values())))
-    elif case.name == "wet straight":
+    if case.name == "wet straight" and not case.is_volume:
         visible = frame.local_from_crs(read_reference(reference.with_name("visible.ply")).points)
         record["bias"] = asdict(straight_bias(ours, visible, truth, times_seen))
     return record
@@ -163,7 +166,8 @@ def table(records: list[dict]) -> str:
     for r in records:
         own = STUDY.get((r["survey"], r["chain"]))
         cells = [_cell(*own) if own else "not given"]
-        cells += [_cell(r[k]["mean_m"], r[k]["std_m"], r[k]["completeness"]) for k in ("study", "ours")]
+        found = [r[k] for k in ("study", "ours")]
+        cells += ["no surface" if f is None else _cell(f["mean_m"], f["std_m"], f["completeness"]) for f in found]
         own_db = STUDY_DB.get(r["survey"]) if r["chain"] == "nerfacto" else None
         cells += ["" if db is None else f"{db:.1f} dB" for db in (own_db, r.get("held_out_db"))]
         rows.append(f"| {r['survey']} | {r['chain']} | " + " | ".join(cells) + " |")

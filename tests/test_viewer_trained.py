@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import time
+from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -48,6 +51,25 @@ def test_the_picture_shows_the_field_and_white_beside_it(folder, dry):
     width = 200 / math.tan(math.radians(30.0)) / 2.0 * 8.0 / 10.0
     found = (~is_white[100]).sum()
     assert abs(found - width) <= 3 if dry else width < found < 1.1 * width
+
+
+def test_a_field_is_loaded_once_however_many_clicks_there_are_and_keeps_its_note():
+    loads: list[int] = []
+    seen = SimpleNamespace(seen=np.ones((2, 2), bool), rgb=np.zeros((2, 2, 3), np.uint8))
+
+    def load(note):
+        loads.append(1)
+        time.sleep(0.05)
+        note("half trained")
+        return lambda camera, dry: seen
+
+    field = TrainedField("mdw", load)
+    view = Viewpoint(np.array([0.0, 0.0, 8.0]), DOWN, math.radians(60.0), 1.5, 900.0)
+    with ThreadPoolExecutor(4) as pool:
+        pictures = list(pool.map(lambda _click: field.picture(view, dry=True), range(4)))
+    assert len(loads) == 1
+    assert field.notes == ["half trained"]
+    assert all((picture == 0).all() for picture in pictures)
 
 
 def test_a_run_with_a_field_offers_it(folder, tmp_path):

@@ -27,6 +27,8 @@ _TILTED_DEG = 5.0
 _APART = 3.0
 # -2 ln of the likelihood of one is lower by so much: very strong evidence (Kass and Raftery, JASA 90, 1995).
 _SURE = 10.0
+# Residual, in standard deviations, at which an observation is rejected.
+_REJECTED = 3.0
 
 
 def of_two_starts(
@@ -83,8 +85,12 @@ def of_two_starts(
 
 
 def _is_asked(survey: Survey) -> bool:
-    control = survey.observations.control
-    return len(survey.views) == 2 and survey.observations.ties is not None and control is not None
+    """Whether control alone has to tell: attitudes that are known do so, and the start has them."""
+    seen = survey.observations
+    if len(survey.views) != 2 or seen.ties is None or seen.control is None:
+        return False
+    has_attitudes = any(each.rotation_std_deg is not None or each.attitude is not None for each in seen.priors.values())
+    return not has_attitudes and any(not point.is_check for point in seen.control.points)
 
 
 def _to_level(known: Known) -> np.ndarray | None:
@@ -105,14 +111,21 @@ def _are_apart(one: Adjustment, other: Adjustment) -> bool:
 
 
 def _misfit(survey: Survey, found: Adjustment, other: Adjustment) -> float:
-    """-2 ln of the likelihood up to what both share: a point of two photographs has one residual."""
+    """-2 ln of the likelihood up to what both share: a point of two photographs has one residual.
+
+    Observations that only the other solution has count as rejected.
+    """
     control = survey.observations.control
     assert control is not None
     value = 0.0
     for kind, std in found.statistics.std_px.items():
         if kind != KINDS[MARK]:
-            counts = [each.statistics.num_observations.get(kind, 0) for each in (found, other)]
-            value += 0.5 * sum(counts) * math.log(std)
+            own, others = (each.statistics.num_observations.get(kind, 0) for each in (found, other))
+            value += 0.5 * (own + others) * math.log(std) + 0.5 * _REJECTED**2 * max(others - own, 0)
+    for view, centre in zip(survey.views, found.poses.centres, strict=True):
+        prior = survey.observations.priors.get(view.name)
+        if prior is not None and prior.position is not None and prior.position_std is not None:
+            value += float(np.sum(((centre - prior.position) / prior.position_std) ** 2))
     std_of = {point.name: np.asarray(point.std) for point in control.points}
     for row in found.control:
         value += 2.0 * row.num_marks * (row.rms_px / control.marks_std_px) ** 2

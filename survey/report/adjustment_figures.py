@@ -185,8 +185,11 @@ def adjustment_of(survey: Survey, found: Adjustment | None) -> AdjustmentFigures
 
 
 def correlations(found: Adjustment) -> tuple[tuple[str, ...], np.ndarray]:
-    """Names (K,) and correlations (K, K) of those parameters of water and lenses that were free to move."""
-    count = found.layout.first_pose - RELIEF
+    """Names (K,) and correlations (K, K) of those parameters of water and lenses that were free to move.
+
+    Without focal lengths of single photographs: there are as many as photographs.
+    """
+    count = found.layout.first_focal - RELIEF
     std = np.sqrt(np.diag(found.covariance.matrix)[:count])
     free = np.flatnonzero(std > HELD_STD)
     matrix = found.covariance.matrix[np.ix_(free, free)] / np.outer(std[free], std[free])

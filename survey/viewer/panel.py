@@ -111,7 +111,10 @@ def add_field(server: viser.ViserServer, field: TrainedField, show: Callable[[np
         said = event.client.add_notification("trained field", "is being rendered", loading=True)
         try:
             show(field.picture(viewpoint_of(event.client.camera), dry=not wet.value))
-        except SurveyError as error:
+            for note in field.notes:
+                event.client.add_notification("trained field", note)
+        # Torch raises RuntimeError where a device has too little memory.
+        except (SurveyError, RuntimeError) as error:
             event.client.add_notification("trained field", str(error), color="red")
         finally:
             said.remove()

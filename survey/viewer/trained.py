@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
+from threading import Lock
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,16 +32,23 @@ class TrainedField:
     name : str
         As the panel has it.
     load : callable
-        Gives what renders it.
+        Gives what renders it; gets a function that is told what there is to note.
+
+    Attributes
+    ----------
+    notes : list of str
+        What there was to note when it was loaded.
     """
 
-    def __init__(self, name: str, load: Callable[[], Render]):
-        self.name, self._load = name, load
+    def __init__(self, name: str, load: Callable[[Callable[[str], None]], Render]):
+        self.name, self.notes, self._load = name, list[str](), load
+        # Every click has a thread of its own.
+        self._lock = Lock()
 
     @staticmethod
     def slab(folder: Path) -> TrainedField:
         """The field that `process --field slab` left in the folder of its stage."""
-        return TrainedField("slab", lambda: _slab(folder))
+        return TrainedField("slab", lambda _note: _slab(folder))
 
     @staticmethod
     def volume(folder: Path, run: LoadedRun) -> TrainedField:
@@ -55,11 +63,11 @@ class TrainedField:
         from survey.volume.stored import StoredVolume
 
         stored = StoredVolume.of_run(folder, run)
-        return TrainedField(stored.recipe.model, stored.load)
+        return TrainedField(stored.recipe.model, lambda note: stored.load(note=note))
 
     @cached_property
     def _render(self) -> Render:
-        return self._load()
+        return self._load(self.notes.append)
 
     def picture(self, view: Viewpoint, *, dry: bool) -> np.ndarray:
         """What a viewpoint sees (rows, columns, 3) uint8, white where there is no bed; ``dry``: along straight rays.
@@ -69,7 +77,8 @@ class TrainedField:
         SurveyError
             If the file of the field is damaged.
         """
-        seen = self._render(camera_of(view, _ROWS), dry)
+        with self._lock:
+            seen = self._render(camera_of(view, _ROWS), dry)
         return np.where(seen.seen[..., None], seen.rgb, np.uint8(_PAPER))
 
 

@@ -132,8 +132,10 @@ class StoredVolume:
             ) from error
         return StoredVolume(folder, recipe, box, run.flight.water)
 
-    def load(self, device: str = "auto") -> Callable[[PinholeCamera, bool], NovelView]:
-        """What a camera sees of the field, with the water or (True) without it.
+    def load(
+        self, device: str = "auto", note: Callable[[str], None] = lambda said: current().note(said)
+    ) -> Callable[[PinholeCamera, bool], NovelView]:
+        """What a camera sees of the field, with the water or (True) without it; ``note`` is told of one half trained.
 
         Raises
         ------
@@ -153,5 +155,5 @@ class StoredVolume:
                 f"{path} does not fit its {SETTINGS} ({str(error)[:80]}); delete it, and training begins anew"
             ) from error
         if step < self.recipe.steps:
-            current().note(f"the training of {self.folder} has done {step} of {self.recipe.steps} steps so far")
+            note(f"the training of {self.folder} has done {step} of {self.recipe.steps} steps so far")
         return lambda camera, dry: view_of(renderer, cells, self.recipe, self.water, camera, dry=dry)

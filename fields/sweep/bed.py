@@ -69,7 +69,7 @@ class BedPoints:
     ) -> tuple[BedPoints, np.ndarray]:
         """Points of several views that ``keep`` selects by coordinates (N, 3), and its mask (N,) bool.
 
-        The parts are taken out of their list, column by column, so that no more than one is there twice.
+        The list of parts is emptied column by column, so that at most one part is in memory twice.
         """
         columns = {f.name: [getattr(p, f.name) for p in parts] for f in fields(BedPoints)}
         parts.clear()
@@ -113,10 +113,10 @@ def unique_pixels(block: Block, maps: Sequence[HeightMap], gsd: float) -> Masks:
 
     Views take turns, the steepest first: their ground sampling distance is the finest. A pixel that is kept claims, in
     every later view, the four pixels around its projection whose heights agree with it; claimed pixels are duplicates.
-    On walls, where neighbouring pixels lie far apart, it claims those alone that are as near to it as the bed's points
-    are to each other (``gsd``, the ground sampling distance [m]). Only trusted pixels are kept. What is steep is
-    looked at once more in space: that adds pixels on walls, and takes away wrong ones (`fields.sweep.slopes`). So is
-    what lies beneath something (`fields.sweep.beneath`); there one view that confirms is enough.
+    On walls, where neighbouring pixels lie far apart, it claims only those within the ground sampling distance ``gsd``
+    [m] of it. Only trusted pixels are kept. Steep pixels are tested once more in space, which adds pixels on walls and
+    drops wrong ones (`fields.sweep.slopes`). So are pixels beneath overhangs (`fields.sweep.beneath`), where one
+    confirming view is enough.
 
     Returns
     -------
@@ -193,7 +193,7 @@ def has_neighbours(xyz: np.ndarray, gsd: float) -> np.ndarray:
     found, x, reach = np.zeros(len(xyz), dtype=bool), xyz[:, 0], NEIGHBOURHOOD_GSD * gsd
     if len(xyz) <= LEAST_NEIGHBOURS:
         return found
-    # Of every hundredth point, to know where as many lie on either side.
+    # Quantiles of every hundredth point: slabs of about as many points each.
     edges = np.quantile(x[::100], np.linspace(0.0, 1.0, -(-len(xyz) // POINTS_PER_SLAB) + 1))
     for low, high in pairwise([-np.inf, *edges[1:-1], np.inf]):
         mine = np.flatnonzero((x >= low) & (x < high))
@@ -256,9 +256,9 @@ def with_slope_std(
 ) -> BedPoints:
     """Points of the kept pixels of a map (height, width) [m], with the std that slopes and edges add.
 
-    A height that is off leaves its point on its ray, but beside its place, by as many pixels (of ``gsd`` [m]) as the
-    ray leans. Level ground has the same height there; a slope or an edge another one, but by no more than the whole
-    range of the heights about it. Differences of heights by their own std are neither.
+    An error of the height moves the point along its ray, and so in plan by the error times the slope of the ray. On
+    level ground the height there is the same; on a slope or at an edge it differs, at most by the range of the heights
+    around. Differences within the std of the heights count as neither. ``gsd`` [m] is the side of a pixel.
     """
     n = 1.0 if water is None else water.n_water
     sine = np.sin(points.incidence) / np.where(points.wet, n, 1.0)

@@ -100,8 +100,8 @@ class Block(Overlap):
     water, height, ground :
         As `Overlap`.
     saturated : tuple of float
-        Share of each photograph that is left out because it is white; empty where nobody has looked. Read after the
-        images, so that what gives these may fill it.
+        Share of each photograph that is masked as saturated; empty where it was not measured. Read after the images,
+        so that the source of the images may fill it.
     skips : Skips
 
     Raises

@@ -37,7 +37,7 @@ STEPS = tuple(round(length * 2**16) / 2**16 for length in (1.0, 1.4, 2.1969))
 _FAR = 2**15
 # Row and column (N,) of pixels.
 Place = tuple[Any, Any]
-# A line within so many of an image, for one that may lie beyond.
+# Border mode: maps a row or column that may lie outside an image of so many to one inside.
 Rim = Callable[[Any, int], Any]
 
 
@@ -175,8 +175,8 @@ def _area_sums(flat: Any, shape: tuple[int, int], target: tuple[int, int]) -> An
 def fill_nearest(height: Any, known: Any) -> Any:
     """Heights with unknown ones replaced by that of the nearest known pixel, or of one about as near.
 
-    By jumping from pixel to pixel in steps that halve (Rong and Tan 2006). Many pixels have several that are as near:
-    then OpenCV's counts, which looks for those above first, and for those below before it looks to the right.
+    By jumping from pixel to pixel in steps that halve (Rong and Tan 2006). Ties are frequent, and broken in OpenCV's
+    order: above first, below before right.
     """
     flat, mask, shape = flatten(height), flatten(known), height.shape
     if not 0 < count_true(mask) < size_of(flat):
@@ -187,7 +187,7 @@ def fill_nearest(height: Any, known: Any) -> Any:
     evaluate(*place, *nearest)
     last, width = tuple(scalar(place[0], length - 1) for length in shape), scalar(place[0], shape[1])
     jump = _jump if is_torch(flat) else _recorded_jump()
-    # Steps of one pixel twice: of what is found otherwise one pixel in a thousand is a third too far away.
+    # Steps of one pixel twice: with one, the distance of one pixel in a thousand is a third too large.
     for length in [*(1 << bit for bit in reversed(range(max(shape).bit_length()))), 1]:
         nearest = jump(place, nearest, scalar(place[0], length), last, width)
     rows, columns = (_floor(each) for each in nearest)
@@ -195,7 +195,7 @@ def fill_nearest(height: Any, known: Any) -> Any:
 
 
 def _jump(place: Place, nearest: list[Any], reach: Any, last: tuple[Any, Any], width: Any) -> list[Any]:
-    """Row and column of the nearest known pixel, of those that a pixel and eight in a distance know of."""
+    """Row and column of the nearest known pixel, among the candidates of a pixel and of eight others at a distance."""
     xp = kernels.namespace(nearest[0])
     distance, rank = _distance(place, nearest), _scan_rank(place, nearest)
     for y, x in ((y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if y or x):
@@ -246,7 +246,7 @@ def _over_tiles(
 ) -> np.ndarray:
     """Reduction over the pixels of each tile, (rows, columns) float64 on the host: along rows, then columns.
 
-    Beyond the image its outermost pixels count once more, or a value does.
+    Tiles beyond the image are padded with its outermost pixels, or with a value.
     """
     evaluate(flat)
     xp = kernels.namespace(flat)
@@ -323,7 +323,7 @@ def extrapolate_planes(height: Any, known: Any, tolerance: float) -> Any:
         return total
 
     weight = to_float(mask)
-    # Any height among them does: float32 holds what is left.
+    # Any of the heights serves as the base: float32 holds the differences.
     base = scalar(flat, kth_smallest(gather(flat, nonzero(mask)), 0))
     height_over = weight * (flat - base)
     evaluate(weight, height_over)

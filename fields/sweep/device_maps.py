@@ -46,8 +46,8 @@ class DeviceMaps(MutableMapping[int, HeightMap]):
     Parameters
     ----------
     device : Device
-    aside : place for maps of the host
-    room : _Room
+    on_host : store of the maps that do not fit
+    room : _Budget
     """
 
     def __init__(self, device: Device, on_host: Maps, room: _Budget):

@@ -30,7 +30,7 @@ _SURROUNDINGS_PX = 5
 
 @dataclass(frozen=True)
 class Compared:
-    """Views that the map of a view is compared with, and the pixels of it that are (flat indices), all where None."""
+    """Views that the map of a view is compared with, and its compared pixels (flat indices; None for all)."""
 
     peers: list[int]
     pixels: Any | None = None
@@ -69,7 +69,7 @@ def _agreement(
 ) -> Iterator[tuple[HeightMap, float, _Agreement]]:
     """Maps that are compared, each with the tolerance [m] and its `agreement`.
 
-    Of a view of which some pixels are compared the others are as in its map.
+    Where only some pixels of a view are compared, the others keep the values of its map.
     """
     chosen, backend = sorted(maps), images(block.device)
     cameras = [block.cameras[v].scaled(scale) if scale != 1.0 else block.cameras[v] for v in chosen]
@@ -139,7 +139,7 @@ def agreement(
 
 
 def remove_free_space_violations(block: Block, maps: Sequence[HeightMap], keep: Keep = dict) -> OrderedMaps:
-    """Maps without the confirmation of heights that as many views see through (free space) as confirm.
+    """Maps in which heights are unconfirmed where as many views see through them (free space) as confirm them.
 
     A view sees through a point where its own trusted heights, in all four pixels about the point, are lower by more
     than what counts as agreement. Beside an edge views from one side may err alike; those from the other side see what
@@ -151,7 +151,7 @@ def remove_free_space_violations(block: Block, maps: Sequence[HeightMap], keep: 
     maps : sequence of HeightMap
         Of `fields.sweep.sweep.sweep`.
     keep : callable
-        Makes the place for what is returned.
+        Factory of the store of the maps returned.
     """
     chosen, found = [m.view for m in maps], keep()
     cameras = [block.cameras[view] for view in chosen]

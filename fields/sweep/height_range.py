@@ -16,8 +16,8 @@ THUMBNAIL_PX = 128
 NUM_VIEWS = 8
 NUM_NEIGHBOURS = 8
 WINDOW_RADIUS = 3
-# A thumbnail pixel counts where half of its neighbours correlate this well in such windows, in wider ones as much less
-# as chance does, and the best height is not the first or the last hypothesis.
+# A thumbnail pixel counts where half of its neighbours correlate this well in such windows, and the best height is not
+# the first or the last hypothesis. In wider windows the threshold falls in proportion to chance correlation.
 CONFIDENT_NCC = 0.7
 MIN_PIXELS = 200
 # With fewer height hypotheses, of which the first and the last count for nothing, a range is narrow already.

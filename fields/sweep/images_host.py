@@ -262,7 +262,7 @@ def own_pixels(device: Device, tiles: Tiles, part: slice, pixels: np.ndarray, lo
 
 def tile_extents(wanted: np.ndarray, low: np.ndarray, high: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
     """Least low and largest high value of the wanted pixels of each tile, (rows, columns); inf if none."""
-    # One axis after the other: both at once do not run in vectors.
+    # One axis after the other: numpy vectorises no reduction over both.
     least = in_tiles(np.where(wanted, low, np.inf), size, np.inf).min(axis=1).min(axis=2)
     most = in_tiles(np.where(wanted, high, -np.inf), size, -np.inf).max(axis=1).max(axis=2)
     return least, most

@@ -30,7 +30,7 @@ class MapPoints:
 
     @staticmethod
     def of(stack: ViewStack, masks: Iterable[np.ndarray]) -> MapPoints:
-        """Those of masks (height, width) bool, one for each map."""
+        """Points of the True pixels of masks (height, width) bool, one for each map."""
         pixels = [np.flatnonzero(mask) for mask in masks]
         number = np.repeat(np.arange(len(pixels)), [len(each) for each in pixels])
         parts = [points_of_pixels(stack, number, each) for number, each in enumerate(pixels)]

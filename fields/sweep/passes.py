@@ -37,14 +37,14 @@ class StepSearch:
     neighbours: int = 6
 
 
-# Of the samples of a pass that takes points alone, those that it takes, about, with the halos of their tiles: a seventh
-# of data/river, a fifth of data/wreck_water, half of data/quick, whose 21 photographs see little ground.
+# Approximate share of the samples of a full pass in one that takes points alone, with the halos of their tiles: a
+# seventh of data/river, a fifth of data/wreck_water, half of data/quick, whose 21 photographs see little ground.
 POINTS_SHARE = 0.25
 
 
 @dataclass(frozen=True)
 class Pass:
-    """One pass over all views, with hypotheses about the heights of the pass before.
+    """Settings of a pass over all views, with hypotheses about the heights of the pass before.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Pass:
 
     @property
     def refines(self) -> bool:
-        """Whether it only refines: tries no heights but the known one and its two neighbours."""
+        """Whether the pass only refines: it tries the known height and its two neighbours."""
         return self.hypotheses is not None and self.hypotheses <= REFINING
 
 

@@ -1,7 +1,7 @@
 """Photo-consistency of each photograph with the surface of the height maps.
 
 Points of the height maps are projected into every photograph, refracted at the water. Where its pose is right, its
-grey levels there go with those of the photographs that the points come from; where it is wrong, they do not.
+grey levels there correlate with those of the photographs that the points come from; where it is wrong, they do not.
 """
 
 from __future__ import annotations

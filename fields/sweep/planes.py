@@ -12,7 +12,7 @@ import numpy as np
 
 from refract import kernels
 
-# Heights within a square of this side are known about its middle, or no plane is laid through them [px].
+# Side of the square of heights through which a plane is fitted [px].
 SIDE_PX = 13
 # Of the square, at least such a share has to be known; and known pixels spread by so much [px], or they lie in a line.
 _LEAST_KNOWN, _LEAST_SPREAD_PX = 0.1, 1.0

@@ -77,8 +77,8 @@ class SteepPixels:
 def filter_steep_pixels(stack: ViewStack, found: SteepPixels, kept: Masks, gsd: float) -> None:
     """Update the ``kept`` pixels: drop steep ones that other maps see through, add others that fill gaps on walls.
 
-    ``stack`` has the height maps. A map has a point that lies within ``gsd`` [m] of its heights there, and looks
-    through one that lies farther above them.
+    ``stack`` has the height maps. A map contains a point within ``gsd`` [m] of its heights there, and sees
+    through one farther above them.
     """
     if not len(kept):
         return

@@ -102,7 +102,7 @@ def wall_slopes(
     ----------
     camera, water
     ways : (rows, columns, 2)
-        In which the heights of the tiles rise, of any length: `fields.sweep.images_host.tile_gradients`.
+        Direction in which the heights of each tile rise, of any length: `fields.sweep.images_host.tile_gradients`.
     extent : (rows, columns) each [m]
         Lowest and highest height of the tiles.
     size : [px]

@@ -70,7 +70,7 @@ def sweep(
         Number of samples (pixels x hypotheses x compared views) of all passes, which take nearly all of the time.
     earlier : EarlierMaps, optional
     keep : callable
-        Makes the places in which maps are kept meanwhile; default in memory.
+        Factory of the stores of maps between passes; default in memory.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""One pass of the sweep over one view: the whole image, the columns that may see an area, or a part in tiles."""
+"""Matching of a view in a pass of the sweep: the whole image, the columns that may see an area, or a part in tiles."""
 
 from __future__ import annotations
 
@@ -105,10 +105,10 @@ def match_pass(
     before: HeightMap | None,
     wider: int,
 ) -> Job[tuple[HeightMap, int]]:
-    """One pass over one view, with the hypotheses of the bound or those about the heights of the pass before.
+    """Match a view in a pass, with the hypotheses of the bound or those about the heights of the pass before.
 
-    Windows are by so many pixels ``wider`` than those of the pass, or more where this pass finds that they have to be,
-    which is returned.
+    The radius of the windows is that of the pass and ``wider`` [px], or more where the scores ask for it. Returns the
+    map and the pixels by which its windows were wider.
     """
     stack, view, backend = block.stack(p.scale), of_view.view, images(block.device)
     bound, area = search.bound, search.area
@@ -145,9 +145,10 @@ def match_pass(
 def refine_part(
     block: Block, p: Pass, of_view: ViewPass, before: HeightMap, part: np.ndarray
 ) -> Job[tuple[HeightMap, Any]]:
-    """One pass over a part of a view, (height, width) bool at a share of the size, and its pixels, flat.
+    """Match a part of a view in a pass, in tiles; returns the map and the flat indices of the matched pixels.
 
-    Those are of all tiles that hold some of the part; the others stay as they were ``before``.
+    ``part`` (height, width) bool is at a share of the size. All tiles that hold some of it are matched; other pixels
+    stay as they were ``before``.
     """
     stack, view, backend = block.stack(p.scale), of_view.view, images(block.device)
     step = _step(block, p, view, of_view.neighbours, backend.median(before.height))

@@ -2,8 +2,8 @@
 
 Ripples move between two exposures: windows of some pixels match them, at heights of their own above or below the bed,
 and no third photograph contradicts. The texture of the bed is coarser. In wide windows of reduced photographs it
-outweighs theirs, and what they still move a height by changes from window to window, so that it shows in the
-differences of heights and shrinks in their mean.
+outweighs theirs. The error that ripples leave in a height varies from window to window: it shows in the differences of
+heights and averages out in their mean.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ _LEAST_KNOWN = 0.5
 _SIDE, _MEAN_PX = 2 * _RADIUS + 1, float(_RADIUS)
 # Heights further from the mean than so many standard deviations of it count no longer; the mean is taken again.
 _OUTLYING, _ROUNDS = 3.0, 3
-# What matching leaves of a reduced pixel alike in neighbouring windows (interpolation, rims on slopes), one standard
-# deviation: 0.01 to 0.035 on drawn pairs with ripples (tests/rippled_pair.py).
+# Error of matching that neighbouring windows share (interpolation, rims on slopes), one standard deviation [reduced
+# px]: 0.01 to 0.035 on drawn pairs with ripples (tests/rippled_pair.py).
 _ALIKE_PX = 0.03
 # Variance of a second difference of three values without correlation, over that of each.
 _SECOND_DIFFERENCE = 6.0
@@ -110,7 +110,7 @@ def averaged(m: HeightMap, alike_m: float = 0.0) -> HeightMap:
         count = _gaussian(weight, _MEAN_PX)
         mean = np.where(count > 1e-3, _gaussian(weight * m.height, _MEAN_PX) / np.maximum(count, 1e-3), m.height)
         weight = (sure & (np.abs(m.height - mean) < _OUTLYING * std)).astype(np.float32)
-    # Windows share pixels: a mean over an area of 4 pi s^2 has as much independent as that and a window's, over one.
+    # Windows share pixels: a mean over an area of 4 pi s^2 has 1 + 4 pi s^2 / side^2 independent values.
     std = np.hypot(std / np.sqrt(1.0 + 4.0 * np.pi * _MEAN_PX**2 / _SIDE**2), alike_m)
     # The spread of which `fields.sweep.height_std.height_std` makes this standard deviation again.
     spread = std / np.sqrt(small_sample_factor(np.array(2.0)))

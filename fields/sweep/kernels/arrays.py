@@ -15,7 +15,7 @@ import numpy as np
 from fields.device import Device
 from fields.sweep.kernels.flat import flatten
 
-# Kernels of Dr.Jit load whole vectors, and one is compiled for each choice of arrays that begin at such an address.
+# Alignment of arrays. Kernels of Dr.Jit load whole vectors, and one is compiled for each combination of aligned arrays.
 ALIGNED_BYTES = 64
 # In float32: as much as the last vector of a view may reach beyond its end.
 _SPARE = ALIGNED_BYTES // 4

@@ -1,7 +1,7 @@
 """Flat arrays of a device: the functions that Dr.Jit and torch name differently.
 
 Whole numbers have a sign. Numbers that differ from view to view are made by `scalar`: kernels of Dr.Jit take them as
-arguments, and need not be made anew.
+arguments and are not compiled again.
 """
 
 from __future__ import annotations

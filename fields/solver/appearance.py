@@ -22,7 +22,7 @@ LEAST_PIXELS = 100
 LEAST_NOISE = 0.3
 # Residuals beyond this many times the noise lose their weight.
 OUTLIER = 3.0
-# Of its weight, what is left of a sighting that counts as outlying: at `OUTLIER` times the noise.
+# Share of its weight that an outlier has left: at `OUTLIER` times the noise.
 _LOST = 0.5
 # A median over this many pixels is good enough, of each photograph.
 _SAMPLE = 10_000
@@ -74,8 +74,8 @@ class Brightness:
 def log_likelihood_ratio(before: Brightness, now: Brightness) -> np.ndarray:
     """Log-likelihood ratio of the photographs at each pixel (N,), now against before, by Cauchy's distribution.
 
-    By the law that the weights are those of, Cauchy's, and the noise now; of the photographs that show the pixel in
-    both.
+    The distribution is that of the robust weights, with the noise of ``now``. Only photographs that show the pixel in
+    both count.
     """
     scale = OUTLIER * now.noise[:, None]
     both = (before.weight > 0.0) & (now.weight > 0.0)
@@ -86,7 +86,7 @@ def log_likelihood_ratio(before: Brightness, now: Brightness) -> np.ndarray:
 def appearance_of(tile: Tile, grey: np.ndarray) -> Appearance:
     """Photometric gain and smooth offset of each photograph against the mean, from grey values (K, N), NaN if not seen.
 
-    First of all that is seen, then without what one photograph alone shows: glint makes it brighter, and is no gain.
+    Estimated twice: from all pixels, then without what one photograph alone shows, such as glint.
     The tile's own photograph, the first, stays as it is.
     """
     seen = np.isfinite(grey)

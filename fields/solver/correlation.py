@@ -23,13 +23,13 @@ from fields.solver.uncertainty import ONE_STD, expected_variances, smoothing_cha
 _LARGEST = 6.0
 # Fewest pixels.
 _LEAST_PIXELS = 2000
-# Of the information: a pixel whose contrast has less does not speak.
+# Least share of the information in the contrast of a pixel that counts.
 _LEAST_SHARE = 0.05
 # A response beyond these is that of something else than texture.
 _RESPONSES = (0.3, 1.5)
 # Of normally distributed values, so many lie within so many standard deviations.
 _MOST, _WITHIN = 0.95, 1.96
-# No noise is so much smaller than it seems.
+# Lower bound of the noise shares.
 _LEAST_NOISE = 0.05
 
 
@@ -42,10 +42,10 @@ class NoiseShares:
     response : float
         Median of the response of `TileSolution`.
     heights, changes : float
-        Of the variance of heights by noise, and of what smoothing them once more changes.
+        Of the variance of heights by noise, and of their change by smoothing them once more.
     unfollowed : float
-        Not of noise, but of the relief that the prior should take from the bed: how much more than that the residuals
-        show that the heights do not follow, 0 to 1.
+        Excess of the relief that the residuals show and the heights do not follow, over the relief that the prior
+        should smooth away, 0 to 1.
     """
 
     response: float
@@ -70,7 +70,7 @@ class NullSolutions:
     square, expected : (N,) [m^2]
         Of the heights; expected for independent noise.
     changed, expected_change : (N,) [m^2]
-        Of what smoothing them once more changes.
+        Of their change by smoothing them once more.
     left, residual : (N,)
         Squared residuals of the contrast after its null solution, and of the photographs along the solved height; one
         for a pixel that has independent noise and is not solved.

@@ -19,7 +19,8 @@ from fields.sweep.slopes import slope_of
 ITERATIONS = 3
 # Gain and offset are estimated in the first steps.
 APPEARANCE_ITERATIONS = 2
-# Of conjugate gradients, with the residual relative to the start; in a step that another follows, which mends it.
+# Conjugate gradients: most steps, and the residual relative to the first at which they end, in the last Gauss-Newton
+# step and in those before it, which the next one corrects.
 CG_STEPS, CG_RESIDUAL, CG_RESIDUAL_BEFORE = 300, 3e-3, 3e-2
 # Weight of the start where neither images nor neighbours say anything [1/m^2].
 FAINT = np.float32(1e-2)
@@ -96,7 +97,7 @@ def solve(
     Parameters
     ----------
     tile : Tile
-    sight : Sight
+    projected : TileProjection
     images : (height, width) float32, by view
         Grey levels; NaN where masked.
     start : Start
@@ -176,7 +177,8 @@ def shift_information(weight: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """Information of a height against random shifts of the photographs, (N,) [px^2/m^2].
 
     Random shifts of the photographs with a standard deviation of one pixel along each axis give the height one of one
-    over its root. ``weight`` (K, N) is 0 where not seen, ``motion`` (K, 2, N) [px/m] as `TileProjection` has it.
+    over the root of the information. ``weight`` (K, N) is 0 where not seen, ``motion`` (K, 2, N) [px/m] as
+    `TileProjection` has it.
     """
     seen = (weight > 0.0)[:, None]
     count = np.maximum(seen.sum(axis=0), 1)

@@ -86,7 +86,7 @@ class SolverFigures:
     shifts : Shifts
         Between photographs: `fields.solver.shifts.shifts_of`.
     noise : NoiseShares
-        What noise is worth: `fields.solver.correlation.noise_shares`.
+        Variances by noise: `fields.solver.correlation.noise_shares`.
     spectral_slope : float
         Of the bed: `fields.solver.roughness.spectral_slope_of`.
     slopes : float
@@ -104,7 +104,7 @@ class SolverFigures:
 
     def __str__(self) -> str:
         return (
-            f"roughness of the bed, as the bend from one pixel to the next: {1e3 * self.roughness_m:.1f} mm; local "
+            f"roughness of the bed (second difference of heights): {1e3 * self.roughness_m:.1f} mm; local "
             f"shifts of single photographs (poses, waves): {self.shifts.anywhere_px:.2f} px and "
             f"{self.shifts.by_depth_px_m:.2f} px more for each metre of depth; variance of heights by noise, over that "
             f"of noise without correlation: {self.noise.heights:.2f}; power of relief: frequency to "
@@ -245,7 +245,7 @@ def _estimate_figures(
     """Parameters of the survey, estimated from solved samples."""
     roughness, response = roughness_of(samples, gsd, pool), median_response(samples)
     null_solutions = null_solutions_of(samples, roughness, response)
-    # Noise looks like shifts, and shifts like noise: first all is noise, then what shifts leave.
+    # Noise and shifts are confounded: first all counts as noise, then what remains without the shifts.
     all_noise = noise_shares(null_solutions, response, Shifts(0.0, 0.0), is_wet)
     shifts = shifts_of(samples, all_noise.heights, is_wet)
     noise = noise_shares(null_solutions, response, shifts, is_wet)

@@ -1,6 +1,6 @@
 """Standard deviation of solved heights: by noise, and by the relief that the prior smooths away.
 
-Means over the spectrum of a bed of equal pixels: with information H of a height, of which the residuals answer with
+Means over the spectrum of a bed of equal pixels: with information H of a height, of which the residuals respond with
 ``A = response * H``, and stiffness q, a wave of the bed is multiplied by ``A / (A + q S)``, with S the square of the
 symbol of the Laplacian: the power that the prior expects of the bed is ``1 / (q S)``. Beds of another roughness at
 small than at large scale have ``1 / S**slope``. All depends on the ratio of q to A alone.
@@ -17,9 +17,9 @@ import numpy as np
 from fields.solver.gauss_newton import FAINT, TileSolution, conjugate_gradients, normal_matrix
 from fields.solver.tile import Tile
 
-# Information and stiffness are alike over about the range in which heights are correlated [px].
+# Information and stiffness are taken as constant over about the range in which heights are correlated [px].
 _ALIKE_PX = 1.5
-# How much relief the prior takes from the bed is alike in a Gauss window of this standard deviation [px].
+# The relief that the prior smooths away is taken as constant in a Gauss window of this standard deviation [px].
 _NEAR_PX = 4.0
 # Gauss windows end at so many standard deviations.
 _TRUNCATED = 3.0
@@ -69,7 +69,7 @@ def expected_variances(
     """Expected variances of the heights of a tile, for a normal matrix that is uniform around each pixel.
 
     Each wave of the heights is then solved on its own, and the variance of a height is the mean over all waves.
-    Smoothed once more, a wave changes by what the prior takes of it. ``spectral_slope`` is that of the bed
+    Smoothed once more, a wave changes by the share that the prior removes. ``spectral_slope`` is that of the bed
     (`fields.solver.roughness.spectral_slope_of`).
     """
     effective, log_ratio = effective_information(tile, solved, response)
@@ -192,11 +192,11 @@ class SpectralMeans:
     changed_noise, changed_relief : (N,)
         Of both in the change by smoothing a height once more.
     twice_changed_relief : (N,)
-        Of relief in what smoothing that change changes of it.
+        Of relief in the change of that change by smoothing it in turn.
     bends_noise : (N,)
         Of noise in the second differences of a height.
     alike : (N,) [px^2]
-        How many pixels share a value of what is changed.
+        Number of pixels over which the change is correlated.
     """
 
     noise: np.ndarray

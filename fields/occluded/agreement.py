@@ -120,7 +120,7 @@ def _unexplained(
     members: np.ndarray,
     kept: np.ndarray,
 ) -> np.ndarray:
-    """Those of the kept cells (rows, columns) that no surface over the layer explains; none where many are."""
+    """Kept cells (rows, columns) that no surface over the layer explains; none where many are explained."""
     inside = np.stack([each.is_inside for each in sightings])
     sheets = (alike.colours(sightings, each, inside) for each in sheet_heights(holes.gsd))
     slopes, on_layer = np.array([each.slope for each in sightings]), alike.colours(sightings, height, inside)
@@ -182,7 +182,7 @@ class _Alike:
         return _Alike(gain, offset, np.maximum(noise, _LEAST_NOISE))
 
     def colours(self, sightings: Sequence[Sighting], height: np.ndarray | float, use: np.ndarray) -> Colours:
-        """What the photographs show at heights over the layer, made alike."""
+        """Colours of the photographs at heights over the layer, corrected for gain and offset."""
         values = np.stack([each.colours(height) for each in sightings])
         values -= self.offset[:, None, None]
         values /= self.gain[:, None, None]

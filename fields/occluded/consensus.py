@@ -1,4 +1,4 @@
-"""Which photographs show the same colours on a surface: those from which it is seen."""
+"""Photo-consistency of a surface: the photographs that agree on its colours, and so see it."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ import numpy as np
 
 # Cells about one whose colours are compared together: a window of 3.
 WINDOW = 3
-# Of a pair of photographs the mean square of their difference, in variances of the noise, up to which they agree; what
-# counts beyond is nothing, and one cell counts at most so much.
+# Mean square of the difference of two photographs, in variances of the noise, up to which they agree; beyond it their
+# agreement is zero. One cell counts at most so much.
 AGREE, _MOST = 1.2, 30.0
 
 
 @dataclass(frozen=True)
 class Colours:
-    """What K photographs show on the cells (rows, columns) of a surface.
+    """Colours of K photographs on the cells (rows, columns) of a surface.
 
     Attributes
     ----------
     values : (K, rows, columns, 3) float32
-        Stored values 0 to 255, made alike by gain and offset of each photograph.
+        Stored values 0 to 255, corrected for gain and offset of each photograph.
     use : (K, rows, columns) bool
         Where the photograph may show the surface.
     noise : (3,)

@@ -1,4 +1,4 @@
-"""Whether a surface over the layer explains the photographs that agree on it.
+"""Test whether a surface over the layer explains the photographs that agree on it.
 
 Photographs that nearly look along each other show the same colours on whatever lies behind what they see. If it is a
 surface over the layer, other photographs show those colours on it, too.
@@ -13,7 +13,7 @@ import numpy as np
 
 from fields.occluded.consensus import Colours, windowed
 
-# Heights over the layer at which other photographs are asked, in ground sampling distances: steps of a fourth.
+# Heights over the layer at which other photographs are tested, in ground sampling distances: steps of a fourth.
 _SHEETS_GSD = (3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 13.0, 16.0, 20.0, 25.0, 32.0, 40.0, 50.0, 64.0)
 # In variances of the noise, the mean square up to which a photograph agrees; one cell counts at most so much.
 _AGREE, _MOST = 1.5, 30.0
@@ -71,5 +71,5 @@ def explained_above(
 
 
 def sheet_heights(gsd: float) -> list[float]:
-    """Heights [m] over the layer at which other photographs are asked."""
+    """Heights [m] over the layer at which other photographs are tested."""
     return [gsd * each for each in _SHEETS_GSD]

@@ -48,7 +48,7 @@ class Holes:
 
     @staticmethod
     def of(box: Box, cloud: np.ndarray, area: tuple[float, float, float, float] | None) -> Holes | None:
-        """Those of a cloud (N, 3) [m] in a box and an area (x0, y0, x1, y1); None where few, or no bed is known."""
+        """Holes of a cloud (N, 3) [m] in a box and an area (x0, y0, x1, y1); None where few, or no bed is known."""
         x, y = box.places
         inside = np.zeros(x.shape, dtype=bool)
         inside[MARGIN_GSD:-MARGIN_GSD, MARGIN_GSD:-MARGIN_GSD] = True
@@ -62,8 +62,8 @@ class Holes:
             return None
         points = np.stack([x, y, layer.at(x, y)], axis=-1)
         inside &= np.isfinite(points[..., 2])
-        # What lies over a cell by what heights may be off is on the layer, too. What lies under it shows that the bed
-        # is lower there than the layer, and no hole.
+        # A point above the layer by less than the error of heights lies on it, too. A point below shows that the bed
+        # is lower there than the layer: that is no hole.
         floor = layer.at(near[:, 0], near[:, 1])
         seen = np.column_stack([near[:, :2], np.fmax(near[:, 2], floor)])
         flat, reach = np.array([1.0, 1.0, _NEAR_GSD / _LEVEL_GSD]), _NEAR_GSD * box.gsd

@@ -14,9 +14,10 @@ from fields.occluded.boxes import CONTEXT_GSD, SIDE_GSD, Box
 # Side of the cells of the layer, half the width of what may stand over the bed, and the thickness of the bed in a
 # cell: in ground sampling distances.
 _CELL_GSD, _RADIUS_GSD, _THICK_GSD = 5, 60, 3.0
-# Bed is what lies this near to the opened surface, and then to the smooth one, in ground sampling distances.
+# Points of the bed are this near to the morphologically opened surface, then to the smooth one, in ground sampling
+# distances.
 _OPENED_GSD, _SMOOTH_GSD = 14.0, (8.0, 4.5, 3.0, 3.0)
-# Weight of second differences against heights: while bed is told apart, and at last.
+# Weight of second differences against heights: while the bed is classified, and for the final surface.
 _STIFF, _SOFT = 10.0, 1.0
 # How far the layer goes beyond the bed, in ground sampling distances.
 _BEYOND_GSD = 30.0
@@ -42,7 +43,7 @@ class BedLayer:
 
     @staticmethod
     def of(box: Box, points: np.ndarray) -> BedLayer | None:
-        """That of points (N, 3) [m], local; None where too little of the bed is known."""
+        """Layer of points (N, 3) [m], local; None where too little of the bed is known."""
         low = _lowest(box, points)
         known = np.isfinite(low)
         if known.mean() < _LEAST_BED:
@@ -62,7 +63,7 @@ class BedLayer:
         return BedLayer(box, low, is_bed) if is_bed.mean() >= _LEAST_BED else None
 
     def at(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Its heights [m], local z, at places (...) [m]; NaN far from the bed."""
+        """Heights [m], local z, of the layer at places (...) [m]; NaN far from the bed."""
         cell, context = _CELL_GSD * self._box.gsd, CONTEXT_GSD * self._box.gsd
         row, column = ((each + context) / cell - 0.5 for each in (y - self._box.y, x - self._box.x))
         return map_coordinates(self._z, [row, column], order=1, mode="nearest")

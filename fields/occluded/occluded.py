@@ -21,18 +21,18 @@ _TOGETHER, _THREADS = 8, 2
 # Most boxes, beside one for each map: those with the most holes, so that they take a share of the time of the sweep.
 _MOST_BOXES = 64
 # Boxes of a sample from all over the ground, and the least share of those with holes that have points: where fewer
-# have some, what stands there hides no bed, as a closed hull, and those few are as doubtful.
+# have some, the objects there hide no bed (a closed hull), and those few points are doubtful.
 _SAMPLE, _LEAST_SHARE = 32, 1.0 / 3.0
 # Fewer boxes with holes do not speak for the others.
 _FEWEST = 6
-# First those of the sample with the most holes are asked: where points are found in less than this share of their
-# holes, the others are not.
+# The boxes of the sample with the most holes are searched first; where points are found in less than this share of
+# their holes, the others are not searched.
 _LEAST_FOUND = 0.03
 
 
 @dataclass(frozen=True)
 class OccludedBed:
-    """What was found beside and under edges.
+    """Points of the bed beside and under edges, and the boxes that were searched.
 
     Attributes
     ----------
@@ -132,7 +132,7 @@ def _sightings(
     photograph: Callable[[int], np.ndarray],
     found: Sequence[Holes],
 ) -> list[list[Sighting]]:
-    """What the photographs show of some holes, one photograph after the other."""
+    """Sightings of holes, read photograph by photograph."""
     seen: list[list[Sighting]] = [[] for _ in found]
     for number, view in enumerate(views):
         camera = block.cameras[view]

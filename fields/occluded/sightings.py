@@ -1,4 +1,4 @@
-"""What the photographs show of the layer about holes, at several heights, and what their height maps say there."""
+"""Sightings of the layer about holes: colours of each photograph at several heights, and heights of its map."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _STRAY_CELLS = 2
 
 @dataclass(frozen=True)
 class Sighting:
-    """One photograph of holes; arrays (rows, columns, ...) of their cells.
+    """Sighting of holes in a photograph; arrays (rows, columns, ...) of their cells.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ def sighting_of(
     holes: Holes,
     reach: float,
 ) -> Sighting | None:
-    """What a photograph shows of holes and the layer about them; None where that is too little.
+    """Sighting of holes and the layer about them in a photograph; None where too little of them is seen.
 
     Parameters
     ----------

@@ -147,7 +147,7 @@ def _straight_ties(survey: Survey, found: Adjustment) -> TiePoints:
         mine = view == number
         centres[mine], rays[mine] = each.camera.centres(pixel[mine]), each.camera.directions(pixel[mine])
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
-    # From where the point truly is, so that distant centres cost no digits.
+    # Relative to the true place of the point, so that distant centres cost no digits.
     away = centres - found.points[point]
     normal, right = np.zeros((len(found.points), 3, 3)), np.zeros((len(found.points), 3))
     np.add.at(normal, point, across)

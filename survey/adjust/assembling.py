@@ -49,7 +49,7 @@ from survey.folder.survey import Survey
 from survey.settings.config import WaterConfig
 
 _POSE_NAMES = ("x", "y", "z", "turn_x", "turn_y", "turn_z")
-# Three determine a pose; as many again tell whether they are right.
+# Three determine a pose; as many again make it redundant, and so testable.
 FEW_MATCHES = 6
 
 
@@ -92,7 +92,7 @@ def result(
     lost : dict of name to Unobservable, optional
         Of water of which nothing was known: what is not observable, and why.
     contradicted : sequence of int, optional
-        Parameters of the water that the block contradicts: however uncertain, what was found is used.
+        Parameters of the water that the block contradicts: their estimates are used, however uncertain.
     hold : callable, optional
         Adjusts again with the parameters (P,) bool held that are not observable.
     """
@@ -107,7 +107,7 @@ def result(
     known, solution, used = done.known, done.solution, done.used
     state, covariance = solution.state, solution.covariance
     poses = np.sqrt(np.diag(covariance)[layout.first_pose :]).reshape(-1, 6)
-    # What a rough bed seems to rise by is no result.
+    # The apparent rises of a rough bed are nuisance parameters, and no result.
     kept = np.r_[: len(WATER_NAMES), layout.first_lens : len(layout)]
     return Adjustment(
         parameters=parameters,

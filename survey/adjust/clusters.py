@@ -7,12 +7,12 @@
 `terrain_design_effect`
     Of neighbouring ground, over all photographs that show it. A window is matched with the same piece of the bed in
     each, and next to another piece of it, so that what a block does as a whole (lift, tilt, bend, shift) varies by more
-    than its normal equations say. How much more the residuals tell, summed over squares of the ground (the covariance
-    that is robust against clusters, K.-Y. Liang and S. Zeger, Longitudinal data analysis using generalized linear
-    models, 1986). With a change a of the whole block, d the change of the predictions that goes with it while points
-    follow, w the weights and r the residuals, a square has the sum ``s = sum of w d . r``. Of independent errors s^2
-    has the mean ``sum of w d^2 - g' C g``, with g the sum of w d by the parameters and C their covariance: the second
-    part is what the parameters have taken of it, more of larger squares.
+    than its normal equations say. How much more follows from the residuals, summed over squares of the ground (the
+    covariance that is robust against clusters, K.-Y. Liang and S. Zeger, Longitudinal data analysis using generalized
+    linear models, 1986). With a change a of the whole block, d the change of the predictions that goes with it while
+    points follow, w the weights and r the residuals, a square has the sum ``s = sum of w d . r``. Of independent errors
+    s^2 has the mean ``sum of w d^2 - g' C g``, with g the sum of w d by the parameters and C their covariance: the
+    second part is what the parameters have taken of it, more of larger squares.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def inflation(ties: TiePoints, residuals: np.ndarray, std_px: np.ndarray, kind: 
     ties : TiePoints
     residuals : (N, 2) [px]
     std_px : (kinds,) [px]
-        Standard right of a pixel coordinate of each kind.
+        Standard deviation of a pixel coordinate of each kind.
     kind : (N,)
         Each kind has one factor.
     sizes : (width, height) [px] of each photograph
@@ -91,7 +91,7 @@ def terrain_design_effect(problem: Problem, solution: Solution, sizes, kinds: np
         Of it.
     sizes : (width, height) [px] of each photograph
     kinds : (N,) bool
-        Which observations are asked.
+        Observations that count.
 
     Returns
     -------

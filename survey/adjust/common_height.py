@@ -1,9 +1,9 @@
 """Common height offset of positions, observable only through the water level, as of barometric heights.
 
-A block is adjusted where its positions put it, and there its photographs tell the height L of the water: by the bend of
-rays, and by where the bank ends. The level that is known, of standard deviation s, then tells the error b that heights
-share, of standard deviation p, ``b = k (L - level)`` with ``k = p^2 / (p^2 + s^2)``, to a variance of ``k s^2`` beside
-that of L; and the block is lowered by it. Water and cameras of the block have the covariance C before, and
+A block is adjusted where its positions put it, and its photographs determine the height L of the water: by the
+refraction of rays, and by the waterline. The level that is known, of standard deviation s, determines the error b that
+heights share, of standard deviation p, ``b = k (L - level)`` with ``k = p^2 / (p^2 + s^2)``, to a variance of ``k s^2``
+beside that of L; and the block is lowered by it. Water and cameras of the block have the covariance C before, and
 ``T C T' + k s^2 u u'`` after, with ``T = 1 - k u l'``: u has ones at heights, l one at that of the water.
 """
 

@@ -59,7 +59,7 @@ def windows_or_search(
 ) -> TiePoints | RecoveredPoses:
     """Windows of a survey with poses of a file, or its block by structure from motion where too few match.
 
-    Without a search they are what they are.
+    Without a search the windows are returned as they are.
 
     Raises
     ------
@@ -133,8 +133,8 @@ def find_anew(survey: Survey, workspace: Path, say: Callable[[str], None]) -> Re
 def _onto(centres: np.ndarray, rotations: np.ndarray, given: np.ndarray, turned: np.ndarray) -> Similarity:
     """Similarity transformation from poses (V, 3), (V, 3, 3) to given ones.
 
-    It is turned by the mean of what turns each view, which a single strip determines too; single wrong positions do not
-    count, as scale and shift are medians.
+    Its rotation is the mean over the views, which a single strip determines too. Scale and shift are medians, robust
+    against single wrong positions.
     """
     turn = Rotation.from_matrix(turned.transpose(0, 2, 1) @ rotations).mean().as_matrix()
     first, second = np.triu_indices(len(centres), 1)

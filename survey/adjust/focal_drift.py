@@ -4,9 +4,9 @@ Image-variant interior orientation (H.-G. Maas, ISPRS Archives 32(5), 1998): eac
 own, that of its lens times 1 + c, c of a common standard deviation s. Whether they differ, and by how much, is what the
 block says (`focal_std`); where it does, `with_focals` adjusts it with them.
 
-A focal length acts as the height of its camera does, but for relief and refraction. So what tells it are positions as
-good as some thousandths of the flying height, which it contradicts; and the rival explanation is that these are worse
-than stated. Both are held against each other by their marginal likelihoods, in the linear model at the adjusted block:
+A focal length acts as the height of its camera does, but for relief and refraction. So it is observable only with
+positions known to some thousandths of the flying height; the alternative is that these are worse than stated. Both
+hypotheses are compared by their marginal likelihoods, in the linear model at the adjusted block:
 
     -2 ln p = v' W v - b' N^-1 b + ln |N| - ln |W|
 
@@ -29,7 +29,7 @@ from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import POSE
 from survey.adjust.rounds import Adjusted
 
-# With fewer photographs nothing tells a scatter.
+# With fewer photographs the scatter is not observable.
 _FEWEST = 5
 # Standard deviations of focal lengths that are tried, as shares.
 _STDS = np.geomspace(1e-4, 2e-2, 24)
@@ -86,7 +86,7 @@ def with_focals(
         try:
             done = adjusted(known)
         except NotConvergedError:
-            # What the linear model promised the block does not bear out.
+            # The adjustment does not confirm the gain that the linear model predicts.
             return alone, None
         layout, solution = done.known.layout, done.solution
         variance = np.diag(solution.covariance)[layout.first_focal : layout.first_pose]
@@ -121,7 +121,7 @@ def focal_drift(known: Known, done: Adjusted) -> FocalDrift | None:
     without = base + _Eliminated.of(normal, right, own).bayes
     normal, right, base = normals(stated)
     left = _Eliminated.of(normal, right, own)
-    # In the axes of the focal lengths that are told apart, each of the standard deviations is a sum.
+    # In the eigenbasis of the focal lengths the log-likelihood of each standard deviation is a sum.
     told, axes = np.linalg.eigh(left.normal)
     told, along = np.maximum(told, 0.0), np.square(axes.T @ left.right)
     logs = [np.sum(2.0 * np.log(std) + np.log(told + std**-2.0) - along / (told + std**-2.0)) for std in _STDS]
@@ -154,7 +154,7 @@ class _Eliminated:
 
 
 def with_focal_std(known: Known, done: Adjusted, std: float) -> Known:
-    """What is known, with a focal length for each photograph, from an adjusted block on.
+    """Priors with a focal length for each photograph, starting from an adjusted block.
 
     Positions that were stated are as good as that, but for those that the block contradicts.
     """

@@ -2,11 +2,11 @@
 
 `check_given_values`
     Under poses that photographs confirm. Points follow a wrong level, and photographs agree under it as well as under
-    the true one, to some thousandths of a pixel in the mean; the residuals of windows in many photographs tell it. One
-    Gauss-Newton step from the given values, with points and one parameter free: level, index, focal length or radial
-    distortion. The others are as good as stated, or as those of an adjusted block. Where the given value is true the
-    step is small, so that the test does not hang on how far the equations are linear. The one that is contradicted the
-    most is the one that is wrong: errors of the others leave other residuals.
+    the true one, to some thousandths of a pixel in the mean; the residuals of windows in many photographs reveal it.
+    One Gauss-Newton step from the given values, with points and one parameter free: level, index, focal length or
+    radial distortion. The others are as good as stated, or as those of an adjusted block. Where the given value is true
+    the step is small, so that the test does not hang on how far the equations are linear. The one that is contradicted
+    the most is the one that is wrong: errors of the others leave other residuals.
 `worst_contradiction`
     Of the water, by an adjusted block.
 `check_dry_bed`, `check_dry_block`
@@ -41,7 +41,7 @@ from survey.folder.pose_priors import BAROMETER_STD_M
 from survey.folder.survey import Survey
 from survey.plan.poses import MOST_MISFIT_PX
 
-# What is asked: of the water, and of each lens.
+# Tested parameters: of the water, and of each lens.
 LEVEL, _INDEX = 0, WATER - 1
 LEVEL_NAME, _INDEX_NAME = WATER_PARAMETERS[LEVEL], WATER_PARAMETERS[_INDEX]
 _OF_LENS = tuple(LENS_NAMES.index(name) for name in ("f", "k1"))
@@ -100,7 +100,7 @@ class _Linearised:
         strength[others] = std[others] ** -2.0
         covariance = inverse(system.normal + np.diag(strength))
         step = covariance @ system.right
-        # The scatter is that about what was found: a wrong level is no noise.
+        # Scatter about the estimate, since a wrong level is no noise.
         left = problem.residuals(self.state.moved(problem.layout, step, system.point_steps(step)))
         taken = float(np.sum(1.0 - np.diag(covariance) / std**2))
         after = std_of_kinds(problem, left, taken)
@@ -121,7 +121,8 @@ def check_given_values(
 ) -> list[Contradiction]:
     """Tests of level, index and lenses against the photographs, whether contradicted or not.
 
-    Without what they do not tell: of water that little lies under, of an index that is of no use.
+    Parameters that they do not determine are left out: of the water where few points are wet, or the index where its
+    std exceeds the limit of use.
 
     Parameters
     ----------
@@ -136,7 +137,7 @@ def check_given_values(
     gsd : [m]
         Ground sampling distance.
     fewest_wet : int
-        Windows under water, with which level and index are asked for.
+        Least number of windows under water for a test of level and index.
     """
     known = known_of(survey, gsd, free_water=True)
     std = known.std.copy()
@@ -183,8 +184,7 @@ def _name_and_value(survey: Survey, known: Known, number: int) -> tuple[str, flo
 def worst_contradiction(survey: Survey, done: Adjusted) -> Contradiction | None:
     """The most contradicted of level, slopes and index, by standard deviations; None where none is.
 
-    One that is wrong draws the others with it, so that only the worst is surely wrong: it is released, and the block
-    asked again.
+    One that is wrong biases the others, so that only the worst is surely wrong: it is released, and the test repeated.
 
     Notes
     -----

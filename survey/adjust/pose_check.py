@@ -2,7 +2,7 @@
 
 Poses, lens and water that are exact leave residuals with no mean over a photograph. Errors of a pose move all that its
 photograph shows in one direction; what points can follow of them does no harm to the bed. Points follow a
-wrong level, and the bed with them: it is asked for apart (`survey.adjust.given_values`).
+wrong level, and the bed with them: this is tested on its own (`survey.adjust.given_values`).
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ class PoseCheck:
         Reprojection misfit per coordinate: the root mean square over photographs of the mean residual of
         their windows, less what the scatter of the windows explains. None where too little matches to tell.
     told : tuple of Contradiction
-        Tests of water and lens, contradicted or not, where the misfit confirms the poses: under
-        the level which fits best, since far from the true one photographs taken aslant miss each other, too.
+        Tests of water and lens, contradicted or not, where the misfit confirms the poses. It is taken under the level
+        that fits best, since a wrong level causes a misfit of oblique photographs, too.
     flooded : Contradiction or None
         The level that photographs show, where the given one leaves all of the bed dry.
     """
@@ -143,7 +143,7 @@ def _under_best_level(problem: Problem, state: State) -> float | None:
 def _of_middle(survey: Survey, height: float) -> list[int]:
     """Numbers of the views that look at the middle of the block, ascending; ``height`` [m] is that of the cameras.
 
-    Those that stand there look straight down, and tell little of the water.
+    Views from above it look straight down, and determine little of the water.
     """
     centres = np.array([view.camera.centre[:2] for view in survey.views])
     ahead = np.array([view.camera.cam_from_local[2] for view in survey.views])

@@ -1,6 +1,6 @@
 """Poses, lens and water of a survey together, from its photographs, positions, control and readings.
 
-matches of structure from motion (`Survey.ties`), where there are any -> a first adjustment, that takes the bend out;
+matches of structure from motion (`Survey.ties`), where there are any -> a first adjustment, which removes the bending;
 poses of a file that are too far off for windows get such matches first (`survey.adjust.far_poses`)
 windows matched to a fraction of a pixel on the adjusted block (`survey.adjust.block.windows`) -> the final adjustment
 """
@@ -318,7 +318,7 @@ class _BlockAdjustment:
             return []
         alone = replace(self._survey, observations=replace(self._survey.observations, control=None, ground=None))
         known = known_of(alone, make_plan(alone).gsd_m)
-        # With an open roll a block without control tells nothing.
+        # A block with an undetermined roll cannot test control.
         if known.rolls:
             return []
         kind, ties = self._parts[0]
@@ -355,7 +355,7 @@ class _BlockAdjustment:
 
 
 def _of_sample(survey: Survey) -> Contradiction | None:
-    """What a sample contradicted under the given poses; once poses are free, the block may tell it less surely."""
+    """Contradiction by a sample under the given poses; the test of a block with free poses may have less power."""
     found = survey.provenance.contradiction
     return None if found is None or found.is_of_lens else found
 
@@ -372,7 +372,7 @@ def _against(found: Adjustment, each: Contradiction) -> str:
 
 
 def _started(known: Known, done: Adjusted) -> Known:
-    """What was known, with the start where an adjustment ended, and the positions as good as it found them."""
+    """Priors that start from an adjusted state, with the std of positions that the adjustment estimated."""
     none = np.zeros((0, 3))
     std = np.concatenate([known.std[:WATER], done.known.std[WATER:]])
     return replace(known, state=replace(done.solution.state, points=none), std=std)

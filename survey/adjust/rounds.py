@@ -38,9 +38,9 @@ _MOST_PLANES, _STEADY_ON_GROUND = 8, 0.05
 def covariance_over_shore(problem: Problem, solution: Solution) -> np.ndarray:
     """Covariance (P, P) of the parameters with a free level, where points near it may be wet or dry.
 
-    The derivative of the rays of a point by the level jumps at the surface. Points just above a level that was found
-    have none, and tell the level against the wet ones all the better; were it a little higher, they would tell nothing.
-    Over a bed that is wet all over, photographs may tell the level to no better than a metre, and the adjustment ends
+    The derivative of the rays of a point by the level jumps at the surface. Points just above the estimated level
+    have none, and seem to determine it together with the wet ones; at a slightly higher level they would not.
+    Over a bed that is all wet, photographs may determine the level to no better than a metre, and the adjustment ends
     where the first points come dry, with a standard deviation of centimetres. So the normal equations are taken with
     the water raised by two standard deviations, until these no longer grow. Where no point is near the surface, the
     covariance is that of the solution.
@@ -137,7 +137,7 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
         most -= 1
         remaining = min(remaining - (not control_changed), most)
         keep = np.linalg.norm(solution.residuals, axis=1) < _OUTLIER * found[kind]
-        # A wrong position or point pulls photographs away from all that they show, and neighbours with them.
+        # A wrong position or point biases poses, so that good observations there and nearby seem to be outliers.
         if (blunders & ~known_blunders).any() or control_changed:
             keep = np.ones_like(keep)
         kept = checked.only(keep)
@@ -167,7 +167,7 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
 def _solved(
     known: Known, seen: Observed, state: State, kind: np.ndarray, given: np.ndarray, inflation: np.ndarray
 ) -> tuple[Problem, Solution, OnGround | None]:
-    """One adjustment; on ground, until the planes under its points are those it was found with."""
+    """Adjust once; on ground, until the planes under the points no longer change."""
     sides, rows = relief_sides(state, seen.ties), rows_taken(seen.ties, known.lenses, known.layout.lens_of)
     on_ground = None
     for _ in range(1 if seen.ground is None else _MOST_PLANES):
@@ -200,7 +200,7 @@ def _factors(problem: Problem, solution: Solution, sizes, before: np.ndarray) ->
     shared = inflation(problem.ties, solution.residuals, solution.std_px, kind, sizes)
     is_tie = kind % len(KINDS) != MARK
     if is_tie.any():
-        # Errors of the ground are in all photographs, so that they are not told from those of one photograph.
+        # Errors of the ground and those of one photograph cannot be separated: the larger design effect counts.
         lacking = terrain_design_effect(problem, solution, sizes, is_tie)
         shared *= max(1.0, lacking * float(np.mean((before[kind] / shared)[is_tie])))
     factors = np.array([_first(shared[kind == number]) for number in range(len(before))])

@@ -2,8 +2,8 @@
 
 Two photographs of ground that is nearly plane have two relative orientations (H. C. Longuet-Higgins, The reconstruction
 of a plane surface from two perspective projections, Proc. R. Soc. B 227, 1986), and control on a small part of it does
-not tell which. Photographs of an aircraft look about straight down; where the first start is tilted, the block is
-adjusted from a level one, too, and that which fits better is used.
+not decide between them. Photographs of an aircraft look about straight down; where the first start is tilted, the block
+is adjusted from a level one, too, and that which fits better is used.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from survey.adjust.result.adjustment import Adjustment
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 
-# A start that looks less aside is level itself.
+# A start tilted by less than this counts as level itself.
 _TILTED_DEG = 5.0
 # Solutions whose photographs are turned by less than so many standard deviations are one.
 _APART = 3.0
@@ -85,7 +85,7 @@ def of_two_starts(
 
 
 def _is_asked(survey: Survey) -> bool:
-    """Whether control alone has to tell: attitudes that are known do so, and the start has them."""
+    """Whether control alone decides: known attitudes would, and the start has them."""
     seen = survey.observations
     if len(survey.views) != 2 or seen.ties is None or seen.control is None:
         return False

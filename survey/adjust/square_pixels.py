@@ -17,7 +17,7 @@ _MOST_BEND = 0.01
 
 
 def with_square_pixels(survey: Survey) -> tuple[Survey, str | None]:
-    """The survey with one focal length for both sides, and a note of it, where straight rays found two; else itself."""
+    """The survey with one focal length for both axes, with a note, where straight rays gave two; else unchanged."""
     tool = survey.provenance.tool
     if tool is None or survey.water is None:
         return survey, None

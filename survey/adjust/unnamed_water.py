@@ -31,13 +31,13 @@ from survey.adjust.rounds import Adjusted, std_over_points
 _INDEX, _INDEX_STD, _SLOPE_STD = 1.338, 0.004, 0.005
 # Of a level that nobody knows [m].
 _LEVEL_STD_M = 1000.0
-# The level is looked for from over most points, by this share of the flying height, and from amid them.
+# Starts of the level: above most points by this share of the flying height, and in the middle of them.
 _TOP, _SHARE, _AMID = 0.95, 0.1, 0.5
 # The gain in units of variances that is no chance: five standard deviations, of one more parameter and two starts.
 _LEAST_GAIN = 30.0
-# Of the residuals under water, by which they have to fall: real lenses and ground leave small systematic errors, too.
+# Least relative decrease of the residuals under water: real lenses and ground leave small systematic errors, too.
 _LEAST_FALL = 0.03
-# Depths are no chance from so many standard deviations on.
+# A mean depth is significant from so many standard deviations on.
 _SURE = 3.0
 
 

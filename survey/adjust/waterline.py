@@ -31,7 +31,7 @@ NADIR_DEG = 5.0
 
 @dataclass(frozen=True)
 class WaterEstimate:
-    """The water as the photographs tell it.
+    """Estimate of the water from the photographs.
 
     Attributes
     ----------

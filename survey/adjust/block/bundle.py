@@ -24,7 +24,7 @@ from survey.errors import SurveyError
 from survey.photos.tie_points import TiePoints
 
 _MOST_STEPS = 60
-# Of two photographs, where base, rotation and lens make a curved valley.
+# For two photographs, whose base, rotation and lens are strongly correlated: the cost has a curved valley.
 _MOST_STEPS_OF_PAIR = 600
 # A step that lowers the sum of squares by less, in units of variances, moves no parameter by more than a fifth of its
 # standard deviation, and most by far less.
@@ -170,7 +170,7 @@ def descend(problem: Problem, state: State, std_px, inflation) -> tuple[State, S
             own = system.point_steps(step)
             moved = state.moved(problem.layout, step, own)
             costs = cost(problem, moved, std_px, inflation)
-            # Points at the shoreline, where rays begin to bend, may promise more than they can keep.
+            # At the shoreline, where rays begin to bend, the linear model may predict a decrease that is not reached.
             if costs < least + _SLACK * least or system.promise(step) < _DONE:
                 break
             damping *= 10.0

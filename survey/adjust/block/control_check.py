@@ -6,8 +6,8 @@ marks alone put the point at ``place + (X' X)^-1 X' r``. This less its coordinat
     S + s^2 (X' X)^-1 + J C J',    J = (X' X)^-1 X' B
 
 with S that of the coordinates, s the standard deviation of the marks and C the covariance of the parameters. Where the
-block leans on the point, C counts it too, and the sum is too large. The adjusted place less the coordinates tells more
-then; its covariance is S less that of the place.
+point itself determines the block, C contains it too, and the sum is too large. The residual of the adjusted place is
+the sharper test then; its covariance is S less that of the place.
 
 One or two control points are held against a block placed without them, by positions and water (`contradicted_points`).
 Three points or more check each other; of fewer, each pulls the whole block after it, and its own residual stays small.
@@ -43,13 +43,13 @@ if TYPE_CHECKING:
 _WRONG, _STANDS_OUT, _RIGHT = 6.0, 2.5, 4.0
 # The median of the largest of three normal deviates.
 _MEDIAN_OF_THREE = 1.26
-# Of so many points, most are further off than stated only where what is stated is too small by such a factor.
+# With so many points, most exceed their stated std only where it is too small by such a factor.
 _FEWEST, _OVERSTATED = 4, 2.0
 # Without positions of cameras a block needs so many points.
 PLACE_A_BLOCK = 3
-# What the adjustment leaves of an error is no measure of it where it is a smaller part.
+# Least redundancy: where a smaller part of an error remains as residual, this is no measure of it.
 _LEAST_REDUNDANCY = 0.2
-# Beyond this probability the two contradict each other: 3.66 standard deviations of a normal deviate.
+# Beyond this probability block and point contradict each other: 3.66 standard deviations of a normal deviate.
 _LEAST_PROBABILITY = 2.5e-4
 # Fewer positions do not place a block.
 _FEWEST_POSITIONS = 3
@@ -103,7 +103,7 @@ def checked_points(problem: Problem, solution: Solution, seen: Observed, stated:
     if off[worst] > _WRONG and stands_out and can_lose:
         std[worst] = np.inf
     elif off[worst] > _WRONG and len(off) < _FEWEST:
-        # Without the worst nothing would hold the block.
+        # Without the worst point the datum of the block would be undetermined.
         std[known] *= off[worst] / _MEDIAN_OF_THREE
     elif len(off) >= _FEWEST and median > _OVERSTATED * _MEDIAN_OF_THREE:
         std[known] *= median / _MEDIAN_OF_THREE

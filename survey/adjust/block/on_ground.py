@@ -1,15 +1,15 @@
 """Registration of a block to the dry ground of an earlier survey: robust point to plane, iterated with the adjustment.
 
 Tie points over the ground lie on it, each on the plane through the points around it, to the scatter of these
-(`evaluation.local_surface`). So the ground tells height and tilt of the block, scale by its extent, and its place in
-plan where it is not flat. Whether a tie point is dry is asked of the earlier survey, whose heights count from the datum
-of crs, and not of the block, which may lie metres off. Tie points off their plane by more than others (what grew, was
-washed away or built) are left out. Of each square one point counts, so that their errors are independent. The shift
-that all points of the earlier survey share is a parameter with a prior (`survey.adjust.block.planes`), so that control
-and positions that are known better than the earlier survey place the block, and it, and not it the block.
+(`evaluation.local_surface`). So the ground determines height and tilt of the block, scale by its extent, and its place
+in plan where it is not flat. Whether a tie point is dry follows from the earlier survey, whose heights count from the
+datum of crs, and not from the block, which may lie metres off. Tie points off their plane by more than others (what
+grew, was washed away or built) are left out. Of each square one point counts, so that their errors are independent. The
+shift that all points of the earlier survey share is a parameter with a prior (`survey.adjust.block.planes`), so that
+control and positions that are known better than the earlier survey determine the datum of the block and this shift.
 
 First the block is shifted onto the ground: from the best of many places on a grid in plan, by least squares with robust
-weights. Positions tell the plan to some metres.
+weights. Positions are known to some metres in plan.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def planes_under(ground: Ground, points: np.ndarray, num_ties: int) -> OnGround:
             f"{FEWEST}; give a reference that covers dry ground in the photographs, or leave it out"
         )
     std = np.maximum(std, _LEAST_STD_M)
-    # At steps of the ground planes are none.
+    # At steps of the ground no plane fits.
     known &= std <= _ROUGH * np.median(std[known])
     scaled = off[known] / std[known]
     scatter = max(_MAD_TO_STD * float(np.median(np.abs(scaled - np.median(scaled)))), 1.0)
@@ -134,7 +134,7 @@ def shift_onto(ground: Ground, points: np.ndarray) -> np.ndarray:
     """
     low, high = ground.points[:, :2].min(axis=0) - _PLAN_STD_M, ground.points[:, :2].max(axis=0) + _PLAN_STD_M
     near = points[((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1)]
-    # Some hundreds tell a shift as well as all.
+    # Some hundreds determine a shift as well as all.
     near = near[:: max(len(near) // 400, 1)]
     found = []
     if len(near) >= FEWEST:
@@ -219,7 +219,7 @@ def _descended(planes: _PlanesOnGrid, points: np.ndarray, start: np.ndarray) -> 
             break
         normal = normal[known]
         off = np.einsum("mi,mi->m", normal, moved[known]) - height[known]
-        # Of ground that changed on one side the median knows less than a mean.
+        # Where ground has changed to one side only, the median is biased, if less than the mean.
         shift[2] -= float(np.median(off))
         off -= np.median(off)
         cost = _cost_of(off, len(points), shift)

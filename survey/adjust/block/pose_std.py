@@ -6,8 +6,8 @@ redundancy. Of poses whose standard deviation nobody states, that of a kind is s
 ``p sqrt(r)`` have unit variance. Where it changes, so do the residuals, which follow from the normal equations: this
 goes on until nothing changes (variance components, R. Koch, Parameter Estimation and Hypothesis Testing, 1999).
 
-A variance from few residuals is uncertain itself. An error over the root of a variance that n residuals have told
-follows Student's distribution of n degrees of freedom, whose variance is about ``(n + 2) / n``: that factor is on it.
+A variance from few residuals is uncertain itself. An error over the root of a variance estimated from n residuals
+follows Student's distribution of n degrees of freedom, whose variance is about ``(n + 2) / n``: this factor is applied.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _BLUNDER = 6.0
 _OVERSTATED = 1.5
 # With fewer poses nothing tells how good they are.
 _FEWEST = 4
-# What is told apart, as coordinates of a pose: along and across the ground, by height, tilt, heading of the camera.
+# Groups of pose coordinates with a variance component each: position in plan, height, tilt, heading of the camera.
 _KINDS = ((0, 1), (2,), (3, 4), (5,))
 # Residuals of more standard deviations count as that many; of normal deviates the mean square is then this.
 _MOST, _MEAN_SQUARE = 2.5, 0.9776

@@ -42,7 +42,7 @@ _FOCAL_SHARE, _MIDDLE_SHARE, _RADIAL_SHARES, _DECENTRED_SHARE = 0.02, 0.01, (0.0
 _RELIEF_GSD = 0.1
 # A ray of 63 degrees off nadir crosses the water two flying heights away.
 _SEEN_WATER = 2.0
-# What is not to move moves by no more than this share of what would be seen.
+# Parameters that are held move by no more than this share of what would be noticed.
 HELD = 1e-9
 # Models whose distortion is Brown's; other lenses are held, and their tie points straightened.
 BROWN = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
@@ -218,7 +218,7 @@ def _rate_std(survey: Survey) -> float | None:
 
 
 def _departure(survey: Survey) -> Callable[[np.ndarray], np.ndarray] | None:
-    """Departure of the water from its plane where the photographs look; None where nothing is said of it."""
+    """Departure of the water from its plane where the photographs look; None where none is given."""
     departure = survey.observations.departure
     if survey.water is None or departure is None:
         return None
@@ -317,7 +317,7 @@ def _positions(survey: Survey, centres: np.ndarray, *, exact: bool, shares_heigh
         if prior is None or prior.position is None:
             continue
         positions[number] = prior.position
-        # An error in common, however large, says nothing of single positions; of two nothing else tells it.
+        # A common error says nothing of single positions, however large; with two positions nothing else determines it.
         if prior.position_std is not None and (not shares_height or len(survey.views) == 2):
             std[number] = prior.position_std
         elif exact:
@@ -331,8 +331,8 @@ def _positions(survey: Survey, centres: np.ndarray, *, exact: bool, shares_heigh
 def _rotations(survey: Survey, *, exact: bool):
     """Standard deviations (V, 3) [rad] of the rotations that the views come with, and which are not known (V,).
 
-    Rotations that another program found from the same photographs, or this one, bend and tilt as one: what the block
-    shows of their scatter does not tell by how much.
+    Errors of rotations by structure from motion are correlated (bending, tilt of the block), so that their scatter in
+    the block is no measure of them.
     """
     std = np.full((len(survey.views), 3), math.radians(EXACT_STD_DEG) if exact else ROTATION_STD)
     unknown = np.zeros(len(survey.views), dtype=bool)

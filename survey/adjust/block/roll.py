@@ -7,7 +7,7 @@ changes, g the mean of the rolls of its photographs and s its standard deviation
 
     D - D f f' D / (f' D f) + g' g / s^2
 
-which says nothing of a common roll but what attitudes say. All else comes from the photographs: rays that bend at level
+whose only prior on a common roll is that by the attitudes. All else comes from the photographs: rays that bend at level
 water, the shoreline, and control points with their marks. The standard deviation of the roll is that of g in the
 covariance of the adjustment.
 """

@@ -33,7 +33,7 @@ from survey.plan.sweep_block import camera_of, load_block
 
 # The coarse sweep: approximate heights of the bed. Beside steps, where there are no windows, nothing more is searched.
 _SWEPT = (PASSES[0], replace(PASSES[1], fuse=True, search=None))
-# How often every place is seen by the photographs from which windows are taken: from above, and from each quarter.
+# Least number of photographs with windows that see each place: steep ones, and oblique ones from each quarter.
 _TIMES_SEEN = (2, 1)
 # Most photographs in which a window is searched for, and the angles between directions of view: windows at wider angles
 # match less often, and did not make the water more certain.

@@ -23,7 +23,7 @@ FREE, HELD, UNKNOWN = "free", "held", "not observable"
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of the water or of a lens.
+    """Parameter of the water or of a lens, with its verdict.
 
     Attributes
     ----------
@@ -245,7 +245,7 @@ _RECORDS: dict[str, tuple[type, str]] = {
     "residuals": (Residuals, "residual_"),
     "statistics": (FitStatistics, ""),
 }
-# Where that is not so.
+# Exceptions to that.
 _FILE_NAMES = {"covariance_matrix": "covariance", "covariance_water_point": "water_point"}
 # What is in adjustment.npz, some of it only where shutters roll or water moves; all else is in adjustment.json.
 _ARRAYS = {

@@ -1,8 +1,8 @@
 """Expected covariance of an adjustment from the poses of a flight alone (pre-analysis of the network).
 
 Points are put on a rough bed at some depth, as many as an adjustment takes, seen by the views whose frames they are in,
-and good to what is assumed. No pixel is read; it takes seconds. Where the plan keeps the poses, heights are as good as
-a run says that keeps them.
+and good to what is assumed. No pixel is read; it takes seconds. Where the plan keeps the poses, the std of heights is
+that of a run which keeps them.
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ def _ties(survey: Survey, depth_m: float) -> TiePoints | None:
     # As many observations in a photograph as the thinning of an adjustment leaves.
     wanted = CELLS**2 * PER_CELL * len(survey.views) / places.seen.sum(axis=0).mean()
     places = places.some(round(wanted))
-    # On one level, level and index could not be told apart at all.
+    # On a level bed, level and index could not be separated at all.
     rough = np.random.default_rng(_SEED).uniform(-1.0, 1.0, len(places.cells))
     places.cells[:, 2] += RELIEF_SHARE * depth_m * rough
     point, view = np.nonzero(places.seen.T)

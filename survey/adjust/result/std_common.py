@@ -48,7 +48,7 @@ _NEAREST = 4
 _PORTION = 200_000
 # Cells along the longer side of the grid that tells what a shift of the cloud does.
 _MOST_CELLS = 1000
-# What is left when nothing else is: no height is exact.
+# Lower bound: no height is exact.
 _LEAST_M = 1e-5
 
 BASIS_ADJUSTED = "the covariance of the adjustment"
@@ -223,7 +223,7 @@ def shift_std(xyz: np.ndarray, plan_std_m: float) -> np.ndarray:
     squares, num = np.zeros(shape), np.zeros(shape)
     diagonal = max(round(reach / math.sqrt(2.0)), 1)
     for rows, columns in ((0, reach), (reach, 0), (diagonal, diagonal), (diagonal, -diagonal)):
-        # What the cells of the grid allow is not quite the distance that is wanted.
+        # Shifts by whole cells differ a little from the wanted distance; this scales for it.
         factor = 2.0 * plan_std_m**2 / ((rows**2 + columns**2) * side**2)
         for sign in (1, -1):
             there = np.roll(height, (sign * rows, sign * columns), axis=(0, 1))
@@ -275,7 +275,7 @@ def _first_of_squares(found: np.ndarray) -> np.ndarray:
 
 
 def seen_places(places: np.ndarray, survey: Survey) -> TiePoints:
-    """Places that two views see, each with some of its views; what hides them is not asked."""
+    """Places that two views see, each with some of its views; occlusion is not tested."""
     inside = np.zeros((len(places), len(survey.views)), dtype=bool)
     pixels = np.zeros((*inside.shape, 2))
     for number, each in enumerate(survey.views):

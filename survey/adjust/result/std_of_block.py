@@ -1,6 +1,6 @@
 """Tilt, bending and shift of the block: effect of its errors on heights from place to place.
 
-Over a slope, a block that lies beside its place shows heights of other places. At a fixed place in plan the error of a
+On a slope, a horizontal shift of the block becomes an error of the height. At a fixed place in plan the error of a
 height is ``e_z - s . e_xy``, with e the error of the point where the rays meet and s the slope of the bed there. With
 the moves M of a place by the parameters and C their covariance, that of e is ``(M - N) C (M - N)'``, N the mean of the
 moves of heights over the bed: what lifts all heights alike is left to `survey.adjust.result.std_common`.
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _CELL_GSD = 2.0
 # Points whose variances along both axes multiply to less than this, in cells, lie in a row.
 _LEAST_SPREAD = 1e-3
-# No more cells than this for each point, of a cloud with single points far away.
+# Most cells per point, for a cloud with single points far away.
 _MOST_CELLS = 8
 # Displacements of more standard deviations are left out.
 _TRUNCATED = 4.0

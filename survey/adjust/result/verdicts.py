@@ -20,11 +20,11 @@ MOST_SIGMAS, MOST_SIGMAS_OF_FOUR = 3.0, 3.66
 # One sigma beyond which a parameter is of no use. 5 cm of level move the bed by 2 cm, and so does 0.01 of index in 3 m
 # of water; 0.5 % of the focal length moves the ground by 0.5 % of the flying height.
 MOST_STD_LEVEL_M, MOST_STD_INDEX, MOST_STD_FOCAL = 0.05, 0.01, 0.005
-# Of the way that the camera flies from the first row to the last, in pixels on the ground.
+# Limit of use of a readout: std of the way that the camera flies from first row to last, in pixels on the ground.
 MOST_STD_ROWS_PX = 0.5
-# With more than this share of the standard deviation before, the photographs have told nearly nothing.
+# With a std above this share of that of the prior, the photographs add nearly nothing.
 _LITTLE = 0.9
-# What is given to better than this was not to move.
+# A prior with a smaller std than this was held.
 _EXACT = 1e-6
 
 

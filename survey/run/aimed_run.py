@@ -18,7 +18,7 @@ from survey.run.clock import Clock
 
 # A point's own standard deviation with images of twice the side (docs/targets.md).
 _FINER_STD = 0.55
-# Shares of the ground that differ by less are not worth a round.
+# Least gain in the share of the ground that is worth a round.
 _LEAST_GAIN = 0.01
 # Foreseen times may be short by this share.
 _SLACK = 0.1
@@ -42,7 +42,7 @@ class AimedRun:
         Of the recipe of the present round.
     rates : RoundRates
     has_begun : bool
-        Whether the first round has: poses are looked at before, with images as standard has them.
+        Whether the first round has begun. Poses are tested before it, on images of the size of standard quality.
     decisions : list of Decision
         One for each round that is over.
     following : int or None

@@ -1,6 +1,6 @@
 """Standard deviation of heights by cells of the ground, and its dominant part.
 
-That of the points themselves, which work on the photographs changes; std_common comes on top of it.
+It is the random std of the points, which more processing reduces; std_common comes on top of it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 # Side of a cell in ground sampling distances.
 _CELL_GSD = 10.0
-# Places that fewer views see than this are matched by too few to average.
+# Places that fewer views see than this have too few heights to average.
 _FEW_VIEWS = 4.0
 # What may keep cells above, in words.
 FEW, DEPTH, NOISE = "few photographs", "depth", "noise, texture and relief below the pixel"

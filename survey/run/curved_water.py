@@ -22,7 +22,7 @@ _STEPS = 2
 _AT_ONCE = 100_000
 # Rays nearer to parallel than half a degree place nothing.
 _LEAST_DETERMINANT = 1.5e-4
-# Least cosine of a ray in air to the vertical whose effect on a height is told.
+# Least cosine of a ray in air to the vertical for which the effect on a height is computed.
 _LEAST_COSINE = 0.2
 
 

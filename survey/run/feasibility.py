@@ -93,7 +93,7 @@ def assess_feasibility(aim: Aim, survey: Survey, chosen: Choices, load: Load, de
 
 
 def _require_meant(aim: Aim, largest_m: float, smallest_m: float) -> None:
-    """Raise for a target beyond what the pixels of the smallest and the largest images [m] can give."""
+    """Raise for a target std beyond the range that pixels of the smallest and the largest images [m] can give."""
     if aim.std_m is None:
         return
     asked, least, most = f"--target-std {aim.std_m:g} is in metres", _LEAST_PX * smallest_m, _MOST_PX * largest_m
@@ -172,8 +172,8 @@ def begin_aimed_run(
     aim, survey, chosen, clock, progress :
         As the run has them.
     refuses : bool
-        Whether a time that is too short is refused, as it is before anything was computed; otherwise the run is the
-        shortest that there is, and says so.
+        Whether a time that is too short is an error, as before anything was computed; otherwise the shortest run
+        follows, with a warning.
 
     Raises
     ------
@@ -185,7 +185,7 @@ def begin_aimed_run(
     progress.note(f"machine: {found.load}")
     for text in doubts(aim, found):
         progress.warn(text)
-    # No rates are known of other devices: their first round tells.
+    # No rates are known of other devices: they are measured in the first round.
     if (
         clock is not None
         and aim.seconds is not None
@@ -196,7 +196,7 @@ def begin_aimed_run(
         elif clock.left_s < shortest_s(found):
             progress.warn(f"{clock.left_s:.0f} s are left of --time-budget {aim.seconds:g}: the shortest run follows")
     state = AimedRun(aim, found.recipes, found.scales, found.amounts, clock, 0, found.rates)
-    # A first round that would leave little of the time is none: the shortest comes first then.
+    # If the first round would leave little of the time, the shortest recipe comes first.
     state.number = found.first if clock is None or 2.0 * state.round_s(found.first) < clock.left_s else 0
     return state
 

@@ -2,10 +2,10 @@
 
 Three things are required. Of the ground that two or more views see, at the height where the bed was found, at least
 half has a point: what one view alone sees cannot be measured and does not count. The median standard deviation of the
-points is at most one and a half ground sampling distances: that which the photographs, or the poses of a file, are
-answerable for, since where GPS or control has put a block, they make it no better. And a height is known, with all that
-it shares with the others by water, lens and poses, to as much, or to what IHO S-44's strictest order allows in shallow
-water (0.15 m at 95 %), where that is more: a level read to some centimetres is no failure of a low flight.
+points by matching and given poses, without that of the datum by GPS or control, which no photograph improves, is at
+most one and a half ground sampling distances. The total standard deviation of a height, including what all share by
+water, lens and poses, is at most the same, or what IHO S-44's strictest order allows in shallow water (0.15 m at 95 %)
+where that is more: a level read to some centimetres is no failure of a low flight.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def verdict_of(survey: Survey, stored: StoredBed, gsd_m: float, cells: SeenCells
 
 def asked_gate(stored: StoredBed, std_m: float) -> Gate:
     """Gate on the target standard deviation [m], with the dominant part where it is missed."""
-    # What GPS or control leaves of the place of the block is not for the photographs to mend.
+    # Photographs cannot reduce the std of the datum by GPS or control.
     bed = replace(stored.bed, std=stored.std_of_photographs())
     cells = std_cells(bed, stored.gsd_m)
     reached = cells.reached(std_m)

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 class Job:
-    """One survey on its way through the stages.
+    """State of a survey between the stages: survey, plan, photographs and tiles.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Job:
     whole : Job
         Itself; of a tile the job of the whole survey.
     waits_for_kernels : Event
-        Set where that begins to take long enough for another thread to have Python's lock for a while.
+        Set when a wait for kernels begins that is long enough for another thread to hold the GIL.
     """
 
     def __init__(

@@ -52,7 +52,7 @@ class Key:
 
     @cached_property
     def digest(self) -> str:
-        """One hash for all parts."""
+        """Hash over all parts."""
         return stage_key(dict(self.parts))
 
     def changes_from(self, earlier: Mapping[str, str]) -> list[str]:

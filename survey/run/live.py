@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from fields.sweep.maps import HeightMap
     from survey.run.job import Job
 
-# In a run folder, made by who looks: it holds points of each map as they are by now, and the cameras.
+# Folder in a run that the viewer makes: it holds the current points of each map, and the cameras.
 LIVE = ".live"
 # Pixels of a map that are shown, and the score that they have at least.
 _MOST_PIXELS, _LEAST_SCORE = 10_000, 0.7
@@ -39,7 +39,7 @@ class LiveMaps:
         self._folder, self._job, self._stage = run / LIVE, job, stage
 
     def show(self, m: HeightMap) -> None:
-        """Write the points of a map, if somebody looks; a disk that takes no more does not end the run."""
+        """Write the points of a map while a viewer is open; a full disk does not end the run."""
         if not self._folder.is_dir():
             return
         with suppress(GeoError, OSError):

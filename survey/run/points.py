@@ -1,6 +1,6 @@
 """Points of the bed from height maps, without duplicates, with their random standard deviation.
 
-The bed of a run and the look at what a round has reached are made of the same points.
+The bed of a run and the assessment of a round use the same points.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def adjustment_of(needs: Mapping[str, Path]) -> Adjustment | None:
 
 
 def is_placed(survey: Survey) -> bool:
-    """Whether GPS or control alone has placed the block, whose uncertainty no work on photographs reduces."""
+    """Whether GPS or control alone determines the datum of the block, whose std no processing reduces."""
     return survey.config.cameras.poses is None
 
 
@@ -63,7 +63,7 @@ def bed_points(
     *,
     coloured: bool = True,
 ) -> tuple[BedPoints, np.ndarray, int]:
-    """Every piece of the bed once, coloured from the photograph that shows it steepest, or black.
+    """Points of the bed without duplicates, coloured from the photograph that shows each steepest, or black.
 
     ``kept`` is what `fields.sweep.bed.unique_pixels` finds, where it is known.
 

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from survey.run.job import Job
 
 QUALITY_GATE_FAILED = 3
-# From this on how busy the machine is counts in what is said of the time.
+# Load of the machine from which the forecast of the time counts it.
 _BUSY = 1.3
 
 
@@ -75,7 +75,7 @@ def process(
 ) -> int:
     """Compute the point cloud of the bed, with a report, in a run folder.
 
-    What is not given is what [process] of survey.toml says, else the default.
+    Parameters that are not given are those in [process] of survey.toml, else the defaults.
 
     Parameters
     ----------

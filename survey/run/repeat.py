@@ -54,7 +54,7 @@ def command_of(job: Job, truth: Truth) -> str:
     }
     words = ["bathynerf", "process", str(job.survey.folder)]
     for name, value in options.items():
-        # What is the default is said where survey.toml says otherwise.
+        # A default is stated too where survey.toml has another value.
         is_open = getattr(by_file, name.replace("-", "_"), None) in (None, value)
         if value is True or (value is False and not is_open):
             words.append(f"--{name}" if value else f"--no-{name}")

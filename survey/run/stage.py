@@ -22,7 +22,7 @@ Compute = Callable[["Job", Path, Mapping[str, Path]], None]
 
 @dataclass(frozen=True)
 class Stage:
-    """One step from photographs to points, whose result is kept in the run folder.
+    """Step from photographs to points, whose result is kept in the run folder.
 
     Attributes
     ----------

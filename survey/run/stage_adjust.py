@@ -33,7 +33,7 @@ def adjust_block(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
 
 
 def use_adjustment(job: Job, folder: Path) -> None:
-    """Give the job the poses, lenses and water that were found."""
+    """Replace poses, lenses and water of the job by the adjusted ones."""
     found = read_adjustment(folder)
     survey = apply_adjustment(job.survey, found)
     sentences = [f"{row.name} {row.verdict}" for row in found.parameters]

@@ -33,7 +33,7 @@ REACHED = "reached.json"
 
 
 def assess_round(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
-    """Write what was reached and what comes next."""
+    """Write the std that was reached and the decision on the next round."""
     aimed = job.aimed
     if aimed is None:
         raise ValueError("a run without an aim has nothing to look at")
@@ -68,12 +68,12 @@ def _take_pace(aimed: AimedRun, found: dict) -> None:
 
 
 def _cells(job: Job, needs: Mapping[str, Path], solved: Sequence[SolvedMap]) -> CellStd:
-    """Of the points that the run would have if it ended now, those of the sweep's heights among them."""
+    """Std by cells of the points that the run would have if it ended now, those with heights of the sweep included."""
     maps = Stored(needs["sweep"] / MAPS, HeightMap)
     look_at_bed(job, needs["sweep"])
     kept = job.once(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m))
     bed, _, _ = bed_points(job, maps, None, lambda _done: None, solved, kept, coloured=False)
     if not is_placed(job.survey):
-        # As the gate: where GPS or control has put a block, no round mends.
+        # As in the gate: no round reduces the std of the datum by GPS or control.
         bed, _ = with_std_of_block(bed, job.survey, adjustment_of(needs), job.plan.gsd_m)
     return std_cells(bed, job.plan.gsd_m)

@@ -76,7 +76,7 @@ def points_of_bed(job: Job, needs: Mapping[str, Path]) -> BedPoints:
 
 
 def finish_bed(job: Job, folder: Path, needs: Mapping[str, Path], bed: BedPoints) -> None:
-    """Add to points what the whole bed tells of their std, and write them.
+    """Add the parts of the std that follow from the whole bed, and write the points.
 
     Raises
     ------

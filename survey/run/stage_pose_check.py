@@ -22,13 +22,13 @@ MISFIT = "misfit.json"
 
 
 def check_poses(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
-    """Measure by how much photographs miss each other under the given poses, and what they say of the water."""
+    """Measure the reprojection misfit under the given poses, and test the given water and lens."""
     found = PoseCheck(None)
     with suppress(SurveyError):
         bound, block = job.bound, job.block
         with job.progress.stage("Poses", 1.0) as stage:
             found = pose_check.check_of_windows(job.survey, job.plan, block, bound, stage.advance)
-    # Photographs without texture leave nothing that matches either: the sweep will say so.
+    # Photographs without texture do not match in the sweep either, which reports it.
     if found.misfit_px is None and job.search is not None:
         with suppress(SurveyError):
             found = pose_check.check_of_features(job.survey, job.plan, job.search(job.survey).ties)
@@ -36,7 +36,7 @@ def check_poses(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
 
 
 def use_misfit(job: Job, folder: Path) -> None:
-    """Let the plan decide by what was found; raise where the level leaves dry what photographs show under water."""
+    """Update the plan by the result; raise where the level leaves dry what photographs show under water."""
     values = json.loads((folder / MISFIT).read_text(encoding="utf-8"))
     misfit, flooded = values["misfit_px"], values["flooded"]
     told = tuple(Contradiction(**each) for each in values["told"])

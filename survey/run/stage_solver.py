@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from survey.run.job import Job
 
 SOLVED, SIGHTINGS = "solved.npz", "sightings.json"
-# With less than this share of the time that it should take left, a solver would finish too few tiles to be worth it.
+# Least share of the expected time of the solver: with less left it would finish too few tiles to be worth it.
 _LEAST_TIME = 0.3
 
 
@@ -88,7 +88,7 @@ def _goes_on(job: Job) -> bool:
 
 
 def _carried(maps: Sequence[HeightMap], kept: Masks, needs: Mapping[str, Path]) -> list[SolvedMap | None]:
-    """Of each map that a later round left as it was, what the round before solved, at the size of this one."""
+    """Solutions of the round before, at the size of this one, for the maps that this round left unchanged."""
     if EARLIER_SOLVER not in needs or EARLIER_SWEEP not in needs:
         return [None for _ in maps]
     swept = views_swept(needs["sweep"])
@@ -102,7 +102,7 @@ def _carried(maps: Sequence[HeightMap], kept: Masks, needs: Mapping[str, Path]) 
 
 
 def _enlarged(before: HeightMap, solved: SolvedMap, now: HeightMap, keep: np.ndarray) -> SolvedMap:
-    """What was solved of a smaller map as pixels of a larger one; heights that were not solved stay the sweep's."""
+    """Solution of a smaller map as pixels of a larger one; heights that were not solved stay those of the sweep."""
     with_heights, std = solved.over(before)
     # Each pixel has the std of the one that it is a part of.
     rows, columns = (

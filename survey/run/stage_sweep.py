@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 MAPS, BOUND, SWEPT = "maps.npz", "bound.json", "swept.json"
 # Of each photograph by its name: the share of white pixels, and whether it shows the bed that was found.
 SATURATED, CONSISTENCY = "saturated.json", "consistency.json"
-# Of the round before, for the stages of the next; and where its look left the cells that need work.
+# Results of the round before, for the stages of the next; and the cells that need work by its assessment.
 EARLIER_SWEEP, EARLIER_SOLVER, EARLIER_ASSESSMENT = "earlier sweep", "earlier solver", "earlier look"
 CELLS = "cells.npz"
 # In the folder of the stage, while it lasts: maps that are worked on.
@@ -83,7 +83,7 @@ def sweep_views(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
 
 
 def _live(job: Job, folder: Path) -> Callable[[HeightMap], None]:
-    """What shows maps to who looks at the run, in whose folder of stages the stage has its own."""
+    """Callback that writes maps for the viewers of a run; ``folder`` is that of the stage."""
     return LiveMaps(folder.parent.parent, job, folder.stem.strip(".")).show
 
 
@@ -95,7 +95,7 @@ def _finished(block: Block, maps: OrderedMaps, keep: Keep) -> OrderedMaps:
 
 
 def _go_on(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
-    """The heights of the round before at the size of this one; its views go on where they have to."""
+    """Continue from the heights of the round before, at the size of this one, in the views that need it."""
     bound = json.loads((needs[EARLIER_SWEEP] / BOUND).read_text(encoding="utf-8"))
     write_json(folder / BOUND, bound)
     before = Stored(needs[EARLIER_SWEEP] / MAPS, HeightMap)
@@ -183,7 +183,7 @@ def views_swept(folder: Path) -> set[int]:
 
 
 def use_sweep(job: Job, folder: Path) -> None:
-    """Let the run know the scale of the maps, which is that before where the time was over, and what they took."""
+    """Set the scale of the maps (the previous one where no time was left) and the measured rates."""
     if job.aimed is None:
         return
     found = _swept(folder)

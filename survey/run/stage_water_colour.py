@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def estimate_colour(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
-    """Estimate what the water absorbs, from the photographs that have a height map."""
+    """Estimate the absorption of the water from the photographs that have a height map."""
     maps = Stored(needs["sweep"] / MAPS, HeightMap)
     with job.progress.stage("Water colour"):
         save_colour(folder, sources_of(job, maps))

@@ -1,4 +1,4 @@
-"""One tile of a survey as a job of its own, whose views are windows of photographs."""
+"""Tile of a survey as a job of its own, whose views are windows of photographs."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from survey.folder.survey import Survey
     from survey.progress import Progress, Step
 
-# Which pixels of each map become points in the tile or beside it, and which show points of the tile: packed bits.
+# Masks of each map, packed as bits: pixels that become points in the tile or beside it, and all that show the tile.
 MASKS = "masks.npz"
 KEPT, OWN = "kept", "own"
 
@@ -116,7 +116,7 @@ class TileJob(Job):
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Those of the whole survey."""
+        """Search limits of the whole survey."""
         return self.whole.limits
 
     @property
@@ -131,7 +131,7 @@ class TileJob(Job):
 
     @property
     def hashes(self) -> dict[str, tuple[str, str, str | None]]:
-        """Those of the whole survey."""
+        """Hashes of the photographs of the whole survey."""
         return self.whole.hashes
 
     @cached_property
@@ -207,18 +207,18 @@ class _ProgressOfTile:
 
     @contextmanager
     def stage(self, name: str, total: float | None = None) -> Iterator[Step]:
-        """As `Progress.stage`."""
+        """`Progress.stage` with the tile in the name."""
         with self._progress.stage(part_name(name, self._number, self._count), total) as step:
             yield step
 
     def note(self, text: str) -> None:
-        """As `Progress.detail`."""
+        """Report a note as `Progress.detail`, with the tile."""
         self._progress.detail(f"tile {self._number + 1}: {text}")
 
     detail = note
 
     def warn(self, text: str) -> None:
-        """As `Progress.warn`."""
+        """`Progress.warn` with the tile."""
         self._progress.warn(f"tile {self._number + 1}: {text}")
 
 

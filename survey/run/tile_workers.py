@@ -1,4 +1,4 @@
-"""Stages of tiles by worker processes: what is left to compute goes to them, and what they leave takes its place."""
+"""Stages of tiles in worker processes: missing results are computed there and moved into the run folder."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ _LOOK_EVERY_S = 5.0
 
 @dataclass(frozen=True)
 class Task:
-    """One stage of one tile.
+    """Task of a worker: a stage of a tile.
 
     Attributes
     ----------
@@ -357,24 +357,24 @@ class _RecordedProgress:
 
     @contextmanager
     def stage(self, _name: str, total: float | None = None) -> Iterator[_Step]:
-        """As `Progress.stage`, without a word."""
+        """Silent `Progress.stage`."""
         yield _Step(total)
 
     def detail(self, text: str) -> None:
-        """As `Progress.detail`."""
+        """Record a `Progress.detail`."""
         self.lines.append(("detail", text))
 
     def note(self, text: str) -> None:
-        """As `Progress.note`."""
+        """Record a `Progress.note`."""
         self.lines.append(("note", text))
 
     def warn(self, text: str) -> None:
-        """As `Progress.warn`."""
+        """Record a `Progress.warn`."""
         self.lines.append(("warn", text))
 
 
 class _Step:
-    """As `survey.progress.Step`."""
+    """Stand-in for `survey.progress.Step` that shows nothing."""
 
     def __init__(self, total: float | None):
         self.total, self.done = total, 0.0

@@ -18,7 +18,7 @@ CAM_FROM_OPK_CAM = np.diag([1.0, -1.0, -1.0])
 
 @dataclass(frozen=True)
 class View:
-    """One photograph with its camera.
+    """Photograph with its camera.
 
     Attributes
     ----------
@@ -28,7 +28,7 @@ class View:
     camera : PinholeCamera
         Of the photograph as it was taken, lens distortion included; local frame, at full size.
     lens : Lens
-        The same inside, as the poses file or survey.toml gives it.
+        Interior orientation, as the poses file or survey.toml gives it.
     mask_path : Path or None
         Image of the stored size; black is left out.
     """

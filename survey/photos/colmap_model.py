@@ -1,4 +1,4 @@
-"""Cameras as a COLMAP model, which many programs read: text, and binary where the text would cut names."""
+"""COLMAP model of the cameras: text, and binary too where names have spaces, at which readers of the text cut them."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def has_spaces(views: Sequence[View]) -> bool:
 def write_model(folder: Path, views: Sequence[View], *, head: str, points: str, ties: TiePoints | None = None) -> None:
     """Write a model in the local frame into a folder that exists: text, and binary too where a name has a space.
 
-    COLMAP takes binary files before text, so that those of an earlier model go. BROWN_AFFINE, which is none of its
-    lenses, is written as text alone.
+    COLMAP prefers binary files to text, so that those of an earlier model are removed. BROWN_AFFINE, which is none of
+    its camera models, is written as text alone.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ _JPEG_BEGIN, _PNG_BEGIN = b"\xff\xd8", b"\x89PNG\r\n\x1a\n"
 _PNG_PIXELS = (b"IHDR", b"PLTE", b"IDAT")
 _PNG_END = b"IEND\xae\x42\x60\x82"
 _NEAR_END = 64
-# Where a TIFF has its pixels, and how many bytes of them: in strips, or in tiles.
+# Tags of a TIFF that describe its pixels.
 _TIFF_BITS, _TIFF_COMPRESSION, _TIFF_PLANES, _TIFF_TILE_WIDTH = 258, 259, 284, 322
 _DEFLATE = (8, 32946)
 _ZEROS, _SECTOR = bytes(64), bytes(512)
@@ -41,10 +41,10 @@ _PNG_CHANNELS, _AT_ONCE = {2: 3, 4: 2, 6: 4}, 1 << 24
 _TIFF_PIXELS = ((273, 279), (324, 325))
 # Disks and file systems lose multiples of so many bytes.
 _SECTOR_BYTES = 512
-# Of a row above lost pixels so much is not black.
+# Least share of a row above lost pixels that is not black.
 _LEAST_BRIGHT = 0.5
 _BROADEST_BORDER = 0.15
-# A border that begins with a row may have dark pixels over so much of its end.
+# A border that begins with a row may have dark pixels over this share at the end of the row.
 _END_OF_A_ROW = 0.05
 
 

@@ -117,7 +117,7 @@ class Exif:
     is_void : bool
         Whether the receiver says that it measured no position, and gives an earlier one (GPSStatus V).
     serial : str
-        Serial number of the camera; empty where nothing tells it.
+        Serial number of the camera; empty where it is not known.
     table_place : TablePlace or None
         Where a table gives the position, which then counts instead of that of the file itself.
     """

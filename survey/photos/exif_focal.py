@@ -84,7 +84,7 @@ def focal_doubt(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -> 
 
 
 def _resized_doubt(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -> str:
-    """What a calibration and the 35 mm equivalent say, where they are of photographs of two sizes; empty otherwise."""
+    """Doubt where calibration and 35 mm equivalent belong to images of different sizes; empty otherwise."""
     calibrated, used = xmp_number(xmp, "CalibratedFocalLength"), focal_px(size, details, xmp)
     if not calibrated or calibrated <= 0.0:
         return ""

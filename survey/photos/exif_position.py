@@ -65,7 +65,7 @@ def position_of_gps(gps: dict) -> tuple[tuple[float, float, float] | None, str]:
 
 
 def std_of_gps(gps: dict) -> tuple[float, float, float] | None:
-    """One standard deviation of the position, (east, north, up) [m], by the horizontal positioning error (Exif 2.31).
+    """Standard deviation of the position, (east, north, up) [m], by the horizontal positioning error (Exif 2.31).
 
     This is a distance, so that each axis has its part; heights of GNSS are about half as good as places.
     """

@@ -24,7 +24,7 @@ from survey.photos.pixels import read_grey, read_opaque, read_rgb
 _STEPS = 257.0
 # Weights of red, green and blue in the grey that is matched: luma, as JPEG has it.
 LUMA = (0.299, 0.587, 0.114)
-# Folders that are not hidden, with thumbnails: of Synology, QNAP, macOS' archives and Windows.
+# Visible folders of thumbnails that Synology, QNAP, macOS' archives and Windows make.
 _NOT_OF_CAMERAS = (
     *("@eadir", "@__thumb", "__macosx", "thumbnails", "thumbs", "system volume information", "lost+found"),
     *("$recycle.bin", "#recycle", "@recycle", "#snapshot", "@recently-snapshot"),
@@ -99,7 +99,7 @@ def same_files(images: Mapping[str, Path]) -> list[tuple[str, ...]]:
 
 
 def require_all_complete(paths: Iterable[Path]) -> None:
-    """As `require_complete` for many images at once, on all cores; the first one that is not whole is named."""
+    """Raise ImageError for the first image that `require_complete` rejects; images are tested on all cores."""
     with ThreadPoolExecutor(min(machine.num_cores(), _MOST_AT_ONCE)) as pool:
         for _ in pool.map(require_complete, paths):
             pass
@@ -128,7 +128,7 @@ def load_image(view: View, *, scale: float = 1.0) -> np.ndarray:
 
 
 def load_pixels(view: View, *, scale: float = 1.0) -> np.ndarray:
-    """As `load_image`, with the depth of the file: uint8 or uint16."""
+    """The photograph as `load_image` gives it, with the depth of the file: uint8 or uint16."""
     pixels = read_rgb(view.path)
     _require_size(view, pixels)
     return _shrink(pixels, view, scale)

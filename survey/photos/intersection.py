@@ -13,7 +13,7 @@ import numpy as np
 
 from refract import FlatWater, PinholeCamera
 
-# Rays that meet at a smaller angle [rad] than this tell no distance.
+# Rays that intersect at a smaller angle [rad] than this do not determine a distance.
 _LEAST_ANGLE = 0.02
 _ROUNDS = 10
 

@@ -5,7 +5,7 @@ scan of a sequential JPEG is decoded from a stream that tells how much of it was
 when the scan ends, and not before. Between restart markers, after which a decoder finds its way again, each part is
 decoded by itself. What is replaced by other data of just as many blocks leaves a seam (`survey.photos.seam`). Of
 several scans, as progressive ones have them, the headers tell whether one is missing, and libjpeg's warnings whether
-one has other bytes than its blocks need; of single scans these warnings say too much, as some cameras add bytes.
+one has other bytes than its blocks need; for single scans these warnings are no evidence, as some cameras add bytes.
 """
 
 from __future__ import annotations
@@ -152,7 +152,7 @@ def _zeros_are_constant(layout: _Layout) -> bool:
 
 
 def _missing_scan(layout: _Layout) -> str | None:
-    """Of several scans: whether each component has all of its coefficients, to their last bit."""
+    """Fault of a JPEG of several scans if a component lacks coefficients, or bits of them."""
     missing = {(part, i) for part in layout.frame[6 : 6 + 3 * layout.frame[5] : 3] for i in (0, 1)}
     highest = dict.fromkeys(missing, 0)
     for header, _, _ in layout.scans:
@@ -167,7 +167,7 @@ def _missing_scan(layout: _Layout) -> str | None:
 
 
 def _scans_fault(layout: _Layout, data: bytes) -> str | None:
-    """Of several scans: whether zeros stand in one, or libjpeg warns of bytes that are missing or too many."""
+    """Fault of a JPEG of several scans if one has zeros, or libjpeg warns of missing or surplus bytes."""
     for header, start, end in layout.scans:
         # A scan without the mean of blocks tells in few bytes that a part of the picture has no change.
         if header[1 + 2 * header[0]] > 0 and data.find(_SECTOR, start, end) >= 0:

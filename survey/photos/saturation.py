@@ -5,11 +5,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-# White, 255, less what noise and JPEG take off it [grey levels].
+# White, 255, less a margin for noise and JPEG [grey levels].
 _WHITE = 250.0
 # A photograph of which more than this share is white shows the sun, or its exposure, rather than the bed.
 MOSTLY_WHITE = 0.5
-# Around white the mirrored sun is fainter, and hides the bed as well [px].
+# Width of the fainter rim of glint around saturated pixels, which hides the bed as well [px].
 _RIM_PX = 1
 
 

@@ -17,7 +17,7 @@ _QUIET = 1.0
 # Mean logarithm of how much larger a difference is than those of the rows beside it, and the same in robust standard
 # deviations. 2,580 whole photographs: above 0.3 up to 4.8, else up to 6.2; 120 that were joined: from 0.51 and 8.7.
 _LEAST, _LEAST_STD = 0.45, 7.5
-# What each side of the step of a seam has of it at least: edges of a scene have none.
+# Least part of the step of a seam on each side; edges of a scene have none.
 _LEAST_OF_A_SIDE = 0.4
 # Straight edges in a scene lie at the rows of blocks no more often than elsewhere.
 _OVER_OTHER_ROWS = 0.3

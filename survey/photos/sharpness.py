@@ -22,10 +22,10 @@ _FINE, _COARSE = (0.7, 1), (2.8, 4)
 _DIRECTIONS = ((1, 0), (0, 1), (1, 1), (1, -1))
 # Squares of an image; the half with more coarse detail counts.
 _SQUARE_PX = 64
-# Of the middle of an image, so much is looked at [px].
+# Side of the middle of an image that is used [px].
 _MOST_PX = 2048
 _FEWEST_PX = 16
-# Of one grey level squared, so that squares without any detail have a ratio.
+# Least energy of coarse detail [grey levels squared], so that squares without any detail have a ratio.
 _LEAST = 1e-3
 # Grey levels of a photograph of one colour, with noise and JPEG, differ by less; those of one in the dark are below.
 _PLAIN_STD, _BLACK = 2.0, 16.0

@@ -19,11 +19,11 @@ from survey.photos.cameras import View
 from survey.photos.images import LUMA, grey_levels, load_mask, load_pixels
 from survey.photos.saturation import saturated
 
-# Photographs are made smaller so: single pixels of a JPEG have no colours of their own.
+# Reduction of photographs: JPEG subsamples colours, so that single pixels have none of their own.
 _SMALLER = 4
-# So many photographs, spread over the survey, tell enough.
+# So many photographs, spread over the survey, are enough.
 MOST_PHOTOGRAPHS = 8
-# Standard deviation [grey levels] of texture from one smaller pixel to the next that is too faint to be divided.
+# Least standard deviation [grey levels] of texture between adjacent reduced pixels from which shares are computed.
 _FAINT = 0.05
 
 

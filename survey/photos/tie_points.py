@@ -69,7 +69,7 @@ class TiePoints:
 
 
 def parts_of(num_views: int, point: np.ndarray, view: np.ndarray) -> np.ndarray:
-    """Part (num_views,) int64 of each view: the views of one are held together by the points that they share.
+    """Connected component (num_views,) int64 of each view, by shared points.
 
     Observations (N,) are of points and of views. Parts are numbered from the largest, that with most views, on; of
     equal ones the one with the first view comes first. A view that sees nothing is in part -1.

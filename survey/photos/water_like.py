@@ -1,8 +1,8 @@
 """Places in photographs that look like water: large, without texture, and dark or of the colour of water.
 
-Single signs do not tell water: dry dunes have larger areas without texture, shade on a road is bluer
-(`benchmarks/water_by_colour.py`). Asphalt, bare soil and shade may look alike: what is found here is only said, and
-never counts as water; clear water over a bed with texture is not found.
+Single signs do not identify water: dry dunes have larger areas without texture, shade on a road is bluer
+(`benchmarks/water_by_colour.py`). Asphalt, bare soil and shade may look alike: places found here are only reported,
+and never count as water. Clear water over a bed with texture is not found.
 """
 
 from __future__ import annotations

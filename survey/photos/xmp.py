@@ -106,7 +106,7 @@ def rtk_of(xmp: str) -> Rtk | None:
 
 
 def stated_std(xmp: str) -> tuple[float, float, float] | None:
-    """One standard deviation of the position, (east, north, up) [m], where XMP has both in the namespace of Pix4D."""
+    """Standard deviation of the position, (east, north, up) [m], where XMP has both in the namespace of Pix4D."""
     across, up = (_number_in(xmp, _PIX4D, name) for name in ("GPSXYAccuracy", "GPSZAccuracy"))
     if across is None or up is None or not (0.0 < across <= _MOST_STD_M and 0.0 < up <= _MOST_STD_M):
         return None

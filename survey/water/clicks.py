@@ -1,7 +1,8 @@
 """Water level from marks of the waterline in photographs: intersection of their rays.
 
-A place is on the surface itself, where the water ends: its rays run in air alone and are straight. One photograph tells
-nothing, for its ray meets a plane of any height; so each place has a name, and is clicked in two photographs or more.
+A place is on the surface itself, where the water ends: its rays run in air alone and are straight. One photograph does
+not determine it, for its ray meets a plane at any height; so each place has a name, and is marked in two photographs
+or more.
 """
 
 from __future__ import annotations

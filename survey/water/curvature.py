@@ -12,7 +12,7 @@ from refract import FlatWater, curvature_drop
 from survey.water.surface import Departure
 
 SOURCE = "curvature of the Earth"
-# Followed where it falls by more somewhere, 250 m away: 1.3 mm of the bed below, and the depth of a place by as much.
+# Curvature counts where it exceeds this [m] somewhere, from 250 m away on: 1.3 mm of the bed and of its depth.
 _LEAST_DROP_M = 5e-3
 # Places along each side at which its height is computed.
 _NODES = 13

@@ -20,7 +20,7 @@ from survey.errors import ConfigError
 _LARGEST_BYTES = 100_000_000
 # Where programs put the height of what has two coordinates, e.g. of a contour line.
 _HEIGHT_NAMES = ("level", "height", "elevation", "elev", "ele", "z", "altitude")
-# Parts of names that may stand for a height: of what else, or in which unit, only who wrote the file knows.
+# Parts of names that may stand for a height, of unknown subject or unit.
 _LIKE_HEIGHTS = (
     *_HEIGHT_NAMES[:4],
     "alt",

@@ -17,9 +17,9 @@ from survey.findings import Findings
 from survey.photos.texture import MatchedLight
 from survey.settings.config import WaterConfig
 
-# As handbooks have it: of the sodium line.
+# Wavelength of handbooks: the sodium line.
 FRESH_WATER, SODIUM_NM = 1.333, 589.3
-# Of an index that nothing is said of: any water from fresh to that of the sea, 0.007 above, is as likely.
+# Std of an assumed index: any water from fresh to that of the sea, 0.007 above, is as likely.
 ASSUMED_INDEX_STD = 0.004
 
 

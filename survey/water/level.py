@@ -55,10 +55,10 @@ _ROUNDS = 50
 _SIGNIFICANT = 3.0
 # Fewer points than this may lie on a tilted plane by chance.
 _LEAST_FOR_SLOPES = 6
-# Fewer points than this say too little of their scatter themselves.
+# Fewer points than this do not determine their scatter.
 _FEW = 6
 _LEAST_STD_M = 1e-3
-# Points of a surface that are no farther apart tell its height at one place [m].
+# Points of a surface that are no farther apart count as one place [m].
 _ONE_PLACE_M = 0.1
 # Points of a surface so far beyond the cameras, in flying heights, count for its plane.
 _UNDER_VIEWS = 0.5
@@ -127,7 +127,7 @@ def with_level(
         _require_apart(folder / water.sources.named[name], points, crs)
     water, said = _of_points(water, points, crs)
     if name == SURFACE:
-        # `with_plane_of_surface` has the plane under the photographs, and says it.
+        # `with_plane_of_surface` fits the plane under the photographs, and reports it.
         water, said = replace(water, level_std_m=config.water.level_std_m if config.water else None), Findings()
     return replace(config, water=water), points, tide, Findings(notes) + said
 
@@ -243,7 +243,7 @@ def fit_surface(
     ----------
     points : (N, 3) easting, northing, height [m]
     stds : (N,) [m], optional
-        How sure the heights are: weights, and what the scatter of few points is not believed to be below.
+        Standard deviations of the heights, for the weights, and the lower bound of the scatter of few points.
     with_slopes : bool
         Allow a tilt where it exceeds three standard deviations.
     least : int
@@ -281,7 +281,7 @@ def fit_surface(
 def _robust(design: np.ndarray, heights: np.ndarray, stds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Huber's estimate and its covariance, in units of the stated standard deviations.
 
-    The scatter is the median absolute deviation; of few points it tells little, and the stated one counts if larger.
+    The scatter is the median absolute deviation. For few points it is uncertain, and the stated one counts if larger.
     """
     design, heights = design / stds[:, None], heights / stds
     weights, spare = np.ones(len(heights)), max(len(heights) - design.shape[1], 1)

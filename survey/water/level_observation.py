@@ -28,25 +28,25 @@ from survey.files.csv_table import Row, read_table
 from survey.files.point_table import read_points
 from survey.water.geojson import points_of_geojson
 
-# Of one measurement whose file does not say how sure it is [m]: of GNSS with corrections on the surface, and where
-# water meets land, which waves move; of a reading.
+# Standard deviation of a measurement whose file gives none [m]: GNSS with corrections on the surface, and at the
+# waterline, which waves move; a reading.
 STD_M = {"shoreline": 0.03, "gnss_points": 0.02, "surface": 0.02, "gauge": 0.01, "image_levels": 0.01}
-# What all measurements of a source share, so that more of them do not help [m]: the height of the base and the antenna;
-# that water wets the land above its level; the zero of the gauge, from which levels of photographs count as well.
+# Std of the error that all measurements of a source share, which no average reduces [m]: height of the base and the
+# antenna; land that is wet above the level; the zero of the gauge, from which levels of photographs count as well.
 COMMON_STD_M = {
     "shoreline": 0.02, "gnss_points": 0.015, "surface": 0.015, "gauge": 0.01, "image_levels": 0.01, "clicks": 0.0,
 }  # fmt: skip
 _GEOJSON, _RASTER = (".geojson", ".json"), (".tif", ".tiff")
 # Cells of a raster beyond this number are means of squares of them.
 _MOST_CELLS, _FINER = 40_000, 0.8
-# Of a cell against its neighbours; what it is off with them is common.
+# Std of a cell relative to its neighbours; the error that they share is common.
 _CELL_STD_M = 0.002
 _MOST_STD_M = 10.0
 
 
 @dataclass(frozen=True)
 class LevelObservation:
-    """One measurement of the height of the water surface.
+    """Measurement of the height of the water surface.
 
     Attributes
     ----------

@@ -11,9 +11,9 @@ from scipy.special import fdtrc
 
 from survey.display.quantities import length
 
-# Fewer points tell no more than a plane.
+# Fewer points determine no more than a plane.
 _LEAST_POINTS, _ENOUGH_FOR_ALL = 16, 32
-# Of points on a plane, by whose scatter alone more than this would seem to depart from it.
+# Significance: share of sets of points on a plane that seem to depart from it by their scatter alone.
 _FALSE_ALARMS = 1e-3
 # Nearer to the vertical than this the bed moves by n - 1 of an error of the level, and more for oblique rays.
 _BED_PER_LEVEL = 0.333
@@ -62,7 +62,7 @@ def departure_of(points: np.ndarray, stds: np.ndarray) -> float | None:
     values, weights = _robust(design, points[:, 2], stds)
     rest = (points[:, 2] - design @ values) / stds
     spare = len(points) - design.shape[1]
-    # Of few points the median tells the scatter badly, and of many with wrong ones among them the mean square.
+    # The median is a poor estimate of the scatter of few points, the mean square of that of many with wrong ones.
     by_median = float(np.median(np.abs(rest))) / _MEDIAN_DEVIATION * np.sqrt(len(points) / spare)
     std = max(by_median, float(np.sqrt(np.sum(weights * rest**2) / spare)), 1e-9)
     root = np.sqrt(weights) / stds

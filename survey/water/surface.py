@@ -28,9 +28,9 @@ SOURCE = "surface"
 _NUMBERS = (12, 20, 30, 50, 80, 120)
 # The smoothest surface counts whose squared errors are at most so many times the least: noise bends rays, too.
 _AS_GOOD = 1.1
-# Of each number as many points are left out in turn.
+# Points that are left out in turn, for each number of neighbours.
 _LEFT_OUT = 400
-# Slopes and curvatures count as 0 to so much of the weights: what a line of points says of those across it.
+# Ridge on slopes and curvatures, as a share of the weights: across a line of points nothing else determines them.
 _RIDGE = (1e-2, 1e-2, 2e-3, 2e-3, 2e-3)
 # The median of the absolute value of a normal deviate of unit standard deviation; least error of a file [m].
 _MEDIAN_DEVIATION, _LEAST_STD_M = 0.6745, 1e-3
@@ -38,7 +38,7 @@ _MEDIAN_DEVIATION, _LEAST_STD_M = 0.6745, 1e-3
 _MOST_NODES, _AT_ONCE = 200_000, 20_000
 # Nodes beyond an area, which cubic pieces need.
 _BEYOND = 3
-# Points whose spread across a line is less than this share of that along it tell no slope across it.
+# Points whose spread across a line is less than this share of that along it do not determine a slope across it.
 _LINE = 0.05
 
 
@@ -72,7 +72,7 @@ class Departure:
         object.__setattr__(self, "_plane", _plane_through(self.points, 1.0 / self.stds))
         errors = {0: (self._over_plane(xy) - self.points[:, 2]) / self.stds}
         errors |= {number: self._left_out(number) for number in _NUMBERS if 2 * number <= len(xy)}
-        # Points that are far off count no more than those at five standard deviations.
+        # Residuals are clipped at five standard deviations.
         least = float(np.mean((_LEAST_STD_M / self.stds) ** 2))
         squares = {number: least + float(np.mean(np.minimum(np.abs(errors[number]), 5.0) ** 2)) for number in errors}
         good = [number for number in errors if squares[number] <= _AS_GOOD * min(squares.values())]

@@ -29,10 +29,10 @@ from survey.water.level_observation import LevelObservation, moment_of, std_of
 # The level of a photograph without a time is the mean of the others, if these differ by no more than this [m]: it moves
 # the bed by less than 2 mm.
 _MOST_UNKNOWN_M = 0.005
-# Levels that move images by less than this count as one: as for errors of poses (`survey.plan.poses`), more would be
-# seen in the noise of matching, and less not.
+# Levels that move images by less than this count as one: as for errors of poses (`survey.plan.poses`), larger ones
+# exceed the noise of matching.
 MOST_SHIFT_PX = 0.1
-# Rays nearer to the horizon tell nothing of the bed.
+# Rays nearer to the horizon are not used for the bed.
 _GRAZING_DEG = 70.0
 
 
@@ -157,7 +157,7 @@ def with_tides(views: Sequence[View], tide: Tide | None, water: FlatWater | None
 
 
 def with_shift(tide: Tide, views: Sequence[View], water: FlatWater) -> Tide:
-    """The tide of views with what it does to their photographs."""
+    """Tide of views, with the largest shift that it causes in their photographs."""
     shifts = [abs(tide.over[view.name]) * _shift_per_m(view, water) for view in views]
     return replace(tide, shift_px=max(shifts) / (metres_per_px(views, water) or np.inf))
 

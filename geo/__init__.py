@@ -1,4 +1,4 @@
-"""Where on Earth: coordinate reference systems, the local frame, and files of clouds, meshes and terrain models.
+"""Georeferencing: coordinate reference systems, the local frame, and files of clouds, meshes and terrain models.
 
 | subject | files |
 |---|---|

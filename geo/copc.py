@@ -72,7 +72,7 @@ def write_copc(
         header.point_format.id, header.point_format.num_extra_bytes, use_variable_size_chunks=True
     )
     info = laspy.VLR(*_INFO, "COPC info", bytes(struct.calcsize(_INFO_LAYOUT)))
-    # COPC asks for its record at byte 375, before all others.
+    # COPC requires its record at byte 375, before all others.
     header.vlrs.insert(0, info)
     header.vlrs.insert(1, laspy.VLR("laszip encoded", 22204, "lazrs", laz.record_data()))
     start = stream.tell()

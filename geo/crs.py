@@ -17,7 +17,7 @@ from pyproj.exceptions import CRSError, ProjError
 
 from geo.errors import MissingVerticalDatum, UnknownCRS, UnsupportedCRS
 
-# Of the sphere that has the volume of the Earth: for lengths of degrees where a part in three hundred is no matter.
+# Radius of the sphere with the volume of the Earth: for lengths of degrees to a part in three hundred.
 EARTH_RADIUS_M = 6.371e6
 # Surveys may lie some degrees outside a zone, as countries use one for all; swapped or shifted places lie far away.
 AREA_MARGIN_DEG = 10.0
@@ -167,12 +167,12 @@ def called(crs: CRS) -> str:
 
 
 def horizontal_unit(crs: CRS) -> float:
-    """One unit of easting in metres, or of longitude in radians."""
+    """Unit of easting in metres, or of longitude in radians."""
     return horizontal_crs(crs).axis_info[0].unit_conversion_factor
 
 
 def height_unit_m(crs: CRS) -> float:
-    """One unit of height in metres: 1, or a foot."""
+    """Unit of height in metres: 1, or a foot."""
     return crs.axis_info[2].unit_conversion_factor
 
 

@@ -1,4 +1,4 @@
-"""What a LAS file declares: its length, its CRS, and extra bytes, values per point with a descriptor each (LAS 1.4)."""
+"""LAS header: length of the file, CRS, and extra bytes, values per point with a descriptor each (LAS 1.4)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _UNIT_TOLERANCE = 1e-9
 _SHORTEST_HEADER, _HEADER_1_4 = 227, 375
 _RECORD, _EXTENDED_RECORD = 54, 60
 _LAZ_BIT = 0x80
-# Of a writer that could not go back: the place of the table of chunks is at the end.
+# Mark of a writer to a stream that cannot seek: the offset of the chunk table is at the end of the file.
 _TABLE_AT_END = -1
 NO_DATA = -9999.0
 # float32 rather than scaled integers: every reader shows its true values, also those that ignore scales.
@@ -177,7 +177,7 @@ def stored_extra(values: dict[str, np.ndarray], part: slice | np.ndarray) -> dic
 
 
 def _descriptor(name: str, dtype: np.dtype, description: str, known: np.ndarray) -> bytes:
-    """One descriptor of 192 bytes; ``known`` are the values that are not "no data"."""
+    """Descriptor of 192 bytes of an extra byte; ``known`` are the values that are not "no data"."""
     is_float = dtype.kind == "f"
     code, slot, number = (9, "<d", float) if is_float else (3, "<Q", int)
     low, high = (number(known.min()), number(known.max())) if len(known) else (number(0), number(0))

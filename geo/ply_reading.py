@@ -96,7 +96,7 @@ def read_ply(path: str | Path) -> Mesh | Cloud:
 
 
 def _header(data: bytes) -> tuple[bool, str, list[_Element], int, str]:
-    """Whether it is ASCII, the byte order, the elements, where the body starts, and the CRS of comments, or ""."""
+    """Header: is it ASCII, the byte order, the elements, where the body starts, and the CRS of comments, or ""."""
     end = re.search(rb"^end_header[^\n]*\n", data, re.MULTILINE)
     if not data.startswith(b"ply") or end is None:
         raise _Damaged('it does not begin with "ply" and a header up to "end_header"')
@@ -158,7 +158,7 @@ def _table(body: memoryview, element: _Element, order: str) -> tuple[dict[str, n
 
 
 def _even_table(body: memoryview, element: _Element, order: str) -> tuple[dict[str, np.ndarray | _Lists], int] | None:
-    """As `_table`, if all lists of a column are as long as its first one; else None."""
+    """Result of `_table` if all lists of a column are as long as its first one; else None."""
     _, lengths, _ = _row(body, 0, element, order)
     fields: list[tuple] = []
     for index, (p, length) in enumerate(zip(element.properties, lengths, strict=True)):
@@ -181,7 +181,7 @@ def _even_table(body: memoryview, element: _Element, order: str) -> tuple[dict[s
 
 
 def _uneven_table(body: memoryview, element: _Element, order: str) -> tuple[dict[str, np.ndarray | _Lists], int]:
-    """As `_table`, row by row."""
+    """Result of `_table`, read row by row."""
     columns: list[list[float]] = [[] for _ in element.properties]
     counts: list[list[int]] = [[] for _ in element.properties]
     offset = 0

@@ -24,14 +24,14 @@ from geo.errors import UnwritableFile
 from geo.files import refusal, write_whole_at
 from geo.read_back import Sums, require_raster
 
-# In the tag "Software" of every raster, by which bathynerf knows its own again.
+# Tag "Software" of every raster, by which bathynerf recognises its own files.
 SOFTWARE = f"bathynerf {version('bathynerf')}"
 _BLOCK = 512
 
 
 @dataclass(frozen=True)
 class Band:
-    """One band of a raster.
+    """Band of a raster.
 
     Attributes
     ----------

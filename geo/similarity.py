@@ -19,9 +19,9 @@ _DRAWS = 500
 _MEDIAN_LENGTH = 1.538
 # The parameters of a similarity.
 _PARAMETERS = 7
-# Beyond this many std a position is wrong, and where few tell the std, beyond what one in a million is. Deformed blocks
-# have longer tails than noise, so only gross errors count, and none below the step between a fixed and a float RTK
-# solution.
+# A position is a gross error beyond this many std, or beyond the quantile of one in a million where few points
+# determine the std. Deformed blocks have longer tails than noise, so only gross errors count, and none below the step
+# between a fixed and a float RTK solution.
 _WRONG_STD, _WRONG_PROBABILITY, _WRONG_AT_LEAST_M = 6.0, 1e-6, 0.6
 
 
@@ -64,7 +64,7 @@ def fit_similarity(a, b) -> Similarity:
 
 
 def robust_similarity(a, b) -> tuple[Similarity, np.ndarray]:
-    """As `fit_similarity`, with up to half of the points wrong.
+    """Fit a similarity robustly: up to half of the points may be wrong.
 
     Returns
     -------
@@ -119,7 +119,7 @@ def gross_error(median: float, num: int) -> float:
 
     Notes
     -----
-    Six times the spread that the median tells. Few points that fit well may do so by chance: three leave two degrees of
+    Six times the spread by the median. Few points that fit well may do so by chance: three leave two degrees of
     freedom of nine, so that the limit is no less than that of Student's distribution with those that are left; never
     below 0.6 m.
     """

@@ -33,7 +33,7 @@ from geo.operations import area_about, operations
 WGS84 = CRS("EPSG:4326")
 # Longitudes and latitudes that change by less pass unchanged: a tenth of a millimetre.
 _UNCHANGED_DEG = 1e-9
-# What is stated to be worse is no operation that others are held against.
+# Operations with a worse stated accuracy than this are not compared.
 _MOST_STATED_M = 100.0
 # Two feet differ by 2e-6: units that differ by less are one.
 _SAME_UNIT = 1e-9
@@ -231,7 +231,7 @@ def best_operation(source: CRS, target: CRS, where: str, mend: str, places: np.n
 
 
 def lon_lat(crs: CRS, points: np.ndarray) -> np.ndarray:
-    """Longitude and latitude (N, 2) of WGS 84 [deg] of points (N, 2 or 3), to some metres: to look at, not to measure.
+    """Longitude and latitude (N, 2) of WGS 84 [deg] of points (N, 2 or 3), to some metres: for display only.
 
     Not finite off the map.
     """
@@ -336,7 +336,7 @@ def _chosen(source: CRS, target: CRS, middle: np.ndarray) -> _Chosen:
     if elsewhere:
         return _Chosen(elsewhere[0], _spread_m(elsewhere, source, target, middle), (), is_outside=True)
     try:
-        # A datum that nobody knows is taken for that of the other.
+        # An unknown datum is taken for that of the other.
         transformer = Transformer.from_crs(source, target, always_xy=True, area_of_interest=area)
         return _Chosen(transformer, None, missing, is_known=bool(missing))
     except ProjError as error:

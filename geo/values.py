@@ -24,12 +24,12 @@ _SMALLEST_EXTENT_M = 0.05
 # Fewer points may lie on whole metres by chance, or by design.
 _FEWEST = 10
 _SAMPLE = 1000
-# As many around the middle tell how crowded a cloud is.
+# As many around the middle are enough to estimate the density of a cloud.
 _ENOUGH = 500_000
 # Half a step of LAS, in which rounded values may have been stored later.
 _STORED_M = 0.0006
 _DIGITS = range(4, 10)
-# Of all points, how many share their place in plan with another height; of a raster's cells, how many have one.
+# Share of points with another height at the same place in plan; share of the cells of a raster with a height.
 _MANY_SHARED, _RASTER = 0.1, 0.3
 
 # What programs write where there is no height; 0 may also be one.
@@ -42,7 +42,7 @@ _SHARE = 0.01
 
 
 def is_mark_of_no_data(height: float) -> bool:
-    """Whether one height is what programs write where there is none, and none that a place on Earth has."""
+    """Whether a height is a usual no-data value that no place on Earth has."""
     return height in _MARKS and not 0.0 < height < _HIGHEST
 
 
@@ -60,7 +60,7 @@ def check_values(points: np.ndarray, crs: CRS | None, path: Path) -> tuple[str, 
 
 
 def rounded_coordinates(points: np.ndarray, crs: CRS | None, path: Path) -> tuple[str, ...]:
-    """As `check_values`, of the steps of coordinates alone."""
+    """Notes on rounded coordinates: the part of `check_values` that tests their steps."""
     if len(points) < _FEWEST:
         return ()
     metres = np.ones(2) if crs is None else ground_units_m(crs, points[0])

@@ -122,7 +122,7 @@ class GreyImages(LazyImages):
 
 
 class _GreyImage:
-    """One image: its levels as int8 and a mask where that loses nothing, as float32 otherwise."""
+    """Grey image: its levels as int8 and a mask where that loses nothing, as float32 otherwise."""
 
     def __init__(self, image: np.ndarray, keep: Callable[[np.ndarray], Any] | None = None):
         levels = np.asarray(image, dtype=np.float32)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Skips:
-    """Each is on unless all is asked for; docs/plan.md has what each saves, and what it costs in error.
+    """Simplifications of the computation, on by default; docs/plan.md has the time and the error of each.
 
     Attributes
     ----------

@@ -37,7 +37,7 @@ def set_rates(optimiser: torch.optim.Adam, share: float, *, held: Collection[str
 
 
 def descend(optimiser: torch.optim.Adam, loss: Tensor) -> None:
-    """One step down the gradient of a loss."""
+    """Take a step down the gradient of a loss."""
     optimiser.zero_grad(set_to_none=True)
     loss.backward()
     optimiser.step()

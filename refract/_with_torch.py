@@ -39,7 +39,7 @@ def if_tensor(function):
 
 
 def fma(a, b, c):
-    """One pass over memory, where the types allow it."""
+    """Fused multiply-add: one pass over memory, where the types allow it."""
     if not torch.is_tensor(c):
         return a * b + c
     if not torch.is_tensor(b):

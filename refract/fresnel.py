@@ -28,12 +28,12 @@ class Fresnel(NamedTuple):
 
     @property
     def reflectance(self):
-        """Of unpolarised light."""
+        """Reflectance of unpolarised light."""
         return 0.5 * (self.reflectance_s + self.reflectance_p)
 
     @property
     def transmittance(self):
-        """Of unpolarised light."""
+        """Transmittance of unpolarised light."""
         return 0.5 * (self.transmittance_s + self.transmittance_p)
 
 

@@ -78,7 +78,7 @@ class Projection:
         return self._told(_length(*self._first), _length(*_measured(self._legs[1])))
 
     def _told(self, sunk, others):
-        """One number where all is water, another elsewhere, NaN where the ray is invalid."""
+        """Selection of a number where all is water, of another elsewhere, of NaN where the ray is invalid."""
         xp = namespace(self.depth)
         number = xp.where(self.wet & self.under_water, sunk, others)
         return xp.where(self._valid, xp.like(number, self.depth), math.nan)
@@ -168,7 +168,7 @@ def project(points, camera, surface: WaterSurface | ParallelLayers | None, *, st
 
 
 def _ends(point, centre, surface):
-    """Where both ends are in reach, and the ends: zeros elsewhere, if others' gradients or the surface need them."""
+    """Mask of ends in reach, and the ends: zeros elsewhere, if others' gradients or the surface need them."""
     valid = kernels.in_reach(point, centre)
     if derivable(surface, *point, *centre):
         point, centre = kernels.chosen(valid, point, 0.0), kernels.chosen(valid, centre, 0.0)

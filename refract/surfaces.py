@@ -169,7 +169,7 @@ class FlatWater:
 
     @property
     def is_plain(self) -> bool:
-        """All numbers are plain ones: nothing to derive by."""
+        """Whether all parameters are plain numbers, so that there is nothing to differentiate."""
         return all(isinstance(v, float) for v in self._numbers)
 
     def normal(self, x, y) -> tuple[Any, Any, Any]:

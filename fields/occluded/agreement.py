@@ -159,7 +159,7 @@ class _Alike:
 
     @staticmethod
     def of(sightings: Sequence[Sighting]) -> _Alike | None:
-        """From what photographs show for sure; None where that is too little."""
+        """Gain, offset and noise from certain sightings of the bed; None where these are too few."""
         values = np.stack([each.colours(0.0) for each in sightings])
         shown = np.stack([each.shown & each.is_inside for each in sightings])
         values[~shown] = 0.0

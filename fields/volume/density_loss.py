@@ -92,7 +92,7 @@ def _single(values: np.ndarray, place: torch.device) -> Tensor:
 
 
 class NodeScores:
-    """Where density has detail: the score (4) of each node, forgotten exponentially.
+    """Scores (4) of the nodes by the detail of density, with exponential forgetting.
 
     Parameters
     ----------

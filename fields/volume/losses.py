@@ -118,7 +118,7 @@ class Losses:
 
 @dataclass
 class Seen:
-    """What a batch of paths meets, computed once for all losses that ask for it."""
+    """Samples and renderings of a batch of paths, computed once for all losses that ask for it."""
 
     renderer: VolumeRenderer
     paths: Paths

@@ -26,7 +26,7 @@ class VolumeModel(nn.Module):
 
     @property
     def place(self) -> torch.device:
-        """Where its parameters lie, and all that it is given; the host for a model without any."""
+        """Device of its parameters and inputs; the host for a model without parameters."""
         return next(self.parameters(), torch.empty(0)).device
 
     @abstractmethod

@@ -40,7 +40,7 @@ _COARSEST = 128 / 300
 
 @dataclass(frozen=True)
 class Setup:
-    """What any model is built for.
+    """Data that any model is built for.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ def build_model(
 
 
 def proposal_for(name: str, box: Box, cells: int) -> Proposal | None:
-    """What draws the samples of a model in place of the occupied cells; None for all but the hash grids."""
+    """Proposal that draws the samples of a model in place of the occupied cells; None for all but the hash grids."""
     if name == "nerfacto":
         return Proposal(box, ProposalSettings(n_max=(max(cells // 2, 2), cells)))
     return Proposal(box, ProposalSettings((48,), (cells,))) if name == "hash" else None

@@ -230,7 +230,7 @@ def paths_along(
 
 
 def _single(values: np.ndarray) -> Tensor:
-    """In single precision, with zeros for NaN; infinite values are kept."""
+    """Values in single precision, with zeros for NaN; infinite values are kept."""
     return torch.as_tensor(np.nan_to_num(values, posinf=np.inf, neginf=-np.inf), dtype=torch.float32)
 
 

@@ -15,7 +15,7 @@ from refract import PinholeCamera, WaterSurface
 
 @dataclass
 class Photographs:
-    """What a volume is trained from.
+    """Photographs with cameras and water: the training data of a volume.
 
     Attributes
     ----------

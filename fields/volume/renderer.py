@@ -19,7 +19,7 @@ from fields.water_column import WaterColumn
 
 @dataclass
 class Rendered:
-    """What paths (N) show of a volume.
+    """Rendering of a volume along paths (N).
 
     Attributes
     ----------
@@ -110,7 +110,7 @@ class VolumeRenderer(nn.Module):
         return Rendered(as_stored(colour), weights, samples)
 
     def penalty(self, paths: Paths, rendered: Rendered) -> Tensor:
-        """What the parts ask for themselves in training, a scalar: the model at a sample of each path, the proposal."""
+        """Regularisation in training, a scalar: of the model at a sample of each path, and of the proposal."""
         one = torch.randint(rendered.samples.s.shape[1], (len(paths), 1), device=paths.near.device)
         total = self.model.penalty(paths.at(rendered.samples.s.gather(1, one))[:, 0])
         if self.proposal is not None:
@@ -128,7 +128,7 @@ class VolumeRenderer(nn.Module):
 
 
 class Backdrop(nn.Module):
-    """One colour behind the box.
+    """Constant colour behind the box.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What lies outside the box: a shell about it, in which distance is turned into its inverse.
+"""Shell about the box for the scene outside, in which distance is replaced by its inverse.
 
 Positions are measured from the centre of an ellipsoid about the box, in its semi-axes, so that it is the unit sphere.
 At distance r >= 1 a point becomes (x', y', z', u): the point of the sphere below it and u = 1 / r (NeRF++, Zhang et al.

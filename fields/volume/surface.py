@@ -25,7 +25,7 @@ LEAST_VIEWS = 2
 
 
 class Rule(StrEnum):
-    """Where on a path the surface is: the median or the mode of its weights, or the first dense sample."""
+    """Definition of the surface on a path: the median or the mode of its weights, or the first dense sample."""
 
     median = "median"
     mode = "mode"

@@ -70,12 +70,12 @@ class TensorSettings:
 
     @staticmethod
     def dw(**changes) -> TensorSettings:
-        """One scale, density weighted."""
+        """Settings of a density-weighted model of one scale."""
         return replace(TensorSettings(scales=1, channels=24), **changes)
 
     @staticmethod
     def vm(**changes) -> TensorSettings:
-        """One scale, density a linear map of the features: the vector-matrix decomposition alone.
+        """Settings of one scale, density a linear map of the features: the vector-matrix decomposition alone.
 
         As many features a sample as six scales of four channels have.
         """

@@ -31,7 +31,7 @@ CHUNK = 1 << 18
 
 @dataclass(frozen=True)
 class Training:
-    """How a volume is trained.
+    """Settings of the training of a volume.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class VolumeFigures:
 
 
 class Checkpoints(Protocol):
-    """Where the state of a training is kept, so that one that was interrupted goes on."""
+    """Checkpoints of a training, from which an interrupted one continues."""
 
     def load(self) -> dict[str, Any] | None:
         """The state that was saved last; None where there is none."""
@@ -165,7 +165,7 @@ class _State:
         return _State(0, cells, adam(renderer.rates(), eps=ADAM_EPS), scores)
 
     def saved(self, renderer: VolumeRenderer) -> dict[str, Any]:
-        """What the next steps depend on, for `torch.save`; the pixels that they draw follow from the step."""
+        """State that the next steps depend on, for `torch.save`; the pixels that they draw follow from the step."""
         return {
             "step": self.step,
             "renderer": renderer.state_dict(),
@@ -193,7 +193,7 @@ class _State:
 def _step(
     renderer: VolumeRenderer, paths: Paths, training: Training, state: _State, water: WaterSurface | None
 ) -> None:
-    """One step of Adam on some paths."""
+    """Take a step of Adam on some paths."""
     set_rates(state.optimiser, training.final_rate ** (state.step / training.steps))
     if state.scores is None:
         samples = renderer.samples(paths, state.cells, training.samples, jitter=True)

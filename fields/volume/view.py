@@ -21,7 +21,7 @@ BYTES_PER_NUMBER = 4
 
 @dataclass(frozen=True)
 class View:
-    """What a camera sees of a volume; where a path misses the box, the background, and NaN for distance and point.
+    """View of a volume by a camera; where a path misses the box, the background, and NaN for distance and point.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ def render_volume(
 
 
 def chunk_of(renderer: VolumeRenderer, samples: int) -> int:
-    """How many paths are rendered together, so that their samples take `WORKING_BYTES`."""
+    """Number of paths that are rendered together, so that their samples take `WORKING_BYTES`."""
     working = WORKING_BYTES[renderer.model.place.type]
     return max(working // (BYTES_PER_NUMBER * samples * _numbers_per_sample(renderer)), 64)
 

@@ -107,7 +107,7 @@ class _Part:
 
 @dataclass
 class Forecast:
-    """What a run will still take.
+    """Forecast of the remaining time of a run.
 
     Attributes
     ----------

@@ -84,7 +84,7 @@ def process_age_s() -> float:
 
 @dataclass(frozen=True)
 class Load:
-    """How long work takes now, against an idle core of the kind that rates were measured on.
+    """Load: duration of work now, relative to an idle core of the kind that rates were measured on.
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ class Load:
 
 
 def load() -> Load:
-    """Of this machine now; takes 0.2 s of processor time.
+    """Load of this machine now; takes 0.2 s of processor time.
 
     Turns of other programs come and go within seconds: they are counted since the process started, unless that is long
     ago.
@@ -142,7 +142,7 @@ def load() -> Load:
 
 
 def _ran_and_waited() -> tuple[int, int] | None:
-    """How long the first thread of the process has run, and waited for its turn [ns]; None where it is not counted."""
+    """Run time and wait time of the first thread of the process [ns]; None where they are not counted."""
     try:
         ran, waited = (int(word) for word in _TURNS.read_text(encoding="ascii").split()[:2])
     except (OSError, ValueError):
@@ -166,7 +166,7 @@ class GroupMemory:
 
     @property
     def free(self) -> int:
-        """What is left to its processes [bytes]."""
+        """Memory left to its processes [bytes]."""
         return max(self.limit - self.used, 0)
 
 

@@ -22,7 +22,7 @@ class Device(StrEnum):
 
 
 class Field(StrEnum):
-    """What refines the heights of the sweep: as the plan decides, least squares, with boxes, the slab, or nothing."""
+    """Refinement of the heights of the sweep: as the plan decides, least squares, with boxes, the slab, or nothing."""
 
     auto = "auto"
     solver = "solver"
@@ -39,7 +39,7 @@ class Plan(StrEnum):
 
 
 class Poses(StrEnum):
-    """What happens to the poses: as the plan decides, taken as they are, or adjusted."""
+    """Treatment of the poses: as the plan decides, taken as they are, or adjusted."""
 
     auto = "auto"
     fixed = "fixed"

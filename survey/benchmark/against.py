@@ -34,7 +34,7 @@ BETTER, WORSE, SAME, UNKNOWN = "better", "worse", "as before", "not judged"
 
 @dataclass(frozen=True)
 class Change:
-    """One figure of one record: the ratio of now over then, or the difference of now less then.
+    """Change of a figure of a record: the ratio of now over then, or the difference of now less then.
 
     Attributes
     ----------

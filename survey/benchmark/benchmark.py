@@ -54,7 +54,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class _Job:
-    """One process: those of its methods that differ by a correction share it."""
+    """Process of the benchmark: methods that differ by a correction share it."""
 
     case: Case
     methods: tuple[Method, ...]
@@ -70,7 +70,7 @@ class _Job:
 
     @property
     def keys(self) -> set[tuple[str, ...]]:
-        """Of its records."""
+        """Keys of its records."""
         return {(self.case.name, method.name, self.quality, self.poses, self.device) for method in self.methods}
 
 

@@ -62,7 +62,7 @@ def errors_of(cloud: Path, case: Case) -> Errors:
 
 @dataclass(frozen=True)
 class _Stated:
-    """What the points say of their errors, against these: see `survey.benchmark.records.Errors`."""
+    """Stated std of the points against their errors: see `survey.benchmark.records.Errors`."""
 
     coverage: float | None = None
     median_m: float | None = None
@@ -70,7 +70,7 @@ class _Stated:
 
 
 def _stated(found: Comparison) -> _Stated:
-    """Of points with a std, over a mesh, where that is no wall."""
+    """Stated std against the errors of points with a std, over a mesh, where that is no wall."""
     reference, extra = found.inputs.reference, found.inputs.cloud.extra
     if _STD not in extra or not isinstance(reference, Mesh):
         return _Stated()
@@ -104,7 +104,7 @@ def _blocks(plan: np.ndarray, distances: np.ndarray, case: Case) -> dict[str, li
 
 @dataclass(frozen=True)
 class Method:
-    """One way from photographs to a cloud.
+    """Method: a way from photographs to a cloud.
 
     Attributes
     ----------

@@ -73,7 +73,7 @@ class Errors:
 
 @dataclass(frozen=True)
 class Record:
-    """One method on one survey.
+    """Record of a method on a survey.
 
     Attributes
     ----------

@@ -20,7 +20,7 @@ _MOST_NAMED = 3
 
 
 def table(results: Results) -> list[str]:
-    """One line for each record, under a head; * marks the front of its survey."""
+    """Table with a line for each record, under a head; * marks the front of its survey."""
     front = on_front(results.records)
     rows = [_HEAD, *(_row(record, record.key in front) for record in results.records)]
     widths = [max(len(row[i]) for row in rows) for i in range(len(_HEAD))]
@@ -55,7 +55,7 @@ def comparison(now: Results, then: Results) -> list[str]:
 
 
 def lines_of(changes: list[Change]) -> list[str]:
-    """One line for each change."""
+    """Lines of text, one for each change."""
     lines = []
     for change in changes:
         why = f": {change.why}" if change.why else ""

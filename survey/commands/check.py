@@ -77,7 +77,7 @@ def is_plan(path: Path) -> bool:
 
 
 def _chosen(asked: ProcessConfig) -> tuple[Aim | None, Choices]:
-    """What the plan is made for, and what an aim beside it asks."""
+    """Choices that the plan is made for, and the aim beside it."""
     from survey.plan.aim import aim_and_choices
 
     aim, _ = aim_and_choices(replace(asked, quality=None))
@@ -86,7 +86,7 @@ def _chosen(asked: ProcessConfig) -> tuple[Aim | None, Choices]:
 
 
 def _sections(folder: Path, asked: ProcessConfig, wind: float, deep: bool) -> Iterator[Section]:
-    """What a survey has and lacks, its light, what it promises, and what an aim would cost."""
+    """Sections on contents and gaps of a survey, its light, its expected accuracy, and the cost of an aim."""
     from survey import machine
     from survey.adjust.result.foreseen import foreseen_section
     from survey.folder.found import process_config
@@ -118,7 +118,7 @@ def _sections(folder: Path, asked: ProcessConfig, wind: float, deep: bool) -> It
 
 
 def _sections_of_plan(path: Path, asked: ProcessConfig, wind: float, deep: bool) -> Iterator[Section]:
-    """What a planned flight promises, and what an aim promises and costs of it."""
+    """Sections on the expected accuracy of a planned flight, and on accuracy and cost of an aim."""
     if deep:
         raise SurveyError("--deep holds a survey against its photographs, and a plan has none; remove it")
     if asked.image_scale is not None:

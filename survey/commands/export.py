@@ -108,7 +108,7 @@ def _parameter(family: str, product: Product) -> inspect.Parameter:
 
 
 def _signature() -> inspect.Signature:
-    """Of `run`, with an option for each product in the place of ``files``."""
+    """Signature of `run`, with an option for each product in the place of ``files``."""
     own = inspect.signature(run, eval_str=True).parameters
     products = [_parameter(family, product) for family, members in FAMILIES.items() for product in members]
     first = [own["run"], *products]

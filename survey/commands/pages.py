@@ -16,7 +16,7 @@ class Page(TyperCommand):
     """A verb whose help has a panel for each ``rich_help_panel`` of its options, as plain text."""
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
-        """As Typer, with arguments by their placeholder alone: SURVEY, not {SURVEY}."""
+        """Usage as of Typer, with arguments by their placeholder alone: SURVEY, not {SURVEY}."""
         return [self.options_metavar or "", *(_usage(param) for param in _arguments(self.get_params(ctx)))]
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
@@ -39,7 +39,7 @@ def _panel(param: Any) -> str:
 
 
 def _row(param: Any, ctx: Any) -> tuple[str, str] | None:
-    """What help says of a parameter, None of a hidden one."""
+    """Row of the help on a parameter; None of a hidden one."""
     record = param.get_help_record(ctx)
     return (param.metavar, record[1]) if record is not None and _panel(param) == _ARGUMENTS else record
 

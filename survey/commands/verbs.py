@@ -65,12 +65,12 @@ class _Verbs(TyperGroup):
     """The verbs, whose usage errors have the form of all other errors: one sentence."""
 
     def make_context(self, *args, **options):
-        """As Typer, with the arguments of `bathynerf` itself."""
+        """Context as of Typer, with the arguments of `bathynerf` itself."""
         with _in_one_sentence():
             return super().make_context(*args, **options)
 
     def invoke(self, ctx):
-        """As Typer, with the arguments of a verb."""
+        """Invoke as Typer does, with the arguments of a verb."""
         with _in_one_sentence():
             return super().invoke(ctx)
 

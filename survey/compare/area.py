@@ -20,7 +20,7 @@ class CompareError(SurveyError):
 
 @dataclass(frozen=True)
 class ShiftedFrame:
-    """In place of a `LocalFrame` if no file has a CRS: coordinates in metres, shifted near zero."""
+    """Substitute for a `LocalFrame` if no file has a CRS: coordinates in metres, shifted near zero."""
 
     origin: tuple[float, float, float]
 

@@ -138,7 +138,7 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
 
 
 def _reaches(scene: Scene, tolerances_m: Sequence[float]) -> list[measure.Reach]:
-    """What is reached of the reference within each tolerance."""
+    """Completeness of the reference at each tolerance."""
     reaches = []
     with current().stage("Completeness", len(tolerances_m)) as stage:
         for tolerance_m in tolerances_m:

@@ -133,7 +133,7 @@ def load_inputs(paths: Paths, bounds: Bounds | None, water_level: float | None =
 
 
 def _crs_of(path: Path) -> CRS | None:
-    """That a file names; its points may not be read yet, as their depths count from the water of the cloud."""
+    """CRS that a file names; its points may not be read yet, as their depths count from the water of the cloud."""
     return crs_of_comment(path, CompareError) if is_table(path) else read_reference(path).crs
 
 
@@ -149,7 +149,7 @@ def _in_common_unit(shape: Mesh | Cloud, path: Path, crs: CRS | None) -> tuple[M
 
 
 def _is_ground(cloud: Cloud, path: Path) -> tuple[np.ndarray, list[str]]:
-    """Which points (N,) are compared, by the classes and flags of their file; a note counts the others.
+    """Mask (N,) of the points that are compared, by the classes and flags of their file; a note counts the others.
 
     Raises
     ------

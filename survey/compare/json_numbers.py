@@ -52,7 +52,7 @@ def numbers_of(figures: Figures) -> dict:
 
 
 def _known(record: DistanceStatistics | Scores) -> dict:
-    """Its figures, without those that there are none of."""
+    """Figures of a record, without those that are None."""
     return {name: value for name, value in asdict(record).items() if value is not None}
 
 

@@ -138,11 +138,11 @@ class Reach:
 
     @property
     def targets(self) -> np.ndarray:
-        """What should be reached: the visible points where those are known, else the samples."""
+        """Targets of the completeness: the visible points where those are known, else the samples."""
         return self.samples if self.visible is None else self.visible
 
     def scores(self, distances: np.ndarray) -> Scores:
-        """With the share of the distances (N,) [m] below the tolerance."""
+        """Scores with the share of the distances (N,) [m] below the tolerance."""
         return scores(distances, tolerance_m=self.tolerance_m, is_reached=self.samples, is_reached_visible=self.visible)
 
 
@@ -196,7 +196,7 @@ def _over_surface(scene: Scene, surface: LocalSurface) -> tuple[Distances, Refer
 
 
 def reached_at(scene: Scene, tolerance_m: float) -> Reach:
-    """What is reached at one tolerance by the cloud, cropped to the bounds and the tolerance more."""
+    """Completeness at one tolerance of the cloud, cropped to the bounds and the tolerance more."""
     margin = metres_in_crs(scene.inputs.frame, tolerance_m)
     cloud = scene.cloud[within(scene.inputs.cloud.points[scene.around], scene.bounds, margin)]
     is_seen = scene.inputs.visible is not None

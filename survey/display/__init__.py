@@ -1,1 +1,1 @@
-"""How results are shown: colours, the grid of a plan view, quantities as text, and words that sentences share."""
+"""Display of results: colours, the grid of a plan view, quantities as text, and words that sentences share."""

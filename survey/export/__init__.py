@@ -1,1 +1,1 @@
-"""What is made of a finished run for other programs: `registry` lists the products, one file per family writes them."""
+"""Products of a finished run for other programs: `registry` lists them, one file per family writes them."""

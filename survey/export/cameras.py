@@ -31,7 +31,7 @@ def _is_our_model(path: Path) -> bool:
 
 
 def _said(flight: Flight) -> dict:
-    """Where the frame lies and how rays bend."""
+    """Frame and water, for JSON."""
     from geo.crs import crs_code
 
     frame, water = flight.frame, flight.water

@@ -113,7 +113,7 @@ class _Knots:
         return _Knots(window, middle, half, across, along, _local(flight, cells, points))
 
     def seen_by(self, camera: PinholeCamera, water: FlatWater | None) -> np.ndarray | None:
-        """What `CellProjection` has (4, 3, knots, knots), at the knots; None where surely no cell is seen."""
+        """Values of `CellProjection` (4, 3, knots, knots) at the knots; None where surely no cell is seen."""
         pixels, size = camera.project(self.points, water), np.array([camera.width, camera.height])
         with np.errstate(invalid="ignore"):
             # A window is larger than a photograph where its cells are larger than pixels: then knots lie around it.
@@ -127,7 +127,7 @@ class _Knots:
         return np.stack([pixels[..., 0], pixels[..., 1], cosine, lean])
 
     def at_cells(self, found: np.ndarray, height: np.ndarray, camera: PinholeCamera) -> CellProjection:
-        """What was found at the knots at the cells, by their heights."""
+        """Values at the cells, interpolated from the knots by their heights."""
         t = (height - self.middle) / self.half
         u, v, cosine, lean = (self._parabola(values, t) for values in found)
         with np.errstate(invalid="ignore"):

@@ -125,7 +125,7 @@ class LoadedRun:
         return replace(self.bed, points_crs=way(self.bed.points_crs), crs=way.crs)
 
     def once(self, key: Hashable, make: Callable[[], _Made]) -> _Made:
-        """What ``make`` gives, made once for a key: for what several products of one command need."""
+        """Result of ``make``, computed once for a key, for several products of one command."""
         if key not in self._made:
             self._made[key] = make()
         return self._made[key]

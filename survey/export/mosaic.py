@@ -42,7 +42,7 @@ class Mosaic:
 
     @staticmethod
     def empty(cells: PlanCells, folder: Path) -> Mosaic:
-        """Without a colour; its files are made in a folder."""
+        """Mosaic without a colour; its files are made in a folder."""
         shapes = {"highest": cells.shape, "weight": cells.shape, "colour": (*cells.shape, 3)}
         files = {name: scratch_array(folder / f"mosaic-{name}", "f4", shape) for name, shape in shapes.items()}
         return Mosaic(cells, **files)

@@ -19,7 +19,7 @@ from survey.run.flight import Flight
 
 @dataclass(frozen=True)
 class Photograph:
-    """One photograph as a product uses it.
+    """Photograph as a product uses it.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ def at_scale(flight: Flight, scale: float) -> list[Photograph]:
 
 
 def colours_without_water(run: LoadedRun) -> Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None:
-    """Of colours (N, 3), 0 to 255, depth (N,) [m] and incidence (N,) [rad] in air, the colours without the water.
+    """Colours (N, 3), 0 to 255, without the water, by depth (N,) [m] and incidence (N,) [rad] in air.
 
     None where the run's own points have the colours that photographs show.
     """

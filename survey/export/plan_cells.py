@@ -31,7 +31,7 @@ class Window:
 
     @property
     def slices(self) -> tuple[slice, slice]:
-        """To index an array (rows, columns, ...)."""
+        """Slices into an array (rows, columns, ...)."""
         return slice(self.top, self.bottom), slice(self.left, self.right)
 
     @property
@@ -49,7 +49,7 @@ class Window:
         )
 
     def within(self, larger: Window) -> tuple[slice, slice]:
-        """To index an array of a larger window so that this one is left."""
+        """Slices of this window in an array of a larger one."""
         return (
             slice(self.top - larger.top, self.bottom - larger.top),
             slice(self.left - larger.left, self.right - larger.left),

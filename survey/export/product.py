@@ -23,7 +23,7 @@ _HEAD_BYTES = 1 << 16
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """What a user may ask of products; each product says in `Product.takes` which of these it follows.
+    """Options of products; each product says in `Product.takes` which of these it follows.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ def require_not_too_fine(side_m: float, pixel_m: float) -> None:
 
 @dataclass(frozen=True)
 class Product:
-    """One option of `bathynerf export`.
+    """Product: an option of `bathynerf export`.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ class Product:
 
 
 def begins_with(start: bytes, *marks: bytes) -> Callable[[Path], bool]:
-    """For `Product.is_ours`: whether a file begins so, and has these marks soon after."""
+    """Test for `Product.is_ours`: whether a file begins so, and has these marks soon after."""
 
     def is_ours(path: Path) -> bool:
         with path.open("rb") as stream:

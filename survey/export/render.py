@@ -160,7 +160,7 @@ def _of_photographs(
 
 
 def _inputs(folder: RunDir, cameras: Path) -> ReadFiles:
-    """What is read, and the photographs of the surveys in whose folders the run and the cameras lie."""
+    """Input files, and the photographs of the surveys in whose folders the run and the cameras lie."""
     inputs = folder.inputs()
     if cameras.exists():
         inputs += poses_inputs(cameras)
@@ -228,7 +228,7 @@ def is_our_picture(head: bytes) -> bool:
 
 
 def _stem(output: Path, name: str, path: Path, *, is_short: bool) -> Path:
-    """Where the pictures of a camera go: below the folder, whatever the camera is called; without its suffix or not."""
+    """Path of the pictures of a camera: below the folder, whatever the camera is called; without its suffix or not."""
     stem = output / (Path(name).with_suffix("") if is_short else name)
     if not stem.resolve().is_relative_to(output.resolve()):
         raise OutputError(f"the camera {name} in {path} would be written outside of {output}; rename it")

@@ -28,7 +28,7 @@ _UNCERTAINTY = (
 
 
 def raster_form(grid: Gridded, *bands: Band, said: dict[str, str], **form) -> RasterForm:
-    """What is said of a raster of a gridded bed; ``said`` are tags of the product beside those of every one."""
+    """Metadata of a raster of a gridded bed; ``said`` are tags of the product beside those of every one."""
     from geo.raster_writing import RasterForm
 
     tags = {

@@ -100,7 +100,7 @@ def may_hold_roll(found: Found) -> bool:
 
 
 def of_block(control: Control, frame: LocalFrame, found: Found) -> BlockControl:
-    """What structure from motion takes of control: no check points, and what the water hides from straight rays."""
+    """Control for structure from motion without check points, with a tolerance in height for the refraction."""
     points = tuple(point for point in control.points if not point.is_check)
     heights = np.array([point.crs[2] for point in points]) * height_unit_m(frame.crs)
     slack = np.zeros(len(points))

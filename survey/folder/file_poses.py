@@ -95,7 +95,7 @@ def read_file_poses(found: Found, path: Path) -> tuple[FilePoses, Findings]:
 
 
 def _datum(found: Found, file: PoseFile) -> tuple[DatumStd, Findings]:
-    """What the way of the poses into crs adds to their accuracy, with a warning where it does.
+    """Std that the transformation of the poses into crs adds, with a warning where it does.
 
     Raises
     ------

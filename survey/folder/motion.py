@@ -161,7 +161,7 @@ def _motion(view: View, velocities: Mapping[str, Velocity], readout: float) -> n
 
 
 def rows_between(height: int) -> int:
-    """From the first to the last row of an image."""
+    """Rows from the first to the last of an image."""
     return max(height - 1, 1)
 
 
@@ -194,7 +194,7 @@ def shutter_doubts(cameras: CamerasConfig, heads: Mapping[str, Exif], metres_per
 def shutter_text(
     cameras: CamerasConfig, velocities: Mapping[str, Velocity], views: Sequence[View], water: FlatWater | None
 ) -> str | None:
-    """What is known of the shutter and of how fast the cameras flew, and what it does; None where nothing is said."""
+    """Shutter, speed of the cameras and their effect in words; None where nothing is known."""
     readout = cameras.rolling_shutter_s
     if readout is None:
         return None

@@ -124,7 +124,7 @@ def lenses_from_config(cameras: CamerasConfig, heads: dict[str, Exif]) -> tuple[
 
 
 def lens_from_config(cameras: CamerasConfig, heads: dict[str, Exif]) -> tuple[Lens, Findings]:
-    """One lens for all images, with a sentence for each number that survey.toml does not give.
+    """Lens for all images, with a sentence for each number that survey.toml does not give.
 
     Parameters
     ----------

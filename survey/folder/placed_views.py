@@ -120,7 +120,7 @@ def _with_images(found: Found, views: list[View], masks: Path | None) -> tuple[l
 def lifted_over_water(
     placed: PlacedViews, views: list[View], water: FlatWater | None
 ) -> tuple[PlacedViews, list[View], Findings]:
-    """All shifted in height where all cameras lie under the water or far above it.
+    """Views shifted in height where all cameras lie under the water or far above it.
 
     Only of positions whose heights have an error in common that the adjustment finds from the water; a warning says by
     how much.

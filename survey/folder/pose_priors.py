@@ -1,4 +1,4 @@
-"""What is known of each camera's pose besides the photographs, and how well: for the adjustment."""
+"""Priors of the poses besides the photographs, with their std, for the adjustment."""
 
 from __future__ import annotations
 

@@ -238,7 +238,7 @@ def require_scale(found: Found) -> None:
 
 
 def _marked(found: Found) -> str:
-    """How many control points there are that both show, as a part of a sentence; empty without control."""
+    """Number of control points that both show, as a part of a sentence; empty without control."""
     control = control_of_block(found)
     if control is None:
         return ""

@@ -171,7 +171,7 @@ def _vertical(
 def _of_ellipsoidal(
     photographs: Photographs, horizontal: str, chosen: CRS | None, listed: tuple[str, ...], cameras: Table
 ) -> tuple[int | None, str, tuple[str, ...]]:
-    """As `_vertical` where XMP says that heights in EXIF are ellipsoidal.
+    """Vertical CRS as `_vertical`, where XMP says that heights in EXIF are ellipsoidal.
 
     A national system is taken where the grid of its geoid is installed, which turns those heights into it; `check`
     names the grid where it is missing.

@@ -91,7 +91,7 @@ class Tiles:
         return levels
 
     def _keep(self, image: str, levels: list[np.ndarray]) -> None:
-        """As the last one of those that are kept."""
+        """Keep the levels of an image, as the most recently used."""
         with self._lock:
             self._kept[image] = levels
             self._kept.move_to_end(image)
@@ -138,7 +138,7 @@ class MarkingServer(ThreadingHTTPServer):
         self.url = f"http://{host}:{self.server_address[1]}/?token={quote(self.token)}"
 
     def handle_error(self, request, client_address):
-        """As the library, but for browsers that no longer want what they asked for."""
+        """Handle errors as the library does, but ignore browsers that close the connection early."""
         if not isinstance(sys.exception(), ConnectionError):
             super().handle_error(request, client_address)
 

@@ -227,7 +227,7 @@ def _parted(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def delaunay_surface(points: np.ndarray, std: np.ndarray, spacing_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """One height at each place in plan: for beds without overhangs.
+    """Delaunay surface with one height at each place in plan: for beds without overhangs.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ FULL = "--plan full"
 
 @dataclass(frozen=True)
 class Decision:
-    """One line of the plan: subject, choice and reason."""
+    """Decision of the plan: subject, choice and reason."""
 
     name: str
     choice: str

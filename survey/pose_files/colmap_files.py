@@ -34,7 +34,7 @@ _OBSERVATION = np.dtype([("x", "<f8"), ("y", "<f8"), ("point", "<i8")])
 
 @dataclass(frozen=True, eq=False)
 class Photo:
-    """One image of a model.
+    """Image of a model.
 
     Attributes
     ----------
@@ -141,7 +141,7 @@ def frames_txt(path: Path) -> list[tuple[int, list[float], list[tuple[int, int]]
 
 
 def cameras_bin(path: Path) -> dict[int, Lens | LensError]:
-    """As `cameras_txt`."""
+    """Cameras of a binary file, as `cameras_txt`."""
     data = path.read_bytes()
     (count,) = struct.unpack_from("<Q", data)
     lenses: dict[int, Lens | LensError] = {}
@@ -165,7 +165,7 @@ def cameras_bin(path: Path) -> dict[int, Lens | LensError]:
 
 
 def images_bin(path: Path) -> list[Photo]:
-    """As `images_txt`."""
+    """Images of a binary file, as `images_txt`."""
     data = path.read_bytes()
     (count,) = struct.unpack_from("<Q", data)
     at, photos = 8, []
@@ -185,7 +185,7 @@ def images_bin(path: Path) -> list[Photo]:
 
 
 def points_bin(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """As `points_txt`."""
+    """Points of a binary file, as `points_txt`."""
     data = path.read_bytes()
     (count,) = struct.unpack_from("<Q", data)
     at, found = 8, []
@@ -199,7 +199,7 @@ def points_bin(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def rigs_bin(path: Path) -> dict[tuple[int, int], list[float] | None]:
-    """As `rigs_txt`."""
+    """Rigs of a binary file, as `rigs_txt`."""
     data = path.read_bytes()
     (count,) = struct.unpack_from("<Q", data)
     at = 8
@@ -221,7 +221,7 @@ def rigs_bin(path: Path) -> dict[tuple[int, int], list[float] | None]:
 
 
 def frames_bin(path: Path) -> list[tuple[int, list[float], list[tuple[int, int]]]]:
-    """As `frames_txt`."""
+    """Frames of a binary file, as `frames_txt`."""
     data = path.read_bytes()
     (count,) = struct.unpack_from("<Q", data)
     at, found = 8, []

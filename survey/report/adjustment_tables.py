@@ -15,7 +15,7 @@ _NO_VALUE = "–"
 
 
 def adjustment(found: AdjustmentFigures | None) -> list[Block]:
-    """What the adjustment found; nothing where there was none."""
+    """Tables of the adjustment; nothing where there was none."""
     if found is None:
         return []
     blocks: list[Block] = []

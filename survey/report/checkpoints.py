@@ -26,7 +26,7 @@ _NEAREST = 8
 
 @dataclass(frozen=True)
 class CheckpointRow:
-    """One check point.
+    """Check point with its residual.
 
     Attributes
     ----------
@@ -162,7 +162,7 @@ def _stated_at(points: np.ndarray, stated: np.ndarray | None, places: np.ndarray
 
 
 def _outside(survey: Survey, places_crs: np.ndarray) -> np.ndarray:
-    """Which places (K, 3) in crs lie outside [area] bounds, (K,) bool."""
+    """Mask (K,) bool of the places (K, 3) in crs outside [area] bounds."""
     if survey.bounds is None:
         return np.zeros(len(places_crs), dtype=bool)
     e0, n0, e1, n1 = survey.bounds

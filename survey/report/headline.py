@@ -165,7 +165,7 @@ def _of_orders(iho: IhoS44) -> Card:
 
 
 def seen(figures: ReportFigures) -> list[Block]:
-    """What was seen of the water, what not, and why; nothing for a dry survey."""
+    """Coverage of the water in words, and reasons for gaps; nothing for a dry survey."""
     found = figures.coverage
     if found is None:
         return []
@@ -195,7 +195,7 @@ def _part(value_m2: float, whole_m2: float) -> str:
 
 
 def limits(figures: ReportFigures) -> list[Block]:
-    """What the cloud is good for and what not, in sentences with this run's figures."""
+    """Fitness of the cloud for purposes, in sentences with this run's figures."""
     said, std = [], figures.height_std
     if std is not None:
         told = f"A typical height is within {length(_SIGMAS_95 * std.whole)} of the truth in 95 of 100 cases"

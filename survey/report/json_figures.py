@@ -84,5 +84,5 @@ def _cloud(cloud: CloudFigures) -> dict:
 
 
 def _spread(spread: Spread | None, *names: str) -> dict | None:
-    """Those statistics that say something of the quantity."""
+    """Named statistics of a spread; None without one."""
     return None if spread is None else {name: getattr(spread, name) for name in names}

@@ -122,7 +122,7 @@ def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
 
 
 def draw_view(path: Path, facts: ReportFacts, height_maps: Sequence[HeightMap]) -> Picture:
-    """One photograph beside its height map as depths, of those that there are."""
+    """Photograph beside its height map as depths, of those that there are."""
     height_map = height_maps[representative(height_maps)]
     view = facts.survey.views[height_map.view]
     share_confirmed = float((height_map.agreeing > 0).mean())
@@ -208,7 +208,7 @@ def draw_unseen(path: Path, facts: ReportFacts) -> Picture:
 
 
 def codes_of(cells: SeenCells) -> np.ndarray:
-    """What each cell (rows, columns) is: a key of the legend, or 0."""
+    """Codes of the cells (rows, columns): a key of the legend, or 0."""
     without = np.where(cells.num_views >= _FEWEST_VIEWS, _NOT_FOUND, np.where(cells.num_views == 1, _ONE_VIEW, 0))
     return np.where(cells.has_point, _FOUND, without)
 

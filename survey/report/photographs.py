@@ -26,7 +26,7 @@ _FEW = 40
 
 @dataclass(frozen=True)
 class PhotographFigures:
-    """One photograph.
+    """Figures of a photograph.
 
     Attributes
     ----------

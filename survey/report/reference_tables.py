@@ -102,7 +102,7 @@ def _reached(found: Figures) -> list[Table]:
 
 
 def iho_s44(found: VerticalUncertainty | None) -> list[Block]:
-    """Which orders' vertical uncertainty is met, and by how many points in each band of depth; nothing without."""
+    """Orders of IHO S-44 whose TVU is met, and by how many points in each band of depth; nothing without."""
     if found is None:
         return []
     iho = found.iho

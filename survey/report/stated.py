@@ -1,4 +1,4 @@
-"""What the cloud states of its own uncertainty: LE90, and the orders of IHO S-44 that this would meet."""
+"""Stated uncertainty of the cloud: LE90, and the orders of IHO S-44 that this would meet."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ _FEW = 4
 
 @dataclass(frozen=True)
 class CameraFigures:
-    """One kind of camera.
+    """Figures of a kind of camera.
 
     Attributes
     ----------

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Gate:
-    """One condition.
+    """Quality gate: a condition with its value and limit.
 
     Attributes
     ----------

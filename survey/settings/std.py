@@ -33,5 +33,5 @@ def require_std(name: str, value: Std | tuple[float, float] | None, most: float,
 
 
 def per_axis(value: Std) -> tuple[float, float, float]:
-    """One standard deviation for each of three axes."""
+    """Standard deviations along three axes, equal where one value is given."""
     return value if isinstance(value, tuple) else (value, value, value)

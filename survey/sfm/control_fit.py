@@ -110,7 +110,7 @@ def _along_line(met: Met) -> ControlFit:
 
 
 def coordinates(met: Met) -> tuple[np.ndarray, np.ndarray]:
-    """Those of control points (K, 3) [m], local, and their standard deviations."""
+    """Coordinates of control points (K, 3) [m], local, and their standard deviations."""
     return np.array([point.local for point in met.points]), np.array([point.std for point in met.points])
 
 

@@ -85,7 +85,7 @@ def require_as_good(way: Transformation, plan_std_m: float, said: str, num_contr
 
 
 def least(stds: Collection[DatumStd]) -> DatumStd:
-    """What all of several have in common: the smallest; nothing of none."""
+    """Smallest of several values; nothing of none."""
     return DatumStd(*(min((getattr(each, name) for each in stds), default=0.0) for name in ("plan", "up")))
 
 

@@ -91,7 +91,7 @@ def gps_positions(heads: Mapping[str, Exif], crs: CRS | None, gps_height: str) -
 
 
 def what_is_missing(heads: Mapping[str, Exif]) -> str:
-    """What EXIF lacks for whole positions, as a part of a sentence; empty where it holds nothing of them."""
+    """Missing parts of positions in EXIF, as a part of a sentence; empty where it holds nothing of them."""
     faults = Counter(head.gps_fault for head in heads.values() if head.gps_fault)
     flat = sum(head.lat_lon_height is not None and not is_whole(head.lat_lon_height) for head in heads.values())
     if flat:
@@ -177,7 +177,7 @@ def _geoid_std(crs: CRS, source: _Source, places: np.ndarray) -> float:
 
 
 def datum_stds(heads: Mapping[str, Exif], crs: CRS, gps_height: str) -> dict[str, DatumStd]:
-    """What the way into crs adds to the accuracy of GPS positions, by photograph."""
+    """Std that the transformation into crs adds to GPS positions, by photograph."""
     ways = ways_into_crs(heads, crs, gps_height)
     return {name: DatumStd(plan_std(way.plan), way.up_std_m) for way in ways for name in way.names}
 
@@ -196,7 +196,7 @@ def datum_doubts(ways: Sequence[Way]) -> list[str]:
 
 @dataclass(frozen=True)
 class _Source:
-    """What GPS positions are written in, and their CRS."""
+    """Source of GPS positions, and their CRS."""
 
     name: str
     crs: CRS

@@ -95,7 +95,7 @@ def line_of(positions, std_m: float) -> Line | None:
 
 
 def contradicted(residuals) -> np.ndarray:
-    """Which positions (N,) bool the block contradicts, by their residuals (N, 3) [m], local; NaN counts for nothing.
+    """Positions (N,) bool that the block contradicts, by their residuals (N, 3) [m], local; NaN counts for nothing.
 
     Residuals may have a shift in common, as heights by a barometer do.
     """
@@ -132,7 +132,7 @@ class Across:
 
     @classmethod
     def of(cls, line: Line) -> Across:
-        """Those of a line."""
+        """Directions along and across a line."""
         along = line.direction
         up = np.array([0.0, 0.0, 1.0]) - along[2] * along
         # Of a line that goes straight up, any side will do.

@@ -211,7 +211,7 @@ def _place(
 
 
 def _by_first(ways: Sequence[Way], block: pycolmap.Reconstruction) -> str:
-    """What the first way says that can place a block; the error of the first, with those of others, if none can."""
+    """Result of the first way that can place a block; the error of the first, with those of others, if none can."""
     refusals: list[SurveyError] = []
     for way in ways:
         try:

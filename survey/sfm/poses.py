@@ -296,7 +296,7 @@ def seconds_of_solve(workspace: Path) -> float | None:
 
 
 def _stored(workspace: Path, key: str) -> Free | None:
-    """What `_store` left with this key; None if there is nothing, or something else."""
+    """Result that `_store` kept with this key; None if there is nothing, or something else."""
     record = read_json_object(workspace / _RECORD)
     if record.get("key") != key or not (workspace / _MODEL).is_dir():
         return None

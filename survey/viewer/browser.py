@@ -110,6 +110,6 @@ def close_server(server: viser.ViserServer) -> None:
 
 
 def address(server: viser.ViserServer, host: str) -> str:
-    """What is typed into a browser on this machine."""
+    """Address to open in a browser on this machine."""
     name = "localhost" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     return f"http://{name}:{server.get_port()}"

@@ -1,4 +1,4 @@
-"""What a click on the cloud shows: rays and windows of the photographs, a distance, a slice."""
+"""Response to a click on the cloud: rays and windows of the photographs, a distance, a slice."""
 
 from __future__ import annotations
 

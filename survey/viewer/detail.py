@@ -42,7 +42,7 @@ class Style:
 
     @property
     def colouring(self) -> tuple:
-        """What decides the colours."""
+        """Settings that determine the colours."""
         return self.kind, self.limits
 
 

@@ -61,7 +61,7 @@ def add_cameras(server: viser.ViserServer, shown: Shown) -> tuple[viser.FrameHan
 
 
 def median_height(views: Sequence[View]) -> float:
-    """Of cameras over local z = 0 [m]."""
+    """Median height of the cameras over local z = 0 [m]."""
     return float(np.median([view.camera.centre[2] for view in views]))
 
 

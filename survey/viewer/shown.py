@@ -166,12 +166,12 @@ class Shown:
 
     @property
     def middle(self) -> np.ndarray:
-        """Of the cloud (3,) [m], local."""
+        """Middle of the cloud (3,) [m], local."""
         return 0.5 * (self.low + self.high)
 
     @property
     def extent_m(self) -> float:
-        """Of the cloud in plan [m]."""
+        """Extent of the cloud in plan [m]."""
         return float(np.linalg.norm((self.high - self.low)[:2]))
 
     def colours(self, kind: str, rows: np.ndarray, limits: tuple[float, float] | None) -> np.ndarray:
@@ -199,7 +199,7 @@ class Shown:
 
 
 def load_shown(run: LoadedRun, survey: str | None, reference: Path | None = None, volume: Path | None = None) -> Shown:
-    """What is shown of a run, beside a reference and with the field in a folder of `bathynerf field`.
+    """Data of a run for the viewer, beside a reference and with the field in a folder of `bathynerf field`.
 
     ``survey`` is the folder of the survey, if it was moved since.
 

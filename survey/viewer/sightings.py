@@ -34,7 +34,7 @@ _INK, _PAPER, _MARK = (34, 48, 60), (255, 255, 255), (255, 230, 0)
 
 @dataclass(frozen=True)
 class Sighting:
-    """One photograph in whose frame a point lies, see `unhidden` for what stands before it.
+    """Sighting of a point in a photograph whose frame holds it; see `unhidden` for what occludes it.
 
     Attributes
     ----------

@@ -70,7 +70,7 @@ class TrainedField:
         return self._load(self.notes.append)
 
     def picture(self, view: Viewpoint, *, dry: bool) -> np.ndarray:
-        """What a viewpoint sees (rows, columns, 3) uint8, white where there is no bed; ``dry``: along straight rays.
+        """Rendering from a viewpoint (rows, columns, 3) uint8, white where no bed is; ``dry``: along straight rays.
 
         Raises
         ------

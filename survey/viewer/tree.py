@@ -208,7 +208,7 @@ class Viewpoint:
 
 
 def seen_nodes(tree: CloudTree, view: Viewpoint) -> np.ndarray:
-    """Which nodes (M,) bool a viewpoint may see: those whose cube no bounding plane cuts off."""
+    """Mask (M,) bool of the nodes in the view frustum: those whose cube no bounding plane cuts off."""
     half = 0.5 * tree.side
     middle = tree.low + half[:, None] - view.position
     planes = view.planes()

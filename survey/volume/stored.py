@@ -30,7 +30,7 @@ from survey.volume.scene import SETTINGS, STATE, box_of_run, read_state
 
 @dataclass(frozen=True)
 class Recipe:
-    """What decides the parameters of a model and how its paths run.
+    """Settings that determine the parameters of a model and how its paths run.
 
     Attributes
     ----------
@@ -135,7 +135,7 @@ class StoredVolume:
     def load(
         self, device: str = "auto", note: Callable[[str], None] = lambda said: current().note(said)
     ) -> Callable[[PinholeCamera, bool], NovelView]:
-        """What a camera sees of the field, with the water or (True) without it; ``note`` is told of one half trained.
+        """Renderer of the field, with the water or (True) without it; ``note`` is told of one half trained.
 
         Raises
         ------

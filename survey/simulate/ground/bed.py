@@ -84,7 +84,7 @@ def plane(area: tuple[float, float, float, float], z: float) -> BedGrid:
 
 
 def _thinned(points: np.ndarray, rgb: np.ndarray | None, spacing: float) -> tuple[np.ndarray, np.ndarray | None]:
-    """One point per square cell: the mean of those in it."""
+    """Thinned points: the mean of those in each square cell."""
     cells = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / spacing).astype(np.int64)
     _, cell, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
 

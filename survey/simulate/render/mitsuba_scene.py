@@ -101,7 +101,7 @@ def _grid(area: tuple[np.ndarray, np.ndarray], spacing: float) -> tuple[np.ndarr
 
 
 def _matt(mi: ModuleType, name: str, shape: Shape, skin: ImageSkin | VertexSkin):
-    """One body: corners of its triangles carry texel coordinates, or its vertices colours."""
+    """Matt body: corners of its triangles carry texel coordinates, or its vertices colours."""
     vertices, faces, of_hit = shape.mesh()
     if isinstance(skin, VertexSkin):
         bsdf = _two_sided({"type": "mesh_attribute", "name": "vertex_color"})

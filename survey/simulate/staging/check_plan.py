@@ -82,7 +82,7 @@ def flight_of(path: Path) -> Plan:
 
 
 def depth_of(plan: Plan) -> float:
-    """Of the bed under the water that heights are foreseen for [m]."""
+    """Depth of the bed under the water for which the accuracy is predicted [m]."""
     return plan.site.depth_m or DEPTH_M
 
 

@@ -30,7 +30,7 @@ class Coverage:
 
     @staticmethod
     def of(error: np.ndarray, std: np.ndarray, among: np.ndarray) -> Coverage:
-        """Of those errors (N,) [m] that are ``among`` (N,) bool."""
+        """Coverage of the errors (N,) [m] that are ``among`` (N,) bool."""
         covered = np.abs(error[among]) < WITHIN * std[among]
         return Coverage(float(covered.mean()) if len(covered) else float("nan"), len(covered))
 

@@ -205,7 +205,7 @@ def order_by_tvu(std_m: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
 
 
 def order_by_thu(std_m: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
-    """As `order_by_tvu`, of `THU` and the standard deviations [m] of places along each axis in plan."""
+    """Order of IHO S-44 by `THU`, from the standard deviations [m] of places along each axis in plan."""
     return _strictest([TO_95_IN_PLAN * std_m <= a + b * depth_m for _, a, b in THU], std_m, depth_m)
 
 

@@ -62,7 +62,7 @@ def _units_of_proj() -> tuple[dict[int, float], dict[str, float]]:
 
 
 def _bare(name: str) -> str:
-    """Without case, blanks and signs; digits stay: there are feet of several years."""
+    """Name without case, blanks and signs; digits stay: there are feet of several years."""
     return "".join(c for c in name.lower() if c.isalnum())
 
 

@@ -294,7 +294,7 @@ def middle_of(source: CRS, places: np.ndarray) -> np.ndarray | None:
 
 
 def _in_one_datum(source: CRS, target: CRS) -> Transformer:
-    """Between the grid of a CRS and its own longitudes and latitudes."""
+    """Transformer between the grid of a CRS and its own longitudes and latitudes."""
     return _projection(source.srs, target.srs)
 
 

@@ -77,7 +77,7 @@ def furnish(home: Path, surveys: Path, wheel: Path, wheels: Path | None) -> None
 
 
 def run(root: Path, command: str) -> str:
-    """What a command prints in the system at ``root``, both streams as they come; it has to end with 0."""
+    """Output of a command in the system at ``root``, both streams as they come; it has to end with 0."""
     environment = ["env", "-i", f"HOME={HOME}", "PATH=" + HOME + "/bathynerf/bin:/usr/bin:/bin", "LANG=C.UTF-8"]
     apart = ["unshare", "--mount", "--pid", "--fork", f"--root={root}", "--mount-proc"]
     apart += [f"--setuid={USER}", f"--setgid={USER}", f"--wd={HOME}"]

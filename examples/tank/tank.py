@@ -68,7 +68,7 @@ class Corners:
 
 @dataclass(frozen=True)
 class Optics:
-    """What is known of the optics beforehand: value and standard deviation, infinite where it is unknown.
+    """Prior knowledge of the optics: value and standard deviation, infinite where it is unknown.
 
     Attributes
     ----------

@@ -19,7 +19,7 @@ from survey.display.quantities import length
 from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import load_survey
 from survey.report import ReportFacts
-from survey.report.adjustment_figures import adjustment_of, correlations
+from survey.report.adjustment_figures import adjustment_of, correlations, shown_lenses
 from survey.report.adjustment_pictures import (
     draw_correlation,
     draw_ground_residuals,
@@ -164,6 +164,18 @@ def test_each_lens_has_its_own_residuals(facts, tmp_path):
         _, vectors, _ = mean_residuals(two, number)
         np.testing.assert_allclose(vectors, np.tile(expected, (len(vectors), 1)))
     assert draw_image_residuals(tmp_path / "residuals_image.png", two).path.is_file()
+
+
+def test_of_a_lens_for_each_photograph_four_are_drawn(facts, tmp_path):
+    found = facts.adjustment
+    num = len(found.poses.names)
+    each = replace(found, lenses=found.lenses[:1] * num, poses=replace(found.poses, lens_of=np.arange(num)))
+    shown = shown_lenses(each)
+    count = np.bincount(found.residuals.view, minlength=num)
+    assert num > 4 == len(shown)
+    assert count[shown].min() >= np.delete(count, shown).max()
+    picture = draw_image_residuals(tmp_path / "residuals_image.png", each)
+    assert f"Of {num} lenses the 4 with the most residuals" in picture.caption
 
 
 def test_a_block_that_falls_apart_has_a_table_and_a_picture_of_its_parts(facts, tmp_path):

@@ -17,6 +17,8 @@ from survey.report.stated import CE90, LE90
 
 # Standard deviations below this are those of parameters that were not to move.
 HELD_STD = 1e-7
+# Of a camera for each photograph, as some programs write it, pictures would be wider than can be drawn.
+MOST_LENSES = 4
 Axes = tuple[float, float, float]
 
 
@@ -184,13 +186,25 @@ def adjustment_of(survey: Survey, found: Adjustment | None) -> AdjustmentFigures
     )
 
 
+def shown_lenses(found: Adjustment) -> list[int]:
+    """Lenses of pictures and tables: those with the most residuals, `MOST_LENSES` at most."""
+    count = np.bincount(found.poses.lens_of[found.residuals.view], minlength=len(found.lenses))
+    return sorted(np.argsort(-count, kind="stable")[:MOST_LENSES].tolist())
+
+
 def correlations(found: Adjustment) -> tuple[tuple[str, ...], np.ndarray]:
     """Names (K,) and correlations (K, K) of those parameters of water and lenses that were free to move.
 
-    Without focal lengths of single photographs: there are as many as photographs.
+    Of many lenses those of `shown_lenses`; without focal lengths of single photographs.
     """
-    count = found.layout.first_focal - RELIEF
+    layout = found.layout
+    count = layout.first_focal - RELIEF
     std = np.sqrt(np.diag(found.covariance.matrix)[:count])
+    for number in set(range(len(layout.aspect))) - set(shown_lenses(found)):
+        own = layout.lens(number)
+        std[own.start - RELIEF : own.stop - RELIEF] = 0.0
+        if layout.finds_readouts:
+            std[layout.first_readout + number - RELIEF] = 0.0
     free = np.flatnonzero(std > HELD_STD)
     matrix = found.covariance.matrix[np.ix_(free, free)] / np.outer(std[free], std[free])
     return tuple(found.covariance.names[i] for i in free), matrix

@@ -23,7 +23,7 @@ from survey.display.palette import BLUE, DIFFERENCES, INK, LAND, RED, SERIES, SO
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, length, number
 from survey.folder.survey import Survey
-from survey.report.adjustment_figures import correlations
+from survey.report.adjustment_figures import correlations, shown_lenses
 from survey.report.checkpoints import CheckpointFigures
 from survey.report.raster import Picture
 
@@ -43,24 +43,27 @@ _FAR, _CUT = 10.0, 1.5
 
 def draw_image_residuals(path: Path, found: Adjustment) -> Picture:
     """Mean residual of each cell of the photographs of each lens, as arrows."""
-    num = len(found.lenses)
-    tall = max(lens.height / lens.width for lens in found.lenses)
+    lenses = shown_lenses(found)
+    num = len(lenses)
+    tall = max(found.lenses[number].height / found.lenses[number].width for number in lenses)
     figure = Figure(figsize=(6.2 * num, 6.2 * tall + 0.55), layout="constrained")
     FigureCanvasAgg(figure)
-    fields = [mean_residuals(found, number) for number in range(num)]
+    fields = [mean_residuals(found, number) for number in lenses]
     ends = np.concatenate([np.linalg.norm(vectors, axis=1) for _, vectors, _ in fields])
     longest = nice_limit(ends)
-    for number_of_lens, (axes, (places, vectors, side)) in enumerate(
-        zip(np.ravel(figure.subplots(1, num)), fields, strict=True)
+    for number_of_lens, axes, (places, vectors, side) in zip(
+        lenses, np.ravel(figure.subplots(1, num)), fields, strict=True
     ):
         lens = found.lenses[number_of_lens]
         _arrows(axes, places, vectors, side / longest)
         axes.set(xlim=(0, lens.width), ylim=(lens.height, 0), xticks=[], yticks=[], aspect="equal")
-        which = f" of lens {number_of_lens}" if num > 1 else ""
+        which = f" of lens {number_of_lens}" if len(found.lenses) > 1 else ""
         subtitle = f"magnified: an arrow as long as a cell is wide means {longest:.2g} px"
         write_title(axes, f"Mean residual over the photographs{which}", subtitle)
     save(figure, path)
     words = "Measured less predicted place, over all photographs. A pattern is what the model of the lens leaves."
+    if num < len(found.lenses):
+        words += f" Of {len(found.lenses)} lenses the {num} with the most residuals."
     return Picture(path, "Residuals over the photographs", words)
 
 

@@ -216,6 +216,11 @@ FAULTS = {
     "shear": ("<rotation ", "<rotation>1 2 0 0 1 0 0 0 1</rotation><x ", "is no rotation with a scale"),
     "no scale": ("<scale ", "<scale>0</scale><x ", "is no rotation with a scale"),
     "large scale": ("<scale ", "<scale>1e308</scale><x ", "is no rotation with a scale"),
+    "overflow": (
+        "<rotation ",
+        "<rotation>1e200 0 0 0 1e200 0 0 0 1e200</rotation><scale>1e200</scale><x ",
+        "is no rotation with a scale",
+    ),
     "no sensor": ('<sensor id="1"', '<sensor id="7"', "its sensor is not in the file"),
     "spherical": ('"frame" class="adjusted"', '"spherical" class="adjusted"', "of the type spherical is not supported"),
     "focal length": ("<f>523.0", "<f>1e999", "f is 1e999, expected a finite number"),

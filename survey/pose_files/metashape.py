@@ -154,7 +154,9 @@ def _similarity(transform: Element, where: str) -> np.ndarray:
     rotation, translation = transform.find("rotation"), transform.find("translation")
     scale = transform.find("scale")
     size = 1.0 if scale is None else float(_numbers(scale, 1, where)[0])
-    found[:3, :3] = size * _numbers(rotation, 9, where).reshape(3, 3)
+    # What overflows is infinite, and refused as no rotation with a scale.
+    with np.errstate(over="ignore"):
+        found[:3, :3] = size * _numbers(rotation, 9, where).reshape(3, 3)
     if translation is not None:
         found[:3, 3] = _numbers(translation, 3, where)
     return found

@@ -105,12 +105,12 @@ def find_occluded(
             return points
 
         found, share = most_first(holes_in(sample)), len(sample) / max(len(sample) + len(others), 1)
-        first, rest = found[:_TOGETHER], found[_TOGETHER:]
+        first, later = found[:_TOGETHER], found[_TOGETHER:]
         points = points_in(first, share * len(first) / max(len(found), 1))
         num_holes = sum(int(holes.are_holes.sum()) for holes in first)
         if len(found) >= _FEWEST and sum(len(each.xyz) for each in points) < _LEAST_FOUND * num_holes:
             return replace(_together(block, [], len(first)), is_no_bed=True)
-        points += points_in(rest, share * len(rest) / max(len(found), 1))
+        points += points_in(later, share * len(later) / max(len(found), 1))
         if (len(found) >= _FEWEST or not others) and len(points) < _LEAST_SHARE * len(found):
             return replace(_together(block, [], len(found)), is_no_bed=True)
         more = most_first(holes_in(others))

@@ -262,8 +262,8 @@ def with_slope_std(
     """
     n = 1.0 if water is None else water.n_water
     sine = np.sin(points.incidence) / np.where(points.wet, n, 1.0)
-    lean = sine / np.sqrt(np.maximum(1.0 - sine * sine, _LEAST_COSINE**2))
+    ray_slope = sine / np.sqrt(np.maximum(1.0 - sine * sine, _LEAST_COSINE**2))
     there = half_range(height)[: keep.shape[0], : keep.shape[1]][keep]
-    aside = np.minimum(lean * points.std / gsd, _WHOLE_RANGE)
+    aside = np.minimum(ray_slope * points.std / gsd, _WHOLE_RANGE)
     variance = points.std**2 + aside**2 * np.maximum(there**2 - points.std**2, 0.0)
     return replace(points, std=np.sqrt(variance).astype(np.float32))

@@ -102,7 +102,7 @@ def sweep(
         sum(pixels_of(block, p, v) * len(peers[v]) for v in mine) if p.fuse else 0
         for p, mine in zip(passes, taking_part, strict=True)
     ]
-    done, told = 0.0, 0.0
+    done, reported = 0.0, 0.0
     # Radius of the windows of each view less that of its pass [px].
     wider = dict.fromkeys(views, 0)
     wanted: dict[int, np.ndarray] = {}
@@ -131,8 +131,8 @@ def sweep(
                     done, total = done + samples, total + samples
                 wider[each.view] = of_view
             done += samples
-            told = max(told, done / total)
-            progress(told)
+            reported = max(reported, done / total)
+            progress(reported)
         if fused[number]:
             block.release(p.scale)
             if p.in_area:
@@ -146,8 +146,8 @@ def sweep(
             }
             maps = fuse(block, maps, p.scale, compared, store, goes_on=number + 1 < len(passes))
             done += fused[number]
-            told = max(told, done / total)
-            progress(told)
+            reported = max(reported, done / total)
+            progress(reported)
         if number + 1 == len(passes) or passes[number + 1].scale != p.scale:
             block.release(p.scale)
     confirm(block, maps, {view: peers[view] for view in set(maps) - taking_part[-1]})

@@ -29,8 +29,8 @@ def ground_points(cameras: list[PinholeCamera], height: float) -> np.ndarray:
     """Intersections of the optical axes with the plane z = height, (views, 3) [m] local; NaN for those that look up."""
     axes = np.array([c.cam_from_local[2] for c in cameras])
     centres = np.array([c.centre for c in cameras])
-    fall = np.where(axes[:, 2] < -0.05, axes[:, 2], np.nan)
-    return centres + axes * ((height - centres[:, 2]) / fall)[:, None]
+    descent = np.where(axes[:, 2] < -0.05, axes[:, 2], np.nan)
+    return centres + axes * ((height - centres[:, 2]) / descent)[:, None]
 
 
 def coverage(

@@ -61,8 +61,8 @@ def refracted_rays(camera, u, v, water: KernelWater, terms: CameraTerms) -> list
     unscaled = [camera[c] * x + camera[3 + c] * y + camera[6 + c] for c in range(3)]
     per_length = xp.rsqrt(kernels.dot(unscaled, unscaled))
     ray = tuple(c * per_length for c in unscaled)
-    fall = xp.where(ray[2] < -LEAST_DESCENT, ray[2], math.nan)
-    air = ray[0] / fall, ray[1] / fall
+    descent = xp.where(ray[2] < -LEAST_DESCENT, ray[2], math.nan)
+    air = ray[0] / descent, ray[1] / descent
     bent = water.bend(ray)
     foot = (c - centre[2] * slope for c, slope in zip(centre[:2], air, strict=True))
     # As an array: rays are gathered pixel by pixel.

@@ -138,7 +138,7 @@ def _onto(centres: np.ndarray, rotations: np.ndarray, given: np.ndarray, turned:
     """
     turn = Rotation.from_matrix(turned.transpose(0, 2, 1) @ rotations).mean().as_matrix()
     first, second = np.triu_indices(len(centres), 1)
-    ours, theirs = (np.linalg.norm(places[first] - places[second], axis=1) for places in (centres, given))
-    scale = float(np.sum(theirs) / np.sum(ours))
+    adjusted_m, given_m = (np.linalg.norm(places[first] - places[second], axis=1) for places in (centres, given))
+    scale = float(np.sum(given_m) / np.sum(adjusted_m))
     shift = np.median(given - scale * centres @ turn.T, axis=0)
     return Similarity(scale, turn, shift)

@@ -118,15 +118,18 @@ def focal_drift(known: Known, done: Adjusted) -> FocalDrift | None:
     as_found = np.insert(done.known.std, layout.first_focal, np.full(len(layout.lens_of), np.inf))
     rival = replace(stated, std=as_found)
     normal, right, base = normals(rival)
-    without = base + _Eliminated.of(normal, right, own).bayes
+    null_cost = base + _Eliminated.of(normal, right, own).bayes
     normal, right, base = normals(stated)
-    left = _Eliminated.of(normal, right, own)
+    eliminated = _Eliminated.of(normal, right, own)
     # In the eigenbasis of the focal lengths the log-likelihood of each standard deviation is a sum.
-    told, axes = np.linalg.eigh(left.normal)
-    told, along = np.maximum(told, 0.0), np.square(axes.T @ left.right)
-    logs = [np.sum(2.0 * np.log(std) + np.log(told + std**-2.0) - along / (told + std**-2.0)) for std in _STDS]
+    eigenvalues, eigenvectors = np.linalg.eigh(eliminated.normal)
+    eigenvalues, squares = np.maximum(eigenvalues, 0.0), np.square(eigenvectors.T @ eliminated.right)
+    logs = [
+        np.sum(2.0 * np.log(std) + np.log(eigenvalues + std**-2.0) - squares / (eigenvalues + std**-2.0))
+        for std in _STDS
+    ]
     best = int(np.argmin(logs))
-    gain = without - (base + left.bayes + float(logs[best]))
+    gain = null_cost - (base + eliminated.bayes + float(logs[best]))
     return FocalDrift(float(_STDS[best]), gain) if gain > _SIGNIFICANT else None
 
 

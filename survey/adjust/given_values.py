@@ -143,19 +143,23 @@ def check_given_values(
     std = known.std.copy()
     std[:WATER] = known_of(survey, gsd).std[:WATER]
     std[known.layout.first_pose :] = _pose_std(known.layout, state, misfit_px, gsd)
-    asked = _asked(known, state, fewest_wet)
-    given = {number: float(std[number]) for number in asked}
+    tested = _asked(known, state, fewest_wet)
+    given = {number: float(std[number]) for number in tested}
     focals = known.layout.first_lens + np.arange(len(known.lenses)) * len(LENS_NAMES)
     least = dict(zip(focals.tolist(), _FOCAL_SHARE * state.lenses[:, 0], strict=True))
-    std[asked] = np.inf
+    std[tested] = np.inf
     problem = replace(problem, priors=replace(priors_for(known, problem.ties), state=state, std=std))
     block = _Linearised.at(problem, state, [(view.lens.width, view.lens.height) for view in survey.views])
-    told = []
-    for number in asked:
+    contradictions = []
+    for number in tested:
         name, value = _name_and_value(survey, known, number)
         given_std = max(given[number], least.get(number, 0.0))
-        told.append(Contradiction(name, value, given_std, *block.difference(number, given)))
-    return [each for each in told if each.name != _INDEX_NAME or each.std <= np.hypot(MOST_STD_INDEX, _ROUGH_INDEX)]
+        contradictions.append(Contradiction(name, value, given_std, *block.difference(number, given)))
+    return [
+        each
+        for each in contradictions
+        if each.name != _INDEX_NAME or each.std <= np.hypot(MOST_STD_INDEX, _ROUGH_INDEX)
+    ]
 
 
 def _asked(known: Known, state: State, fewest_wet: int) -> list[int]:

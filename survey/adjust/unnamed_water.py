@@ -122,8 +122,8 @@ def _over(
 
 
 def _levels(dry: State) -> tuple[float, float]:
-    amid, top = (float(np.quantile(dry.points[:, 2], share)) for share in (_AMID, _TOP))
-    return top + _SHARE * max(float(np.median(dry.centres[:, 2])) - top, 0.0), amid
+    middle, top = (float(np.quantile(dry.points[:, 2], share)) for share in (_AMID, _TOP))
+    return top + _SHARE * max(float(np.median(dry.centres[:, 2])) - top, 0.0), middle
 
 
 def _problem(known: Known, seen: Observed, state: State, given: np.ndarray) -> Problem:

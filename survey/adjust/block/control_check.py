@@ -162,10 +162,10 @@ def _leaning(solution: Solution, point: int, moved: np.ndarray, stated: np.ndarr
     root, mixed = system.root[point], system.mixed[3 * point : 3 * point + 3].toarray()
     covariance = root.T @ (np.eye(3) + mixed @ solution.covariance @ mixed.T) @ root
     redundancy = 1.0 - np.diag(covariance) / stated**2
-    told = redundancy > _LEAST_REDUNDANCY
-    if not told.any():
+    is_redundant = redundancy > _LEAST_REDUNDANCY
+    if not is_redundant.any():
         return 0.0
-    return float(np.max(np.abs(moved[told]) / (stated[told] * np.sqrt(redundancy[told]))))
+    return float(np.max(np.abs(moved[is_redundant]) / (stated[is_redundant] * np.sqrt(redundancy[is_redundant]))))
 
 
 def control_warnings(control: Control | None, views: Sequence[View], used: Observed, state: State) -> list[str]:

@@ -132,8 +132,8 @@ def _components(known: Known, solution: Solution, estimated: np.ndarray) -> tupl
         covariance = inverse(solution.system.normal + change)
         miss = deviation - covariance @ (change @ deviation)
     for kind in kinds:
-        told = float(redundancy[kind].sum())
-        std[kind] *= np.sqrt((told + 2.0) / told)
+        freedom = float(redundancy[kind].sum())
+        std[kind] *= np.sqrt((freedom + 2.0) / freedom)
     return std, scaled
 
 

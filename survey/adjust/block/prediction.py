@@ -145,17 +145,17 @@ def linearise(
     layout: Layout, state: State, ties: TiePoints, sides: np.ndarray, rows: np.ndarray | None = None
 ) -> Linear:
     """Predicted pixels with their derivatives; see `predict`."""
-    sight = bent_lines_of_sight(*_ends(layout, state, ties, sides, rows), state.water)
-    pixels, imaged = _imaged(layout, state, ties, sight.line)
+    lines = bent_lines_of_sight(*_ends(layout, state, ties, sides, rows), state.water)
+    pixels, imaged = _imaged(layout, state, ties, lines.line)
     rotations = state.rotations[ties.view]
     by_line = np.einsum("nai,nij->naj", imaged.by_cam, rotations)
-    by_point = by_line @ sight.by_point
-    by_centre, by_lens = by_line @ sight.by_centre, imaged.by_lens
+    by_point = by_line @ lines.by_point
+    by_centre, by_lens = by_line @ lines.by_centre, imaged.by_lens
     by_readout = np.zeros((len(pixels), 2, 0))
     if layout.flow is not None:
         by_middle, by_readout = _by_shutter(layout, state, ties, rows, by_centre)
         by_lens[:, :, 2] += by_middle
-    by_water = by_line @ sight.by_water
+    by_water = by_line @ lines.by_water
     # A tide raises the water of its photograph as a higher level does.
     by_rate = (
         by_water[:, :, :0] if layout.hours is None else by_water[:, :, :1] * layout.hours[ties.view][:, None, None]
@@ -177,7 +177,7 @@ def linearise(
         ],
         axis=-1,
     )
-    return Linear(pixels, by_point, _placed(layout, ties, dense), sight.wet)
+    return Linear(pixels, by_point, _placed(layout, ties, dense), lines.wet)
 
 
 def relief_sides(state: State, ties: TiePoints) -> np.ndarray:

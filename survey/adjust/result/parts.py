@@ -110,9 +110,9 @@ def _only(found: Adjustment, keep: np.ndarray) -> Adjustment:
 def _runs(names: tuple[str, ...], views: np.ndarray) -> str:
     """Names of views (K,), ascending, those of neighbours as their first and last."""
     runs = np.split(views, np.flatnonzero(np.diff(views) > 1) + 1)
-    told = [names[run[0]] if len(run) == 1 else f"{names[run[0]]} to {names[run[-1]]}" for run in runs]
-    more = f" and {len(told) - _MOST_RUNS} more" if len(told) > _MOST_RUNS else ""
-    return ", ".join(told[:_MOST_RUNS]) + more
+    spans = [names[run[0]] if len(run) == 1 else f"{names[run[0]]} to {names[run[-1]]}" for run in runs]
+    more = f" and {len(spans) - _MOST_RUNS} more" if len(spans) > _MOST_RUNS else ""
+    return ", ".join(spans[:_MOST_RUNS]) + more
 
 
 def _std(found: Adjustment, moves: np.ndarray) -> float:

@@ -113,19 +113,19 @@ def doubts(aim: Aim, found: Feasibility) -> list[str]:
     """Reasons against reaching a standard deviation, as sentences."""
     if aim.std_m is None:
         return []
-    asked, told = f"asked is a standard deviation of {length(aim.std_m)}", []
+    asked, sentences = f"asked is a standard deviation of {length(aim.std_m)}", []
     if found.point_std_m[-1] > aim.std_m:
-        told.append(
-            f"{asked}, but photographs of this size and overlap promise about {length(found.point_std_m[-1])}; fly "
+        sentences.append(
+            f"{asked}, but photographs of this size and overlap allow about {length(found.point_std_m[-1])}; fly "
             "lower or with more overlap"
         )
     if found.common_std_m > aim.std_m:
-        told.append(
+        sentences.append(
             f"{asked} for the points themselves; water, lens and poses add about {length(found.common_std_m)} common "
             "to all points, which no processing reduces: state what is known better ([water] level_std_m, index_std; "
             "position_std_m), or give control points"
         )
-    return told
+    return sentences
 
 
 def shortest_s(found: Feasibility) -> float:

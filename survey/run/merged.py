@@ -40,8 +40,8 @@ def merge_sweeps(
     write_json(folder / BOUND, {"low_m": low, "high_m": high})
     names = [view.name for view in job.survey.views]
     write_json(folder / SATURATED, dict(zip(names, job.block.saturated, strict=True)))
-    told = {"views": views, "image_scale": job.plan.image_scale, "seconds": 0.0, "images_s": 0.0, "samples": 0.0}
-    write_json(folder / SWEPT, told)
+    summary = {"views": views, "image_scale": job.plan.image_scale, "seconds": 0.0, "images_s": 0.0, "samples": 0.0}
+    write_json(folder / SWEPT, summary)
     found = [read_json_object(place / CONSISTENCY) for place in swept]
     write_json(folder / CONSISTENCY, {name: asdict(_together(found, name)) for name in names})
 

@@ -39,15 +39,15 @@ def assess_round(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         raise ValueError("a run without an aim has nothing to look at")
     solved = Stored(needs["solver"] / SOLVED, SolvedMap) if "solver" in needs else []
     num_solved = sum(len(each.pixels) for each in solved)
-    told: dict = {"solver_s": seconds_of(needs["solver"]) if num_solved else None, "solved": num_solved}
-    _take_pace(aimed, told)
+    summary: dict = {"solver_s": seconds_of(needs["solver"]) if num_solved else None, "solved": num_solved}
+    _take_pace(aimed, summary)
     cells = _cells(job, needs, solved) if num_solved and aimed.aim.std_m is not None else None
     if cells is None:
         save_arrays(folder / CELLS, xyz=np.empty((0, 3)), above=np.empty(0, dtype=bool))
     else:
         save_arrays(folder / CELLS, xyz=cells.xyz, above=cells.std > aimed.aim.std_m)
     following, why = aimed.next_recipe(cells)
-    write_json(folder / REACHED, told | {"recipe": aimed.number, "following": following, "why": why})
+    write_json(folder / REACHED, summary | {"recipe": aimed.number, "following": following, "why": why})
 
 
 def use_assessment(job: Job, folder: Path) -> None:

@@ -93,7 +93,7 @@ def learn_figures(
     of_tiles: Mapping[str, list[Path]],
     _needs: Mapping[str, Path],
 ) -> None:
-    """Figures of the solver for the survey, from a sample of the pixels of all tiles."""
+    """Parameters of the solver for the survey, estimated from a sample of the pixels of all tiles."""
     swept = of_tiles["sweep"]
     with job.progress.stage("Sample of the solver"):
         filled, maps_of = [], []
@@ -118,8 +118,8 @@ def learn_figures(
                     tile.drop()
             figures = figures_of(sample, job.plan.gsd_m, is_wet=job.survey.water is not None)
             job.progress.detail(f"solver: {figures}")
-    told = None if figures is None else asdict(replace(figures, sightings=None))
-    write_json(folder / FIGURES, {"figures": told})
+    stored = None if figures is None else asdict(replace(figures, sightings=None))
+    write_json(folder / FIGURES, {"figures": stored})
 
 
 def read_figures(folder: Path) -> SolverFigures | None:

@@ -77,10 +77,10 @@ def detail_of(grey: np.ndarray) -> np.ndarray:
         return np.full(len(_DIRECTIONS), np.nan)
     top, left = (max(side - _MOST_PX, 0) // 2 for side in grey.shape)
     grey = grey[top : top + _MOST_PX, left : left + _MOST_PX].astype(np.float32)
-    levels = [(cv2.GaussianBlur(grey, (0, 0), sigma), way) for sigma, way in (_FINE, _COARSE)]
+    levels = [(cv2.GaussianBlur(grey, (0, 0), sigma), half_step) for sigma, half_step in (_FINE, _COARSE)]
     found = []
     for dx, dy in _DIRECTIONS:
-        fine, coarse = (_energies(level, dx * way, dy * way) for level, way in levels)
+        fine, coarse = (_energies(level, dx * half_step, dy * half_step) for level, half_step in levels)
         textured = coarse >= np.median(coarse)
         found.append(np.median(np.sqrt(fine[textured] / np.maximum(coarse[textured], _LEAST))))
     return np.array(found)

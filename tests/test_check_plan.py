@@ -94,7 +94,7 @@ def test_a_plan_says_what_an_aim_promises_and_costs(tmp_path, monkeypatch):
     # Matches are good to a share of a pixel.
     assert float(scales[0][1]) == pytest.approx(2.0 * float(scales[1][1]), rel=0.05)
     assert "95 % of it stay within 1.7 to 5 times the median" in rows
-    assert "photographs of this size and overlap promise about" in rows
+    assert "photographs of this size and overlap allow about" in rows
     refused = CliRunner().invoke(app, ["check", path, "--target-std", "20"])
     assert refused.exit_code == 2
     assert "--target-std 20 is in metres" in refused.output

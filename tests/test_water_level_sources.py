@@ -223,7 +223,7 @@ def test_a_click_at_another_spot_costs_its_place_and_is_said(clicked, rng):
     (folder / "clicks.csv").write_text("\n".join(lines))
     survey = load_survey(folder)
     assert len(survey.observations.levels) == 5
-    assert any("1 places of clicks.csv tell no level (first: p3)" in text for text in survey.findings.warnings)
+    assert any("1 places of clicks.csv give no level (first: p3)" in text for text in survey.findings.warnings)
 
 
 @pytest.mark.parametrize("mark", [-9999.0, -32768.0, 1e6])

@@ -67,7 +67,7 @@ def levels_of_clicks(
         warnings.append(f"{strangers} clicks of {path.name} are in photographs without a pose, and left out")
     if unclear:
         warnings.append(
-            f"{len(unclear)} places of {path.name} tell no level (first: {unclear[0]}), and are left out: click each "
+            f"{len(unclear)} places of {path.name} give no level (first: {unclear[0]}), and are left out: click each "
             "in two photographs or more that see it from different sides, at the same spot"
         )
     if not found:

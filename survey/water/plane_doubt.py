@@ -60,11 +60,11 @@ def departure_of(points: np.ndarray, stds: np.ndarray) -> float | None:
         # Readings at a few places.
         return None
     values, weights = _robust(design, points[:, 2], stds)
-    rest = (points[:, 2] - design @ values) / stds
+    residuals = (points[:, 2] - design @ values) / stds
     spare = len(points) - design.shape[1]
     # The median is a poor estimate of the scatter of few points, the mean square of that of many with wrong ones.
-    by_median = float(np.median(np.abs(rest))) / _MEDIAN_DEVIATION * np.sqrt(len(points) / spare)
-    std = max(by_median, float(np.sqrt(np.sum(weights * rest**2) / spare)), 1e-9)
+    by_median = float(np.median(np.abs(residuals))) / _MEDIAN_DEVIATION * np.sqrt(len(points) / spare)
+    std = max(by_median, float(np.sqrt(np.sum(weights * residuals**2) / spare)), 1e-9)
     root = np.sqrt(weights) / stds
     covariance = np.linalg.inv((design * root[:, None]).T @ (design * root[:, None]))[-num_bent:, -num_bent:]
     ratio = values[-num_bent:] @ np.linalg.solve(covariance, values[-num_bent:]) / num_bent / std**2

@@ -173,7 +173,7 @@ class Departure:
         reach = np.maximum(1.001 * away.max(axis=1), 1e-9)
         weights = (1.0 - np.minimum(away / reach[:, None], 1.0) ** 3) ** 3 / self.stds[near] ** 2
         offsets = (self.points[near][:, :, :2] - xy[:, None]) / reach[:, None, None]
-        rest = self.points[near][:, :, 2] - self._over_plane(self.points[near][:, :, :2])
+        residuals = self.points[near][:, :, 2] - self._over_plane(self.points[near][:, :, :2])
         east, north = offsets[..., 0], offsets[..., 1]
         design = np.stack([np.ones(near.shape), east, north, east**2, east * north, north**2], axis=-1)
         weighted = design * weights[:, :, None]
@@ -183,7 +183,7 @@ class Departure:
         # Weights with which each point enters the height.
         shares = np.einsum("mi,mki->mk", np.linalg.solve(normal, np.eye(6)[:, :1])[..., 0], weighted)
         std = np.sqrt(np.sum((shares * self.stds[near]) ** 2, axis=1))
-        return self._over_plane(xy) + np.sum(shares * rest, axis=1), std
+        return self._over_plane(xy) + np.sum(shares * residuals, axis=1), std
 
 
 def height_above(plane: FlatWater, departure: Departure | None, places: np.ndarray) -> np.ndarray:

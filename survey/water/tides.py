@@ -133,7 +133,7 @@ def tide_of_rate(water: WaterConfig, heads: Mapping[str, Exif]) -> Tide:
         If too few photographs have a time.
     """
     rate = water.rate.level_rate_m_per_h or 0.0
-    taken = _times(heads, f"level_rate_m_per_h tells no levels; give levels of images in {FILE_NAME}")
+    taken = _times(heads, f"level_rate_m_per_h gives no levels; give levels of images in {FILE_NAME}")
     start = float(np.mean(list(taken.values())))
     if water.rate.level_time is not None:
         start = moment_of(water.rate.level_time, "[water] level_time").timestamp()

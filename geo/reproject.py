@@ -1,7 +1,7 @@
 """Reprojection of points from the CRS of a survey into another.
 
 Horizontal coordinates are transformed by PROJ, heights stay as they are where both systems count them from the same
-datum; between two vertical datums the grid of one of them is needed, and without it the way is refused.
+datum; between two vertical datums the grid of one of them is needed, and without it an error is raised.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _MEND = "or name a horizontal CRS alone, which keeps the heights as they are."
 
 @dataclass(frozen=True)
 class Reprojection:
-    """The way from one CRS with heights to another.
+    """Transformation from one CRS with heights to another.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Reprojection:
     def between(
         source: CRS, target: str | CRS, *, where: str = "crs", places: np.ndarray | None = None
     ) -> Reprojection:
-        """The way from a CRS with heights to one with heights, or to a horizontal one, which keeps the heights.
+        """Transformation from a CRS with heights to one with heights, or to a horizontal one, which keeps the heights.
 
         Parameters
         ----------
@@ -65,15 +65,15 @@ class Reprojection:
         UnknownCRS, UnsupportedCRS
             If PROJ does not know the target, or it does not suit a survey; see `geo.crs.parse_crs`.
         MissingGrid
-            If a grid that the way needs is not there.
+            If a grid that the transformation needs is not there.
         """
         wanted = _with_height(source, target, where)
         keeps_height = _same_heights(source, wanted)
         ends = (horizontal_crs(source), horizontal_crs(wanted)) if keeps_height else (source, wanted)
         changes_plan = not horizontal_crs(source).equals(horizontal_crs(wanted), ignore_axis_order=True)
-        way = best_operation(*ends, where, _MEND, places)
-        doubt = None if places is None else _doubt(source, wanted, way, where, places)
-        return Reprojection(wanted, keeps_height, way, changes_plan, where, doubt)
+        operation = best_operation(*ends, where, _MEND, places)
+        doubt = None if places is None else _doubt(source, wanted, operation, where, places)
+        return Reprojection(wanted, keeps_height, operation, changes_plan, where, doubt)
 
     @property
     def height_std_m(self) -> float:

@@ -76,7 +76,7 @@ class Transformation:
         Raises
         ------
         UnsupportedCRS
-            If PROJ knows no way.
+            If PROJ knows no operation.
         """
         ends = _with_its_way(source), _with_its_way(target)
         source, target = horizontal_crs(source), horizontal_crs(target)
@@ -240,7 +240,7 @@ def lon_lat(crs: CRS, points: np.ndarray) -> np.ndarray:
 
 
 def _with_its_way(crs: CRS) -> CRS:
-    """The horizontal part of a CRS, with the way to WGS 84 that its text gives (TOWGS84) where PROJ knows no other.
+    """The horizontal part of a CRS, with the transformation to WGS 84 of its text (TOWGS84) where PROJ knows no other.
 
     For a datum that PROJ knows its own operations are better.
     """

@@ -63,8 +63,8 @@ class Layer:
 def write_geojson(path: str | Path, layer: Layer) -> str | None:
     """Write a layer as GeoJSON, whole or not at all: longitude and latitude of WGS 84, as RFC 7946 wants it.
 
-    The member ``bathynerf`` names the CRS that the features were made in, and the accuracy of the way to WGS 84 as PROJ
-    states it. Shapes across the meridian of 180 degrees are cut there.
+    The member ``bathynerf`` names the CRS that the features were made in, and the accuracy of the
+    transformation to WGS 84 as PROJ states it. Shapes across the meridian of 180 degrees are cut there.
 
     Returns
     -------
@@ -76,14 +76,14 @@ def write_geojson(path: str | Path, layer: Layer) -> str | None:
     UnwritableFile
         If the file cannot be written.
     MissingGrid
-        If the way to WGS 84 needs a grid that is not installed.
+        If the transformation to WGS 84 needs a grid that is not installed.
     """
     places = [line for shape in layer.shapes for line in (shape if layer.kind == "Polygon" else [shape])]
-    way = Transformation.between(layer.crs, WGS84, np.concatenate(places) if places else np.zeros((0, 2)))
-    way.require_best(str(path), "or write a GeoPackage, which keeps the CRS of the survey.")
+    operation = Transformation.between(layer.crs, WGS84, np.concatenate(places) if places else np.zeros((0, 2)))
+    operation.require_best(str(path), "or write a GeoPackage, which keeps the CRS of the survey.")
 
     def in_wgs84(line: np.ndarray) -> np.ndarray:
-        return np.round(np.column_stack(way(*np.asarray(line, dtype=np.float64).T)), _DECIMALS)
+        return np.round(np.column_stack(operation(*np.asarray(line, dtype=np.float64).T)), _DECIMALS)
 
     features = []
     for number, shape in enumerate(layer.shapes):
@@ -95,13 +95,13 @@ def write_geojson(path: str | Path, layer: Layer) -> str | None:
     said = {
         "made_by": "bathynerf",
         "crs_of_survey": crs_code(layer.crs) or layer.crs.name,
-        "accuracy_of_wgs84_m": way.accuracy_m,
+        "accuracy_of_wgs84_m": operation.accuracy_m,
         "about": layer.notes,
     }
     whole = {"type": "FeatureCollection", "name": layer.name, "bathynerf": said, "features": features}
     with write_whole(path) as stream:
         stream.write(json.dumps(whole, ensure_ascii=False, allow_nan=False).encode())
-    return way.doubt(f"places in {path}") if layer.shapes else None
+    return operation.doubt(f"places in {path}") if layer.shapes else None
 
 
 def _geometry(kind: str, parts: list) -> dict:

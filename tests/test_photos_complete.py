@@ -11,7 +11,7 @@ from PIL.PngImagePlugin import PngInfo
 
 from survey.errors import ImageError
 from survey.photos import images
-from survey.photos.complete import is_complete
+from survey.photos.complete import fault_of, is_complete
 from survey.photos.heic import has_zeros
 from survey.photos.images import require_complete
 
@@ -148,6 +148,18 @@ def test_a_tiff_with_a_sector_of_zeros_within_is_refused(tmp_path, rng, compress
     path.write_bytes(data)
     with pytest.raises(ImageError, match=r"damaged or cut off \((zeros stand where|its compressed)"):
         require_complete(path)
+
+
+@pytest.mark.parametrize("compression", ["raw", "tiff_lzw"])
+def test_a_tiff_whose_tags_do_not_say_where_its_pixels_are_is_refused(tmp_path, rng, compression):
+    path = tmp_path / "a.tif"
+    Image.fromarray(rng.integers(0, 255, (40, 60, 3), dtype=np.uint8)).save(path, compression=compression)
+    whole = bytearray(path.read_bytes())
+    # The entry of the tag StripOffsets (273): its type becomes 7, bytes of no type.
+    entry = whole.index((273).to_bytes(2, "little"), int.from_bytes(whole[4:8], "little"))
+    whole[entry + 2 : entry + 4] = (7).to_bytes(2, "little")
+    path.write_bytes(whole)
+    assert fault_of(path) == "its tags do not say where its pixels are"
 
 
 @pytest.mark.parametrize("method", [0, 4])

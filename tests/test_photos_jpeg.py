@@ -154,6 +154,16 @@ def test_straight_edges_of_a_scene_are_no_seams(form, period, kind):
     assert jpeg_fault(jpeg(pixels, **FORMS[form])) is None
 
 
+@pytest.mark.parametrize("progressive", [False, True])
+def test_the_header_of_a_scan_with_too_many_components_is_left_to_the_decoder(progressive):
+    stream = io.BytesIO()
+    Image.fromarray(ground(1)).save(stream, "JPEG", progressive=progressive)
+    data = bytearray(stream.getvalue())
+    # Marker, length, then the number of components.
+    data[data.rindex(b"\xff\xda") + 4] = 255
+    assert jpeg_fault(bytes(data)) is None
+
+
 def test_the_photograph_is_named_with_the_reason(tmp_path):
     data = jpeg(ground(5))
     path = tmp_path / "a.jpg"

@@ -60,7 +60,10 @@ def fault_of(path: Path) -> str | None:
     """
     if path.suffix.lower() in (".tif", ".tiff"):
         with open_image(path) as image, path.open("rb") as file:
-            return _damage_of_tiff(image, file)
+            try:
+                return _damage_of_tiff(image, file)
+            except (TypeError, ValueError, OverflowError):
+                return "its tags do not say where its pixels are"
     if path.suffix.lower() in HEIC_SUFFIXES:
         return _ZEROS_SAID if has_zeros(path.read_bytes()) else None
     with path.open("rb") as file:

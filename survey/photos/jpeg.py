@@ -109,7 +109,8 @@ def _layout(data: bytes, pixels: np.ndarray) -> _Layout | None:
         if marker == _SOS:
             following = ends[np.searchsorted(ends, after) :]
             end = int(following[0]) if len(following) else len(data)
-            if not content:
+            # Number of components, two bytes of each, and three of what the scan holds of them.
+            if not content or len(content) < 1 + 2 * content[0] + 3:
                 return None
             found.scans.append((content, after, end))
             after = end

@@ -54,6 +54,27 @@ def test_the_citation_is_of_this_version_and_licence():
     }
 
 
+# Names in conda-forge, where they differ.
+IN_CONDA = {
+    "torch": "pytorch", "opencv-python-headless": "py-opencv", "libigl": "igl", "matplotlib": "matplotlib-base",
+}  # fmt: skip
+
+
+def test_the_recipe_of_conda_needs_what_the_package_needs():
+    recipe = (ROOT / "conda" / "recipe.yaml").read_text()
+    wanted = [Requirement(text) for text in PROJECT["dependencies"]]
+    expected = {IN_CONDA.get(each.name, each.name): set(str(each.specifier).split(",")) for each in wanted}
+    _, _, run = recipe.partition("  run:\n")
+    needs = dict(re.findall(r"^    - (\S+) ?(\S*)$", run.partition("\ntests:")[0], re.MULTILINE))
+    # Of laspy's extra, and what Dr.Jit loads.
+    assert needs.keys() - expected.keys() == {"python", "llvmdev", "lazrs-python"}
+    assert {name: set(needs[name].split(",")) for name in expected} == expected
+    assert set(needs["python"].split(",")) == set(PROJECT["requires-python"].split(","))
+    assert re.search(r'version: "(.*)"', recipe)[1] == PROJECT["version"]
+    ((name, target),) = PROJECT["scripts"].items()
+    assert f"- {name} = {target}\n" in recipe
+
+
 def test_what_the_source_distribution_names_is_there():
     lines = (ROOT / "MANIFEST.in").read_text().splitlines()
     named = [name for line in lines if line.split()[0] in ("include", "graft") for name in line.split()[1:]]

@@ -108,11 +108,13 @@ def crs_of_header(header: laspy.LasHeader, path: Path) -> tuple[CRS | None, floa
         return None, None, (f"{path} states no CRS.",)
     try:
         crs = CRS.from_wkt(texts[0]) if texts else _crs_of_keys(tables[0])
+        # Of a damaged compound CRS PROJ reads the parts only here.
+        knows_heights = has_height(crs)
     except CRSError as error:
         return None, None, (f"{path} states a CRS that is not understood ({str(error)[:120]}).",)
     said = unit_of_code(_keys_of(tables[0]).get(_VERTICAL_UNIT, 0)) if tables else None
     unit = height_unit_said(crs, said, path, "the unit of height of its GeoTIFF keys")
-    if not has_height(crs):
+    if not knows_heights:
         return crs, unit, (f"{path} states the CRS {crs.name} without a vertical part.",)
     return crs, unit, ()
 

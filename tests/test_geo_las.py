@@ -333,6 +333,19 @@ def test_a_crs_that_is_absent_or_not_understood_is_none_and_noted(tmp_path):
     assert "not understood" in cloud.notes[0]
 
 
+def test_a_compound_crs_whose_parts_are_damaged_is_a_note(tmp_path, rng):
+    path = tmp_path / "a.las"
+    crs = parse_crs("EPSG:25832+7837")
+    write_cloud(path, ORIGIN + rng.uniform(size=(20, 3)), crs, **values_for(20, rng))
+    # A bracket within the code of the geographic CRS: the compound one is read, its parts are not.
+    data = path.read_bytes()
+    assert b'"EPSG","4258"' in data
+    path.write_bytes(data.replace(b'"EPSG","4258"', b'"EPSG","425["'))
+    cloud = read_cloud(path)
+    assert cloud.crs is None
+    assert "not understood" in cloud.notes[0]
+
+
 def test_colours_are_read_alike_whether_written_with_8_bits_or_with_either_way_to_16(tmp_path):
     for factor in (1, 256, 257):
         las = laspy.LasData(laspy.LasHeader(version="1.2", point_format=2))

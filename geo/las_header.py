@@ -109,6 +109,8 @@ def crs_of_header(header: laspy.LasHeader, path: Path) -> tuple[CRS | None, floa
     try:
         crs = CRS.from_wkt(texts[0]) if texts else _crs_of_keys(tables[0])
         # Of a damaged compound CRS PROJ reads the parts only here.
+        if not all(axis.unit_conversion_factor > 0.0 for axis in crs.axis_info):
+            raise CRSError("a unit of its axes is no length")
         knows_heights = has_height(crs)
     except CRSError as error:
         return None, None, (f"{path} states a CRS that is not understood ({str(error)[:120]}).",)

@@ -333,14 +333,17 @@ def test_a_crs_that_is_absent_or_not_understood_is_none_and_noted(tmp_path):
     assert "not understood" in cloud.notes[0]
 
 
-def test_a_compound_crs_whose_parts_are_damaged_is_a_note(tmp_path, rng):
+@pytest.mark.parametrize(
+    ("whole", "damaged"), [(b'"EPSG","4258"', b'"EPSG","425["'), (b'UNIT["metre",1,', b'UNIT["metre",0,')]
+)
+def test_a_compound_crs_whose_parts_are_damaged_is_a_note(tmp_path, rng, whole, damaged):
     path = tmp_path / "a.las"
     crs = parse_crs("EPSG:25832+7837")
     write_cloud(path, ORIGIN + rng.uniform(size=(20, 3)), crs, **values_for(20, rng))
     # A bracket within the code of the geographic CRS: the compound one is read, its parts are not.
     data = path.read_bytes()
-    assert b'"EPSG","4258"' in data
-    path.write_bytes(data.replace(b'"EPSG","4258"', b'"EPSG","425["'))
+    assert whole in data
+    path.write_bytes(data.replace(whole, damaged))
     cloud = read_cloud(path)
     assert cloud.crs is None
     assert "not understood" in cloud.notes[0]

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from fields.device import choose_device
+from fields.occluded.agreement import FoundPoints
 from fields.occluded.boxes import Box, boxes_about
 from fields.occluded.consensus import Colours, consensus
 from fields.occluded.explained import explained_above, sheet_heights
 from fields.occluded.holes import Holes
 from fields.occluded.layer import BedLayer, smooth
-from fields.occluded.occluded import find_occluded
+from fields.occluded.occluded import find_occluded, show_bed
 from fields.sweep.block import Block
 from fields.sweep.maps import HeightMap
 from refract import FlatWater, PinholeCamera
@@ -180,3 +181,12 @@ def test_nothing_is_looked_for_on_a_bed_without_steps(plate):
     block, maps, photographs, cloud = plate
     level = [_map(m.view, np.full_like(m.height, BED), np.zeros(m.height.shape, bool)) for m in maps]
     assert find_occluded(block, level, photographs.__getitem__, cloud, GSD).num_boxes == 0
+
+
+@pytest.mark.parametrize(("num", "shows"), [(0, False), (20, False), (40, True)])
+def test_a_few_points_in_large_holes_show_no_bed(num, shows):
+    cells = np.ones((25, 40), dtype=bool)
+    holes = Holes(np.zeros((25, 40, 3)), cells, 0.1, 0.01)
+    each = np.zeros(num)
+    points = FoundPoints(np.zeros((num, 3)), np.zeros((num, 3), np.uint8), each, each, each, each)
+    assert show_bed([holes], [points]) == shows

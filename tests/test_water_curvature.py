@@ -55,6 +55,13 @@ def test_water_that_touches_its_plane_elsewhere_falls_from_there(rng):
     )
 
 
+def test_cameras_at_one_place_far_from_where_the_water_touches_its_plane():
+    place = np.array([[800.0, -500.0, 80.0]] * 2)
+    water = still_water(FRAME, PLANE, place)
+    over, _ = water.at(place[:1, :2])
+    assert over == pytest.approx(-curvature_drop(np.hypot(800.0, 500.0), RADIUS), abs=5e-4)
+
+
 @pytest.mark.parametrize("reach", [20.0, 170.0])
 def test_a_plane_is_as_good_over_a_small_survey(reach):
     assert still_water(FRAME, PLANE, around(reach)) is None

@@ -107,8 +107,7 @@ def find_occluded(
         found, share = most_first(holes_in(sample)), len(sample) / max(len(sample) + len(others), 1)
         first, later = found[:_TOGETHER], found[_TOGETHER:]
         points = points_in(first, share * len(first) / max(len(found), 1))
-        num_holes = sum(int(holes.are_holes.sum()) for holes in first)
-        if len(found) >= _FEWEST and sum(len(each.xyz) for each in points) < _LEAST_FOUND * num_holes:
+        if len(found) >= _FEWEST and not show_bed(first, points):
             return replace(_together(block, [], len(first)), is_no_bed=True)
         points += points_in(later, share * len(later) / max(len(found), 1))
         if (len(found) >= _FEWEST or not others) and len(points) < _LEAST_SHARE * len(found):
@@ -117,6 +116,12 @@ def find_occluded(
         most = max(_MOST_BOXES, len(views)) - len(found)
         points += points_in(more[:most], len(others) / (len(sample) + max(len(others), 1)))
     return replace(_together(block, points, len(found) + len(more[:most])), num_left_out=len(more[most:]))
+
+
+def show_bed(found: Sequence[Holes], points: Sequence[FoundPoints]) -> bool:
+    """Whether points fill enough of the cells of holes to search more of them."""
+    num_cells = sum(int(holes.are_holes.sum()) for holes in found)
+    return sum(len(each.xyz) for each in points) >= _LEAST_FOUND * num_cells
 
 
 def _sample(boxes: list[Box]) -> tuple[list[Box], list[Box]]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from fields.occluded.boxes import SIDE_GSD
 from fields.sweep.passes import PASSES, POINTS_SHARE, Pass, before_solver
 
 # The first pass of the sweep tries as many heights as its bound holds.
@@ -37,9 +38,8 @@ _RANGE_S, _THUMBNAIL_PX = 2.0, 512 * 384
 # Of the solver: once, and per pixel of a height map.
 _SOLVER_S = (1.4, 1.2e-6)
 _FIELD_S_PER_CELL = 2.3e-4
-# Of boxes beside edges: one of a sample, of so many ground sampling distances squared, by two cores. Whether the others
-# are looked at shows there.
-_BOX_S, _BOX_POINTS, _MOST_BOXES, _BOX_CORES = 0.4, 1e4, 32, 2
+# Of boxes beside edges: one of a sample of so many, by two cores. Whether the others are searched shows there.
+_BOX_S, _MOST_BOXES, _BOX_CORES = 0.4, 32, 2
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ def parts_s(amounts: Amounts, num_cores: int) -> dict[str, float]:
         parts["Field"] = _FIELD_S_PER_CELL * amounts.field_cells / num_cores
     parts["Bed"] = 0.5 * _POINT_S * amounts.points
     if amounts.has_boxes:
-        sample = min(amounts.points / _BOX_POINTS, _MOST_BOXES)
+        sample = min(amounts.points / SIDE_GSD**2, _MOST_BOXES)
         parts["Boxes beside edges"] = _BOX_S * sample / min(num_cores, _BOX_CORES)
     return parts | {"Report": _REPORT_S + 0.5 * _POINT_S * amounts.points}
 

@@ -12,7 +12,7 @@ from refract import FlatWater, curvature_drop
 from survey.water.surface import Departure
 
 SOURCE = "curvature of the Earth"
-# Curvature counts where it exceeds this [m] somewhere, from 250 m away on: 1.3 mm of the bed and of its depth.
+# Least drop [m] that is followed, of 250 m: depths change by it, and heights of the bed by n - 1 of it, 1.7 mm.
 _LEAST_DROP_M = 5e-3
 # Places along each side at which its height is computed.
 _NODES = 13
@@ -60,7 +60,9 @@ def still_water(frame: LocalFrame, plane: FlatWater, centres: np.ndarray) -> Sti
         return None
     place = frame.crs_from_local(point)
     up = frame.local_from_grid(place)[:, 2]
-    middle, half = 0.5 * (xy.min(axis=0) + xy.max(axis=0)), 0.6 * np.ptp(xy, axis=0).max()
+    # With the point, since cameras may all hover at one place.
+    reached = np.vstack([xy, point[:2]])
+    middle, half = 0.5 * (reached.min(axis=0) + reached.max(axis=0)), 0.6 * np.ptp(reached, axis=0).max()
     nodes = np.linspace(-half, half, _NODES)
     ground = middle + np.stack(np.meshgrid(nodes, nodes), axis=-1).reshape(-1, 2)
 

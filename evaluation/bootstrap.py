@@ -33,27 +33,14 @@ _SIGNIFICANT = 3.0
 
 @dataclass(frozen=True)
 class Blocks:
-    """Square blocks of the plan.
+    """Square blocks of the plan."""
 
-    Attributes
-    ----------
-    number : (N,) int64
-        The block of each point, from 0.
-    size_m : float [m]
-        Edge of a block.
-    correlation_m : float [m]
-        Lag at which the correlation of the errors has fallen to 1/e; 0 where neighbours are not correlated.
-    widening : float
-        Factor of the intervals for correlation across the edges of blocks.
-    is_narrow : bool
-        The extent is too small for blocks of ten correlation lengths: intervals may still be too short.
-    """
-
-    number: np.ndarray
-    size_m: float
+    number: np.ndarray  # (N,) int64: the block of each point, from 0
+    size_m: float  # [m]: edge of a block
+    # [m]: lag at which the correlation of the errors has fallen to 1/e; 0 where neighbours are not correlated
     correlation_m: float
-    widening: float
-    is_narrow: bool
+    widening: float  # Factor of the intervals for correlation across the edges of blocks
+    is_narrow: bool  # The extent is too small for blocks of ten correlation lengths: intervals may still be too short
 
     def among(self, part: np.ndarray) -> Blocks:
         """The blocks of some of the points, ``part`` a mask (N,) or rows."""

@@ -35,24 +35,14 @@ _EQUAL_COS = 1e-9
 
 @dataclass(frozen=True)
 class MeshDistances:
-    """Distances of points to a mesh.
+    """Distances of points to a mesh."""
 
-    Attributes
-    ----------
-    signed : (N,) [m]
-        NaN for points that are not finite.
-    nearest : (N, 3) [m]
-        The nearest point of the mesh.
-    slope_deg : (N,) [deg]
-        Of a triangle that it lies on: 0 level, 90 upright, whichever side is up; NaN for points that are not finite.
-    num_degenerate : int
-        Triangles without area, which were left out.
-    """
-
-    signed: np.ndarray
-    nearest: np.ndarray
+    signed: np.ndarray  # (N,) [m]: NaN for points that are not finite
+    nearest: np.ndarray  # (N, 3) [m]: the nearest point of the mesh
+    # (N,) [deg]: of a triangle that it lies on: 0 level, 90 upright, whichever side is up; NaN for points that are not
+    # finite
     slope_deg: np.ndarray
-    num_degenerate: int
+    num_degenerate: int  # Triangles without area, which were left out
 
 
 def distance_to_mesh(

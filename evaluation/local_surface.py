@@ -30,20 +30,12 @@ _CHUNK = 100_000
 
 @dataclass(frozen=True)
 class LocalSurface:
-    """Heights of a cloud at places in plan; NaN where its points do not surround a place.
+    """Heights of a cloud at places in plan; NaN where its points do not surround a place."""
 
-    Attributes
-    ----------
-    height : (N,) [m]
-    std : (N,) [m]
-        Of a height that a further point of the cloud would have there: relief between points, and their noise.
-    spacing_m : [m]
-        Between neighbouring points, median over the places; NaN where none has a height.
-    """
-
-    height: np.ndarray
+    height: np.ndarray  # (N,) [m]
+    # (N,) [m]: of a height that a further point of the cloud would have there: relief between points, and their noise
     std: np.ndarray
-    spacing_m: float
+    spacing_m: float  # [m]: between neighbouring points, median over the places; NaN where none has a height
 
 
 def local_surface(

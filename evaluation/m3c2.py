@@ -10,17 +10,10 @@ import numpy as np
 
 @dataclass(frozen=True)
 class M3C2Distances:
-    """Along the normal of the reference, positive where the cloud lies above it.
+    """Along the normal of the reference, positive where the cloud lies above it."""
 
-    Attributes
-    ----------
-    signed : (K,) [m]
-        At the core points; NaN where a cylinder holds no points of either cloud.
-    detection_m : (K,) [m]
-        Level of detection at 95 %: smaller distances are not significant. NaN where there are too few points.
-    """
-
-    signed: np.ndarray
+    signed: np.ndarray  # (K,) [m]: at the core points; NaN where a cylinder holds no points of either cloud
+    # (K,) [m]: level of detection at 95 %: smaller distances are not significant. NaN where there are too few points.
     detection_m: np.ndarray
 
 

@@ -42,24 +42,15 @@ MIN_CHECKPOINTS = 30
 
 @dataclass(frozen=True)
 class TvuBand:
-    """Points in a band of depth.
+    """Points in a band of depth."""
 
-    Attributes
-    ----------
-    low_m, high_m : [m]
-        The lower limit belongs to the band; the upper one may be infinite.
-    n_points : int
-    share_within : [-]
-        Share of them whose error is at most the uncertainty that the order allows at their own depth.
-    share_possible : [-]
-        The same with the uncertainty of the reference added to what is allowed; not smaller.
-    """
-
+    # low_m, high_m [m]: the lower limit belongs to the band; the upper one may be infinite
     low_m: float
     high_m: float
     n_points: int
+    # [-]: share of them whose error is at most the uncertainty that the order allows at their own depth
     share_within: float
-    share_possible: float
+    share_possible: float  # [-]: the same with the uncertainty of the reference added to what is allowed; not smaller
 
 
 @dataclass(frozen=True)
@@ -68,14 +59,6 @@ class TvuOrder:
 
     Attributes
     ----------
-    name : str
-    tvu_at_median_depth_m : [m]
-        Total vertical uncertainty that the order allows there.
-    share_within : [-]
-        Share of the points whose error is at most the uncertainty at their own depth.
-    share_possible : [-]
-        The same with the uncertainty of the reference added to what is allowed; not smaller.
-    bands : tuple of TvuBand
     meets_tvu : bool
         Whether those within are 95 % of all points, whatever their depth.
     is_undecided : bool
@@ -88,9 +71,9 @@ class TvuOrder:
     """
 
     name: str
-    tvu_at_median_depth_m: float
-    share_within: float
-    share_possible: float
+    tvu_at_median_depth_m: float  # [m]: total vertical uncertainty that the order allows there
+    share_within: float  # [-]: share of the points whose error is at most the uncertainty at their own depth
+    share_possible: float  # [-]: the same with the uncertainty of the reference added to what is allowed; not smaller
     bands: tuple[TvuBand, ...]
 
     @property
@@ -121,22 +104,14 @@ class IhoS44:
 
     Attributes
     ----------
-    n_points : int
-        Points under water with a known error.
-    error_95_m : [m]
-        95 % of the errors are smaller.
-    orders : tuple of TvuOrder
-        The strictest first.
-    note : str
-        What is not judged.
     strictest : TvuOrder or None
         The first whose uncertainty is met at all depths.
     """
 
-    n_points: int
-    error_95_m: float
-    orders: tuple[TvuOrder, ...]
-    note: str = _TVU_NOTE
+    n_points: int  # Points under water with a known error
+    error_95_m: float  # [m]: 95 % of the errors are smaller
+    orders: tuple[TvuOrder, ...]  # The strictest first
+    note: str = _TVU_NOTE  # What is not judged
 
     @property
     def strictest(self) -> TvuOrder | None:
@@ -145,27 +120,19 @@ class IhoS44:
 
 @dataclass(frozen=True)
 class AsprsAccuracy:
-    """Vertical accuracy by check points; all but the counts are NaN where the product covers none.
+    """Vertical accuracy by check points; all but the counts are NaN where the product covers none."""
 
-    Attributes
-    ----------
-    n_checkpoints, n_not_covered : int
-        Check points that the product covers, and others.
-    is_enough : bool
-        Whether they are 30 or more.
-    mean_m, std_m, min_m, max_m : [m]
-        Of the residuals; the standard deviation is that of a sample.
-    rmse_fit_m, rmse_checkpoints_m, rmse_v_m : [m]
-        Root mean square of the residuals, of the check points' own errors, and the root of the sum of their squares.
-    """
-
+    # n_checkpoints, n_not_covered: Check points that the product covers, and others
     n_checkpoints: int
     n_not_covered: int
-    is_enough: bool
+    is_enough: bool  # Whether they are 30 or more
+    # mean_m, std_m, min_m, max_m [m]: of the residuals; the standard deviation is that of a sample
     mean_m: float = math.nan
     std_m: float = math.nan
     min_m: float = math.nan
     max_m: float = math.nan
+    # rmse_fit_m, rmse_checkpoints_m, rmse_v_m [m]: root mean square of the residuals, of the check points' own errors,
+    # and the root of the sum of their squares
     rmse_fit_m: float = math.nan
     rmse_checkpoints_m: float = math.nan
     rmse_v_m: float = math.nan

@@ -22,56 +22,33 @@ SHORELINE_MARGIN_M = 0.05
 
 @dataclass(frozen=True)
 class Band:
-    """Points whose depth, incidence or number of views lies between two limits, in the unit of those.
+    """Points whose depth, incidence or number of views lies between two limits, in the unit of those."""
 
-    Attributes
-    ----------
-    low, high : float
-        The lower limit belongs to the band; the upper one may be infinite.
-    distances : DistanceStatistics
-        Of its points.
-    """
-
+    # low, high: The lower limit belongs to the band; the upper one may be infinite
     low: float
     high: float
-    distances: DistanceStatistics
+    distances: DistanceStatistics  # Of its points
 
 
 @dataclass(frozen=True)
 class ReachedBand:
-    """Completeness where the slope of the reference lies between two limits [deg].
+    """Completeness where the slope of the reference lies between two limits [deg]."""
 
-    Attributes
-    ----------
-    low, high : [deg]
-        The lower limit belongs to the band; the upper one may be infinite.
-    n_samples : int
-        Of the reference, in the band.
-    completeness : tuple of float [-]
-        Share of them that is reached, at each tolerance.
-    """
-
+    # low, high [deg]: the lower limit belongs to the band; the upper one may be infinite
     low: float
     high: float
-    n_samples: int
-    completeness: tuple[float, ...]
+    n_samples: int  # Of the reference, in the band
+    completeness: tuple[float, ...]  # [-]: share of them that is reached, at each tolerance
 
 
 @dataclass(frozen=True)
 class DepthParts:
-    """A cloud split at the water.
+    """A cloud split at the water."""
 
-    Attributes
-    ----------
-    wet, dry : DistanceStatistics or None
-        Of the points more than 5 cm below and above the water; None without any.
-    bands : tuple of Band
-        Of the wet points, by depth [m]; empty bands are left out.
-    """
-
+    # wet, dry: Of the points more than 5 cm below and above the water; None without any
     wet: DistanceStatistics | None
     dry: DistanceStatistics | None
-    bands: tuple[Band, ...]
+    bands: tuple[Band, ...]  # Of the wet points, by depth [m]; empty bands are left out
 
 
 def by_depth(distances: np.ndarray, depth_m: np.ndarray, blocks: Blocks | None = None) -> DepthParts:

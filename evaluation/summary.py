@@ -16,78 +16,48 @@ _STD_PER_MAD = 1.4826
 
 @dataclass(frozen=True)
 class DistanceStatistics:
-    """Counts and moments of distances; all but the counts are NaN where there is no distance.
+    """Counts and moments of distances; all but the counts are NaN where there is no distance."""
 
-    Attributes
-    ----------
-    n_points, n_nan : int
-        Finite distances, and others, which are left out.
-    mean_m, median_m, std_m, rms_m : [m]
-        The standard deviation is that of a population.
-    mean_inner90_m, std_inner90_m : [m]
-        Of the distances d whose |d| is at most the 0.9 quantile of |d| (linear between points).
-    nmad_m : [m]
-        1.4826 times the median absolute deviation from the median.
-    p95_abs_m : [m]
-        0.95 quantile of |d|.
-    min_m, max_m : [m]
-    mean_ci95_m, mean_inner90_ci95_m : (low, high) [m] or None
-        Intervals of 95 % confidence of the two means; None where no blocks were given.
-    """
-
+    # n_points, n_nan: Finite distances, and others, which are left out
     n_points: int
     n_nan: int
+    # mean_m, median_m, std_m, rms_m [m]: the standard deviation is that of a population
     mean_m: float = math.nan
     median_m: float = math.nan
     std_m: float = math.nan
     rms_m: float = math.nan
+    # mean_inner90_m, std_inner90_m [m]: of the distances d whose |d| is at most the 0.9 quantile of |d| (linear between
+    # points)
     mean_inner90_m: float = math.nan
     std_inner90_m: float = math.nan
-    nmad_m: float = math.nan
-    p95_abs_m: float = math.nan
+    nmad_m: float = math.nan  # [m]: 1.4826 times the median absolute deviation from the median
+    p95_abs_m: float = math.nan  # [m]: 0.95 quantile of |d|
+    # min_m, max_m: [m]
     min_m: float = math.nan
     max_m: float = math.nan
+    # mean_ci95_m, mean_inner90_ci95_m (low, high) [m] or None: intervals of 95 % confidence of the two means; None
+    # where no blocks were given
     mean_ci95_m: tuple[float, float] | None = None
     mean_inner90_ci95_m: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
 class Scores:
-    """Accuracy and completeness at one tolerance; shares are NaN where there is nothing to count.
+    """Accuracy and completeness at one tolerance; shares are NaN where there is nothing to count."""
 
-    Attributes
-    ----------
-    completeness : [-]
-        Share of the samples of the reference that are closer than the tolerance to the cloud.
-    accuracy_share : [-]
-        Share of the points of the cloud that are closer than the tolerance to the reference.
-    f_score : [-]
-        Harmonic mean of both.
-    tolerance_m : [m]
-    completeness_visible : [-] or None
-        As `completeness`, of the points of the reference that cameras see; None where those are not known.
-    """
-
-    completeness: float
-    accuracy_share: float
-    f_score: float
-    tolerance_m: float
+    completeness: float  # [-]: share of the samples of the reference that are closer than the tolerance to the cloud
+    accuracy_share: float  # [-]: share of the points of the cloud that are closer than the tolerance to the reference
+    f_score: float  # [-]: Harmonic mean of both
+    tolerance_m: float  # [m]
+    # [-] or None: as `completeness`, of the points of the reference that cameras see; None where those are not known
     completeness_visible: float | None = None
 
 
 @dataclass(frozen=True)
 class Summary:
-    """The numbers of a comparison over all its points.
+    """The numbers of a comparison over all its points."""
 
-    Attributes
-    ----------
-    n_cropped : int
-        Points that were left out before.
-    distances : DistanceStatistics
-    scores : Scores
-    """
-
-    n_cropped: int
+    n_cropped: int  # Points that were left out before
     distances: DistanceStatistics
     scores: Scores
 

@@ -18,23 +18,13 @@ _LLVM_VERSIONS = (19, 20, 18, 17)
 
 @dataclass(frozen=True)
 class Device:
-    """Array types of one Dr.Jit backend, or of none.
+    """Array types of one Dr.Jit backend, or of none."""
 
-    Attributes
-    ----------
-    name : "cuda", "llvm" or "torch"
-    module : the Dr.Jit module with Float, UInt, ... ; None for torch.
-    reason : why this one, in words for the plan.
-    place : "cpu" or "cuda"
-        Where torch keeps its tensors.
-    apart : bool
-        Whether it has a memory of its own: what is computed stays there between the passes of the sweep.
-    """
-
-    name: str
-    module: Any
-    reason: str
-    place: str = "cpu"
+    name: str  # "cuda", "llvm" or "torch"
+    module: Any  # the Dr.Jit module with Float, UInt, ... ; None for torch.
+    reason: str  # why this one, in words for the plan.
+    place: str = "cpu"  # "cpu" or "cuda": where torch keeps its tensors
+    # Whether it has a memory of its own: what is computed stays there between the passes of the sweep
     apart: bool = False
 
 

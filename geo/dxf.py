@@ -25,17 +25,10 @@ _NOT_IN_NAMES = re.compile(r"[<>/\\\":;?*|=`\x00-\x1f]")
 
 
 class DxfLine(NamedTuple):
-    """A polyline.
-
-    Attributes
-    ----------
-    layer : str
-    places : (N, 3)
-        Easting, northing and height, in the units of a CRS.
-    """
+    """A polyline."""
 
     layer: str
-    places: np.ndarray
+    places: np.ndarray  # (N, 3): Easting, northing and height, in the units of a CRS
 
 
 def write_dxf(path: str | Path, lines: Sequence[DxfLine], crs: CRS) -> None:

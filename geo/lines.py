@@ -27,18 +27,10 @@ _NAMES = ("name", "id", "line", "profile", "layer")
 
 @dataclass(frozen=True)
 class Line:
-    """A line of two corners or more.
+    """A line of two corners or more."""
 
-    Attributes
-    ----------
-    name : str
-        By its attributes, else its number from 1.
-    corners : (N, 2)
-        Easting or longitude first.
-    """
-
-    name: str
-    corners: np.ndarray
+    name: str  # By its attributes, else its number from 1
+    corners: np.ndarray  # (N, 2): easting or longitude first
 
 
 def read_lines(path: str | Path, crs: CRS) -> list[Line]:

@@ -23,27 +23,13 @@ _MOST_UINT32 = 2**32
 
 @dataclass(frozen=True)
 class Octree:
-    """Node of each point.
+    """Node of each point."""
 
-    Attributes
-    ----------
-    corner : (3,) int64
-        Lowest corner of the cube, in steps: the lowest coordinates.
-    side : int
-        Of the cube, in steps: the largest extent.
-    order : (N,) uint32, or int64 where there are more than those count
-        The points, node after node.
-    keys : (M, 4) int32
-        Level, x, y, z of the nodes; a node comes after its parent.
-    counts : (M,) int64
-        Points of each node, one at least.
-    """
-
-    corner: np.ndarray
-    side: int
-    order: np.ndarray
-    keys: np.ndarray
-    counts: np.ndarray
+    corner: np.ndarray  # (3,) int64: lowest corner of the cube, in steps: the lowest coordinates
+    side: int  # Of the cube, in steps: the largest extent
+    order: np.ndarray  # (N,) uint32, or int64 where there are more than those count: the points, node after node
+    keys: np.ndarray  # (M, 4) int32: Level, x, y, z of the nodes; a node comes after its parent
+    counts: np.ndarray  # (M,) int64: points of each node, one at least
 
 
 def build_octree(columns: Sequence[np.ndarray], per_unit: Sequence[int] = (1, 1, 1)) -> Octree:

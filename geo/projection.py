@@ -38,25 +38,15 @@ class MapProjection:
     ----------
     crs : pyproj.CRS
         As `geo.crs.parse_crs` returns it.
-
-    Attributes
-    ----------
-    a, b : [m]
-        Semi-axes of the ellipsoid.
-    horizontal_unit : [m] or [rad]
-        One unit of easting or of longitude.
-    height_unit_m : [m]
-        One unit of height.
-    is_geographic : bool
-        Whether horizontal coordinates are angles.
     """
 
     crs: CRS
+    # a, b [m]: Semi-axes of the ellipsoid
     a: float = field(init=False)
     b: float = field(init=False)
-    horizontal_unit: float = field(init=False)
-    height_unit_m: float = field(init=False)
-    is_geographic: bool = field(init=False)
+    horizontal_unit: float = field(init=False)  # [m] or [rad]: one unit of easting or of longitude
+    height_unit_m: float = field(init=False)  # [m]: one unit of height
+    is_geographic: bool = field(init=False)  # Whether horizontal coordinates are angles
     _angle_unit: float = field(init=False, repr=False)
     _lonlat_from_grid: Transformer | None = field(init=False, repr=False, compare=False)
 

@@ -31,51 +31,28 @@ _BLOCK = 512
 
 @dataclass(frozen=True)
 class Band:
-    """Band of a raster.
+    """Band of a raster."""
 
-    Attributes
-    ----------
-    name : str
-        What it holds, e.g. "height".
-    unit : str
-        E.g. "metre"; empty for none.
-    """
-
-    name: str
-    unit: str = ""
+    name: str  # What it holds, e.g. "height".
+    unit: str = ""  # E.g. "metre"; empty for none.
 
 
 @dataclass(frozen=True)
 class RasterForm:
-    """Metadata of a raster.
-
-    Attributes
-    ----------
-    crs : pyproj.CRS
-    transform : six floats
-        Coefficients a to f of ``east = a column + b row + c, north = d column + e row + f``, from outer corners.
-    shape : (rows, columns)
-    bands : tuple of Band
-    dtype : str
-        Of all bands, e.g. "float32".
-    nodata : float or None
-    tags : dict of str to str
-        Metadata, e.g. how the values were computed.
-    resampling : str
-        How overviews are made: "AVERAGE", or "NEAREST" for codes.
-    is_colour : bool
-        Whether the bands are red, green, blue and transparency.
-    """
+    """Metadata of a raster."""
 
     crs: CRS
+    # six floats: coefficients a to f of ``east = a column + b row + c, north = d column + e row + f``, from outer
+    # corners
     transform: tuple[float, float, float, float, float, float]
-    shape: tuple[int, int]
+    shape: tuple[int, int]  # (rows, columns)
     bands: tuple[Band, ...]
-    dtype: str = "float32"
+    dtype: str = "float32"  # Of all bands, e.g. "float32".
     nodata: float | None = None
+    # dict of str to str: Metadata, e.g. how the values were computed.
     tags: dict[str, str] = field(default_factory=dict)
-    resampling: str = "AVERAGE"
-    is_colour: bool = False
+    resampling: str = "AVERAGE"  # How overviews are made: "AVERAGE", or "NEAREST" for codes
+    is_colour: bool = False  # Whether the bands are red, green, blue and transparency
 
 
 # Rows and columns from the top left corner, and the values (bands, rows, columns) there.

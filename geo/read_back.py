@@ -27,15 +27,9 @@ _SAME_CELL = 1e-6
 
 @dataclass
 class Sums:
-    """A checksum of values that does not depend on their order: count and sum of bit patterns, modulo 2^64.
+    """A checksum of values that does not depend on their order: count and sum of bit patterns, modulo 2^64."""
 
-    Attributes
-    ----------
-    nodata : float or None
-        Not counted, nor is NaN.
-    """
-
-    nodata: float | None = None
+    nodata: float | None = None  # Not counted, nor is NaN
     count: int = 0
     total: np.uint64 = field(default_factory=lambda: np.uint64(0))
 

@@ -25,24 +25,14 @@ _MEND = "or name a horizontal CRS alone, which keeps the heights as they are."
 
 @dataclass(frozen=True)
 class Reprojection:
-    """Transformation from one CRS with heights to another.
+    """Transformation from one CRS with heights to another."""
 
-    Attributes
-    ----------
-    crs : pyproj.CRS
-        In which points come out, with a vertical part.
-    keeps_height : bool
-        Whether heights stay as they are.
-    doubt : a sentence, or None
-        Where places or heights are less well known in it, as PROJ states.
-    """
-
-    crs: CRS
-    keeps_height: bool
+    crs: CRS  # In which points come out, with a vertical part
+    keeps_height: bool  # Whether heights stay as they are
     _transformer: Transformer = field(repr=False, compare=False)
     _changes_plan: bool = field(repr=False, compare=False)
     _where: str = field(repr=False, compare=False)
-    doubt: str | None = None
+    doubt: str | None = None  # a sentence, or None: where places or heights are less well known in it, as PROJ states
 
     @staticmethod
     def between(

@@ -27,18 +27,11 @@ _WRONG_STD, _WRONG_PROBABILITY, _WRONG_AT_LEAST_M = 6.0, 1e-6, 0.6
 
 @dataclass(frozen=True)
 class Similarity:
-    """``b = scale * rotation @ a + shift``.
+    """``b = scale * rotation @ a + shift``."""
 
-    Attributes
-    ----------
-    scale : [-]
-    rotation : (3, 3)
-    shift : (3,)
-    """
-
-    scale: float
-    rotation: np.ndarray
-    shift: np.ndarray
+    scale: float  # [-]
+    rotation: np.ndarray  # (3, 3)
+    shift: np.ndarray  # (3,)
 
     def __call__(self, points) -> np.ndarray:
         """Points (..., 3) of a in b."""

@@ -13,17 +13,10 @@ _J2000 = datetime(2000, 1, 1, 12, tzinfo=UTC)
 
 @dataclass(frozen=True)
 class Sun:
-    """The middle of the sun in the sky.
+    """The middle of the sun in the sky."""
 
-    Attributes
-    ----------
-    azimuth : [rad]
-        Clockwise from north, 0 to 2 pi.
-    elevation : [rad]
-        Above the horizon, without the refraction of the air: 0.5 degrees at the horizon, 0.03 at 30 degrees.
-    """
-
-    azimuth: float
+    azimuth: float  # [rad]: clockwise from north, 0 to 2 pi
+    # [rad]: above the horizon, without the refraction of the air: 0.5 degrees at the horizon, 0.03 at 30 degrees
     elevation: float
 
     @property

@@ -43,31 +43,20 @@ _SAME_ELLIPSOID_M = 0.001
 
 @dataclass(frozen=True)
 class Transformation:
-    """The operation between the horizontal parts of two CRSs that PROJ chooses for a place.
+    """The operation between the horizontal parts of two CRSs that PROJ chooses for a place."""
 
-    Attributes
-    ----------
-    source, target : pyproj.CRS
-        Two-dimensional; easting or longitude first.
-    accuracy_m : float or None
-        As PROJ states it; 0 where the datum stays, or longitudes and latitudes pass unchanged; outside the areas of all
-        operations the largest difference between them; None where it is not known (a CRS without a known datum, or one
-        operation outside its area).
-    missing : tuple of str
-        Names of the grids that the best operation needs and PROJ does not have; the operation is then a worse one.
-    is_known : bool
-        False where PROJ has no operation: one datum is then taken for the other.
-    is_outside : bool
-        Whether the place lies outside the areas of all operations.
-    """
-
+    # source, target: Two-dimensional; easting or longitude first
     source: CRS
     target: CRS
+    # As PROJ states it; 0 where the datum stays, or longitudes and latitudes pass unchanged; outside the areas of all
+    # operations the largest difference between them; None where it is not known (a CRS without a known datum, or one
+    # operation outside its area)
     accuracy_m: float | None
+    # Names of the grids that the best operation needs and PROJ does not have; the operation is then a worse one
     missing: tuple[str, ...]
-    is_known: bool
+    is_known: bool  # False where PROJ has no operation: one datum is then taken for the other
     _transformer: Transformer = field(repr=False, compare=False)
-    is_outside: bool = False
+    is_outside: bool = False  # Whether the place lies outside the areas of all operations
 
     @staticmethod
     def between(source: CRS, target: CRS, places: np.ndarray) -> Transformation:

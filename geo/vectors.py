@@ -31,32 +31,17 @@ SHAPEFILE_MARK = b"bathynerf"
 
 @dataclass(frozen=True)
 class Layer:
-    """Features of one kind.
+    """Features of one kind."""
 
-    Attributes
-    ----------
-    name : str
-        One word, e.g. "contours".
-    kind : "LineString" or "Polygon"
-    shapes : list
-        Of each feature a line (N, 2), or the rings (N, 2) of a polygon, the outer one first, each closed; in crs,
-        easting or longitude first.
-    crs : pyproj.CRS
-        Its horizontal part counts.
-    columns : dict of list
-        Attributes of the features, by name.
-    notes : str
-        What the features are.
-    heights : list
-        Of each line its heights (N,), in crs; None where it has none. Shapefiles and DXF have them.
-    """
-
-    name: str
-    kind: Literal["LineString", "Polygon"]
+    name: str  # One word, e.g. "contours".
+    kind: Literal["LineString", "Polygon"]  # "LineString" or "Polygon"
+    # Of each feature a line (N, 2), or the rings (N, 2) of a polygon, the outer one first, each closed; in crs, easting
+    # or longitude first
     shapes: list
-    crs: CRS
-    columns: dict[str, list] = field(default_factory=dict)
-    notes: str = ""
+    crs: CRS  # Its horizontal part counts
+    columns: dict[str, list] = field(default_factory=dict)  # dict of list: Attributes of the features, by name
+    notes: str = ""  # What the features are
+    # Of each line its heights (N,), in crs; None where it has none. Shapefiles and DXF have them.
     heights: list | None = None
 
 

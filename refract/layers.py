@@ -27,28 +27,18 @@ _NUMBERS = ("point", "normal", "indices", "thicknesses")
 @final
 @dataclass(frozen=True)
 class LayeredPath:
-    """Paths of rays through the stack; arrays of the library of the rays, in their frame.
+    """Paths of rays through the stack; arrays of the library of the rays, in their frame."""
 
-    Attributes
-    ----------
-    origin : (..., 3) [m]
-        Camera centre.
-    crossings : tuple of (..., 3) [m]
-        Where the ray passes each interface, from the camera's side; NaN from where it is turned back.
-    directions : tuple of (..., 3) unit
-        In each medium; NaN where the ray never gets there.
-    lengths : tuple of (...) [m]
-        In each medium but the last; infinite where the ray never reaches its end.
-    regime : (...) int
-        `Regime` of each ray: bent; straight where it leads away from the first interface, parallel along it; reflected
-        at any of them; invalid where a number is NaN or beyond 1e15 m, the direction not of length one, or the origin
-        not in the first medium.
-    """
-
-    origin: Any
+    origin: Any  # (..., 3) [m]: camera centre
+    # tuple of (..., 3) [m]: where the ray passes each interface, from the camera's side; NaN from where it is turned
+    # back
     crossings: tuple[Any, ...]
-    directions: tuple[Any, ...]
+    directions: tuple[Any, ...]  # tuple of (..., 3) unit: in each medium; NaN where the ray never gets there
+    # tuple of (...) [m]: in each medium but the last; infinite where the ray never reaches its end
     lengths: tuple[Any, ...]
+    # (...) int: `Regime` of each ray: bent; straight where it leads away from the first interface, parallel along it;
+    # reflected at any of them; invalid where a number is NaN or beyond 1e15 m, the direction not of length one, or the
+    # origin not in the first medium
     regime: Any
 
     @property

@@ -43,23 +43,16 @@ class LensError(ValueError):
 class Lens:
     """Interior orientation of a photograph as it was taken, distortion included.
 
-    Attributes
-    ----------
-    model : str
-        A key of `MODELS`: one of COLMAP's camera models, or BROWN_AFFINE.
-    params : tuple of float
-        In COLMAP's order; focal lengths and principal point in px, the centre of the first pixel at (0.5,
-        0.5).
-    width, height : [px]
-
     Raises
     ------
     LensError
         If the model is not supported, or the numbers do not fit it or are not finite.
     """
 
-    model: str
+    model: str  # A key of `MODELS`: one of COLMAP's camera models, or BROWN_AFFINE
+    # In COLMAP's order; focal lengths and principal point in px, the centre of the first pixel at (0.5, 0.5)
     params: tuple[float, ...]
+    # width, height: [px]
     width: int
     height: int
 

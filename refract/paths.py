@@ -17,36 +17,18 @@ from refract.surfaces import FlatWater, WaterSurface, derivable, height_over, re
 @final
 @dataclass(frozen=True)
 class BentPaths:
-    """Paths of rays from the camera through the water surface; arrays of the library of the rays, local frame.
+    """Paths of rays from the camera through the water surface; arrays of the library of the rays, local frame."""
 
-    Attributes
-    ----------
-    origin : (..., 3) [m]
-        Camera centre.
-    air_direction : (..., 3) unit
-    crossing : (..., 3) [m]
-        Where the ray meets the surface; NaN where it never does.
-    air_length : (...) [m]
-        From origin to crossing; infinite where the ray never meets the water.
-    water_direction : (..., 3) unit
-        Direction after the crossing; equal to `air_direction` where the ray never meets the water,
-        or where the camera is below the surface.
-    wet : (...) bool
-        The ray enters the water if nothing dry stops it first.
-    parallel : (...) bool
-        The ray never meets the water because it runs along the surface.
-    tide : [m]
-        How high the surface that bent the rays stands over the one that heights count from.
-    """
-
-    origin: Any
-    air_direction: Any
-    crossing: Any
-    air_length: Any
+    origin: Any  # (..., 3) [m]: camera centre
+    air_direction: Any  # (..., 3) unit
+    crossing: Any  # (..., 3) [m]: where the ray meets the surface; NaN where it never does
+    air_length: Any  # (...) [m]: from origin to crossing; infinite where the ray never meets the water
+    # (..., 3) unit: direction after the crossing; equal to `air_direction` where the ray never meets the water, or
+    # where the camera is below the surface
     water_direction: Any
-    wet: Any
-    parallel: Any
-    tide: float = 0.0
+    wet: Any  # (...) bool: the ray enters the water if nothing dry stops it first
+    parallel: Any  # (...) bool: the ray never meets the water because it runs along the surface
+    tide: float = 0.0  # [m]: how high the surface that bent the rays stands over the one that heights count from
 
     @property
     @of_any_size

@@ -29,27 +29,19 @@ class Projection:
 
     Attributes
     ----------
-    direction : (..., 3) unit
-        From the camera toward where the point appears; NaN where it cannot be seen.
     crossing : (..., 3) [m]
         Where the ray meets the surface; the point itself where the ray is straight.
     air_length, water_length : (...) [m]
         Of the two legs; a straight ray is all air, or, from a camera under water to a wet point, all water.
-    depth : (...) [m]
-        Of the point below the surface, along the normal of a plane, vertical for a curved surface; zero without water.
-    wet : (...) bool
-        The point is below the surface.
-    solutions : (...) int
-        Stationary paths that were found; the least optical one was taken.
-    under_water : (...) bool
-        The camera is on or below the surface.
     """
 
-    direction: Any
+    direction: Any  # (..., 3) unit: from the camera toward where the point appears; NaN where it cannot be seen
+    # (...) [m]: of the point below the surface, along the normal of a plane, vertical for a curved surface; zero
+    # without water
     depth: Any
-    wet: Any
-    solutions: Any
-    under_water: Any
+    wet: Any  # (...) bool: the point is below the surface
+    solutions: Any  # (...) int: stationary paths that were found; the least optical one was taken
+    under_water: Any  # (...) bool: the camera is on or below the surface
     # Where all is in reach; the point; the legs to the crossing and on to the point; `_measured` of the first.
     _valid: Any = field(repr=False)
     _point: tuple[Any, Any, Any] = field(repr=False)

@@ -7,18 +7,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Findings:
-    """Sentences that a reader returns with its result.
+    """Sentences that a reader returns with its result."""
 
-    Attributes
-    ----------
-    assumptions : tuple of str
-        What nobody said and was assumed.
-    warnings : tuple of str
-        What is left out, or more likely a mistake.
-    """
-
-    assumptions: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
+    assumptions: tuple[str, ...] = ()  # What nobody said and was assumed
+    warnings: tuple[str, ...] = ()  # What is left out, or more likely a mistake
 
     def __add__(self, other: Findings) -> Findings:
         return Findings(self.assumptions + other.assumptions, self.warnings + other.warnings)

@@ -107,14 +107,9 @@ class _Part:
 
 @dataclass
 class Forecast:
-    """Forecast of the remaining time of a run.
+    """Forecast of the remaining time of a run."""
 
-    Attributes
-    ----------
-    slowness : float
-        How many times as long as stated rates say work takes on this machine, until parts of the run tell.
-    """
-
+    # How many times as long as stated rates say work takes on this machine, until parts of the run tell
     slowness: float = 1.0
     _parts: dict[str, _Part] = field(default_factory=dict)
     _steady: Steady = field(default_factory=Steady)

@@ -84,18 +84,11 @@ def process_age_s() -> float:
 
 @dataclass(frozen=True)
 class Load:
-    """Load: duration of work now, relative to an idle core of the kind that rates were measured on.
+    """Load: duration of work now, relative to an idle core of the kind that rates were measured on."""
 
-    Attributes
-    ----------
-    work : float
-        Processor time of known work: below 1 on faster cores, above it where another program shares the core's units.
-    turns : float
-        Wall clock for each second of processor time: above 1 where other programs take turns.
-    """
-
+    # Processor time of known work: below 1 on faster cores, above it where another program shares the core's units
     work: float
-    turns: float
+    turns: float  # Wall clock for each second of processor time: above 1 where other programs take turns
 
     @classmethod
     def of(cls, probes_s: list[float], wall_s: float, ran_and_waited: tuple[int, int] | None) -> Load:
@@ -152,16 +145,11 @@ def _ran_and_waited() -> tuple[int, int] | None:
 
 @dataclass(frozen=True)
 class GroupMemory:
-    """Memory of one control group with a limit.
+    """Memory of one control group with a limit."""
 
-    Attributes
-    ----------
-    limit : [bytes]
-    used : [bytes]
-        By all processes in it and below, without cached files that are not in use; 0 where the system does not tell.
-    """
-
-    limit: int
+    limit: int  # [bytes]
+    # [bytes]: by all processes in it and below, without cached files that are not in use; 0 where the system does not
+    # tell
     used: int
 
     @property

@@ -41,20 +41,11 @@ STEP = 1e-4
 
 @dataclass(frozen=True)
 class Sightings:
-    """Patches as views see them, N of them.
+    """Patches as views see them, N of them."""
 
-    Attributes
-    ----------
-    patch : (N,) int
-    below : (N, 3)
-        Mean linear radiance under the surface, without the light that the surface reflects.
-    way : (N,) [m]
-        Mean path of the light in water, down and up.
-    """
-
-    patch: np.ndarray
-    below: np.ndarray
-    way: np.ndarray
+    patch: np.ndarray  # (N,) int
+    below: np.ndarray  # (N, 3): mean linear radiance under the surface, without the light that the surface reflects
+    way: np.ndarray  # (N,) [m]: mean path of the light in water, down and up
 
 
 def estimate_absorption(sources: Sources) -> tuple[float, float, float]:

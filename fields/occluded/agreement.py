@@ -35,28 +35,14 @@ _LEAST_NOISE = 0.5
 
 @dataclass(frozen=True)
 class FoundPoints:
-    """Points of the bed; N of them.
+    """Points of the bed; N of them."""
 
-    Attributes
-    ----------
-    xyz : (N, 3) [m], local
-    rgb : (N, 3) uint8
-        By the steepest photograph that shows the point.
-    std : (N,) float32 [m]
-        Standard deviation of the height.
-    num_views : (N,) uint8
-    incidence : (N,) float32 [rad]
-        Of the ray in air of that photograph.
-    view : (N,)
-        That photograph.
-    """
-
-    xyz: np.ndarray
-    rgb: np.ndarray
-    std: np.ndarray
-    num_views: np.ndarray
-    incidence: np.ndarray
-    view: np.ndarray
+    xyz: np.ndarray  # (N, 3) [m], local
+    rgb: np.ndarray  # (N, 3) uint8: by the steepest photograph that shows the point
+    std: np.ndarray  # (N,) float32 [m]: standard deviation of the height
+    num_views: np.ndarray  # (N,) uint8
+    incidence: np.ndarray  # (N,) float32 [rad]: of the ray in air of that photograph
+    view: np.ndarray  # (N,): that photograph
 
 
 def points_of_holes(holes: Holes, sightings: Sequence[Sighting]) -> FoundPoints | None:

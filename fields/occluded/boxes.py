@@ -22,18 +22,12 @@ _LEAST_PIXELS = 30
 
 @dataclass(frozen=True)
 class Box:
-    """A square of the ground, of cells of one ground sampling distance, with a margin.
+    """A square of the ground, of cells of one ground sampling distance, with a margin."""
 
-    Attributes
-    ----------
-    x, y : [m], local
-        Its lower corner, without the margin.
-    gsd : [m]
-    """
-
+    # x, y [m], local: its lower corner, without the margin
     x: float
     y: float
-    gsd: float
+    gsd: float  # [m]
 
     @cached_property
     def places(self) -> tuple[np.ndarray, np.ndarray]:

@@ -17,21 +17,12 @@ AGREE, _MOST = 1.2, 30.0
 
 @dataclass(frozen=True)
 class Colours:
-    """Colours of K photographs on the cells (rows, columns) of a surface.
+    """Colours of K photographs on the cells (rows, columns) of a surface."""
 
-    Attributes
-    ----------
-    values : (K, rows, columns, 3) float32
-        Stored values 0 to 255, corrected for gain and offset of each photograph.
-    use : (K, rows, columns) bool
-        Where the photograph may show the surface.
-    noise : (3,)
-        Standard deviation of one photograph.
-    """
-
+    # (K, rows, columns, 3) float32: stored values 0 to 255, corrected for gain and offset of each photograph
     values: np.ndarray
-    use: np.ndarray
-    noise: np.ndarray
+    use: np.ndarray  # (K, rows, columns) bool: where the photograph may show the surface
+    noise: np.ndarray  # (3,): standard deviation of one photograph
 
 
 @dataclass(frozen=True)

@@ -19,19 +19,11 @@ _LEAST_CELLS = 10
 
 @dataclass(frozen=True)
 class Holes:
-    """Cells of a layer without a point of the cloud, and the cells about them.
+    """Cells of a layer without a point of the cloud, and the cells about them."""
 
-    Attributes
-    ----------
-    points : (rows, columns, 3) [m], local
-        Of the layer; its height is NaN far from the bed.
-    are_holes : (rows, columns) bool
-    gsd, roughness : [m]
-        Side of a cell; standard deviation of the bed from the layer.
-    """
-
-    points: np.ndarray
-    are_holes: np.ndarray
+    points: np.ndarray  # (rows, columns, 3) [m], local: of the layer; its height is NaN far from the bed
+    are_holes: np.ndarray  # (rows, columns) bool
+    # gsd, roughness [m]: side of a cell; standard deviation of the bed from the layer
     gsd: float
     roughness: float
 

@@ -32,24 +32,14 @@ _LEAST_FOUND = 0.03
 
 @dataclass(frozen=True)
 class OccludedBed:
-    """Points of the bed beside and under edges, and the boxes that were searched.
-
-    Attributes
-    ----------
-    points : BedPoints
-    view : (N,)
-        That shows each steepest.
-    num_boxes, num_left_out : int
-        In which the cloud has holes, and how many more do; see `_MOST_BOXES`.
-    is_no_bed : bool
-        Whether too few boxes of a sample have points, so that none are given.
-    """
+    """Points of the bed beside and under edges, and the boxes that were searched."""
 
     points: BedPoints
-    view: np.ndarray
+    view: np.ndarray  # (N,): that shows each steepest
+    # num_boxes, num_left_out: In which the cloud has holes, and how many more do; see `_MOST_BOXES`
     num_boxes: int
     num_left_out: int = 0
-    is_no_bed: bool = False
+    is_no_bed: bool = False  # Whether too few boxes of a sample have points, so that none are given
 
 
 def find_occluded(

@@ -28,34 +28,22 @@ _STRAY_CELLS = 2
 
 @dataclass(frozen=True)
 class Sighting:
-    """Sighting of holes in a photograph; arrays (rows, columns, ...) of their cells.
-
-    Attributes
-    ----------
-    view : int
-    rgb : (height, width, 3) uint8
-        The part of the photograph that shows them.
-    start, change : (rows, columns, 2) float32
-        Pixel in that part where the layer is seen, and how it moves with the height [1/m].
-    is_inside : (rows, columns) bool
-    hidden, shown, beside : (rows, columns) bool
-        Where the height map says for sure that the layer is hidden, or seen, and where something stands near.
-    incidence : [rad]
-        Of the ray in air, in the middle.
-    slope : (2,)
-        How far the ray in the middle moves over the ground with the height [m/m].
-    """
+    """Sighting of holes in a photograph; arrays (rows, columns, ...) of their cells."""
 
     view: int
-    rgb: np.ndarray
+    rgb: np.ndarray  # (height, width, 3) uint8: the part of the photograph that shows them
+    # start, change (rows, columns, 2) float32: pixel in that part where the layer is seen, and how it moves with the
+    # height [1/m]
     start: np.ndarray
     change: np.ndarray
-    is_inside: np.ndarray
+    is_inside: np.ndarray  # (rows, columns) bool
+    # hidden, shown, beside (rows, columns) bool: where the height map says for sure that the layer is hidden, or seen,
+    # and where something stands near
     hidden: np.ndarray
     shown: np.ndarray
     beside: np.ndarray
-    incidence: float
-    slope: np.ndarray
+    incidence: float  # [rad]: of the ray in air, in the middle
+    slope: np.ndarray  # (2,): how far the ray in the middle moves over the ground with the height [m/m]
 
     def part(self, cells: tuple[slice, slice]) -> Sighting:
         """The same photograph of some rows and columns of the cells."""

@@ -68,17 +68,10 @@ def _distance(rays: Rays, height: Tensor, centre: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Surface:
-    """The proxy of a slab, made ready for rays to come down on.
+    """The proxy of a slab, made ready for rays to come down on."""
 
-    Attributes
-    ----------
-    slab : Slab
-        Its gaps are known.
-    ceiling : (rows, columns) float32 [m]
-        Greatest height of the proxy within a stride of a cell's middle, along each axis.
-    """
-
-    slab: Slab
+    slab: Slab  # Its gaps are known
+    # (rows, columns) float32 [m]: greatest height of the proxy within a stride of a cell's middle, along each axis
     ceiling: np.ndarray
 
     @staticmethod

@@ -24,27 +24,16 @@ class Rays:
 
     A path is at ``foot + (z - tide) * slope`` at height z over the water plane, with one slope above and one below the
     water of its photograph.
-
-    Attributes
-    ----------
-    foot, air, wet : (N, 3) [m], [m per m], [m per m]
-    height : (N,) [m]
-        Where the ray meets the proxy.
-    rgb : (N, 3)
-        Photograph, 0 to 1, as stored (not linear).
-    reflectance : (N,)
-        Fresnel reflectance at the water; 0 for a dry survey.
-    tide : (N,) [m]
-        How high the water of the photograph is over the plane, along its normal.
     """
 
+    # foot, air, wet: (N, 3) [m], [m per m], [m per m]
     foot: Tensor
     air: Tensor
     wet: Tensor
-    height: Tensor
-    rgb: Tensor
-    reflectance: Tensor
-    tide: Tensor
+    height: Tensor  # (N,) [m]: where the ray meets the proxy
+    rgb: Tensor  # (N, 3): Photograph, 0 to 1, as stored (not linear)
+    reflectance: Tensor  # (N,): fresnel reflectance at the water; 0 for a dry survey
+    tide: Tensor  # (N,) [m]: how high the water of the photograph is over the plane, along its normal
 
     def __len__(self) -> int:
         return len(self.height)

@@ -18,25 +18,14 @@ from torch import Tensor
 
 @dataclass
 class Slab:
-    """A raster of proxy heights with its box.
+    """A raster of proxy heights with its box."""
 
-    Attributes
-    ----------
-    low : (2,) [m], local x and y of the raster's corner
-    cell : [m]
-    proxy : (rows, columns) float32 [m]
-        Height of the bed over the water plane at cell centres; rows go up in y.
-    known : (rows, columns) bool
-        Cells that the sweep found; the others were filled from the nearest.
-    half : [m]
-        Half the thickness.
-    """
-
-    low: np.ndarray
-    cell: float
+    low: np.ndarray  # (2,) [m], local x and y of the raster's corner
+    cell: float  # [m]
+    # (rows, columns) float32 [m]: height of the bed over the water plane at cell centres; rows go up in y
     proxy: np.ndarray
-    known: np.ndarray
-    half: float
+    known: np.ndarray  # (rows, columns) bool: cells that the sweep found; the others were filled from the nearest
+    half: float  # [m]: half the thickness
 
     @staticmethod
     def of_points(xy: np.ndarray, height: np.ndarray, cell: float, half: float) -> Slab:

@@ -27,22 +27,14 @@ from fields.water_column import WaterColumn
 
 @dataclass(frozen=True)
 class FieldSettings:
-    """Grid and heads of a field.
+    """Grid and heads of a field."""
 
-    Attributes
-    ----------
-    scales, channels : int
-        L and n_f of the paper.
-    coarsening : float
-        Cells of the coarsest scale over those of the finest, which measure one GSD.
-    samples : int
-        Per ray, inside the slab: the paper's sampling within +-s of the proxy surface. Fewer than 100, so that one at
-        least is heavy enough for a colour; others raise ValueError.
-    """
-
+    # scales, channels: L and n_f of the paper
     scales: int = 4
     channels: int = 4
-    coarsening: float = 8.0
+    coarsening: float = 8.0  # Cells of the coarsest scale over those of the finest, which measure one GSD
+    # Per ray, inside the slab: the paper's sampling within +-s of the proxy surface. Fewer than 100, so that one at
+    # least is heavy enough for a colour; others raise ValueError.
     samples: int = 8
 
     def __post_init__(self):

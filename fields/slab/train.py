@@ -35,17 +35,10 @@ MIN_STEPS = 3 * SWITCH_WINDOW
 
 @dataclass(frozen=True)
 class Schedule:
-    """Schedule of the training: steps and learning rates.
+    """Schedule of the training: steps and learning rates."""
 
-    Attributes
-    ----------
-    rays_per_cell : float
-        Rays drawn per known cell of the slab, over the whole training.
-    factors, heads, density, width : float
-        Learning rates of Adam at the start; all fall to a twentieth.
-    """
-
-    rays_per_cell: float
+    rays_per_cell: float  # Rays drawn per known cell of the slab, over the whole training
+    # factors, heads, density, width: Learning rates of Adam at the start; all fall to a twentieth
     factors: float = 0.02
     heads: float = 0.002
     density: float = 0.005
@@ -54,26 +47,14 @@ class Schedule:
 
 @dataclass(frozen=True)
 class FieldFigures:
-    """Figures reported about the training of a field.
+    """Figures reported about the training of a field."""
 
-    Attributes
-    ----------
-    steps, rays : int
-        Steps, and the rays of all of them.
-    switched_at : int or None
-        Step at which the fine density took over from the coarse one.
-    psnr_db : float
-        Of the photographs, over the last steps.
-    width_m : float
-        Of the bed: of the Laplace law of its density.
-    parameters : int
-    """
-
+    # steps, rays: Steps, and the rays of all of them
     steps: int
     rays: int
-    switched_at: int | None
-    psnr_db: float
-    width_m: float
+    switched_at: int | None  # Step at which the fine density took over from the coarse one
+    psnr_db: float  # Of the photographs, over the last steps
+    width_m: float  # Of the bed: of the Laplace law of its density
     parameters: int
 
 

@@ -42,23 +42,12 @@ class Appearance:
 
 @dataclass(frozen=True)
 class Brightness:
-    """Albedo by variable projection, and the residuals of K photographs; N pixels.
+    """Albedo by variable projection, and the residuals of K photographs; N pixels."""
 
-    Attributes
-    ----------
-    albedo : (N,)
-    residual : (K, N)
-        Grey levels of the albedo; 0 where not seen.
-    weight : (K, N)
-        One over the variance; 0 where not seen.
-    noise : (K,)
-        Standard deviation of the residual.
-    """
-
-    albedo: np.ndarray
-    residual: np.ndarray
-    weight: np.ndarray
-    noise: np.ndarray
+    albedo: np.ndarray  # (N,)
+    residual: np.ndarray  # (K, N): grey levels of the albedo; 0 where not seen
+    weight: np.ndarray  # (K, N): one over the variance; 0 where not seen
+    noise: np.ndarray  # (K,): standard deviation of the residual
 
     @property
     def outlying(self) -> np.ndarray:

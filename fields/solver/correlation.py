@@ -35,22 +35,14 @@ _LEAST_NOISE = 0.05
 
 @dataclass(frozen=True)
 class NoiseShares:
-    """Variances by noise, relative to independent noise of the pixels.
+    """Variances by noise, relative to independent noise of the pixels."""
 
-    Attributes
-    ----------
-    response : float
-        Median of the response of `TileSolution`.
-    heights, changes : float
-        Of the variance of heights by noise, and of their change by smoothing them once more.
-    unfollowed : float
-        Excess of the relief that the residuals show and the heights do not follow, over the relief that the prior
-        should smooth away, 0 to 1.
-    """
-
-    response: float
+    response: float  # Median of the response of `TileSolution`
+    # heights, changes: Of the variance of heights by noise, and of their change by smoothing them once more
     heights: float
     changes: float
+    # Excess of the relief that the residuals show and the heights do not follow, over the relief that the prior should
+    # smooth away, 0 to 1
     unfollowed: float
 
 
@@ -63,34 +55,21 @@ def median_response(samples: list[tuple[Tile, TileSolution]]) -> float:
 
 @dataclass(frozen=True)
 class NullSolutions:
-    """Null solutions of all samples, heights that contrasts give, and their expected variances; N pixels.
+    """Null solutions of all samples, heights that contrasts give, and their expected variances; N pixels."""
 
-    Attributes
-    ----------
-    square, expected : (N,) [m^2]
-        Of the heights; expected for independent noise.
-    changed, expected_change : (N,) [m^2]
-        Of their change by smoothing them once more.
-    left, residual : (N,)
-        Squared residuals of the contrast after its null solution, and of the photographs along the solved height; one
-        for a pixel that has independent noise and is not solved.
-    relief : (N,)
-        Share of the latter by the relief that the prior should smooth away.
-    shift : (N,)
-        Of a height, by a shift of each photograph by one pixel.
-    height : (N,) [m]
-        Of the bed.
-    """
-
+    # square, expected (N,) [m^2]: of the heights; expected for independent noise
     square: np.ndarray
     expected: np.ndarray
+    # changed, expected_change (N,) [m^2]: of their change by smoothing them once more
     changed: np.ndarray
     expected_change: np.ndarray
+    # left, residual (N,): squared residuals of the contrast after its null solution, and of the photographs along the
+    # solved height; one for a pixel that has independent noise and is not solved
     left: np.ndarray
     residual: np.ndarray
-    relief: np.ndarray
-    shift: np.ndarray
-    height: np.ndarray
+    relief: np.ndarray  # (N,): share of the latter by the relief that the prior should smooth away
+    shift: np.ndarray  # (N,): of a height, by a shift of each photograph by one pixel
+    height: np.ndarray  # (N,) [m]: of the bed
 
 
 def null_solutions_of(samples: list[tuple[Tile, TileSolution]], roughness: float, response: float) -> NullSolutions:

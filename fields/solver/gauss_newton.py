@@ -46,42 +46,22 @@ class Start:
 
 @dataclass(frozen=True)
 class TileSolution:
-    """Heights of the N pixels of a tile, and the normal equations that they solve.
+    """Heights of the N pixels of a tile, and the normal equations that they solve."""
 
-    Attributes
-    ----------
-    height : (N,) float32 [m] over the water plane
-    information : (N,) [1/m^2]
-        Of the images, for each height alone: the diagonal that the images add to the normal matrix.
-    stiffness : (M,) [1/m^2]
-        Of the second differences.
-    differences : SecondDifferences
-    brightness : Brightness
-    slope : (K, N) [grey/m]
-        Change of each residual with the height.
-    motion : (K, 2, N) [px/m]
-        As `TileProjection` has it.
-    response : float
-        Gradient response: change of the gradient by a step, relative to that expected from ``information``. Less than
-        one where robust weights drop it, more where the albedo is sharper than its gradients. NaN of no change.
-    start : Start
-    improvement : (N,)
-        Log-likelihood ratio of the photographs at the solved height and at the start.
-    views : (K,) of int
-        The photographs, by their number.
-    """
-
-    height: np.ndarray
+    height: np.ndarray  # (N,) float32 [m] over the water plane
+    # (N,) [1/m^2]: of the images, for each height alone: the diagonal that the images add to the normal matrix
     information: np.ndarray
-    stiffness: np.ndarray
+    stiffness: np.ndarray  # (M,) [1/m^2]: of the second differences
     differences: SecondDifferences
     brightness: Brightness
-    slope: np.ndarray
-    motion: np.ndarray
+    slope: np.ndarray  # (K, N) [grey/m]: change of each residual with the height
+    motion: np.ndarray  # (K, 2, N) [px/m]: as `TileProjection` has it
+    # Gradient response: change of the gradient by a step, relative to that expected from ``information``. Less than one
+    # where robust weights drop it, more where the albedo is sharper than its gradients. NaN of no change.
     response: float
     start: Start
-    improvement: np.ndarray
-    views: tuple[int, ...] = ()
+    improvement: np.ndarray  # (N,): Log-likelihood ratio of the photographs at the solved height and at the start
+    views: tuple[int, ...] = ()  # (K,) of int: the photographs, by their number
 
 
 def solve(

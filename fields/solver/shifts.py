@@ -26,18 +26,10 @@ _LEAST_PIXELS = 200
 
 @dataclass(frozen=True)
 class Shifts:
-    """Standard deviation of the shifts of photographs along each axis of the image.
+    """Standard deviation of the shifts of photographs along each axis of the image."""
 
-    Attributes
-    ----------
-    anywhere_px : float
-        That of poses.
-    by_depth_px_m : float [px/m]
-        That of waves, which grows with the depth of the water.
-    """
-
-    anywhere_px: float
-    by_depth_px_m: float
+    anywhere_px: float  # That of poses
+    by_depth_px_m: float  # [px/m]: that of waves, which grows with the depth of the water
 
     def variance(self, depth: np.ndarray) -> np.ndarray:
         """Variance (N,) [px^2] of the shifts at depths (N,) [m], 0 on dry ground."""

@@ -20,14 +20,11 @@ class SecondDifferences:
     Attributes
     ----------
     of_heights : (M, N) sparse
-    transposed : (N, M) sparse
-    squared : (N, M) sparse
-        Squares of the entries.
     """
 
     matrix: sparse.csr_matrix
-    transposed: sparse.csr_matrix
-    squared: sparse.csr_matrix
+    transposed: sparse.csr_matrix  # (N, M) sparse
+    squared: sparse.csr_matrix  # (N, M) sparse: squares of the entries
 
     @cached_property
     def _touching(self) -> sparse.csr_matrix:

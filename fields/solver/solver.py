@@ -47,20 +47,11 @@ _FEWEST = 2
 
 @dataclass(frozen=True)
 class SolvedMap:
-    """Solved pixels of one height map; N of them.
+    """Solved pixels of one height map; N of them."""
 
-    Attributes
-    ----------
-    pixels : (N,) int64
-        Flat indices in the map, rising.
-    height : (N,) float32 [m] over the water plane
-    std : (N,) float32 [m]
-        Of the height, for cameras and water as they are given.
-    """
-
-    pixels: np.ndarray
-    height: np.ndarray
-    std: np.ndarray
+    pixels: np.ndarray  # (N,) int64: flat indices in the map, rising
+    height: np.ndarray  # (N,) float32 [m] over the water plane
+    std: np.ndarray  # (N,) float32 [m]: of the height, for cameras and water as they are given
 
     @staticmethod
     def empty() -> SolvedMap:
@@ -77,29 +68,14 @@ class SolvedMap:
 
 @dataclass(frozen=True)
 class SolverFigures:
-    """Parameters that the solver estimates from samples of a survey.
+    """Parameters that the solver estimates from samples of a survey."""
 
-    Attributes
-    ----------
-    roughness_m : float
-        Of the bed, from pixel to pixel: `fields.solver.roughness.roughness_of`.
-    shifts : Shifts
-        Between photographs: `fields.solver.shifts.shifts_of`.
-    noise : NoiseShares
-        Variances by noise: `fields.solver.correlation.noise_shares`.
-    spectral_slope : float
-        Of the bed: `fields.solver.roughness.spectral_slope_of`.
-    slopes : float
-        Of the noise of the sweep: `fields.solver.solver.sweep_slope_noise`.
-    sightings : Sightings or None
-        Of all points in all photographs; None where nothing was solved.
-    """
-
-    roughness_m: float
-    shifts: Shifts
-    noise: NoiseShares
-    spectral_slope: float
-    slopes: float
+    roughness_m: float  # Of the bed, from pixel to pixel: `fields.solver.roughness.roughness_of`
+    shifts: Shifts  # Between photographs: `fields.solver.shifts.shifts_of`
+    noise: NoiseShares  # Variances by noise: `fields.solver.correlation.noise_shares`
+    spectral_slope: float  # Of the bed: `fields.solver.roughness.spectral_slope_of`
+    slopes: float  # Of the noise of the sweep: `fields.solver.solver.sweep_slope_noise`
+    # Of all points in all photographs; None where nothing was solved
     sightings: Sightings | None = field(default=None, compare=False)
 
     def __str__(self) -> str:

@@ -26,17 +26,14 @@ class Tile:
 
     Attributes
     ----------
-    row, column : int
-        Of the first pixel of the window that holds them.
-    inside : (rows, columns) bool
-        Which pixels of the window are solved.
     asked : (N,) bool
         Whose heights are wanted; the others are their surroundings.
     """
 
+    # row, column: Of the first pixel of the window that holds them
     row: int
     column: int
-    inside: np.ndarray
+    inside: np.ndarray  # (rows, columns) bool: which pixels of the window are solved
     requested: np.ndarray
 
     def __len__(self) -> int:

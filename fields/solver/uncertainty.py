@@ -43,24 +43,17 @@ class ExpectedVariances:
 
     Attributes
     ----------
-    noise : (N,)
-        Of a height, by noise.
-    relief : (N,)
-        Of a height, by relief that the prior takes from the bed.
-    changed_noise, changed_relief : (N,)
-        Of the change by smoothing a height once more.
     bends_noise : (N,)
         Of the second differences of a height, by noise.
-    independent : (N,)
-        How many independent values of that the Gauss window about a pixel has.
     """
 
-    noise: np.ndarray
-    relief: np.ndarray
+    noise: np.ndarray  # (N,): of a height, by noise
+    relief: np.ndarray  # (N,): of a height, by relief that the prior takes from the bed
+    # changed_noise, changed_relief (N,): of the change by smoothing a height once more
     changed_noise: np.ndarray
     changed_relief: np.ndarray
     differences_noise: np.ndarray
-    independent: np.ndarray
+    independent: np.ndarray  # (N,): how many independent values of that the Gauss window about a pixel has
 
 
 def expected_variances(
@@ -187,23 +180,19 @@ class SpectralMeans:
 
     Attributes
     ----------
-    noise, relief : (N,)
-        Of the noise of a height, and of the relief that the prior takes from it.
-    changed_noise, changed_relief : (N,)
-        Of both in the change by smoothing a height once more.
-    twice_changed_relief : (N,)
-        Of relief in the change of that change by smoothing it in turn.
     bends_noise : (N,)
         Of noise in the second differences of a height.
     alike : (N,) [px^2]
         Number of pixels over which the change is correlated.
     """
 
+    # noise, relief (N,): of the noise of a height, and of the relief that the prior takes from it
     noise: np.ndarray
     relief: np.ndarray
+    # changed_noise, changed_relief (N,): of both in the change by smoothing a height once more
     changed_noise: np.ndarray
     changed_relief: np.ndarray
-    twice_changed_relief: np.ndarray
+    twice_changed_relief: np.ndarray  # (N,): of relief in the change of that change by smoothing it in turn
     differences_noise: np.ndarray
     correlated_px: np.ndarray
 

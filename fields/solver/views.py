@@ -35,22 +35,12 @@ AHEAD_PX = 2 * MOST_PX
 
 @dataclass(frozen=True)
 class Job:
-    """Tile of a height map and the photographs that it is compared with.
+    """Tile of a height map and the photographs that it is compared with."""
 
-    Attributes
-    ----------
-    index : int
-        Of the map.
-    tile : Tile
-    others : tuple of int
-    tolerance : [m]
-        Heights of the map that differ by less agree.
-    """
-
-    index: int
+    index: int  # Of the map
     tile: Tile
     others: tuple[int, ...]
-    tolerance: float
+    tolerance: float  # [m]: heights of the map that differ by less agree
 
 
 def surfaces_of(maps: Sequence[HeightMap], views: list[int]) -> ByView[Surface]:
@@ -62,31 +52,17 @@ def surfaces_of(maps: Sequence[HeightMap], views: list[int]) -> ByView[Surface]:
 
 @dataclass(frozen=True)
 class Views:
-    """Photographs, cameras, water and height maps that tiles are solved with.
+    """Photographs, cameras, water and height maps that tiles are solved with."""
 
-    Attributes
-    ----------
-    cameras, images : of all views, by their number
-    water : FlatWater or None
-    device : Device
-        Of the projections.
-    maps : sequence of HeightMap
-    views : list of int
-        Those of the maps.
-    others : list of tuple of int
-        Views that each map is compared with.
-    tolerance : list of float [m]
-        Heights of each map that differ by less agree.
-    """
-
+    # cameras, images: of all views, by their number
     cameras: dict[int, PinholeCamera]
     images: GreyImages | dict[int, np.ndarray]
     water: FlatWater | None
-    device: Device
+    device: Device  # Of the projections
     maps: Sequence[HeightMap]
-    views: list[int]
-    others: list[tuple[int, ...]]
-    tolerance: list[float]
+    views: list[int]  # Those of the maps
+    others: list[tuple[int, ...]]  # list of tuple of int: views that each map is compared with
+    tolerance: list[float]  # [m]: heights of each map that differ by less agree
 
     @staticmethod
     def of(block: Block, maps: Sequence[HeightMap]) -> Views:

@@ -48,26 +48,14 @@ class Surface:
 
 @dataclass(frozen=True)
 class TileProjection:
-    """Projection of a tile into K photographs, that of the tile first; N pixels, float32.
-
-    Attributes
-    ----------
-    views : list of int
-    position : (K, 2, N) [px]
-        Where each photograph shows the point at the start height.
-    rise : (K, 2, N) [px/m]
-        Change of the position with the height over the water plane.
-    motion : (K, 2, N) [px/m]
-        The same in pixels of the tile's own image: how far its texture seems to shift.
-    seen : (K, N) bool
-        Inside the photograph, and not behind what its own height map shows.
-    """
+    """Projection of a tile into K photographs, that of the tile first; N pixels, float32."""
 
     views: list[int]
-    position: np.ndarray
-    rise: np.ndarray
+    position: np.ndarray  # (K, 2, N) [px]: where each photograph shows the point at the start height
+    rise: np.ndarray  # (K, 2, N) [px/m]: change of the position with the height over the water plane
+    # (K, 2, N) [px/m]: the same in pixels of the tile's own image: how far its texture seems to shift
     motion: np.ndarray
-    seen: np.ndarray
+    seen: np.ndarray  # (K, N) bool: inside the photograph, and not behind what its own height map shows
 
     @cached_property
     def _places(self) -> list[np.ndarray]:
@@ -237,14 +225,10 @@ def _compute(device: Device, *arrays) -> None:
 
 @dataclass(frozen=True)
 class Sightings:
-    """Number of pixels of the bed that each photograph shows, and of outliers among them.
+    """Number of pixels of the bed that each photograph shows, and of outliers among them."""
 
-    Attributes
-    ----------
-    seen, outlying : (photographs,) int64
-        All, and those whose residual lost most of its weight: glint, a shadow, something that moved.
-    """
-
+    # seen, outlying (photographs,) int64: All, and those whose residual lost most of its weight: glint, a shadow,
+    # something that moved
     seen: np.ndarray
     outlying: np.ndarray
 

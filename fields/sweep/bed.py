@@ -25,32 +25,17 @@ from refract import FlatWater, PinholeCamera
 
 @dataclass(frozen=True)
 class BedPoints:
-    """Points of the bed, in the local frame; N of them.
+    """Points of the bed, in the local frame; N of them."""
 
-    Attributes
-    ----------
-    xyz : (N, 3) float64 [m]
-    rgb : (N, 3) uint8
-    std : (N,) float32 [m]
-        Standard deviation of the height.
-    num_views : (N,) uint8
-        Views that see the point at this height, the one it was taken from included.
-    depth : (N,) float32 [m]
-        Below the water surface, vertical, positive in water; NaN in a dry survey.
-    incidence : (N,) float32 [rad]
-        Angle between the ray in air and the normal of the water (of local z in a dry survey).
-    wet : (N,) bool
-    origin : (N,) uint8
-        1 of points that height maps have not (`fields.occluded`), else 0; 0 of all where not given.
-    """
-
-    xyz: np.ndarray
-    rgb: np.ndarray
-    std: np.ndarray
-    num_views: np.ndarray
-    depth: np.ndarray
+    xyz: np.ndarray  # (N, 3) float64 [m]
+    rgb: np.ndarray  # (N, 3) uint8
+    std: np.ndarray  # (N,) float32 [m]: standard deviation of the height
+    num_views: np.ndarray  # (N,) uint8: views that see the point at this height, the one it was taken from included
+    depth: np.ndarray  # (N,) float32 [m]: below the water surface, vertical, positive in water; NaN in a dry survey
+    # (N,) float32 [rad]: angle between the ray in air and the normal of the water (of local z in a dry survey)
     incidence: np.ndarray
-    wet: np.ndarray
+    wet: np.ndarray  # (N,) bool
+    # (N,) uint8: 1 of points that height maps have not (`fields.occluded`), else 0; 0 of all where not given
     origin: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.uint8))
 
     def __post_init__(self):

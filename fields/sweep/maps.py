@@ -25,26 +25,13 @@ TRUSTED_NCC = 0.8
 
 @dataclass
 class HeightMap:
-    """Height map of one view: arrays (height, width), local frame.
+    """Height map of one view: arrays (height, width), local frame."""
 
-    Attributes
-    ----------
-    view : index of the view
-    height : float32 [m]
-        Over the water plane along its normal; of the path of each pixel.
-    score : float16
-        NCC of the better half of the neighbours, -1 to 1.
-    agreeing : uint8
-        Other views whose own height agrees.
-    spread : float16 [m]
-        Standard deviation (population) of the heights that agree, the own one included.
-    """
-
-    view: int
-    height: np.ndarray
-    score: np.ndarray
-    agreeing: np.ndarray
-    spread: np.ndarray
+    view: int  # index of the view
+    height: np.ndarray  # float32 [m]: over the water plane along its normal; of the path of each pixel
+    score: np.ndarray  # float16: NCC of the better half of the neighbours, -1 to 1
+    agreeing: np.ndarray  # uint8: other views whose own height agrees
+    spread: np.ndarray  # float16 [m]: standard deviation (population) of the heights that agree, the own one included
 
 
 # Store of maps by view: a dict, or one on the disk. A map that was changed has to be stored again.
@@ -122,22 +109,13 @@ def upsample_map(m: HeightMap, size: tuple[int, int]) -> HeightMap:
 
 @dataclass
 class Sources:
-    """Photographs with a height map: one entry per matched view.
-
-    Attributes
-    ----------
-    cameras : list of PinholeCamera
-    maps : sequence of HeightMap
-    images : list of (height, width, 3) uint8
-    water : FlatWater or None
-    absorption, veil : (3,) floats, optional
-        Of the water, where they are known; see `fields.water_column.WaterColumn`.
-    """
+    """Photographs with a height map: one entry per matched view."""
 
     cameras: list[PinholeCamera]
     maps: Sequence[HeightMap]
-    images: list[np.ndarray]
+    images: list[np.ndarray]  # list of (height, width, 3) uint8
     water: FlatWater | None
+    # absorption, veil (3,) floats, optional: of the water, where they are known; see `fields.water_column.WaterColumn`
     absorption: tuple[float, ...] | None = None
     veil: tuple[float, ...] | None = None
 

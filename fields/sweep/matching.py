@@ -39,25 +39,13 @@ _WHOLE = 0.9
 
 @dataclass(frozen=True)
 class Reference:
-    """A reference view and how it is matched.
-
-    Attributes
-    ----------
-    stack : ViewStack
-    view : int
-    neighbours : list of int
-        Views that it is compared with.
-    radius : int [px]
-        Of the NCC window.
-    least_known : float
-        Windows of which such a share is not masked count as complete.
-    """
+    """A reference view and how it is matched."""
 
     stack: ViewStack
     view: int
-    neighbours: list[int]
-    radius: int
-    least_known: float = 1.0
+    neighbours: list[int]  # Views that it is compared with
+    radius: int  # [px]: of the NCC window
+    least_known: float = 1.0  # Windows of which such a share is not masked count as complete
 
 
 def match_view(reference: Reference, hypotheses: Hypotheses, columns: np.ndarray | None = None) -> Job[Found]:

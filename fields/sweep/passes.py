@@ -12,29 +12,20 @@ REFINING = 3
 
 @dataclass(frozen=True)
 class StepSearch:
-    """Search for height steps after a pass.
+    """Search for height steps after a pass."""
 
-    Attributes
-    ----------
-    radius : of the NCC window [px]
-    step_px : parallax between two hypotheses [px at the scale of the pass]
-    tile_px : side of the tiles that share their hypotheses [px]: small ones share little, large ones hold heights that
-        few of their pixels need
-    reach_px : searched are pixels around which heights differ by a parallax of more [px at the scale of the pass]
-    around_px : heights this far around a pixel bound its hypotheses [px at the scale of the pass]
-    least_score : median score of a view in the pass from which it is searched: windows of this size resolve heights
-    walls : whether vertical walls are tried, beside level ground
-    neighbours : how many of the views of the pass heights are compared with, of those that match best
-    """
-
-    radius: int
-    step_px: float
+    radius: int  # of the NCC window [px]
+    step_px: float  # parallax between two hypotheses [px at the scale of the pass]
+    # side of the tiles that share their hypotheses [px]: small ones share little, large ones hold heights that: few of
+    # their pixels need
     tile_px: int
+    # searched are pixels around which heights differ by a parallax of more [px at the scale of the pass]
     reach_px: float
-    around_px: int
+    around_px: int  # heights this far around a pixel bound its hypotheses [px at the scale of the pass]
+    # median score of a view in the pass from which it is searched: windows of this size resolve heights
     least_score: float
-    walls: bool = False
-    neighbours: int = 6
+    walls: bool = False  # whether vertical walls are tried, beside level ground
+    neighbours: int = 6  # how many of the views of the pass heights are compared with, of those that match best
 
 
 # Approximate share of the samples of a full pass in one that takes points alone, with the halos of their tiles: a
@@ -44,31 +35,20 @@ POINTS_SHARE = 0.25
 
 @dataclass(frozen=True)
 class Pass:
-    """Settings of a pass over all views, with hypotheses about the heights of the pass before.
+    """Settings of a pass over all views, with hypotheses about the heights of the pass before."""
 
-    Attributes
-    ----------
-    scale : of the image, 1 is full size
-    radius : of the NCC window [px]
-    hypotheses : number of heights tried, odd; None for the first pass, which tries as many as the bound holds
-    step_px : parallax between two hypotheses [px at this scale]
-    neighbours : number of views compared with
-    fuse : after the pass, average each height with those of the views that agree
-    search : after the pass, how heights beyond its hypotheses are searched; None: not at all
-    points_only : whether only pixels predicted to become points take part: others confirm with the heights that they
-        have
-    in_area : whether of a sweep with an area only pixels take part whose heights of the pass before lie there, not all
-        that see it at some height of the bound
-    """
-
-    scale: float
-    radius: int
+    scale: float  # of the image, 1 is full size
+    radius: int  # of the NCC window [px]
+    # number of heights tried, odd; None for the first pass, which tries as many as the bound holds
     hypotheses: int | None
-    step_px: float
-    neighbours: int
-    fuse: bool
-    search: StepSearch | None = None
+    step_px: float  # parallax between two hypotheses [px at this scale]
+    neighbours: int  # number of views compared with
+    fuse: bool  # after the pass, average each height with those of the views that agree
+    search: StepSearch | None = None  # after the pass, how heights beyond its hypotheses are searched; None: not at all
+    # whether only pixels predicted to become points take part: others confirm with the heights that they: have
     points_only: bool = False
+    # whether of a sweep with an area only pixels take part whose heights of the pass before lie there, not all: that
+    # see it at some height of the bound
     in_area: bool = False
 
     @property

@@ -25,21 +25,12 @@ _SAMPLES = 400
 
 @dataclass(frozen=True)
 class Consistency:
-    """Photo-consistency of one photograph with the surface.
+    """Photo-consistency of one photograph with the surface."""
 
-    Attributes
-    ----------
-    num_points : int
-        Points of other photographs that its frame holds.
-    correlation : float or None
-        Of its grey levels with theirs, in a band of some pixels; None with fewer than two points.
-    contrast : [grey levels]
-        Standard deviation of its grey levels in that band.
-    """
-
-    num_points: int
+    num_points: int  # Points of other photographs that its frame holds
+    # Of its grey levels with theirs, in a band of some pixels; None with fewer than two points
     correlation: float | None
-    contrast: float
+    contrast: float  # [grey levels]: standard deviation of its grey levels in that band
 
 
 def photo_consistency(block: Block, maps: Sequence[HeightMap]) -> list[Consistency]:

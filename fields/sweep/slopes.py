@@ -58,20 +58,11 @@ def gradient_of(height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True)
 class SteepPixels:
-    """Steep pixels of height maps.
-
-    Attributes
-    ----------
-    steep : Masks
-    fit : Masks
-        Those of them that may be added.
-    sure : Masks
-        All pixels, steep or not, whose heights count against a point.
-    """
+    """Steep pixels of height maps."""
 
     steep: Masks
-    fit: Masks
-    sure: Masks
+    fit: Masks  # Those of them that may be added
+    sure: Masks  # All pixels, steep or not, whose heights count against a point
 
 
 def filter_steep_pixels(stack: ViewStack, found: SteepPixels, kept: Masks, gsd: float) -> None:

@@ -36,18 +36,11 @@ _SCALE = 0.25
 
 @dataclass(frozen=True)
 class EarlierMaps:
-    """Maps of an earlier sweep of the same bound, at a smaller scale or the same.
+    """Maps of an earlier sweep of the same bound, at a smaller scale or the same."""
 
-    Attributes
-    ----------
-    maps : mapping of view to HeightMap
-        Views that have one keep its heights and confirm those of the others.
-    again : views of ``maps``
-        That go on from there, with the passes finer than it.
-    """
-
+    # mapping of view to HeightMap: views that have one keep its heights and confirm those of the others
     maps: Mapping[int, HeightMap]
-    again: Collection[int] = ()
+    again: Collection[int] = ()  # views of ``maps``: that go on from there, with the passes finer than it
 
 
 def sweep(

@@ -15,29 +15,16 @@ PART_SIDE_PX = 32
 
 @dataclass(frozen=True)
 class Tiles:
-    """Tiles of an image that hold the wanted pixels, sorted by number of hypotheses; N of them.
+    """Tiles of an image that hold the wanted pixels, sorted by number of hypotheses; N of them."""
 
-    Attributes
-    ----------
-    wanted : (height, width) bool
-    size, radius : side of a tile without its halo, and width of the halo [px]
-    place : (N, 2) int
-        Row and column among all tiles of the image.
-    start : (N,) float [m]
-        Lowest hypothesis in the middle of the tile.
-    slope : (N, 2) float [m/px]
-        By which the hypotheses rise from row to row and from column to column.
-    counts : (N,) int
-        Number of hypotheses.
-    """
-
-    wanted: np.ndarray
+    wanted: np.ndarray  # (height, width) bool
+    # size, radius: side of a tile without its halo, and width of the halo [px]
     size: int
     radius: int
-    place: np.ndarray
-    start: np.ndarray
-    slope: np.ndarray
-    counts: np.ndarray
+    place: np.ndarray  # (N, 2) int: row and column among all tiles of the image
+    start: np.ndarray  # (N,) float [m]: lowest hypothesis in the middle of the tile
+    slope: np.ndarray  # (N, 2) float [m/px]: by which the hypotheses rise from row to row and from column to column
+    counts: np.ndarray  # (N,) int: number of hypotheses
 
     @staticmethod
     def of(

@@ -31,38 +31,22 @@ _SQUARE_PX = 4
 
 @dataclass(frozen=True)
 class Search:
-    """Search of a sweep: range of heights, passes, area.
+    """Search of a sweep: range of heights, passes, area."""
 
-    Attributes
-    ----------
-    bound : (low, high) [m] over the water plane
-        Spanned by the hypotheses of the first pass.
-    passes : tuple of Pass
-    area : (x0, y0, x1, y1) [m], local, or None
-        Where heights are wanted: other pixels get no height of their own.
-    """
-
-    bound: tuple[float, float]
+    bound: tuple[float, float]  # (low, high) [m] over the water plane: Spanned by the hypotheses of the first pass
     passes: tuple[Pass, ...] = PASSES
+    # (x0, y0, x1, y1) [m], local, or None: where heights are wanted: other pixels get no height of their own
     area: Area | None = None
 
 
 @dataclass(frozen=True)
 class ViewPass:
-    """Work of one pass for one view.
+    """Work of one pass for one view."""
 
-    Attributes
-    ----------
-    view : index of the view
-    neighbours : indices of the views that it is compared with
-    count : number of height hypotheses
-    samples : pixels x hypotheses x neighbours
-    """
-
-    view: int
-    neighbours: list[int]
-    count: int
-    samples: int
+    view: int  # index of the view
+    neighbours: list[int]  # indices of the views that it is compared with
+    count: int  # number of height hypotheses
+    samples: int  # pixels x hypotheses x neighbours
 
 
 def view_passes(block: Block, chosen: list[int], p: Pass, bound: tuple[float, float] | None) -> list[ViewPass]:

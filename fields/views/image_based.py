@@ -38,24 +38,13 @@ WithoutWater = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Source:
-    """A photograph with its height map.
-
-    Attributes
-    ----------
-    camera : PinholeCamera
-    rgb : (height, width, 3) uint8
-    mask : (height, width) bool or None
-        Pixels that may be used; None for all.
-    scale : [-]
-        Pixels of the height map per pixel of the photograph.
-    heights : (rows, columns) float32 [m]
-        Over the water plane, of the path of each pixel; NaN where not confirmed.
-    """
+    """A photograph with its height map."""
 
     camera: PinholeCamera
-    rgb: np.ndarray
-    mask: np.ndarray | None
-    scale: float
+    rgb: np.ndarray  # (height, width, 3) uint8
+    mask: np.ndarray | None  # (height, width) bool or None: pixels that may be used; None for all
+    scale: float  # [-]: pixels of the height map per pixel of the photograph
+    # (rows, columns) float32 [m]: over the water plane, of the path of each pixel; NaN where not confirmed
     heights: np.ndarray
 
     @property
@@ -87,20 +76,11 @@ class Source:
 
 @dataclass(frozen=True)
 class Observation:
-    """Observation of N points by a photograph.
+    """Observation of N points by a photograph."""
 
-    Attributes
-    ----------
-    uv : (N, 2) float32 [px]
-    inside : (N,) bool
-        Whether it may be used there.
-    height : (N,) float32 [m]
-        Of its own map there; NaN where that has none.
-    """
-
-    uv: np.ndarray
-    inside: np.ndarray
-    height: np.ndarray
+    uv: np.ndarray  # (N, 2) float32 [px]
+    inside: np.ndarray  # (N,) bool: whether it may be used there
+    height: np.ndarray  # (N,) float32 [m]: of its own map there; NaN where that has none
 
     def agrees(self, height: np.ndarray, tolerance: float) -> np.ndarray:
         """Whether (N,) its map has the heights (N,) [m] of the points."""
@@ -115,29 +95,14 @@ class Observation:
 
 @dataclass(frozen=True)
 class ImageBasedField:
-    """Image-based field: photographs with height maps, rendered for other cameras.
+    """Image-based field: photographs with height maps, rendered for other cameras."""
 
-    Attributes
-    ----------
-    cameras : sequence of PinholeCamera
-        Of the photographs.
-    water : FlatWater or None
-    load : callable
-        The photograph of a number, as a `Source`.
-    height : float [m]
-        Of the bed over the water plane, about.
-    tolerance : float [m]
-        Heights that differ by less are of the same surface.
-    gains : (V, 3)
-        Factors that bring the colours of the photographs to a common exposure.
-    """
-
-    cameras: Sequence[PinholeCamera]
+    cameras: Sequence[PinholeCamera]  # Of the photographs
     water: FlatWater | None
-    load: Callable[[int], Source]
-    height: float
-    tolerance: float
-    gains: np.ndarray
+    load: Callable[[int], Source]  # callable: the photograph of a number, as a `Source`
+    height: float  # [m]: of the bed over the water plane, about
+    tolerance: float  # [m]: heights that differ by less are of the same surface
+    gains: np.ndarray  # (V, 3): factors that bring the colours of the photographs to a common exposure
 
     def sources_of(self, camera: PinholeCamera, *, dry: bool = False) -> list[int]:
         """Numbers of the photographs that show what a camera sees of a level bed: the nearest of each place of it."""

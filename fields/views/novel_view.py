@@ -9,24 +9,14 @@ import numpy as np
 
 @dataclass(frozen=True)
 class NovelView:
-    """A rendered view; NaN, and black, where the camera sees nothing.
+    """A rendered view; NaN, and black, where the camera sees nothing."""
 
-    Attributes
-    ----------
-    rgb : (height, width, 3) uint8
-        As a photograph stores it.
-    bed_height : (height, width) float32 [m]
-        Over the water plane (over local z = 0 without water), negative below it.
-    distance : (height, width) float32 [m]
-        From the camera to the bed along the path, air and water legs together.
-    normal : (height, width, 3) float32 unit, local
-        Of the bed, up.
-    """
-
-    rgb: np.ndarray
+    rgb: np.ndarray  # (height, width, 3) uint8: as a photograph stores it
+    # (height, width) float32 [m]: over the water plane (over local z = 0 without water), negative below it
     bed_height: np.ndarray
+    # (height, width) float32 [m]: from the camera to the bed along the path, air and water legs together
     distance: np.ndarray
-    normal: np.ndarray
+    normal: np.ndarray  # (height, width, 3) float32 unit, local: of the bed, up
 
     @property
     def seen(self) -> np.ndarray:

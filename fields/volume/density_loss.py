@@ -31,21 +31,11 @@ PAIRS = 4
 
 @dataclass(frozen=True)
 class Drawn:
-    """Opacity about points (P) drawn in nodes (M) of a grid.
+    """Opacity about points (P) drawn in nodes (M) of a grid."""
 
-    Attributes
-    ----------
-    node : (M,) int64
-        Flat index of each node.
-    opacity : (M, P)
-        Equation (1).
-    gradient : (M, P, 3)
-        ``l grad a``, by central differences over l; each component within 1.
-    """
-
-    node: Tensor
-    opacity: Tensor
-    gradient: Tensor
+    node: Tensor  # (M,) int64: flat index of each node
+    opacity: Tensor  # (M, P): equation (1)
+    gradient: Tensor  # (M, P, 3): ``l grad a``, by central differences over l; each component within 1
 
 
 def opacity(model: VolumeModel, x: Tensor, length: float) -> Tensor:

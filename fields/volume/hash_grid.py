@@ -28,27 +28,18 @@ PER_LEVEL = 2
 
 @dataclass(frozen=True)
 class HashSettings:
-    """Settings of a hash grid volume; the defaults are Nerfacto's.
+    """Settings of a hash grid volume; the defaults are Nerfacto's."""
 
-    Attributes
-    ----------
-    levels, log2_table : int
-        L and T.
-    n_min, n_max : int
-        Cells along the longest edge at the coarsest and the finest level.
-    hidden, geometry : int
-        Width of both heads, and length of the features that density hands on to colour.
-    degree : int
-        Of the spherical harmonics of the direction, at most 2 (Nerfacto has 3); 0 for a matt scene.
-    """
-
+    # levels, log2_table: L and T
     levels: int = 16
     log2_table: int = 19
+    # n_min, n_max: Cells along the longest edge at the coarsest and the finest level
     n_min: int = 16
     n_max: int = 2048
+    # hidden, geometry: Width of both heads, and length of the features that density hands on to colour
     hidden: int = 64
     geometry: int = 15
-    degree: int = 2
+    degree: int = 2  # Of the spherical harmonics of the direction, at most 2 (Nerfacto has 3); 0 for a matt scene
 
 
 class HashGrid(nn.Module):

@@ -28,16 +28,10 @@ from refract import WaterSurface
 
 @dataclass(frozen=True)
 class PatchWeights:
-    """Weights of losses on patches. With any of them training draws its paths as patches.
+    """Weights of losses on patches. With any of them training draws its paths as patches."""
 
-    Attributes
-    ----------
-    size : int [px]
-    ncc, ssim, smooth_normals : float
-        Of the losses of `fields.volume.prior_losses`.
-    """
-
-    size: int = 8
+    size: int = 8  # [px]
+    # ncc, ssim, smooth_normals: Of the losses of `fields.volume.prior_losses`
     ncc: float = 0.0
     ssim: float = 0.0
     smooth_normals: float = 0.0
@@ -59,27 +53,17 @@ class PriorWeights:
 
 @dataclass(frozen=True)
 class Losses:
-    """Weights of the additional losses; 0 leaves a term out.
+    """Weights of the additional losses; 0 leaves a term out."""
 
-    Attributes
-    ----------
-    transparency, distortion, orientation, appearance : float
-        Of the losses in this file.
-    density, gaussian_density : float
-        Of `density_loss` and its Gaussian form.
-    virtual_views : float
-        Of `virtual_view_loss`.
-    patches : PatchWeights
-    priors : PriorWeights
-    """
-
+    # transparency, distortion, orientation, appearance: Of the losses in this file
     transparency: float = 0.0
     distortion: float = 0.0
     orientation: float = 0.0
     appearance: float = 0.0
+    # density, gaussian_density: Of `density_loss` and its Gaussian form
     density: float = 0.0
     gaussian_density: float = 0.0
-    virtual_views: float = 0.0
+    virtual_views: float = 0.0  # Of `virtual_view_loss`
     patches: PatchWeights = field(default_factory=PatchWeights)
     priors: PriorWeights = field(default_factory=PriorWeights)
 

@@ -23,26 +23,16 @@ from fields.volume.paths import Box
 
 @dataclass(frozen=True)
 class MlpSettings:
-    """Settings of a perceptron volume.
+    """Settings of a perceptron volume."""
 
-    Attributes
-    ----------
-    layers, width : int
-        Of the trunk.
-    skip : int or None
-        The encoded position joins the activation of this layer, counted from 0.
-    frequencies, direction_frequencies : int
-        L of positions and of directions; 0 of directions for a matt scene.
-    rate : float
-        Of Adam.
-    """
-
+    # layers, width: Of the trunk
     layers: int = 8
     width: int = 256
-    skip: int | None = 4
+    skip: int | None = 4  # The encoded position joins the activation of this layer, counted from 0
+    # frequencies, direction_frequencies: L of positions and of directions; 0 of directions for a matt scene
     frequencies: int = 10
     direction_frequencies: int = 4
-    rate: float = 5e-4
+    rate: float = 5e-4  # Of Adam
 
     def __post_init__(self):
         if self.skip is not None and not 0 <= self.skip < self.layers - 1:

@@ -40,26 +40,13 @@ _COARSEST = 128 / 300
 
 @dataclass(frozen=True)
 class Setup:
-    """Data that any model is built for.
-
-    Attributes
-    ----------
-    box : Box
-    cells : int
-        Along the longest edge of the box at the finest scale; models without cells ignore it.
-    device : Device
-        For the lookups of those with planes.
-    appearance : int
-        Length of the vectors of photographs; 0 for none.
-    steps : int
-        Of the training that follows.
-    """
+    """Data that any model is built for."""
 
     box: Box
-    cells: int
-    device: Device
-    appearance: int = 0
-    steps: int = 2000
+    cells: int  # Along the longest edge of the box at the finest scale; models without cells ignore it
+    device: Device  # For the lookups of those with planes
+    appearance: int = 0  # Length of the vectors of photographs; 0 for none
+    steps: int = 2000  # Of the training that follows
 
 
 Make = Callable[[Setup], VolumeModel]

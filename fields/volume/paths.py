@@ -17,13 +17,9 @@ from refract import PinholeCamera, WaterSurface, fresnel_coefficients, trace
 
 @dataclass(frozen=True)
 class Box:
-    """An axis-aligned box, local [m].
+    """An axis-aligned box, local [m]."""
 
-    Attributes
-    ----------
-    low, high : (3,) float64
-    """
-
+    # low, high: (3,) float64
     low: np.ndarray
     high: np.ndarray
 
@@ -71,20 +67,13 @@ class Box:
 
 @dataclass(frozen=True)
 class Rays:
-    """Rays (N) of pixels in the air, local frame.
+    """Rays (N) of pixels in the air, local frame."""
 
-    Attributes
-    ----------
-    origin, direction : (N, 3) [m], (N, 3) unit
-    rgb : (N, 3) uint8
-    view : (N,) int64
-        Which photograph.
-    """
-
+    # origin, direction: (N, 3) [m], (N, 3) unit
     origin: np.ndarray
     direction: np.ndarray
-    rgb: np.ndarray
-    view: np.ndarray
+    rgb: np.ndarray  # (N, 3) uint8
+    view: np.ndarray  # (N,) int64: which photograph
 
     @staticmethod
     def of(camera: PinholeCamera, pixels: np.ndarray, rgb: np.ndarray, view: int) -> Rays:
@@ -109,40 +98,21 @@ class Rays:
 
 @dataclass
 class Paths:
-    """Paths (N) of light from cameras through a box, torch float32, local frame.
+    """Paths (N) of light from cameras through a box, torch float32, local frame."""
 
-    Attributes
-    ----------
-    origin : (N, 3) [m]
-        Camera centres.
-    air, wet : (N, 3) unit
-        Directions before and after the water surface.
-    crossing : (N,) [m]
-        Path length at which the water begins; infinite where it never does.
-    near, far : (N,) [m]
-        Path lengths between which the path may be inside the box; equal where it misses it.
-    reflectance : (N,)
-        Fresnel reflectance at the water; 0 where there is none.
-    fall : (N,)
-        Depth under the surface that a path gains per metre in water.
-    rgb : (N, 3)
-        Photograph, 0 to 1, as stored (not linear).
-    view : (N,) int64
-        Which photograph.
-    priors : (N, 8) or (N, 0)
-        What is known of the pixels beforehand (`fields.volume.priors`); no columns where nothing is.
-    """
-
-    origin: Tensor
+    origin: Tensor  # (N, 3) [m]: camera centres
+    # air, wet (N, 3) unit: directions before and after the water surface
     air: Tensor
     wet: Tensor
-    crossing: Tensor
+    crossing: Tensor  # (N,) [m]: path length at which the water begins; infinite where it never does
+    # near, far (N,) [m]: path lengths between which the path may be inside the box; equal where it misses it
     near: Tensor
     far: Tensor
-    reflectance: Tensor
-    fall: Tensor
-    rgb: Tensor
-    view: Tensor
+    reflectance: Tensor  # (N,): fresnel reflectance at the water; 0 where there is none
+    fall: Tensor  # (N,): depth under the surface that a path gains per metre in water
+    rgb: Tensor  # (N, 3): Photograph, 0 to 1, as stored (not linear)
+    view: Tensor  # (N,) int64: which photograph
+    # (N, 8) or (N, 0): what is known of the pixels beforehand (`fields.volume.priors`); no columns where nothing is
     priors: Tensor
 
     def __len__(self) -> int:

@@ -15,24 +15,13 @@ from refract import PinholeCamera, WaterSurface
 
 @dataclass
 class Photographs:
-    """Photographs with cameras and water: the training data of a volume.
-
-    Attributes
-    ----------
-    cameras : list of PinholeCamera
-    images : list of (height, width, 3) uint8
-    pixels : list of (n,) int
-        Flat indices of the pixels of each photograph that show the scene.
-    water : WaterSurface or None
-    priors : list of PriorImages, or None
-        What is known of the pixels of each photograph beforehand.
-    """
+    """Photographs with cameras and water: the training data of a volume."""
 
     cameras: list[PinholeCamera]
-    images: list[np.ndarray]
-    pixels: list[np.ndarray]
+    images: list[np.ndarray]  # list of (height, width, 3) uint8
+    pixels: list[np.ndarray]  # list of (n,) int: flat indices of the pixels of each photograph that show the scene
     water: WaterSurface | None = None
-    priors: list[PriorImages] | None = None
+    priors: list[PriorImages] | None = None  # or None: what is known of the pixels of each photograph beforehand
 
     @staticmethod
     def over(

@@ -20,28 +20,20 @@ COLUMNS = 8
 class PriorImages:
     """Priors of the pixels (height, width) of one photograph; None for a kind that it does not have.
 
-    Attributes
-    ----------
-    length, spread : (height, width) float [m]
-        Path length from the camera to the surface, in air and water together, and its standard deviation: of the
-        sweep, or of points of structure from motion. NaN where none.
-    depth : (height, width) float
-        Monocular depth along the camera's axis, true up to a scale and a shift; NaN where none.
-    is_inverse : bool
-        `depth` holds the inverse of depth instead (disparity), true up to a scale and a shift.
-    normal : (height, width, 3) float
-        Unit normals towards the camera, local frame; NaN where none.
-
     Raises
     ------
     ValueError
         If shapes differ, or a length comes without a spread.
     """
 
+    # length, spread (height, width) float [m]: path length from the camera to the surface, in air and water together,
+    # and its standard deviation: of the sweep, or of points of structure from motion. NaN where none.
     length: np.ndarray | None = None
     spread: np.ndarray | None = None
+    # (height, width) float: monocular depth along the camera's axis, true up to a scale and a shift; NaN where none
     depth: np.ndarray | None = None
-    is_inverse: bool = False
+    is_inverse: bool = False  # `depth` holds the inverse of depth instead (disparity), true up to a scale and a shift
+    # (height, width, 3) float: unit normals towards the camera, local frame; NaN where none
     normal: np.ndarray | None = None
 
     def __post_init__(self):
@@ -69,23 +61,15 @@ class PriorImages:
 
 @dataclass(frozen=True)
 class Priors:
-    """Priors of paths (N), NaN where unknown.
+    """Priors of paths (N), NaN where unknown."""
 
-    Attributes
-    ----------
-    length, spread : (N,) [m]
-    terms : (N, 2)
-        ``a terms[0] + b terms[1]`` is the path length to ``power`` for the scale and shift a, b of the photograph.
-    power : (N,)
-        1 for depth, -1 for inverse depth.
-    normal : (N, 3) unit, local frame
-    """
-
+    # length, spread: (N,) [m]
     length: Tensor
     spread: Tensor
+    # (N, 2): ``a terms[0] + b terms[1]`` is the path length to ``power`` for the scale and shift a, b of the photograph
     terms: Tensor
-    power: Tensor
-    normal: Tensor
+    power: Tensor  # (N,): 1 for depth, -1 for inverse depth
+    normal: Tensor  # (N, 3) unit, local frame
 
     @staticmethod
     def of(columns: Tensor) -> Priors:

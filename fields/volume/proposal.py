@@ -29,26 +29,15 @@ EVEN_SHARE = 0.1
 
 @dataclass(frozen=True)
 class ProposalSettings:
-    """Settings of a proposal; the defaults are Nerfacto's.
+    """Settings of a proposal; the defaults are Nerfacto's."""
 
-    Attributes
-    ----------
-    samples : tuple of int
-        Of each path, round by round.
-    n_max : tuple of int
-        Cells along the longest edge at the finest level, round by round.
-    n_min, levels, log2_table : int
-        Of the hash grids, as in `HashSettings`.
-    hidden : int
-        Width of the perceptrons.
-    """
-
-    samples: tuple[int, ...] = (256, 96)
-    n_max: tuple[int, ...] = (128, 256)
+    samples: tuple[int, ...] = (256, 96)  # Of each path, round by round
+    n_max: tuple[int, ...] = (128, 256)  # Cells along the longest edge at the finest level, round by round
+    # n_min, levels, log2_table: Of the hash grids, as in `HashSettings`
     n_min: int = 16
     levels: int = 5
     log2_table: int = 17
-    hidden: int = 16
+    hidden: int = 16  # Width of the perceptrons
 
     def __post_init__(self):
         if not self.samples or len(self.samples) != len(self.n_max):

@@ -19,19 +19,10 @@ from fields.water_column import WaterColumn
 
 @dataclass
 class Rendered:
-    """Rendering of a volume along paths (N).
+    """Rendering of a volume along paths (N)."""
 
-    Attributes
-    ----------
-    rgb : (N, 3)
-        As a photograph stores it, 0 to 1 (glints above).
-    weights : (N, K)
-        Share of each sample in the light; the sum is the opacity.
-    samples : Samples
-    """
-
-    rgb: Tensor
-    weights: Tensor
+    rgb: Tensor  # (N, 3): as a photograph stores it, 0 to 1 (glints above)
+    weights: Tensor  # (N, K): share of each sample in the light; the sum is the opacity
     samples: Samples
 
     @property

@@ -17,21 +17,11 @@ BINS = 128
 
 @dataclass
 class Samples:
-    """Samples (N, K) along paths, in the order of travel.
+    """Samples (N, K) along paths, in the order of travel."""
 
-    Attributes
-    ----------
-    s : (N, K) [m]
-        Path lengths at which the field is evaluated.
-    length : (N, K) [m]
-        Of the piece of path that each sample represents.
-    edges : (N, K + 1) [m]
-        Path lengths at which the pieces begin and end.
-    """
-
-    s: Tensor
-    length: Tensor
-    edges: Tensor
+    s: Tensor  # (N, K) [m]: path lengths at which the field is evaluated
+    length: Tensor  # (N, K) [m]: of the piece of path that each sample represents
+    edges: Tensor  # (N, K + 1) [m]: path lengths at which the pieces begin and end
 
 
 def inverse_cdf(bin_edges: Tensor, mass: Tensor, level: Tensor) -> Tensor:
@@ -74,16 +64,10 @@ def samples_by_mass(bin_edges: Tensor, mass: Tensor, num: int, jitter: bool, *, 
 
 @dataclass
 class Cells:
-    """The cells of a box that may hold a surface: all at first, then those about what is opaque.
-
-    Attributes
-    ----------
-    box : Box
-    occupied : (nx, ny, nz) bool
-    """
+    """The cells of a box that may hold a surface: all at first, then those about what is opaque."""
 
     box: Box
-    occupied: Tensor
+    occupied: Tensor  # (nx, ny, nz) bool
 
     @staticmethod
     def everywhere(box: Box, num: int) -> Cells:

@@ -35,32 +35,20 @@ class SdfSettings:
     ----------
     layers, colour_layers : int
         Of the distance network and of the colour network.
-    width : int
-        Of both, and length of the features between them.
-    skip : int or None
-        The encoded position joins the input of this layer, counted from 0.
-    frequencies, direction_frequencies : int
-        Of positions and directions.
-    start : "sphere" or "plane"
-        The untrained surface, about the middle of the box: closed, or level with water above.
-    start_at : float
-        Radius of the sphere or height of the plane over the middle, in halves of the longest edge.
-    sharpness : float
-        The untrained ``s`` is ``exp(10 sharpness)`` per half of the longest edge.
-    eikonal : float
-        Weight of the eikonal term in training.
     """
 
     layers: int = 8
-    width: int = 256
-    skip: int | None = 4
+    width: int = 256  # Of both, and length of the features between them
+    skip: int | None = 4  # The encoded position joins the input of this layer, counted from 0
+    # frequencies, direction_frequencies: Of positions and directions
     frequencies: int = 6
     direction_frequencies: int = 4
     colour_layers: int = 4
+    # "sphere" or "plane": the untrained surface, about the middle of the box: closed, or level with water above
     start: str = "sphere"
-    start_at: float = 0.5
-    sharpness: float = 0.3
-    eikonal: float = 0.1
+    start_at: float = 0.5  # Radius of the sphere or height of the plane over the middle, in halves of the longest edge
+    sharpness: float = 0.3  # The untrained ``s`` is ``exp(10 sharpness)`` per half of the longest edge
+    eikonal: float = 0.1  # Weight of the eikonal term in training
 
     def __post_init__(self):
         if self.start not in ("sphere", "plane"):

@@ -34,25 +34,13 @@ class Rule(StrEnum):
 
 @dataclass(frozen=True)
 class Surface:
-    """Points (N) of a surface, each the mean of a cell in which photographs agree.
+    """Points (N) of a surface, each the mean of a cell in which photographs agree."""
 
-    Attributes
-    ----------
-    xyz : (N, 3) float64 [m], local
-    rgb : (N, 3) uint8
-        As photographs store it.
-    std : (N,) [m]
-        Of the height in a cell, between photographs, over the root of their number.
-    num_views : (N,) int
-    incidence : (N,) [rad]
-        Of the paths at the water in air, mean.
-    """
-
-    xyz: np.ndarray
-    rgb: np.ndarray
-    std: np.ndarray
-    num_views: np.ndarray
-    incidence: np.ndarray
+    xyz: np.ndarray  # (N, 3) float64 [m], local
+    rgb: np.ndarray  # (N, 3) uint8: as photographs store it
+    std: np.ndarray  # (N,) [m]: of the height in a cell, between photographs, over the root of their number
+    num_views: np.ndarray  # (N,) int
+    incidence: np.ndarray  # (N,) [rad]: of the paths at the water in air, mean
 
 
 def distance_of(rendered: Rendered, rule: Rule, density: float) -> Tensor:

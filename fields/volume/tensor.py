@@ -17,45 +17,28 @@ from fields.volume.paths import Box
 
 @dataclass(frozen=True)
 class TensorSettings:
-    """Settings of a plane-times-vector volume.
+    """Settings of a plane-times-vector volume."""
 
-    Attributes
-    ----------
-    scales, channels : int
-        L and n_f of the paper.
-    n_min, n_max : int
-        Cells along the longest edge at the coarsest and the finest scale; one scale has n_max.
-    weighting : bool
-        The density weighting network takes over from the coarse regression once the loss has converged.
-    directions : str
-        Of "xyz", those with a vector.
-    reduction : int
-        r of the weighting network.
-    degree : int
-        Of the spherical harmonics in the colour head; 0 for a matt scene.
-    hidden : int
-        Width of the colour head.
-    fine_rate : float
-        Learning rate of the factors after the switch. The paper's 0.001 is for 150,000 steps; in a thousand they hardly
-        change.
-    switch_window, switch_ratio : int, float
-        The variance of the loss over the last ``window`` steps falls below ``ratio`` times that over the first.
-    switch_variance : float or None
-        Instead, that it falls below this number (the paper has 0.01, which a mean squared error may meet at once).
-    """
-
+    # scales, channels: L and n_f of the paper
     scales: int = 6
     channels: int = 4
+    # n_min, n_max: Cells along the longest edge at the coarsest and the finest scale; one scale has n_max
     n_min: int = 64
     n_max: int = 256
+    # The density weighting network takes over from the coarse regression once the loss has converged
     weighting: bool = True
-    directions: str = "xyz"
-    reduction: int = 4
-    degree: int = 2
-    hidden: int = 32
+    directions: str = "xyz"  # Of "xyz", those with a vector
+    reduction: int = 4  # r of the weighting network
+    degree: int = 2  # Of the spherical harmonics in the colour head; 0 for a matt scene
+    hidden: int = 32  # Width of the colour head
+    # Learning rate of the factors after the switch. The paper's 0.001 is for 150,000 steps; in a thousand they hardly
+    # change.
     fine_rate: float = 0.001
+    # switch_window, switch_ratio float: the variance of the loss over the last ``window`` steps falls below ``ratio``
+    # times that over the first
     switch_window: int = 100
     switch_ratio: float = 0.01
+    # Instead, that it falls below this number (the paper has 0.01, which a mean squared error may meet at once)
     switch_variance: float | None = None
 
     @staticmethod

@@ -33,38 +33,25 @@ _START = 0.1
 
 @dataclass(frozen=True)
 class TensorfSettings:
-    """Settings of a TensoRF volume; the defaults are those for outdoor photographs (Tanks and Temples).
+    """Settings of a TensoRF volume; the defaults are those for outdoor photographs (Tanks and Temples)."""
 
-    Attributes
-    ----------
-    density_channels, colour_channels : int
-        R_s and R_c, multiples of 4.
-    features, hidden, frequencies : int
-        Length of (2), width of (3), and octaves of its sines.
-    n_min, n_max : int
-        Cells along the longest edge at first, and after the last refinement.
-    refined_at : tuple of float
-        Shares of the training after which cells become smaller, in geometric steps.
-    l1 : (float, float)
-        Weight of (4) up to the first refinement, and after it.
-    tv_density, tv_colour : float
-        Weights of (5) at first; they fall as the rates do.
-    steps : int
-        Of the training.
-    """
-
+    # density_channels, colour_channels: R_s and R_c, multiples of 4
     density_channels: int = 16
     colour_channels: int = 48
+    # features, hidden, frequencies: Length of (2), width of (3), and octaves of its sines
     features: int = 27
     hidden: int = 128
     frequencies: int = 2
+    # n_min, n_max: Cells along the longest edge at first, and after the last refinement
     n_min: int = 128
     n_max: int = 300
+    # Shares of the training after which cells become smaller, in geometric steps
     refined_at: tuple[float, ...] = (1 / 15, 1 / 10, 2 / 15, 11 / 60, 7 / 30)
-    l1: tuple[float, float] = (0.0, 0.0)
+    l1: tuple[float, float] = (0.0, 0.0)  # (float, float): weight of (4) up to the first refinement, and after it
+    # tv_density, tv_colour: Weights of (5) at first; they fall as the rates do
     tv_density: float = 0.1
     tv_colour: float = 0.01
-    steps: int = 30_000
+    steps: int = 30_000  # Of the training
 
     @property
     def cells(self) -> list[float]:

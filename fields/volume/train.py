@@ -31,59 +31,31 @@ CHUNK = 1 << 18
 
 @dataclass(frozen=True)
 class Training:
-    """Settings of the training of a volume.
+    """Settings of the training of a volume."""
 
-    Attributes
-    ----------
-    steps, rays : int
-        Steps, and paths of each.
-    samples : int
-        Of each path.
-    cells : int
-        Of the proxy, along the longest edge of the box.
-    refresh : tuple of float
-        Shares of the steps after which the proxy is taken from the field itself.
-    margin : float
-        s of the paper, in cells of the proxy.
-    final_rate : float
-        Learning rates fall to this share of their start, exponentially.
-    by_score : float
-        Share of the samples drawn where density has detail (`fields.volume.density_loss.NodeScores`).
-    losses : Losses
-        What is added to the squared error of the colours.
-    losses_from : float
-        Share of the steps after which they count: a loss that draws weights together does harm while these are wrong.
-    """
-
+    # steps, rays: Steps, and paths of each
     steps: int = 2000
     rays: int = 4096
-    samples: int = 48
-    cells: int = 96
+    samples: int = 48  # Of each path
+    cells: int = 96  # Of the proxy, along the longest edge of the box
+    # Shares of the steps after which the proxy is taken from the field itself
     refresh: tuple[float, ...] = (0.1, 0.2, 0.35, 0.6)
-    margin: float = 1.5
-    final_rate: float = 0.1
+    margin: float = 1.5  # s of the paper, in cells of the proxy
+    final_rate: float = 0.1  # Learning rates fall to this share of their start, exponentially
+    # Share of the samples drawn where density has detail (`fields.volume.density_loss.NodeScores`)
     by_score: float = 0.0
-    losses: Losses = field(default_factory=Losses)
+    losses: Losses = field(default_factory=Losses)  # What is added to the squared error of the colours
+    # Share of the steps after which they count: a loss that draws weights together does harm while these are wrong
     losses_from: float = 0.0
 
 
 @dataclass(frozen=True)
 class VolumeFigures:
-    """Figures reported about the training of a volume.
-
-    Attributes
-    ----------
-    steps : int
-    changed_at : tuple of int
-        Steps at which the model changed its parameters or their rates.
-    psnr_db : float
-        Of the photographs, over the last steps.
-    parameters : int
-    """
+    """Figures reported about the training of a volume."""
 
     steps: int
-    changed_at: tuple[int, ...]
-    psnr_db: float
+    changed_at: tuple[int, ...]  # Steps at which the model changed its parameters or their rates
+    psnr_db: float  # Of the photographs, over the last steps
     parameters: int
 
 

@@ -37,19 +37,12 @@ _GPS_WITHIN_M = 10.0
 
 @dataclass(frozen=True)
 class CommonHeight:
-    """Common error of the heights of all positions, estimated from the level of the water.
+    """Common error of the heights of all positions, estimated from the level of the water."""
 
-    Attributes
-    ----------
-    error, std : float [m]
-        By how much they are too high.
-    level_std : float [m]
-        Of the height of the water over the block, by photographs.
-    """
-
+    # error, std [m]: by how much they are too high
     error: float
     std: float
-    level_std: float
+    level_std: float  # [m]: of the height of the water over the block, by photographs
 
 
 def water_start(known: Known, seen: Observed, marks_std_px: float) -> tuple[Known, np.ndarray]:

@@ -29,21 +29,13 @@ _MOST_LOST = 0.1
 
 @dataclass(frozen=True)
 class RecoveredPoses:
-    """A block by structure from motion, aligned with the given poses of its views.
-
-    Attributes
-    ----------
-    ties : TiePoints
-    centres, rotations : (V, 3) [m], local; (V, 3, 3) cam from local
-        Of views that it does not have, as they came.
-    warning : str
-        Why it was sought.
-    """
+    """A block by structure from motion, aligned with the given poses of its views."""
 
     ties: TiePoints
+    # centres, rotations (V, 3) [m], local; (V, 3, 3) cam from local: of views that it does not have, as they came
     centres: np.ndarray
     rotations: np.ndarray
-    warning: str = ""
+    warning: str = ""  # Why it was sought
 
     def start(self, known: Known) -> Known:
         """The priors with these poses as initial values."""

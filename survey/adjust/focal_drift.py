@@ -41,18 +41,10 @@ _STEADY, _MOST_ROUNDS = 0.1, 4
 
 @dataclass(frozen=True)
 class FocalDrift:
-    """Scatter of the focal lengths of a block.
+    """Scatter of the focal lengths of a block."""
 
-    Attributes
-    ----------
-    std : float
-        Of a focal length, as a share.
-    gain : float
-        By how much -2 ln p falls with them.
-    """
-
-    std: float
-    gain: float
+    std: float  # Of a focal length, as a share
+    gain: float  # By how much -2 ln p falls with them
 
     def __str__(self) -> str:
         return (

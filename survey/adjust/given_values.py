@@ -64,22 +64,13 @@ _FEWEST_WINDOWS = 10
 
 @dataclass(frozen=True)
 class _Linearised:
-    """A problem with its normal equations at one state, whose tested parameters have no priors.
-
-    Attributes
-    ----------
-    problem, state, system
-    std_px : (kinds,) [px]
-        Standard deviations of the observations at the state.
-    sizes : list of (width, height) [px]
-        Of the photographs.
-    """
+    """A problem with its normal equations at one state, whose tested parameters have no priors."""
 
     problem: Problem
     state: State
     system: System
-    std_px: np.ndarray
-    sizes: list[tuple[int, int]]
+    std_px: np.ndarray  # (kinds,) [px]: standard deviations of the observations at the state
+    sizes: list[tuple[int, int]]  # list of (width, height) [px]: of the photographs
 
     @staticmethod
     def at(problem: Problem, state: State, sizes: list[tuple[int, int]]) -> _Linearised:

@@ -39,22 +39,15 @@ _LEAST_COSINE = 0.5
 
 @dataclass(frozen=True)
 class PoseCheck:
-    """Test result for given poses, lens and water.
+    """Test result for given poses, lens and water."""
 
-    Attributes
-    ----------
-    misfit_px : [px] or None
-        Reprojection misfit per coordinate: the root mean square over photographs of the mean residual of
-        their windows, less what the scatter of the windows explains. None where too little matches to tell.
-    told : tuple of Contradiction
-        Tests of water and lens, contradicted or not, where the misfit confirms the poses. It is taken under the level
-        that fits best, since a wrong level causes a misfit of oblique photographs, too.
-    flooded : Contradiction or None
-        The level that photographs show, where the given one leaves all of the bed dry.
-    """
-
+    # [px] or None: reprojection misfit per coordinate: the root mean square over photographs of the mean residual of
+    # their windows, less what the scatter of the windows explains. None where too little matches to tell.
     misfit_px: float | None
+    # Tests of water and lens, contradicted or not, where the misfit confirms the poses. It is taken under the level
+    # that fits best, since a wrong level causes a misfit of oblique photographs, too.
     told: tuple[Contradiction, ...] = ()
+    # The level that photographs show, where the given one leaves all of the bed dry
     flooded: Contradiction | None = None
 
     @property

@@ -75,29 +75,14 @@ def std_over_points(system: System, covariance: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Adjusted:
-    """A block after its adjustment.
+    """A block after its adjustment."""
 
-    Attributes
-    ----------
-    known : Known
-        With the standard deviations of poses that the block showed.
-    used : Observed
-        What was not left out.
-    solution : Solution
-    factor : (kinds,)
-        On variances, for what neighbouring observations and neighbouring ground share.
-    blunders : (V, 2) bool
-        Positions and rotations that the block contradicts and that were left out.
-    placed : GroundAlignment or None
-        On the ground of an earlier survey.
-    """
-
-    known: Known
-    used: Observed
+    known: Known  # With the standard deviations of poses that the block showed
+    used: Observed  # What was not left out
     solution: Solution
-    factor: np.ndarray
-    blunders: np.ndarray
-    placed: GroundAlignment | None = None
+    factor: np.ndarray  # (kinds,): on variances, for what neighbouring observations and neighbouring ground share
+    blunders: np.ndarray  # (V, 2) bool: positions and rotations that the block contradicts and that were left out
+    placed: GroundAlignment | None = None  # On the ground of an earlier survey
 
 
 def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted:

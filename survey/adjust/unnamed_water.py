@@ -43,21 +43,14 @@ _SURE = 3.0
 
 @dataclass(frozen=True)
 class WaterSeen:
-    """Water that tie points show.
-
-    Attributes
-    ----------
-    num_wet, num_points : int
-    depth_m, std_m : [m]
-        Mean of the points under water, and its standard deviation.
-    before_px, after_px : [px]
-        Root mean square residual of the points under water on straight and on bent rays.
-    """
+    """Water that tie points show."""
 
     num_wet: int
     num_points: int
+    # depth_m, std_m [m]: mean of the points under water, and its standard deviation
     depth_m: float
     std_m: float
+    # before_px, after_px [px]: root mean square residual of the points under water on straight and on bent rays
     before_px: float
     after_px: float
 

@@ -31,33 +31,17 @@ NADIR_DEG = 5.0
 
 @dataclass(frozen=True)
 class WaterEstimate:
-    """Estimate of the water from the photographs.
+    """Estimate of the water from the photographs."""
 
-    Attributes
-    ----------
-    water : WaterConfig
-        Values to use: estimates of the observable parameters, those of survey.toml for the rest.
-    parameters : tuple of Parameter
-        Level, slopes and index first, then those of the lenses.
-    covariance : 4 x 4, of level, slopes and index
-    num_views, num_points, num_measurements : int
-    num_dry : int
-        Points above the water, which tell nothing of it.
-    rms_px : [px]
-        Of the residuals of a pixel coordinate; None where there was no adjustment.
-    warnings : sentences
-        Of the adjustment.
-    """
-
-    water: WaterConfig
-    parameters: tuple[Parameter, ...]
-    covariance: tuple[tuple[float, ...], ...]
+    water: WaterConfig  # Values to use: estimates of the observable parameters, those of survey.toml for the rest
+    parameters: tuple[Parameter, ...]  # Level, slopes and index first, then those of the lenses
+    covariance: tuple[tuple[float, ...], ...]  # 4 x 4, of level, slopes and index
     num_views: int
     num_points: int
     num_measurements: int
-    num_dry: int
-    rms_px: float | None
-    warnings: tuple[str, ...] = ()
+    num_dry: int  # Points above the water, which tell nothing of it
+    rms_px: float | None  # [px]: of the residuals of a pixel coordinate; None where there was no adjustment
+    warnings: tuple[str, ...] = ()  # sentences: of the adjustment
 
     @property
     def estimates(self) -> tuple[Parameter, ...]:

@@ -34,31 +34,17 @@ BETTER, WORSE, SAME, UNKNOWN = "better", "worse", "as before", "not judged"
 
 @dataclass(frozen=True)
 class Change:
-    """Change of a figure of a record: the ratio of now over then, or the difference of now less then.
+    """Change of a figure of a record: the ratio of now over then, or the difference of now less then."""
 
-    Attributes
-    ----------
-    key : tuple of str
-        Of the record.
-    figure : str
-    ratio : float
-        NaN where it is a difference.
-    interval : (low, high) or None
-        Of ratio or difference, 95 %; None where there is too little to tell.
-    verdict : "better", "worse", "as before" or "not judged"
-    why : str
-        Of "not judged".
-    difference : float
-        Of completeness; of the distance of the coverage from 95 %; of the mean's absolute value over the error then.
-        NaN where it is a ratio.
-    """
-
-    key: tuple[str, ...]
+    key: tuple[str, ...]  # Of the record
     figure: str
-    ratio: float
+    ratio: float  # NaN where it is a difference
+    # (low, high) or None: of ratio or difference, 95 %; None where there is too little to tell
     interval: tuple[float, float] | None
-    verdict: str
-    why: str = ""
+    verdict: str  # "better", "worse", "as before" or "not judged"
+    why: str = ""  # Of "not judged"
+    # Of completeness; of the distance of the coverage from 95 %; of the mean's absolute value over the error then. NaN
+    # where it is a ratio.
     difference: float = float("nan")
 
     @property

@@ -24,22 +24,14 @@ _CLOUD = "cloud.las"
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of a benchmark: methods, qualities, poses.
+    """Settings of a benchmark: methods, qualities, poses."""
 
-    Attributes
-    ----------
-    methods : names of `METHODS`
-    qualities, poses, devices : tuple of str
-        As `process` has them; poses are "given" and "images".
-    repeats : int
-        Rounds; times are those of all of them, clouds of the first.
-    """
-
-    methods: tuple[str, ...] = tuple(METHODS)
+    methods: tuple[str, ...] = tuple(METHODS)  # names of `METHODS`
+    # qualities, poses, devices: As `process` has them; poses are "given" and "images"
     qualities: tuple[str, ...] = ("draft", "standard", "fine")
     poses: tuple[str, ...] = (GIVEN,)
     devices: tuple[str, ...] = ("cpu",)
-    repeats: int = 1
+    repeats: int = 1  # Rounds; times are those of all of them, clouds of the first
 
     def __post_init__(self):
         unknown = [name for name in self.methods if name not in METHODS]

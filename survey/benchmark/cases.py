@@ -26,24 +26,14 @@ _IMAGES_PER_M2 = 20 / 110.0
 
 @dataclass(frozen=True)
 class Case:
-    """A survey whose bed is known.
-
-    Attributes
-    ----------
-    name : str
-    folder : Path
-        Survey folder; never written to.
-    reference, visible : Path
-        The true bed, and the points of it that cameras see; None where these are not known.
-    bounds : (e0, n0, e1, n1) or None
-        Where the cloud is compared.
-    """
+    """A survey whose bed is known."""
 
     name: str
-    folder: Path
+    folder: Path  # Survey folder; never written to
+    # reference, visible: The true bed, and the points of it that cameras see; None where these are not known
     reference: Path
     visible: Path | None
-    bounds: tuple[float, float, float, float] | None
+    bounds: tuple[float, float, float, float] | None  # (e0, n0, e1, n1) or None: where the cloud is compared
 
 
 def case_of(folder: Path) -> Case:

@@ -104,25 +104,14 @@ def _blocks(plan: np.ndarray, distances: np.ndarray, case: Case) -> dict[str, li
 
 @dataclass(frozen=True)
 class Method:
-    """Method: a way from photographs to a cloud.
-
-    Attributes
-    ----------
-    name : str
-    words : str
-        For tables and pictures.
-    field : str
-        The option of `process`.
-    is_refracted : bool
-        False: the survey is processed as if it were dry.
-    correction : "", "times_index" or "per_camera"
-        What is done to the depths of the cloud afterwards, see `survey.benchmark.corrected`.
-    """
+    """Method: a way from photographs to a cloud."""
 
     name: str
-    words: str
-    field: str = "auto"
-    is_refracted: bool = True
+    words: str  # For tables and pictures
+    field: str = "auto"  # The option of `process`
+    is_refracted: bool = True  # False: the survey is processed as if it were dry
+    # "", "times_index" or "per_camera": what is done to the depths of the cloud afterwards, see
+    # `survey.benchmark.corrected`
     correction: str = ""
 
 

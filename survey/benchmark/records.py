@@ -17,52 +17,32 @@ _TABLE = ("version", "machine", "versions", "commit", "records")
 
 @dataclass(frozen=True)
 class Cost:
-    """Cost of a process, start and imports included.
+    """Cost of a process, start and imports included."""
 
-    Attributes
-    ----------
-    wall_s, processor_s : [s]
-        Processor time is that of all threads.
-    peak_bytes : [B]
-        Largest resident memory of the process and its children.
-    """
-
+    # wall_s, processor_s [s]: processor time is that of all threads
     wall_s: float
     processor_s: float
-    peak_bytes: int
+    peak_bytes: int  # [B]: largest resident memory of the process and its children
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of a cloud against the true bed, within the bounds of the survey.
-
-    Attributes
-    ----------
-    n_points : int
-    mean_m, std_m : [m]
-        Of the signed distances of the inner 90 %.
-    rms_m : [m]
-        Of all distances.
-    completeness : dict
-        Share of the points that cameras see, by tolerance in metres, e.g. "0.05".
-    coverage : float or None
-        Share of vertical errors, their median taken off, below 1.96 times the `std` that the points carry, where the
-        surface is no wall; None where they carry none.
-    median_m, common_m : [m] or None
-        That median, and the median of `std_common`, which it should lie within 2.6 of.
-    blocks : dict of str to (n, sum, sum of squares)
-        Signed distances of the inner 90 % by block of the plan [m, m2]: what another result of the same survey is
-        compared with, block by block.
-    """
+    """Errors of a cloud against the true bed, within the bounds of the survey."""
 
     n_points: int
+    # mean_m, std_m [m]: of the signed distances of the inner 90 %
     mean_m: float
     std_m: float
-    rms_m: float
-    completeness: dict[str, float]
+    rms_m: float  # [m]: of all distances
+    completeness: dict[str, float]  # dict: share of the points that cameras see, by tolerance in metres, e.g. "0.05".
+    # Share of vertical errors, their median taken off, below 1.96 times the `std` that the points carry, where the
+    # surface is no wall; None where they carry none
     coverage: float | None
+    # median_m, common_m [m] or None: that median, and the median of `std_common`, which it should lie within 2.6 of
     median_m: float | None = None
     common_m: float | None = None
+    # dict of str to (n, sum, sum of squares): signed distances of the inner 90 % by block of the plan [m, m2]: what
+    # another result of the same survey is compared with, block by block
     blocks: dict[str, list[float]] = field(default_factory=dict, repr=False)
 
     @property
@@ -73,29 +53,17 @@ class Errors:
 
 @dataclass(frozen=True)
 class Record:
-    """Record of a method on a survey.
+    """Record of a method on a survey."""
 
-    Attributes
-    ----------
-    case, method, quality, poses, device : str
-        Together the name of the record, see `key`.
-    exit_code : int
-        Of `process`; 3 where a quality gate failed.
-    costs : tuple of Cost
-        One for each repeat.
-    errors : Errors or None
-        None where no cloud was written; `words` has the reason.
-    words : str
-    """
-
+    # case, method, quality, poses, device: Together the name of the record, see `key`
     case: str
     method: str
     quality: str
     poses: str
     device: str
-    exit_code: int
-    costs: tuple[Cost, ...]
-    errors: Errors | None
+    exit_code: int  # Of `process`; 3 where a quality gate failed
+    costs: tuple[Cost, ...]  # One for each repeat
+    errors: Errors | None  # None where no cloud was written; `words` has the reason
     words: str = ""
 
     @property
@@ -106,19 +74,12 @@ class Record:
 
 @dataclass(frozen=True)
 class Results:
-    """All records of a benchmark and where they were measured.
+    """All records of a benchmark and where they were measured."""
 
-    Attributes
-    ----------
-    machine, versions : dict of str to str
-    commit : str
-        Of the working tree, else the hash of the code.
-    records : tuple of Record
-    """
-
+    # machine, versions: dict of str to str
     machine: dict[str, str]
     versions: dict[str, str]
-    commit: str
+    commit: str  # Of the working tree, else the hash of the code
     records: tuple[Record, ...]
 
 

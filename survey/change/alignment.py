@@ -20,24 +20,12 @@ FEWEST_CELLS = 30
 
 @dataclass(frozen=True)
 class Alignment:
-    """Shift of the second survey.
+    """Shift of the second survey."""
 
-    Attributes
-    ----------
-    shift_m : [m]
-        Added to its heights.
-    std_m : [m]
-        Standard deviation of the shift.
-    area_m2 : [m²]
-        Of the stable ground that counted.
-    left_out : int
-        Cells of it whose difference lies beyond three robust standard deviations.
-    """
-
-    shift_m: float
-    std_m: float
-    area_m2: float
-    left_out: int
+    shift_m: float  # [m]: added to its heights
+    std_m: float  # [m]: standard deviation of the shift
+    area_m2: float  # [m²]: of the stable ground that counted
+    left_out: int  # Cells of it whose difference lies beyond three robust standard deviations
 
 
 def aligned(differences: Differences, stable: np.ndarray, correlation: Correlation) -> tuple[Differences, Alignment]:

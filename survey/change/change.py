@@ -27,29 +27,14 @@ _WORTH_SAYING = 1.5
 
 @dataclass(frozen=True)
 class ChangeOptions:
-    """Options of `change_between`.
+    """Options of `change_between`."""
 
-    Attributes
-    ----------
-    area : Path or None
-        GeoJSON or GeoPackage of polygons; None: all that both surveys cover.
-    stable : Path or None
-        The same, of ground that did not change, on which the second survey is put in height; None: as it lies.
-    resolution_m : float or None
-        Side of a cell; None: by the spacing of the points.
-    correlation_length_m : float or None
-        Of errors of cells; None: measured.
-    shared : -1 to 1
-        Correlation of what each survey has in common in all its cells.
-    stated : StatedStd
-    json_path, tif_path, picture_path : Path or None
-    """
-
-    area: Path | None = None
+    area: Path | None = None  # GeoJSON or GeoPackage of polygons; None: all that both surveys cover
+    # The same, of ground that did not change, on which the second survey is put in height; None: as it lies
     stable: Path | None = None
-    resolution_m: float | None = None
-    correlation_length_m: float | None = None
-    shared: float = 0.0
+    resolution_m: float | None = None  # Side of a cell; None: by the spacing of the points
+    correlation_length_m: float | None = None  # Of errors of cells; None: measured
+    shared: float = 0.0  # -1 to 1: correlation of what each survey has in common in all its cells
     stated: StatedStd = field(default_factory=StatedStd)
     json_path: Path | None = None
     tif_path: Path | None = None
@@ -58,32 +43,18 @@ class ChangeOptions:
 
 @dataclass(frozen=True)
 class Change:
-    """Changes between two surveys.
-
-    Attributes
-    ----------
-    differences : Differences
-    cells : PlanCells
-    inside : (rows, columns) bool
-        Cells that count.
-    net : Volume
-        Of all of them: fill less cut.
-    cut, fill : Volume
-        Of those beyond the level of detection; cut is below zero.
-    correlation : Correlation
-    alignment : Alignment or None
-    notes : sentences
-    """
+    """Changes between two surveys."""
 
     differences: Differences
     cells: PlanCells
-    inside: np.ndarray
-    net: Volume
+    inside: np.ndarray  # (rows, columns) bool: cells that count
+    net: Volume  # Of all of them: fill less cut
+    # cut, fill: Of those beyond the level of detection; cut is below zero
     cut: Volume
     fill: Volume
     correlation: Correlation
     alignment: Alignment | None
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # sentences
 
 
 def change_between(first: Path, second: Path, options: ChangeOptions) -> Change:

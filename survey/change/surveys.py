@@ -38,17 +38,11 @@ class StatedStd:
 
 @dataclass(frozen=True)
 class Sounded:
-    """A cloud of the bed with the standard deviations of its heights.
-
-    Attributes
-    ----------
-    path : Path
-    points : (N, 3), in crs
-    std, common : (N,) [m]
-    """
+    """A cloud of the bed with the standard deviations of its heights."""
 
     path: Path
-    points: np.ndarray
+    points: np.ndarray  # (N, 3), in crs
+    # std, common: (N,) [m]
     std: np.ndarray
     common: np.ndarray
 

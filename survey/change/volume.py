@@ -35,18 +35,11 @@ _NUM_LENGTHS = 60
 
 @dataclass(frozen=True)
 class Correlation:
-    """Correlation of own errors: 1 at no distance, ``share * exp(-distance / length_m)`` beyond.
+    """Correlation of own errors: 1 at no distance, ``share * exp(-distance / length_m)`` beyond."""
 
-    Attributes
-    ----------
-    share : 0 to 1
-    length_m : [m]
-    scatter : float or None
-        Standard deviation of unchanged differences over the one stated; None where it was not measured.
-    """
-
-    share: float
-    length_m: float
+    share: float  # 0 to 1
+    length_m: float  # [m]
+    # Standard deviation of unchanged differences over the one stated; None where it was not measured
     scatter: float | None = None
 
     def at(self, distance_m: np.ndarray) -> np.ndarray:
@@ -56,25 +49,16 @@ class Correlation:
 
 @dataclass(frozen=True)
 class Differences:
-    """Second height minus first, in cells; arrays (rows, columns), NaN where one of the surveys has no height.
+    """Second height minus first, in cells; arrays (rows, columns), NaN where one of the surveys has no height."""
 
-    Attributes
-    ----------
-    height : [m]
-    std : [m]
-        By the own errors of both.
-    common : (2, rows, columns) [m]
-        Standard deviation of what all cells of the first and of the second survey share.
-    shared : -1 to 1
-        Correlation of these two: 0 for surveys with a level and poses of their own, 1 where all of it is the same.
-    side_m : [m]
-    """
-
-    height: np.ndarray
-    std: np.ndarray
+    height: np.ndarray  # [m]
+    std: np.ndarray  # [m]: by the own errors of both
+    # (2, rows, columns) [m]: standard deviation of what all cells of the first and of the second survey share
     common: np.ndarray
+    # -1 to 1: correlation of these two: 0 for surveys with a level and poses of their own, 1 where all of it is the
+    # same
     shared: float
-    side_m: float
+    side_m: float  # [m]
 
     @property
     def is_known(self) -> np.ndarray:

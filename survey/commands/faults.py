@@ -28,18 +28,10 @@ _NO_ROOM = ("no space left on device", "disk is full")
 
 @dataclass(frozen=True)
 class Fault:
-    """Failure of a command.
+    """Failure of a command."""
 
-    Attributes
-    ----------
-    code : int
-        Exit code.
-    message : str
-        For the user; empty if standard output was closed.
-    """
-
-    code: int
-    message: str
+    code: int  # Exit code
+    message: str  # For the user; empty if standard output was closed
 
     @property
     def is_ours(self) -> bool:

@@ -14,84 +14,49 @@ from survey.compare.inputs import Inputs
 
 @dataclass(frozen=True)
 class Parts:
-    """Bias and spread of the parts of a cloud; what the cloud lacks is None or empty.
-
-    Attributes
-    ----------
-    depth : DepthParts or None
-    incidence, views : tuple of Band
-        By incidence at the water [deg] and by the number of views that agree.
-    slope : tuple of Band
-        By the slope of the reference [deg]; empty where that is a cloud.
-    """
+    """Bias and spread of the parts of a cloud; what the cloud lacks is None or empty."""
 
     depth: DepthParts | None = None
+    # incidence, views: By incidence at the water [deg] and by the number of views that agree
     incidence: tuple[Band, ...] = ()
     views: tuple[Band, ...] = ()
-    slope: tuple[Band, ...] = ()
+    slope: tuple[Band, ...] = ()  # By the slope of the reference [deg]; empty where that is a cloud
 
 
 @dataclass(frozen=True)
 class Vertical:
-    """Vertical differences to a mesh.
+    """Vertical differences to a mesh."""
 
-    Attributes
-    ----------
-    distances : DistanceStatistics
-        Points with no surface straight above or below them have no difference: they are in ``n_nan``.
-    depth : DepthParts or None
-    """
-
+    # Points with no surface straight above or below them have no difference: they are in ``n_nan``
     distances: DistanceStatistics
     depth: DepthParts | None
 
 
 @dataclass(frozen=True)
 class ReferenceSurface:
-    """The surface through a reference of points, at the places compared.
+    """The surface through a reference of points, at the places compared."""
 
-    Attributes
-    ----------
-    spacing_m : [m]
-        Between its points.
-    std_median_m, std_95_m : [m]
-        Standard deviation of its heights between them; 95 % are below the second.
-    """
-
-    spacing_m: float
+    spacing_m: float  # [m]: between its points
+    # std_median_m, std_95_m [m]: standard deviation of its heights between them; 95 % are below the second
     std_median_m: float
     std_95_m: float
 
 
 @dataclass(frozen=True)
 class VerticalUncertainty:
-    """Vertical errors against IHO S-44.
-
-    Attributes
-    ----------
-    iho : IhoS44
-    error : str
-        Which error was judged.
-    """
+    """Vertical errors against IHO S-44."""
 
     iho: IhoS44
-    error: str
+    error: str  # Which error was judged
 
 
 @dataclass(frozen=True)
 class Checkpoints:
-    """A cloud at surveyed places.
-
-    Attributes
-    ----------
-    accuracy : AsprsAccuracy
-    places : (K, 3), in crs
-    residuals : (K,) [m]
-        Height of the cloud minus height of the check point; NaN where the cloud does not surround it.
-    """
+    """A cloud at surveyed places."""
 
     accuracy: AsprsAccuracy
-    places: np.ndarray
+    places: np.ndarray  # (K, 3), in crs
+    # (K,) [m]: height of the cloud minus height of the check point; NaN where the cloud does not surround it
     residuals: np.ndarray
 
 
@@ -105,106 +70,53 @@ class CloudToCloud:
 
 @dataclass(frozen=True)
 class M3C2:
-    """M3C2 distances at some places of the reference.
-
-    Attributes
-    ----------
-    distances : DistanceStatistics
-    radius_m : [m]
-        Of the cylinders.
-    detection_median_m : [m]
-        Median level of detection at 95 %.
-    significant_share : [-]
-        Share of the distances beyond their level of detection.
-    """
+    """M3C2 distances at some places of the reference."""
 
     distances: DistanceStatistics
-    radius_m: float
-    detection_median_m: float
-    significant_share: float
+    radius_m: float  # [m]: of the cylinders
+    detection_median_m: float  # [m]: median level of detection at 95 %
+    significant_share: float  # [-]: share of the distances beyond their level of detection
 
 
 @dataclass(frozen=True)
 class Circumstances:
-    """Circumstances of the figures: files, CRS, bounds, options.
+    """Circumstances of the figures: files, CRS, bounds, options."""
 
-    Attributes
-    ----------
-    outliers : str or None
-        The filter, as the option.
-    block_m, correlation_length_m, widening : [m], [m], [-]
-        Of the block bootstrap, see `evaluation.Blocks`.
-    water_level : float or None, in crs
-    method : str
-    sign : {"up", "winding"}
-    crs : str or None
-        Name of the coordinate reference system.
-    bounds : (E0, N0, E1, N1) or None, in crs
-    cloud, reference : str
-        Paths.
-    visible : str or None
-        Path.
-    n_samples : int
-        Of the reference.
-    seed : int or None
-        Of the samples; None where the reference is a cloud.
-    notes : tuple of str
-        Sentences for the reader.
-    """
-
-    outliers: str | None
+    outliers: str | None  # The filter, as the option
+    # block_m, correlation_length_m, widening [m], [m], [-]: of the block bootstrap, see `evaluation.Blocks`
     block_m: float
     correlation_length_m: float
     widening: float
-    water_level: float | None
+    water_level: float | None  # in crs
     method: str
-    sign: Sign
-    crs: str | None
-    bounds: Bounds | None
+    sign: Sign  # {"up", "winding"}
+    crs: str | None  # Name of the coordinate reference system
+    bounds: Bounds | None  # (E0, N0, E1, N1) or None, in crs
+    # cloud, reference: Paths
     cloud: str
     reference: str
-    visible: str | None
-    n_samples: int
-    seed: int | None
-    notes: tuple[str, ...] = ()
+    visible: str | None  # Path
+    n_samples: int  # Of the reference
+    seed: int | None  # Of the samples; None where the reference is a cloud
+    notes: tuple[str, ...] = ()  # Sentences for the reader
 
 
 @dataclass(frozen=True)
 class Figures:
-    """All figures of a comparison; what was not requested or is unknown is None.
+    """All figures of a comparison; what was not requested or is unknown is None."""
 
-    Attributes
-    ----------
-    summary : Summary
-        Over all compared points, at the first tolerance.
-    tolerances : tuple of Scores
-        At each tolerance.
-    parts : Parts
-    reached : tuple of ReachedBand
-        Completeness by the slope of the reference, of what cameras see where that is known; empty where it is a cloud.
-    circumstances : Circumstances
-    vertical : Vertical or None
-        Where the reference is a mesh.
-    uncertainty : VerticalUncertainty or None
-        Where depths are known.
-    checkpoints : Checkpoints or None
-    c2c : CloudToCloud or None
-    m3c2 : M3C2 or None
-    reference_surface : ReferenceSurface or None
-        Where the reference is a cloud.
-    """
-
-    summary: Summary
-    tolerances: tuple[Scores, ...]
+    summary: Summary  # Over all compared points, at the first tolerance
+    tolerances: tuple[Scores, ...]  # At each tolerance
     parts: Parts
+    # Completeness by the slope of the reference, of what cameras see where that is known; empty where it is a cloud
     reached: tuple[ReachedBand, ...]
     circumstances: Circumstances
-    vertical: Vertical | None = None
-    uncertainty: VerticalUncertainty | None = None
+    vertical: Vertical | None = None  # Where the reference is a mesh
+    uncertainty: VerticalUncertainty | None = None  # Where depths are known
     checkpoints: Checkpoints | None = None
     c2c: CloudToCloud | None = None
     m3c2: M3C2 | None = None
-    reference_surface: ReferenceSurface | None = None
+    reference_surface: ReferenceSurface | None = None  # Where the reference is a cloud
 
     @property
     def wet(self) -> DistanceStatistics | None:
@@ -215,33 +127,16 @@ class Figures:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A finished comparison.
-
-    Attributes
-    ----------
-    figures : Figures
-    points : (N, 3), in crs
-        The compared points.
-    distances : (N,) [m]
-        Theirs, signed; NaN where a reference of points does not surround them.
-    nearest : (N, 3) [m], local
-        The nearest points of the reference, or those of its surface straight above or below.
-    depth : (N,) [m] or None
-        Of the reference below the water at those, where it is known.
-    targets : (M, 3), in crs
-        What should be reached: the visible points, else samples of the reference.
-    is_reached : (M,) bool
-        At the first tolerance.
-    inputs : Inputs
-    """
+    """A finished comparison."""
 
     figures: Figures
-    points: np.ndarray
-    distances: np.ndarray
+    points: np.ndarray  # (N, 3), in crs: the compared points
+    distances: np.ndarray  # (N,) [m]: Theirs, signed; NaN where a reference of points does not surround them
+    # (N, 3) [m], local: the nearest points of the reference, or those of its surface straight above or below
     nearest: np.ndarray
-    depth: np.ndarray | None
-    targets: np.ndarray
-    is_reached: np.ndarray
+    depth: np.ndarray | None  # (N,) [m] or None: of the reference below the water at those, where it is known
+    targets: np.ndarray  # (M, 3), in crs: what should be reached: the visible points, else samples of the reference
+    is_reached: np.ndarray  # (M,) bool: at the first tolerance
     inputs: Inputs
 
     @property

@@ -35,36 +35,18 @@ class Paths:
 
 @dataclass(frozen=True)
 class Inputs:
-    """A cloud, its reference and a frame for both.
-
-    Attributes
-    ----------
-    paths : Paths
-    cloud : Cloud
-        As read, not cropped.
-    inside : (N,) bool
-        The points that are compared: within the bounds, and of the ground by what the file says of them.
-    num_cropped : int
-        Points beyond the bounds.
-    reference : Mesh or Cloud
-    visible : Mesh or Cloud or None
-    crs : pyproj.CRS or None
-        Of all coordinates; None if no file has one.
-    frame : LocalFrame or ShiftedFrame
-        Near the points that are compared.
-    notes : tuple of str
-        What was taken to be so without a file saying it.
-    """
+    """A cloud, its reference and a frame for both."""
 
     paths: Paths
-    cloud: Cloud
+    cloud: Cloud  # As read, not cropped
+    # (N,) bool: the points that are compared: within the bounds, and of the ground by what the file says of them
     inside: np.ndarray
-    num_cropped: int
+    num_cropped: int  # Points beyond the bounds
     reference: Mesh | Cloud
     visible: Mesh | Cloud | None
-    crs: CRS | None
-    frame: LocalFrame | ShiftedFrame
-    notes: tuple[str, ...]
+    crs: CRS | None  # Of all coordinates; None if no file has one
+    frame: LocalFrame | ShiftedFrame  # Near the points that are compared
+    notes: tuple[str, ...]  # What was taken to be so without a file saying it
 
 
 def load_inputs(paths: Paths, bounds: Bounds | None, water_level: float | None = None) -> Inputs:

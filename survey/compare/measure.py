@@ -43,30 +43,16 @@ _VIEWS_NAMES = ("num_views",)
 
 @dataclass(frozen=True)
 class Scene:
-    """Data of a comparison, local [m].
-
-    Attributes
-    ----------
-    inputs : Inputs
-    bounds : (E0, N0, E1, N1) or None, in crs
-    around : (A,) int
-        Numbers in the file of the points within the bounds and the largest tolerance more.
-    cloud : (A, 3)
-        Those points.
-    points : (N, 3)
-        Those of them that are within the bounds: the compared points.
-    reference : (V, 3)
-        Vertices, or points.
-    samples, targets : (K, 3), (M, 3)
-        Points that a complete cloud would reach: of the reference, and those that cameras see, if known.
-    """
+    """Data of a comparison, local [m]."""
 
     inputs: Inputs
-    bounds: Bounds | None
-    around: np.ndarray
-    cloud: np.ndarray
-    points: np.ndarray
-    reference: np.ndarray
+    bounds: Bounds | None  # (E0, N0, E1, N1) or None, in crs
+    around: np.ndarray  # (A,) int: numbers in the file of the points within the bounds and the largest tolerance more
+    cloud: np.ndarray  # (A, 3): those points
+    points: np.ndarray  # (N, 3): those of them that are within the bounds: the compared points
+    reference: np.ndarray  # (V, 3): Vertices, or points
+    # samples, targets (K, 3), (M, 3): points that a complete cloud would reach: of the reference, and those that
+    # cameras see, if known
     samples: np.ndarray
     targets: np.ndarray
 
@@ -99,42 +85,24 @@ def _samples(vertices: np.ndarray, shape: Mesh | Cloud) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Distances:
-    """Distances of the compared points.
+    """Distances of the compared points."""
 
-    Attributes
-    ----------
-    signed : (N,) [m]
-        To a mesh; heights over the surface through the points of a cloud, NaN where these do not surround a place.
-    nearest : (N, 3) [m], local
-        Points of the reference, or of that surface.
-    slope_deg : (N,) [deg] or None
-        Of the reference there; None where it is a cloud.
-    reference_std : (N,) [m] or None
-        Of the heights of the surface through a cloud; None of a mesh.
-    """
-
+    # (N,) [m]: to a mesh; heights over the surface through the points of a cloud, NaN where these do not surround a
+    # place
     signed: np.ndarray
-    nearest: np.ndarray
-    slope_deg: np.ndarray | None
+    nearest: np.ndarray  # (N, 3) [m], local: points of the reference, or of that surface
+    slope_deg: np.ndarray | None  # (N,) [deg] or None: of the reference there; None where it is a cloud
+    # (N,) [m] or None: of the heights of the surface through a cloud; None of a mesh
     reference_std: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
 class Reach:
-    """Part of the reference that a cloud reaches.
+    """Part of the reference that a cloud reaches."""
 
-    Attributes
-    ----------
-    tolerance_m : [m]
-    samples : (K,) bool
-        Which samples of the reference are closer than the tolerance to the cloud.
-    visible : (M,) bool or None
-        The same of the visible points; None where those are not known.
-    """
-
-    tolerance_m: float
-    samples: np.ndarray
-    visible: np.ndarray | None
+    tolerance_m: float  # [m]
+    samples: np.ndarray  # (K,) bool: which samples of the reference are closer than the tolerance to the cloud
+    visible: np.ndarray | None  # (M,) bool or None: the same of the visible points; None where those are not known
 
     @property
     def targets(self) -> np.ndarray:

@@ -14,59 +14,32 @@ from survey.files.column_units import Units
 
 @dataclass(frozen=True)
 class GivenPoint:
-    """The coordinates of a point in a file.
-
-    Attributes
-    ----------
-    name : str
-    where : str
-        File and line, for messages.
-    place : (easting or longitude, northing or latitude, height)
-        Horizontally in `crs`; the height is one in the crs of the survey, or in the unit that the file says.
-    crs : CRS or None
-        None where it is that of the survey.
-    std_m : (east, north, up) [m] or None
-        None where the file does not say it.
-    is_check : bool
-    as_read : GivenPoint or None
-        The point as its file has it, once `place` was taken to the crs of the survey.
-    datum_std_m : float
-        What that way adds in plan, alike for all points of a file.
-    units : Units
-        That the file gives its coordinates beside a CRS.
-    """
+    """The coordinates of a point in a file."""
 
     name: str
-    where: str
+    where: str  # File and line, for messages
+    # (easting or longitude, northing or latitude, height): horizontally in `crs`; the height is one in the crs of the
+    # survey, or in the unit that the file says
     place: tuple[float, float, float]
-    crs: CRS | None = None
+    crs: CRS | None = None  # None where it is that of the survey
+    # (east, north, up) [m] or None: None where the file does not say it
     std_m: tuple[float, float, float] | None = None
     is_check: bool = False
-    as_read: GivenPoint | None = None
-    datum_std_m: float = 0.0
-    units: Units = field(default_factory=Units)
+    as_read: GivenPoint | None = None  # The point as its file has it, once `place` was taken to the crs of the survey
+    datum_std_m: float = 0.0  # What that way adds in plan, alike for all points of a file
+    units: Units = field(default_factory=Units)  # That the file gives its coordinates beside a CRS
 
 
 @dataclass(frozen=True)
 class GivenMark:
-    """Mark of a point in a photograph, as a file has it.
+    """Mark of a point in a photograph, as a file has it."""
 
-    Attributes
-    ----------
-    point, image : str
-        As the file calls them.
-    where : str
-        File and line, for messages.
-    pixel : (x, y)
-        The centre of the first pixel is 0.5, 0.5.
-    in_sides : bool
-        Whether `pixel` counts from the middle of the photograph in units of its longer side instead.
-    """
-
+    # point, image: As the file calls them
     point: str
     image: str
-    where: str
-    pixel: tuple[float, float]
+    where: str  # File and line, for messages
+    pixel: tuple[float, float]  # (x, y): the centre of the first pixel is 0.5, 0.5
+    # Whether `pixel` counts from the middle of the photograph in units of its longer side instead
     in_sides: bool = False
 
     def in_pixels(self, size: tuple[int, int]) -> GivenMark:
@@ -87,21 +60,11 @@ class Content:
 
 @dataclass(frozen=True)
 class ControlFormat:
-    """A format of control files.
+    """A format of control files."""
 
-    Attributes
-    ----------
-    name : str
-        In a sentence: "expected ...".
-    recognises : callable
-        Whether a path, which is a file, is of this format.
-    read : callable
-        The content of such a file; raises ControlError.
-    """
-
-    name: str
-    recognises: Callable[[Path], bool]
-    read: Callable[[Path], Content]
+    name: str  # In a sentence: "expected ..."
+    recognises: Callable[[Path], bool]  # callable: whether a path, which is a file, is of this format
+    read: Callable[[Path], Content]  # callable: the content of such a file; raises ControlError
 
 
 # What the columns of roles are filled with, in lower case.

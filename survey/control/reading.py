@@ -30,21 +30,11 @@ _ENOUGH = 3
 
 @dataclass(frozen=True)
 class Gathered:
-    """Control points with marks, coordinates in the crs of the survey.
+    """Control points with marks, coordinates in the crs of the survey."""
 
-    Attributes
-    ----------
-    points : tuple of GivenPoint
-        Each name once, each with a mark at least.
-    marks : tuple of Mark
-        In order of points and of photographs.
-    unmarked : tuple of GivenPoint
-        Check points that no photograph needs to show.
-    """
-
-    points: tuple[GivenPoint, ...]
-    marks: tuple[Mark, ...]
-    unmarked: tuple[GivenPoint, ...] = ()
+    points: tuple[GivenPoint, ...]  # Each name once, each with a mark at least
+    marks: tuple[Mark, ...]  # In order of points and of photographs
+    unmarked: tuple[GivenPoint, ...] = ()  # Check points that no photograph needs to show
 
 
 def read_control(path: Path) -> Content:

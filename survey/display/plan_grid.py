@@ -27,25 +27,15 @@ _SMALLEST_CELL_M = 1e-6
 
 @dataclass(frozen=True)
 class PlanGrid:
-    """Square cells in plan; rows run from north to south.
+    """Square cells in plan; rows run from north to south."""
 
-    Attributes
-    ----------
-    west, north : in crs
-        Outer corner of the first cell.
-    cell : (east, north), in units of crs
-    cell_m : [m]
-    shape : (rows, columns)
-    index : (N,) int64
-        Cell of each point, row by row; -1 for strays beyond the grid.
-    """
-
+    # west, north in crs: outer corner of the first cell
     west: float
     north: float
-    cell: tuple[float, float]
-    cell_m: float
-    shape: tuple[int, int]
-    index: np.ndarray
+    cell: tuple[float, float]  # (east, north), in units of crs
+    cell_m: float  # [m]
+    shape: tuple[int, int]  # (rows, columns)
+    index: np.ndarray  # (N,) int64: cell of each point, row by row; -1 for strays beyond the grid
 
     @staticmethod
     def over(

@@ -28,38 +28,20 @@ _ANY_SLOPE = 1.0
 
 @dataclass(frozen=True)
 class Gridded:
-    """The bed in cells; arrays (rows, columns), in files.
-
-    Attributes
-    ----------
-    cells : PlanCells
-    height : float32 [m]
-        Mean height of the bed over the cell, seen from above; of no meaning where `known` is not set.
-    std : float32 [m]
-        Standard deviation of that height by errors of its own.
-    common : float32 [m]
-        Standard deviation by what all heights have in common, water, lens and poses, as far as the run knows it.
-    count : uint32
-        Points that the height is from; 0 where it was filled.
-    known : uint8
-        1 where the cell has points, 2 where it was filled from its neighbours, else 0.
-    incidence : float32 [rad]
-        Mean angle in air at which its points were seen.
-    level : LevelFit or None
-        Height of the water; None for a dry survey.
-    pixel_m : [m]
-        What a pixel of the photographs covers.
-    """
+    """The bed in cells; arrays (rows, columns), in files."""
 
     cells: PlanCells
+    # float32 [m]: mean height of the bed over the cell, seen from above; of no meaning where `known` is not set
     height: np.ndarray
-    std: np.ndarray
+    std: np.ndarray  # float32 [m]: standard deviation of that height by errors of its own
+    # float32 [m]: standard deviation by what all heights have in common, water, lens and poses, as far as the run knows
+    # it
     common: np.ndarray
-    count: np.ndarray
-    known: np.ndarray
-    incidence: np.ndarray
-    level: LevelFit | None
-    pixel_m: float
+    count: np.ndarray  # uint32: points that the height is from; 0 where it was filled
+    known: np.ndarray  # uint8: 1 where the cell has points, 2 where it was filled from its neighbours, else 0
+    incidence: np.ndarray  # float32 [rad]: mean angle in air at which its points were seen
+    level: LevelFit | None  # Height of the water; None for a dry survey
+    pixel_m: float  # [m]: what a pixel of the photographs covers
 
     def heights(self, window: Window) -> np.ndarray:
         """Heights (rows, columns) float64 [m] of a window, NaN where there is none."""
@@ -85,18 +67,12 @@ class Gridded:
 
 @dataclass(frozen=True)
 class LevelFit:
-    """A paraboloid through the water over the points of a cloud.
+    """A paraboloid through the water over the points of a cloud."""
 
-    Attributes
-    ----------
-    middle, extent : (2,) in crs
-    coefficients : (6,) [m]
-        Of 1, x, y, x x, x y, y y, with x and y from the middle in extents.
-    """
-
+    # middle, extent: (2,) in crs
     middle: np.ndarray
     extent: np.ndarray
-    coefficients: np.ndarray
+    coefficients: np.ndarray  # (6,) [m]: of 1, x, y, x x, x y, y y, with x and y from the middle in extents
 
     @staticmethod
     def of(points: np.ndarray, depth: np.ndarray) -> LevelFit | None:

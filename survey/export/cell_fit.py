@@ -46,38 +46,23 @@ _SEED = 0
 
 @dataclass(frozen=True)
 class CellFits:
-    """Planes of M cells, those that points cover well enough, in the order of their numbers.
+    """Planes of M cells, those that points cover well enough, in the order of their numbers."""
 
-    Attributes
-    ----------
-    cell : (M,) int64
-    height, std : (M,) float64 [m]
-        Mean of the plane over the cell, which is its height in the middle, and its standard deviation.
-    count : (M,) int64
-        Points.
-    """
-
-    cell: np.ndarray
+    cell: np.ndarray  # (M,) int64
+    # height, std (M,) float64 [m]: mean of the plane over the cell, which is its height in the middle, and its standard
+    # deviation
     height: np.ndarray
     std: np.ndarray
-    count: np.ndarray
+    count: np.ndarray  # (M,) int64: points
 
 
 @dataclass(frozen=True)
 class CellPoints:
-    """N points in cells.
+    """N points in cells."""
 
-    Attributes
-    ----------
-    cell : (N,) int64
-        Number of the cell of each point.
-    offset : (N, 2)
-        East and north of each point from the middle of its cell, in sides: -0.5 to 0.5.
-    height, std : (N,) [m]
-    """
-
-    cell: np.ndarray
-    offset: np.ndarray
+    cell: np.ndarray  # (N,) int64: number of the cell of each point
+    offset: np.ndarray  # (N, 2): east and north of each point from the middle of its cell, in sides: -0.5 to 0.5
+    # height, std: (N,) [m]
     height: np.ndarray
     std: np.ndarray
 

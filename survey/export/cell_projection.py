@@ -25,21 +25,13 @@ _LEAST_RELIEF_M = 0.01
 
 @dataclass(frozen=True)
 class CellProjection:
-    """Projection of cells into a camera, (rows, columns) each; NaN where it does not see them.
+    """Projection of cells into a camera, (rows, columns) each; NaN where it does not see them."""
 
-    Attributes
-    ----------
-    u, v : [px]
-    cos_incidence : [-]
-        Of the ray in air, to the normal of the water.
-    lean : [-]
-        Square of the tangent of the angle between the straight line to the camera and the vertical.
-    """
-
+    # u, v: [px]
     u: np.ndarray
     v: np.ndarray
-    cos_incidence: np.ndarray
-    lean: np.ndarray
+    cos_incidence: np.ndarray  # [-]: of the ray in air, to the normal of the water
+    lean: np.ndarray  # [-]: square of the tangent of the angle between the straight line to the camera and the vertical
 
     def where(self, seen: np.ndarray) -> CellProjection:
         """The same where ``seen`` (rows, columns) bool, else NaN."""
@@ -81,24 +73,16 @@ class Windows:
 
 @dataclass(frozen=True)
 class _Knots:
-    """The places of a window at which ways through the water are solved.
-
-    Attributes
-    ----------
-    window : Window
-    middle, half : [m]
-        The heights are ``middle - half``, ``middle``, ``middle + half``.
-    rows, columns : (cells, knots)
-        Weights that interpolate between knots.
-    points : (3, knots, knots, 3) [m], local
-    """
+    """The places of a window at which ways through the water are solved."""
 
     window: Window
+    # middle, half [m]: the heights are ``middle - half``, ``middle``, ``middle + half``
     middle: float
     half: float
+    # rows, columns (cells, knots): weights that interpolate between knots
     rows: np.ndarray
     columns: np.ndarray
-    points: np.ndarray
+    points: np.ndarray  # (3, knots, knots, 3) [m], local
 
     @staticmethod
     def of(flight: Flight, cells: PlanCells, window: Window, height: np.ndarray) -> _Knots:

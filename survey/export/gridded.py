@@ -52,17 +52,11 @@ MARGIN_SQUARES = _WALL_SQUARES + 1
 
 @dataclass(frozen=True)
 class _Points:
-    """Columns of the points of a run, N of each.
+    """Columns of the points of a run, N of each."""
 
-    Attributes
-    ----------
-    at : (N, 2)
-        Places in plan, in cells.
-    height, std, placed, common, incidence : (N,)
-        The standard deviation is without ``placed`` (`survey.run.stored.StoredBed.std_placed`), which neighbours share.
-    """
-
-    at: np.ndarray
+    at: np.ndarray  # (N, 2): places in plan, in cells
+    # height, std, placed, common, incidence (N,): the standard deviation is without ``placed``
+    # (`survey.run.stored.StoredBed.std_placed`), which neighbours share
     height: np.ndarray
     std: np.ndarray
     placed: np.ndarray

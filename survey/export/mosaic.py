@@ -23,22 +23,12 @@ _BORDER_PX = 24.0
 
 @dataclass(frozen=True)
 class Mosaic:
-    """Sums over views in cells, in files; the highest weight of a cell is 1.
-
-    Attributes
-    ----------
-    cells : PlanCells
-    highest : (rows, columns) float32
-        Logarithm of the highest weight; of no meaning where `weight` is 0.
-    weight : (rows, columns) float32
-    colour : (rows, columns, 3) float32
-        Sum of weighted colours, 0 to 255.
-    """
+    """Sums over views in cells, in files; the highest weight of a cell is 1."""
 
     cells: PlanCells
-    highest: np.ndarray
-    weight: np.ndarray
-    colour: np.ndarray
+    highest: np.ndarray  # (rows, columns) float32: logarithm of the highest weight; of no meaning where `weight` is 0
+    weight: np.ndarray  # (rows, columns) float32
+    colour: np.ndarray  # (rows, columns, 3) float32: sum of weighted colours, 0 to 255
 
     @staticmethod
     def empty(cells: PlanCells, folder: Path) -> Mosaic:

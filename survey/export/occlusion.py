@@ -28,21 +28,11 @@ _COMPARED, _ROUNDS = 20_000, 6
 
 @dataclass(frozen=True)
 class HeightBuffer:
-    """The highest bed in each block of a photograph's pixels.
+    """The highest bed in each block of a photograph's pixels."""
 
-    Attributes
-    ----------
-    height : (rows, columns) [m]
-        -inf where there is none.
-    block : [px]
-        Side.
-    allowed : [m]
-        By so much a cell may lie lower and be seen.
-    """
-
-    height: np.ndarray
-    block: float
-    allowed: float
+    height: np.ndarray  # (rows, columns) [m]: -inf where there is none
+    block: float  # [px]: side
+    allowed: float  # [m]: by so much a cell may lie lower and be seen
 
     @staticmethod
     def of(camera: PinholeCamera, bed: Windows, *, cell_m: float, cell_px: float) -> HeightBuffer:

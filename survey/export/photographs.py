@@ -19,20 +19,11 @@ from survey.run.flight import Flight
 
 @dataclass(frozen=True)
 class Photograph:
-    """Photograph as a product uses it.
-
-    Attributes
-    ----------
-    view : View
-    camera : PinholeCamera
-        At the scale.
-    scale : [-]
-        At most 1.
-    """
+    """Photograph as a product uses it."""
 
     view: View
-    camera: PinholeCamera
-    scale: float
+    camera: PinholeCamera  # At the scale
+    scale: float  # [-]: at most 1
 
     def pixels(self) -> Pixels:
         """The photograph, decoded."""
@@ -41,17 +32,10 @@ class Photograph:
 
 @dataclass(frozen=True)
 class Pixels:
-    """A decoded photograph.
+    """A decoded photograph."""
 
-    Attributes
-    ----------
-    rgb : (height, width, 3) uint8
-    mask : (height, width) bool or None
-        Where it may be used; None for everywhere.
-    """
-
-    rgb: np.ndarray
-    mask: np.ndarray | None
+    rgb: np.ndarray  # (height, width, 3) uint8
+    mask: np.ndarray | None  # (height, width) bool or None: where it may be used; None for everywhere
 
     def at(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Colours (rows, columns, 3) float64, 0 to 255, at places [px]; NaN where these are NaN or masked."""

@@ -61,24 +61,15 @@ class PlanCells:
     """Cells whose edges lie at multiples of their side, so that rasters of one resolution fit together.
 
     Their side is a length on the ground, whatever the unit and the scale of the map (`geo.projection.ground_units_m`).
-
-    Attributes
-    ----------
-    crs : pyproj.CRS
-    west, north : in crs
-        Outer corner of the first cell.
-    side : (east, north), in units of crs
-    side_m : [m], on the ground
-    shape : (rows, columns)
-        Rows run from north to south.
     """
 
     crs: CRS
+    # west, north in crs: outer corner of the first cell
     west: float
     north: float
-    side: tuple[float, float]
-    side_m: float
-    shape: tuple[int, int]
+    side: tuple[float, float]  # (east, north), in units of crs
+    side_m: float  # [m], on the ground
+    shape: tuple[int, int]  # (rows, columns): rows run from north to south
 
     @staticmethod
     def over(points_crs: np.ndarray, crs: CRS, side_m: float) -> PlanCells:

@@ -81,42 +81,22 @@ def require_not_too_fine(side_m: float, pixel_m: float) -> None:
 
 @dataclass(frozen=True)
 class Product:
-    """Product: an option of `bathynerf export`.
+    """Product: an option of `bathynerf export`."""
 
-    Attributes
-    ----------
-    option : str
-        Without the dashes, e.g. "las".
-    suffixes : tuple of str
-        That a file of it may have, in lower case, e.g. (".tif", ".tiff").
-    kind : str
-        What its files are, with an article, e.g. "a cloud that bathynerf wrote".
-    help : str
-        One line.
-    example : str
-        What follows ``bathynerf export RUN`` in an example.
-    takes : tuple of str
-        Fields of `ExportOptions` that it follows.
-    is_ours : callable
-        Whether an existing file is one that this product wrote, and may be replaced.
-    write : callable
-        Writes the file, whole or not at all. What it needs of slow modules it imports itself: the command line reads
-        the registry.
-    is_folder : bool
-        Whether it is a folder of files, which is made where it is not there, and always written anew.
-    style : callable, optional
-        The style of QGIS for a file of it, see `survey.export.styles`.
-    """
-
-    option: str
-    suffixes: tuple[str, ...]
-    kind: str
-    help: str
-    example: str
-    takes: tuple[str, ...]
+    option: str  # Without the dashes, e.g. "las".
+    suffixes: tuple[str, ...]  # That a file of it may have, in lower case, e.g. (".tif", ".tiff").
+    kind: str  # What its files are, with an article, e.g. "a cloud that bathynerf wrote".
+    help: str  # One line
+    example: str  # What follows ``bathynerf export RUN`` in an example
+    takes: tuple[str, ...]  # Fields of `ExportOptions` that it follows
+    # callable: whether an existing file is one that this product wrote, and may be replaced
     is_ours: Callable[[Path], bool]
+    # callable: writes the file, whole or not at all. What it needs of slow modules it imports itself: the command line
+    # reads the registry.
     write: Callable[[Path, LoadedRun, ExportOptions], None]
+    # Whether it is a folder of files, which is made where it is not there, and always written anew
     is_folder: bool = False
+    # callable, optional: the style of QGIS for a file of it, see `survey.export.styles`
     style: Callable[[Path], str] | None = None
 
 

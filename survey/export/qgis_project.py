@@ -22,22 +22,14 @@ _STD_BAND = 2
 
 
 class _Layer(NamedTuple):
-    """A layer, from the top of the legend down.
+    """A layer, from the top of the legend down."""
 
-    Attributes
-    ----------
-    name, file, provider, kind : str
-        ``kind`` is QGIS's: "raster" or "point-cloud".
-    content : str
-        Its renderer.
-    is_shown : bool
-    """
-
+    # name, file, provider, kind: ``kind`` is QGIS's: "raster" or "point-cloud"
     name: str
     file: str
     provider: str
     kind: str
-    content: str
+    content: str  # Its renderer
     is_shown: bool
 
     @property

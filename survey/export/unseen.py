@@ -26,20 +26,11 @@ CLASS_WATER_SURFACE, CLASS_NO_BOTTOM = 41, 45
 
 @dataclass(frozen=True)
 class Unseen:
-    """Cells of the ground without a bed.
-
-    Attributes
-    ----------
-    cells : SeenCells
-    codes : (rows, columns) uint8
-        `TWO_VIEWS`, `ONE_VIEW` or 0.
-    level : (rows, columns) float64 [m], local
-        Height of the water over the middles of the cells; NaN in a dry survey.
-    frame : LocalFrame
-    """
+    """Cells of the ground without a bed."""
 
     cells: SeenCells
-    codes: np.ndarray
+    codes: np.ndarray  # (rows, columns) uint8: `TWO_VIEWS`, `ONE_VIEW` or 0
+    # (rows, columns) float64 [m], local: height of the water over the middles of the cells; NaN in a dry survey
     level: np.ndarray
     frame: LocalFrame
 

@@ -27,14 +27,9 @@ class BareFoot(float):
 
 @dataclass(frozen=True)
 class Units:
-    """Units of the coordinates of a table.
+    """Units of the coordinates of a table."""
 
-    Attributes
-    ----------
-    plan_m, height_m : [m] or None
-        None where nothing says them, and of degrees.
-    """
-
+    # plan_m, height_m [m] or None: None where nothing says them, and of degrees
     plan_m: float | None = None
     height_m: float | None = None
 

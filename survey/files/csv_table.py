@@ -24,23 +24,13 @@ _QUOTED = re.compile(r'"[^"]*"')
 
 @dataclass(frozen=True)
 class Row:
-    """Row of a table.
+    """Row of a table."""
 
-    Attributes
-    ----------
-    where : str
-        Path and line number, for messages.
-    cells : dict of str to str
-        Texts of the requested columns, by name; of optional ones only those that the table has.
-    decimal : "." or ","
-    error : type
-        What is raised.
-    """
-
-    where: str
+    where: str  # Path and line number, for messages
+    # dict of str to str: texts of the requested columns, by name; of optional ones only those that the table has
     cells: dict[str, str]
-    decimal: str
-    error: type[SurveyError]
+    decimal: str  # "." or ","
+    error: type[SurveyError]  # type: what is raised
 
     def text(self, name: str) -> str:
         """The text in a column.

@@ -21,18 +21,10 @@ _HEAD_BYTES = 2048
 
 @dataclass(frozen=True)
 class ReadFiles:
-    """Files that a command reads.
+    """Files that a command reads."""
 
-    Attributes
-    ----------
-    files : tuple of Path
-        Those that do not exist are no input.
-    folders : tuple of Path
-        Everything in them and below them is read.
-    """
-
-    files: tuple[Path, ...] = ()
-    folders: tuple[Path, ...] = ()
+    files: tuple[Path, ...] = ()  # Those that do not exist are no input
+    folders: tuple[Path, ...] = ()  # Everything in them and below them is read
 
     @classmethod
     def of(cls, *paths: Path | None) -> ReadFiles:

@@ -34,19 +34,11 @@ _TELL_A_WRONG_ONE = 4
 
 @dataclass(frozen=True)
 class CheckedControl:
-    """Control and priors of a block of structure from motion, without contradicted ones.
-
-    Attributes
-    ----------
-    control : Control or None
-    priors : by name of view
-    move : Similarity or None
-        Takes the block to its control, where its positions put it elsewhere.
-    """
+    """Control and priors of a block of structure from motion, without contradicted ones."""
 
     control: Control | None
-    priors: Mapping[str, PosePrior]
-    move: Similarity | None
+    priors: Mapping[str, PosePrior]  # by name of view
+    move: Similarity | None  # Takes the block to its control, where its positions put it elsewhere
 
 
 def checked_parts(

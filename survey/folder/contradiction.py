@@ -8,21 +8,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Contradiction:
-    """Test of a given parameter of water or lens against its estimate from the photographs.
+    """Test of a given parameter of water or lens against its estimate from the photographs."""
 
-    Attributes
-    ----------
-    name : str
-        "level_m", "refractive_index", or of a lens as "camera0.f".
-    given, given_std : float
-        As survey.toml and the poses file say, or the defaults.
-    difference, std : float
-        Of what photographs say less given; of what they say.
-    """
-
-    name: str
+    name: str  # "level_m", "refractive_index", or of a lens as "camera0.f"
+    # given, given_std: As survey.toml and the poses file say, or the defaults
     given: float
     given_std: float
+    # difference, std: Of what photographs say less given; of what they say
     difference: float
     std: float
 

@@ -37,19 +37,10 @@ _TIMES = 10.0
 
 @dataclass(frozen=True)
 class FoundControl:
-    """Contents of the files of [control], in the crs of the survey.
+    """Contents of the files of [control], in the crs of the survey."""
 
-    Attributes
-    ----------
-    config : ControlConfig
-        With standard deviations, where there are control points.
-    gathered : Gathered or None
-        None without control points.
-    checkpoints : tuple of GivenPoint
-    """
-
-    config: ControlConfig
-    gathered: Gathered | None
+    config: ControlConfig  # With standard deviations, where there are control points
+    gathered: Gathered | None  # None without control points
     checkpoints: tuple[GivenPoint, ...]
 
     @property

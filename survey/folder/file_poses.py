@@ -30,31 +30,18 @@ from survey.water.level import with_level_of_clicks
 
 @dataclass(frozen=True)
 class FilePoses:
-    """Contents of the poses file of a survey, in its local frame.
+    """Contents of the poses file of a survey, in its local frame."""
 
-    Attributes
-    ----------
-    found : Found
-        The contents of the survey folder, with the level that clicks in the photographs give.
-    frame : LocalFrame
-    views : list of View
-    points : (N, 3) float64 [m], local, or None
-        Tie points that three photographs see; None where none came.
-    tool, masks
-        See `PoseFile`.
-    reprojection : Reprojection or None
-        None where the file does not say where the photographs show its points.
-    priors : dict of name to PosePrior
-    """
-
-    found: Found
+    found: Found  # The contents of the survey folder, with the level that clicks in the photographs give
     frame: LocalFrame
     views: list[View]
+    # (N, 3) float64 [m], local, or None: tie points that three photographs see; None where none came
     points: np.ndarray | None
+    # tool, masks: See `PoseFile`
     tool: str | None
     masks: Path | None
-    reprojection: Reprojection | None
-    priors: dict[str, PosePrior]
+    reprojection: Reprojection | None  # None where the file does not say where the photographs show its points
+    priors: dict[str, PosePrior]  # dict of name to PosePrior
 
 
 def read_file_poses(found: Found, path: Path) -> tuple[FilePoses, Findings]:

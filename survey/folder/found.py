@@ -41,42 +41,23 @@ GRIDS_FOLDER = "geoid"
 
 @dataclass(frozen=True)
 class Found:
-    """Contents of a survey folder.
-
-    Attributes
-    ----------
-    folder : Path
-    config : SurveyConfig
-        As read, or inferred where there is no survey.toml; the water has a level, if there is water.
-    crs : pyproj.CRS
-        Horizontal and vertical.
-    images : name to path
-        Sorted by name; a name is the path below the image folder, with forward slashes.
-    heads : name to Exif
-    poses_path : Path or None
-        None where structure from motion has to find the poses.
-    assumptions, warnings : sentences
-    control : FoundControl or None
-        Control and check points in crs; None where survey.toml names none.
-    levels : tuple of LevelObservation
-        What was measured of the water level; clicks in photographs are not among them before the poses are known.
-    tide : Tide or None
-        How the level moved; None where nothing is said of it.
-    datum : DatumStd
-        What the way of GPS positions into crs adds to their accuracy; nothing where a file has the poses.
-    """
+    """Contents of a survey folder."""
 
     folder: Path
-    config: SurveyConfig
-    crs: CRS
+    config: SurveyConfig  # As read, or inferred where there is no survey.toml; the water has a level, if there is water
+    crs: CRS  # Horizontal and vertical
+    # name to path: sorted by name; a name is the path below the image folder, with forward slashes
     images: dict[str, Path]
-    heads: dict[str, Exif]
-    poses_path: Path | None
+    heads: dict[str, Exif]  # name to Exif
+    poses_path: Path | None  # None where structure from motion has to find the poses
+    # assumptions, warnings: sentences
     assumptions: tuple[str, ...]
     warnings: tuple[str, ...]
-    control: FoundControl | None = None
+    control: FoundControl | None = None  # Control and check points in crs; None where survey.toml names none
+    # What was measured of the water level; clicks in photographs are not among them before the poses are known
     levels: tuple[LevelObservation, ...] = ()
-    tide: Tide | None = None
+    tide: Tide | None = None  # How the level moved; None where nothing is said of it
+    # What the way of GPS positions into crs adds to their accuracy; nothing where a file has the poses
     datum: DatumStd = EXACT
 
 

@@ -21,20 +21,11 @@ _MOST_PAIRED = 1500
 
 @dataclass(frozen=True)
 class Ground:
-    """Rough height of dry ground.
+    """Rough height of dry ground."""
 
-    Attributes
-    ----------
-    height : [m], local
-    source : str
-        What it is known from, for the plan.
-    is_guess : bool
-        Whether it is known from the usual overlap of photographs alone.
-    """
-
-    height: float
-    source: str
-    is_guess: bool = False
+    height: float  # [m], local
+    source: str  # What it is known from, for the plan
+    is_guess: bool = False  # Whether it is known from the usual overlap of photographs alone
 
 
 def ground_below(cameras: Sequence[PinholeCamera]) -> Ground:

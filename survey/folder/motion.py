@@ -34,17 +34,10 @@ _HOVERS_M_S = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Velocity:
-    """Velocity of the camera at one photograph.
+    """Velocity of the camera at one photograph."""
 
-    Attributes
-    ----------
-    local : (3,) float64 [m/s], local
-    source : str
-        `BY_XMP`, `BY_TIMES` or `BY_SETTINGS`.
-    """
-
-    local: np.ndarray
-    source: str
+    local: np.ndarray  # (3,) float64 [m/s], local
+    source: str  # `BY_XMP`, `BY_TIMES` or `BY_SETTINGS`
 
     @property
     def speed(self) -> float:

@@ -33,22 +33,12 @@ from survey.photos.tie_points import TiePoints
 
 @dataclass(frozen=True)
 class PlacedViews:
-    """Views that a poses file or structure from motion placed.
+    """Views that a poses file or structure from motion placed."""
 
-    Attributes
-    ----------
-    found : Found
-        The contents of the survey folder, with the level that clicks give where a poses file places these.
-    frame : LocalFrame
-    views : list of View
-        Sorted by name, with their masks.
-    points, ties, tool, reprojection, priors, control, checkpoints
-        See `survey.folder.survey.Survey`.
-    """
-
-    found: Found
+    found: Found  # The contents of the survey folder, with the level that clicks give where a poses file places these
     frame: LocalFrame
-    views: list[View]
+    views: list[View]  # Sorted by name, with their masks
+    # points, ties, tool, reprojection, priors, control, checkpoints: See `survey.folder.survey.Survey`
     points: np.ndarray | None
     ties: TiePoints | None
     tool: str | None

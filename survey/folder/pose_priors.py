@@ -41,38 +41,24 @@ BY_POSES = "poses file"
 
 @dataclass(frozen=True, eq=False)
 class PosePrior:
-    """Prior of the pose of one view.
+    """Prior of the pose of one view."""
 
-    Attributes
-    ----------
-    position : (3,) float64 [m], local, or None
-        Of the camera: by GPS, or of its pose in the poses file.
-    position_std : (3,) float64 [m] or None
-        East, north, up. None where it is not known.
-    rotation_std_deg : (3,) float64 [deg] or None
-        Of the rotation that the view was loaded with, about the axes of local. None where that rotation was found by
-        structure from motion, or its accuracy is not known.
-    source : str
-        Of the standard deviation, "survey.toml", "geo.txt", "XMP RTK", "stated accuracy" or `BY_FILE`; without one, of
-        the position: "GPS EXIF", "geo.txt", `BY_POSES`, or "none".
-    common_up_std : float [m]
-        Of an error that the heights of all positions have in common; 0 where they have none.
-    common_plan_std : float [m]
-        The same of their places in plan, beside `position_std`: by a transformation of datums.
-    attitude : (3, 3) or None
-        Cam from local, by the attitude of the camera in XMP, of views that structure from motion placed.
-    attitude_std_deg : float [deg]
-        Of what attitudes have in common.
-    """
-
+    # (3,) float64 [m], local, or None: of the camera: by GPS, or of its pose in the poses file
     position: np.ndarray | None
-    position_std: np.ndarray | None
+    position_std: np.ndarray | None  # (3,) float64 [m] or None: East, north, up. None where it is not known.
+    # (3,) float64 [deg] or None: of the rotation that the view was loaded with, about the axes of local. None where
+    # that rotation was found by structure from motion, or its accuracy is not known.
     rotation_std_deg: np.ndarray | None
+    # Of the standard deviation, "survey.toml", "geo.txt", "XMP RTK", "stated accuracy" or `BY_FILE`; without one, of
+    # the position: "GPS EXIF", "geo.txt", `BY_POSES`, or "none"
     source: str
+    # [m]: of an error that the heights of all positions have in common; 0 where they have none
     common_up_std: float = 0.0
+    # [m]: the same of their places in plan, beside `position_std`: by a transformation of datums
     common_plan_std: float = 0.0
+    # (3, 3) or None: cam from local, by the attitude of the camera in XMP, of views that structure from motion placed
     attitude: np.ndarray | None = None
-    attitude_std_deg: float = ATTITUDE_STD_DEG
+    attitude_std_deg: float = ATTITUDE_STD_DEG  # [deg]: of what attitudes have in common
 
     def held_by_control(self) -> PosePrior:
         """The same where control decides the place of the block: what positions have in common widens them."""

@@ -13,24 +13,16 @@ from survey.photos.poses import FileTies
 
 @dataclass(frozen=True)
 class Reprojection:
-    """Distances [px] in the image between where tie points were seen and where straight rays put them.
+    """Distances [px] in the image between where tie points were seen and where straight rays put them."""
 
-    Attributes
-    ----------
-    rms_px, median_px : float
-        Root mean square and median distance.
-    num_points, num_images, num_seen : int
-        Points, photographs, and places of points in photographs.
-    num_lost : int
-        Places that do not count: behind their camera, or beyond the reach of its lens.
-    """
-
+    # rms_px, median_px: Root mean square and median distance
     rms_px: float
     median_px: float
+    # num_points, num_images, num_seen: Points, photographs, and places of points in photographs
     num_points: int
     num_images: int
     num_seen: int
-    num_lost: int
+    num_lost: int  # Places that do not count: behind their camera, or beyond the reach of its lens
 
     def __str__(self) -> str:
         lost = f", {self.num_lost} more behind the cameras or beyond their lenses" if self.num_lost else ""

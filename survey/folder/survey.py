@@ -55,77 +55,49 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Observations:
-    """Measurements of a survey besides its photographs.
+    """Measurements of a survey besides its photographs."""
 
-    Attributes
-    ----------
-    points : (N, 3) float64 [m], local, or None
-        Matched points that three photographs or more see, on straight rays, or those of an adjustment with bent rays;
-        None where the poses came without any.
-    ties : TiePoints or None
-        These points with their places in the photographs as they were taken, where structure from motion found them.
-    priors : dict of name to PosePrior
-        What is known of the pose of each view besides its photograph.
-    control : Control or None
-        Control points that the photographs show.
-    checkpoints : tuple of Checkpoint
-        Points that results are compared with; none where there is no file of them.
-    levels : tuple of LevelObservation
-        Measurements of the water level; the settings have their mean and its standard deviation.
-    velocities : dict of name to Velocity
-        Of the views for which one is known.
-    ground : Ground or None
-        Dry ground of an earlier survey, on which the block is placed.
-    tide : Tide or None
-        How the level moved from photograph to photograph, which cameras have where it matters (`PinholeCamera.tide`);
-        None where nothing is said of it.
-    departure : Departure or None
-        Of the water from its plane; None where nothing is said of it.
-    """
-
+    # (N, 3) float64 [m], local, or None: matched points that three photographs or more see, on straight rays, or those
+    # of an adjustment with bent rays; None where the poses came without any
     points: np.ndarray | None = field(default=None, compare=False, repr=False)
+    # These points with their places in the photographs as they were taken, where structure from motion found them
     ties: TiePoints | None = field(default=None, compare=False, repr=False)
+    # dict of name to PosePrior: what is known of the pose of each view besides its photograph
     priors: Mapping[str, PosePrior] = field(default_factory=dict, compare=False, repr=False)
-    control: Control | None = field(default=None, compare=False, repr=False)
+    control: Control | None = field(default=None, compare=False, repr=False)  # Control points that the photographs show
+    # Points that results are compared with; none where there is no file of them
     checkpoints: tuple[Checkpoint, ...] = field(default=(), compare=False, repr=False)
+    # Measurements of the water level; the settings have their mean and its standard deviation
     levels: tuple[LevelObservation, ...] = field(default=(), compare=False, repr=False)
+    # dict of name to Velocity: of the views for which one is known
     velocities: Mapping[str, Velocity] = field(default_factory=dict, compare=False, repr=False)
+    # How the level moved from photograph to photograph, which cameras have where it matters (`PinholeCamera.tide`);
+    # None where nothing is said of it
     tide: Tide | None = field(default=None, compare=False, repr=False)
+    # Dry ground of an earlier survey, on which the block is placed
     ground: Ground | None = field(default=None, compare=False, repr=False)
+    # Of the water from its plane; None where nothing is said of it
     departure: Departure | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """Sources of poses, level and index of a survey, and their fit to the photographs.
+    """Sources of poses, level and index of a survey, and their fit to the photographs."""
 
-    Attributes
-    ----------
-    tool : str or None
-        The program that adjusted the poses of the poses file on straight rays; None where there is no file, or it does
-        not say.
-    reprojection : Reprojection or None
-        Reprojection error of the tie points of the poses file; None where there are none.
-    pose_misfit_px : float or None
-        Reprojection misfit between photographs under the given poses [px]; below 0 where too little matches, None
-        before it is measured.
-    contradiction : Contradiction or None
-        Where a sample of photographs contradicts the given water or lens, under poses that it confirms.
-    is_adjusted : bool
-        Whether views, water and points are those of an adjustment with bent rays.
-    is_level_known : bool
-        Whether survey.toml gives the level of the water; else that of the survey is a guess.
-    is_index_known : bool
-        Whether survey.toml says anything of the index of the water; else the settings have an assumed one, with the
-        standard deviation of an assumed one.
-    """
-
+    # The program that adjusted the poses of the poses file on straight rays; None where there is no file, or it does
+    # not say
     tool: str | None = None
+    # Reprojection error of the tie points of the poses file; None where there are none
     reprojection: Reprojection | None = None
+    # Reprojection misfit between photographs under the given poses [px]; below 0 where too little matches, None before
+    # it is measured
     pose_misfit_px: float | None = None
+    # Where a sample of photographs contradicts the given water or lens, under poses that it confirms
     contradiction: Contradiction | None = None
-    is_adjusted: bool = False
-    is_level_known: bool = True
+    is_adjusted: bool = False  # Whether views, water and points are those of an adjustment with bent rays
+    is_level_known: bool = True  # Whether survey.toml gives the level of the water; else that of the survey is a guess
+    # Whether survey.toml says anything of the index of the water; else the settings have an assumed one, with the
+    # standard deviation of an assumed one
     is_index_known: bool = True
 
 

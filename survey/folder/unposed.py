@@ -41,24 +41,15 @@ _MOST_SCALE_STD = 0.1
 
 @dataclass(frozen=True)
 class SolvedViews:
-    """Views that structure from motion placed.
-
-    Attributes
-    ----------
-    frame : LocalFrame
-    views : tuple of View
-    ties : TiePoints
-        The points that three views or more see, on straight rays; views are numbered as in `views`.
-    assumptions, warnings : sentences
-    rejected : frozenset of str
-        Names of photographs whose GPS positions the block contradicts: they count for nothing in what follows.
-    """
+    """Views that structure from motion placed."""
 
     frame: LocalFrame
     views: tuple[View, ...]
-    ties: TiePoints
+    ties: TiePoints  # The points that three views or more see, on straight rays; views are numbered as in `views`
+    # assumptions, warnings: sentences
     assumptions: tuple[str, ...]
     warnings: tuple[str, ...]
+    # Names of photographs whose GPS positions the block contradicts: they count for nothing in what follows
     rejected: frozenset[str] = frozenset()
 
 

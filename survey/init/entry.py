@@ -16,25 +16,14 @@ Ask = Callable[[str], str]
 
 @dataclass(frozen=True)
 class Answers:
-    """Answers on the command line.
-
-    Attributes
-    ----------
-    crs : str or None
-    level_m : float or None
-    is_dry : bool
-        There is no water.
-    origin : (easting, northing, height) or None
-        Of the local frame of poses, in crs.
-    ask : callable or None
-        None where nobody is there to be asked.
-    """
+    """Answers on the command line."""
 
     crs: str | None = None
     level_m: float | None = None
-    is_dry: bool = False
+    is_dry: bool = False  # There is no water
+    # (easting, northing, height) or None: of the local frame of poses, in crs
     origin: tuple[float, float, float] | None = None
-    ask: Ask | None = None
+    ask: Ask | None = None  # callable or None: None where nobody is there to be asked
 
     def number(self, question: str, *, otherwise: str | None) -> float | None:
         """The number that a person answers; None for an empty answer, or nobody to ask.
@@ -61,16 +50,9 @@ class Answers:
 
 @dataclass
 class Table:
-    """A table of survey.toml.
+    """A table of survey.toml."""
 
-    Attributes
-    ----------
-    name : str
-        Empty for the keys before the first table.
-    lines : list of str
-    """
-
-    name: str
+    name: str  # Empty for the keys before the first table
     lines: list[str] = field(default_factory=list)
 
     def set(self, key: str, value: Any, comment: str = "", more: tuple[str, ...] = ()) -> None:

@@ -35,19 +35,11 @@ _UNEXPLAINED = 0.1
 
 @dataclass(frozen=True)
 class Photographs:
-    """Photographs of a folder, and the poses found with them.
+    """Photographs of a folder, and the poses found with them."""
 
-    Attributes
-    ----------
-    heads : mapping of name to Exif
-    poses_path : Path or None
-    file : PoseFile or None
-        What `poses_path` holds.
-    """
-
-    heads: Mapping[str, Exif]
+    heads: Mapping[str, Exif]  # mapping of name to Exif
     poses_path: Path | None
-    file: PoseFile | None
+    file: PoseFile | None  # What `poses_path` holds
 
     @property
     def centres(self) -> dict[str, np.ndarray]:

@@ -32,23 +32,13 @@ _COLUMNS = ("image", "x", "y", "name")
 
 @dataclass(frozen=True)
 class ControlMark:
-    """A mark with all that its line says.
-
-    Attributes
-    ----------
-    point : str
-    place : (easting, northing, height)
-        In the crs of the survey.
-    is_check : bool
-    image : str
-    pixel : (x, y) or None
-        The centre of the first pixel is 0.5, 0.5. None: the mark is to be removed.
-    """
+    """A mark with all that its line says."""
 
     point: str
-    place: tuple[float, float, float]
+    place: tuple[float, float, float]  # (easting, northing, height): in the crs of the survey
     is_check: bool
     image: str
+    # (x, y) or None: the centre of the first pixel is 0.5, 0.5. None: the mark is to be removed.
     pixel: tuple[float, float] | None
 
 

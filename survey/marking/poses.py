@@ -28,22 +28,12 @@ from survey.water.tides import with_tides
 
 @dataclass(frozen=True)
 class Posed:
-    """Photographs with poses.
+    """Photographs with poses."""
 
-    Attributes
-    ----------
-    source : str
-        Where the poses come from, for a sentence.
-    frame : LocalFrame
-    views : dict of name to View
-    water : FlatWater or None
-        Local; None for dry ground, or where the level is not known yet.
-    """
-
-    source: str
+    source: str  # Where the poses come from, for a sentence
     frame: LocalFrame
-    views: Mapping[str, View]
-    water: FlatWater | None
+    views: Mapping[str, View]  # dict of name to View
+    water: FlatWater | None  # Local; None for dry ground, or where the level is not known yet
 
 
 def survey_to_mark(folder: Path) -> tuple[SurveyConfig, Found]:

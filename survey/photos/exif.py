@@ -48,101 +48,52 @@ _LONGEST_EXIF = 4_000_000
 
 @dataclass(frozen=True)
 class TablePlace:
-    """Position of a photograph by a table beside the photographs.
+    """Position of a photograph by a table beside the photographs."""
 
-    Attributes
-    ----------
-    source : str
-        Name of the table.
-    crs : pyproj.CRS
-        With or without heights.
-    place : (easting or longitude, northing or latitude, height)
-        In units of the crs; the height is NaN where there is none.
-    std_m : (east, north, up) [m] or None
-        None where the table does not say it.
-    """
-
-    source: str
-    crs: CRS
+    source: str  # Name of the table
+    crs: CRS  # With or without heights
+    # (easting or longitude, northing or latitude, height): in units of the crs; the height is NaN where there is none
     place: tuple[float, float, float]
+    # (east, north, up) [m] or None: None where the table does not say it
     std_m: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)
 class Exif:
-    """Head of an image file.
+    """Head of an image file."""
 
-    Attributes
-    ----------
-    size_px : (width, height)
-        As stored, without the rotation in `orientation`.
-    lat_lon_height : (latitude [deg], longitude [deg], height [m]) or None
-        GPS position, WGS 84; the height is NaN where the file has none. Its vertical datum is not known. To some metres
-        where there is a `table_place`.
-    focal_px : float or None
-        Focal length [px] of the stored size, from the 35 mm equivalent or DJI's calibration (a design value).
-    orientation : int
-        1 where the image is stored upright.
-    camera : str
-        Maker and model.
-    above_start_m : float or None
-        DJI's and Autel's height over the take-off point [m].
-    taken : datetime or None
-        In UTC: of the GPS clock, else of the camera's with its offset; None where neither is there.
-    focal_candidates : tuple of FocalCandidate
-        All that the head says of the focal length, which may disagree; for the search of a calibration.
-    rtk : Rtk or None
-        Accuracy of the position by the receiver, where DJI's XMP has it.
-    motion : Motion
-        Attitudes, speed and shutter at the exposure, by XMP.
-    std_m : (east, north, up) [m] or None
-        Accuracy of the position where XMP states it in the namespace of Pix4D, as senseFly and Parrot do, or EXIF in
-        GPSHPositioningError.
-    height_datum : str or None
-        What XMP says that the height counts from; see `survey.photos.xmp.height_datum`.
-    bits : int
-        Of one channel.
-    has_pages : bool
-        Whether a TIFF has more images than the first one, which is used.
-    clock : datetime or None
-        By the camera's own clock, to the fraction of a second that it has: for the time between photographs.
-    exposure_s : float or None
-        How long the shutter was open [s].
-    gps_fault : str
-        What EXIF lacks for a GPS position, of which it has a part.
-    focal_doubt : str
-        Why the focal length may be that of another image: `survey.photos.exif_focal.focal_doubt`.
-    gps_datum : str
-        What the file says that its position is on, where that is not WGS 84 or alike; empty otherwise.
-    is_void : bool
-        Whether the receiver says that it measured no position, and gives an earlier one (GPSStatus V).
-    serial : str
-        Serial number of the camera; empty where it is not known.
-    table_place : TablePlace or None
-        Where a table gives the position, which then counts instead of that of the file itself.
-    """
-
-    size_px: tuple[int, int]
+    size_px: tuple[int, int]  # (width, height): as stored, without the rotation in `orientation`
+    # (latitude [deg], longitude [deg], height [m]) or None: GPS position, WGS 84; the height is NaN where the file has
+    # none. Its vertical datum is not known. To some metres where there is a `table_place`.
     lat_lon_height: tuple[float, float, float] | None
+    # Focal length [px] of the stored size, from the 35 mm equivalent or DJI's calibration (a design value)
     focal_px: float | None
-    orientation: int
-    camera: str
-    above_start_m: float | None
+    orientation: int  # 1 where the image is stored upright
+    camera: str  # Maker and model
+    above_start_m: float | None  # DJI's and Autel's height over the take-off point [m]
+    # In UTC: of the GPS clock, else of the camera's with its offset; None where neither is there
     taken: datetime | None = None
+    # All that the head says of the focal length, which may disagree; for the search of a calibration
     focal_candidates: tuple[FocalCandidate, ...] = ()
-    rtk: Rtk | None = None
-    motion: Motion = field(default_factory=Motion)
+    rtk: Rtk | None = None  # Accuracy of the position by the receiver, where DJI's XMP has it
+    motion: Motion = field(default_factory=Motion)  # Attitudes, speed and shutter at the exposure, by XMP
+    # (east, north, up) [m] or None: accuracy of the position where XMP states it in the namespace of Pix4D, as senseFly
+    # and Parrot do, or EXIF in GPSHPositioningError
     std_m: tuple[float, float, float] | None = None
-    height_datum: str | None = None
-    bits: int = 8
-    has_pages: bool = False
+    height_datum: str | None = None  # What XMP says that the height counts from; see `survey.photos.xmp.height_datum`
+    bits: int = 8  # Of one channel
+    has_pages: bool = False  # Whether a TIFF has more images than the first one, which is used
+    # By the camera's own clock, to the fraction of a second that it has: for the time between photographs
     clock: datetime | None = None
-    exposure_s: float | None = None
-    gps_fault: str = ""
+    exposure_s: float | None = None  # How long the shutter was open [s]
+    gps_fault: str = ""  # What EXIF lacks for a GPS position, of which it has a part
+    # What the file says that its position is on, where that is not WGS 84 or alike; empty otherwise
     gps_datum: str = ""
+    # Whether the receiver says that it measured no position, and gives an earlier one (GPSStatus V)
     is_void: bool = False
-    focal_doubt: str = ""
-    serial: str = ""
+    focal_doubt: str = ""  # Why the focal length may be that of another image: `survey.photos.exif_focal.focal_doubt`
+    serial: str = ""  # Serial number of the camera; empty where it is not known
+    # Where a table gives the position, which then counts instead of that of the file itself
     table_place: TablePlace | None = None
 
 

@@ -25,19 +25,12 @@ _INCH = 2
 
 @dataclass(frozen=True)
 class FocalCandidate:
-    """A reading of the focal length.
+    """A reading of the focal length."""
 
-    Attributes
-    ----------
-    focal_px : float
-        In pixels of the stored size.
-    source : str
-        "35 mm film, by width" or ", by diagonal" (the standard leaves open which); "focal plane" (focal length and
-        pixel pitch of the sensor); "XMP Camera" (the same with the maker's calibrated focal length, as senseFly and
-        Parrot write it); "DJI calibration" (a design value).
-    """
-
-    focal_px: float
+    focal_px: float  # In pixels of the stored size
+    # "35 mm film, by width" or ", by diagonal" (the standard leaves open which); "focal plane" (focal length and pixel
+    # pitch of the sensor); "XMP Camera" (the same with the maker's calibrated focal length, as senseFly and Parrot
+    # write it); "DJI calibration" (a design value)
     source: str
 
 

@@ -20,20 +20,11 @@ _ROUNDS = 10
 
 @dataclass(frozen=True, eq=False)
 class Intersection:
-    """The place of a point by its marks.
+    """The place of a point by its marks."""
 
-    Attributes
-    ----------
-    place : (3,) [m], local
-    covariance : (3, 3) [m^2]
-        Propagated from the standard deviations of the marks.
-    residuals : (N, 2) [px]
-        Marks less where the photographs show the place.
-    """
-
-    place: np.ndarray
-    covariance: np.ndarray
-    residuals: np.ndarray
+    place: np.ndarray  # (3,) [m], local
+    covariance: np.ndarray  # (3, 3) [m^2]: Propagated from the standard deviations of the marks
+    residuals: np.ndarray  # (N, 2) [px]: marks less where the photographs show the place
 
 
 def intersect(

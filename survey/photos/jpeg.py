@@ -47,27 +47,17 @@ _SEAM_SAID = "from one row of blocks on it shows another place, as where parts o
 
 @dataclass
 class _Layout:
-    """Layout of a JPEG.
+    """Layout of a JPEG."""
 
-    Attributes
-    ----------
-    head : list of bytes
-        Segments before the first scan that its decoder needs, but for the frame.
-    marker, frame : int, bytes
-        Of the frame, and its content.
-    interval : int
-        Units of blocks between restart markers; 0 without them.
-    scans : list of (header, start, end)
-        The compressed bytes of each scan, without a marker.
-    first_symbol : dict
-        By class (0 direct, 1 alternating) and number of a Huffman table: the symbol whose code is all zeros.
-    """
-
+    # Segments before the first scan that its decoder needs, but for the frame
     head: list[bytes] = field(default_factory=list)
+    # marker, frame bytes: of the frame, and its content
     marker: int = 0
     frame: bytes = b""
-    interval: int = 0
+    interval: int = 0  # Units of blocks between restart markers; 0 without them
+    # list of (header, start, end): the compressed bytes of each scan, without a marker
     scans: list[tuple[bytes, int, int]] = field(default_factory=list)
+    # dict: by class (0 direct, 1 alternating) and number of a Huffman table: the symbol whose code is all zeros
     first_symbol: dict[tuple[int, int], int] = field(default_factory=dict)
 
 

@@ -50,98 +50,53 @@ class PoseFrame(Enum):
 
 @dataclass(frozen=True, eq=False)
 class GivenPosition:
-    """Position of a camera before any adjustment, by GPS, as a file has it.
+    """Position of a camera before any adjustment, by GPS, as a file has it."""
 
-    Attributes
-    ----------
-    place : (3,) float64
-        Easting or longitude, northing or latitude and height in the crs of its file.
-    std : (3,) float64 [m]
-        East, north, up.
-    """
-
-    place: np.ndarray
-    std: np.ndarray
+    place: np.ndarray  # (3,) float64: easting or longitude, northing or latitude and height in the crs of its file
+    std: np.ndarray  # (3,) float64 [m]: East, north, up
 
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """The pose of one photograph in a poses file.
+    """The pose of one photograph in a poses file."""
 
-    Attributes
-    ----------
-    name : str
-        Of the image, as the file has it.
-    centre : (3,) float64
-        Of the camera, in the frame of the file.
-    cam_from_world : (3, 3) float64
-        Rotation into cam (x right, y down, z forward), from the axes of the frame of the file.
-    lens : Lens or None
-        None if the file has no lens.
-    given : GivenPosition or None
-        None where the file does not say how well the position was known beforehand.
-    """
-
-    name: str
-    centre: np.ndarray
+    name: str  # Of the image, as the file has it
+    centre: np.ndarray  # (3,) float64: of the camera, in the frame of the file
+    # (3, 3) float64: rotation into cam (x right, y down, z forward), from the axes of the frame of the file
     cam_from_world: np.ndarray
-    lens: Lens | None = None
-    given: GivenPosition | None = None
+    lens: Lens | None = None  # None if the file has no lens
+    given: GivenPosition | None = None  # None where the file does not say how well the position was known beforehand
 
 
 @dataclass(frozen=True)
 class PoseFile:
-    """Contents of a poses file.
+    """Contents of a poses file."""
 
-    Attributes
-    ----------
-    poses : tuple of Pose
-        Of different names.
-    frame : PoseFrame
-    crs : pyproj.CRS or None
-        Of GRID and LEVEL: that of the positions; of GEOCENTRIC: the one on whose datum they are. None: the crs of the
-        survey, or WGS 84 for GEOCENTRIC.
-    height_unit_m, plan_unit_m : float or None
-        Units of heights, and of eastings and northings [m], where the file tells them beside ``crs``.
-    tool : str or None
-        The program that adjusted the poses, which knows straight rays only; None where the format does not tell.
-    masks : Path or None
-        Folder of the masks that the program used.
-    notes, warnings : sentences
-        What was assumed of the file, and what it has that is not used.
-    """
-
-    poses: tuple[Pose, ...]
+    poses: tuple[Pose, ...]  # Of different names
     frame: PoseFrame
+    # Of GRID and LEVEL: that of the positions; of GEOCENTRIC: the one on whose datum they are. None: the crs of the
+    # survey, or WGS 84 for GEOCENTRIC.
     crs: CRS | None = None
+    # The program that adjusted the poses, which knows straight rays only; None where the format does not tell
     tool: str | None = None
-    masks: Path | None = None
+    masks: Path | None = None  # Folder of the masks that the program used
+    # notes, warnings sentences: what was assumed of the file, and what it has that is not used
     notes: tuple[str, ...] = field(default=(), compare=False)
     warnings: tuple[str, ...] = field(default=(), compare=False)
+    # height_unit_m, plan_unit_m: Units of heights, and of eastings and northings [m], where the file tells them beside
+    # ``crs``
     height_unit_m: float | None = None
     plan_unit_m: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class FileTies:
-    """Tie points of the program that made the poses.
+    """Tie points of the program that made the poses."""
 
-    Attributes
-    ----------
-    points : (N, 3) float64
-        In the frame of the poses file.
-    num_views : (N,) int64
-        How many photographs see each.
-    names : tuple of str
-        Of photographs, as the file has them.
-    point, image : (M,) int64
-        Which point is seen in which photograph, a number into `names`.
-    pixel : (M, 2) float64 [px], img
-    """
-
-    points: np.ndarray
-    num_views: np.ndarray
-    names: tuple[str, ...] = ()
+    points: np.ndarray  # (N, 3) float64: in the frame of the poses file
+    num_views: np.ndarray  # (N,) int64: how many photographs see each
+    names: tuple[str, ...] = ()  # Of photographs, as the file has them
+    # point, image (M,) int64: which point is seen in which photograph, a number into `names`
     point: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     image: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    pixel: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    pixel: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))  # (M, 2) float64 [px], img

@@ -33,21 +33,11 @@ _PLAIN_STD, _BLACK = 2.0, 16.0
 
 @dataclass(frozen=True)
 class ImageDetail:
-    """Detail in a photograph, for its sharpness.
+    """Detail in a photograph, for its sharpness."""
 
-    Attributes
-    ----------
-    detail : (4,)
-        See `detail_of`.
-    white : [-]
-        Share of its pixels that are white or beside white; see `survey.photos.saturation`.
-    is_plain : bool
-        Whether it is black, as under a lens cap, or has one colour all over.
-    """
-
-    detail: np.ndarray
-    white: float
-    is_plain: bool = False
+    detail: np.ndarray  # (4,): see `detail_of`
+    white: float  # [-]: share of its pixels that are white or beside white; see `survey.photos.saturation`
+    is_plain: bool = False  # Whether it is black, as under a lens cap, or has one colour all over
 
 
 def image_detail(path: Path) -> ImageDetail:

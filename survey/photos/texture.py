@@ -29,18 +29,10 @@ _FAINT = 0.05
 
 @dataclass(frozen=True)
 class MatchedLight:
-    """The light whose texture is matched.
+    """The light whose texture is matched."""
 
-    Attributes
-    ----------
-    shares : (3,) [-]
-        Of red, green and blue; they add up to 1.
-    is_measured : bool
-        Whether photographs told them; else they are the weights of luma.
-    """
-
-    shares: tuple[float, float, float] = LUMA
-    is_measured: bool = False
+    shares: tuple[float, float, float] = LUMA  # (3,) [-]: of red, green and blue; they add up to 1
+    is_measured: bool = False  # Whether photographs told them; else they are the weights of luma
 
     @property
     def wavelength_nm(self) -> float:

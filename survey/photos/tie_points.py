@@ -20,25 +20,13 @@ def least_track(num_views: int) -> int:
 
 @dataclass(frozen=True)
 class TiePoints:
-    """Points of the ground measured in several photographs; observations are sorted by point.
+    """Points of the ground measured in several photographs; observations are sorted by point."""
 
-    Attributes
-    ----------
-    start : (M, 3) float64 [m], local
-        Where the points are about.
-    point : (N,) int64, ascending
-        Which point an observation is of; every point has one at least.
-    view : (N,) int64
-    pixel : (N, 2) float64 [px], img
-    least : int
-        Observations that a point is to have; see `least_track`.
-    """
-
-    start: np.ndarray
-    point: np.ndarray
-    view: np.ndarray
-    pixel: np.ndarray
-    least: int = MIN_TRACK
+    start: np.ndarray  # (M, 3) float64 [m], local: where the points are about
+    point: np.ndarray  # (N,) int64, ascending: which point an observation is of; every point has one at least
+    view: np.ndarray  # (N,) int64
+    pixel: np.ndarray  # (N, 2) float64 [px], img
+    least: int = MIN_TRACK  # Observations that a point is to have; see `least_track`
 
     def __len__(self) -> int:
         return len(self.start)

@@ -43,57 +43,33 @@ _ELLIPSOIDS = ("ELLIPSOID", "EPSG:4326", "EPSG:4979", "EPSG:6318", "EPSG:6319")
 
 @dataclass(frozen=True)
 class Rtk:
-    """Accuracy of a position by DJI's receiver.
+    """Accuracy of a position by DJI's receiver."""
 
-    Attributes
-    ----------
-    flag : int
-        0 no position, 16 single, 32 to 49 float, 50 fixed.
-    std_m : (east, north, up) [m]
-        All above zero.
-    """
-
-    flag: int
-    std_m: tuple[float, float, float]
+    flag: int  # 0 no position, 16 single, 32 to 49 float, 50 fixed
+    std_m: tuple[float, float, float]  # (east, north, up) [m]: all above zero
 
 
 @dataclass(frozen=True)
 class XmpPlace:
-    """A position in XMP.
+    """A position in XMP."""
 
-    Attributes
-    ----------
-    latitude, longitude : [deg]
-    height : float or None [m]
-        As EXIF has it: its datum is not known.
-    step_deg : [deg]
-        Of its last digit.
-    """
-
+    # latitude, longitude: [deg]
     latitude: float
     longitude: float
-    height: float | None
-    step_deg: float
+    height: float | None  # [m]: as EXIF has it: its datum is not known
+    step_deg: float  # [deg]: of its last digit
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Attitude, speed and shutter at an exposure; None where XMP does not have them.
+    """Attitude, speed and shutter at an exposure; None where XMP does not have them."""
 
-    Attributes
-    ----------
-    gimbal_deg : (yaw, pitch, roll) [deg] or None
-        Of the camera: turned in this order from north, east, down; yaw from true north. With the pitch -90 it looks
-        straight down.
-    speed : (east, north, up) [m/s] or None
-        Over ground. XMP counts it north, east, down.
-    is_mechanical : bool
-        Whether the shutter is said to be mechanical: all rows are then exposed at once.
-    """
-
+    # (yaw, pitch, roll) [deg] or None: of the camera: turned in this order from north, east, down; yaw from true north.
+    # With the pitch -90 it looks straight down.
     gimbal_deg: tuple[float, float, float] | None = None
+    # (east, north, up) [m/s] or None: over ground. XMP counts it north, east, down.
     speed: tuple[float, float, float] | None = None
-    is_mechanical: bool = False
+    is_mechanical: bool = False  # Whether the shutter is said to be mechanical: all rows are then exposed at once
 
 
 def rtk_of(xmp: str) -> Rtk | None:

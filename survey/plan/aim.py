@@ -27,18 +27,11 @@ _TIMES_SEEN = (3, 1)
 
 @dataclass(frozen=True)
 class Aim:
-    """Target of a run: a standard deviation, a time, or both.
+    """Target of a run: a standard deviation, a time, or both."""
 
-    Attributes
-    ----------
-    std_m : float or None
-        Standard deviation of heights [m], each point's own without `std_common`, of `SHARE` of the ground.
-    seconds : float or None
-        Wall clock of the whole run [s].
-    """
-
+    # Standard deviation of heights [m], each point's own without `std_common`, of `SHARE` of the ground
     std_m: float | None = None
-    seconds: float | None = None
+    seconds: float | None = None  # Wall clock of the whole run [s]
 
     def __str__(self) -> str:
         parts = []

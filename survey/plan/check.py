@@ -46,21 +46,12 @@ class Section:
 
 @dataclass(frozen=True)
 class Checked:
-    """A survey whose files pass all checks.
-
-    Attributes
-    ----------
-    found : Found
-    survey : Survey or None
-        None where structure from motion has to find the poses first.
-    warnings : sentences
-    level_doubt : a sentence, or None
-        Why the photographs will hardly tell the level of the water, where none is given.
-    """
+    """A survey whose files pass all checks."""
 
     found: Found
-    survey: Survey | None
-    warnings: tuple[str, ...]
+    survey: Survey | None  # None where structure from motion has to find the poses first
+    warnings: tuple[str, ...]  # sentences
+    # a sentence, or None: why the photographs will hardly tell the level of the water, where none is given
     level_doubt: str | None = None
 
     @property

@@ -31,23 +31,13 @@ _STEPS = 24
 
 @dataclass(frozen=True)
 class Glitter:
-    """Effect of sun glitter on a flight.
-
-    Attributes
-    ----------
-    num_views : int
-    num_mirrored : int
-        Photographs whose frame has the mirror image of the sun on level water.
-    share : (median, largest)
-        Share of a photograph within the glitter.
-    views, free_views : (low, median) or None
-        Photographs that a place is in, and those of them that show it free of glitter: of the lowest tenth of the
-        places, and the median. None where too few views overlap to tell.
-    """
+    """Effect of sun glitter on a flight."""
 
     num_views: int
-    num_mirrored: int
-    share: tuple[float, float]
+    num_mirrored: int  # Photographs whose frame has the mirror image of the sun on level water
+    share: tuple[float, float]  # (median, largest): share of a photograph within the glitter
+    # views, free_views (low, median) or None: photographs that a place is in, and those of them that show it free of
+    # glitter: of the lowest tenth of the places, and the median. None where too few views overlap to tell.
     views: tuple[float, float] | None
     free_views: tuple[float, float] | None
 

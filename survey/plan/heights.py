@@ -40,17 +40,12 @@ _GRAZING_DEG = 80.0
 
 @dataclass(frozen=True)
 class HeightRange:
-    """Heights [m] over the water plane (over local z = 0 in a dry survey) between which the bed is searched.
+    """Heights [m] over the water plane (over local z = 0 in a dry survey) between which the bed is searched."""
 
-    Attributes
-    ----------
-    low, high : [m]
-    reason : a sentence
-    """
-
+    # low, high: [m]
     low: float
     high: float
-    reason: str
+    reason: str  # a sentence
 
 
 def height_range(survey: Survey, flying_m: float) -> HeightRange:

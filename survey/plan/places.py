@@ -18,16 +18,10 @@ _MOST_VIEWS = 100
 
 @dataclass(frozen=True)
 class Places:
-    """Places of a level bed in the area in the frames of three views or more, of two in both.
+    """Places of a level bed in the area in the frames of three views or more, of two in both."""
 
-    Attributes
-    ----------
-    seen : (V, M) bool
-    cells : (M, 3) float64 [m], local
-    """
-
-    seen: np.ndarray
-    cells: np.ndarray
+    seen: np.ndarray  # (V, M) bool
+    cells: np.ndarray  # (M, 3) float64 [m], local
 
     def some(self, number: int) -> Places:
         """An evenly spaced subset."""

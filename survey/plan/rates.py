@@ -44,38 +44,18 @@ _BOX_S, _MOST_BOXES, _BOX_CORES = 0.4, 32, 2
 
 @dataclass(frozen=True)
 class Amounts:
-    """Amounts of work of a run.
-
-    Attributes
-    ----------
-    num_views : int
-    photographs_mpx : float
-        Of all of them [Mpx].
-    largest_px : float
-        Of one photograph at the size that is worked on [px].
-    map_px : float
-        Of the views that get a height map [px].
-    points : float
-        One for each ground sampling distance squared that two views see.
-    field_cells : float
-        Of a trained field; 0 without.
-    poses : "check", "refine" or "fixed"
-        What is done with them first.
-    solves, has_boxes : bool
-    first_hypotheses : float
-        Heights that the first pass of the sweep tries.
-    """
+    """Amounts of work of a run."""
 
     num_views: int
-    photographs_mpx: float
-    largest_px: float
-    map_px: float
-    points: float
-    field_cells: float
-    poses: str
+    photographs_mpx: float  # Of all of them [Mpx]
+    largest_px: float  # Of one photograph at the size that is worked on [px]
+    map_px: float  # Of the views that get a height map [px]
+    points: float  # One for each ground sampling distance squared that two views see
+    field_cells: float  # Of a trained field; 0 without
+    poses: str  # "check", "refine" or "fixed": what is done with them first
     solves: bool
     has_boxes: bool = False
-    first_hypotheses: float = FIRST_HYPOTHESES
+    first_hypotheses: float = FIRST_HYPOTHESES  # Heights that the first pass of the sweep tries
 
 
 def run_s(amounts: Amounts, num_cores: int) -> float:

@@ -21,25 +21,14 @@ STRICTEST_ORDER_M = TVU[0][1] / TO_95
 
 @dataclass(frozen=True)
 class Recipe:
-    """Numeric settings of a quality.
+    """Numeric settings of a quality."""
 
-    Attributes
-    ----------
-    megapixels : [Mpx]
-        Largest image to process; larger ones are halved until they fit.
-    times_seen : (int, int)
-        How often every place is to be seen by views with a height map of their own: by steep ones, and by oblique ones
-        from each quarter. Three confirm each other; docs/sweep.md has the gain from more.
-    field : "solver" or "off"
-        What refines the heights of the sweep.
-    rays_per_cell : float
-        Rays that the slab learns from, per cell of one ground sampling distance.
-    """
-
-    megapixels: float
+    megapixels: float  # [Mpx]: largest image to process; larger ones are halved until they fit
+    # (int, int): how often every place is to be seen by views with a height map of their own: by steep ones, and by
+    # oblique ones from each quarter. Three confirm each other; docs/sweep.md has the gain from more.
     times_seen: tuple[int, int]
-    field: str
-    rays_per_cell: float = 15.0
+    field: str  # "solver" or "off": what refines the heights of the sweep
+    rays_per_cell: float = 15.0  # Rays that the slab learns from, per cell of one ground sampling distance
 
 
 RECIPES = {

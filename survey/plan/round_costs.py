@@ -33,23 +33,13 @@ _FINER = 1.2
 
 @dataclass(frozen=True)
 class FullSizeAmounts:
-    """Amounts of work of a survey at full size.
+    """Amounts of work of a survey at full size."""
 
-    Attributes
-    ----------
-    photographs_mpx, map_px : float
-        Of all photographs [Mpx], and of the views that get a height map [px].
-    points : float
-        One for each ground sampling distance squared that two views see.
-    poses : "check", "refine" or "fixed"
-        What is done with them first.
-    num_views : int
-    """
-
+    # photographs_mpx, map_px: Of all photographs [Mpx], and of the views that get a height map [px]
     photographs_mpx: float
     map_px: float
-    points: float
-    poses: str
+    points: float  # One for each ground sampling distance squared that two views see
+    poses: str  # "check", "refine" or "fixed": what is done with them first
     num_views: int
 
     @staticmethod
@@ -79,24 +69,12 @@ def samples(amounts: FullSizeAmounts, scale: float, *, lowest: float, before: fl
 
 @dataclass(frozen=True)
 class RoundRates:
-    """Time per unit of work on this machine.
+    """Time per unit of work on this machine."""
 
-    Attributes
-    ----------
-    sample_s : float
-        Of the sweep [s].
-    images_s : float
-        Reading all photographs [s].
-    slow : float
-        How much longer the rest takes than on one core as stated.
-    point_s : float
-        Of the solver [s].
-    """
-
-    sample_s: float
-    images_s: float
-    slow: float
-    point_s: float
+    sample_s: float  # Of the sweep [s]
+    images_s: float  # Reading all photographs [s]
+    slow: float  # How much longer the rest takes than on one core as stated
+    point_s: float  # Of the solver [s]
 
     @staticmethod
     def stated(amounts: FullSizeAmounts, slow: float = 1.0) -> RoundRates:

@@ -40,25 +40,13 @@ _REPORT_BYTES = 480e6
 
 @dataclass(frozen=True)
 class TileChoice:
-    """Tiles of a run.
+    """Tiles of a run."""
 
-    Attributes
-    ----------
-    tiling : Tiling or None
-        None for one piece.
-    decision : Decision
-    memory_bytes : float
-        At the peak of the run, of all its processes.
-    workers : int
-        Processes that compute tiles; 1 for that of the run itself.
-    of_workers : Decision or None
-        None where there is one piece, or one process because nothing else was asked for.
-    """
-
-    tiling: Tiling | None
+    tiling: Tiling | None  # None for one piece
     decision: Decision
-    memory_bytes: float
-    workers: int = 1
+    memory_bytes: float  # At the peak of the run, of all its processes
+    workers: int = 1  # Processes that compute tiles; 1 for that of the run itself
+    # None where there is one piece, or one process because nothing else was asked for
     of_workers: Decision | None = None
 
     @property

@@ -39,19 +39,12 @@ _GRAZING_DEG = 70.0
 
 @dataclass(frozen=True)
 class Tiling:
-    """Tiles of a rectangle, row by row from the south-west.
+    """Tiles of a rectangle, row by row from the south-west."""
 
-    Attributes
-    ----------
-    x, y : tuple of float [m], local
-        Lines between the tiles, the outer ones included, rising.
-    rim : float [m]
-        By which the maps of a tile reach into its neighbours.
-    """
-
+    # x, y [m], local: lines between the tiles, the outer ones included, rising
     x: tuple[float, ...]
     y: tuple[float, ...]
-    rim: float
+    rim: float  # [m]: by which the maps of a tile reach into its neighbours
 
     @staticmethod
     def of(ground: Area, count: int, rim: float) -> Tiling:

@@ -62,36 +62,20 @@ _OWN_GROUND = 0.1
 
 @dataclass(frozen=True)
 class Workload:
-    """Estimated time, memory and disk space of a run.
+    """Estimated time, memory and disk space of a run."""
 
-    Attributes
-    ----------
-    num_views, num_maps : int
-        Photographs, and how many of them get a height map.
-    seconds : float or None
-        On `num_cores`; None on a device whose rate was not measured.
-    num_cores : int
-    memory_bytes : int
-        At the peak, in main memory.
-    disk_bytes : int
-        Of the run folder.
-    is_bound : bool
-        Whether this is an upper bound: poses are not known yet, or there are too many views to choose from here, and
-        all of them count.
-    slowness : float or None
-        How many times as long as on idle cores the seconds are; None for idle ones.
-    sfm_seconds : float or None
-        Of structure from motion, where it is a part of the run; the seconds are no bound then.
-    """
-
+    # num_views, num_maps: Photographs, and how many of them get a height map
     num_views: int
     num_maps: int
-    seconds: float | None
+    seconds: float | None  # On `num_cores`; None on a device whose rate was not measured
     num_cores: int
-    memory_bytes: int
-    disk_bytes: int
+    memory_bytes: int  # At the peak, in main memory
+    disk_bytes: int  # Of the run folder
+    # Whether this is an upper bound: poses are not known yet, or there are too many views to choose from here, and all
+    # of them count
     is_bound: bool = False
-    slowness: float | None = None
+    slowness: float | None = None  # How many times as long as on idle cores the seconds are; None for idle ones
+    # Of structure from motion, where it is a part of the run; the seconds are no bound then
     sfm_seconds: float | None = None
 
     def on_busy(self, slowness: float) -> Workload:

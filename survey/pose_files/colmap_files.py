@@ -34,25 +34,14 @@ _OBSERVATION = np.dtype([("x", "<f8"), ("y", "<f8"), ("point", "<i8")])
 
 @dataclass(frozen=True, eq=False)
 class Photo:
-    """Image of a model.
-
-    Attributes
-    ----------
-    number, camera : int
-    name : str
-    pose : list of 7 float
-        Quaternion (w first) and translation, from world to cam.
-    xy : (M, 2) float64 [px], img
-    point : (M,) int64
-        Number of the point of each feature; -1 for none.
-    """
+    """Image of a model."""
 
     number: int
     camera: int
     name: str
-    pose: list[float]
-    xy: np.ndarray
-    point: np.ndarray
+    pose: list[float]  # list of 7 float: quaternion (w first) and translation, from world to cam
+    xy: np.ndarray  # (M, 2) float64 [px], img
+    point: np.ndarray  # (M,) int64: number of the point of each feature; -1 for none
 
 
 def lens_of(model: str, params: tuple[float, ...], width: int, height: int) -> Lens:

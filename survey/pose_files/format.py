@@ -11,27 +11,14 @@ from survey.photos.poses import FileTies, PoseFile
 
 @dataclass(frozen=True)
 class Format:
-    """A format of poses files.
+    """A format of poses files."""
 
-    Attributes
-    ----------
-    name : str
-        In a sentence: "expected ...".
-    find : callable
-        Files or folders of this format in a survey folder, best known places only.
-    recognises : callable
-        Whether a path, which exists, is of this format.
-    read : callable
-        What such a path holds; raises PosesError.
-    files : callable, optional
-        The files beside such a path, which is one, that are read with it.
-    read_ties : callable, optional
-        Tie points that came with the poses, in their frame; None where none came; raises PosesError.
-    """
-
-    name: str
+    name: str  # In a sentence: "expected ..."
+    # callable: files or folders of this format in a survey folder, best known places only
     find: Callable[[Path], list[Path]]
-    recognises: Callable[[Path], bool]
-    read: Callable[[Path], PoseFile]
+    recognises: Callable[[Path], bool]  # callable: whether a path, which exists, is of this format
+    read: Callable[[Path], PoseFile]  # callable: what such a path holds; raises PosesError
+    # callable, optional: the files beside such a path, which is one, that are read with it
     files: Callable[[Path], list[Path]] | None = None
+    # callable, optional: tie points that came with the poses, in their frame; None where none came; raises PosesError
     read_ties: Callable[[Path], FileTies | None] | None = None

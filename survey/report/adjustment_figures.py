@@ -24,130 +24,73 @@ Axes = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class KindFigures:
-    """Observations of one kind.
+    """Observations of one kind."""
 
-    Attributes
-    ----------
-    name : "matches", "windows" or "marks"
-    num : int
-    std_px : float
-        Of a pixel coordinate.
-    factor : float
-        On its variance, for what neighbours share.
-    """
-
-    name: str
+    name: str  # "matches", "windows" or "marks"
     num: int
-    std_px: float
-    factor: float
+    std_px: float  # Of a pixel coordinate
+    factor: float  # On its variance, for what neighbours share
 
 
 @dataclass(frozen=True)
 class PositionFigures:
-    """Positions of the cameras that were given, against the adjusted ones.
-
-    Attributes
-    ----------
-    num : int
-    used_std_m : (east, north, up) [m] or None
-        Median standard deviation with which they were used.
-    rms_m : (east, north, up) [m]
-        Of adjusted less given, and less what the heights have in common.
-    common_up_m : (error, standard deviation) [m] or None
-        See `survey.adjust.result.adjustment.Adjustment`.
-    largest_m, largest_name : [m], str
-        The largest distance, and its photograph.
-    """
+    """Positions of the cameras that were given, against the adjusted ones."""
 
     num: int
-    used_std_m: Axes | None
-    rms_m: Axes
+    used_std_m: Axes | None  # (east, north, up) [m] or None: median standard deviation with which they were used
+    rms_m: Axes  # (east, north, up) [m]: of adjusted less given, and less what the heights have in common
+    # largest_m, largest_name [m], str: the largest distance, and its photograph
     largest_m: float
     largest_name: str
+    # (error, standard deviation) [m] or None: see `survey.adjust.result.adjustment.Adjustment`
     common_up_m: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
 class PoseFigures:
-    """Standard deviations of the adjusted poses.
+    """Standard deviations of the adjusted poses."""
 
-    Attributes
-    ----------
-    position_m : (east, north, up) [m]
-        Medians.
-    rotation_deg : (x, y, z) [deg]
-        Medians, about the axes of the camera.
-    largest_position_m, largest_position_name : [m], str
-    largest_rotation_deg, largest_rotation_name : [deg], str
-    """
-
-    position_m: Axes
-    rotation_deg: Axes
+    position_m: Axes  # (east, north, up) [m]: medians
+    rotation_deg: Axes  # (x, y, z) [deg]: Medians, about the axes of the camera
+    # largest_position_m, largest_position_name: [m], str
     largest_position_m: float
     largest_position_name: str
+    # largest_rotation_deg, largest_rotation_name: [deg], str
     largest_rotation_deg: float
     largest_rotation_name: str
 
 
 @dataclass(frozen=True)
 class ControlGroup:
-    """All control points, or all check points.
+    """All control points, or all check points."""
 
-    Attributes
-    ----------
-    name : "control" or "check"
-    num : int
-    rms_m : (east, north, up) [m]
-    rms_px : float
-        Of all marks.
-    ce90_m, le90_m : [m]
-        Within which 90 % of normal errors are in plan and in height: 2.146 and 1.645 times the root mean squares.
-    """
-
-    name: str
+    name: str  # "control" or "check"
     num: int
-    rms_m: Axes
-    rms_px: float
+    rms_m: Axes  # (east, north, up) [m]
+    rms_px: float  # Of all marks
+    # ce90_m, le90_m [m]: within which 90 % of normal errors are in plan and in height: 2.146 and 1.645 times the root
+    # mean squares
     ce90_m: float
     le90_m: float
 
 
 @dataclass(frozen=True)
 class AdjustmentFigures:
-    """Figures of an adjustment.
-
-    Attributes
-    ----------
-    parameters : tuple of Parameter
-    kinds : tuple of KindFigures
-    num_points, num_left_out : int
-    positions : PositionFigures or None
-        None where none were given.
-    poses : PoseFigures
-    control : tuple of ControlResidual
-    control_groups : tuple of ControlGroup
-    common : CommonError or None
-    parts : tuple of Part
-        Those that share no points; none where the block is whole.
-    ground : GroundFit or None
-        How the block was placed on the dry ground of an earlier survey.
-    correlation_names : (K,) of water and lenses, those that were free to move
-    correlation : K rows of K
-    """
+    """Figures of an adjustment."""
 
     parameters: tuple[Parameter, ...]
     kinds: tuple[KindFigures, ...]
     num_points: int
     num_left_out: int
-    positions: PositionFigures | None
+    positions: PositionFigures | None  # None where none were given
     poses: PoseFigures
     control: tuple[ControlResidual, ...]
     control_groups: tuple[ControlGroup, ...]
     common: CommonError | None
-    parts: tuple[Part, ...]
-    correlation_names: tuple[str, ...]
-    correlation: tuple[tuple[float, ...], ...]
-    ground: GroundFit | None = None
+    parts: tuple[Part, ...]  # Those that share no points; none where the block is whole
+    correlation_names: tuple[str, ...]  # (K,) of water and lenses, those that were free to move
+    correlation: tuple[tuple[float, ...], ...]  # K rows of K
+    ground: GroundFit | None = None  # How the block was placed on the dry ground of an earlier survey
 
     @property
     def note(self) -> str | None:

@@ -187,20 +187,11 @@ def _label(name: str, *, several: bool) -> str:
 
 @dataclass(frozen=True)
 class Residual:
-    """A point with what the survey has it off by.
-
-    Attributes
-    ----------
-    name : str
-    place : (easting, northing), in crs
-    off_m : (east, north, up) [m]
-        NaN where it is not known.
-    is_check : bool
-    """
+    """A point with what the survey has it off by."""
 
     name: str
-    place: tuple[float, float]
-    off_m: tuple[float, float, float]
+    place: tuple[float, float]  # (easting, northing), in crs
+    off_m: tuple[float, float, float]  # (east, north, up) [m]: NaN where it is not known
     is_check: bool
 
 

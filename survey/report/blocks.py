@@ -26,20 +26,11 @@ class Rows:
 
 @dataclass(frozen=True)
 class Table:
-    """A table with a line of titles; all but the first ``num_texts`` columns hold numbers.
-
-    Attributes
-    ----------
-    titles : tuple of str
-        With the unit of the column.
-    rows : sequence of tuple of str
-    num_texts : int
-    heading : str
-    """
+    """A table with a line of titles; all but the first ``num_texts`` columns hold numbers."""
 
     kind: ClassVar[str] = "table"
-    titles: tuple[str, ...]
-    rows: Sequence[tuple[str, ...]]
+    titles: tuple[str, ...]  # With the unit of the column
+    rows: Sequence[tuple[str, ...]]  # sequence of tuple of str
     num_texts: int = 1
     heading: str = ""
 

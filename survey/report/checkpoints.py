@@ -26,69 +26,39 @@ _NEAREST = 8
 
 @dataclass(frozen=True)
 class CheckpointRow:
-    """Check point with its residual.
-
-    Attributes
-    ----------
-    name : str
-    height : float, in crs
-    depth_m : float or None
-        Under the water, negative above; None for a dry survey.
-    difference_m : float or None
-        Height of the cloud less that of the check point; None where the cloud does not surround it.
-    stated_m : float or None
-        Standard deviation of the height of the cloud there, random and shared; None without a difference.
-    is_outside : bool
-        Whether it lies outside [area] bounds, beyond which there is no cloud.
-    """
+    """Check point with its residual."""
 
     name: str
-    height: float
-    depth_m: float | None
+    height: float  # in crs
+    depth_m: float | None  # Under the water, negative above; None for a dry survey
+    # Height of the cloud less that of the check point; None where the cloud does not surround it
     difference_m: float | None
+    # Standard deviation of the height of the cloud there, random and shared; None without a difference
     stated_m: float | None = None
-    is_outside: bool = False
+    is_outside: bool = False  # Whether it lies outside [area] bounds, beyond which there is no cloud
 
 
 @dataclass(frozen=True)
 class CheckpointGroup:
-    """Differences at several check points.
-
-    Attributes
-    ----------
-    name : str
-    num : int
-        Those with a difference.
-    mean_m, rms_m, largest_m : [m]
-        The last by size, with its sign.
-    le90_m : [m]
-        1.645 times `rms_m`: 90 % of normal errors are smaller.
-    """
+    """Differences at several check points."""
 
     name: str
-    num: int
+    num: int  # Those with a difference
+    # mean_m, rms_m, largest_m [m]: the last by size, with its sign
     mean_m: float
     rms_m: float
     largest_m: float
-    le90_m: float
+    le90_m: float  # [m]: 1.645 times `rms_m`: 90 % of normal errors are smaller
 
 
 @dataclass(frozen=True)
 class CheckpointFigures:
-    """The cloud at all check points.
-
-    Attributes
-    ----------
-    rows : tuple of CheckpointRow
-    groups : tuple of CheckpointGroup
-        All, and those under and above water where there are both; none where no check point has a difference.
-    within_m : float
-        How far from a check point the points of the cloud count.
-    """
+    """The cloud at all check points."""
 
     rows: tuple[CheckpointRow, ...]
+    # All, and those under and above water where there are both; none where no check point has a difference
     groups: tuple[CheckpointGroup, ...]
-    within_m: float
+    within_m: float  # How far from a check point the points of the cloud count
 
 
 def checkpoint_heights(points: np.ndarray, places: np.ndarray, gsd_m: float) -> np.ndarray:

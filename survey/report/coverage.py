@@ -9,21 +9,14 @@ import numpy as np
 
 @dataclass(frozen=True)
 class CoverageFigures:
-    """Water of a survey, in cells of ten ground sampling distances.
+    """Water of a survey, in cells of ten ground sampling distances."""
 
-    Attributes
-    ----------
-    wet_m2 : [m^2]
-        Water with a bed found under it.
-    water_m3, water_std_m3 : [m^3]
-        Volume between bed and surface there, and its standard deviation by what all heights share (None: unknown).
-    two_views_m2, one_view_m2 : [m^2]
-        Water without a bed that two photographs or more look at, and that one alone does.
-    """
-
-    wet_m2: float
+    wet_m2: float  # [m^2]: water with a bed found under it
+    # water_m3, water_std_m3 [m^3]: volume between bed and surface there, and its standard deviation by what all heights
+    # share (None: unknown)
     water_m3: float
     water_std_m3: float | None
+    # two_views_m2, one_view_m2 [m^2]: water without a bed that two photographs or more look at, and that one alone does
     two_views_m2: float
     one_view_m2: float
 

@@ -26,67 +26,32 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ReportFacts:
-    """Inputs of a report at the end of a run.
-
-    Attributes
-    ----------
-    survey : Survey
-    plan : Plan
-    settings : dict
-        The effective settings, as plain values.
-    timings : dict
-        Seconds by stage [s], in order.
-    bed : BedPoints
-        Local frame, N points.
-    points_crs : (N, 3) float64
-        The same points, in crs.
-    height_maps : sequence of HeightMap or None
-        One of them is shown beside its photograph, see `survey.report.maps.representative`.
-    comparison : Comparison or None
-        Of the cloud of these points with a reference, from `survey.compare.comparison.compare_surfaces`.
-    sweep_comparison : Comparison or None
-        The same of the cloud that the sweep alone would have given; None where there is no field or no reference.
-    notes : tuple of str
-        Further sentences for the reader.
-    versions : dict
-        Of what computed, by name.
-    verdict : Verdict or None
-        Whether the cloud may be used unseen.
-    adjustment : Adjustment or None
-        None where poses and water were used as they came.
-    std_common : (N,) [m] or None
-        Of the heights of the points, by water, lens and poses.
-    light : MatchedLight or None
-        To which the index of the water belongs; None in a dry survey.
-    photographs : tuple of PhotographFigures
-        What of each was left out; none where nobody has looked.
-    heads : dict of name to Exif
-        Of the photographs that are used; empty where nobody has read them.
-    coverage : CoverageFigures or None
-        What of the water was seen; None for a dry survey, or where nobody has looked.
-    cells : SeenCells or None
-        Of the ground, with points and without; None where nobody has looked.
-    """
+    """Inputs of a report at the end of a run."""
 
     survey: Survey
     plan: Plan
-    settings: dict
-    timings: dict[str, float]
-    bed: BedPoints
-    points_crs: np.ndarray
+    settings: dict  # The effective settings, as plain values
+    timings: dict[str, float]  # dict: seconds by stage [s], in order
+    bed: BedPoints  # Local frame, N points
+    points_crs: np.ndarray  # (N, 3) float64: the same points, in crs
+    # One of them is shown beside its photograph, see `survey.report.maps.representative`
     height_maps: Sequence[HeightMap] | None = None
+    # Of the cloud of these points with a reference, from `survey.compare.comparison.compare_surfaces`
     comparison: Comparison | None = None
+    # The same of the cloud that the sweep alone would have given; None where there is no field or no reference
     sweep_comparison: Comparison | None = None
-    notes: tuple[str, ...] = ()
-    versions: dict[str, str] = field(default_factory=dict)
-    verdict: Verdict | None = None
-    adjustment: Adjustment | None = None
-    std_common: np.ndarray | None = None
-    light: MatchedLight | None = None
-    photographs: tuple[PhotographFigures, ...] = ()
+    notes: tuple[str, ...] = ()  # Further sentences for the reader
+    versions: dict[str, str] = field(default_factory=dict)  # dict: of what computed, by name
+    verdict: Verdict | None = None  # Whether the cloud may be used unseen
+    adjustment: Adjustment | None = None  # None where poses and water were used as they came
+    std_common: np.ndarray | None = None  # (N,) [m] or None: of the heights of the points, by water, lens and poses
+    light: MatchedLight | None = None  # To which the index of the water belongs; None in a dry survey
+    photographs: tuple[PhotographFigures, ...] = ()  # What of each was left out; none where nobody has looked
+    # dict of name to Exif: of the photographs that are used; empty where nobody has read them
     heads: Mapping[str, Exif] = field(default_factory=dict)
+    # What of the water was seen; None for a dry survey, or where nobody has looked
     coverage: CoverageFigures | None = None
-    cells: SeenCells | None = None
+    cells: SeenCells | None = None  # Of the ground, with points and without; None where nobody has looked
 
 
 def distances_of(facts: ReportFacts) -> np.ndarray | None:

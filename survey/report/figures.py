@@ -17,80 +17,43 @@ from survey.report.verdict import Verdict
 
 @dataclass(frozen=True)
 class CrsFigures:
-    """A coordinate reference system.
-
-    Attributes
-    ----------
-    name : str
-    code : str or None
-        E.g. "EPSG:25832+5778".
-    unit, height_unit : str
-        "m", "°" or another name, of the horizontal axes and of the height.
-    """
+    """A coordinate reference system."""
 
     name: str
-    code: str | None
+    code: str | None  # E.g. "EPSG:25832+5778".
+    # unit, height_unit: "m", "°" or another name, of the horizontal axes and of the height
     unit: str
     height_unit: str
 
 
 @dataclass(frozen=True)
 class SurveyFigures:
-    """Place, cameras and photographs of the survey.
-
-    Attributes
-    ----------
-    name : str
-    crs : CrsFigures
-    bounds : (e0, n0, e1, n1) or None, in crs
-    views_used, views_left_out : int
-    image_size_px : (width, height)
-    focal_px : float
-        Of the first view, as the size.
-    poses : str
-        Name of the file, or "structure from motion".
-    shutter : str or None
-        How it rolls, as a sentence; None where nothing is said of it.
-    local_frame_origin : (easting, northing, height), in crs
-    """
+    """Place, cameras and photographs of the survey."""
 
     name: str
     crs: CrsFigures
-    bounds: tuple[float, float, float, float] | None
+    bounds: tuple[float, float, float, float] | None  # (e0, n0, e1, n1) or None, in crs
     views_used: int
     views_left_out: int
-    image_size_px: tuple[int, int]
-    focal_px: float
-    poses: str
-    shutter: str | None
-    local_frame_origin: tuple[float, float, float]
+    image_size_px: tuple[int, int]  # (width, height)
+    focal_px: float  # Of the first view, as the size
+    poses: str  # Name of the file, or "structure from motion"
+    shutter: str | None  # How it rolls, as a sentence; None where nothing is said of it
+    local_frame_origin: tuple[float, float, float]  # (easting, northing, height), in crs
 
 
 @dataclass(frozen=True)
 class LightFigures:
-    """The light whose texture is matched, to which the index of the water belongs.
+    """The light whose texture is matched, to which the index of the water belongs."""
 
-    Attributes
-    ----------
-    red, green, blue : [-]
-        Shares of the channels; they add up to 1.
-    is_measured : bool
-        In the photographs; else they are the weights of luma.
-    wavelength_nm : [nm]
-        At which water has the index of this mixture.
-    over_sodium : [-]
-        The index here less that of the sodium line, 589.3 nm, which handbooks state.
-    over_sodium_m : [m] or None
-        What that moves at the median depth; None without wet points.
-    """
-
+    # red, green, blue [-]: shares of the channels; they add up to 1
     red: float
     green: float
     blue: float
-    is_measured: bool
-    wavelength_nm: float
-    over_sodium: float
-    over_sodium_m: float | None
+    is_measured: bool  # In the photographs; else they are the weights of luma
+    wavelength_nm: float  # [nm]: at which water has the index of this mixture
+    over_sodium: float  # [-]: the index here less that of the sodium line, 589.3 nm, which handbooks state
+    over_sodium_m: float | None  # [m] or None: what that moves at the median depth; None without wet points
 
 
 @dataclass(frozen=True)
@@ -99,25 +62,19 @@ class WaterFigures:
 
     Attributes
     ----------
-    level_m : float, in crs
-    level_at : (easting, northing), in crs
-    slope_east, slope_north : [-]
-        Rise per metre along the axes of the grid.
-    refractive_index : [-]
     level_from, slope_from, refractive_index_from : str
-    light : LightFigures or None
-        None where the photographs were not looked at.
     """
 
-    level_m: float
-    level_at: tuple[float, float]
+    level_m: float  # in crs
+    level_at: tuple[float, float]  # (easting, northing), in crs
     level_from: str
+    # slope_east, slope_north [-]: rise per metre along the axes of the grid
     slope_east: float
     slope_north: float
     slope_from: str
-    refractive_index: float
+    refractive_index: float  # [-]
     refractive_index_from: str
-    light: LightFigures | None
+    light: LightFigures | None  # None where the photographs were not looked at
 
 
 @dataclass(frozen=True)
@@ -141,36 +98,23 @@ class Extent:
 
 @dataclass(frozen=True)
 class CloudFigures:
-    """The points of the bed.
+    """The points of the bed."""
 
-    Attributes
-    ----------
-    points, points_wet : int
-        All, and those under water.
-    extent : Extent or None
-        None without points.
-    covered_area_m2 : [m^2]
-        Of the cells, five ground sampling distances wide, that have points.
-    depth_m : Spread or None
-        True depth of the points under water [m]; None, as the next three, where no value is finite.
-    std_m, std_common_m, views_per_point, incidence_deg : Spread or None
-        Of all points: standard deviation of the height [m] but for what all points have in common, and by that (water,
-        lens, poses), number of views that agree [-], incidence at the water or, in a dry survey, angle off nadir
-        [deg].
-    plan_std_common_m : [m]
-        Of all places in plan, by a transformation of datums; 0 where there was none.
-    """
-
+    # points, points_wet: All, and those under water
     points: int
     points_wet: int
-    extent: Extent | None
-    covered_area_m2: float
+    extent: Extent | None  # None without points
+    covered_area_m2: float  # [m^2]: of the cells, five ground sampling distances wide, that have points
+    # True depth of the points under water [m]; None, as the next three, where no value is finite
     depth_m: Spread | None
+    # std_m, std_common_m, views_per_point, incidence_deg: Of all points: standard deviation of the height [m] but for
+    # what all points have in common, and by that (water, lens, poses), number of views that agree [-], incidence at the
+    # water or, in a dry survey, angle off nadir [deg]
     std_m: Spread | None
     std_common_m: Spread | None
     views_per_point: Spread | None
     incidence_deg: Spread | None
-    plan_std_common_m: float = 0.0
+    plan_std_common_m: float = 0.0  # [m]: of all places in plan, by a transformation of datums; 0 where there was none
 
     @property
     def points_dry(self) -> int:
@@ -185,18 +129,11 @@ class CloudFigures:
 
 @dataclass(frozen=True)
 class BaselineRow:
-    """Vertical errors of one method.
-
-    Attributes
-    ----------
-    name : str
-    kind : "predicted" or "measured"
-    median_m, nmad_m, mean_m : [m]
-        `nmad_m` is 1.4826 times the median absolute deviation.
-    """
+    """Vertical errors of one method."""
 
     name: str
-    kind: str
+    kind: str  # "predicted" or "measured"
+    # median_m, nmad_m, mean_m [m]: `nmad_m` is 1.4826 times the median absolute deviation
     median_m: float
     nmad_m: float
     mean_m: float
@@ -204,107 +141,49 @@ class BaselineRow:
 
 @dataclass(frozen=True)
 class Baselines:
-    """Other methods beside this run.
+    """Other methods beside this run."""
 
-    Attributes
-    ----------
-    places : int
-        Of the bed, at which the others are predicted.
-    views_per_place : float
-        Median.
-    rows : tuple of BaselineRow
-    note : str
-        How the rows of both kinds were computed.
-    """
-
-    places: int
-    views_per_place: float
+    places: int  # Of the bed, at which the others are predicted
+    views_per_place: float  # Median
     rows: tuple[BaselineRow, ...]
-    note: str
+    note: str  # How the rows of both kinds were computed
 
 
 @dataclass(frozen=True)
 class HeightStd:
-    """Standard deviation of the height of a point; medians over the points [m].
+    """Standard deviation of the height of a point; medians over the points [m]."""
 
-    Attributes
-    ----------
-    whole : float
-        Random and shared.
-    shared : float or None
-        Alike for large parts of the cloud, by water, lens and poses; None where nobody knows.
-    random : float
-        Of each point for itself.
-    """
-
-    whole: float
-    shared: float | None
-    random: float
+    whole: float  # Random and shared
+    shared: float | None  # Alike for large parts of the cloud, by water, lens and poses; None where nobody knows
+    random: float  # Of each point for itself
 
 
 @dataclass(frozen=True)
 class ReportFigures:
-    """All figures of a report.
+    """All figures of a report."""
 
-    Attributes
-    ----------
-    verdict : Verdict or None
-        None where the run was not judged.
-    survey : SurveyFigures
-    water : WaterFigures or None
-        None for a dry survey.
-    plan : Plan
-    cloud : CloudFigures
-    comparison : survey.compare.figures.Figures or None
-        None without a reference.
-    baselines : Baselines or None
-        None without water or reference.
-    timings_s : dict
-        Seconds by stage [s], in order.
-    versions : dict
-        Of what computed, by name.
-    settings : dict
-        The effective settings, by section and key, as JSON holds them.
-    assumptions, warnings, notes : tuple of str
-        Sentences for the reader.
-    checkpoints : CheckpointFigures or None
-        None without check points.
-    adjustment : AdjustmentFigures or None
-        None where poses and water were used as they came.
-    height_std : HeightStd or None
-    photographs : tuple of PhotographFigures
-        What of each was left out of matching.
-    taken : TakenFigures or None
-        None where the heads of the photographs were not read.
-    left_out : tuple of str
-        Names of the photographs in the folder that have no pose.
-    stated : StatedFigures or None
-        What the cloud states of its heights; None without points.
-    coverage : CoverageFigures or None
-        What of the water was seen; None for a dry survey.
-    """
-
-    verdict: Verdict | None
+    verdict: Verdict | None  # None where the run was not judged
     survey: SurveyFigures
-    water: WaterFigures | None
+    water: WaterFigures | None  # None for a dry survey
     plan: Plan
     cloud: CloudFigures
-    comparison: Figures | None
-    baselines: Baselines | None
-    timings_s: dict[str, float]
-    versions: dict[str, str]
-    settings: dict
+    comparison: Figures | None  # survey.compare.figures.Figures or None: None without a reference
+    baselines: Baselines | None  # None without water or reference
+    timings_s: dict[str, float]  # dict: seconds by stage [s], in order
+    versions: dict[str, str]  # dict: of what computed, by name
+    settings: dict  # The effective settings, by section and key, as JSON holds them
+    # assumptions, warnings, notes: Sentences for the reader
     assumptions: tuple[str, ...]
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
-    checkpoints: CheckpointFigures | None = None
-    adjustment: AdjustmentFigures | None = None
-    photographs: tuple[PhotographFigures, ...] = ()
+    checkpoints: CheckpointFigures | None = None  # None without check points
+    adjustment: AdjustmentFigures | None = None  # None where poses and water were used as they came
+    photographs: tuple[PhotographFigures, ...] = ()  # What of each was left out of matching
     height_std: HeightStd | None = None
-    taken: TakenFigures | None = None
-    left_out: tuple[str, ...] = ()
-    stated: StatedFigures | None = None
-    coverage: CoverageFigures | None = None
+    taken: TakenFigures | None = None  # None where the heads of the photographs were not read
+    left_out: tuple[str, ...] = ()  # Names of the photographs in the folder that have no pose
+    stated: StatedFigures | None = None  # What the cloud states of its heights; None without points
+    coverage: CoverageFigures | None = None  # What of the water was seen; None for a dry survey
 
     @property
     def total_s(self) -> float:

@@ -33,17 +33,9 @@ _SMALLEST_GSD = 5.0
 
 @dataclass(frozen=True)
 class Headline:
-    """A verdict in words.
+    """A verdict in words."""
 
-    Attributes
-    ----------
-    colour : "passed", "doubtful", "failed" or "unjudged"
-    word : str
-    sentence : str
-    gates : tuple of Gate
-    """
-
-    colour: str
+    colour: str  # "passed", "doubtful", "failed" or "unjudged"
     word: str
     sentence: str
     gates: tuple[Gate, ...]

@@ -26,24 +26,14 @@ _FEW = 40
 
 @dataclass(frozen=True)
 class PhotographFigures:
-    """Figures of a photograph.
-
-    Attributes
-    ----------
-    name : str
-    saturated : [-]
-        Share of its pixels that are white or beside white: left out.
-    outlying : [-] or None
-        Of the points of the bed in it, those where it shows what no other photograph does, so that its weight is less
-        than half there; None where the solver did not run, or it shows no point.
-    useless : str
-        Why the photograph gives nothing to the cloud; empty where it does.
-    """
+    """Figures of a photograph."""
 
     name: str
-    saturated: float
+    saturated: float  # [-]: share of its pixels that are white or beside white: left out
+    # [-] or None: of the points of the bed in it, those where it shows what no other photograph does, so that its
+    # weight is less than half there; None where the solver did not run, or it shows no point
     outlying: float | None
-    useless: str = ""
+    useless: str = ""  # Why the photograph gives nothing to the cloud; empty where it does
 
 
 def photographs_of(

@@ -35,24 +35,14 @@ _RELIEF = (0.02, 0.98)
 
 @dataclass(frozen=True)
 class _Strip:
-    """The points near a cut.
+    """The points near a cut."""
 
-    Attributes
-    ----------
-    width_m : [m]
-    inside : (N,) bool
-        Those of the bed that lie in it.
-    along, heights : (K,) [m]
-        From the start of the cut, and heights in crs.
-    step_m : [m]
-        Over which heights are gathered.
-    """
-
-    width_m: float
-    inside: np.ndarray
+    width_m: float  # [m]
+    inside: np.ndarray  # (N,) bool: those of the bed that lie in it
+    # along, heights (K,) [m]: from the start of the cut, and heights in crs
     along: np.ndarray
     heights: np.ndarray
-    step_m: float
+    step_m: float  # [m]: over which heights are gathered
 
 
 def has_profile(facts: ReportFacts, cut: Cut) -> bool:
@@ -194,19 +184,11 @@ def _medians(along: np.ndarray, values: np.ndarray, step: float) -> tuple[np.nda
 
 @dataclass(frozen=True)
 class Cut:
-    """A straight line in plan.
+    """A straight line in plan."""
 
-    Attributes
-    ----------
-    start : (2,) [m], local
-    direction : (2,)
-        Unit vector, eastwards, or northwards where it runs north.
-    length_m : [m]
-    """
-
-    start: np.ndarray
-    direction: np.ndarray
-    length_m: float
+    start: np.ndarray  # (2,) [m], local
+    direction: np.ndarray  # (2,): unit vector, eastwards, or northwards where it runs north
+    length_m: float  # [m]
 
     @property
     def ends(self) -> np.ndarray:

@@ -27,24 +27,13 @@ _MOST_CELLS = 2000
 
 @dataclass(frozen=True)
 class SeenCells:
-    """Square cells of the ground; arrays (rows, columns), rows from south to north.
+    """Square cells of the ground; arrays (rows, columns), rows from south to north."""
 
-    Attributes
-    ----------
-    low : (2,) [m], local
-        South-western corner of the first cell.
-    cell_m : [m]
-    has_point : bool
-    num_views : int
-        Views that see the middle of the cell; occlusion is ignored.
-    height : float64 [m], local
-        Mean of the points; where there are none, that of the nearest cell that has some.
-    """
-
-    low: np.ndarray
-    cell_m: float
-    has_point: np.ndarray
-    num_views: np.ndarray
+    low: np.ndarray  # (2,) [m], local: South-western corner of the first cell
+    cell_m: float  # [m]
+    has_point: np.ndarray  # bool
+    num_views: np.ndarray  # int: views that see the middle of the cell; occlusion is ignored
+    # float64 [m], local: mean of the points; where there are none, that of the nearest cell that has some
     height: np.ndarray
 
     @property

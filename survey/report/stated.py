@@ -22,35 +22,21 @@ _NOTE = (
 
 @dataclass(frozen=True)
 class StatedOrder:
-    """An order of IHO S-44.
-
-    Attributes
-    ----------
-    name : str
-    share_within : [-]
-        Share of the points under water whose stated uncertainty at 95 % is at most the one that the order allows.
-    """
+    """An order of IHO S-44."""
 
     name: str
+    # [-]: share of the points under water whose stated uncertainty at 95 % is at most the one that the order allows
     share_within: float
 
 
 @dataclass(frozen=True)
 class StatedFigures:
-    """Uncertainty that the cloud states of the heights of its points.
+    """Uncertainty that the cloud states of the heights of its points."""
 
-    Attributes
-    ----------
-    le90_m : [m]
-        Median of 1.645 standard deviations, random and shared: the error of a height that 90 % are below.
-    points_wet : int
-    orders : tuple of StatedOrder
-        The strictest first; none without points under water.
-    """
-
+    # [m]: median of 1.645 standard deviations, random and shared: the error of a height that 90 % are below
     le90_m: float
     points_wet: int
-    orders: tuple[StatedOrder, ...]
+    orders: tuple[StatedOrder, ...]  # The strictest first; none without points under water
 
     @property
     def strictest(self) -> StatedOrder | None:

@@ -17,44 +17,24 @@ _FEW = 4
 
 @dataclass(frozen=True)
 class CameraFigures:
-    """Figures of a kind of camera.
+    """Figures of a kind of camera."""
 
-    Attributes
-    ----------
-    name : str
-        Maker and model; empty where EXIF has none.
-    serials : tuple of str
-    num : int
-        Its photographs.
-    """
-
-    name: str
+    name: str  # Maker and model; empty where EXIF has none
     serials: tuple[str, ...]
-    num: int
+    num: int  # Its photographs
 
 
 @dataclass(frozen=True)
 class TakenFigures:
-    """Operator, time and cameras of a survey.
-
-    Attributes
-    ----------
-    project, operator : str or None
-    processed : str
-        When the report was written, ISO 8601.
-    first, last : str or None
-        When photographs were taken, ISO 8601; None where none has a time.
-    clock : "UTC", "camera" or None
-        Whose time that is.
-    cameras : tuple of CameraFigures
-    """
+    """Operator, time and cameras of a survey."""
 
     project: str | None
     operator: str | None
-    processed: str
+    processed: str  # When the report was written, ISO 8601
+    # first, last: When photographs were taken, ISO 8601; None where none has a time
     first: str | None
     last: str | None
-    clock: str | None
+    clock: str | None  # "UTC", "camera" or None: whose time that is
     cameras: tuple[CameraFigures, ...]
 
 

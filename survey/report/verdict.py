@@ -14,27 +14,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Gate:
-    """Quality gate: a condition with its value and limit.
+    """Quality gate: a condition with its value and limit."""
 
-    Attributes
-    ----------
-    name : str
-        The requirement, in a few words.
-    value, limit : float or None
-        In `unit`; None where there was nothing to measure.
-    unit : str
-        "%" or "mm".
-    passed : bool
-    sentence : str
-        Finding and requirement, as text.
-    """
-
-    name: str
+    name: str  # The requirement, in a few words
+    # value, limit: In `unit`; None where there was nothing to measure
     value: float | None
     limit: float
-    unit: str
+    unit: str  # "%" or "mm"
     passed: bool
-    sentence: str
+    sentence: str  # Finding and requirement, as text
 
 
 @dataclass(frozen=True)

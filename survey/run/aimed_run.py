@@ -26,39 +26,19 @@ _SLACK = 0.1
 
 @dataclass
 class AimedRun:
-    """The aim of a run and its state.
-
-    Attributes
-    ----------
-    aim : Aim
-    recipes : tuple of Recipe
-        From the least work to the most.
-    scales : tuple of float
-        Of the images, for each recipe.
-    amounts : FullSizeAmounts
-    clock : Clock or None
-        Where a time is asked for.
-    number : int
-        Of the recipe of the present round.
-    rates : RoundRates
-    has_begun : bool
-        Whether the first round has begun. Poses are tested before it, on images of the size of standard quality.
-    decisions : list of Decision
-        One for each round that is over.
-    following : int or None
-        The recipe of the next round; None before a round is over and after the last.
-    """
+    """The aim of a run and its state."""
 
     aim: Aim
-    recipes: tuple[Recipe, ...]
-    scales: tuple[float, ...]
+    recipes: tuple[Recipe, ...]  # From the least work to the most
+    scales: tuple[float, ...]  # Of the images, for each recipe
     amounts: FullSizeAmounts
-    clock: Clock | None
-    number: int
+    clock: Clock | None  # Where a time is asked for
+    number: int  # Of the recipe of the present round
     rates: RoundRates
+    # Whether the first round has begun. Poses are tested before it, on images of the size of standard quality.
     has_begun: bool = False
-    decisions: list[Decision] = field(default_factory=list)
-    following: int | None = None
+    decisions: list[Decision] = field(default_factory=list)  # One for each round that is over
+    following: int | None = None  # The recipe of the next round; None before a round is over and after the last
 
     @property
     def recipe(self) -> Recipe:

@@ -25,22 +25,12 @@ FEW, DEPTH, NOISE = "few photographs", "depth", "noise, texture and relief below
 
 @dataclass(frozen=True)
 class CellStd:
-    """Cells of the ground that have points; K of them, medians over their points.
+    """Cells of the ground that have points; K of them, medians over their points."""
 
-    Attributes
-    ----------
-    xyz : (K, 3) [m], local
-        A point of each.
-    std : (K,) [m]
-    num_views : (K,)
-    depth : (K,) [m]
-        Of water; NaN in a dry survey.
-    """
-
-    xyz: np.ndarray
-    std: np.ndarray
-    num_views: np.ndarray
-    depth: np.ndarray
+    xyz: np.ndarray  # (K, 3) [m], local: a point of each
+    std: np.ndarray  # (K,) [m]
+    num_views: np.ndarray  # (K,)
+    depth: np.ndarray  # (K,) [m]: of water; NaN in a dry survey
 
     def __len__(self) -> int:
         return len(self.std)

@@ -28,34 +28,17 @@ _LEAST_PX, _MOST_PX = 0.01, 10.0
 
 @dataclass(frozen=True)
 class Feasibility:
-    """Feasibility of an aim before anything is computed.
-
-    Attributes
-    ----------
-    recipes : tuple of Recipe
-    scales : tuple of float
-        Of the images, for each recipe.
-    amounts : FullSizeAmounts
-    point_std_m : tuple of float [m]
-        Foreseen by matching alone for each recipe, median over the places; NaN where too few views overlap.
-    common_std_m : float [m]
-        Of water, lens and poses.
-    first : int
-        Number of the recipe of the first round.
-    rates : RoundRates
-        By stated rates and how busy the machine is.
-    load : Load
-        Of the machine.
-    """
+    """Feasibility of an aim before anything is computed."""
 
     recipes: tuple[Recipe, ...]
-    scales: tuple[float, ...]
+    scales: tuple[float, ...]  # Of the images, for each recipe
     amounts: FullSizeAmounts
+    # [m]: foreseen by matching alone for each recipe, median over the places; NaN where too few views overlap
     point_std_m: tuple[float, ...]
-    common_std_m: float
-    first: int
-    rates: RoundRates
-    load: Load
+    common_std_m: float  # [m]: of water, lens and poses
+    first: int  # Number of the recipe of the first round
+    rates: RoundRates  # By stated rates and how busy the machine is
+    load: Load  # Of the machine
 
 
 def assess_feasibility(aim: Aim, survey: Survey, chosen: Choices, load: Load, depth_m: float = DEPTH_M) -> Feasibility:

@@ -27,23 +27,12 @@ _WATER = ("point", "n_water", "slope_x", "slope_y")
 
 @dataclass(frozen=True)
 class Flight:
-    """Cameras, water and local frame of a run.
-
-    Attributes
-    ----------
-    frame : LocalFrame
-    water : FlatWater or None
-        Local; None for a dry survey.
-    views : tuple of View
-        Adjusted, where the run adjusted them.
-    bounds : (e0, n0, e1, n1) or None
-        In crs: where the bed was wanted.
-    """
+    """Cameras, water and local frame of a run."""
 
     frame: LocalFrame
-    water: FlatWater | None
-    views: tuple[View, ...]
-    bounds: tuple[float, float, float, float] | None
+    water: FlatWater | None  # Local; None for a dry survey
+    views: tuple[View, ...]  # Adjusted, where the run adjusted them
+    bounds: tuple[float, float, float, float] | None  # (e0, n0, e1, n1) or None: in crs: where the bed was wanted
 
 
 def save_flight(folder: Path, survey: Survey) -> None:

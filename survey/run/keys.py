@@ -40,15 +40,9 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class Key:
-    """Key of a stage: the hashes of its inputs.
+    """Key of a stage: the hashes of its inputs."""
 
-    Attributes
-    ----------
-    parts : dict of str to str
-        A hash for each part, by its name.
-    """
-
-    parts: Mapping[str, str]
+    parts: Mapping[str, str]  # dict of str to str: a hash for each part, by its name
 
     @cached_property
     def digest(self) -> str:

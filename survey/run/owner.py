@@ -12,21 +12,13 @@ from survey.stage_key import content_hash
 
 @dataclass(frozen=True)
 class Owner:
-    """A survey as a run folder knows it.
+    """A survey as a run folder knows it."""
 
-    Attributes
-    ----------
-    name : str
-        For messages only: it may change.
-    photographs : name to bytes
-        Cameras give the same names again in every flight, but hardly the same sizes too.
-    contents : name to SHA-256
-        Of what their files hold: photographs that are not compressed are of one size. None of a run of a version that
-        did not keep it.
-    """
-
-    name: str
+    name: str  # For messages only: it may change
+    # name to bytes: cameras give the same names again in every flight, but hardly the same sizes too
     photographs: dict[str, int]
+    # name to SHA-256: of what their files hold: photographs that are not compressed are of one size. None of a run of a
+    # version that did not keep it.
     contents: dict[str, str] = field(default_factory=dict)
 
     @classmethod

@@ -76,13 +76,8 @@ def settings_text(job: Job, options: dict) -> str:
 
 @dataclass(frozen=True)
 class Truth:
-    """A known surface; the reconstruction never reads it.
+    """A known surface; the reconstruction never reads it."""
 
-    Attributes
-    ----------
-    reference, visible : Path or None
-        True surface, and the points of it that cameras see.
-    """
-
+    # reference, visible: True surface, and the points of it that cameras see
     reference: Path | None = None
     visible: Path | None = None

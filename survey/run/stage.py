@@ -22,32 +22,17 @@ Compute = Callable[["Job", Path, Mapping[str, Path]], None]
 
 @dataclass(frozen=True)
 class Stage:
-    """Step from photographs to points, whose result is kept in the run folder.
-
-    Attributes
-    ----------
-    name : str
-    needs : tuple of str
-        Stages whose results it reads; those that a run leaves out are left out here too.
-    depends_on : tuple of str
-        Parts of the job that decide its result; see `Job.part`.
-    leaves : tuple of str
-        Files in its folder.
-    compute : callable
-        Gets the job, the folder to write to, and the folders of the stages that it needs, by name. The code that this
-        function's module reaches by imports is a part of what the stage depends on.
-    is_on : callable
-        Whether a job has this stage.
-    apply : callable, optional
-        Changes the job by the result in a folder, whether computed now or earlier.
-    """
+    """Step from photographs to points, whose result is kept in the run folder."""
 
     name: str
-    needs: tuple[str, ...]
-    depends_on: tuple[str, ...]
-    leaves: tuple[str, ...]
+    needs: tuple[str, ...]  # Stages whose results it reads; those that a run leaves out are left out here too
+    depends_on: tuple[str, ...]  # Parts of the job that decide its result; see `Job.part`
+    leaves: tuple[str, ...]  # Files in its folder
+    # callable: gets the job, the folder to write to, and the folders of the stages that it needs, by name. The code
+    # that this function's module reaches by imports is a part of what the stage depends on.
     compute: Compute
-    is_on: Callable[[Job], bool] = lambda _job: True
+    is_on: Callable[[Job], bool] = lambda _job: True  # callable: whether a job has this stage
+    # callable, optional: changes the job by the result in a folder, whether computed now or earlier
     apply: Callable[[Job, Path], None] | None = None
 
     def key(self, job: Job, done: Mapping[str, Path]) -> Key:

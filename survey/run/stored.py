@@ -54,32 +54,18 @@ class BedPlace:
 
 @dataclass(frozen=True)
 class StoredBed:
-    """Result of the stage of the bed, all that an export needs.
+    """Result of the stage of the bed, all that an export needs."""
 
-    Attributes
-    ----------
-    bed : BedPoints
-        Local frame.
-    points_crs : (N, 3) float64, or a column of them to write
-        The same points, in crs.
-    crs : pyproj.CRS
-    name : str
-        Of the survey.
-    gsd_m : [m]
-        Ground sampling distance that was worked at.
-    std_common : (N,) float32 [m] or None
-        Standard deviation of the heights by water, lens and poses, `survey.adjust.result.std_common`; None: not known.
-    std_placed : (N,) float32 [m] or None
-        The part of the standard deviations in `bed` by how GPS or control has placed the block
-        (`survey.adjust.result.std_of_block`); None where a file has.
-    """
-
-    bed: BedPoints
-    points_crs: Any
+    bed: BedPoints  # Local frame
+    points_crs: Any  # (N, 3) float64, or a column of them to write: the same points, in crs
     crs: CRS
-    name: str
-    gsd_m: float
+    name: str  # Of the survey
+    gsd_m: float  # [m]: ground sampling distance that was worked at
+    # (N,) float32 [m] or None: standard deviation of the heights by water, lens and poses,
+    # `survey.adjust.result.std_common`; None: not known
     std_common: np.ndarray | None = None
+    # (N,) float32 [m] or None: the part of the standard deviations in `bed` by how GPS or control has placed the block
+    # (`survey.adjust.result.std_of_block`); None where a file has
     std_placed: np.ndarray | None = None
 
     def std_of_photographs(self) -> np.ndarray:

@@ -32,18 +32,10 @@ KEPT, OWN = "kept", "own"
 
 @dataclass(frozen=True)
 class TilePlan:
-    """Plan that all tiles of a survey share.
+    """Plan that all tiles of a survey share."""
 
-    Attributes
-    ----------
-    bound : (low, high) [m]
-        Heights over the water plane between which the bed lies.
-    views : list of int
-        Those that get height maps.
-    """
-
-    bound: tuple[float, float]
-    views: list[int]
+    bound: tuple[float, float]  # (low, high) [m]: heights over the water plane between which the bed lies
+    views: list[int]  # Those that get height maps
 
 
 class TileJob(Job):

@@ -44,23 +44,13 @@ _LOOK_EVERY_S = 5.0
 
 @dataclass(frozen=True)
 class Task:
-    """Task of a worker: a stage of a tile.
+    """Task of a worker: a stage of a tile."""
 
-    Attributes
-    ----------
-    name : str
-        Of the stage.
-    tile : int
-    compute : callable
-        As `survey.run.stage.Stage.compute`; cloudpickle carries it.
-    needs : mapping
-        Folders of the stages that it needs, by the names that ``compute`` knows.
-    """
-
-    name: str
+    name: str  # Of the stage
     tile: int
+    # callable: as `survey.run.stage.Stage.compute`; cloudpickle carries it
     compute: Callable[[Job, Path, Mapping[str, Path]], None]
-    needs: Mapping[str, Path]
+    needs: Mapping[str, Path]  # mapping: folders of the stages that it needs, by the names that ``compute`` knows
 
 
 class Workers:

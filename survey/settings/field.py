@@ -11,31 +11,23 @@ from survey.files.toml_table import key
 
 @dataclass(frozen=True)
 class LossesConfig:
-    """[field.losses]: weights of what is minimised beside the squared error of the colours; 0 leaves a term out.
+    """[field.losses]: weights of what is minimised beside the squared error of the colours; 0 leaves a term out."""
 
-    Attributes
-    ----------
-    transparency : light that passes the bed
-    distortion : spread of the weights along a ray (mip-NeRF 360)
-    orientation : surfaces that face away (Ref-NeRF)
-    density, gaussian_density : density between empty and full (Inf-NeRF), with Gaussians in place of nodes
-    virtual_views, ncc, ssim, smooth_normals : on patches and views beside the photographs' own (MonoPatchNeRF)
-    depth, normal : departures from monocular depth and normals (MonoSDF); need `monocular`
-    patch_px : side of the patches
-    """
-
-    transparency: float = 0.0
-    distortion: float = 0.0
-    orientation: float = 0.0
+    transparency: float = 0.0  # light that passes the bed
+    distortion: float = 0.0  # spread of the weights along a ray (mip-NeRF 360)
+    orientation: float = 0.0  # surfaces that face away (Ref-NeRF)
+    # density, gaussian_density: density between empty and full (Inf-NeRF), with Gaussians in place of nodes
     density: float = 0.0
     gaussian_density: float = 0.0
+    # virtual_views, ncc, ssim, smooth_normals: on patches and views beside the photographs' own (MonoPatchNeRF)
     virtual_views: float = 0.0
     ncc: float = 0.0
     ssim: float = 0.0
     smooth_normals: float = 0.0
+    # depth, normal: departures from monocular depth and normals (MonoSDF); need `monocular`
     depth: float = 0.0
     normal: float = 0.0
-    patch_px: int = 8
+    patch_px: int = 8  # side of the patches
 
     def __post_init__(self):
         for name, value in dataclasses.asdict(self).items():

@@ -50,19 +50,11 @@ _ERRORS_ONLY = 2
 
 @dataclass(frozen=True)
 class Sensor:
-    """A camera body with one lens at one zoom, and its photographs.
+    """A camera body with one lens at one zoom, and its photographs."""
 
-    Attributes
-    ----------
-    names : of its images in the folder; without spaces
-    size_px : (width, height)
-    focal_px : float or None
-        To start from; None where nothing is known.
-    """
-
-    names: tuple[str, ...]
-    size_px: tuple[int, int]
-    focal_px: float | None
+    names: tuple[str, ...]  # of its images in the folder; without spaces
+    size_px: tuple[int, int]  # (width, height)
+    focal_px: float | None  # To start from; None where nothing is known
 
 
 def solve_block(

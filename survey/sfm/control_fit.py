@@ -31,23 +31,14 @@ _LINE_SHARE, _LINE_STD = 0.05, 3.0
 
 @dataclass(frozen=True)
 class ControlFit:
-    """How a block is placed by its control.
+    """How a block is placed by its control."""
 
-    Attributes
-    ----------
-    similarity : Similarity
-        From the frame of the block to that of the control.
-    met : Met
-    wrong : dict of name to float [m]
-        Points that the others contradict, and how far they lie from where the photographs show them.
-    line : Line or None
-        That they lie on, which leaves the roll of the block about it open.
-    """
-
-    similarity: Similarity
+    similarity: Similarity  # From the frame of the block to that of the control
     met: Met
+    # dict of name to float [m]: points that the others contradict, and how far they lie from where the photographs show
+    # them
     wrong: dict[str, float]
-    line: Line | None = None
+    line: Line | None = None  # That they lie on, which leaves the roll of the block about it open
 
     @property
     def used(self) -> tuple[str, ...]:

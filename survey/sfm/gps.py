@@ -28,21 +28,12 @@ _GIVE_POSES = f"name a file of poses in [cameras] poses in {FILE_NAME}"
 
 @dataclass(frozen=True)
 class GpsPositions:
-    """GPS positions of the cameras.
+    """GPS positions of the cameras."""
 
-    Attributes
-    ----------
-    frame : LocalFrame
-        Its origin is the median position, rounded; so it lies at the height of the cameras.
-    local : dict of name to (3,) float64 [m], local
-        Only of photographs with a position and a height.
-    notes : sentences
-        What was assumed.
-    """
-
-    frame: LocalFrame
+    frame: LocalFrame  # Its origin is the median position, rounded; so it lies at the height of the cameras
+    # dict of name to (3,) float64 [m], local: only of photographs with a position and a height
     local: dict[str, np.ndarray]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # sentences: what was assumed
 
 
 def gps_positions(heads: Mapping[str, Exif], crs: CRS | None, gps_height: str) -> GpsPositions:
@@ -134,22 +125,12 @@ def positions_in_crs(heads: Mapping[str, Exif], crs: CRS, gps_height: str) -> tu
 
 @dataclass(frozen=True)
 class Way:
-    """The way of GPS positions of one source into crs.
+    """The way of GPS positions of one source into crs."""
 
-    Attributes
-    ----------
-    said : str
-        What they are, for messages.
-    names : of their photographs
-    plan : Transformation
-    up_std_m : [m]
-        That the geoid adds to heights above the ellipsoid; 0 where they are taken as they are.
-    """
-
-    said: str
-    names: tuple[str, ...]
+    said: str  # What they are, for messages
+    names: tuple[str, ...]  # of their photographs
     plan: Transformation
-    up_std_m: float
+    up_std_m: float  # [m]: that the geoid adds to heights above the ellipsoid; 0 where they are taken as they are
 
 
 def ways_into_crs(heads: Mapping[str, Exif], crs: CRS, gps_height: str) -> list[Way]:

@@ -52,25 +52,16 @@ def gps_std(residuals) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Line:
-    """A line that positions lie on, given how good they are: they leave the roll of a block about it open.
+    """A line that positions lie on, given how good they are: they leave the roll of a block about it open."""
 
-    Attributes
-    ----------
-    centre, direction : (3,) [m], local; (3,)
-    along, across : float [m]
-        Root mean squares of the positions along the line and beside it.
-    std_m : float [m]
-        Of the positions.
-    what : str
-        What they are, as a plural.
-    """
-
+    # centre, direction: (3,) [m], local; (3,)
     centre: np.ndarray
     direction: np.ndarray
+    # along, across [m]: root mean squares of the positions along the line and beside it
     along: float
     across: float
-    std_m: float
-    what: str = "GPS positions"
+    std_m: float  # [m]: of the positions
+    what: str = "GPS positions"  # What they are, as a plural
 
     def said(self, num: int) -> str:
         """The finding on so many of them, as a clause."""
@@ -116,17 +107,12 @@ def contradicted(residuals) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Across:
-    """Axes across a line, which with its direction make a right-handed frame.
+    """Axes across a line, which with its direction make a right-handed frame."""
 
-    Attributes
-    ----------
-    centre, along : (3,) [m], (3,)
-    beside, up : (3,)
-        `beside` is horizontal where the line is.
-    """
-
+    # centre, along: (3,) [m], (3,)
     centre: np.ndarray
     along: np.ndarray
+    # beside, up (3,): `beside` is horizontal where the line is
     beside: np.ndarray
     up: np.ndarray
 

@@ -23,24 +23,12 @@ _MOST_TRIED = 30
 
 @dataclass(frozen=True, eq=False)
 class BlockControl:
-    """Control for a block of photographs.
+    """Control for a block of photographs."""
 
-    Attributes
-    ----------
-    frame : LocalFrame
-        That of `ControlPoint.local`.
-    points : tuple of ControlPoint
-        Control, no check points.
-    marks : tuple of Mark
-        Their views have the names that the block has for them.
-    slack : (points,) [m]
-        By how much straight rays may miss a point: those under water seem to lie higher.
-    """
-
-    frame: LocalFrame
-    points: tuple[ControlPoint, ...]
-    marks: tuple[Mark, ...]
-    slack: np.ndarray
+    frame: LocalFrame  # That of `ControlPoint.local`
+    points: tuple[ControlPoint, ...]  # Control, no check points
+    marks: tuple[Mark, ...]  # Their views have the names that the block has for them
+    slack: np.ndarray  # (points,) [m]: by how much straight rays may miss a point: those under water seem to lie higher
 
     def in_frame(self, frame: LocalFrame) -> BlockControl:
         """The same in another local frame of the same crs."""
@@ -54,48 +42,25 @@ class BlockControl:
 
 @dataclass(frozen=True)
 class Posed:
-    """A photograph of a block.
-
-    Attributes
-    ----------
-    lens : Lens
-    centre, rotation : (3,), (3, 3)
-        In the frame of the block; from that to cam.
-    """
+    """A photograph of a block."""
 
     lens: Lens
+    # centre, rotation (3,), (3, 3): in the frame of the block; from that to cam
     centre: np.ndarray
     rotation: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
 class Met:
-    """Control points where the rays of their marks meet.
+    """Control points where the rays of their marks meet."""
 
-    Attributes
-    ----------
-    points : tuple of ControlPoint
-        Those with a place.
-    places : (K, 3)
-        Of each, in the frame of the block.
-    ranges : (K,)
-        Distance of each to its nearest camera, in that frame.
-    slack : (K,) [m]
-        As that of `BlockControl`.
-    wrong_marks : tuple of Mark
-        That miss a point whose other marks meet.
-    apart : tuple of str
-        Names of points whose marks do not meet, and none can be told to be right.
-    single : tuple of str
-        Names of points with fewer than two marks in the block, or that are seen from one direction.
-    """
-
-    points: tuple[ControlPoint, ...]
-    places: np.ndarray
-    ranges: np.ndarray
-    slack: np.ndarray
-    wrong_marks: tuple[Mark, ...]
-    apart: tuple[str, ...]
+    points: tuple[ControlPoint, ...]  # Those with a place
+    places: np.ndarray  # (K, 3): of each, in the frame of the block
+    ranges: np.ndarray  # (K,): distance of each to its nearest camera, in that frame
+    slack: np.ndarray  # (K,) [m]: as that of `BlockControl`
+    wrong_marks: tuple[Mark, ...]  # That miss a point whose other marks meet
+    apart: tuple[str, ...]  # Names of points whose marks do not meet, and none can be told to be right
+    # Names of points with fewer than two marks in the block, or that are seen from one direction
     single: tuple[str, ...]
 
 

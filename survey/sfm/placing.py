@@ -37,19 +37,11 @@ _FOCAL_SHARE = 0.08
 
 @dataclass(frozen=True)
 class Placed:
-    """Blocks in one local frame.
+    """Blocks in one local frame."""
 
-    Attributes
-    ----------
-    blocks : tuple of pycolmap.Reconstruction
-        Those that could be placed.
-    frame : LocalFrame
-    notes : sentences
-    """
-
-    blocks: tuple[pycolmap.Reconstruction, ...]
+    blocks: tuple[pycolmap.Reconstruction, ...]  # Those that could be placed
     frame: LocalFrame
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # sentences
 
 
 # Takes a block to local, in place, and says by what; raises PosesError or ControlError if it cannot.

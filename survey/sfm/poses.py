@@ -46,77 +46,40 @@ _BYTES_PER_IMAGE, _BYTES_AT_LEAST = 4_000_000, 50_000_000
 
 
 class SfmView(NamedTuple):
-    """A photograph with its solved pose.
+    """A photograph with its solved pose."""
 
-    Attributes
-    ----------
-    name : str
-        Path of the image below the folder that all images have in common, with forward slashes.
-    lens : Lens
-    centre : (3,) float64 [m], local
-    cam_from_local : (3, 3) float64
-    """
-
-    name: str
+    name: str  # Path of the image below the folder that all images have in common, with forward slashes
     lens: Lens
-    centre: np.ndarray
-    cam_from_local: np.ndarray
+    centre: np.ndarray  # (3,) float64 [m], local
+    cam_from_local: np.ndarray  # (3, 3) float64
 
 
 @dataclass(frozen=True)
 class SfmResult:
-    """Poses and points of all blocks that could be placed, in one local frame.
+    """Poses and points of all blocks that could be placed, in one local frame."""
 
-    Attributes
-    ----------
-    frame : LocalFrame
-        Origin: median GPS position or control point, at the height of the middle point of the block, rounded.
-    views : tuple of SfmView
-        In order of names; images that could not be placed are left out.
-    notes : list of sentences
-        What was assumed, found and left out.
-    points : (N, 3) float64 [m], local
-        Matched points, on straight rays.
-    num_views : (N,) int64
-    error_px : (N,) float64
-        Mean reprojection error of a point.
-    gps_residual_m : (len(views), 3) float64 [m], local
-        Camera centre minus GPS position; NaN for images without one.
-    ties : TiePoints
-        Those of the points that three images or more see; its views are numbered as in `views`.
-    """
-
+    # Origin: median GPS position or control point, at the height of the middle point of the block, rounded
     frame: LocalFrame
-    views: tuple[SfmView, ...]
-    notes: list[str]
-    points: np.ndarray
-    num_views: np.ndarray
-    error_px: np.ndarray
+    views: tuple[SfmView, ...]  # In order of names; images that could not be placed are left out
+    notes: list[str]  # list of sentences: what was assumed, found and left out
+    points: np.ndarray  # (N, 3) float64 [m], local: matched points, on straight rays
+    num_views: np.ndarray  # (N,) int64
+    error_px: np.ndarray  # (N,) float64: mean reprojection error of a point
+    # (len(views), 3) float64 [m], local: camera centre minus GPS position; NaN for images without one
     gps_residual_m: np.ndarray
-    ties: TiePoints
+    ties: TiePoints  # Those of the points that three images or more see; its views are numbered as in `views`
 
 
 @dataclass(frozen=True)
 class Photographs:
-    """Photographs without poses, with their metadata.
-
-    Attributes
-    ----------
-    paths : sequence of Path
-    heads : mapping of path to Exif, optional
-        With positions that a table gives; default: what the images themselves have.
-    gps_height : "crs" or "ellipsoidal"
-        What the heights in EXIF count from.
-    size_px : (width, height), optional
-        That all images must have.
-    focal_px : float, optional
-        Of a calibration; it is kept. Without it, the one in EXIF is where the search starts.
-    """
+    """Photographs without poses, with their metadata."""
 
     paths: Sequence[Path]
+    # mapping of path to Exif, optional: with positions that a table gives; default: what the images themselves have
     heads: Mapping[Path, Exif] | None = None
-    gps_height: str = "crs"
-    size_px: tuple[int, int] | None = None
+    gps_height: str = "crs"  # "crs" or "ellipsoidal": what the heights in EXIF count from
+    size_px: tuple[int, int] | None = None  # (width, height), optional: that all images must have
+    # float, optional: of a calibration; it is kept. Without it, the one in EXIF is where the search starts.
     focal_px: float | tuple[float, float] | None = None
 
 
@@ -180,18 +143,11 @@ def solve_poses(
 
 @dataclass(frozen=True)
 class FreeViews:
-    """Photographs that structure from motion placed, in a frame of their own.
+    """Photographs that structure from motion placed, in a frame of their own."""
 
-    Attributes
-    ----------
-    poses : dict of name to (centre (3,), rotation (3, 3) from that frame to cam)
-        In order of names.
-    ties : TiePoints
-        Views are numbered as in `poses`.
-    """
-
+    # dict of name to (centre (3,), rotation (3, 3) from that frame to cam): in order of names
     poses: dict[str, tuple[np.ndarray, np.ndarray]]
-    ties: TiePoints
+    ties: TiePoints  # Views are numbered as in `poses`
 
 
 def blocks_of(

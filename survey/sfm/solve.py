@@ -27,18 +27,10 @@ GIVE_POSES = f"give poses made elsewhere in [cameras] poses in {FILE_NAME}"
 
 @dataclass(frozen=True)
 class Free:
-    """Blocks that share no images and no points, each in a frame of its own.
+    """Blocks that share no images and no points, each in a frame of its own."""
 
-    Attributes
-    ----------
-    blocks : tuple of pycolmap.Reconstruction
-        The largest first; their images have the names of `aliases`.
-    notes : sentences
-        What was left out.
-    """
-
-    blocks: tuple[pycolmap.Reconstruction, ...]
-    notes: tuple[str, ...]
+    blocks: tuple[pycolmap.Reconstruction, ...]  # The largest first; their images have the names of `aliases`
+    notes: tuple[str, ...]  # sentences: what was left out
 
     @property
     def num_images(self) -> int:

@@ -17,28 +17,19 @@ _HORIZON_SHARE = 1.0 / 3.0
 class Light:
     """Sky and sun, scaled so that a white matt surface lies at radiance 1 on level ground in air.
 
-    Attributes
-    ----------
-    to_sun : (3,)
-        Direction toward the middle of the sun, local, any length.
-    sun_share : [-]
-        Share of the light on level ground that comes from the sun; 0 without one.
-    sun_radius : [rad]
-        Half the angle under which the sun is seen; 0.0046 in nature, 0 for a point. All of the disc is above the
-        horizon.
-    overcast : bool
-        A sky three times as bright at the zenith as at the horizon, instead of a uniform one.
-
     Raises
     ------
     ConfigError
         If the disc of the sun reaches below the horizon.
     """
 
+    # (3,): direction toward the middle of the sun, local, any length
     to_sun: tuple[float, float, float] = (0.45, 0.30, 0.84)
-    sun_share: float = 0.4
+    sun_share: float = 0.4  # [-]: share of the light on level ground that comes from the sun; 0 without one
+    # [rad]: half the angle under which the sun is seen; 0.0046 in nature, 0 for a point. All of the disc is above the
+    # horizon.
     sun_radius: float = 0.0046
-    overcast: bool = False
+    overcast: bool = False  # A sky three times as bright at the zenith as at the horizon, instead of a uniform one
 
     def __post_init__(self):
         # Straight above, both are a right angle, but for rounding.

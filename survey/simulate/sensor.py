@@ -22,33 +22,15 @@ _STEPS = 1.0 / 1.2207440846057596 ** np.arange(1, 4)
 
 @dataclass(frozen=True)
 class Sensor:
-    """Sensor: from radiance to an image.
+    """Sensor: from radiance to an image."""
 
-    Attributes
-    ----------
-    samples : int
-        Rays per pixel.
-    by_chance : bool
-        Whether they are random in the pixel, or on a regular square grid.
-    noise : [grey levels]
-        Standard deviation of the noise that is alike everywhere.
-    photons_at_white : [-]
-        Photons that a white pixel counts; 0 for no noise of counting.
-    exposure : [-]
-        Linear grey per radiance.
-    drift : [-]
-        Step of the random walk that the logarithm of the exposure takes from image to image.
-    blur_m : [m]
-        Way that the camera flies, to the top of its image, while the shutter is open.
-    """
-
-    samples: int = 4
-    by_chance: bool = False
-    noise: float = 0.0
-    photons_at_white: float = 0.0
-    exposure: float = 1.0
-    drift: float = 0.0
-    blur_m: float = 0.0
+    samples: int = 4  # Rays per pixel
+    by_chance: bool = False  # Whether they are random in the pixel, or on a regular square grid
+    noise: float = 0.0  # [grey levels]: standard deviation of the noise that is alike everywhere
+    photons_at_white: float = 0.0  # [-]: photons that a white pixel counts; 0 for no noise of counting
+    exposure: float = 1.0  # [-]: linear grey per radiance
+    drift: float = 0.0  # [-]: step of the random walk that the logarithm of the exposure takes from image to image
+    blur_m: float = 0.0  # [m]: way that the camera flies, to the top of its image, while the shutter is open
 
     def photograph(self, eye: Eye, camera: PinholeCamera, lens: Lens, seed: tuple[int, int]) -> np.ndarray:
         """The image (height, width, 3) uint8 of a camera; `seed` is that of the scene and the number of the image."""

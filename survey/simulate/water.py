@@ -23,24 +23,14 @@ from survey.simulate.scene_file import WaveSettings
 
 @dataclass(frozen=True)
 class WaterLevel:
-    """Still water, as in survey.toml.
+    """Still water, as in survey.toml."""
 
-    Attributes
-    ----------
-    level_m : [m]
-        Height of the surface at `level_at`, in crs.
-    level_at : (easting, northing), in crs
-    slope_east, slope_north : [-]
-        Rise per metre along the grid axes.
-    refractive_index : [-]
-        Relative to air.
-    """
-
-    level_m: float
-    level_at: tuple[float, float]
+    level_m: float  # [m]: height of the surface at `level_at`, in crs
+    level_at: tuple[float, float]  # (easting, northing), in crs
+    # slope_east, slope_north [-]: rise per metre along the grid axes
     slope_east: float = 0.0
     slope_north: float = 0.0
-    refractive_index: float = 1.333
+    refractive_index: float = 1.333  # [-]: relative to air
 
     def plane(self, frame: LocalFrame) -> FlatWater:
         """The surface in local."""
@@ -87,30 +77,17 @@ def measured(path: Path, frame: LocalFrame, n_water: float) -> HeightFieldWater:
 
 @dataclass(frozen=True)
 class WaterColour:
-    """Water as light sees it.
+    """Water as light sees it."""
 
-    Attributes
-    ----------
-    absorption : (3,) [1/m]
-        Of red, green and blue; the default is a lake with a little yellow substance.
-    scattering : [1/m]
-        Of all colours alike.
-    asymmetry : [-]
-        Mean cosine of scattering; natural water scatters forward (0.92: Mobley 1994, for Petzold's measurements).
-    veil : (3,)
-        Radiance of infinitely deep water, for the mode without light transport.
-    veiling : [1/m]
-        Rate at which the veil builds up, in the same mode.
-    sky : [-]
-        Radiance that the surface reflects, in the same mode.
-    """
-
+    # (3,) [1/m]: of red, green and blue; the default is a lake with a little yellow substance
     absorption: tuple[float, float, float] = (0.17, 0.042, 0.055)
-    scattering: float = 0.2
+    scattering: float = 0.2  # [1/m]: of all colours alike
+    # [-]: mean cosine of scattering; natural water scatters forward (0.92: Mobley 1994, for Petzold's measurements)
     asymmetry: float = 0.92
+    # (3,): radiance of infinitely deep water, for the mode without light transport
     veil: tuple[float, float, float] = (0.03, 0.17, 0.21)
-    veiling: float = 0.06
-    sky: float = 0.55
+    veiling: float = 0.06  # [1/m]: rate at which the veil builds up, in the same mode
+    sky: float = 0.55  # [-]: radiance that the surface reflects, in the same mode
 
     @property
     def similar(self) -> tuple[float, float]:

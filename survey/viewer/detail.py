@@ -22,22 +22,11 @@ NODE = "/cloud/{}"
 
 @dataclass(frozen=True)
 class Style:
-    """How the points are drawn.
+    """How the points are drawn."""
 
-    Attributes
-    ----------
-    kind : str
-        A column of `Shown`, or ``colour``.
-    limits : (low, high) or None
-        Values of the first and the last colour.
-    size : [-]
-        Factor of the sizes that leave no gap.
-    is_shown : bool
-    """
-
-    kind: str = "colour"
-    limits: tuple[float, float] | None = None
-    size: float = 1.0
+    kind: str = "colour"  # A column of `Shown`, or ``colour``
+    limits: tuple[float, float] | None = None  # (low, high) or None: values of the first and the last colour
+    size: float = 1.0  # [-]: factor of the sizes that leave no gap
     is_shown: bool = True
 
     @property

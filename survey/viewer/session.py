@@ -117,23 +117,11 @@ class LiveRun:
 
 @dataclass(frozen=True)
 class ViewOptions:
-    """Options of `bathynerf view`.
+    """Options of `bathynerf view`."""
 
-    Attributes
-    ----------
-    survey : str or None
-        Folder of the survey, if it was moved since the run.
-    reference : Path or None
-        Mesh, GeoTIFF or points beside the cloud.
-    field : Path or None
-        Folder of `bathynerf field`, whose field is rendered on request.
-    host : str
-    port : int
-    """
-
-    survey: str | None = None
-    reference: Path | None = None
-    field: Path | None = None
+    survey: str | None = None  # Folder of the survey, if it was moved since the run
+    reference: Path | None = None  # Mesh, GeoTIFF or points beside the cloud
+    field: Path | None = None  # Folder of `bathynerf field`, whose field is rendered on request
     host: str = HOST
     port: int = PORT
 

@@ -36,21 +36,12 @@ _STEPS = 256
 
 @dataclass(frozen=True)
 class Scale:
-    """How the values of a quantity become colours.
-
-    Attributes
-    ----------
-    label, unit : str
-    colormap : str
-        A name of `survey.display.palette`, or of matplotlib.
-    is_signed : bool
-        Zero has the middle colour.
-    """
+    """How the values of a quantity become colours."""
 
     label: str
     unit: str
-    colormap: str
-    is_signed: bool = False
+    colormap: str  # A name of `survey.display.palette`, or of matplotlib
+    is_signed: bool = False  # Zero has the middle colour
 
     def limits(self, values: np.ndarray) -> tuple[float, float]:
         """Values (low, high) of the first and the last colour, by the values (N,) of the cloud."""
@@ -103,40 +94,21 @@ SCALES = {
 
 @dataclass
 class Shown:
-    """A run as the viewer has it.
-
-    Attributes
-    ----------
-    folder : Path
-    name : str
-        Of the survey.
-    tree : CloudTree
-    rgb : (N, 3) uint8
-    columns : dict
-        Values (N,) by the names of `survey.viewer.shown.SCALES`; one that is not known of the cloud is not there.
-    flight : Flight
-    has_photographs : bool
-        Whether the files of the photographs are where the run found them.
-    gsd_m : [m]
-        Ground sampling distance, about that of the points.
-    reference : Reference or None
-        What the cloud is compared with.
-    fields : list of TrainedField
-        Of the run's own stage, where it has one, and of a folder of `bathynerf field`.
-    low, high : (3,) [m], local
-        Corners of a box about all points but strays.
-    """
+    """A run as the viewer has it."""
 
     folder: Path
-    name: str
+    name: str  # Of the survey
     tree: CloudTree
-    rgb: np.ndarray
+    rgb: np.ndarray  # (N, 3) uint8
+    # dict: values (N,) by the names of `survey.viewer.shown.SCALES`; one that is not known of the cloud is not there
     columns: dict[str, np.ndarray]
     flight: Flight
-    has_photographs: bool
-    gsd_m: float
-    reference: Reference | None = None
+    has_photographs: bool  # Whether the files of the photographs are where the run found them
+    gsd_m: float  # [m]: ground sampling distance, about that of the points
+    reference: Reference | None = None  # What the cloud is compared with
+    # Of the run's own stage, where it has one, and of a folder of `bathynerf field`
     fields: list[TrainedField] = field(default_factory=list)
+    # low, high (3,) [m], local: corners of a box about all points but strays
     low: np.ndarray = field(init=False)
     high: np.ndarray = field(init=False)
 

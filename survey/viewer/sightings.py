@@ -34,24 +34,16 @@ _INK, _PAPER, _MARK = (34, 48, 60), (255, 255, 255), (255, 230, 0)
 
 @dataclass(frozen=True)
 class Sighting:
-    """Sighting of a point in a photograph whose frame holds it; see `unhidden` for what occludes it.
-
-    Attributes
-    ----------
-    view : View
-    pixel : (2,) [px]
-    camera, crossing, point : (3,) [m], local
-        Corners of the ray; the crossing of the water is the point itself where the ray is straight.
-    incidence : [rad]
-        Between the ray in air and the vertical.
-    """
+    """Sighting of a point in a photograph whose frame holds it; see `unhidden` for what occludes it."""
 
     view: View
-    pixel: np.ndarray
+    pixel: np.ndarray  # (2,) [px]
+    # camera, crossing, point (3,) [m], local: corners of the ray; the crossing of the water is the point itself where
+    # the ray is straight
     camera: np.ndarray
     crossing: np.ndarray
     point: np.ndarray
-    incidence: float
+    incidence: float  # [rad]: between the ray in air and the vertical
 
     @property
     def is_bent(self) -> bool:

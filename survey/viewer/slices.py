@@ -27,20 +27,11 @@ _SIZE_IN, _DPI = (4.0, 3.0), 160
 
 @dataclass(frozen=True)
 class Reference:
-    """A mesh, or a cloud, in the local frame of a run.
-
-    Attributes
-    ----------
-    path : Path
-    points : (V, 3) float64 [m], local
-        Vertices, or points.
-    faces : (F, 3) int or None
-        None of a cloud.
-    """
+    """A mesh, or a cloud, in the local frame of a run."""
 
     path: Path
-    points: np.ndarray
-    faces: np.ndarray | None
+    points: np.ndarray  # (V, 3) float64 [m], local: Vertices, or points
+    faces: np.ndarray | None  # (F, 3) int or None: None of a cloud
 
     def errors(self, points: np.ndarray) -> np.ndarray:
         """How far points (N, 3), local, are above it (N,) [m]: as `bathynerf compare` measures, nothing aligned."""
@@ -94,29 +85,17 @@ def load_reference(path: Path, frame: LocalFrame, cloud_crs: np.ndarray) -> Refe
 
 @dataclass(frozen=True)
 class Slice:
-    """The points near a vertical plane.
+    """The points near a vertical plane."""
 
-    Attributes
-    ----------
-    rows : (K,) int
-        Of the cloud.
-    distance, height : (K,) [m]
-        Along the line, and local.
-    along : (P,) [m]
-        Places along the line.
-    water, reference : (P,) [m], local
-        Heights there; NaN where there is none.
-    half_m : [m]
-        Points so far to either side are in it.
-    """
-
-    rows: np.ndarray
+    rows: np.ndarray  # (K,) int: of the cloud
+    # distance, height (K,) [m]: along the line, and local
     distance: np.ndarray
     height: np.ndarray
-    along: np.ndarray
+    along: np.ndarray  # (P,) [m]: places along the line
+    # water, reference (P,) [m], local: heights there; NaN where there is none
     water: np.ndarray
     reference: np.ndarray
-    half_m: float
+    half_m: float  # [m]: points so far to either side are in it
 
 
 def slice_of(

@@ -28,30 +28,14 @@ _FINEST_PX = 1.0
 
 @dataclass(frozen=True)
 class CloudTree:
-    """Nodes over points; a node comes after its parent, the root first.
+    """Nodes over points; a node comes after its parent, the root first."""
 
-    Attributes
-    ----------
-    points : (N, 3) float64 [m], local
-        As they were given.
-    order : (N,) int
-        Rows of the points, node after node.
-    starts : (M + 1,) int64
-        Node i has the rows ``order[starts[i]:starts[i + 1]]``.
-    low : (M, 3) float64 [m], local
-        Lowest corners of the cubes.
-    side : (M,) [m]
-        Of the cubes.
-    parent : (M,) int64
-        -1 for the root.
-    """
-
-    points: np.ndarray
-    order: np.ndarray
-    starts: np.ndarray
-    low: np.ndarray
-    side: np.ndarray
-    parent: np.ndarray
+    points: np.ndarray  # (N, 3) float64 [m], local: as they were given
+    order: np.ndarray  # (N,) int: rows of the points, node after node
+    starts: np.ndarray  # (M + 1,) int64: node i has the rows ``order[starts[i]:starts[i + 1]]``
+    low: np.ndarray  # (M, 3) float64 [m], local: lowest corners of the cubes
+    side: np.ndarray  # (M,) [m]: of the cubes
+    parent: np.ndarray  # (M,) int64: -1 for the root
 
     def __len__(self) -> int:
         return len(self.side)
@@ -172,25 +156,13 @@ def _nodes_on(tree: CloudTree, origin: np.ndarray, along: np.ndarray, angle: flo
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """A pinhole without distortion, its principal point in the middle of the screen.
+    """A pinhole without distortion, its principal point in the middle of the screen."""
 
-    Attributes
-    ----------
-    position : (3,) [m], local
-    cam_from_local : (3, 3)
-        Camera axes are x right, y down, z forward.
-    fov : [rad]
-        Of the height of the screen.
-    aspect : [-]
-        Width over height.
-    height_px : [px]
-    """
-
-    position: np.ndarray
-    cam_from_local: np.ndarray
-    fov: float
-    aspect: float
-    height_px: float
+    position: np.ndarray  # (3,) [m], local
+    cam_from_local: np.ndarray  # (3, 3): camera axes are x right, y down, z forward
+    fov: float  # [rad]: of the height of the screen
+    aspect: float  # [-]: width over height
+    height_px: float  # [px]
 
     @property
     def focal_px(self) -> float:

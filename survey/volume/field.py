@@ -44,65 +44,32 @@ MONOCULAR = (0.1, 0.05)
 
 @dataclass(frozen=True)
 class VolumeOptions:
-    """Options of the training of a radiance field on a run, and of its products.
+    """Options of the training of a radiance field on a run, and of its products."""
 
-    Attributes
-    ----------
-    model : key of `fields.volume.models.MODELS`
-    steps, rays, samples : int
-        Steps of training, paths of each, and samples of each path.
-    cells : int
-        Along the longest edge at the finest scale, of models that have cells.
-    image_scale : [-], optional
-        Of the photographs; default: two pixels a cell.
-    bounds : (E0, N0, E1, N1), optional, in crs
-        Part of the bed; default: all of it.
-    held_every : int, optional
-        Every so many photographs one is left out and predicted.
-    from_scratch : bool
-        Surfaces may be anywhere in the box at first; else within two cells of the run's bed.
-    straight : bool
-        Rays are not bent, as in the fields of others.
-    appearance : bool
-        A vector for each photograph that changes colours, for changing light.
-    rule : Rule
-        Where on a path the surface is.
-    density : [1/m], optional
-        Of ``Rule.density``; default: half of the light is stopped within a cell.
-    reference : Path, optional
-        Mesh or cloud that the surface is compared with.
-    cameras : Path, optional
-        Poses of views to render; ``dry``, without the water.
-    survey : str, optional
-        Folder of the survey, if it was moved since the run.
-    device : "auto", "cpu", "cuda" or "torch"
-    seed : int
-    monocular : Path, optional
-        Folder of monocular depth and normals, see `survey.volume.monocular`.
-    losses : LossesConfig
-        Where none of depth and normal has a weight, those of MonoSDF count with ``monocular``.
-    """
-
-    model: str = "mdw"
+    model: str = "mdw"  # key of `fields.volume.models.MODELS`
+    # steps, rays, samples: Steps of training, paths of each, and samples of each path
     steps: int = 2000
     rays: int = 4096
     samples: int = 48
-    cells: int = 256
-    image_scale: float | None = None
+    cells: int = 256  # Along the longest edge at the finest scale, of models that have cells
+    image_scale: float | None = None  # [-], optional: of the photographs; default: two pixels a cell
+    # (E0, N0, E1, N1), optional, in crs: part of the bed; default: all of it
     bounds: tuple[float, float, float, float] | None = None
-    held_every: int | None = None
-    from_scratch: bool = False
-    straight: bool = False
-    appearance: bool = False
-    rule: Rule = Rule.median
+    held_every: int | None = None  # optional: every so many photographs one is left out and predicted
+    from_scratch: bool = False  # Surfaces may be anywhere in the box at first; else within two cells of the run's bed
+    straight: bool = False  # Rays are not bent, as in the fields of others
+    appearance: bool = False  # A vector for each photograph that changes colours, for changing light
+    rule: Rule = Rule.median  # Where on a path the surface is
+    # [1/m], optional: of ``Rule.density``; default: half of the light is stopped within a cell
     density: float | None = None
-    reference: Path | None = None
-    cameras: Path | None = None
+    reference: Path | None = None  # optional: mesh or cloud that the surface is compared with
+    cameras: Path | None = None  # optional: poses of views to render; ``dry``, without the water
     dry: bool = False
-    survey: str | None = None
-    device: str = "auto"
+    survey: str | None = None  # optional: folder of the survey, if it was moved since the run
+    device: str = "auto"  # "auto", "cpu", "cuda" or "torch"
     seed: int = 0
-    monocular: Path | None = None
+    monocular: Path | None = None  # optional: folder of monocular depth and normals, see `survey.volume.monocular`
+    # Where none of depth and normal has a weight, those of MonoSDF count with ``monocular``
     losses: LossesConfig = field(default_factory=LossesConfig)
 
     def __post_init__(self):

@@ -52,24 +52,14 @@ class Named:
 
 @dataclass(frozen=True)
 class Scene:
-    """Photographs for a volume.
-
-    Attributes
-    ----------
-    box : Box
-    bed : (N, 3) [m], local
-        Points of the run inside the box.
-    train, held : Named
-        Learned from, and left out.
-    pixel_m : [m]
-        Of a photograph, on the bed.
-    """
+    """Photographs for a volume."""
 
     box: Box
-    bed: np.ndarray
+    bed: np.ndarray  # (N, 3) [m], local: points of the run inside the box
+    # train, held: Learned from, and left out
     train: Named
     held: Named
-    pixel_m: float
+    pixel_m: float  # [m]: of a photograph, on the bed
 
     def cells_about_bed(self, num: int, margin: float) -> Cells:
         """The cells of a proxy, ``num`` along the longest edge, within ``margin`` of them about the run's bed."""
@@ -83,30 +73,14 @@ class Scene:
 
 @dataclass(frozen=True)
 class SceneOptions:
-    """Options of the photographs of a run that a field is trained on, and of its box.
+    """Options of the photographs of a run that a field is trained on, and of its box."""
 
-    Attributes
-    ----------
-    cells : int
-        Of the volume along its longest edge.
-    bounds : (e0, n0, e1, n1), optional
-        In crs: part of the bed.
-    image_scale : [-], optional
-        Default: two pixels a cell.
-    held_every : int, optional
-        Every so many photographs one is left out.
-    straight : bool
-        Rays are not bent.
-    monocular : Path, optional
-        Folder of priors of those that are learned from.
-    """
-
-    cells: int
-    bounds: tuple[float, float, float, float] | None = None
-    image_scale: float | None = None
-    held_every: int | None = None
-    straight: bool = False
-    monocular: Path | None = None
+    cells: int  # Of the volume along its longest edge
+    bounds: tuple[float, float, float, float] | None = None  # (e0, n0, e1, n1), optional: in crs: part of the bed
+    image_scale: float | None = None  # [-], optional: Default: two pixels a cell
+    held_every: int | None = None  # optional: every so many photographs one is left out
+    straight: bool = False  # Rays are not bent
+    monocular: Path | None = None  # optional: folder of priors of those that are learned from
 
 
 def load_scene(

@@ -30,28 +30,16 @@ from survey.volume.scene import SETTINGS, STATE, box_of_run, read_state
 
 @dataclass(frozen=True)
 class Recipe:
-    """Settings that determine the parameters of a model and how its paths run.
+    """Settings that determine the parameters of a model and how its paths run."""
 
-    Attributes
-    ----------
-    model : key of `fields.volume.models.MODELS`
-    cells, steps, seed : int
-        As in `survey.volume.field.VolumeOptions`.
-    samples : int
-        Of each path.
-    straight : bool
-        Rays are not bent.
-    appearance : bool
-        A vector for each photograph.
-    """
-
-    model: str
+    model: str  # key of `fields.volume.models.MODELS`
+    # cells, steps, seed: As in `survey.volume.field.VolumeOptions`
     cells: int
     steps: int
     seed: int
-    samples: int
-    straight: bool
-    appearance: bool
+    samples: int  # Of each path
+    straight: bool  # Rays are not bent
+    appearance: bool  # A vector for each photograph
 
     def renderer(self, box: Box, water: FlatWater | None, photographs: int, device: str) -> VolumeRenderer:
         """The untrained model in a box, with a water column where its rays are bent, ready to be rendered."""
@@ -86,21 +74,12 @@ def view_of(
 
 @dataclass(frozen=True)
 class StoredVolume:
-    """The folder of a volume beside the run that it was trained on.
-
-    Attributes
-    ----------
-    folder : Path
-    recipe : Recipe
-    box : Box
-    water : FlatWater or None
-        Of the run.
-    """
+    """The folder of a volume beside the run that it was trained on."""
 
     folder: Path
     recipe: Recipe
     box: Box
-    water: FlatWater | None
+    water: FlatWater | None  # Of the run
 
     @staticmethod
     def of_run(folder: Path, run: LoadedRun) -> StoredVolume:

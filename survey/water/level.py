@@ -67,25 +67,14 @@ _IN_WORDS = {1: "one", 3: "three"}
 
 @dataclass(frozen=True)
 class SurfaceFit:
-    """A plane through points of the water surface.
+    """A plane through points of the water surface."""
 
-    Attributes
-    ----------
-    level_m : [m]
-        At the mean of the points, easting and northing `level_at`.
-    level_at : (easting, northing)
-    slope_east, slope_north : [-]
-        Zero where the points do not show any.
-    covariance : (3, 3)
-        Of level, slope_east and slope_north; zero rows for slopes that were not fitted.
-    num_points : int
-    """
-
-    level_m: float
-    level_at: tuple[float, float]
+    level_m: float  # [m]: at the mean of the points, easting and northing `level_at`
+    level_at: tuple[float, float]  # (easting, northing)
+    # slope_east, slope_north [-]: zero where the points do not show any
     slope_east: float
     slope_north: float
-    covariance: np.ndarray
+    covariance: np.ndarray  # (3, 3): of level, slope_east and slope_north; zero rows for slopes that were not fitted
     num_points: int
 
 

@@ -46,27 +46,13 @@ _MOST_STD_M = 10.0
 
 @dataclass(frozen=True)
 class LevelObservation:
-    """Measurement of the height of the water surface.
+    """Measurement of the height of the water surface."""
 
-    Attributes
-    ----------
-    level_m : [m]
-        In the heights of crs.
-    std_m : [m]
-        Standard deviation, without what it shares with others of its source (`COMMON_STD_M`).
-    place : (easting, northing) in crs, or None
-        None where it holds for the whole water.
-    time : datetime or None
-        In UTC; None where it holds for the whole flight.
-    source : str
-        The key of [water] that it comes from.
-    """
-
-    level_m: float
-    std_m: float
-    place: tuple[float, float] | None
-    time: datetime | None
-    source: str
+    level_m: float  # [m]: in the heights of crs
+    std_m: float  # [m]: standard deviation, without what it shares with others of its source (`COMMON_STD_M`)
+    place: tuple[float, float] | None  # (easting, northing) in crs, or None: None where it holds for the whole water
+    time: datetime | None  # In UTC; None where it holds for the whole flight
+    source: str  # The key of [water] that it comes from
 
 
 def points_of_surface(path: Path, source: str, crs: CRS) -> tuple[tuple[LevelObservation, ...], tuple[str, ...]]:

@@ -47,20 +47,11 @@ class Departure:
     """Height of the water over the plane of a survey, from points on it.
 
     Where an adjustment moves the plane the water moves with it.
-
-    Attributes
-    ----------
-    points : (N, 3) float64 [m]
-        Local x and y, and the height over the plane.
-    stds : (N,) [m]
-        Of these heights, without what all share.
-    source : str
-        What departs from the plane, in words.
     """
 
-    source: ClassVar[str] = "[water] surface"
-    points: np.ndarray
-    stds: np.ndarray
+    source: ClassVar[str] = "[water] surface"  # str: what departs from the plane, in words
+    points: np.ndarray  # (N, 3) float64 [m]: local x and y, and the height over the plane
+    stds: np.ndarray  # (N,) [m]: of these heights, without what all share
     _tree: KDTree = field(init=False, repr=False)
     _plane: np.ndarray = field(init=False, repr=False)
     _number: int = field(init=False, repr=False)

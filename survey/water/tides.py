@@ -38,23 +38,13 @@ _GRAZING_DEG = 70.0
 
 @dataclass(frozen=True)
 class Tide:
-    """Level of the water over the time of the flight.
+    """Level of the water over the time of the flight."""
 
-    Attributes
-    ----------
-    source : str
-        The key of [water] that tells it.
-    over : name to float
-        Level at each photograph [m] over `[water] level_m`.
-    hours : name to float
-        Time of each photograph [h] after that at which `level_m` holds; empty where times play no part.
-    shift_px : float
-        By how much the largest of `over` moves what a view of the survey shows; 0 before views are known.
-    """
-
-    source: str
-    over: Mapping[str, float]
+    source: str  # The key of [water] that tells it
+    over: Mapping[str, float]  # name to float: level at each photograph [m] over `[water] level_m`
+    # name to float: time of each photograph [h] after that at which `level_m` holds; empty where times play no part
     hours: Mapping[str, float]
+    # By how much the largest of `over` moves what a view of the survey shows; 0 before views are known
     shift_px: float = 0.0
 
     @property

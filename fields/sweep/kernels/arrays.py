@@ -87,21 +87,14 @@ def constant(device: Device, value: float) -> Any:
 
 @dataclass(frozen=True)
 class Buffer:
-    """Array of Dr.Jit that kernels fill and of which views are read.
+    """Array of Dr.Jit that kernels fill and of which views are read."""
 
-    Attributes
-    ----------
-    array : flat array of float32
-        Longer than asked for by a vector: kernels load whole vectors, of a view that ends where the array does beyond
-        it, and there may be no memory behind it.
-    size : int
-        How many numbers were asked for.
-    memory : its memory on the host, on the CPU; None elsewhere
-        Dr.Jit returns the address of an array only after all kernels have finished: allocate before launching them.
-    """
-
+    # flat array of float32: longer than asked for by a vector: kernels load whole vectors, of a view that ends where
+    # the array does beyond it, and there may be no memory behind it
     array: Any
-    size: int
+    size: int  # How many numbers were asked for
+    # its memory on the host, on the CPU; None elsewhere: Dr.Jit returns the address of an array only after all kernels
+    # have finished: allocate before launching them
     memory: np.ndarray | None
 
     @staticmethod

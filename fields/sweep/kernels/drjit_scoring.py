@@ -35,22 +35,14 @@ _KNOWN_SUMS = 6
 
 @dataclass(frozen=True)
 class WideWindows:
-    """Images from which sums over wide windows are taken, by rows first.
-
-    Attributes
-    ----------
-    device : Device
-    reference, values : Buffer, list of Buffer
-        Of J * P each.
-    rows : list of Buffer
-        For the sums over rows, of as many each.
-    width, radius : [px]
-    """
+    """Images from which sums over wide windows are taken, by rows first."""
 
     device: Device
+    # reference, values list of Buffer: of J * P each
     reference: Buffer
     values: list[Buffer]
-    rows: list[Buffer]
+    rows: list[Buffer]  # For the sums over rows, of as many each
+    # width, radius: [px]
     width: int
     radius: int
 

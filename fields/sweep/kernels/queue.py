@@ -21,16 +21,11 @@ Found = TypeVar("Found")
 
 @dataclass(frozen=True)
 class Launch:
-    """Kernels that may still be running.
+    """Kernels that may still be running."""
 
-    Attributes
-    ----------
-    results : flat arrays of the device
-    inputs : arrays that they read
-        Threads of Dr.Jit that free memory of numpy need the GIL: it must not happen while this thread holds it.
-    """
-
-    results: list[Any]
+    results: list[Any]  # flat arrays of the device
+    # arrays that they read: threads of Dr.Jit that free memory of numpy need the GIL: it must not happen while this
+    # thread holds it
     inputs: Any = None
 
 

@@ -32,21 +32,11 @@ LEAST_SPAN = 1e-3
 
 @dataclass(frozen=True)
 class CameraTerms:
-    """Terms beyond the pinhole model that any of some cameras has; kernels are traced without the others.
+    """Terms beyond the pinhole model that any of some cameras has; kernels are traced without the others."""
 
-    Attributes
-    ----------
-    lenses : frozenset of str
-        Kinds of distortion, see `refract.distortion`.
-    moves : bool
-        Whether any shutter rolls.
-    tides : bool
-        Whether any camera had another level of the water than the plane.
-    """
-
-    lenses: frozenset[str]
-    moves: bool
-    tides: bool
+    lenses: frozenset[str]  # Kinds of distortion, see `refract.distortion`
+    moves: bool  # Whether any shutter rolls
+    tides: bool  # Whether any camera had another level of the water than the plane
 
     @staticmethod
     def of(cameras: list[PinholeCamera], skips: Skips = SKIPS) -> CameraTerms:
@@ -104,35 +94,20 @@ def largest(cameras: Sequence[PinholeCamera]) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """Height hypotheses of a number of pixels: ``start + j * step`` over the water plane, for j from 0 to count - 1.
+    """Height hypotheses of a number of pixels: ``start + j * step`` over the water plane, for j from 0 to count - 1."""
 
-    Attributes
-    ----------
-    start : array of the pixels, on the host or on the device [m]
-    step : [m]
-    count : int
-    """
-
-    start: Any
-    step: float
+    start: Any  # array of the pixels, on the host or on the device [m]
+    step: float  # [m]
     count: int
 
 
 @dataclass(frozen=True)
 class ViewStack:
-    """Scalar images with their cameras and the water, for one device.
-
-    Attributes
-    ----------
-    cameras : list of PinholeCamera
-    images : (height, width) float32 each
-    water : FlatWater or None
-    skips : Skips
-    """
+    """Scalar images with their cameras and the water, for one device."""
 
     device: Device
     cameras: list[PinholeCamera]
-    images: Sequence[np.ndarray]
+    images: Sequence[np.ndarray]  # (height, width) float32 each
     water: FlatWater | None
     skips: Skips = SKIPS
 
@@ -203,17 +178,12 @@ class ViewStack:
 
 @dataclass(frozen=True)
 class PackedImages:
-    """Images of one size, packed for one lookup per bilinear sample.
+    """Images of one size, packed for one lookup per bilinear sample."""
 
-    Attributes
-    ----------
-    values : (height * width) words of the device, by the number of the image; the last few are kept
-    bits : of a level in a word, 8 or 16
-    low, step : of the levels, ``low + step * whole``
-    """
-
+    # (height * width) words of the device, by the number of the image; the last few are kept
     values: LruCache[int, Any]
-    bits: int
+    bits: int  # of a level in a word, 8 or 16
+    # low, step: of the levels, ``low + step * whole``
     low: float
     step: float
 

@@ -45,20 +45,11 @@ class KernelWater(Protocol):
 
 @dataclass(frozen=True)
 class PlaneWater:
-    """A plane, in whose frame z is the height over it along its normal; local itself in a dry survey.
+    """A plane, in whose frame z is the height over it along its normal; local itself in a dry survey."""
 
-    Attributes
-    ----------
-    origin : (3,) [m], local
-        The point of the plane nearest to the origin of local.
-    from_local : (3, 3)
-    n_water : float or None
-        Refractive index; None where rays are straight.
-    """
-
-    origin: np.ndarray
-    from_local: np.ndarray
-    n_water: float | None
+    origin: np.ndarray  # (3,) [m], local: the point of the plane nearest to the origin of local
+    from_local: np.ndarray  # (3, 3)
+    n_water: float | None  # Refractive index; None where rays are straight
 
     @staticmethod
     def of(water: FlatWater | None, *, skips_air: bool) -> PlaneWater:

@@ -43,14 +43,9 @@ class NotConvergedError(SurveyError):
 
 @dataclass(frozen=True)
 class System:
-    """The normal equations at one state, points eliminated.
+    """The normal equations at one state, points eliminated."""
 
-    Attributes
-    ----------
-    normal, right : (P, P), (P,)
-        With the priors.
-    """
-
+    # normal, right (P, P), (P,): with the priors
     normal: np.ndarray
     right: np.ndarray
     root: np.ndarray
@@ -74,25 +69,13 @@ class System:
 
 @dataclass(frozen=True)
 class Solution:
-    """An adjusted block.
-
-    Attributes
-    ----------
-    state : State
-    covariance : (P, P)
-        Of the parameters, with errors of the observations as they are weighted.
-    residuals : (N, 2) [px]
-    weights : (N,) [1/px^2]
-    std_px : (kinds,) [px]
-        Standard deviation of a pixel coordinate of each kind.
-    system : System
-    """
+    """An adjusted block."""
 
     state: State
-    covariance: np.ndarray
-    residuals: np.ndarray
-    weights: np.ndarray
-    std_px: np.ndarray
+    covariance: np.ndarray  # (P, P): of the parameters, with errors of the observations as they are weighted
+    residuals: np.ndarray  # (N, 2) [px]
+    weights: np.ndarray  # (N,) [1/px^2]
+    std_px: np.ndarray  # (kinds,) [px]: standard deviation of a pixel coordinate of each kind
     system: System
 
 

@@ -204,16 +204,11 @@ def control_warnings(control: Control | None, views: Sequence[View], used: Obser
 
 @dataclass(frozen=True)
 class ControlContradiction:
-    """A control point that a block without control contradicts.
-
-    Attributes
-    ----------
-    name : str
-    east_north, std : (2,) [m]
-        Where the block has it, at its height, less its coordinates; and the standard deviations of that.
-    """
+    """A control point that a block without control contradicts."""
 
     name: str
+    # east_north, std (2,) [m]: where the block has it, at its height, less its coordinates; and the standard deviations
+    # of that
     east_north: np.ndarray
     std: np.ndarray
 

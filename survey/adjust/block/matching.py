@@ -27,18 +27,10 @@ _CLEAR_PX = 5
 
 @dataclass(frozen=True)
 class PreparedImage:
-    """A photograph prepared for matching.
+    """A photograph prepared for matching."""
 
-    Attributes
-    ----------
-    spline : (height, width) float32
-        Coefficients of its cubic spline.
-    clear : (height, width) bool
-        Where samples of a window may lie, away from masked pixels.
-    """
-
-    spline: np.ndarray
-    clear: np.ndarray
+    spline: np.ndarray  # (height, width) float32: coefficients of its cubic spline
+    clear: np.ndarray  # (height, width) bool: where samples of a window may lie, away from masked pixels
 
 
 def prepared(image: np.ndarray) -> PreparedImage:

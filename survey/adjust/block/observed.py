@@ -26,26 +26,14 @@ CELLS, PER_CELL = 8, 3
 
 @dataclass(frozen=True)
 class Observed:
-    """Tie points of all kinds.
-
-    Attributes
-    ----------
-    ties : TiePoints
-    kind : (N,) int64
-        `MATCH`, `WINDOW` or `MARK`, of each observation.
-    point_std : (M, 3) [m]
-        Of the points that are known beforehand, at `TiePoints.start`; infinite for all others.
-    control : tuple of str
-        Names of the control points, which come last.
-    ground : Ground or None
-        On which dry tie points lie.
-    """
+    """Tie points of all kinds."""
 
     ties: TiePoints
-    kind: np.ndarray
+    kind: np.ndarray  # (N,) int64: `MATCH`, `WINDOW` or `MARK`, of each observation
+    # (M, 3) [m]: of the points that are known beforehand, at `TiePoints.start`; infinite for all others
     point_std: np.ndarray
-    control: tuple[str, ...]
-    ground: Ground | None = None
+    control: tuple[str, ...]  # Names of the control points, which come last
+    ground: Ground | None = None  # On which dry tie points lie
 
     def only(self, keep: np.ndarray) -> Observed:
         """The kept observations (N,) bool, without points that then have too few."""

@@ -51,21 +51,13 @@ _STEADY_M = 1e-3
 
 @dataclass(frozen=True)
 class OnGround:
-    """Tie points on the ground.
-
-    Attributes
-    ----------
-    planes : Planes
-    over, changed : (M,) bool
-        Points over the ground; those of them that are left out.
-    scatter : float
-        By how much more than the ground's own points they scatter about it; 1 at least.
-    """
+    """Tie points on the ground."""
 
     planes: Planes
+    # over, changed (M,) bool: points over the ground; those of them that are left out
     over: np.ndarray
     changed: np.ndarray
-    scatter: float
+    scatter: float  # By how much more than the ground's own points they scatter about it; 1 at least
 
 
 def planes_under(ground: Ground, points: np.ndarray, num_ties: int) -> OnGround:
@@ -238,34 +230,20 @@ def _descended(planes: _PlanesOnGrid, points: np.ndarray, start: np.ndarray) -> 
 
 @dataclass(frozen=True)
 class GroundAlignment:
-    """Alignment of an adjusted block to the ground.
+    """Alignment of an adjusted block to the ground."""
 
-    Attributes
-    ----------
-    num_points, num_over, num_changed : int
-        Tie points that hold it, one of each square; all over the ground; those of them where it changed.
-    rms_m : [m]
-        Of the vertical distances of the points that hold it.
-    scatter : float
-        See `OnGround`.
-    middle : (3,) [m]
-        Of these points.
-    std : (7,)
-        Of the block's shift at the middle [m], turn about east, north and up [rad], and scale.
-    std_without : (7,) or None
-        The same without the ground; None where nothing else holds the block.
-    shift, shift_std, shift_prior : (3,) [m], local
-        By how much the ground as it is given is to be moved, how well that is known, and how well it was before.
-    """
-
+    # num_points, num_over, num_changed: Tie points that hold it, one of each square; all over the ground; those of them
+    # where it changed
     num_points: int
     num_over: int
     num_changed: int
-    rms_m: float
-    scatter: float
-    middle: np.ndarray
-    std: np.ndarray
-    std_without: np.ndarray | None
+    rms_m: float  # [m]: of the vertical distances of the points that hold it
+    scatter: float  # See `OnGround`
+    middle: np.ndarray  # (3,) [m]: of these points
+    std: np.ndarray  # (7,): of the block's shift at the middle [m], turn about east, north and up [rad], and scale
+    std_without: np.ndarray | None  # (7,) or None: the same without the ground; None where nothing else holds the block
+    # shift, shift_std, shift_prior (3,) [m], local: by how much the ground as it is given is to be moved, how well that
+    # is known, and how well it was before
     shift: np.ndarray
     shift_std: np.ndarray
     shift_prior: np.ndarray

@@ -13,21 +13,11 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Planes:
-    """Planes on which points are known to lie.
+    """Planes on which points are known to lie."""
 
-    Attributes
-    ----------
-    normal : (M, 3)
-        Upwards, with 1 in z: the distance is along the vertical.
-    height : (M,) [m]
-        Of ``normal . point`` on the plane.
-    strength : (M,) [1/m^2]
-        Inverse variance of that distance; 0 for points of which nothing is known.
-    """
-
-    normal: np.ndarray
-    height: np.ndarray
-    strength: np.ndarray
+    normal: np.ndarray  # (M, 3): Upwards, with 1 in z: the distance is along the vertical
+    height: np.ndarray  # (M,) [m]: of ``normal . point`` on the plane.
+    strength: np.ndarray  # (M,) [1/m^2]: inverse variance of that distance; 0 for points of which nothing is known
 
     def distances(self, points: np.ndarray, shift: np.ndarray) -> np.ndarray:
         """Vertical distances (M,) [m] of points (M, 3) above their planes shifted by (3,); 0 where there is none."""

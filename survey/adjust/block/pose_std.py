@@ -42,21 +42,11 @@ _CHANGED = 0.1
 
 @dataclass(frozen=True)
 class Judged:
-    """Accuracy of given poses, estimated from the block.
+    """Accuracy of given poses, estimated from the block."""
 
-    Attributes
-    ----------
-    known : Known
-        With their standard deviations; infinite of positions that are contradicted.
-    blunders : (V, 2) bool
-        Positions and rotations that the block contradicts.
-    is_changed : bool
-        Whether the block is to be adjusted again.
-    """
-
-    known: Known
-    blunders: np.ndarray
-    is_changed: bool
+    known: Known  # With their standard deviations; infinite of positions that are contradicted
+    blunders: np.ndarray  # (V, 2) bool: positions and rotations that the block contradicts
+    is_changed: bool  # Whether the block is to be adjusted again
 
 
 def judged(known: Known, solution: Solution, blunders: np.ndarray) -> Judged:

@@ -27,24 +27,16 @@ _NEWTON_STEPS = 6
 
 @dataclass(frozen=True)
 class LinesOfSight:
-    """Lines of sight from N cameras to N points.
+    """Lines of sight from N cameras to N points."""
 
-    Attributes
-    ----------
-    line : (N, 3) [m], local
-        From the camera to the crossing of the surface; to the point itself where the ray is straight.
-    by_point, by_centre : (N, 3, 3)
-        Derivatives by the point and by the centre of the camera.
-    by_water : (N, 3, 4)
-        By the height of the plane at its reference point [m], its slopes along local x and y, and its index.
-    wet : (N,) bool
-    """
-
+    # (N, 3) [m], local: from the camera to the crossing of the surface; to the point itself where the ray is straight
     line: np.ndarray
+    # by_point, by_centre (N, 3, 3): derivatives by the point and by the centre of the camera
     by_point: np.ndarray
     by_centre: np.ndarray
+    # (N, 3, 4): by the height of the plane at its reference point [m], its slopes along local x and y, and its index
     by_water: np.ndarray
-    wet: np.ndarray
+    wet: np.ndarray  # (N,) bool
 
 
 def lines_of_sight(centres: np.ndarray, points: np.ndarray, water: FlatWater | None) -> np.ndarray:
@@ -106,21 +98,12 @@ def _derivatives(line, centres, points, water: FlatWater):
 
 @dataclass(frozen=True)
 class Linear:
-    """Predicted pixels (N, 2), and their derivatives.
+    """Predicted pixels (N, 2), and their derivatives."""
 
-    Attributes
-    ----------
-    pixels : (N, 2) [px]
-    by_point : (N, 2, 3)
-    by_parameters : (2 N, P) sparse
-    wet : (N,) bool
-        Which rays pass through water.
-    """
-
-    pixels: np.ndarray
-    by_point: np.ndarray
-    by_parameters: csr_array
-    wet: np.ndarray
+    pixels: np.ndarray  # (N, 2) [px]
+    by_point: np.ndarray  # (N, 2, 3)
+    by_parameters: csr_array  # (2 N, P) sparse
+    wet: np.ndarray  # (N,) bool: which rays pass through water
 
 
 def predict(

@@ -50,40 +50,21 @@ BROWN = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL
 
 @dataclass(frozen=True)
 class Known:
-    """A survey as the adjustment takes it.
-
-    Attributes
-    ----------
-    layout : Layout
-    lenses : tuple of Lens
-        Of each number of `Layout.lens_of`, as the survey has it.
-    state : State
-        Where the adjustment starts; without points.
-    mean : State
-        Mean values of the priors; without points.
-    std : (P,)
-    unknown_positions : (V,) bool
-        Whose standard deviation is not known, and is `GPS_STD_M` to start with.
-    unknown_rotations : (V,) bool
-        Of poses of a file, whose standard deviation is not known, and is `ROTATION_STD` to start with.
-    common_up_std : float [m]
-        Of an error that the heights of all positions have in common; 0 where something else holds the heights. The
-        block is adjusted with that error: the level of its water counts as that much less certain.
-    rolls : tuple of Roll
-        That positions on a line leave open.
-    shared_std : (3,) [m], local, or None
-        Of a shift that all positions have in common; None where they count as independent.
-    """
+    """A survey as the adjustment takes it."""
 
     layout: Layout
-    lenses: tuple[Lens, ...]
-    state: State
-    mean: State
-    std: np.ndarray
-    unknown_positions: np.ndarray
+    lenses: tuple[Lens, ...]  # Of each number of `Layout.lens_of`, as the survey has it
+    state: State  # Where the adjustment starts; without points
+    mean: State  # Mean values of the priors; without points
+    std: np.ndarray  # (P,)
+    unknown_positions: np.ndarray  # (V,) bool: whose standard deviation is not known, and is `GPS_STD_M` to start with
+    # (V,) bool: of poses of a file, whose standard deviation is not known, and is `ROTATION_STD` to start with
     unknown_rotations: np.ndarray
+    # [m]: of an error that the heights of all positions have in common; 0 where something else holds the heights. The
+    # block is adjusted with that error: the level of its water counts as that much less certain.
     common_up_std: float = 0.0
-    rolls: tuple[Roll, ...] = ()
+    rolls: tuple[Roll, ...] = ()  # That positions on a line leave open
+    # (3,) [m], local, or None: of a shift that all positions have in common; None where they count as independent
     shared_std: np.ndarray | None = None
 
     @property

@@ -15,27 +15,15 @@ from survey.photos.tie_points import TiePoints
 
 @dataclass(frozen=True)
 class Priors:
-    """Prior means and standard deviations of the unknowns; infinite where nothing is known.
+    """Prior means and standard deviations of the unknowns; infinite where nothing is known."""
 
-    Attributes
-    ----------
-    state : State
-        Mean values; its points are those of `point_std`.
-    std : (P,)
-        Of the parameters.
-    point_std : (M, 3) [m]
-    rows, signs : (K, P), (K,)
-        Joint priors on several parameters: ``sign (row deviation)^2`` is added to the squares.
-    planes : Planes, optional
-        On which points lie.
-    """
-
-    state: State
-    std: np.ndarray
-    point_std: np.ndarray
+    state: State  # Mean values; its points are those of `point_std`
+    std: np.ndarray  # (P,): of the parameters
+    point_std: np.ndarray  # (M, 3) [m]
+    # rows, signs (K, P), (K,): joint priors on several parameters: ``sign (row deviation)^2`` is added to the squares
     rows: np.ndarray | None = None
     signs: np.ndarray | None = None
-    planes: Planes | None = None
+    planes: Planes | None = None  # optional: on which points lie
 
     def deviation(self, layout: Layout, state: State) -> np.ndarray:
         """Parameters of a state less their mean values, (P,)."""
@@ -60,34 +48,17 @@ class Priors:
 
 @dataclass(frozen=True)
 class Problem:
-    """A block to adjust.
-
-    Attributes
-    ----------
-    layout : Layout
-    ties : TiePoints
-        In pixels of the photographs as they were taken.
-    kind : (N,) int64
-        Of each observation; each kind has a standard deviation of its own.
-    priors : Priors
-    given_std_px : (kinds,) [px]
-        Standard deviations of the kinds; NaN where the residuals tell.
-    sides : (N, 3)
-        See `survey.adjust.block.prediction.relief_sides`.
-    rows : (N,) [px], optional
-        See `survey.adjust.block.prediction.predict`.
-    holds_parameters : bool
-        Nothing but points moves: parameters stay as they are in the state that the adjustment starts from, which saves
-        their part of the normal equations.
-    """
+    """A block to adjust."""
 
     layout: Layout
-    ties: TiePoints
-    kind: np.ndarray
+    ties: TiePoints  # In pixels of the photographs as they were taken
+    kind: np.ndarray  # (N,) int64: of each observation; each kind has a standard deviation of its own
     priors: Priors
-    given_std_px: np.ndarray
-    sides: np.ndarray
-    rows: np.ndarray | None = None
+    given_std_px: np.ndarray  # (kinds,) [px]: standard deviations of the kinds; NaN where the residuals tell
+    sides: np.ndarray  # (N, 3): see `survey.adjust.block.prediction.relief_sides`
+    rows: np.ndarray | None = None  # (N,) [px], optional: see `survey.adjust.block.prediction.predict`
+    # Nothing but points moves: parameters stay as they are in the state that the adjustment starts from, which saves
+    # their part of the normal equations
     holds_parameters: bool = False
 
     def residuals(self, state: State) -> np.ndarray:

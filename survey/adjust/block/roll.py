@@ -41,27 +41,14 @@ _FEWEST = 3
 
 @dataclass(frozen=True, eq=False)
 class Roll:
-    """The common roll of some photographs.
+    """The common roll of some photographs."""
 
-    Attributes
-    ----------
-    views : (K,) int64
-    across : Across
-        The line.
-    turns : (K, 3)
-        Of each photograph, the axis of the line in cam.
-    start : float [rad]
-        By how much attitudes have the block rolled from the rotations that the survey has; 0 without any.
-    std : float [rad]
-        Of the roll by attitudes.
-    num_attitudes : int
-    """
-
-    views: np.ndarray
-    across: Across
-    turns: np.ndarray
+    views: np.ndarray  # (K,) int64
+    across: Across  # The line
+    turns: np.ndarray  # (K, 3): of each photograph, the axis of the line in cam
+    # [rad]: by how much attitudes have the block rolled from the rotations that the survey has; 0 without any
     start: float
-    std: float
+    std: float  # [rad]: of the roll by attitudes
     num_attitudes: int
 
     def mean_of(self, layout: Layout) -> np.ndarray:

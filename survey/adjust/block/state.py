@@ -75,40 +75,23 @@ def distort(xy: np.ndarray, coefficients: np.ndarray) -> tuple[np.ndarray, np.nd
 
 @dataclass(frozen=True)
 class Layout:
-    """Layout of the parameters of a block of photographs in the vector.
+    """Layout of the parameters of a block of photographs in the vector."""
 
-    Attributes
-    ----------
-    lens_of : (V,) int64
-        Number of the lens of each photograph.
-    aspect : (L,)
-        fy / fx of each lens.
-    flow : (V, 3) [m/(s px)], local, or None
-        Velocity of each camera over the rows between the first and the last of its photographs; None where no
-        shutter rolls.
-    finds_readouts : bool
-        Whether the readouts of rolling shutters are parameters.
-    tides : (V,) [m] or None
-        Of the cameras (`PinholeCamera.tide`), as given; None where one level holds for all.
-    hours : (V,) [h] or None
-        Times of the photographs after that at which the level holds, where the rate of the level is a parameter.
-    departure : function of places (N, 2), or None
-        By how much (N,) [m] the water stands over its plane; None where it is a plane.
-    has_ground : bool
-        Whether the shift of an earlier survey is a parameter.
-    finds_focals : bool
-        Whether each photograph has a focal length of its own (autofocus).
-    """
-
-    lens_of: np.ndarray
-    aspect: np.ndarray
+    lens_of: np.ndarray  # (V,) int64: number of the lens of each photograph
+    aspect: np.ndarray  # (L,): fy / fx of each lens
+    # (V, 3) [m/(s px)], local, or None: velocity of each camera over the rows between the first and the last of its
+    # photographs; None where no shutter rolls
     flow: np.ndarray | None = None
-    finds_readouts: bool = False
+    finds_readouts: bool = False  # Whether the readouts of rolling shutters are parameters
+    # (V,) [m] or None: of the cameras (`PinholeCamera.tide`), as given; None where one level holds for all
     tides: np.ndarray | None = None
+    # (V,) [h] or None: times of the photographs after that at which the level holds, where the rate of the level is a
+    # parameter
     hours: np.ndarray | None = None
+    # function of places (N, 2), or None: by how much (N,) [m] the water stands over its plane; None where it is a plane
     departure: Callable[[np.ndarray], np.ndarray] | None = None
-    has_ground: bool = False
-    finds_focals: bool = False
+    has_ground: bool = False  # Whether the shift of an earlier survey is a parameter
+    finds_focals: bool = False  # Whether each photograph has a focal length of its own (autofocus)
 
     @property
     def shift(self) -> slice:
@@ -149,34 +132,21 @@ class Layout:
 
 @dataclass(frozen=True)
 class State:
-    """Values of all unknowns.
-
-    Attributes
-    ----------
-    water : FlatWater or None
-    relief : (3,) [m]
-    lenses : (L, 8)
-    centres, rotations : (V, 3) [m], local; (V, 3, 3) cam from local
-    points : (M, 3) [m], local
-    readouts : (L,) [s]
-        From the first to the last row; empty where no shutter rolls.
-    rate : [m/h]
-        By how much faster the water rises than `Layout.tides` have it.
-    shift : (3,) [m], local
-        By how much an earlier survey as it is given is to be moved; empty where the block lies on none.
-    focals : (V,)
-        Focal length of each photograph over that of its lens, less one; empty where they do not differ.
-    """
+    """Values of all unknowns."""
 
     water: FlatWater | None
-    relief: np.ndarray
-    lenses: np.ndarray
+    relief: np.ndarray  # (3,) [m]
+    lenses: np.ndarray  # (L, 8)
+    # centres, rotations: (V, 3) [m], local; (V, 3, 3) cam from local
     centres: np.ndarray
     rotations: np.ndarray
-    points: np.ndarray
+    points: np.ndarray  # (M, 3) [m], local
+    # (L,) [s]: from the first to the last row; empty where no shutter rolls
     readouts: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    rate: float = 0.0
+    rate: float = 0.0  # [m/h]: by how much faster the water rises than `Layout.tides` have it
+    # (3,) [m], local: by how much an earlier survey as it is given is to be moved; empty where the block lies on none
     shift: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    # (V,): focal length of each photograph over that of its lens, less one; empty where they do not differ
     focals: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def water_parameters(self) -> np.ndarray:

@@ -48,18 +48,10 @@ Area = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Density:
-    """Density of windows in a photograph.
+    """Density of windows in a photograph."""
 
-    Attributes
-    ----------
-    most : int
-        The best textured ones.
-    apart_px : int
-        Least distance between them, so that each sees a separate piece of bed.
-    """
-
-    most: int
-    apart_px: int
+    most: int  # The best textured ones
+    apart_px: int  # Least distance between them, so that each sees a separate piece of bed
 
 
 # For an adjustment, and for the means over photographs.

@@ -23,32 +23,22 @@ FREE, HELD, UNKNOWN = "free", "held", "not observable"
 
 @dataclass(frozen=True)
 class Parameter:
-    """Parameter of the water or of a lens, with its verdict.
+    """Parameter of the water or of a lens, with its verdict."""
 
-    Attributes
-    ----------
-    name : str
-        "level_m", "slope_east", "slope_north", "refractive_index", or of the first lens "camera0.f" to "camera0.p2",
-        "camera0.readout_s" where the readout of its shutter was to be found, and "level_rate_m_per_h" where that was.
-    value, std : float
-        Level in m in crs at ``level_at``; slopes along the grid axes; the index relative to air; focal length and
-        principal point in px, the first pixel's centre at 0.5, 0.5.
-    given, given_std : float
-        What was known before; the standard deviation is None where nothing was.
-    status : str
-        "free": found from the photographs. "held": the given value is better known than they determine it. "not
-        observable": neither determines it, and the given value is kept.
-    verdict : str
-        A sentence.
-    """
-
+    # "level_m", "slope_east", "slope_north", "refractive_index", or of the first lens "camera0.f" to "camera0.p2",
+    # "camera0.readout_s" where the readout of its shutter was to be found, and "level_rate_m_per_h" where that was
     name: str
+    # value, std: Level in m in crs at ``level_at``; slopes along the grid axes; the index relative to air; focal length
+    # and principal point in px, the first pixel's centre at 0.5, 0.5
     value: float
     std: float
+    # given, given_std: What was known before; the standard deviation is None where nothing was
     given: float
     given_std: float | None
+    # "free": found from the photographs. "held": the given value is better known than they determine it. "not
+    # observable": neither determines it, and the given value is kept.
     status: str
-    verdict: str
+    verdict: str  # A sentence
 
     @property
     def is_observable(self) -> bool:
@@ -58,79 +48,42 @@ class Parameter:
 
 @dataclass(frozen=True)
 class ControlResidual:
-    """Residual of an adjusted block at a control point.
-
-    Attributes
-    ----------
-    name : str
-    is_check : bool
-        Whether its coordinates were left out of the adjustment.
-    is_wet : bool
-    residual_m : (east, north, up) [m], local
-        Adjusted less given.
-    num_marks : int
-    rms_px : float
-        Of its marks.
-    """
+    """Residual of an adjusted block at a control point."""
 
     name: str
-    is_check: bool
+    is_check: bool  # Whether its coordinates were left out of the adjustment
     is_wet: bool
-    residual_m: tuple[float, float, float]
+    residual_m: tuple[float, float, float]  # (east, north, up) [m], local: adjusted less given
     num_marks: int
-    rms_px: float
+    rms_px: float  # Of its marks
 
 
 @dataclass(frozen=True)
 class AdjustedPoses:
-    """Adjusted poses of V views.
+    """Adjusted poses of V views."""
 
-    Attributes
-    ----------
-    names : (V,) of the views
-    lens_of : (V,)
-        Number of the lens of each view.
-    centres, rotations : (V, 3) [m], local; (V, 3, 3) cam from local
-    position_std, rotation_std_deg : (V, 3)
-        Along the axes of local; about those of cam.
-    flow : (V, 3) [m/(s px)], local, or None
-        Velocity over the rows of a rolling shutter.
-    tides : (V,) [m], or None
-        Tide at each camera, as it was found.
-    hours : (V,) [h], or None
-        See `survey.adjust.block.state.Layout`.
-    focals : (V,), or None
-        Focal length of each photograph over that of its lens, less one; None where they do not differ.
-    """
-
-    names: tuple[str, ...]
-    lens_of: np.ndarray
+    names: tuple[str, ...]  # (V,) of the views
+    lens_of: np.ndarray  # (V,): number of the lens of each view
+    # centres, rotations: (V, 3) [m], local; (V, 3, 3) cam from local
     centres: np.ndarray
     rotations: np.ndarray
+    # position_std, rotation_std_deg (V, 3): along the axes of local; about those of cam
     position_std: np.ndarray
     rotation_std_deg: np.ndarray
-    flow: np.ndarray | None = None
-    tides: np.ndarray | None = None
-    hours: np.ndarray | None = None
+    flow: np.ndarray | None = None  # (V, 3) [m/(s px)], local, or None: velocity over the rows of a rolling shutter
+    tides: np.ndarray | None = None  # (V,) [m], or None: tide at each camera, as it was found
+    hours: np.ndarray | None = None  # (V,) [h], or None: see `survey.adjust.block.state.Layout`
+    # (V,), or None: focal length of each photograph over that of its lens, less one; None where they do not differ
     focals: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
 class Covariance:
-    """Joint covariance of the P parameters.
+    """Joint covariance of the P parameters."""
 
-    Attributes
-    ----------
-    matrix : (P, P)
-        In the order of `names`.
-    names : (P,)
-    water_point : (x, y) [m], local
-        Where the height of the water counts.
-    """
-
-    matrix: np.ndarray
-    names: tuple[str, ...]
-    water_point: tuple[float, float]
+    matrix: np.ndarray  # (P, P): in the order of `names`
+    names: tuple[str, ...]  # (P,)
+    water_point: tuple[float, float]  # (x, y) [m], local: where the height of the water counts
 
 
 @dataclass(frozen=True)
@@ -141,67 +94,35 @@ class Residuals:
     ----------
     view, point : (N,)
         Numbers of the photograph and of the point.
-    px : (N, 2)
-        Reprojection residual.
-    at_px : (N, 2)
-        Place in the photograph.
     """
 
     view: np.ndarray
-    px: np.ndarray
-    at_px: np.ndarray
+    px: np.ndarray  # (N, 2): reprojection residual
+    at_px: np.ndarray  # (N, 2): place in the photograph
     point: np.ndarray
 
 
 @dataclass(frozen=True)
 class FitStatistics:
-    """Statistics of the fit of the observations.
+    """Statistics of the fit of the observations."""
 
-    Attributes
-    ----------
-    std_px, factor, num_observations : by kind of observation
-        Standard deviation of a pixel coordinate; factor on its variance, for errors that neighbours and ground share;
-        how many were used.
-    num_points, num_left_out : int
-        Points used; observations left out as outliers.
-    gps_std_m : (3,) or None
-        Median standard deviation of the positions as they were used.
-    """
-
+    # std_px, factor, num_observations by kind of observation: standard deviation of a pixel coordinate; factor on its
+    # variance, for errors that neighbours and ground share; how many were used
     std_px: dict[str, float]
     factor: dict[str, float]
     num_observations: dict[str, int]
+    # num_points, num_left_out: Points used; observations left out as outliers
     num_points: int
     num_left_out: int
+    # (3,) or None: median standard deviation of the positions as they were used
     gps_std_m: tuple[float, float, float] | None
 
 
 @dataclass(frozen=True)
 class Adjustment:
-    """An adjusted block.
+    """An adjusted block."""
 
-    Attributes
-    ----------
-    parameters : tuple of Parameter
-        Of the water, where there is any, and of each lens.
-    water : WaterConfig or None
-    lenses : tuple of Lens
-    poses : AdjustedPoses
-    covariance : Covariance
-    residuals : Residuals
-    statistics : FitStatistics
-    control : tuple of ControlResidual
-    points : (M, 3) [m], local
-    notes, warnings : sentences
-    readouts_s : tuple of float, or None
-        Of the shutter behind each lens, from the first to the last row [s]; None where no shutter rolls.
-    common_up_m : (error, standard deviation) [m], or None
-        Common error of the heights of all positions, where the level of the water placed the block.
-    ground : GroundFit or None
-        How it was placed on the dry ground of an earlier survey.
-    """
-
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[Parameter, ...]  # Of the water, where there is any, and of each lens
     water: WaterConfig | None
     lenses: tuple[Lens, ...]
     poses: AdjustedPoses
@@ -209,12 +130,16 @@ class Adjustment:
     residuals: Residuals
     statistics: FitStatistics
     control: tuple[ControlResidual, ...]
-    points: np.ndarray
+    points: np.ndarray  # (M, 3) [m], local
+    # notes, warnings: sentences
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    # or None: of the shutter behind each lens, from the first to the last row [s]; None where no shutter rolls
     readouts_s: tuple[float, ...] | None = None
+    # (error, standard deviation) [m], or None: common error of the heights of all positions, where the level of the
+    # water placed the block
     common_up_m: tuple[float, float] | None = None
-    ground: GroundFit | None = None
+    ground: GroundFit | None = None  # How it was placed on the dry ground of an earlier survey
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name."""

@@ -54,47 +54,29 @@ _KEPT = (
 
 @dataclass(frozen=True)
 class HeightStds:
-    """Expected standard deviations of heights, medians over a bed.
+    """Expected standard deviations of heights, medians over a bed."""
 
-    Attributes
-    ----------
-    depth_m : [m]
-    of_point_m : [m]
-        One sigma of the height of a point by the noise of matching.
-    of_all_m : [m]
-        Of all heights together by water, lens and poses: by what an adjustment leaves uncertain of them, all known
-        before as survey.toml says; where the plan keeps the poses, as `std_common` has it without an adjustment.
-    """
-
-    depth_m: float
-    of_point_m: float
+    depth_m: float  # [m]
+    of_point_m: float  # [m]: one sigma of the height of a point by the noise of matching
+    # [m]: of all heights together by water, lens and poses: by what an adjustment leaves uncertain of them, all known
+    # before as survey.toml says; where the plan keeps the poses, as `std_common` has it without an adjustment
     of_all_m: float
 
 
 @dataclass(frozen=True)
 class Foreseen:
-    """Expected accuracy from poses alone.
+    """Expected accuracy from poses alone."""
 
-    Attributes
-    ----------
-    views_of_place : (low, median)
-        Frames that a place of the area is in: of the lowest tenth, and the median.
-    angle_deg : [deg]
-        Median over the places of the widest angle between two rays in air.
-    level_std_m, index_std, focal_std : [m], [-], [share of it]
-        One sigma of what the photographs would tell if nothing were known of the water; NaN for a dry survey.
-    heights : HeightStds
-    is_adjusted : bool
-        Whether the plan adjusts poses, lens and water, which is what the heights are foreseen for.
-    """
-
+    # (low, median): frames that a place of the area is in: of the lowest tenth, and the median
     views_of_place: tuple[float, float]
-    angle_deg: float
+    angle_deg: float  # [deg]: median over the places of the widest angle between two rays in air
+    # level_std_m, index_std, focal_std [m], [-], [share of it]: one sigma of what the photographs would tell if nothing
+    # were known of the water; NaN for a dry survey
     level_std_m: float
     index_std: float
     focal_std: float
     heights: HeightStds
-    is_adjusted: bool
+    is_adjusted: bool  # Whether the plan adjusts poses, lens and water, which is what the heights are foreseen for
 
 
 def foresee(survey: Survey, *, depth_m: float = DEPTH_M, chosen: Choices = USUAL) -> Foreseen | None:

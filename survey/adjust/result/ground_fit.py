@@ -28,40 +28,25 @@ _MOST_OFF = 3.0
 
 @dataclass(frozen=True)
 class GroundFit:
-    """The placement of a block.
+    """The placement of a block."""
 
-    Attributes
-    ----------
-    reference : str
-        File of the earlier survey.
-    num_points, num_over, num_changed : int
-        Tie points that hold the block, one of each square of ground; all over the ground; those where it changed.
-    rms_m : float
-        Of their vertical distances from the ground.
-    scatter : float
-        By how much more than the ground's own points tie points scatter about it.
-    moved, std : tuple of float
-        Of each of `NAMES`: by how much the block was moved from where poses and positions had it, and how well its
-        place is known.
-    std_without : tuple of float, or None
-        The same without the earlier survey; None where nothing else holds the block.
-    is_against_positions : bool
-        Whether it contradicts positions of a stated accuracy.
-    off_m, off_std_m, off_prior_m : (east, north, up) [m]
-        By how much all of the earlier survey is off, as control and positions tell: as it is given less as it was
-        found; how well that is known, and how well it was before.
-    """
-
-    reference: str
+    reference: str  # File of the earlier survey
+    # num_points, num_over, num_changed: Tie points that hold the block, one of each square of ground; all over the
+    # ground; those where it changed
     num_points: int
     num_over: int
     num_changed: int
-    rms_m: float
-    scatter: float
+    rms_m: float  # Of their vertical distances from the ground
+    scatter: float  # By how much more than the ground's own points tie points scatter about it
+    # moved, std: Of each of `NAMES`: by how much the block was moved from where poses and positions had it, and how
+    # well its place is known
     moved: tuple[float, ...]
     std: tuple[float, ...]
+    # or None: the same without the earlier survey; None where nothing else holds the block
     std_without: tuple[float, ...] | None
-    is_against_positions: bool
+    is_against_positions: bool  # Whether it contradicts positions of a stated accuracy
+    # off_m, off_std_m, off_prior_m (east, north, up) [m]: by how much all of the earlier survey is off, as control and
+    # positions tell: as it is given less as it was found; how well that is known, and how well it was before
     off_m: tuple[float, ...] = (0.0,) * 3
     off_std_m: tuple[float, ...] = (math.inf,) * 3
     off_prior_m: tuple[float, ...] = (0.0,) * 3

@@ -23,30 +23,15 @@ _MOST_RUNS = 6
 
 @dataclass(frozen=True)
 class Part:
-    """A part of an adjusted block.
+    """A part of an adjusted block."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Of its photographs.
-    listed : str
-        The same as runs of neighbours, "a to d, f, k to m".
-    num_points : int
-        Tie points.
-    apart_m : float
-        Between the nearest cameras of this part and another.
-    height_std_m : float or None
-        Standard deviation of its mean height by water, lens and poses; None with too few points to tell.
-    to_first_std_m : float or None
-        That of its mean height less that of the first part; None for the first itself.
-    """
-
-    names: tuple[str, ...]
-    listed: str
-    num_points: int
-    apart_m: float
+    names: tuple[str, ...]  # Of its photographs
+    listed: str  # The same as runs of neighbours, "a to d, f, k to m"
+    num_points: int  # Tie points
+    apart_m: float  # Between the nearest cameras of this part and another
+    # Standard deviation of its mean height by water, lens and poses; None with too few points to tell
     height_std_m: float | None
-    to_first_std_m: float | None
+    to_first_std_m: float | None  # That of its mean height less that of the first part; None for the first itself
 
 
 def part_numbers(found: Adjustment) -> np.ndarray:

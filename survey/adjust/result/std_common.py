@@ -66,19 +66,10 @@ _SQUARES_OF_MEAN = 12
 
 @dataclass(frozen=True)
 class CommonError:
-    """Standard deviation of the height by water, lens and poses [m].
+    """Standard deviation of the height by water, lens and poses [m]."""
 
-    Attributes
-    ----------
-    mean : float
-        Of the mean height over the area: by so much the whole cloud may be too high or too low.
-    typical : float
-        Median over the places of the standard deviation of the height there.
-    num_places : int
-    """
-
-    mean: float
-    typical: float
+    mean: float  # Of the mean height over the area: by so much the whole cloud may be too high or too low
+    typical: float  # Median over the places of the standard deviation of the height there
     num_places: int
 
 

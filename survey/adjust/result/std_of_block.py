@@ -73,26 +73,14 @@ def std_of_block(xyz: np.ndarray, survey: Survey, found: Adjustment, gsd: float)
 
 @dataclass(frozen=True)
 class BedCells:
-    """Planes through the points of 3 x 3 square cells, about each cell.
+    """Planes through the points of 3 x 3 square cells, about each cell."""
 
-    Attributes
-    ----------
-    low : (2,) [m]
-        Where the first column and row begin.
-    side : [m]
-    seen : (columns, rows) bool
-        Whether there are points.
-    height : (columns, rows) [m]
-        In the middle of the cell, over the mean of all points; 0 where none are seen.
-    slope : (2, columns, rows)
-        Rise along x and y; 0 where points lie in a row.
-    """
-
-    low: np.ndarray
-    side: float
-    seen: np.ndarray
+    low: np.ndarray  # (2,) [m]: where the first column and row begin
+    side: float  # [m]
+    seen: np.ndarray  # (columns, rows) bool: whether there are points
+    # (columns, rows) [m]: in the middle of the cell, over the mean of all points; 0 where none are seen
     height: np.ndarray
-    slope: np.ndarray
+    slope: np.ndarray  # (2, columns, rows): rise along x and y; 0 where points lie in a row
 
     @classmethod
     def of(cls, xyz: np.ndarray, side: float) -> BedCells:

@@ -30,24 +30,15 @@ _SIDE_IN = 7.0
 
 @dataclass(frozen=True)
 class Coverage:
-    """Coverage by a block.
+    """Coverage by a block."""
 
-    Attributes
-    ----------
-    footprints : (views, 5, 2) [m], local
-        East and north of the corners of each image on the bed, closed.
-    east, north : (columns,), (rows,) [m], local
-    num_views : (rows, columns)
-        Of a bed at its mean depth.
-    level_px_per_m : [px/m]
-        Root mean square of what an error of one metre in the water level leaves between the rays of a point, after
-        the point has moved to where they meet best. None for a dry block.
-    """
-
-    footprints: np.ndarray
+    footprints: np.ndarray  # (views, 5, 2) [m], local: east and north of the corners of each image on the bed, closed
+    # east, north: (columns,), (rows,) [m], local
     east: np.ndarray
     north: np.ndarray
-    num_views: np.ndarray
+    num_views: np.ndarray  # (rows, columns): of a bed at its mean depth
+    # [px/m]: root mean square of what an error of one metre in the water level leaves between the rays of a point,
+    # after the point has moved to where they meet best. None for a dry block.
     level_px_per_m: float | None
 
     @property

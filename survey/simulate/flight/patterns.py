@@ -24,19 +24,10 @@ PATTERNS = ("nadir", "five", "oblique", "outer")
 
 @dataclass(frozen=True)
 class Site:
-    """Site of a flight, local.
+    """Site of a flight, local."""
 
-    Attributes
-    ----------
-    size_m : (east, north) [m]
-        About the origin.
-    depth_m : [m]
-        Of the bed below the water, on average; 0 for a dry site.
-    water : FlatWater or None
-    """
-
-    size_m: tuple[float, float]
-    depth_m: float
+    size_m: tuple[float, float]  # (east, north) [m]: about the origin
+    depth_m: float  # [m]: of the bed below the water, on average; 0 for a dry site
     water: FlatWater | None
 
     @property
@@ -197,52 +188,30 @@ def _extent(site: Site, axis: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class FlightSettings:
-    """A block of photographs over an area; one of `poses`, `height_m` and `gsd_m` is given.
+    """A block of photographs over an area; one of `poses`, `height_m` and `gsd_m` is given."""
 
-    Attributes
-    ----------
-    poses : str or None
-        File of planned poses, as those of a survey; patterns and what they take are then not used.
-    speed_m_s : [m/s] or None
-        Of the drone while it photographs.
-    position_std_m : [m]
-        Of the positions of its receiver, in each direction: 0.02 with corrections, 3 without.
-    height_m : [m]
-        Of the cameras above the water, or above the origin where there is none.
-    gsd_m : [m]
-        Of the bed straight below, seen through the water.
-    patterns : of "nadir", "five", "oblique", "outer"
-        Strips that look down; the same strips with four cameras more, that look ahead, back, left and right;
-        rings that look at a point of interest; strips along the four sides, outside, that look in.
-    forward_overlap, side_overlap : [-]
-        Share of a photograph's footprint on the bed that the next one, and the next strip, has too.
-    heading_deg : [deg]
-        Of the strips, clockwise from north.
-    tilt_deg : [deg]
-        Of all oblique views from the plumb line.
-    target : (east, north) [m]
-        Point of interest of the rings, from the origin, on the bed.
-    ring_views : int
-        Views of each ring.
-    ring_tilts_deg : [deg]
-        One ring for each; default: one of `tilt_deg`.
-    wobble : [-]
-        What a real flight deviates from the plan, as a share of the height for places and in radians for angles.
-    """
-
+    # File of planned poses, as those of a survey; patterns and what they take are then not used
     poses: str | None = None
-    speed_m_s: float | None = None
+    speed_m_s: float | None = None  # [m/s] or None: of the drone while it photographs
+    # [m]: of the positions of its receiver, in each direction: 0.02 with corrections, 3 without
     position_std_m: float = 0.02
-    height_m: float | None = None
-    gsd_m: float | None = None
+    height_m: float | None = None  # [m]: of the cameras above the water, or above the origin where there is none
+    gsd_m: float | None = None  # [m]: of the bed straight below, seen through the water
+    # of "nadir", "five", "oblique", "outer": strips that look down; the same strips with four cameras more, that look
+    # ahead, back, left and right; rings that look at a point of interest; strips along the four sides, outside, that
+    # look in
     patterns: tuple[str, ...] = ("nadir", "oblique")
+    # forward_overlap, side_overlap [-]: share of a photograph's footprint on the bed that the next one, and the next
+    # strip, has too
     forward_overlap: float = 0.8
     side_overlap: float = 0.7
-    heading_deg: float = 90.0
-    tilt_deg: float = 30.0
+    heading_deg: float = 90.0  # [deg]: of the strips, clockwise from north
+    tilt_deg: float = 30.0  # [deg]: of all oblique views from the plumb line
+    # (east, north) [m]: point of interest of the rings, from the origin, on the bed
     target: tuple[float, float] = (0.0, 0.0)
-    ring_views: int = 8
-    ring_tilts_deg: tuple[float, ...] = ()
+    ring_views: int = 8  # Views of each ring
+    ring_tilts_deg: tuple[float, ...] = ()  # [deg]: one ring for each; default: one of `tilt_deg`
+    # [-]: what a real flight deviates from the plan, as a share of the height for places and in radians for angles
     wobble: float = 0.01
 
     def __post_init__(self):

@@ -24,36 +24,19 @@ _MARGIN_M = 0.5
 
 @dataclass(frozen=True)
 class Material:
-    """Material of a body.
+    """Material of a body."""
 
-    Attributes
-    ----------
-    skin : ImageSkin or VertexSkin
-        Its albedo.
-    shade : callable
-        Light (N,) at points (N, 3) on faces (N,) in the mode without light transport.
-    """
-
-    skin: ImageSkin | VertexSkin
-    shade: Shade
+    skin: ImageSkin | VertexSkin  # Its albedo
+    shade: Shade  # callable: light (N,) at points (N, 3) on faces (N,) in the mode without light transport
 
 
 @dataclass(frozen=True)
 class Ground:
-    """Everything solid in a scene; its appearance does not depend on the viewer.
-
-    Attributes
-    ----------
-    bed : BedGrid or TriangleMesh
-    solids : tuple of Solid or TriangleMesh
-        The bodies on the bed.
-    looks : tuple of Material
-        Of the bed, then of each body.
-    """
+    """Everything solid in a scene; its appearance does not depend on the viewer."""
 
     bed: BedGrid | TriangleMesh
-    solids: tuple[Solid | TriangleMesh, ...]
-    looks: tuple[Material, ...]
+    solids: tuple[Solid | TriangleMesh, ...]  # tuple of Solid or TriangleMesh: the bodies on the bed
+    looks: tuple[Material, ...]  # Of the bed, then of each body
 
     def first(self, origin: np.ndarray, direction: np.ndarray, t_end: np.ndarray):
         """First hits of rays up to ``t_end``: distance (N,) [m], body (N,) and face (N,).

@@ -181,25 +181,15 @@ def _highest_around(heights: np.ndarray, size: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Solid:
-    """A convex body.
+    """A convex body."""
 
-    Attributes
-    ----------
-    vertices : (V, 3) [m], local
-    faces : (F, 3)
-        Triangles, normals outward.
-    plane_of_face : (F,)
-    normals, offsets : (P, 3), (P,) [m]
-        Planes of the faces: inside is where ``normal . p <= offset`` for all of them.
-    centre, radius : (3,) [m], [m]
-        A ball around it.
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    plane_of_face: np.ndarray
+    vertices: np.ndarray  # (V, 3) [m], local
+    faces: np.ndarray  # (F, 3): Triangles, normals outward
+    plane_of_face: np.ndarray  # (F,)
+    # normals, offsets (P, 3), (P,) [m]: planes of the faces: inside is where ``normal . p <= offset`` for all of them.
     normals: np.ndarray
     offsets: np.ndarray
+    # centre, radius (3,) [m], [m]: a ball around it
     centre: np.ndarray
     radius: float
 

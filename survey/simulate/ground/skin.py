@@ -17,27 +17,13 @@ _ROW = 1024
 
 @dataclass(frozen=True)
 class ImageSkin:
-    """An image laid over a body.
+    """An image laid over a body."""
 
-    Attributes
-    ----------
-    image : (rows, columns, 3) float32
-        Linear albedo; texels are points at whole numbers.
-    texel_from_point : (K, 2, 4)
-        Texel (u, v) = matrix @ (x, y, z, 1) [m], local.
-    map_of_face : (F,)
-        Which of the K matrices holds on each face; not read where there is only one.
-    repeats : bool
-        Whether the image is tiled; otherwise its border texels are repeated.
-    sharp : bool
-        The nearest texel instead of a mixture of four.
-    """
-
-    image: np.ndarray
-    texel_from_point: np.ndarray
-    map_of_face: np.ndarray
-    repeats: bool = False
-    sharp: bool = False
+    image: np.ndarray  # (rows, columns, 3) float32: linear albedo; texels are points at whole numbers
+    texel_from_point: np.ndarray  # (K, 2, 4): texel (u, v) = matrix @ (x, y, z, 1) [m], local
+    map_of_face: np.ndarray  # (F,): which of the K matrices holds on each face; not read where there is only one
+    repeats: bool = False  # Whether the image is tiled; otherwise its border texels are repeated
+    sharp: bool = False  # The nearest texel instead of a mixture of four
 
     def albedo(self, points: np.ndarray, face: np.ndarray) -> np.ndarray:
         """Linear albedo (N, 3) at points (N, 3) [m] on faces (N,)."""
@@ -61,17 +47,10 @@ class ImageSkin:
 
 @dataclass(frozen=True)
 class VertexSkin:
-    """Colours of the vertices, mixed between them.
+    """Colours of the vertices, mixed between them."""
 
-    Attributes
-    ----------
-    colours : (V, 3)
-        Linear albedo.
-    vertices, faces : (V, 3) [m], local, and (F, 3)
-        Of the body.
-    """
-
-    colours: np.ndarray
+    colours: np.ndarray  # (V, 3): linear albedo
+    # vertices, faces (V, 3) [m], local, and (F, 3): of the body
     vertices: np.ndarray
     faces: np.ndarray
 

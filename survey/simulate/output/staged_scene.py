@@ -18,59 +18,32 @@ from survey.simulate.water import WaterLevel
 
 @dataclass(frozen=True)
 class StagedScene:
-    """A scene with its cameras and its ground, ready to be photographed.
+    """A scene with its cameras and its ground, ready to be photographed."""
 
-    Attributes
-    ----------
-    name, crs : str
-        As survey.toml has them.
-    frame : LocalFrame
-    cameras : tuple of PinholeCamera
-        Local, without the distortion of `lens`. Where their shutters roll (`PinholeCamera.motion`), `lens` has none;
-        where they have tides, the water is a plane.
-    lens : Lens
-        Of all photographs.
-    level : WaterLevel or None
-        Water settings for survey.toml.
-    renderer : DirectRenderer
-        Exact in geometry: it computes the ground truth, whichever renderer takes the photographs.
-    sensor : Sensor
-    bounds : (e0, n0, e1, n1), in crs
-        What is evaluated.
-    seed : int
-    eye : callable, optional
-        Light along rays; by default that of `renderer`.
-    velocities : (cameras, 3) [m/s], local, or None
-        For XMP; None writes none.
-    position_std_m : [m]
-        Of the positions in EXIF, in each direction.
-    readout_s : [s]
-        Of rolling shutters, for survey.toml; 0 where all rows are exposed at once.
-    suns : (cameras,) of SunOnWaves
-        Caustics and glint of each photograph that `renderer` takes; none where there are neither.
-    index_wavelength_nm : [nm] or None
-        Of the light that the index of `level` belongs to, for survey.toml; None for that of the photographs.
-    duration_s : [s]
-        From the first photograph to the last, for EXIF and a gauge; 0 writes neither.
-    """
-
+    # name, crs: As survey.toml has them
     name: str
     crs: str
     frame: LocalFrame
+    # Local, without the distortion of `lens`. Where their shutters roll (`PinholeCamera.motion`), `lens` has none;
+    # where they have tides, the water is a plane.
     cameras: tuple[PinholeCamera, ...]
-    lens: Lens
-    level: WaterLevel | None
+    lens: Lens  # Of all photographs
+    level: WaterLevel | None  # Water settings for survey.toml
+    # Exact in geometry: it computes the ground truth, whichever renderer takes the photographs
     renderer: DirectRenderer
     sensor: Sensor
-    bounds: tuple[float, float, float, float]
+    bounds: tuple[float, float, float, float]  # (e0, n0, e1, n1), in crs: what is evaluated
     seed: int
-    eye: Eye | None = None
-    velocities: np.ndarray | None = None
-    position_std_m: float = 0.02
-    readout_s: float = 0.0
+    eye: Eye | None = None  # callable, optional: light along rays; by default that of `renderer`
+    velocities: np.ndarray | None = None  # (cameras, 3) [m/s], local, or None: for XMP; None writes none
+    position_std_m: float = 0.02  # [m]: of the positions in EXIF, in each direction
+    readout_s: float = 0.0  # [s]: of rolling shutters, for survey.toml; 0 where all rows are exposed at once
+    # (cameras,) of SunOnWaves: caustics and glint of each photograph that `renderer` takes; none where there are
+    # neither
     suns: tuple[SunOnWaves, ...] = ()
+    # [nm] or None: of the light that the index of `level` belongs to, for survey.toml; None for that of the photographs
     index_wavelength_nm: float | None = None
-    duration_s: float = 0.0
+    duration_s: float = 0.0  # [s]: from the first photograph to the last, for EXIF and a gauge; 0 writes neither
 
     @property
     def water(self) -> WaterSurface | None:

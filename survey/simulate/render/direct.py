@@ -22,25 +22,15 @@ _RAYS_AT_A_TIME = 1 << 15
 
 @dataclass(frozen=True)
 class Hits:
-    """Ends of rays.
+    """Ends of rays."""
 
-    Attributes
-    ----------
-    points : (N, 3) [m], local
-        NaN for a ray that meets nothing.
-    body, face : (N,)
-        Body of the ground, `BED` for the bed, `NOTHING` for none, and the face of it.
-    in_water : (N,) [m]
-        Way in water; zero for points above it, infinite for a ray that meets nothing in it.
-    incidence : (N,)
-        Cosine of the angle of incidence at the water surface.
-    """
-
-    points: np.ndarray
+    points: np.ndarray  # (N, 3) [m], local: NaN for a ray that meets nothing
+    # body, face (N,): body of the ground, `BED` for the bed, `NOTHING` for none, and the face of it
     body: np.ndarray
     face: np.ndarray
+    # (N,) [m]: way in water; zero for points above it, infinite for a ray that meets nothing in it
     in_water: np.ndarray
-    incidence: np.ndarray
+    incidence: np.ndarray  # (N,): cosine of the angle of incidence at the water surface
 
 
 @dataclass(frozen=True)

@@ -43,31 +43,18 @@ _PROBES, _BRIGHTEST = (40, 30), 1000.0
 
 @dataclass(frozen=True)
 class SunOnWaves:
-    """The sun on the waves of one photograph.
+    """The sun on the waves of one photograph."""
 
-    Attributes
-    ----------
-    plane : FlatWater
-        The mean surface.
-    light : Light
-    slopes : (2, cells, cells) [-]
-        Rise of the surface along local x and y; the tile begins at the origin of local.
-    ripples : [-]
-        Standard deviation of slopes below a pixel of the tile.
-    net : (layers, cells, cells) [-]
-        Light on level ground over its mean, at depths from 0 to ``deepest_m``; empty without caustics.
-    deepest_m : [m]
-    glint : [-]
-        Brightness of the reflected sun as a multiple of the formula's; 0 for none.
-    """
-
-    plane: FlatWater
+    plane: FlatWater  # The mean surface
     light: Light
+    # (2, cells, cells) [-]: rise of the surface along local x and y; the tile begins at the origin of local
     slopes: np.ndarray
-    ripples: float
+    ripples: float  # [-]: standard deviation of slopes below a pixel of the tile
+    # (layers, cells, cells) [-]: light on level ground over its mean, at depths from 0 to ``deepest_m``; empty without
+    # caustics
     net: np.ndarray
-    deepest_m: float
-    glint: float
+    deepest_m: float  # [m]
+    glint: float  # [-]: brightness of the reflected sun as a multiple of the formula's; 0 for none
 
     def on_bed(self, points: np.ndarray, depth: np.ndarray) -> np.ndarray:
         """Light (N,) on points (N, 3) [m], local, at depths (N,) [m], over what still water lets pass."""

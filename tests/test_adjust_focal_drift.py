@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from refract.lens import distorted
-from survey.adjust.applied import apply_adjustment
+from survey.adjust.applied import apply_adjustment, write_cameras
 from survey.adjust.block.bundle import NotConvergedError
+from survey.adjust.block.lenses import enlarged, lenses_of
 from survey.adjust.block.observed import MATCH, observed
 from survey.adjust.block.prediction import predict
 from survey.adjust.block.priors import known_of
@@ -20,6 +21,7 @@ from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import read_adjustment, write_adjustment
 from survey.adjust.result.std_common import height_moves, seen_places
 from survey.adjust.rounds import adjust
+from survey.pose_files.colmap import read_model
 from tests.adjusted_block import assert_same
 from tests.block_state import require_derivatives, state_of
 from tests.block_survey import pose_errors, rms, survey_of
@@ -92,6 +94,39 @@ def test_each_photograph_has_its_own_lens_and_files_keep_it(drifted, tmp_path):
     assert_same(read_adjustment(tmp_path), found)
     ties = seen_places(found.points[:3], moved)
     assert height_moves(found, moved.water, ties).shape == (3, len(found.covariance.names))
+
+
+def test_a_model_with_them_comes_back_as_one_lens(drifted, tmp_path):
+    _, survey, found = drifted
+    moved = apply_adjustment(survey, found)
+    write_cameras(tmp_path, moved, found)
+    poses = {pose.name: pose for pose in read_model(tmp_path / "sparse").poses}
+    given = replace(survey, views=tuple(replace(view, lens=poses[view.name].lens) for view in moved.views))
+    known = known_of(given, 0.02)
+    assert len(known.lenses) == 1
+    assert known.layout.finds_focals
+    for view, share in zip(moved.views, known.state.focals, strict=True):
+        assert enlarged(known.lenses[0], 1.0 + share).params == pytest.approx(view.lens.params, rel=1e-12)
+    # The scatter of those that were found is the standard deviation of each.
+    std = known.std[known.layout.first_focal : known.layout.first_pose]
+    assert std == pytest.approx(np.full(16, rms(known.state.focals)))
+    again = adjust_survey(given, use_windows=False)
+    # 22 m over the ground, positions known to 3 cm: what is found is the same to a small part of that.
+    np.testing.assert_allclose(again.poses.centres, found.poses.centres, atol=0.01)
+    np.testing.assert_allclose(again.points, found.points, atol=0.005)
+
+
+def test_lenses_of_few_photographs_or_of_several_cameras_are_kept(drifted):
+    _, survey, found = drifted
+    views = apply_adjustment(survey, found).views
+    lenses, lens_of, focals = lenses_of(views[:4])
+    assert (len(lenses), lens_of.tolist(), len(focals)) == (4, [0, 1, 2, 3], 0)
+    two = [replace(view, lens=views[number % 2].lens) for number, view in enumerate(views)]
+    lenses, lens_of, focals = lenses_of(two)
+    assert (len(lenses), lens_of.tolist(), len(focals)) == (2, 8 * [0, 1], 0)
+    # One of another size among them.
+    other = replace(views[0], lens=replace(views[0].lens, width=views[0].lens.width + 2))
+    assert len(lenses_of((other, *views[1:]))[0]) == len(views)
 
 
 def test_a_block_that_does_not_converge_with_them_keeps_one_focal_length(drifted):

@@ -12,7 +12,8 @@ import numpy as np
 from geo.crs import is_geographic
 from geo.files import write_whole
 from refract.lens import Lens
-from survey.adjust.assembling import enlarged, lens_with
+from survey.adjust.assembling import lens_with
+from survey.adjust.block.lenses import enlarged
 from survey.adjust.block.observed import pixels_taken
 from survey.adjust.block.priors import Known
 from survey.adjust.block.state import Layout, State

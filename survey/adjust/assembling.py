@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from refract.lens import MODELS, Lens, is_affine
+from refract.lens import Lens, is_affine
 from survey.adjust.block.control_check import control_warnings
+from survey.adjust.block.lenses import is_held
 from survey.adjust.block.observed import KINDS, MARK, Observed
-from survey.adjust.block.priors import Known, is_held
+from survey.adjust.block.priors import Known
 from survey.adjust.block.state import (
     FOCAL_NAME,
     LENS_NAMES,
@@ -63,13 +63,6 @@ def lens_with(lens: Lens, parameters: np.ndarray) -> Lens:
         inner = (f, f * fy / fx, cx, cy, k1, k2, p1, p2, k3)
         return Lens(lens.model, (*inner, lens["k4"], lens["skew"]), lens.width, lens.height)
     return Lens("FULL_OPENCV", (f, f * fy / fx, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0), lens.width, lens.height)
-
-
-def enlarged(lens: Lens, factor: float) -> Lens:
-    """A lens with its focal lengths times a factor."""
-    names = MODELS[lens.model][1]
-    params = tuple(p * factor if name in ("f", "fx", "fy") else p for name, p in zip(names, lens.params, strict=True))
-    return replace(lens, params=params)
 
 
 def result(

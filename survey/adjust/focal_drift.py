@@ -22,15 +22,14 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from survey.adjust.block.bundle import NotConvergedError, system_with
+from survey.adjust.block.lenses import FEWEST, is_held
 from survey.adjust.block.observed import rows_taken
 from survey.adjust.block.prediction import relief_sides
-from survey.adjust.block.priors import Known, is_held, priors_for
+from survey.adjust.block.priors import Known, priors_for
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import POSE
 from survey.adjust.rounds import Adjusted
 
-# With fewer photographs the scatter is not observable.
-_FEWEST = 5
 # Standard deviations of focal lengths that are tried, as shares.
 _STDS = np.geomspace(1e-4, 2e-2, 24)
 # -2 ln p must fall by so much: strong evidence (R. E. Kass and A. E. Raftery, JASA 90, 1995).
@@ -56,7 +55,7 @@ class FocalDrift:
 def with_focals(
     known: Known, done: Adjusted, adjusted: Callable[[Known], Adjusted]
 ) -> tuple[Adjusted, FocalDrift | None]:
-    """The block with a focal length for each photograph, where these differ; else as it was.
+    """The block with a focal length for each photograph, where these differ; else, or where it has them, as it was.
 
     Parameters
     ----------
@@ -67,7 +66,7 @@ def with_focals(
     adjusted : callable
         Adjusts the block from what is known.
     """
-    if len(known.layout.lens_of) < _FEWEST or any(map(is_held, known.lenses)):
+    if known.layout.finds_focals or len(known.layout.lens_of) < FEWEST or any(map(is_held, known.lenses)):
         return done, None
     drift = focal_drift(known, done)
     if drift is None:

@@ -25,8 +25,9 @@ import numpy as np
 
 from refract import FlatWater
 from survey.adjust.block.bundle import NotConvergedError, System, inverse, solve, system_at
+from survey.adjust.block.lenses import is_held
 from survey.adjust.block.observed import Observed
-from survey.adjust.block.priors import HELD, Known, is_held, known_of, priors_for
+from survey.adjust.block.priors import HELD, Known, known_of, priors_for
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.robust import std_of_kinds
 from survey.adjust.block.state import LENS_NAMES, WATER, WATER_PARAMETERS, Layout, State

@@ -10,7 +10,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from refract.lens import Lens, affine_from_brown, brown_from_affine, distorted, is_affine, undistorted
-from survey.adjust.block.priors import Known, is_held
+from survey.adjust.block.lenses import is_held
+from survey.adjust.block.priors import Known
 from survey.control.points import Control, Ground
 from survey.photos.tie_points import TiePoints
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from refract.lens import MODELS, Lens, is_affine
+from refract.lens import MODELS, Lens
+from survey.adjust.block.lenses import BROWN, is_held, lenses_of
 from survey.adjust.block.planes import Planes
 from survey.adjust.block.problem import Priors
 from survey.adjust.block.roll import Roll, rolled_to_attitudes, rolls_of, without_starts
@@ -44,8 +45,6 @@ _RELIEF_GSD = 0.1
 _SEEN_WATER = 2.0
 # Parameters that are held move by no more than this share of what would be noticed.
 HELD = 1e-9
-# Models whose distortion is Brown's; other lenses are held, and their tie points straightened.
-BROWN = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
 
 
 @dataclass(frozen=True)
@@ -88,8 +87,7 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
         which then counts as that of a data sheet.
     """
     views = survey.views
-    lenses = tuple(dict.fromkeys(view.lens for view in views))
-    lens_of = np.array([lenses.index(view.lens) for view in views])
+    lenses, lens_of, focals = lenses_of(views)
     flow, readout_std = _flow(survey), survey.config.cameras.rolling_shutter_std_s
     tides = np.array([view.camera.tide for view in views])
     layout = Layout(
@@ -101,6 +99,7 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
         hours=_hours(survey),
         departure=_departure(survey),
         has_ground=survey.observations.ground is not None,
+        finds_focals=len(focals) > 0,
     )
     readouts = np.full(0 if flow is None else len(lenses), survey.config.cameras.rolling_shutter_s, dtype=np.float64)
     centres = np.array([view.camera.centre for view in views])
@@ -117,6 +116,7 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
         none,
         readouts,
         shift=np.zeros(SHIFT if layout.has_ground else 0),
+        focals=focals,
     )
     contradiction = survey.provenance.contradiction
     exact = (free_water or contradiction is not None) and survey.observations.ties is None
@@ -125,7 +125,14 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
     positions, position_std, unknown = _positions(survey, centres, exact=exact, shares_height=common_up > 0.0)
     rotation_std, unknown_rotations = _rotations(survey, exact=exact)
     rolls = rolls_of(survey)
-    mean = replace(state, lenses=sheet, centres=positions, rotations=rolled_to_attitudes(rotations, rolls))
+    mean = replace(
+        state,
+        lenses=sheet,
+        centres=positions,
+        rotations=rolled_to_attitudes(rotations, rolls),
+        focals=np.zeros(len(focals)),
+    )
+    of_focal = _CALIBRATED * _FOCAL_SHARE if calibrated else math.sqrt(np.mean(focals**2)) if len(focals) else 0.0
     of_given = _GIVEN_LENS if len(views) == 2 and survey.config.cameras.distortion is not None else 1.0
     of_water = _water_std(survey, free=free_water)
     of_water[0] = math.hypot(of_water[0], common_up)
@@ -137,6 +144,7 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
             *(_lens_std(lens) * (_CALIBRATED if calibrated else of_given) for lens in lenses),
             np.full(layout.first_rate - layout.first_readout, readout_std, dtype=np.float64),
             np.full(layout.first_focal - layout.first_rate, _rate_std(survey), dtype=np.float64),
+            np.full(len(focals), of_focal),
             np.concatenate([position_std, rotation_std], axis=1).ravel(),
         ]
     )
@@ -231,11 +239,6 @@ def parameters_of(lens: Lens) -> np.ndarray:
         # Its tie points are straightened: what is left is its pinhole.
         return np.array([lens.focal[0], lens["cx"], lens["cy"], *np.zeros(LENS - 3)])
     return np.array([lens.focal[0], *(lens[name] for name in LENS_NAMES[1:])])
-
-
-def is_held(lens: Lens) -> bool:
-    """Whether a lens is not adjusted: its distortion is not Brown's. Of an affine one Brown's part is adjusted."""
-    return not is_affine(lens) and (lens.model not in BROWN or any(lens[name] != 0.0 for name in ("k4", "k5", "k6")))
 
 
 def _data_sheet(survey: Survey, lens: Lens) -> np.ndarray:

@@ -13,9 +13,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import tomllib
 from pathlib import Path
 
 import numpy as np
+import tomli_w
 from condition_scenes import CONDITIONS
 from published import publish
 
@@ -25,6 +27,7 @@ from survey.benchmark.cases import Case, case_of, variant
 from survey.benchmark.running import run_bathynerf
 from survey.compare.area import to_local
 from survey.compare.comparison import CompareOptions, compare_surfaces
+from survey.errors import FILE_NAME
 from survey.simulate.output.writing import write_survey
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "stress.md"
@@ -39,10 +42,19 @@ def measured(name: str, seed: int, folder: Path, quality: str) -> dict:
     write_survey(place, {"condition": name, "seed": seed}, lambda: condition.stage(seed))
     case = case_of(place)
     survey = variant(case, folder / f"{name}_{seed}_{condition.poses}", poses=condition.poses, is_refracted=True)
+    say_otherwise(survey / FILE_NAME, dict(condition.cameras))
     run = survey / quality
     code, cost, words = run_bathynerf(["process", str(survey), "-o", str(run), "--quality", quality], home)
     record = {"exit_code": code, "processor_s": round(cost.processor_s), "words": words}
     return record | errors_of(run / "cloud.las", case) if (run / "cloud.las").is_file() else record
+
+
+def say_otherwise(path: Path, keys: dict) -> None:
+    """Change keys of [cameras] in a survey.toml; None leaves one out."""
+    table = tomllib.loads(path.read_text(encoding="utf-8"))
+    cameras = table.get("cameras", {}) | keys
+    table["cameras"] = {key: value for key, value in cameras.items() if value is not None}
+    path.write_text(tomli_w.dumps(table), encoding="utf-8")
 
 
 def errors_of(cloud: Path, case: Case) -> dict:

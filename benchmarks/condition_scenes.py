@@ -224,6 +224,23 @@ def focal_drift(scene: StagedScene, share: float) -> StagedScene:
     return changing(scene, at)
 
 
+def zones(scene: StagedScene, number: float) -> StagedScene:
+    """Rolling shutters read in so many zones of rows: all rows of a zone at once, in its middle."""
+
+    def at(plain: StagedScene, k: int) -> StagedScene:
+        eye, camera = _eye(plain), plain.cameras[k]
+        motion, rows = camera.motion, camera.height / number
+
+        def seen(origin: np.ndarray, direction: np.ndarray, seed: int) -> np.ndarray:
+            late = (origin - camera.centre) @ motion / (motion @ motion)
+            read = (np.floor((late + camera.cy) / rows) + 0.5) * rows - camera.cy
+            return eye(origin + (read - late)[:, None] * motion, direction, seed)
+
+        return replace(plain, eye=seen)
+
+    return changing(scene, at)
+
+
 def reeds(scene: StagedScene, number: float) -> StagedScene:
     """Stalks along the shore that sway in the wind, and boughs with leaves over the bank."""
     rng, bed = np.random.default_rng([scene.seed, 56]), scene.renderer.ground.bed
@@ -287,6 +304,8 @@ class Condition:
         Changes of the drawn scene.
     poses : "given" or "images"
         Exact, or found from the photographs with positions good to 2 cm.
+    cameras : dict
+        Keys of [cameras] that say otherwise than the scene; None leaves one out.
     """
 
     words: str
@@ -294,6 +313,7 @@ class Condition:
     change: Callable[[StagedScene, float], StagedScene] | None = None
     scene: tuple[tuple[str, object], ...] = ()
     poses: str = "given"
+    cameras: tuple[tuple[str, object], ...] = ()
 
     def stage(self, seed: int) -> StagedScene:
         """The scene of a seed."""
@@ -301,6 +321,8 @@ class Condition:
         return staged if self.change is None else self.change(staged, self.value)
 
 
+_ROLLS = (("speed_m_s", 5.0), ("readout_s", 0.03))
+_UNKNOWN_READOUT = (("rolling_shutter_s", 0.015), ("rolling_shutter_std_s", 0.015))
 CONDITIONS = {
     "nothing": Condition("nothing"),
     "glitter": Condition("glitter on 10 % of all pixels", scene=(("glint_share", 0.1),)),
@@ -313,7 +335,16 @@ CONDITIONS = {
     "ripples": Condition("ripples of 5 to 30 cm, slopes of 0.05", 0.05, ripples),
     "ripples10": Condition("ripples of 5 to 30 cm, slopes of 0.1", 0.1, ripples),
     "blur": Condition("motion blur of 3 pixels", 3.0, motion_blur),
-    "rolling": Condition("rolling shutter of 30 ms at 5 m/s, stated", scene=(("speed_m_s", 5.0), ("readout_s", 0.03))),
+    "rolling": Condition("rolling shutter of 30 ms at 5 m/s, stated", scene=_ROLLS),
+    "zones_ignored": Condition(
+        "shutter read in four zones, 30 ms at 5 m/s, not stated",
+        4.0,
+        zones,
+        _ROLLS,
+        "images",
+        (("rolling_shutter_s", None),),
+    ),
+    "zones": Condition("the same, readout found (15 ± 15 ms given)", 4.0, zones, _ROLLS, "images", _UNKNOWN_READOUT),
     "autofocus": Condition("focal lengths that differ by 0.2 %", 0.002, focal_drift, poses="images"),
     "reeds": Condition("reeds and boughs over a bank", 40.0, reeds, (("shore", True),)),
     "found": Condition("nothing, poses found", poses="images"),

@@ -57,6 +57,17 @@ def test_foam_covers_what_it_is_asked_to(bench, still):
     assert 0.08 < covered.mean() < 0.22
 
 
+def test_rows_of_a_zone_are_read_at_once(bench, still):
+    camera = replace(still.cameras[0], motion=np.array([0.01, 0.0, 0.0]))
+    scene = replace(still, cameras=(camera,))
+    at = []
+    scene = replace(scene, eye=lambda origin, direction, seed: at.append(origin) or np.zeros_like(direction))
+    bench.scenes.zones(scene, 3.0).photograph(0)
+    # 30 rows in three zones; their middles are 10 rows apart.
+    late = np.unique(np.round((np.concatenate(at)[:, 0] - camera.centre[0]) / 0.01, 6))
+    np.testing.assert_allclose(late, np.array([5.0, 15.0, 25.0]) - camera.cy)
+
+
 def test_brown_water_takes_the_contrast_of_deep_ground(bench, still):
     clear, brown = (scene.photograph(0).astype(float) for scene in (still, bench.scenes.brown(still, 2.0)))
     assert brown.std(axis=(0, 1)).max() < 0.5 * clear.std(axis=(0, 1)).max()

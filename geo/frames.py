@@ -17,6 +17,7 @@ from geo.crs import AREA_MARGIN_DEG, EARTH_RADIUS_M, degrees_outside_area, parse
 from geo.ellipsoid import enu_from_geocentric, geocentric_from_geodetic, geodetic_from_geocentric
 from geo.errors import PlaceMismatch
 from geo.projection import MapProjection, nan_unless_finite
+from geo.similarity import Similarity
 
 # Half a step for differentiation along the grid axes. Rounding of geocentric metres gives 1e-9 / 10 rad,
 # curvature (10 m / 6.4e6 m)² = 2e-12 rad.
@@ -83,6 +84,20 @@ class LocalFrame:
         lon, lat, height = geodetic_from_geocentric(xyz, a=self._map.a, b=self._map.b)
         half_turns = np.round((lon - self._origin_lon) / (2.0 * math.pi))
         return self._map.crs_from_geodetic(lon - 2.0 * math.pi * half_turns, lat, height)
+
+    def from_frame(self, other: LocalFrame) -> Similarity:
+        """Rigid transform of points [m] in another local frame of the same CRS into this one, to rounding (1e-9 m).
+
+        Raises
+        ------
+        ValueError
+            If the CRS differ.
+        """
+        if other.crs != self.crs:
+            raise ValueError(f"expected a local frame of {self.crs.name}, got one of {other.crs.name}")
+        rotation = self._local_from_geocentric @ other._local_from_geocentric.T
+        between = other._origin_geocentric - self._origin_geocentric
+        return Similarity(1.0, rotation, self._local_from_geocentric @ between)
 
     def local_from_grid(self, point_crs) -> np.ndarray:
         """Rotation (..., 3, 3) that turns the grid axes at points (..., 3) in crs into local axes.

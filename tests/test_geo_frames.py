@@ -244,3 +244,21 @@ def test_geodetic_coordinates_return_from_geocentric_ones_at_all_latitudes_and_d
     np.testing.assert_allclose(again, xyz, rtol=0.0, atol=4 * EPS_GEOCENTRIC_M)
     np.testing.assert_allclose(height_2, height, rtol=0.0, atol=4 * EPS_GEOCENTRIC_M)
     np.testing.assert_allclose(lat_2 * WGS84_A, lat * WGS84_A, rtol=0.0, atol=4 * EPS_GEOCENTRIC_M)
+
+
+@pytest.mark.parametrize("name", ["EPSG:25832+5778", "EPSG:4979", "EPSG:32661+3855", "EPSG:2230+6360"])
+def test_points_in_one_local_frame_are_those_in_another_ten_kilometres_on(name):
+    first = frame_at(name)
+    second = LocalFrame(first.crs, tuple(first.crs_from_local([8_000.0, -6_000.0, 30.0])))
+    points = np.random.default_rng(1).uniform((7_600.0, -6_100.0, -300.0), (8_200.0, -5_500.0, 300.0), (50, 3))
+    there = second.from_frame(first)
+    moved = second.local_from_crs(first.crs_from_local(points))
+    np.testing.assert_allclose(there(points), moved, rtol=0.0, atol=5.0 * ROUND_TRIP_M)
+    # Level ground falls by d^2 / 2 r, and tilts by d / r.
+    assert there([0.0, 0.0, 0.0])[2] == pytest.approx(-30.0 - 10_000.0**2 / 6.371e6, abs=0.1)
+    assert math.acos(there.rotation[2, 2]) == pytest.approx(10_000.0 / 6.371e6, rel=0.01)
+
+
+def test_frames_of_another_crs_are_refused():
+    with pytest.raises(ValueError, match="expected a local frame of"):
+        frame_at("EPSG:25832+5778").from_frame(frame_at("EPSG:4979"))

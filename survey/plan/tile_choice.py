@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from itertools import chain
@@ -32,6 +33,8 @@ _LEAST_FOOTPRINTS = 0.5
 _FEW = 12
 # Cores that one process makes good use of: the solver has no more threads.
 _CORES_OF_WORKER = 4
+# A local frame is used for no more than this [m] along a side.
+_FRAME_M = 1000.0
 # What a run without Dask is told.
 NO_DASK = "--workers and --scheduler take Dask, which is not installed: pip install 'bathynerf[cluster]'"
 # Beside the points while bed and report are made.
@@ -95,6 +98,9 @@ def choose_tiles(
     least = 1 if chosen.scheduler is None else 2
     least = max(least, chosen.workers or 1)
     for_water, why = _for_water(survey, plan)
+    ground = ground_of(survey, plan)
+    if (for_frames := _for_frames(ground)) > for_water:
+        for_water, why = for_frames, "a local frame serves for a kilometre"
     budget, source = _budget(chosen)
     needed = f"in one piece the run takes about {size(one)} of memory, and {room(budget)} {source}"
     if one <= budget and max(least, for_water) == 1:
@@ -108,7 +114,6 @@ def choose_tiles(
         budget /= 1 if chosen.scheduler is not None else chosen.workers or 1
     if for_water > least:
         needed, least = why, for_water
-    ground = ground_of(survey, plan)
     most = max(_most_tiles(ground, plan), least)
     best = TileChoice(None, Decision("tiles", "1", f"{needed}; the ground is too small for tiles"), one)
     of_water = [for_water] if for_water == least > 1 else []
@@ -144,6 +149,11 @@ def _for_water(survey: Survey, plan: Plan) -> tuple[int, str]:
         if px <= MOST_ASIDE_PX:
             break
     return min(tried)[1], f"rays of a point bent at one plane are skew by up to {tried[0][0]:.2g} px"
+
+
+def _for_frames(ground: Area) -> int:
+    """Number of tiles of a kilometre at most along each side."""
+    return math.prod(math.ceil((ground[axis + 2] - ground[axis]) / _FRAME_M) for axis in (0, 1))
 
 
 def require_dask(chosen: Choices) -> None:

@@ -23,6 +23,8 @@ from survey.run.water_colour import colour_of
 from survey.stage_key import stage_key
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from fields.image_store import Masks
     from fields.sweep.block import Block
     from survey.folder.survey import Survey
@@ -169,6 +171,10 @@ class Job:
     def swept_ground(self) -> Area | None:
         """The same, of the heights that the sweep finds."""
         return self.ground if self.plan.skips.area else None
+
+    def in_survey(self, xyz: np.ndarray) -> np.ndarray:
+        """Points (N, 3) [m] in the local frame of the survey, from those in that of the job."""
+        return xyz
 
     @property
     def limits(self) -> tuple[float, float]:

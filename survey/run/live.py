@@ -65,4 +65,4 @@ class LiveMaps:
         # A smaller photograph is padded: there is nothing beyond it.
         at = (pixels / ratio).astype(np.int64)
         inside = (at < rgb.shape[1::-1]).all(axis=1) & np.isfinite(xyz).all(axis=1)
-        return xyz[inside], rgb[at[inside, 1], at[inside, 0]]
+        return self._job.in_survey(xyz[inside]), rgb[at[inside, 1], at[inside, 0]]

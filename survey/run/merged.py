@@ -36,8 +36,8 @@ def merge_sweeps(
     swept = of_tiles["sweep"]
     views = sorted({tile.windows[view].view for tile, place in _found(tiles, swept) for view in _maps(place).views})
     save_maps(folder / MAPS, HeightMap, _whole_maps(job, tiles, swept, views))
-    low, high = tiles[0].shared_bound
-    write_json(folder / BOUND, {"low_m": low, "high_m": high})
+    low, high = zip(*(tile.bound_over_survey for tile in tiles), strict=True)
+    write_json(folder / BOUND, {"low_m": min(low), "high_m": max(high)})
     names = [view.name for view in job.survey.views]
     write_json(folder / SATURATED, dict(zip(names, job.block.saturated, strict=True)))
     summary = {"views": views, "image_scale": job.plan.image_scale, "seconds": 0.0, "images_s": 0.0, "samples": 0.0}

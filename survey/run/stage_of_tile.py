@@ -49,7 +49,7 @@ def sweep_tile(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
     kept, own = [], []
     beside = grown(tile.cell, _BESIDE_GSD * tile.plan.gsd_m)
     for m, unique in zip(maps, unique_pixels(tile.block, maps, tile.plan.gsd_m), strict=True):
-        places = places_in_plan(tile.block, m)
+        places = places_in_plan(tile.block, m, tile.in_survey if tile.has_frame else None)
         kept.append(unique & inside(places, beside))
         own.append(inside(places, tile.cell))
     save_arrays(folder / MASKS, **pack_masks({KEPT: kept, OWN: own}))
@@ -69,6 +69,7 @@ def find_points(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """Points of the bed in a tile, by the places of the points."""
     tile = cast(TileJob, job)
     bed = points_of_bed(tile, needs) if len(Stored(needs["sweep"] / MAPS, HeightMap)) else BedPoints.empty()
+    bed = replace(bed, xyz=tile.in_survey(bed.xyz))
     bed = bed[inside(bed.xyz, tile.cell)]
     save_arrays(folder / POINTS, **{each.name: getattr(bed, each.name) for each in fields(BedPoints)})
 

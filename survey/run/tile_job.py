@@ -13,11 +13,14 @@ import numpy as np
 
 from fields.image_store import GreyImages, Masks
 from fields.sweep.block import Block
+from survey.errors import SurveyError
+from survey.plan.area import grown, limits, within
 from survey.plan.rates import part_name
 from survey.plan.sweep_block import backend, cameras_of_block
 from survey.plan.tiling import Area, places_of
 from survey.run.job import Job
 from survey.run.stored import load_arrays
+from survey.run.tile_frame import area_in_frame, frame_of_tile, has_frames, survey_in_frame
 from survey.run.windows import WindowStore, windows_of
 
 if TYPE_CHECKING:
@@ -36,13 +39,21 @@ class TilePlan:
 
     bound: tuple[float, float]  # (low, high) [m]: heights over the water plane between which the bed lies
     views: list[int]  # Those that get height maps
+    # Bound of each tile over a plane of its own [m], where tiles have frames of their own
+    bounds: tuple[tuple[float, float], ...] | None = None
+
+    @staticmethod
+    def of_search(job: Job) -> TilePlan:
+        """That of tiles of which nothing is known: the search limits, and all views."""
+        return TilePlan(job.limits, list(range(len(job.survey.views))))
 
 
 class TileJob(Job):
     """The part of a job that a tile is.
 
     Its survey has the views that show the tile, cut to their windows at the size that is worked on, and where the water
-    is no plane the one that fits it there; settings and what else belongs to the survey are those of the whole.
+    is no plane the one that fits it there; settings and what else belongs to the survey are those of the whole. A
+    survey larger than a kilometre has a local frame for each tile: `survey.run.tile_frame`.
 
     Attributes
     ----------
@@ -57,17 +68,30 @@ class TileJob(Job):
         if whole.tiling is None:
             raise ValueError("expected a job with tiles")
         self.whole, self.number, self._plan_of_tiles = whole, number, found
-        cameras = cameras_of_block(whole.survey, whole.plan)
-        survey, self._bound = over_own_plane(whole.survey, whole.tiling.ground(number, whole.tiling.rim), found.bound)
-        self.windows = windows_of(cameras, survey.water, whole.tiling, number, self._bound)
+        self.tiling, self.tiles = whole.tiling, whole.tiles
+        survey, self._moved = whole.survey, None
+        if has_frames(whole.tiling):
+            frame = frame_of_tile(survey.frame, whole.tiling, number)
+            self._moved = frame.from_frame(survey.frame)
+            survey = survey_in_frame(survey, frame, whole.tiling.ground(number, whole.tiling.rim))
+        survey, (lowest, highest) = over_own_plane(survey, self.ground)
+        self.plan = replace(whole.plan, image_scale=1.0)
+        if self._moved is None:
+            # The bound of the survey is over its plane.
+            self._bound = found.bound[0] - highest, found.bound[1] - lowest
+        else:
+            self._limits = limits(self._near(survey))
+            self._bound = self._limits if found.bounds is None else found.bounds[number]
+        cameras = cameras_of_block(survey, whole.plan)
+        own = self._in_frame(whole.tiling.ground(number, 0.0))
+        self.windows = windows_of(cameras, survey.water, own, self.ground, self._bound)
         views = tuple(
-            replace(whole.survey.views[w.view], camera=cameras[w.view].cropped(w.row, w.column, w.height, w.width))
+            replace(survey.views[w.view], camera=cameras[w.view].cropped(w.row, w.column, w.height, w.width))
             for w in self.windows
         )
         self.survey, self.chosen, self.aimed = replace(survey, views=views), whole.chosen, None
-        self.plan = replace(whole.plan, image_scale=1.0)
         self.progress: Any = _ProgressOfTile(whole.progress, number, len(whole.tiling))
-        self.workspace, self.scratch, self.tiling, self.tiles = None, None, whole.tiling, whole.tiles
+        self.workspace, self.scratch = None, None
         self.waits_for_kernels = whole.waits_for_kernels
 
     @property
@@ -82,23 +106,37 @@ class TileJob(Job):
 
     @property
     def cell(self) -> Area:
-        """Rectangle of the points of the tile; `Tiling.cell`."""
+        """Rectangle of the points of the tile in the frame of the survey; `Tiling.cell`."""
         return self._tiling.cell(self.number)
 
     @property
     def ground(self) -> Area:
-        """Rectangle of the tile with its rim."""
-        return self._tiling.ground(self.number, self._tiling.rim)
+        """Rectangle of the tile with its rim, in its frame."""
+        return self._in_frame(self._tiling.ground(self.number, self._tiling.rim))
 
     @property
     def own_ground(self) -> Area:
-        """The same as `cell`."""
-        return self.cell
+        """Rectangle that holds the points of the tile, in its frame."""
+        return self._in_frame(self.cell)
 
     @property
     def swept_ground(self) -> Area:
-        """The same."""
+        """The same as `ground`."""
         return self.ground
+
+    @property
+    def has_frame(self) -> bool:
+        """Whether the local frame is another than that of the survey."""
+        return self._moved is not None
+
+    def _in_frame(self, area: Area) -> Area:
+        return area if self._moved is None else area_in_frame(area, self._moved)
+
+    def in_survey(self, xyz: np.ndarray) -> np.ndarray:
+        """Points (N, 3) [m] in the local frame of the survey, from those in that of the tile."""
+        if self._moved is None:
+            return xyz
+        return (xyz - self._moved.shift) @ self._moved.rotation
 
     @property
     def _tiling(self):
@@ -108,13 +146,49 @@ class TileJob(Job):
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Search limits of the whole survey."""
-        return self.whole.limits
+        """Search limits of the whole survey; of the tile itself where it has a frame of its own."""
+        return self.whole.limits if self._moved is None else self._limits
 
     @property
     def bound(self) -> tuple[float, float]:
-        """Bound of the whole survey, over the plane of the tile."""
+        """Bound of the bed, over the plane of the tile."""
         return self._bound
+
+    def range_of_heights(self) -> tuple[float, float]:
+        """The bound by thumbnails of the windows, for which that of the tile are the search limits.
+
+        Raises
+        ------
+        SurveyError
+            If too little matches.
+        """
+        from fields.sweep.height_range import find_range
+
+        try:
+            return find_range(self.block, self._bound)
+        except ValueError as error:
+            raise SurveyError(str(error)) from error
+
+    def _near(self, survey: Survey) -> Survey:
+        """A survey with the views over the tile alone, or as it is where there are none."""
+        area = grown(self.ground, max(self.plan.footprint_m))
+        near = tuple(view for view in survey.views if within(view.camera.centre[None], area)[0])
+        return replace(survey, views=near) if near else survey
+
+    @property
+    def bound_over_survey(self) -> tuple[float, float]:
+        """The same over the plane of the survey."""
+        if self._moved is None:
+            return self.shared_bound
+        places = self.in_survey(self._ends())
+        over = _over(self.whole.survey.water, places)
+        return float(over.min()), float(over.max())
+
+    def _ends(self) -> np.ndarray:
+        """Places (M, 3) [m] over the ground of the tile at both ends of its bound."""
+        plan = places_of(self.ground)
+        base = np.zeros(len(plan)) if self.survey.water is None else self.survey.water.height(*plan.T)
+        return np.concatenate([np.column_stack([plan, base + height]) for height in self._bound])
 
     @property
     def shared_bound(self) -> tuple[float, float]:
@@ -156,8 +230,11 @@ class TileJob(Job):
 
     def over_whole(self, view: int, row: np.ndarray, column: np.ndarray, heights: np.ndarray) -> np.ndarray:
         """Heights (N,) [m] of pixels of a window over the water of the whole survey, from those over its own."""
-        pixels = np.column_stack([column + 0.5, row + 0.5])
-        return heights_over(self.whole.survey.water, self.survey.water, self.survey.views[view].camera, pixels, heights)
+        pixels, camera = np.column_stack([column + 0.5, row + 0.5]), self.survey.views[view].camera
+        if self._moved is None:
+            return heights_over(self.whole.survey.water, self.survey.water, camera, pixels, heights)
+        xyz = camera.paths(pixels, self.survey.water).at_height(heights.astype(np.float64), self.survey.water)
+        return _over(self.whole.survey.water, self.in_survey(xyz)).astype(heights.dtype)
 
     def drop(self) -> None:
         """Forget the windows."""
@@ -168,7 +245,9 @@ class TileJob(Job):
         return load_masks(folder / MASKS, KEPT)
 
     def _part(self, name: str):
-        return (self.cell, self.ground) if name == "area" else super()._part(name)
+        if name == "area":
+            return self.cell, self.ground
+        return (self.whole.survey.frame, self.survey.frame) if name == "frame" else super()._part(name)
 
 
 def pack_masks(masks: Mapping[str, list[np.ndarray]]) -> dict[str, np.ndarray]:
@@ -214,20 +293,19 @@ class _ProgressOfTile:
         self._progress.warn(f"tile {self._number + 1}: {text}")
 
 
-def over_own_plane(survey: Survey, ground: Area, bound: tuple[float, float]) -> tuple[Survey, tuple[float, float]]:
-    """A survey over the plane that fits its water best on some ground, and the bound [m] of the bed over it.
+def over_own_plane(survey: Survey, ground: Area) -> tuple[Survey, tuple[float, float]]:
+    """A survey over the plane that fits its water best on some ground, and how much higher [m] this is, (low, high).
 
-    As they are where the water of the survey is a plane.
+    As it is where the water of the survey is a plane.
     """
     water, departure = survey.water, survey.observations.departure
     if water is None or departure is None:
-        return survey, bound
+        return survey, (0.0, 0.0)
     places = places_of(ground)
     plane = departure.tangent(places, water)
     higher = plane.height(*places.T) - water.height(*places.T)
     observations = replace(survey.observations, departure=departure.over(water, plane))
-    low, high = bound[0] - float(higher.max()), bound[1] - float(higher.min())
-    return replace(survey, water=plane, observations=observations), (low, high)
+    return replace(survey, water=plane, observations=observations), (float(higher.min()), float(higher.max()))
 
 
 def heights_over(
@@ -237,4 +315,9 @@ def heights_over(
     if water is None or own is None or own == water:
         return heights
     xyz = camera.paths(pixels, own).at_height(heights.astype(np.float64), own)
-    return ((xyz - np.array(water.point)) @ np.array(water.up)).astype(heights.dtype)
+    return _over(water, xyz).astype(heights.dtype)
+
+
+def _over(water: FlatWater | None, xyz: np.ndarray) -> np.ndarray:
+    """Heights (N,) [m] of points (N, 3) over a plane, or over z = 0."""
+    return xyz[:, 2] if water is None else (xyz - np.array(water.point)) @ np.array(water.up)

@@ -12,7 +12,7 @@ from fields.sweep.views import Footprint
 from refract import FlatWater, PinholeCamera
 from survey.photos.cameras import View
 from survey.photos.store import ImageStore
-from survey.plan.tiling import Area, Tiling
+from survey.plan.tiling import Area
 
 # Windows begin at whole pixels of images at a quarter of the size. Their rows there are whole vectors of 16 pixels:
 # other widths would need other kernels.
@@ -40,30 +40,30 @@ class Window:
 
 
 def windows_of(
-    cameras: Sequence[PinholeCamera], water: FlatWater | None, tiling: Tiling, number: int, bound: tuple[float, float]
+    cameras: Sequence[PinholeCamera], water: FlatWater | None, own: Area, ground: Area, bound: tuple[float, float]
 ) -> list[Window]:
-    """Windows of the views that show a tile, with its rim.
+    """Windows of the views that show a tile.
 
     Parameters
     ----------
     cameras : sequence of PinholeCamera
         Of one size.
     water : FlatWater or None
-    tiling, number :
-        The tile.
+    own, ground : (x0, y0, x1, y1) [m]
+        The tile without and with its rim.
     bound : (low, high) [m]
         Heights over the water plane between which the bed lies.
     """
-    found, area = [], np.array(tiling.ground(number, 0.0))
-    ground = Footprint(area[:2], area[2:])
+    found = []
+    tile = Footprint(np.array(own[:2]), np.array(own[2:]))
     for view, camera in enumerate(cameras):
         # Of ground behind a camera nothing can be projected.
-        if not Footprint.of(camera, water, bound).meets(ground):
+        if not Footprint.of(camera, water, bound).meets(tile):
             continue
-        own = _box(camera, water, tiling.ground(number, 0.0), bound, 0)
-        if min(own[2] - own[0], own[3] - own[1]) < _LEAST_SEEN_PX:
+        seen = _box(camera, water, own, bound, 0)
+        if min(seen[2] - seen[0], seen[3] - seen[1]) < _LEAST_SEEN_PX:
             continue
-        box = _box(camera, water, tiling.ground(number, tiling.rim), bound, _MARGIN_PX)
+        box = _box(camera, water, ground, bound, _MARGIN_PX)
         row, height = _side(box[0], box[2], camera.height, _ROWS_PX)
         column, width = _side(box[1], box[3], camera.width, _COLUMNS_PX)
         found.append(Window(view, row, column, height, width))

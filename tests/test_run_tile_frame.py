@@ -1,0 +1,89 @@
+"""Tiles of a survey of kilometres in local frames of their own: the same rays, water and places as in that of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geo.frames import LocalFrame
+from refract import curvature_drop
+from survey.plan.tiling import Tiling, inside
+from survey.run.tile_frame import area_in_frame, frame_of_tile, has_frames, survey_in_frame
+from survey.run.tile_job import over_own_plane
+from survey.water.curvature import still_water
+
+TILING = Tiling((-500.0, 3000.0, 6500.0, 10_000.0), (-200.0, 200.0), 0.2)
+LAST = 2
+EVERYWHERE = (-1e6, -1e6, 1e6, 1e6)
+
+
+@pytest.fixture(scope="module")
+def far(shallow_survey):
+    """The survey in a frame whose origin lies 8 km west of it, and its tile."""
+    east, north, height = shallow_survey.frame.origin
+    frame = LocalFrame(shallow_survey.frame.crs, (east - 8_000.0, north - 50.0, height))
+    survey = survey_in_frame(shallow_survey, frame, EVERYWHERE)
+    own = frame_of_tile(frame, TILING, LAST)
+    return survey, own
+
+
+def test_only_a_survey_of_more_than_a_kilometre_has_frames_of_tiles():
+    assert has_frames(TILING)
+    assert not has_frames(Tiling((-499.0, 0.0, 499.0), (-300.0, 300.0), 0.2))
+
+
+def test_the_frame_of_a_tile_touches_the_earth_in_its_middle(far):
+    survey, own = far
+    there = survey.frame.local_from_crs(own.origin)
+    np.testing.assert_allclose(there[:2], (8250.0, 0.0), atol=0.02)
+    assert there[2] == pytest.approx(-curvature_drop(8250.0), rel=0.01)
+
+
+def test_cameras_and_water_are_the_same_in_the_frame_of_a_tile(shallow_survey, far, rng):
+    survey, own = far
+    moved = survey_in_frame(survey, own, EVERYWHERE)
+    points = rng.uniform((-3.0, -3.0, -4.0), (3.0, 3.0, 1.0), (50, 3))
+    in_crs = shallow_survey.frame.crs_from_local(points)
+    for before, after in zip(shallow_survey.views, moved.views, strict=True):
+        pixels = before.camera.project(points, shallow_survey.water)
+        again = after.camera.project(own.local_from_crs(in_crs), moved.water)
+        # A tenth of a micrometre, seen from 20 m.
+        np.testing.assert_allclose(again, pixels, atol=1e-4)
+    np.testing.assert_allclose(
+        moved.water.depth(own.local_from_crs(in_crs)), shallow_survey.water.depth(points), atol=1e-7
+    )
+    back = own.from_frame(survey.frame)
+    xyz = back(survey.frame.local_from_crs(in_crs))
+    np.testing.assert_allclose(own.crs_from_local(xyz), in_crs, rtol=0.0, atol=1e-7)
+
+
+def test_still_water_is_level_in_the_frame_of_a_tile(far):
+    survey, own = far
+    frame, plane = survey.frame, replace(survey.water, point=(0.0, 0.0, 0.0), slope_x=0.0, slope_y=0.0)
+    reached = np.array([[-500.0, -200.0, 80.0], [10_000.0, 200.0, 80.0]])
+    observations = replace(survey.observations, departure=still_water(frame, plane, reached))
+    in_tile = survey_in_frame(replace(survey, water=plane, observations=observations), own, EVERYWHERE)
+    ground = (-100.0, -100.0, 100.0, 100.0)
+    found, _ = over_own_plane(in_tile, ground)
+    # Level to a tenth of a microradian, at the height of the origin in crs but for the drop within the ground.
+    assert math.hypot(found.water.slope_x, found.water.slope_y) < 1e-7
+    places = np.array([[0.0, 0.0, 0.0], [100.0, 0.0, -curvature_drop(100.0)]])
+    np.testing.assert_allclose(found.observations.departure.at(places[:, :2])[0] + found.water.height(*places[:, :2].T),
+                               places[:, 2], atol=1e-5)  # fmt: skip
+
+
+def test_the_ground_of_a_tile_holds_it_in_its_frame_whatever_the_height(far, rng):
+    survey, own = far
+    moved = own.from_frame(survey.frame)
+    ground = TILING.ground(LAST, TILING.rim)
+    level = -curvature_drop(8250.0)
+    places = rng.uniform((*ground[:2], level - 30.0), (*ground[2:], level + 30.0), (500, 3))
+    area = area_in_frame(ground, moved)
+    assert inside(moved(places)[:, :2], area).all()
+    # No wider than the turn of the axes makes it.
+    assert max(np.subtract(area[2:], area[:2]) - np.subtract(ground[2:], ground[:2])) < 10.0
+    cell = area_in_frame(TILING.cell(LAST), moved)
+    assert (math.isfinite(cell[0]), *map(math.isinf, cell[1:])) == (True, True, True, True)

@@ -15,7 +15,7 @@ from fields.sweep.maps import HeightMap
 from survey.plan.tiling import Tiling, inside
 from survey.run.stored import ArrayFiles
 from survey.run.tile_job import load_masks, pack_masks
-from survey.run.windows import windows_of
+from survey.run.windows import Outlines, windows_of
 
 BED = PlaneBed(TILTED, -2.0)
 BOUND = (-2.4, -1.7)
@@ -30,7 +30,9 @@ def cameras():
 @pytest.mark.parametrize("number", range(4))
 def test_windows_hold_every_pixel_that_shows_the_tile_and_its_rim(cameras, number):
     tiling = Tiling.of((-2.0, -2.0, 2.0, 2.0), 4, rim=0.2)
-    windows = windows_of(cameras, TILTED, tiling.ground(number, 0.0), tiling.ground(number, tiling.rim), BOUND)
+    windows = windows_of(
+        dict(enumerate(cameras)), TILTED, tiling.ground(number, 0.0), tiling.ground(number, tiling.rim), BOUND
+    )
     assert {each.width % 64 for each in windows if each.width < 400} <= {0}
     assert sum(each.height * each.width for each in windows) < 0.8 * len(windows) * 300 * 400
     held = {each.view: each for each in windows}
@@ -46,7 +48,7 @@ def test_windows_hold_every_pixel_that_shows_the_tile_and_its_rim(cameras, numbe
 
 def test_pixels_of_windows_look_along_the_rays_of_their_photograph(cameras):
     tiling = Tiling.of((-2.0, -2.0, 2.0, 2.0), 4, 0.2)
-    window = windows_of(cameras, TILTED, tiling.ground(1, 0.0), tiling.ground(1, 0.2), BOUND)[2]
+    window = windows_of(dict(enumerate(cameras)), TILTED, tiling.ground(1, 0.0), tiling.ground(1, 0.2), BOUND)[2]
     assert (window.row % 4, window.column % 4, window.height % 8, window.width % 16) == (0, 0, 0, 0)
     camera = cameras[window.view]
     part = camera.cropped(window.row, window.column, window.height, window.width)
@@ -55,7 +57,19 @@ def test_pixels_of_windows_look_along_the_rays_of_their_photograph(cameras):
 
 
 def test_a_tile_that_no_view_shows_has_no_windows(cameras):
-    assert windows_of(cameras, TILTED, (50.0, 50.0, 60.0, 60.0), (49.8, 49.8, 60.2, 60.2), BOUND) == []
+    assert windows_of(dict(enumerate(cameras)), TILTED, (50.0, 50.0, 60.0, 60.0), (49.8, 49.8, 60.2, 60.2), BOUND) == []
+
+
+@pytest.mark.parametrize("water", [TILTED, None])
+def test_outlines_leave_out_no_photograph_that_shows_an_area(cameras, water, rng):
+    outlines, left_out = Outlines(cameras), 0
+    for x, y in rng.uniform(-8.0, 8.0, (30, 2)).tolist():
+        area = (x, y, x + 0.5, y + 0.5)
+        showing = outlines.showing(water, area, BOUND)
+        left_out += len(cameras) - len(showing)
+        seen = windows_of(dict(enumerate(cameras)), water, area, area, BOUND)
+        assert {each.view for each in seen} <= set(showing)
+    assert left_out > 40
 
 
 def test_images_in_files_are_those_in_memory(tmp_path, rng):

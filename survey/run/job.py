@@ -17,9 +17,10 @@ from survey.files.toml_table import table_of
 from survey.photos.store import ImageStore
 from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area
 from survey.plan.plan import make_plan
-from survey.plan.sweep_block import load_block
+from survey.plan.sweep_block import cameras_of_block, load_block
 from survey.run.stored import ArrayFiles
 from survey.run.water_colour import colour_of
+from survey.run.windows import Outlines
 from survey.stage_key import stage_key
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
     from fields.image_store import Masks
     from fields.sweep.block import Block
+    from refract import PinholeCamera
     from survey.folder.survey import Survey
     from survey.plan.choices import Choices
     from survey.plan.plan import Plan
@@ -95,7 +97,7 @@ class Job:
         self.plan = self._planned()
 
     def _forget(self) -> None:
-        for name in ("block", "bound"):
+        for name in ("block", "bound", "cameras", "outlines"):
             self.__dict__.pop(name, None)
 
     def _sight(self) -> list[str]:
@@ -127,6 +129,16 @@ class Job:
         with self.progress.stage("Images", len(self.survey.views)) as stage:
             keep = None if self.tiling is None or self.scratch is None else ArrayFiles(self.scratch)
             return load_block(self.survey, self.plan, stage.advance, self.photographs, keep)
+
+    @cached_property
+    def cameras(self) -> list[PinholeCamera]:
+        """Cameras of the block, at the scale of the plan."""
+        return cameras_of_block(self.survey, self.plan)
+
+    @cached_property
+    def outlines(self) -> Outlines:
+        """Outlines of these photographs, for the tiles."""
+        return Outlines(self.cameras)
 
     def give_back(self) -> None:
         """Return memory that the last stage no longer uses to the system, so that the next one's comes not on top."""

@@ -40,12 +40,13 @@ def frame_of_tile(frame: LocalFrame, tiling: Tiling, number: int) -> LocalFrame:
 
 
 def survey_in_frame(survey: Survey, frame: LocalFrame, ground: Area) -> Survey:
-    """Survey in another local frame, with the matched points over some ground of the old one.
+    """Survey in another local frame, with the views and matched points over some ground (of the old one) alone.
 
     Cameras, water and points are moved; what else was measured (ties, control) stays, and no tile uses it.
     """
     moved = frame.from_frame(survey.frame)
-    views = tuple(replace(view, camera=view.camera.in_frame(moved.rotation, moved.shift)) for view in survey.views)
+    here = [view for view in survey.views if within(view.camera.centre[None], ground)[0]] or survey.views
+    views = tuple(replace(view, camera=view.camera.in_frame(moved.rotation, moved.shift)) for view in here)
     observations, water = survey.observations, survey.water
     if observations.points is not None:
         points = observations.points[within(observations.points, ground)]

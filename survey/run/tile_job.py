@@ -14,9 +14,9 @@ import numpy as np
 from fields.image_store import GreyImages, Masks
 from fields.sweep.block import Block
 from survey.errors import SurveyError
-from survey.plan.area import grown, limits, within
+from survey.plan.area import grown, limits
 from survey.plan.rates import part_name
-from survey.plan.sweep_block import backend, cameras_of_block
+from survey.plan.sweep_block import backend
 from survey.plan.tiling import Area, places_of
 from survey.run.job import Job
 from survey.run.stored import load_arrays
@@ -71,22 +71,23 @@ class TileJob(Job):
         self.tiling, self.tiles = whole.tiling, whole.tiles
         survey, self._moved = whole.survey, None
         if has_frames(whole.tiling):
-            frame = frame_of_tile(survey.frame, whole.tiling, number)
+            frame, ground = frame_of_tile(survey.frame, whole.tiling, number), whole.tiling.ground(number, 0.0)
             self._moved = frame.from_frame(survey.frame)
-            survey = survey_in_frame(survey, frame, whole.tiling.ground(number, whole.tiling.rim))
+            survey = survey_in_frame(survey, frame, grown(ground, max(whole.plan.footprint_m)))
         survey, (lowest, highest) = over_own_plane(survey, self.ground)
         self.plan = replace(whole.plan, image_scale=1.0)
         if self._moved is None:
             # The bound of the survey is over its plane.
             self._bound = found.bound[0] - highest, found.bound[1] - lowest
         else:
-            self._limits = limits(self._near(survey))
+            self._limits = limits(survey)
             self._bound = self._limits if found.bounds is None else found.bounds[number]
-        cameras = cameras_of_block(survey, whole.plan)
         own = self._in_frame(whole.tiling.ground(number, 0.0))
+        showing = whole.outlines.showing(survey.water, own, self._bound, self._moved)
+        cameras = {view: self._camera_in_frame(whole.cameras[view]) for view in showing}
         self.windows = windows_of(cameras, survey.water, own, self.ground, self._bound)
         views = tuple(
-            replace(survey.views[w.view], camera=cameras[w.view].cropped(w.row, w.column, w.height, w.width))
+            replace(whole.survey.views[w.view], camera=cameras[w.view].cropped(w.row, w.column, w.height, w.width))
             for w in self.windows
         )
         self.survey, self.chosen, self.aimed = replace(survey, views=views), whole.chosen, None
@@ -169,11 +170,8 @@ class TileJob(Job):
         except ValueError as error:
             raise SurveyError(str(error)) from error
 
-    def _near(self, survey: Survey) -> Survey:
-        """A survey with the views over the tile alone, or as it is where there are none."""
-        area = grown(self.ground, max(self.plan.footprint_m))
-        near = tuple(view for view in survey.views if within(view.camera.centre[None], area)[0])
-        return replace(survey, views=near) if near else survey
+    def _camera_in_frame(self, camera: PinholeCamera) -> PinholeCamera:
+        return camera if self._moved is None else camera.in_frame(self._moved.rotation, self._moved.shift)
 
     @property
     def bound_over_survey(self) -> tuple[float, float]:

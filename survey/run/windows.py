@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from survey.photos.cameras import View
 from survey.photos.store import ImageStore
 from survey.plan.tiling import Area
 
+if TYPE_CHECKING:
+    from geo.similarity import Similarity
+
 # Windows begin at whole pixels of images at a quarter of the size. Their rows there are whole vectors of 16 pixels:
 # other widths would need other kernels.
 _BEGIN_PX, _ROWS_PX, _COLUMNS_PX = 4, 8, 64
@@ -21,6 +25,9 @@ _BEGIN_PX, _ROWS_PX, _COLUMNS_PX = 4, 8, 64
 _MARGIN_PX = 32
 # Smaller windows would hold few tiles of the sweep; a photograph with less of a tile than this adds nothing to it.
 _LEAST_PX, _LEAST_SEEN_PX = 128, 8
+# Of rays nearer to the horizon than this sine nothing is certain; and the share of its extent by which a footprint is
+# wider than its outline says, for the motion of a camera.
+_LEAST_FALL, _MARGIN = 0.05, 0.05
 
 
 @dataclass(frozen=True)
@@ -39,14 +46,62 @@ class Window:
         return slice(self.row, self.row + self.height), slice(self.column, self.column + self.width)
 
 
+class Outlines:
+    """Rays of the outlines of photographs, to leave out at once those that show nothing of a tile.
+
+    Straight rays reach further than bent ones, so that no photograph is left out that shows it.
+
+    Parameters
+    ----------
+    cameras : sequence of PinholeCamera
+    """
+
+    def __init__(self, cameras: Sequence[PinholeCamera]):
+        self._centres = np.array([camera.centre for camera in cameras])
+        outlines = [camera.outline() for camera in cameras]
+        most = max(map(len, outlines))
+        # Of equal length: the last place of a shorter one is repeated.
+        rays = [
+            camera.directions(np.pad(outline, ((0, most - len(outline)), (0, 0)), mode="edge"))
+            for camera, outline in zip(cameras, outlines, strict=True)
+        ]
+        self._rays = np.array(rays)
+
+    def showing(
+        self, water: FlatWater | None, area: Area, bound: tuple[float, float], moved: Similarity | None = None
+    ) -> list[int]:
+        """Numbers of the cameras that may show an area between two heights [m] over a plane, or over z = 0.
+
+        ``moved`` is the transform into the frame of water and area, where this is another than that of the cameras.
+        """
+        centres = self._centres if moved is None else moved(self._centres)
+        rays = self._rays if moved is None else self._rays @ moved.rotation.T
+        up = np.array((0.0, 0.0, 1.0) if water is None else water.up)
+        over = centres @ up if water is None else (centres - np.array(water.point)) @ up
+        fall = -rays @ up
+        is_certain = (fall > _LEAST_FALL).all(axis=1) & (over > bound[1])
+        levels = np.array([bound[0], min(max(0.0, bound[0]), bound[1]), bound[1]])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            along = (over[:, None] - levels)[:, :, None] / fall[:, None]
+        plan = (centres[:, None, None] + along[..., None] * rays[:, None])[..., :2].reshape(len(centres), -1, 2)
+        low, high = np.minimum(plan.min(axis=1), centres[:, :2]), np.maximum(plan.max(axis=1), centres[:, :2])
+        margin = _MARGIN * (high - low).max(axis=1, keepdims=True)
+        meets = ((low - margin <= area[2:]) & (high + margin >= area[:2])).all(axis=1)
+        return np.flatnonzero(meets | ~is_certain).tolist()
+
+
 def windows_of(
-    cameras: Sequence[PinholeCamera], water: FlatWater | None, own: Area, ground: Area, bound: tuple[float, float]
+    cameras: Mapping[int, PinholeCamera],
+    water: FlatWater | None,
+    own: Area,
+    ground: Area,
+    bound: tuple[float, float],
 ) -> list[Window]:
     """Windows of the views that show a tile.
 
     Parameters
     ----------
-    cameras : sequence of PinholeCamera
+    cameras : mapping of number to PinholeCamera
         Of one size.
     water : FlatWater or None
     own, ground : (x0, y0, x1, y1) [m]
@@ -56,7 +111,7 @@ def windows_of(
     """
     found = []
     tile = Footprint(np.array(own[:2]), np.array(own[2:]))
-    for view, camera in enumerate(cameras):
+    for view, camera in cameras.items():
         # Of ground behind a camera nothing can be projected.
         if not Footprint.of(camera, water, bound).meets(tile):
             continue

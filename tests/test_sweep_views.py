@@ -10,7 +10,7 @@ from plane_survey import TILTED, PlaneBed, look, ring
 
 from fields.device import choose_device
 from fields.sweep import views
-from fields.sweep.block import AGREEMENT_PX, Block
+from fields.sweep.block import AGREEMENT_PX, Block, Overlap
 from refract import FlatWater
 
 WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.34)
@@ -213,3 +213,30 @@ def test_overlap_is_judged_under_the_cameras_however_far_off_the_water_has_its_p
     blocks = [Block(device, cameras, images, water, -2.0) for water in (near, far)]
     np.testing.assert_allclose(blocks[0].cells, blocks[1].cells, atol=1e-9)
     np.testing.assert_array_equal(blocks[0].seen, blocks[1].seen)
+
+
+def test_cells_of_photographs_far_apart_lie_about_each():
+    near = flight(3)
+    far = [replace(camera, centre=camera.centre + [5000.0, 40.0, 0.0]) for camera in near]
+    seen, cells = views.coverage([*near, *far], WATER, -2.0)
+    assert len(cells) < 2000
+    # As many of the cells as where each lies alone, but for where the nodes lie.
+    alone = views.coverage(near, WATER, -2.0)
+    for own, number in ((seen[:3, cells[:, 0] < 100.0], 3), (seen[3:, cells[:, 0] > 100.0], 3)):
+        assert own.sum() > 0.5 * number * views.CELLS_PER_VIEW**2
+        assert (own.sum(axis=0) >= 2).any()
+    assert not seen[:3, cells[:, 0] > 100.0].any()
+    assert alone[0].any()
+
+
+def test_overlap_is_judged_when_it_is_asked_for(monkeypatch):
+    calls = []
+    monkeypatch.setattr(views, "coverage", lambda *given: calls.append(given[2]) or (np.ones((2, 1), bool), None))
+    overlap = Overlap(flight(2), WATER, -2.0)
+    overlap.judge_overlap_at(-3.0)
+    assert calls == []
+    assert overlap.seen.all()
+    assert overlap.seen.all()
+    assert calls == [-3.0]
+    with pytest.raises(ValueError, match="no view looks down"):
+        Overlap([look((0.0, 0.0, 10.0), (4.0, 6.0, 20.0))] * 2, WATER, -2.0)

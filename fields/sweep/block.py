@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -53,13 +54,30 @@ class Overlap:
 
     def judge_overlap_at(self, height: float) -> None:
         """Judge overlap at another height [m] over the water plane."""
-        plane_z = 0.0
-        if self.water is not None:
-            # Under the cameras: the reference point of the plane may be far away.
-            x, y, _ = np.mean([camera.centre for camera in self.cameras], axis=0)
-            plane_z = float(self.water.height(x, y))
-        self.seen, self.cells = views.coverage(self.cameras, self.water, plane_z + height, self.ground)
+        views.require_ground(self.cameras, self._z_of(height))
         self.height = height
+        self.__dict__.pop("_coverage", None)
+
+    def _z_of(self, height: float) -> float:
+        if self.water is None:
+            return height
+        # Under the cameras: the reference point of the plane may be far away.
+        x, y, _ = np.mean([camera.centre for camera in self.cameras], axis=0)
+        return float(self.water.height(x, y)) + height
+
+    @cached_property
+    def _coverage(self) -> tuple[np.ndarray, np.ndarray]:
+        return views.coverage(self.cameras, self.water, self._z_of(self.height), self.ground)
+
+    @property
+    def seen(self) -> np.ndarray:
+        """Which view sees which cell of the ground, (views, cells) bool; `fields.sweep.views.coverage`."""
+        return self._coverage[0]
+
+    @property
+    def cells(self) -> np.ndarray:
+        """The cells (cells, 3) [m], local."""
+        return self._coverage[1]
 
     def cover(self, times: int, times_oblique: int, area: tuple[float, float, float, float] | None = None) -> list[int]:
         """Set of views that see every place from every side: `fields.sweep.views.cover`.

@@ -18,7 +18,8 @@ BEST_ANGLE_DEG = 18.0
 ANGLE_WIDTH_DEG = 10.0
 # A view is steep where its ray is nearer to the vertical than this.
 STEEP_DEG = 25.0
-# Cells of the ground grid along each axis, and across the narrow side of a view; a long flight needs more for these.
+# Cells of the ground grid along each axis at least, and so many that a grid is whole; and across the narrow side of a
+# view.
 GRID_CELLS, MOST_CELLS = 48, 400
 CELLS_PER_VIEW = 8
 # Places along each side of an image, and the share of its extent by which a rectangle is wider than they say.
@@ -33,6 +34,17 @@ def ground_points(cameras: list[PinholeCamera], height: float) -> np.ndarray:
     return centres + axes * ((height - centres[:, 2]) / descent)[:, None]
 
 
+def require_ground(cameras: list[PinholeCamera], height: float) -> np.ndarray:
+    """`ground_points`; ValueError where no view looks down at the ground."""
+    centres = ground_points(cameras, height)
+    if np.isnan(centres).all():
+        raise ValueError(
+            f"no view looks down at the ground at height {height:.1f} m, local; expected photographs taken downward: "
+            "check the rotations of the poses"
+        )
+    return centres
+
+
 def coverage(
     cameras: list[PinholeCamera],
     water: FlatWater | None,
@@ -41,32 +53,45 @@ def coverage(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Visibility (views, cells) bool of the cells of a ground grid at z = height, and the cells (cells, 3).
 
-    The grid spans ``ground`` (x0, y0, x1, y1) [m], local; by default all that the views may see.
+    The grid spans ``ground`` (x0, y0, x1, y1) [m], local; by default all that the views may see. Of a large one only
+    cells that the views may see are there.
 
     Raises
     ------
     ValueError
         If no view looks down at the ground.
     """
-    centres = ground_points(cameras, height)
-    if np.isnan(centres).all():
-        raise ValueError(
-            f"no view looks down at the ground at height {height:.1f} m, local; expected photographs taken downward: "
-            "check the rotations of the poses"
-        )
+    centres = require_ground(cameras, height)
     pixel_size = np.array([(c.centre[2] - height) / c.fx for c in cameras])
     reach = np.max(pixel_size * [c.widening * np.hypot(c.width, c.height) / 2 for c in cameras])
     side = np.median(pixel_size * [min(c.width, c.height) for c in cameras])
     low, high = np.nanmin(centres, axis=0)[:2] - reach, np.nanmax(centres, axis=0)[:2] + reach
     if ground is not None:
         low, high = np.array(ground[:2]), np.array(ground[2:])
-    columns, rows = np.clip(np.ceil((high - low) * CELLS_PER_VIEW / side), GRID_CELLS, MOST_CELLS).astype(int)
-    x, y = np.meshgrid(np.linspace(low[0], high[0], columns), np.linspace(low[1], high[1], rows))
-    cells = np.stack([x.ravel(), y.ravel(), np.full(x.size, height)], axis=-1)
+    columns, rows = np.maximum(np.ceil((high - low) * CELLS_PER_VIEW / side), GRID_CELLS).astype(int)
+    x, y = np.linspace(low[0], high[0], columns), np.linspace(low[1], high[1], rows)
+    plan = (
+        np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        if max(columns, rows) <= MOST_CELLS
+        else (_nodes_about(centres[:, :2], reach, x, y))
+    )
+    cells = np.column_stack([plan, np.full(len(plan), height)])
     seen = np.zeros((len(cameras), len(cells)), dtype=bool)
     for mine, camera in zip(seen, cameras, strict=True):
         mine[:] = camera.sees(camera.project(cells, water))
     return seen, cells
+
+
+def _nodes_about(centres: np.ndarray, reach: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Nodes (N, 2) of a grid within a square about any of some places (V, 2), row by row; NaN counts for none."""
+    found = []
+    for place in centres[np.isfinite(centres).all(axis=1)]:
+        columns, rows = (
+            np.arange(*np.searchsorted(axis, (at - reach, at + reach))) for axis, at in zip((x, y), place, strict=True)
+        )
+        found.append((rows[:, None] * len(x) + columns).ravel())
+    row, column = np.divmod(np.unique(np.concatenate(found)), len(x))
+    return np.column_stack([x[column], y[row]])
 
 
 def cover(

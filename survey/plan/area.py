@@ -12,6 +12,7 @@ import numpy as np
 
 from survey.errors import FILE_NAME, ConfigError
 from survey.folder.survey import Survey, View
+from survey.plan.flattened import flattened
 from survey.plan.ground import dry_ground
 from survey.plan.heights import height_range
 
@@ -98,6 +99,7 @@ def require_seen(survey: Survey) -> None:
     area = local_area(survey)
     if survey.bounds is None or area is None:
         return
+    survey = flattened(survey)
     area = grown(area, AREA_MARGIN_M)
     footprints = [_footprint(view, survey) for view in survey.views]
     # Small bounds hold no place of a photograph's grid, and large ones no footprint between the places of theirs.

@@ -13,6 +13,7 @@ from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.plan import choices
 from survey.plan.choices import USUAL, Choices
+from survey.plan.flattened import flattened
 from survey.plan.ground import dry_ground
 from survey.plan.heights import in_words
 from survey.plan.poses import pose_choice
@@ -95,6 +96,7 @@ def make_plan(survey: Survey, chosen: Choices = USUAL, *, recipe: Recipe | None 
     SurveyError
         If CUDA is asked for and there is none.
     """
+    survey = flattened(survey)
     quality = chosen.quality if recipe is None else AIMED
     recipe = RECIPES[chosen.quality] if recipe is None else recipe
     device = device_decision(chosen.device)

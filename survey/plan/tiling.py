@@ -17,6 +17,7 @@ import numpy as np
 
 from fields.sweep.block import Overlap
 from survey.plan.area import AREA_MARGIN_M, grown, local_area
+from survey.plan.flattened import flattened
 from survey.plan.ground import dry_ground
 from survey.plan.sweep_block import camera_of
 
@@ -89,6 +90,7 @@ def ground_of(survey: Survey, plan: Plan) -> Area:
     area = local_area(survey)
     if area is not None:
         return grown(area, AREA_MARGIN_M)
+    survey = flattened(survey)
     height = 0.0 if survey.water is not None else dry_ground(survey).height
     overlap = Overlap([camera_of(view, plan) for view in survey.views], survey.water, height)
     seen = overlap.cells[overlap.seen.sum(axis=0) >= 2, :2]

@@ -22,6 +22,7 @@ from survey.folder.found import Found
 from survey.folder.survey import Survey
 from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area
 from survey.plan.choices import Choices
+from survey.plan.flattened import flattened
 from survey.plan.ground import dry_ground
 from survey.plan.plan import Plan
 from survey.plan.rates import FIRST_HYPOTHESES, SFM_PARTS, Amounts, parts_s, run_s, sfm_s
@@ -164,6 +165,7 @@ def _first_hypotheses(survey: Survey, plan: Plan) -> float:
     is_told = survey.config.area.heights is not None or survey.observations.points is not None
     if not is_told or len(survey.views) > _MOST_VIEWS:
         return FIRST_HYPOTHESES
+    survey = flattened(survey)
     low, high = limits(survey)
     try:
         overlap = Overlap([camera_of(view, plan) for view in survey.views], survey.water, 0.5 * (low + high))
@@ -186,6 +188,7 @@ def amounts_of(survey: Survey, plan: Plan) -> tuple[np.ndarray, list[int], float
     SurveyError
         If no view looks down.
     """
+    survey = flattened(survey)
     cameras = [camera_of(view, plan) for view in survey.views]
     pixels = np.array([camera.width * camera.height for camera in cameras])
     chosen = list(range(len(cameras)))

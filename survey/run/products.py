@@ -134,11 +134,12 @@ def _coverage(survey: Survey, stored: StoredBed, cells: SeenCells) -> CoverageFi
     if survey.water is None:
         return None
     x, y, height = np.moveaxis(cells.middles, -1, 0)
+    depth, departure = np.asarray(survey.water.height(x, y)) - height, survey.observations.departure
+    if departure is not None:
+        depth = depth + departure.at(cells.middles[..., :2].reshape(-1, 2))[0].reshape(depth.shape)
     shared = None if stored.std_common is None else stored.std_common[np.isfinite(stored.std_common)]
     std = float(np.median(shared)) if shared is not None and len(shared) else None
-    return coverage_of(
-        np.asarray(survey.water.height(x, y)) - height, cells.has_point, cells.num_views, cells.cell_m, std
-    )
+    return coverage_of(depth, cells.has_point, cells.num_views, cells.cell_m, std)
 
 
 def _photographs(done: Mapping[str, Path]) -> tuple[PhotographFigures, ...]:

@@ -1,0 +1,33 @@
+"""A survey of kilometres over one plane: heights over the water as they are where it touches the Earth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geo.frames import LocalFrame
+from survey.plan.flattened import flattened
+from survey.run.tile_frame import survey_in_frame
+
+
+def test_a_survey_within_a_kilometre_stays_as_it_is(shallow_survey):
+    assert flattened(shallow_survey) is shallow_survey
+
+
+@pytest.mark.parametrize("is_wet", [True, False])
+def test_photographs_far_from_the_origin_are_as_high_over_the_water_as_they_are(shallow_survey, is_wet):
+    east, north, height = shallow_survey.frame.origin
+    frame = LocalFrame(shallow_survey.frame.crs, (east - 10_000.0, north, height))
+    near = shallow_survey if is_wet else replace(shallow_survey, water=None)
+    found = flattened(survey_in_frame(near, frame, (-1e6, -1e6, 1e6, 1e6)))
+    for before, after in zip(near.views, found.views, strict=True):
+        assert after.camera.centre[2] == pytest.approx(before.camera.centre[2], abs=1e-3)
+        if is_wet:
+            assert found.water.depth(after.camera.centre) == pytest.approx(
+                near.water.depth(before.camera.centre), abs=1e-3
+            )
+    if is_wet:
+        np.testing.assert_allclose((found.water.slope_x, found.water.slope_y),
+                                   (near.water.slope_x, near.water.slope_y), atol=1e-5)  # fmt: skip

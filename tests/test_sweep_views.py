@@ -217,7 +217,7 @@ def test_overlap_is_judged_under_the_cameras_however_far_off_the_water_has_its_p
 
 def test_cells_of_photographs_far_apart_lie_about_each():
     near = flight(3)
-    far = [replace(camera, centre=camera.centre + [5000.0, 40.0, 0.0]) for camera in near]
+    far = [replace(camera, centre=np.add(camera.centre, (5000.0, 40.0, 0.0))) for camera in near]
     seen, cells = views.coverage([*near, *far], WATER, -2.0)
     assert len(cells) < 2000
     # As many of the cells as where each lies alone, but for where the nodes lie.

@@ -99,13 +99,13 @@ def require_seen(survey: Survey) -> None:
     area = local_area(survey)
     if survey.bounds is None or area is None:
         return
-    survey = flattened(survey)
+    level = flattened(survey)
     area = grown(area, AREA_MARGIN_M)
-    footprints = [_footprint(view, survey) for view in survey.views]
+    footprints = [_footprint(view, level) for view in level.views]
     # Small bounds hold no place of a photograph's grid, and large ones no footprint between the places of theirs.
     inside = (places[within(places, area)] for places in footprints)
-    for places in chain(_places(survey, area), inside):
-        if _is_seen_twice(survey, places):
+    for places in chain(_places(level, area), inside):
+        if _is_seen_twice(level, places):
             return
     corners = survey.frame.crs_from_local(np.concatenate(footprints))
     low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)

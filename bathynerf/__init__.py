@@ -36,8 +36,7 @@ if TYPE_CHECKING:
     from survey.export.render import render
     from survey.folder.survey import Survey as LoadedSurvey
     from survey.folder.survey import load_survey
-    from survey.handles.dem import Dem
-    from survey.handles.run import Run
+    from survey.handles.run import Dem, Run
     from survey.handles.survey import Survey
     from survey.photos.cameras import View
     from survey.plan.choices import Choices
@@ -117,8 +116,7 @@ _MODULES = {
     "survey.export.export": ("export",),
     "survey.export.product": ("ExportOptions",),
     "survey.folder.survey": ("LoadedSurvey", "load_survey"),
-    "survey.handles.dem": ("Dem",),
-    "survey.handles.run": ("Run",),
+    "survey.handles.run": ("Dem", "Run"),
     "survey.handles.survey": ("Survey",),
     "survey.photos.cameras": ("View",),
     "survey.plan.choices": ("Choices",),

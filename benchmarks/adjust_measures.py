@@ -14,8 +14,8 @@ from adjust_rows import Row, Truth
 
 from evaluation import height_at, vertical_difference
 from geo import LocalFrame, parse_crs, read_cloud, read_reference
-from survey.benchmark.running import run_bathynerf
-from survey.compare.checkpoints import read_checkpoints
+from survey.benchmark.benchmark import run_bathynerf
+from survey.compare.measure import read_checkpoints
 
 # Of a normal distribution, within so many standard deviations.
 WITHIN_95 = 1.96

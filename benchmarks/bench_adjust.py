@@ -25,7 +25,7 @@ from adjust_real import brighton_errors, copr_errors
 from adjust_rows import DATA, ROWS, Row, prepare
 from shutter_rows import SHUTTER_ROWS
 
-from survey.benchmark.running import run_bathynerf
+from survey.benchmark.benchmark import run_bathynerf
 
 MEASURES = {"drawn": errors_of, "brighton": brighton_errors, "copr": copr_errors}
 # Titles of the table, and the figures in millimetres.

@@ -31,9 +31,9 @@ from fields.solver.visibility import lookup
 from geo import read_reference
 from refract import PinholeCamera, crossing_point
 from survey.folder.survey import Survey, load_survey
-from survey.photos.store import ImageStore
+from survey.photos.images import ImageStore
 from survey.simulate.drawn import DrawnScene, stage_drawing
-from survey.simulate.output.staged_scene import StagedScene
+from survey.simulate.output.sidecars import StagedScene
 from survey.simulate.output.writing import write_survey
 
 NUM_PLACES = 1500

@@ -23,10 +23,10 @@ from published import publish
 
 from evaluation import slope_below, vertical_difference
 from evaluation.coverage import WALL_DEG
+from survey.benchmark.benchmark import run_bathynerf
 from survey.benchmark.cases import Case, case_of, variant
-from survey.benchmark.running import run_bathynerf
-from survey.compare.area import to_local
 from survey.compare.comparison import CompareOptions, compare_surfaces
+from survey.compare.options import to_local
 from survey.errors import FILE_NAME
 from survey.simulate.output.writing import write_survey
 

@@ -20,9 +20,8 @@ from pathlib import Path
 from drawn_front import draw, lines_of
 from published import publish
 
-from survey.benchmark.benchmark import RESULTS, Settings, benchmark
+from survey.benchmark.benchmark import RESULTS, Settings, benchmark, commit, machine
 from survey.benchmark.records import Record, read_results, write_results
-from survey.benchmark.running import commit, machine
 from survey.benchmark.text import comparison
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -22,7 +22,7 @@ from bench_sweep import Case
 
 from refract.lens import Lens
 from survey.simulate.drawn import DrawnScene, stage_drawing
-from survey.simulate.output.staged_scene import StagedScene
+from survey.simulate.output.sidecars import StagedScene
 from survey.simulate.output.writing import write_survey
 
 # k1, k2, p1, p2, and the principal point beside the middle of the image, in shares of its size.

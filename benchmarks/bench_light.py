@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
+from survey.benchmark.benchmark import run_bathynerf
 from survey.benchmark.cases import case_of
-from survey.benchmark.measured import errors_of
-from survey.benchmark.running import run_bathynerf
+from survey.benchmark.records import errors_of
 from survey.simulate.drawn import DrawnScene, draw_survey
 
 ROWS: dict[str, dict[str, float]] = {

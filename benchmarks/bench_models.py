@@ -23,10 +23,9 @@ import numpy as np
 
 from fields.volume.models import MODELS
 from survey.compare.comparison import compare_files
-from survey.compare.json_numbers import numbers_of
+from survey.compare.figures import numbers_of
 from survey.compare.options import CompareOptions
-from survey.export.loaded import LoadedRun
-from survey.export.photographs import flight_of
+from survey.export.loaded import LoadedRun, flight_of
 from survey.files.json_values import write_json
 from survey.folder.survey import load_survey
 from survey.volume.field import VolumeOptions, train, train_field

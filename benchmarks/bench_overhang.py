@@ -30,7 +30,7 @@ from evaluation.completeness import is_reached
 from geo import LocalFrame, read_reference
 from geo.las_header import extra_of
 from survey.folder.survey import load_survey
-from survey.simulate.ground.triangles import TriangleMesh
+from survey.simulate.ground.shapes import TriangleMesh
 
 NEAR_M = 0.05
 # Points have a surface above them where one is higher by more than this: beyond rounding and the edges of facets.

@@ -102,7 +102,7 @@ def _merge(job: Job, _run: Path, folder: Path) -> Callable[[], None]:
 
 
 def _cloud(_job: Job, _run: Path, folder: Path) -> Callable[[], None]:
-    from survey.run.cloud import write_bed_las
+    from survey.run.products import write_bed_las
     from survey.run.stored import load_bed
 
     return lambda: write_bed_las(folder / "cloud.las", load_bed(folder / "bed"))

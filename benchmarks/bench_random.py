@@ -19,10 +19,9 @@ from bench_coverage import cells_of
 from published import publish
 from random_surveys import RandomSurvey
 
+from survey.benchmark.benchmark import run_bathynerf
 from survey.benchmark.cases import case_of
-from survey.benchmark.measured import errors_of
-from survey.benchmark.records import Errors
-from survey.benchmark.running import run_bathynerf
+from survey.benchmark.records import Errors, errors_of
 
 # Cells of coverage: all, fifths, four classes of views, slopes, wet, dry, and the least std.
 _CLASSES = 10

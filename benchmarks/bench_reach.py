@@ -26,9 +26,9 @@ import numpy as np
 from drawn_reach import CRS_NAME, ORIGIN, Errors, Reach, errors_of, with_measured_water
 from pyproj import CRS
 
-from geo.raster_writing import Band, RasterForm, write_cog
+from geo.raster import Band, RasterForm, write_cog
 from refract import FlatWater
-from survey.benchmark.running import machine, run_bathynerf
+from survey.benchmark.benchmark import machine, run_bathynerf
 from survey.folder.survey import Survey, load_survey
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan

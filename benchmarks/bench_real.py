@@ -28,7 +28,7 @@ from published import publish
 from real_measures import left_out, profile, shutter, streams
 from real_tables import TABLES
 
-from survey.benchmark.running import run_bathynerf
+from survey.benchmark.benchmark import run_bathynerf
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("BATHYNERF_DATA", ROOT.parent / "shared" / "data")) / "real"

@@ -32,7 +32,7 @@ from real_like_ties import adjusted_by_ties
 
 from geo.errors import GeoError
 from geo.las_header import extra_of
-from survey.benchmark.running import run_bathynerf
+from survey.benchmark.benchmark import run_bathynerf
 from survey.errors import SurveyError
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "notes" / "stress.md"

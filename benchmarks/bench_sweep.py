@@ -37,8 +37,8 @@ from survey.plan.choices import Choices
 from survey.plan.recipe import RECIPES
 from survey.progress import current
 from survey.run import points
-from survey.run.cloud import write_bed_las
 from survey.run.job import Job
+from survey.run.products import write_bed_las
 from survey.run.stored import StoredBed
 from survey.simulate.drawn import DrawnScene, draw_survey
 

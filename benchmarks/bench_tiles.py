@@ -22,7 +22,7 @@ import numpy as np
 
 from evaluation import distance_to_mesh, is_reached
 from geo import read_cloud, read_reference
-from survey.benchmark.running import machine, run_bathynerf
+from survey.benchmark.benchmark import machine, run_bathynerf
 from survey.folder.survey import load_survey
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan

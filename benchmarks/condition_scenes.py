@@ -15,11 +15,10 @@ from scipy.spatial import cKDTree
 from refract import FlatWater, WavyWater
 from survey.simulate.drawn import DrawnScene, stage_drawing
 from survey.simulate.ground.ground import Ground, Material, shade_of_normals
-from survey.simulate.ground.paint import TILE, periodic
+from survey.simulate.ground.paint import TILE, ImageSkin, periodic
 from survey.simulate.ground.shapes import Solid
-from survey.simulate.ground.skin import ImageSkin
 from survey.simulate.light import Light
-from survey.simulate.output.staged_scene import StagedScene
+from survey.simulate.output.sidecars import StagedScene
 from survey.simulate.sensor import Eye
 from survey.simulate.water import WaterColour
 

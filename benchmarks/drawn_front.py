@@ -9,9 +9,8 @@ import numpy as np
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from survey.benchmark.cases import IMAGES
-from survey.benchmark.front import on_front
-from survey.benchmark.measured import METHODS
-from survey.benchmark.records import Record, Results
+from survey.benchmark.records import METHODS, Record, Results
+from survey.benchmark.text import on_front
 from survey.compare.canvas import canvas, save
 from survey.display.palette import INK, RED, SERIES, SOFT
 

@@ -14,16 +14,15 @@ import cv2
 import numpy as np
 from field_settings import FieldSettings
 
-from fields.gamma import GAMMA
+from fields.image_store import GAMMA
 from geo.crs import parse_crs
 from geo.frames import LocalFrame
 from refract import FlatWater, PinholeCamera, WavyWater
 from refract.fresnel import fresnel_coefficients
 from refract.lens import Lens, normalised
 from survey.simulate.ground.ground import BED, Ground, Material, seen_area, shade_of_map
-from survey.simulate.ground.paint import in_texels, light_of_bed, noise, sand
+from survey.simulate.ground.paint import in_texels, light_of_bed, noise, sand, skin_from_above
 from survey.simulate.ground.shapes import BedGrid
-from survey.simulate.ground.skin import skin_from_above
 from survey.simulate.light import Light
 from survey.simulate.render.direct import DirectRenderer, depth_below
 from survey.simulate.water import WaterColour, WaterLevel

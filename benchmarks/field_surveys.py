@@ -26,7 +26,7 @@ from geo.crs import horizontal_crs
 from refract import FlatWater
 from refract.lens import distorted
 from survey.simulate.output.sidecars import cameras_csv, gps_exif
-from survey.simulate.output.truth import ground_mesh, points_on, seen_by, write_ply
+from survey.simulate.output.writing import ground_mesh, points_on, seen_by, write_ply
 
 MIN_VIEWS = 3
 MARK_STD_PX, MARK_STD_M, ROD_STD_M = 0.4, 0.01, 0.01

@@ -31,7 +31,7 @@ from survey.adjust.block.windows import loaded, windows_of_block
 from survey.errors import SurveyError
 from survey.folder.place import water_plane
 from survey.folder.survey import Survey, load_survey
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 from survey.plan.plan import Plan, make_plan
 from survey.simulate.drawn import DrawnScene, stage_drawing
 from survey.simulate.output.sidecars import cameras_csv, survey_toml

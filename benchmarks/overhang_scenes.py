@@ -11,11 +11,10 @@ import numpy as np
 
 from survey.simulate.drawn import DrawnScene, stage_drawing
 from survey.simulate.ground.ground import Ground, Material, shade_beside_bed, shade_of_map
-from survey.simulate.ground.paint import ROCK, light_of_bed, periodic
+from survey.simulate.ground.paint import ROCK, ImageSkin, light_of_bed, periodic
 from survey.simulate.ground.shapes import BedGrid, Solid, rotation
-from survey.simulate.ground.skin import ImageSkin
 from survey.simulate.light import Light
-from survey.simulate.output.staged_scene import StagedScene
+from survey.simulate.output.sidecars import StagedScene
 from survey.simulate.output.writing import write_survey
 
 KINDS = ("pier", "boulders")

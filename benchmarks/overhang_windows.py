@@ -23,7 +23,7 @@ from fields.sweep.kernels.stack import ViewStack, largest
 from fields.sweep.map_points import MapPoints
 from fields.sweep.maps import HeightMap
 from refract import FlatWater
-from survey.simulate.ground.triangles import TriangleMesh
+from survey.simulate.ground.shapes import TriangleMesh
 
 NEAR_M = 0.05
 # Between hypotheses [px], and how many beside the two heights count.

@@ -22,7 +22,7 @@ from survey.simulate.ground.paint import light_of_bed
 from survey.simulate.ground.paint import noise as smooth_noise
 from survey.simulate.ground.shapes import BedGrid
 from survey.simulate.light import Light
-from survey.simulate.output.staged_scene import StagedScene
+from survey.simulate.output.sidecars import StagedScene
 from survey.simulate.output.writing import write_survey
 
 SIZES_PX = ((320, 240), (400, 300), (480, 360))

@@ -19,7 +19,7 @@ from refract.lens import distorted
 from survey.adjust.refine import adjust_survey
 from survey.errors import PosesError
 from survey.folder.survey import Survey, load_survey
-from survey.photos.tie_points import TiePoints, least_track, parts_of
+from survey.photos.poses import TiePoints, least_track, parts_of
 from survey.sfm import block as sfm_block
 from survey.sfm.solve import Free, aliases
 from survey.simulate.ground.shapes import BedGrid

@@ -18,7 +18,7 @@ from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import Adjustment, ControlResidual
 from survey.adjust.result.std_common import place_moves
 from survey.folder.survey import Survey, load_survey
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 
 # Of greenland_lake (SOURCE.txt): water, index of the lidar's green light, and where its profile fits best.
 LEVEL_M, LIDAR_INDEX, SHIFT_M, LAKE_CRS = 611.42, 1.339, (5.0, 3.0), 32622

@@ -32,8 +32,7 @@ from pyproj import CRS
 
 from geo.errors import GeoError
 from geo.las import write_cloud
-from geo.lines import read_lines
-from geo.polygons import read_polygons
+from geo.lines import read_lines, read_polygons
 from geo.reading import read_reference
 from survey.control.reading import read_control
 from survey.errors import SurveyError
@@ -43,7 +42,7 @@ from survey.photos.exif import Exif, read_exif
 from survey.pose_files import find_poses, read_poses, read_ties
 from survey.settings.config import parse_config
 from survey.simulate.output.sidecars import gps_exif
-from survey.simulate.output.truth import write_ply
+from survey.simulate.output.writing import write_ply
 from survey.water.geojson import points_of_geojson
 from survey.water.level_observation import points_of_surface, readings_of_gauge
 

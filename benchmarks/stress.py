@@ -26,10 +26,9 @@ from stress_factors import FACTORS, prepared
 from stress_faults import resumed
 from stress_outcome import BAD_INPUT, Outcome, draw, row_of, table
 
+from survey.benchmark.benchmark import run_bathynerf
 from survey.benchmark.cases import case_of
-from survey.benchmark.measured import errors_of
-from survey.benchmark.records import Cost, Errors
-from survey.benchmark.running import run_bathynerf
+from survey.benchmark.records import Cost, Errors, errors_of
 
 RESULTS, PICTURE = "stress.json", "stress.png"
 DOCS = Path(__file__).resolve().parent.parent / "docs"

@@ -13,11 +13,10 @@ from scipy.ndimage import gaussian_filter
 from refract import FlatWater, PinholeCamera, WavyWater
 from survey.simulate.drawn import DrawnScene
 from survey.simulate.ground.ground import Ground, Material, shade_of_map
-from survey.simulate.ground.paint import TILE, light_of_bed, periodic, sand
+from survey.simulate.ground.paint import TILE, ImageSkin, light_of_bed, periodic, sand
 from survey.simulate.ground.shapes import BedGrid
-from survey.simulate.ground.skin import ImageSkin
 from survey.simulate.light import Light
-from survey.simulate.output.staged_scene import StagedScene
+from survey.simulate.output.sidecars import StagedScene
 
 # Photographs of a quarter of the usual pixels: a run takes some ten seconds.
 BASE = DrawnScene(

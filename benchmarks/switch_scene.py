@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fields.gamma import GAMMA
+from fields.image_store import GAMMA
 from fields.volume.paths import Box
 from fields.volume.photographs import Photographs
 from fields.volume.priors import PriorImages

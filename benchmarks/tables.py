@@ -14,8 +14,7 @@ from drawn_front import lines_of
 from published import publish
 from real_tables import TABLES
 
-from survey.benchmark.measured import METHODS
-from survey.benchmark.records import Record, read_results
+from survey.benchmark.records import METHODS, Record, read_results
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS, DOCS = ROOT / "benchmarks" / "results", ROOT / "docs"

@@ -18,7 +18,7 @@ import numpy as np
 
 from survey.photos.images import list_images
 from survey.photos.pixels import read_rgb
-from survey.photos.water_like import SIZE, largest_area, water_signs
+from survey.photos.texture import SIZE, largest_area, water_signs
 
 SIGNS = ("blue-green", "saturated", "smooth", "smooth and dark")
 

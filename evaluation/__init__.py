@@ -21,7 +21,6 @@
 from evaluation.baselines import apparent_points, per_camera, times_index
 from evaluation.bootstrap import Blocks, mean_interval, spatial_blocks
 from evaluation.c2m import MeshDistances, distance_to_mesh
-from evaluation.checkpoints import height_at
 from evaluation.completeness import distance_to_cloud, f_score, is_reached, sample_mesh
 from evaluation.coverage import Coverage, coverage_by_class, interval_score, slope_below
 from evaluation.images.feature_similarity import fsim, vsi
@@ -33,7 +32,7 @@ from evaluation.standards import AsprsAccuracy, IhoS44, asprs_vertical, iho_s44
 from evaluation.strata import Band, DepthParts, ReachedBand, by_band, by_depth, reached_by_slope
 from evaluation.summary import DistanceStatistics, Scores, Summary, distance_statistics, scores, summarise
 from evaluation.triangles import weld
-from evaluation.vertical import vertical_difference
+from evaluation.vertical import height_at, vertical_difference
 
 __all__ = [
     "AsprsAccuracy",

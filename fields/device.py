@@ -1,4 +1,4 @@
-"""Backends of the inner loops: Dr.Jit on CUDA, Dr.Jit on LLVM, or torch."""
+"""Backends of the inner loops, Dr.Jit on CUDA, Dr.Jit on LLVM or torch, and the number of threads of torch."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import ctypes
 import ctypes.util
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -134,3 +136,20 @@ def choose_device(wanted: str = "auto") -> Device:
     place = "cuda" if torch.cuda.is_available() and wanted != "cpu" else "cpu"
     reason = "torch was requested" if wanted == "torch" else f"{why}: torch runs the sweep, slower"
     return Device("torch", None, reason, place, apart=place == "cuda")
+
+
+@contextmanager
+def half_the_threads() -> Iterator[None]:
+    """Halve torch's threads: they synchronise hundreds of times per step.
+
+    A thread that has to share its core, with Dr.Jit's or with another program, holds up the others for a time slice
+    each: on two cores, one of them taken, two threads need 5 times as long as one (25 times for small batches).
+    """
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(max(before // 2, 1))
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

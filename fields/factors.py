@@ -15,8 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from fields.axes import axes_of
 from fields.device import Device
+from fields.lookup import axes_of
 
 
 @dataclass(frozen=True)

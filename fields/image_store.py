@@ -1,18 +1,25 @@
-"""Compact storage of the images and masks of many views."""
+"""Compact storage of the images and masks of many views, and the gamma of stored grey levels."""
 
 from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from threading import Lock
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 # Images in float32 that are kept, in bytes, or so many.
 _KEPT_BYTES, _FEWEST_KEPT = 30_000_000, 2
 Key = TypeVar("Key", bound=Hashable)
 Value = TypeVar("Value")
+# sRGB-like photographs are linear in light to the power of 2.2.
+GAMMA = 2.2
+# Clamp, darker than any photograph resolves: below it the derivative of the gamma curve diverges.
+DARKEST = 1e-4
 
 
 class LruCache(Generic[Key, Value]):
@@ -184,3 +191,8 @@ class Masks(Sequence):
         other = Masks([])
         other._shapes, other._bits = list(self._shapes), [bits.copy() for bits in self._bits]
         return other
+
+
+def as_stored(radiance: Tensor) -> Tensor:
+    """Stored values, 0 to 1 (more where overexposed), of linear radiance, which is clamped to `DARKEST`."""
+    return radiance.clamp(min=DARKEST) ** (1.0 / GAMMA)

@@ -18,10 +18,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fields.axes import axes_of
-
+_AXES = {"x": (0, 1, 2), "y": (1, 0, 2), "z": (2, 0, 1)}
 # Numbers that a kernel reads and writes at once.
 PACKET = 4
+
+
+def axes_of(direction: str) -> tuple[int, int, int]:
+    """Axes of the vector and of the plane's columns and rows, for a direction "x", "y" or "z"."""
+    return _AXES[direction]
 
 
 def lookup_drjit(factors, u: Tensor) -> Tensor:

@@ -14,9 +14,14 @@ import numpy as np
 from pyproj import CRS
 
 from geo.crs import AREA_MARGIN_DEG, EARTH_RADIUS_M, degrees_outside_area, parse_crs
-from geo.ellipsoid import enu_from_geocentric, geocentric_from_geodetic, geodetic_from_geocentric
 from geo.errors import PlaceMismatch
-from geo.projection import MapProjection, nan_unless_finite
+from geo.projection import (
+    MapProjection,
+    enu_from_geocentric,
+    geocentric_from_geodetic,
+    geodetic_from_geocentric,
+    nan_unless_finite,
+)
 from geo.similarity import Similarity
 
 # Half a step for differentiation along the grid axes. Rounding of geocentric metres gives 1e-9 / 10 rad,

@@ -1,17 +1,205 @@
-"""Terrain models as GeoTIFF: the surface through the middles of their cells."""
+"""Rasters read, and written as cloud-optimised GeoTIFF and as BAG, window by window, whole or not at all."""
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from importlib.metadata import version
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
+import rasterio
+import rasterio.shutil
 from pyproj import CRS
 from pyproj.exceptions import CRSError
+from rasterio.enums import ColorInterp
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.io import MemoryFile
+from rasterio.windows import Window
 
-from geo.errors import UnreadableFile
-from geo.files import existing_file
+from geo.crs import ellipsoid, ellipsoidal_wkt1, has_height, horizontal_crs, vertical_crs
+from geo.errors import UnreadableFile, UnwritableFile
+from geo.files import existing_file, refusal, write_whole_at
+from geo.read_back import Sums, require_raster
 from geo.shapes import Mesh
 from geo.stated import height_unit_said, unit_named
+
+# Tag "Software" of every raster, by which bathynerf recognises its own files.
+SOFTWARE = f"bathynerf {version('bathynerf')}"
+_BLOCK = 512
+
+
+@dataclass(frozen=True)
+class Band:
+    """Band of a raster."""
+
+    name: str  # What it holds, e.g. "height".
+    unit: str = ""  # E.g. "metre"; empty for none.
+
+
+@dataclass(frozen=True)
+class RasterForm:
+    """Metadata of a raster."""
+
+    crs: CRS
+    # six floats: coefficients a to f of ``east = a column + b row + c, north = d column + e row + f``, from outer
+    # corners
+    transform: tuple[float, float, float, float, float, float]
+    shape: tuple[int, int]  # (rows, columns)
+    bands: tuple[Band, ...]
+    dtype: str = "float32"  # Of all bands, e.g. "float32".
+    nodata: float | None = None
+    # dict of str to str: Metadata, e.g. how the values were computed.
+    tags: dict[str, str] = field(default_factory=dict)
+    resampling: str = "AVERAGE"  # How overviews are made: "AVERAGE", or "NEAREST" for codes
+    is_colour: bool = False  # Whether the bands are red, green, blue and transparency
+
+
+# Rows and columns from the top left corner, and the values (bands, rows, columns) there.
+Part = tuple[int, int, np.ndarray]
+
+
+def write_cog(path: str | Path, form: RasterForm, parts: Iterable[Part]) -> None:
+    """Write a raster as cloud-optimised GeoTIFF: tiles of 512 cells, overviews, compressed without loss.
+
+    Parameters
+    ----------
+    path : .tif
+    form : RasterForm
+    parts : iterable of (row, column, values)
+        Windows that cover the raster, in any order; blocks that none covers are left without data.
+
+    Raises
+    ------
+    UnwritableFile
+        If the system or GDAL refuses.
+    """
+    with write_whole_at(path) as part, _working_folder(part, Path(path)) as work:
+        # GDAL copies a plain GeoTIFF into this form.
+        plain, copy = work / "plain.tif", work / "copy.tif"
+        profile = {"tiled": True, "blockxsize": _BLOCK, "blockysize": _BLOCK, "sparse_ok": True, "bigtiff": "IF_SAFER"}
+        if form.is_colour:
+            profile |= {"photometric": "RGB", "interleave": "pixel"}
+        else:
+            profile |= {"photometric": "MINISBLACK", "interleave": "band"}
+        sums = _write(plain, form, parts, driver="GTiff", **profile)
+        rasterio.shutil.copy(
+            plain,
+            copy,
+            driver="COG",
+            blocksize=_BLOCK,
+            compress="DEFLATE",
+            predictor="YES",
+            overview_resampling=form.resampling,
+            bigtiff="IF_SAFER",
+        )
+        require_raster(copy, Path(path), stored_crs(form.crs), form.transform, form.shape, sums)
+        copy.replace(part)
+
+
+def write_bag(path: str | Path, form: RasterForm, parts: Iterable[Part], said: dict[str, str]) -> None:
+    """Write heights and their uncertainty as a Bathymetric Attributed Grid (HDF5).
+
+    Parameters
+    ----------
+    path : .bag
+    form : RasterForm
+        Of two bands, height and uncertainty [m].
+    parts : iterable of (row, column, values)
+    said : dict
+        Variables of GDAL's metadata template, without the VAR\\_ before them, e.g. "ABSTRACT".
+
+    Raises
+    ------
+    UnwritableFile
+        If the system or GDAL refuses.
+    """
+    with write_whole_at(path) as part, _working_folder(part, Path(path)) as work:
+        # GDAL knows the format by the suffix.
+        copy = work / "copy.bag"
+        if vertical_crs(form.crs) is None and has_height(form.crs):
+            said = said | {"VERT_WKT": ellipsoidal_wkt1(form.crs)}
+        variables = {f"VAR_{name}": value for name, value in said.items()}
+        # In memory first: on a full disk HDF5 fails with a page of its own messages, and again when it is closed.
+        with MemoryFile(ext=".bag") as memory:
+            sums = _write(memory.name, form, parts, driver="BAG", **variables)
+            copy.write_bytes(memory.read())
+        require_raster(copy, Path(path), stored_crs(form.crs), form.transform, form.shape, sums)
+        copy.replace(part)
+
+
+def _write(path: Path | str, form: RasterForm, parts: Iterable[Part], **profile) -> list[Sums]:
+    """Write a raster; returns the checksum of each band."""
+    rows, columns = form.shape
+    sums = [Sums(form.nodata) for _ in form.bands]
+    raster = rasterio.open(
+        path,
+        "w",
+        width=columns,
+        height=rows,
+        count=len(form.bands),
+        dtype=form.dtype,
+        crs=rasterio.crs.CRS.from_wkt(stored_crs(form.crs).to_wkt()),
+        transform=rasterio.Affine(*form.transform),
+        nodata=form.nodata,
+        **profile,
+    )
+    with raster:
+        if profile["driver"] == "GTiff":
+            heights = {}
+            if has_height(form.crs) and not has_height(stored_crs(form.crs)):
+                heights["HEIGHT_DATUM"] = f"ellipsoid {ellipsoid(form.crs).name}, {form.crs.axis_info[2].unit_name}"
+            raster.update_tags(TIFFTAG_SOFTWARE=SOFTWARE, AREA_OR_POINT="Area", **heights, **form.tags)
+            if form.is_colour:
+                raster.colorinterp = [getattr(ColorInterp, name) for name in ("red", "green", "blue", "alpha")]
+            for number, band in enumerate(form.bands, start=1):
+                raster.set_band_description(number, band.name)
+                if band.unit:
+                    raster.set_band_unit(number, band.unit)
+        for row, column, values in parts:
+            raster.write(values, window=Window(column, row, values.shape[2], values.shape[1]))
+            for band, each in zip(values, sums, strict=True):
+                each.add(np.asarray(band, dtype=form.dtype))
+    return sums
+
+
+def stored_crs(crs: CRS) -> CRS:
+    """The CRS that a raster can hold: of a projected one with ellipsoidal heights the part in plan.
+
+    No keys of GeoTIFF say "above the ellipsoid" of a projected CRS that GDAL reads back; a tag does.
+    """
+    return horizontal_crs(crs) if crs.is_projected and vertical_crs(crs) is None else crs
+
+
+@contextmanager
+def _working_folder(part: Path, path: Path) -> Iterator[Path]:
+    """A folder beside a file that is being written; errors of GDAL in the block become UnwritableFile."""
+    with TemporaryDirectory(prefix=".", suffix=".part", dir=part.parent) as work, _refusals(path):
+        yield Path(work)
+
+
+@contextmanager
+def _refusals(path: Path) -> Iterator[None]:
+    """Turn errors of GDAL into UnwritableFile."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            yield
+    except RasterioError as error:
+        said = (str(error).splitlines() or [type(error).__name__])[0][:120]
+        # GDAL hides the system's error.
+        text = refusal(OSError(said), path) or f"cannot write {path} ({said})"
+        raise UnwritableFile(f"{text}.") from error
+
+
+def is_our_tiff(path: Path) -> bool:
+    """Whether a file is a TIFF whose tag "Software" names bathynerf."""
+    with path.open("rb") as stream:
+        head = stream.read(1 << 16)
+    return head[:2] in (b"II", b"MM") and b"\0bathynerf " in head.replace(b"\n", b"\0")
 
 
 def read_raster(path: str | Path) -> Mesh:

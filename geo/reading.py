@@ -14,7 +14,7 @@ from geo.files import existing_file
 from geo.gltf import read_gltf
 from geo.las import read_cloud
 from geo.obj import read_obj
-from geo.ply_reading import read_ply
+from geo.ply import read_ply
 from geo.raster import read_raster
 from geo.shapes import Cloud, Mesh, vertices_of
 from geo.values import check_values

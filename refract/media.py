@@ -1,4 +1,4 @@
-"""Refractive index of air and of water, from wavelength, temperature, and humidity or salinity.
+"""Refractive index of air and of water, from wavelength, temperature, humidity or salinity, and for mixed channels.
 
 All arguments may be plain numbers or arrays of one library (numpy, torch, Dr.Jit), which broadcast against each
 other; results are differentiable in all of them. The ranges of arrays are checked, so Dr.Jit evaluates
@@ -6,11 +6,16 @@ them. NaN gives NaN.
 
 An index *relative to air* is what Snell's law at the water surface takes, with 1 for the air above. An *absolute*
 one is relative to vacuum; the two differ by the index of air, 1.00027.
+
+An index belongs to a wavelength. Where grey images of several channels are matched, each channel shows the bed where
+its own index puts it, and least squares finds the place between: to first order that of the mean index, each channel
+weighted by its share of the texture that is matched.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -28,6 +33,10 @@ _FITTED = {
     "IAPWS R9-97": {"wavelength_nm": (200, 1100), "temperature_c": (0, 40)},
 }
 _FITTED_AIR = {"wavelength_nm": (300, 1700), "temperature_c": (-40, 100), "pressure_pa": (80e3, 120e3)}
+# Of the search for a wavelength [nm], within what Quan and Fry fitted; the index falls all the way.
+_SHORTEST_NM, _LONGEST_NM, _HALVINGS = 400.0, 700.0, 40
+# Dispersion hardly depends on the water: in the sea at 28 degrees the conversion from 589 nm errs by 7e-5.
+USUAL_TEMPERATURE_C, USUAL_SALINITY_PSU = 15.0, 0.0
 
 
 @of_any_size
@@ -238,3 +247,60 @@ def _water(model: str, wavelength_nm, temperature_c, salinity_psu):
         )
     warn_outside(model, _FITTED[model], stacklevel=5, wavelength_nm=wave, temperature_c=t, salinity_psu=s)
     return wave, t, s
+
+
+def mixed_index(
+    shares: Sequence[float],
+    temperature_c: float,
+    salinity_psu: float,
+    wavelengths_nm: Sequence[float] = CHANNEL_WAVELENGTHS_NM,
+) -> float:
+    """Index of water relative to air for a mixture of channels with shares that add up to 1.
+
+    Examples
+    --------
+    >>> round(mixed_index((0.3, 0.6, 0.1), 15.0, 0.0), 4)
+    1.3348
+    """
+    indices = channel_indices(temperature_c, salinity_psu, wavelengths_nm)
+    return float(sum(share * n for share, n in zip(shares, indices, strict=True)))
+
+
+def mixed_wavelength(shares: Sequence[float], wavelengths_nm: Sequence[float] = CHANNEL_WAVELENGTHS_NM) -> float:
+    """The wavelength [nm] at which water has the index of a mixture of channels.
+
+    Examples
+    --------
+    >>> round(mixed_wavelength((0.3, 0.6, 0.1)))
+    548
+    """
+    wanted = mixed_index(shares, USUAL_TEMPERATURE_C, USUAL_SALINITY_PSU, wavelengths_nm)
+    short, long = _SHORTEST_NM, _LONGEST_NM
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (short + long)
+        if water_index(middle, USUAL_TEMPERATURE_C, USUAL_SALINITY_PSU) > wanted:
+            short = middle
+        else:
+            long = middle
+    return 0.5 * (short + long)
+
+
+def converted_index(
+    index: float,
+    wavelength_nm: float,
+    shares: Sequence[float],
+    temperature_c: float = USUAL_TEMPERATURE_C,
+    salinity_psu: float = USUAL_SALINITY_PSU,
+) -> float:
+    """Index for a mixture of channels of water whose index at one wavelength [nm] is known.
+
+    Quan and Fry's equation gives the difference between the two alone, which hardly depends on temperature and
+    salinity.
+
+    Examples
+    --------
+    >>> round(converted_index(1.333, 589.3, (0.3, 0.6, 0.1)), 4)
+    1.3344
+    """
+    there = mixed_index(shares, temperature_c, salinity_psu)
+    return float(index + there - water_index(wavelength_nm, temperature_c, salinity_psu))

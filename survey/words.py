@@ -1,8 +1,17 @@
-"""Words that are offered for a run, on the command line, in survey.toml and from Python; light to import."""
+"""Words offered for a run, and names of folders and files, that several parts of survey agree on."""
 
 from __future__ import annotations
 
 from enum import StrEnum
+
+# The run folder in a survey folder, where no other is named.
+RUN_FOLDER = "bathynerf"
+# In a run folder: what structure from motion keeps.
+SFM_FOLDER = "sfm"
+# Positions of photographs, as OpenDroneMap has them.
+GEO_TXT = "geo.txt"
+# Where OpenDroneMap looks for control points.
+GCP_LIST = "gcp_list.txt"
 
 
 class Quality(StrEnum):

@@ -6,7 +6,7 @@ import numpy as np
 
 from survey.adjust.block.prediction import Linear, linearise, predict, relief_sides
 from survey.adjust.block.state import LENS, RELIEF, Layout, State
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 from tests.drawn_block import DrawnBlock, water_plane
 
 STEP = 1e-5

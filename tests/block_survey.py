@@ -17,7 +17,7 @@ from survey.folder.place import water_plane
 from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import Observations, Survey
 from survey.photos.cameras import View
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 from survey.settings.config import CamerasConfig, SurveyConfig, WaterConfig
 from tests.changed_survey import changed
 from tests.drawn_block import DrawnBlock

@@ -7,7 +7,7 @@ from pyproj import CRS
 
 from geo import LocalFrame, write_cloud
 from survey.compare.comparison import CompareOptions, compare_files
-from survey.compare.json_numbers import numbers_of
+from survey.compare.figures import numbers_of
 
 UTM32 = CRS("EPSG:25832+5778")
 # On the central meridian, so that rows of the grid are rows of the local frame.

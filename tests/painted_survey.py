@@ -11,7 +11,7 @@ from plane_survey import PlaneBed
 from small_survey import HEADER, TOML, camera_lines
 from stored_run import run_of, stored_points
 
-from fields.gamma import GAMMA
+from fields.image_store import GAMMA
 from fields.water_column import WaterColumn
 from refract import fresnel_coefficients
 from survey.folder.survey import Survey, load_survey

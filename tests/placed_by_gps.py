@@ -10,7 +10,7 @@ from small_survey import E0, LEVEL, N0
 
 from geo.frames import LocalFrame
 from refract.lens import Lens
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 from survey.sfm.poses import Photographs, image_names
 
 

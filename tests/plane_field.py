@@ -7,9 +7,8 @@ import torch
 from plane_survey import PlaneBed, texture
 
 from fields.device import Device
-from fields.gamma import GAMMA
-from fields.slab.rays import Rays, rays_of
-from fields.slab.slab import Slab
+from fields.image_store import GAMMA
+from fields.slab.rays import Rays, Slab, rays_of
 from fields.slab.tensor_field import FieldSettings, TensorField
 from fields.sweep.maps import HeightMap, Sources
 from fields.water_column import WaterColumn

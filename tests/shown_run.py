@@ -14,7 +14,7 @@ from survey.run.flight import Flight, save_flight
 from survey.run.folder import RunDir
 from survey.run.keys import Key
 from survey.run.stored import StoredBed, save_bed
-from survey.viewer.browser import close_server, open_server
+from survey.viewer.page import close_server, open_server
 from survey.viewer.session import Session
 from survey.viewer.shown import Shown
 from survey.viewer.tree import build_tree

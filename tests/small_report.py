@@ -15,9 +15,9 @@ from survey.folder.survey import Survey, load_survey
 from survey.plan.plan import Plan
 from survey.plan.skipped import Decision
 from survey.report import ReportFacts, write_report
-from survey.report.verdict import Gate, Verdict
-from survey.run.cloud import write_bed_las
+from survey.report.facts import Gate, Verdict
 from survey.run.folder import RunDir
+from survey.run.products import write_bed_las
 from survey.run.stored import StoredBed
 
 RAISED_M = 0.004

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from refract import FlatWater, PinholeCamera
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 
 TRUTH = np.array([0.3, 0.002, -0.001, 1.335])
 SIZE, FOCAL, HEIGHT = (1024, 768), 1750.0, 40.0

@@ -7,13 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from survey.adjust.block.bundle import NotConvergedError, Solution, _system, solve
-from survey.adjust.block.planes import Planes
+from survey.adjust.block.bundle import NotConvergedError, Solution, _system, solve, std_of_kinds
 from survey.adjust.block.prediction import linearise
-from survey.adjust.block.problem import Priors, Problem
-from survey.adjust.block.robust import std_of_kinds
+from survey.adjust.block.problem import Planes, Priors, Problem
 from survey.adjust.block.state import RELIEF, Layout, State
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 from tests.drawn_block import DrawnBlock, draw_block, water_plane
 
 WIDE_WATER = (2.0, 0.0, 0.0, 0.001)

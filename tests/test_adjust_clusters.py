@@ -13,7 +13,7 @@ from survey.adjust.block.prediction import predict, relief_sides
 from survey.adjust.block.priors import known_of, priors_for
 from survey.adjust.block.problem import Problem
 from survey.adjust.clusters import inflation, terrain_design_effect
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 from tests.block_survey import survey_of
 from tests.drawn_block import draw_block
 

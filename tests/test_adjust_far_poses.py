@@ -13,7 +13,7 @@ from survey.adjust.far_poses import RecoveredPoses, _onto, find_anew, windows_or
 from survey.adjust.refine import adjust_survey
 from survey.errors import SurveyError
 from survey.folder.survey import load_survey
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 from survey.simulate.drawn import DrawnScene, draw_survey
 from tests.changed_survey import changed
 

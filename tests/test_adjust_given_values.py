@@ -16,9 +16,9 @@ from survey.adjust.given_values import worst_contradiction
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.verdicts import MOST_SIGMAS_OF_FOUR
 from survey.errors import SurveyError
-from survey.folder.contradiction import Contradiction
+from survey.findings import Contradiction
 from survey.folder.survey import Survey
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 from survey.plan.plan import make_plan
 from survey.plan.poses import pose_choice
 from tests.block_survey import ORIGIN, survey_of, with_water

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from survey.adjust.result.adjustment import Adjustment, Residuals
 from survey.adjust.result.parts import parts_of_adjustment, parts_warning
 from survey.display.quantities import length
-from survey.photos.tie_points import parts_of
+from survey.photos.poses import parts_of
 
 
 @given(st.lists(st.integers(-1, 4), min_size=1, max_size=30), st.integers(0, 2**32 - 1))

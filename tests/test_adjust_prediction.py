@@ -11,7 +11,7 @@ import pytest
 from refract import FlatWater
 from survey.adjust.block.prediction import bent_lines_of_sight, lines_of_sight, predict, relief_sides
 from survey.adjust.block.state import RELIEF, WATER, Layout, State, distort, with_parameters
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 from tests.block_state import require_derivatives, state_of
 from tests.drawn_block import draw_block
 

@@ -13,7 +13,7 @@ from survey.adjust.block.observed import thinned
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import FREE, HELD, UNKNOWN
 from survey.adjust.result.verdicts import Estimate, judge
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 from tests.block_survey import pose_errors, rms, survey_of
 from tests.changed_survey import changed
 from tests.drawn_block import draw_block

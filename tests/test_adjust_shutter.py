@@ -16,7 +16,7 @@ from survey.adjust.refine import adjust_survey
 from survey.adjust.result import verdicts
 from survey.adjust.result.adjustment import FREE, HELD, UNKNOWN, read_adjustment, write_adjustment
 from survey.adjust.result.std_common import common_error
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 from tests.adjusted_block import assert_same
 from tests.block_state import require_derivatives, state_of
 from tests.block_survey import pose_errors, rms, survey_of

@@ -24,7 +24,7 @@ from survey.folder.place import water_plane
 from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import load_survey
 from survey.photos.cameras import View
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 from survey.plan.poses import pose_choice
 from tests.changed_survey import changed
 from tests.small_survey import small_survey

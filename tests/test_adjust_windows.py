@@ -17,7 +17,7 @@ from survey.adjust.block.matching import RADIUS, match, prepared, window
 from survey.adjust.block.windows import measure_windows
 from survey.adjust.waterline import WaterEstimate, calibrate_water
 from survey.folder.survey import Survey, load_survey
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 from survey.simulate.drawn import DrawnScene, stage_drawing
 from survey.simulate.output.writing import write_survey
 from tests.changed_survey import changed

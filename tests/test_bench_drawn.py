@@ -8,8 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from survey.benchmark.cases import drawn_names
-from survey.benchmark.measured import METHODS
-from survey.benchmark.records import Cost, Errors, Record, Results, read_results
+from survey.benchmark.records import METHODS, Cost, Errors, Record, Results, read_results
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -10,12 +10,20 @@ import numpy as np
 import pytest
 
 from geo import read_cloud
-from survey.benchmark.against import changes, over_surveys, unpaired
 from survey.benchmark.benchmark import Settings, benchmark
 from survey.benchmark.cases import case_of, drawn_names, variant
-from survey.benchmark.front import draw_front, legend_of, on_front
 from survey.benchmark.records import Cost, Errors, Record, Results, read_results, write_results
-from survey.benchmark.text import comparison, lines_of, table
+from survey.benchmark.text import (
+    changes,
+    comparison,
+    draw_front,
+    legend_of,
+    lines_of,
+    on_front,
+    over_surveys,
+    table,
+    unpaired,
+)
 from survey.errors import SurveyError
 from survey.simulate.drawn import DrawnScene, draw_survey
 

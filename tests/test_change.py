@@ -15,8 +15,7 @@ from slow_cases import slow
 from geo.las import read_cloud, write_cloud
 from geo.reproject import Reprojection
 from geo.vectors import Layer, write_geojson, write_geopackage
-from survey.change.alignment import aligned
-from survey.change.change import ChangeOptions, change_between
+from survey.change.change import ChangeOptions, aligned, change_between
 from survey.change.volume import Correlation, Differences, measured_correlation, volume_of
 
 SHAPE, SIDE, LENGTH = (48, 60), 0.5, 1.5

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from survey.code_hash import code_hash, modules_imported, without_prose
 from survey.run.stage import LOADING
+from survey.stage_key import code_hash, modules_imported, without_prose
 
 ROOT = Path(__file__).resolve().parent.parent
 SWEEP, BED = "survey.run.stage_sweep", "survey.run.stage_bed"
@@ -36,7 +36,7 @@ def copy(tmp_path_factory):
 @cache
 def code_hash_of(folder: Path) -> Callable[..., str]:
     """The function of a copy's own file."""
-    spec = spec_from_file_location("code_hash_of_copy", folder / "survey" / "code_hash.py")
+    spec = spec_from_file_location("code_hash_of_copy", folder / "survey" / "stage_key.py")
     copied = module_from_spec(spec)
     spec.loader.exec_module(copied)
     return copied.code_hash
@@ -78,7 +78,7 @@ def edit(copy):
         ("fields/slab/refine.py", "CHUNK = 65536", "CHUNK = 32768", (BED,)),
         ("refract/kernels.py", *A_LINE, (SWEEP, BED)),
         *((f"fields/sweep/kernels/{name}.py", *A_LINE, (SWEEP, BED)) for name in KERNELS),
-        ("survey/photos/store.py", *A_LINE, (SWEEP, BED)),
+        ("survey/photos/images.py", *A_LINE, (SWEEP, BED)),
     ],
 )
 def test_a_stage_depends_on_the_code_that_it_calls(copy, first, edit, name, old, new, changed):
@@ -152,7 +152,7 @@ def test_folders_with_the_names_of_rooms_in_the_working_directory_are_not_in_the
         (tmp_path / name / "notes.txt").write_text("no package\n")
     (tmp_path / "survey" / "sfm.py").write_text("raise ImportError\n")
     code = (
-        "import bathynerf; from bathynerf import load_survey; from survey.code_hash import code_hash;"
+        "import bathynerf; from bathynerf import load_survey; from survey.stage_key import code_hash;"
         "print(code_hash('survey.sfm.solve'))"
     )
     command = [sys.executable, "-c", code]

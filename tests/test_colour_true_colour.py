@@ -10,9 +10,8 @@ import torch
 from plane_field import ABSORPTION, plane_sources
 from plane_survey import PlaneBed, look, ring
 
-from fields.colour.absorption import estimate_absorption
-from fields.colour.true_colour import true_colours
-from fields.gamma import GAMMA
+from fields.colour.true_colour import estimate_absorption, true_colours
+from fields.image_store import GAMMA
 from fields.sweep.bed import BedPoints
 from fields.sweep.maps import Sources
 from fields.water_column import WaterColumn

@@ -26,8 +26,8 @@ from pyproj import CRS
 
 from geo import LocalFrame, write_ply
 from geo.errors import CRSMismatch, EmptyCloud, GeoError, PlaceMismatch, UnreadableFile
-from survey.compare.area import CompareError
 from survey.compare.comparison import CompareOptions, compare_files, compare_surfaces
+from survey.compare.options import CompareError
 from survey.compare.pictures import completeness_map, error_map, histogram
 from survey.compare.text import sections_of
 from survey.errors import OutputError

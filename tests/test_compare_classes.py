@@ -11,8 +11,8 @@ from pyproj import CRS
 from geo import read_reference, write_ply
 from geo.las import WITHHELD_STD_M, write_cloud
 from geo.shapes import NOT_GROUND, Cloud, beside_ground, left_out
-from survey.compare.area import CompareError
-from survey.compare.tables import read_shape
+from survey.compare.inputs import read_shape
+from survey.compare.options import CompareError
 
 # Of LAS 1.4 and its topo-bathy profile: what is ground, an object, or not said, and every other one.
 KEPT = [code for code in range(256) if code not in {7, 9, 18, 41, 42, 45}]

@@ -8,8 +8,8 @@ from compare_plane import FRAME, HALF, LAS_M, NUM_SAMPLES, ORIGIN, compared, gri
 
 from evaluation import DistanceStatistics
 from geo import write_ply
-from survey.compare.area import CompareError
 from survey.compare.comparison import CompareOptions, compare_files
+from survey.compare.options import CompareError
 from survey.compare.pictures import _tick
 from survey.compare.text import _short, limits_label, sections_of
 

@@ -8,12 +8,10 @@ from compare_plane import FRAME, compared, grid, write_las
 from pyproj import CRS
 
 from geo.errors import CRSMismatch
-from survey.compare.area import CompareError
-from survey.compare.checkpoints import read_checkpoints
-from survey.compare.inputs import Paths, load_inputs
-from survey.compare.tables import read_shape
-from survey.files.column_units import Units
-from survey.files.text_crs import crs_of_comment
+from survey.compare.inputs import Paths, load_inputs, read_shape
+from survey.compare.measure import read_checkpoints
+from survey.compare.options import CompareError
+from survey.files.column_units import Units, crs_of_comment
 
 LEVEL = 3.0  # local, over the plane of the bed at its middle
 OFF_M = 0.05

@@ -10,8 +10,7 @@ from control_files import METASHAPE, POINTS, SURVEY_CRS, gathered, marks, odm, t
 from pyproj import CRS, Transformer
 
 from geo.crs import height_unit_m
-from survey.control.horizontal import in_crs
-from survey.control.reading import gather, read_control
+from survey.control.reading import gather, in_crs, read_control
 from survey.control.tables import read_checkpoints
 
 WKT = CRS("EPSG:25832").to_wkt("WKT1_GDAL")

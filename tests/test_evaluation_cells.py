@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from evaluation.cells import cell_counts, cell_means, cell_numbers
+from evaluation.bootstrap import cell_counts, cell_means, cell_numbers
 
 SHAPE = (2, 3)
 # Column and row: two in the first cell, one in the last, one on the outer edge, one before it, one without a place.

@@ -13,11 +13,10 @@ from stored_run import GSD_M, run_of, stored_points
 from survey.errors import SurveyError
 from survey.export import bed_cells
 from survey.export import gridded as gridded_module
-from survey.export.bed_cells import LevelFit
+from survey.export.bed_cells import LevelFit, PlanCells, Window, round_side
 from survey.export.cell_fit import LEAST_PX2, CellPoints, correlated_px2, fit_cells
 from survey.export.gridded import gridded, seen_from_above
 from survey.export.loaded import LoadedRun
-from survey.export.plan_cells import PlanCells, Window, round_side
 from survey.export.product import ExportOptions
 
 CRS_OF_TEST = CRS("EPSG:25832+5783")

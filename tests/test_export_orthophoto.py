@@ -27,12 +27,10 @@ from stored_run import run_of, stored_points
 from geo.frames import LocalFrame
 from refract import FlatWater
 from survey.errors import SurveyError
-from survey.export.cell_projection import CellProjection, Windows
+from survey.export.bed_cells import PlanCells, Window
 from survey.export.export import export
-from survey.export.mosaic import Mosaic
-from survey.export.occlusion import HeightBuffer, common_exposure
-from survey.export.photographs import Pixels
-from survey.export.plan_cells import PlanCells, Window
+from survey.export.loaded import Pixels
+from survey.export.occlusion import CellProjection, HeightBuffer, Mosaic, Windows, common_exposure
 from survey.export.product import ExportOptions
 from survey.folder.survey import Survey
 from survey.run.flight import Flight

@@ -19,7 +19,7 @@ from slow_cases import slow
 from stored_run import plane_stored, run_of, stored_points
 
 from geo.errors import UnwritableFile
-from geo.raster_writing import Band, RasterForm, write_cog
+from geo.raster import Band, RasterForm, write_cog
 from survey.errors import OutputError, SurveyError
 from survey.export.export import export
 from survey.export.product import ExportOptions

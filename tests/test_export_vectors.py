@@ -17,14 +17,13 @@ from small_bed import SLOPE
 from small_survey import small_survey
 from stored_run import plane_stored, run_of
 
-from geo.dxf import DxfLine, write_dxf
 from geo.errors import UnwritableFile
-from geo.vectors import Layer, write_geojson, write_geopackage, write_shapefile
+from geo.vectors import DxfLine, Layer, write_dxf, write_geojson, write_geopackage, write_shapefile
 from survey.errors import SurveyError
 from survey.export.export import export
+from survey.export.footprints import ONE_VIEW, TWO_VIEWS, unseen_of
 from survey.export.loaded import LoadedRun
 from survey.export.product import ExportOptions
-from survey.export.unseen import ONE_VIEW, TWO_VIEWS, unseen_of
 from survey.folder.survey import load_survey
 from survey.progress import Progress
 from survey.run.flight import save_flight

@@ -24,7 +24,7 @@ from survey.commands.field import Model
 from survey.commands.field import Rule as OfferedRule
 from survey.errors import ConfigError, OutputError, SurveyError
 from survey.export.loaded import LoadedRun
-from survey.run.cloud import write_bed_ply
+from survey.run.products import write_bed_ply
 from survey.settings.config import parse_config
 from survey.settings.field import FieldConfig, LossesConfig
 from survey.volume.field import VolumeOptions, train_field

@@ -17,7 +17,7 @@ from survey.folder.inputs import survey_inputs
 from survey.folder.pose_priors import accuracy_of_gps, common_up_std_of_exif
 from survey.folder.survey import find_survey
 from survey.init.draft import draft
-from survey.init.entry import Answers
+from survey.init.place import Answers
 from survey.photos.exif import Exif, TablePlace, without_void
 from survey.plan.check import check_survey
 from survey.pose_files import find_poses

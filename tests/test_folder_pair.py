@@ -11,7 +11,7 @@ from survey.adjust.refine import adjust_survey
 from survey.adjust.result.std_common import std_common
 from survey.errors import SurveyError
 from survey.folder.survey import load_survey
-from survey.photos.tie_points import TiePoints, least_track
+from survey.photos.poses import TiePoints, least_track
 
 
 @pytest.mark.parametrize("wet", [pytest.param(False, marks=pytest.mark.slow), True])

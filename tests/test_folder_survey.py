@@ -9,7 +9,7 @@ from pyproj import Transformer
 from small_survey import CRS, E0, LEVEL, N0, TOML, camera_lines, replaced, small_survey, write_image, write_poses
 
 from geo.errors import GeoError, MissingVerticalDatum
-from refract.dispersion import converted_index
+from refract.media import converted_index
 from survey.errors import ConfigError, ImageError, PosesError, SurveyError
 from survey.folder.infer import NO_WATER
 from survey.folder.survey import load_image, load_survey

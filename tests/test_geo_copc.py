@@ -9,12 +9,11 @@ import laspy
 import numpy as np
 import pytest
 
-from geo.copc import write_copc
+from geo.copc import build_octree, write_copc
 from geo.crs import parse_crs
 from geo.errors import EmptyCloud
 from geo.las import read_cloud, write_cloud
 from geo.las_header import EXTRA_BYTES
-from geo.octree import build_octree
 
 ORIGIN = np.array([589012.0, 5194736.0, 2105.0])
 NUMBER = 120_000

@@ -14,10 +14,9 @@ from pyproj import CRS, Proj, Transformer
 from scipy.spatial.transform import Rotation
 
 from geo.crs import parse_crs
-from geo.ellipsoid import enu_from_geocentric, geocentric_from_geodetic, geodetic_from_geocentric
 from geo.errors import MissingVerticalDatum, PlaceMismatch
 from geo.frames import LocalFrame
-from geo.projection import MapProjection
+from geo.projection import MapProjection, enu_from_geocentric, geocentric_from_geodetic, geodetic_from_geocentric
 
 DEGREE = math.pi / 180.0
 WGS84_A, WGS84_B = 6378137.0, 6356752.314245179

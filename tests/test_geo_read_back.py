@@ -13,7 +13,7 @@ from geo.crs import parse_crs
 from geo.errors import UnwritableFile
 from geo.files import scratch_array
 from geo.las import write_cloud
-from geo.raster_writing import Band, RasterForm, stored_crs, write_bag, write_cog
+from geo.raster import Band, RasterForm, stored_crs, write_bag, write_cog
 from geo.read_back import Sums, require_cloud, require_raster
 
 CODES = ["EPSG:25832+5783", "EPSG:32632+4979", "EPSG:2264+6360", "EPSG:4979", "EPSG:4326+5773", "EPSG:3857+5773"]

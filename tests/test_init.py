@@ -18,8 +18,7 @@ from geo.area_of_use import height_systems_at
 from geo.crs import vertical_crs
 from survey.errors import ConfigError
 from survey.init.draft import draft
-from survey.init.entry import Answers, Table
-from survey.init.place import Photographs, write_crs
+from survey.init.place import Answers, Photographs, Table, write_crs
 from survey.photos.exif import Exif
 from survey.photos.xmp import ELLIPSOIDAL
 

@@ -13,7 +13,7 @@ from survey.errors import SurveyError
 from survey.folder.found import find_survey
 from survey.marking.book import GROUND, WATER, Book, Key
 from survey.marking.gcp_file import ControlMark, header_of, points_without_mark, read_clicks, with_click, with_marks
-from survey.marking.poses import survey_to_mark
+from survey.marking.geometry import survey_to_mark
 
 CRS = parse_crs("EPSG:25832+5778")
 IMAGES = ("0000.jpg", "0001.jpg", "my photograph 2.jpg")

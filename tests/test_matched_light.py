@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter, shift
 from small_survey import LEVEL, TOML, replaced, small_survey
 
 from refract import water_index
-from refract.dispersion import converted_index, mixed_index, mixed_wavelength
+from refract.media import converted_index, mixed_index, mixed_wavelength
 from survey.errors import ConfigError
 from survey.folder.survey import load_survey
 from survey.photos.images import LUMA

@@ -13,8 +13,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 from survey.folder.found import head_doubts
 from survey.photos.exif import read_exif, without_void
-from survey.photos.exif_focal import focal_doubt, focal_px
-from survey.photos.exif_position import altitude_reference, position_of_gps
+from survey.photos.exif_position import altitude_reference, focal_doubt, focal_px, position_of_gps
 from survey.photos.xmp import height_datum, rtk_of, xmp_place
 
 GPS = ExifTags.GPS

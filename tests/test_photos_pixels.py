@@ -14,9 +14,8 @@ from refract.lens import Lens
 from survey.errors import ImageError
 from survey.photos.cameras import View
 from survey.photos.exif import read_exif
-from survey.photos.images import eight_bits, grey_levels, load_image, load_mask, load_pixels, read_mask
+from survey.photos.images import ImageStore, eight_bits, grey_levels, load_image, load_mask, load_pixels, read_mask
 from survey.photos.pixels import read_rgb
-from survey.photos.store import ImageStore
 
 LENS = Lens("PINHOLE", (100.0, 100.0, 32.0, 24.0), 64, 48)
 

@@ -8,8 +8,7 @@ from small_survey import replaced, small_survey
 
 from survey.folder.survey import load_survey
 from survey.photos import images
-from survey.photos.images import load_image
-from survey.photos.store import ImageStore
+from survey.photos.images import ImageStore, load_image
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
 from survey.plan.sweep_block import load_block

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 from small_survey import TOML, small_survey
 
-from survey.photos.water_like import SIZE, looks_like_water
+from survey.photos.texture import SIZE, looks_like_water
 from survey.plan.check import require_processable
 
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from small_survey import write_image
 
 from survey.photos.exif import read_exif
-from survey.photos.exif_focal import focal_candidates
+from survey.photos.exif_position import focal_candidates
 from survey.photos.xmp import (
     Motion,
     Rtk,

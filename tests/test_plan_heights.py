@@ -12,7 +12,7 @@ from test_adjust_water import survey_with
 
 from survey.errors import ConfigError
 from survey.folder.survey import load_survey
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 from survey.plan.area import limits
 from survey.plan.choices import Choices
 from survey.plan.ground import dry_ground

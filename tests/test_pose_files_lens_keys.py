@@ -10,8 +10,8 @@ import pytest
 from refract.lens import LensError
 from survey.errors import PosesError
 from survey.pose_files import opensfm, read_poses
-from survey.pose_files.lens_keys import is_lens_key, require_understood
-from survey.pose_files.metashape_lens import read_lens
+from survey.pose_files.format import is_lens_key, require_understood
+from survey.pose_files.metashape import read_lens
 
 NOTHING = [0, 0.0, False, None, "", "0", "0 0.0 0", "False", [], {}, [0.0, 0.0], [[0], 0.0], {"x": 0.0}]
 SOMETHING = [1, -1e-9, True, "0.1", "0 0 1", "fisheye", [0.0, 0.1], {"x": 2}]

@@ -24,11 +24,10 @@ from small_survey import TOML, small_survey
 from evaluation import DistanceStatistics, iho_s44
 from survey.folder.survey import load_survey
 from survey.report.collect import figures_of
-from survey.report.figures import Spread
+from survey.report.facts import Verdict, dry_doubts
+from survey.report.figures import Spread, json_of
 from survey.report.headline import cards, headline
-from survey.report.json_figures import json_of
 from survey.report.page import render_page
-from survey.report.verdict import Verdict, dry_doubts
 
 
 def test_the_figures_of_a_plane_are_those_of_its_geometry(plane_report):

@@ -29,8 +29,8 @@ from survey.report.adjustment_pictures import (
 )
 from survey.report.adjustment_tables import parameter_table
 from survey.report.collect import figures_of
+from survey.report.figures import json_of
 from survey.report.headline import cards
-from survey.report.json_figures import json_of
 from survey.report.page import render_page
 from tests.changed_survey import changed
 

@@ -13,7 +13,7 @@ from small_survey import small_survey
 from survey.control.points import Checkpoint, Control, ControlPoint, Mark
 from survey.folder.survey import load_survey
 from survey.report.checkpoints import WITHIN_GSD, checkpoint_heights, checkpoints_of
-from survey.report.reference_tables import checkpoints as checkpoint_blocks
+from survey.report.tables import checkpoints as checkpoint_blocks
 from tests.changed_survey import changed
 
 GSD_M = 0.05

@@ -11,9 +11,9 @@ import pytest
 from small_report import MET, MISSED
 
 from survey.display.quantities import LengthUnit, length
-from survey.report.json_figures import json_of
+from survey.report.facts import Verdict
+from survey.report.figures import json_of
 from survey.report.page import render_page
-from survey.report.verdict import Verdict
 
 
 def test_report_json_holds_exactly_the_figures(plane_report):

@@ -10,7 +10,7 @@ from small_survey import write_image
 
 from survey.report.blocks import Folded
 from survey.report.collect import figures_of
-from survey.report.json_figures import json_of
+from survey.report.figures import json_of
 from survey.report.page import render_page
 from survey.report.photographs import PhotographFigures, table
 

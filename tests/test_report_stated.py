@@ -7,9 +7,9 @@ import pytest
 from small_bed import plane_bed
 from small_report import facts_of
 
+from survey.report.checkpoints import CE90, LE90, stated_of, table
 from survey.report.collect import figures_of
 from survey.report.headline import cards
-from survey.report.stated import CE90, LE90, stated_of, table
 
 
 def test_le90_and_ce90_hold_90_percent_of_normal_errors(rng):

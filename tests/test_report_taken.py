@@ -10,7 +10,7 @@ from small_survey import write_image
 
 from survey.photos.exif import Exif, read_exif
 from survey.report.blocks import Rows
-from survey.report.taken import CameraFigures, flown, head_lines, table, taken_of
+from survey.report.photographs import CameraFigures, flown, head_lines, table, taken_of
 from survey.settings.config import ReportConfig, parse_config
 
 START = datetime(2026, 6, 1, 10, 12, 40, tzinfo=UTC)

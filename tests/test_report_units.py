@@ -9,13 +9,22 @@ from pyproj import CRS
 from small_report import facts_of
 
 from geo.errors import UnwritableFile
-from survey.display.quantities import LengthUnit, area, density, distance, height, length, lengths_in_feet, volume
-from survey.display.units import foot_m
+from survey.display.quantities import (
+    LengthUnit,
+    area,
+    density,
+    distance,
+    foot_m,
+    height,
+    length,
+    lengths_in_feet,
+    volume,
+)
 from survey.errors import ConfigError
 from survey.report import pdf
 from survey.report.collect import figures_of
-from survey.report.coverage import coverage_of
 from survey.report.page import render_page
+from survey.report.seen_cells import coverage_of
 from survey.settings.config import ReportConfig
 
 FOOT = 0.3048

@@ -13,7 +13,7 @@ from refract import curvature_drop
 from survey.plan.tiling import Tiling, inside
 from survey.run.tile_frame import area_in_frame, frame_of_tile, has_frames, survey_in_frame
 from survey.run.tile_job import over_own_plane
-from survey.water.curvature import still_water
+from survey.water.surface import still_water
 
 TILING = Tiling((-500.0, 3000.0, 6500.0, 10_000.0), (-200.0, 200.0), 0.2)
 LAST = 2

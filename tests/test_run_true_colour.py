@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from drawn_runs import GSD, SMALL, DrawnRun, drawn
 
-from fields.gamma import GAMMA
+from fields.image_store import GAMMA
 from survey.errors import SurveyError
 from survey.progress import Progress
 from survey.run.process import process

@@ -12,7 +12,7 @@ from survey.settings.config import read_config
 from survey.simulate.drawn import DrawnScene, draw_survey, stage_drawing
 from survey.simulate.drawn.__main__ import main
 from survey.simulate.output import writing
-from survey.simulate.output.staged_scene import StagedScene
+from survey.simulate.output.sidecars import StagedScene
 
 # For tests of the folder alone: the same angle of view in a seventh of the pixels.
 FEW = DrawnScene.tiny(num_views=3, image_px=(60, 45), focal_px=105.0)

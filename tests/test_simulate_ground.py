@@ -12,11 +12,10 @@ from scene_files import SCENE, scene_file, staged, write_mesh
 from refract import FlatWater
 from survey.errors import SurveyError
 from survey.simulate.ground.ground import NOTHING, Ground, Material, shade_of_normals
-from survey.simulate.ground.shapes import BedGrid
-from survey.simulate.ground.skin import VertexSkin
-from survey.simulate.ground.triangles import TriangleMesh
+from survey.simulate.ground.paint import VertexSkin
+from survey.simulate.ground.shapes import BedGrid, TriangleMesh
 from survey.simulate.light import Light
-from survey.simulate.output.truth import depth_map
+from survey.simulate.output.writing import depth_map
 from survey.simulate.render.direct import DirectRenderer
 from survey.simulate.scene_file import read_scene
 from survey.simulate.staging.planning import plan_scene

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from plane_field import level_slab
 
-from fields.slab.slab import Slab
+from fields.slab.rays import Slab
 
 # Local coordinates of some 10 m in float32, in units of cells of 0.1 m; measured 1e-6 of a box, 1e-6 m.
 BOX, HEIGHT_M = 2e-6, 4e-6

@@ -12,7 +12,7 @@ from plane_survey import PlaneBed, ring
 
 from fields.compositing import MIN_COLOUR_WEIGHT
 from fields.device import choose_device
-from fields.gamma import GAMMA
+from fields.image_store import GAMMA
 from fields.slab.tensor_field import FieldSettings, TensorField
 from refract import FlatWater
 

@@ -22,7 +22,7 @@ from fields.sweep.view_pass import Search, ViewPass
 from refract import FlatWater
 from refract.distortion import BROWN, Distortion
 from survey.simulate.drawn import DrawnScene, stage_drawing
-from survey.simulate.output.staged_scene import StagedScene
+from survey.simulate.output.sidecars import StagedScene
 
 # Coarse to fine in small: images of 96 x 72 px have too few pixels left at a quarter, where PASSES begin.
 SMALL = (

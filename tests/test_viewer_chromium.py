@@ -10,8 +10,7 @@ import pytest
 from PIL import Image
 from shown_run import served, shown_of
 
-from survey.viewer.browser import address
-from survey.viewer.page import write_page
+from survey.viewer.page import address, write_page
 
 pytestmark = [
     pytest.mark.slow,

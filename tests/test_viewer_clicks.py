@@ -16,11 +16,10 @@ from refract import FlatWater
 from survey.errors import OutputError
 from survey.files.outputs import ReadFiles
 from survey.folder.survey import load_survey
-from survey.viewer.clicks import DISTANCE, RAYS, SLICE
+from survey.viewer.layers import OnDemand, grid_faces
 from survey.viewer.page import require_page, thinned, write_page
-from survey.viewer.sightings import facts_of, way_between
+from survey.viewer.sightings import DISTANCE, RAYS, SLICE, facts_of, way_between
 from survey.viewer.slices import Reference, load_reference, picture_of, slice_of
-from survey.viewer.surfaces import OnDemand, grid_faces
 from survey.viewer.tree import build_tree
 
 RAISED_M = 0.04

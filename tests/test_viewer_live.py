@@ -13,13 +13,12 @@ from small_survey import small_survey
 from fields.sweep.maps import HeightMap
 from geo.las import read_cloud
 from survey.folder.survey import load_survey
-from survey.photos.images import load_image
-from survey.photos.store import ImageStore
+from survey.photos.images import ImageStore, load_image
 from survey.run.flight import load_flight
 from survey.run.folder import RunDir
 from survey.run.live import LIVE, LiveMaps
 from survey.run.stored import load_arrays
-from survey.viewer.browser import close_server, open_server
+from survey.viewer.page import close_server, open_server
 from survey.viewer.session import LiveRun
 
 

@@ -16,8 +16,8 @@ from shown_run import served, shown_of, small_run
 from survey.commands.faults import BAD_INPUT
 from survey.errors import SurveyError
 from survey.viewer import detail, session
-from survey.viewer.browser import address, close_server, is_own_page, open_server
 from survey.viewer.detail import CloudInBrowser, Style, node_arrays
+from survey.viewer.page import address, close_server, is_own_page, open_server
 from survey.viewer.shown import Shown
 
 

@@ -16,7 +16,7 @@ from fields.device import choose_device
 from fields.slab.train import FieldFigures
 from refract import FlatWater
 from survey.run.stored_field import save_field, save_place
-from survey.viewer.trained import TrainedField, camera_of
+from survey.viewer.shown import TrainedField, camera_of
 from survey.viewer.tree import Viewpoint
 
 DOWN = np.diag([1.0, -1.0, -1.0])

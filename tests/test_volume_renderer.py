@@ -9,7 +9,7 @@ from test_volume_paths import whole
 from torch import nn
 from volume_scenes import BOX, WATER, Slab, looking_down
 
-from fields.gamma import GAMMA
+from fields.image_store import GAMMA
 from fields.volume.renderer import Backdrop, VolumeRenderer
 from fields.volume.sampling import Cells
 from fields.volume.view import render_volume

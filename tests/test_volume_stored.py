@@ -12,10 +12,10 @@ from command_line import bathynerf
 from painted_survey import painted_survey, run_over
 from PIL import Image
 
+import survey.viewer.shown
 from survey.commands.faults import BAD_INPUT
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun
-from survey.viewer import trained
 from survey.viewer.shown import load_shown
 from survey.viewer.tree import Viewpoint
 from survey.volume.field import VolumeOptions, train_field
@@ -44,7 +44,7 @@ def test_it_renders_what_the_training_rendered(folder):
 
 
 def test_the_viewer_renders_it_from_a_browsers_place(folder, monkeypatch):
-    monkeypatch.setattr(trained, "_ROWS", 40)
+    monkeypatch.setattr(survey.viewer.shown, "_ROWS", 40)
     with LoadedRun(folder / "run") as run:
         shown = load_shown(run, None, volume=folder / "f")
     (field,) = shown.fields

@@ -13,7 +13,7 @@ from geo.crs import parse_crs
 from geo.frames import LocalFrame
 from refract import FlatWater, SphericalWater, curvature_drop, gaussian_radius
 from survey.run.curved_water import through_surface
-from survey.water.curvature import SOURCE, still_water
+from survey.water.surface import EARTH, still_water
 
 N, LATITUDE = 1.333, math.radians(46.9)
 FRAME = LocalFrame(parse_crs("EPSG:25832+5778"), (589012.0, 5194736.0, 2105.0))
@@ -32,7 +32,7 @@ def test_still_water_falls_as_a_sphere_does(rng, reach, slope):
     plane = replace(PLANE, slope_x=slope, slope_y=-slope)
     water = still_water(FRAME, plane, around(reach))
     assert water is not None
-    assert water.source == SOURCE
+    assert water.source == EARTH
     xy = rng.uniform(-reach, reach, (200, 2))
     over, std = water.at(xy)
     drop = curvature_drop(np.linalg.norm(xy, axis=1), RADIUS)

@@ -8,7 +8,7 @@ import pytest
 from geo.crs import parse_crs
 from geo.errors import CRSMismatch
 from geo.frames import LocalFrame
-from geo.raster_writing import Band, RasterForm, write_cog
+from geo.raster import Band, RasterForm, write_cog
 from refract import FlatWater
 from survey.errors import ConfigError
 from survey.settings.config import parse_config

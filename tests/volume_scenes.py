@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fields.gamma import GAMMA
+from fields.image_store import GAMMA
 from fields.training import Rates
 from fields.volume.model import VolumeModel
 from fields.volume.paths import Box

@@ -13,8 +13,7 @@ import math
 import cv2
 import numpy as np
 
-from evaluation.images.filters import SCHARR, gradient, pooled, similarity, yiq
-from evaluation.images.inputs import checked_pair
+from evaluation.images.inputs import SCHARR, checked_pair, gradient, pooled, similarity, yiq
 
 _SIDE_PX = 256
 # FSIM, Zhang et al. 2011, section IV-A: of phase congruency, gradients and colour; exponent of colour.

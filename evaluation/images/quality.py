@@ -13,8 +13,7 @@ import numpy as np
 from scipy import ndimage
 
 from evaluation.images.feature_similarity import fsim, vsi
-from evaluation.images.filters import PREWITT, gradient, pooled, similarity, yiq
-from evaluation.images.inputs import checked_pair, largest_rectangle
+from evaluation.images.inputs import PREWITT, checked_pair, gradient, largest_rectangle, pooled, similarity, yiq
 
 # Wang et al. 2004: Gaussian window and the constants that keep quotients finite.
 _WINDOW_PX, _SIGMA_PX = 11, 1.5

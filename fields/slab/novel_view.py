@@ -9,10 +9,9 @@ import torch
 from scipy.ndimage import binary_closing, maximum_filter
 from torch import Tensor
 
-from fields.slab.rays import Rays, rays_of
-from fields.slab.slab import Slab
+from fields.device import half_the_threads
+from fields.slab.rays import Rays, Slab, rays_of
 from fields.slab.tensor_field import TensorField
-from fields.threads import half_the_threads
 from fields.views.novel_view import NovelView
 from refract import FlatWater, PinholeCamera
 

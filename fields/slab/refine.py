@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from fields.device import half_the_threads
 from fields.slab.rays import slab_rays
 from fields.slab.tensor_field import TensorField
 from fields.sweep.maps import HeightMap
-from fields.threads import half_the_threads
 from refract import FlatWater, PinholeCamera
 
 CHUNK = 65536

@@ -18,10 +18,9 @@ from fields.compositing import (
 )
 from fields.device import Device
 from fields.factors import Factors, anisotropic_grids
-from fields.gamma import as_stored
 from fields.heads import ColourHead, DensityHead
-from fields.slab.rays import Rays
-from fields.slab.slab import Slab
+from fields.image_store import as_stored
+from fields.slab.rays import Rays, Slab
 from fields.water_column import WaterColumn
 
 

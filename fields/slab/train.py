@@ -8,12 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from fields.device import Device
-from fields.slab.rays import Rays, draw_rays
-from fields.slab.slab import Slab
+from fields.device import Device, half_the_threads
+from fields.slab.rays import Rays, Slab, draw_rays
 from fields.slab.tensor_field import FieldSettings, TensorField
 from fields.sweep.maps import Sources
-from fields.threads import half_the_threads
 from fields.training import Rates, adam, descend, has_converged, psnr_db, set_rates
 from fields.water_column import WaterColumn
 

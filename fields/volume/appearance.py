@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from fields.threads import half_the_threads
+from fields.device import half_the_threads
 from fields.volume.photographs import Photographs
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from fields.compositing import composite, quantile_height, render_weights, with_opaque_end
-from fields.gamma import GAMMA, as_stored
+from fields.image_store import GAMMA, as_stored
 from fields.training import Rates
 from fields.volume.model import VolumeModel
 from fields.volume.paths import Paths

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 
-from fields.threads import half_the_threads
+from fields.device import half_the_threads
 from fields.training import adam, descend, psnr_db, set_rates
 from fields.volume.density_loss import NodeScores
 from fields.volume.losses import Losses

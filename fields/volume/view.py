@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from fields.threads import half_the_threads
+from fields.device import half_the_threads
 from fields.volume.paths import paths_of
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells

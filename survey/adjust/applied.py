@@ -23,7 +23,7 @@ from survey.folder.place import water_plane
 from survey.folder.survey import Survey, View
 from survey.photos.cameras import CAM_FROM_OPK_CAM
 from survey.photos.colmap_model import FILES, has_spaces, write_model
-from survey.photos.tie_points import TiePoints, least_track
+from survey.photos.poses import TiePoints, least_track
 from survey.water.tides import with_shift
 
 # Decimals of coordinates in metres and in degrees: to a tenth of a micrometre, so that nothing is lost.

@@ -27,7 +27,7 @@ from survey.adjust.block.prediction import linearise
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import WATER, State
 from survey.adjust.result.std_common import moves_of
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 
 # Sides of the squares, as shares of the longer side of a photograph: the one in which most is shared counts.
 _SIDES = (0.04, 0.08, 0.16)

@@ -20,7 +20,7 @@ from survey.adjust.assembling import FEW_MATCHES
 from survey.adjust.block.priors import Known
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 
 # With more than this share of the photographs without windows, poses are taken to be out of their reach: of drawn
 # surveys whose poses are within it, hardly one has any (docs/adjustment.md).

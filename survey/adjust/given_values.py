@@ -24,12 +24,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from refract import FlatWater
-from survey.adjust.block.bundle import NotConvergedError, System, inverse, solve, system_at
+from survey.adjust.block.bundle import NotConvergedError, System, inverse, solve, std_of_kinds, system_at
 from survey.adjust.block.lenses import is_held
 from survey.adjust.block.observed import Observed
 from survey.adjust.block.priors import HELD, Known, known_of, priors_for
 from survey.adjust.block.problem import Problem
-from survey.adjust.block.robust import std_of_kinds
 from survey.adjust.block.state import LENS_NAMES, WATER, WATER_PARAMETERS, Layout, State
 from survey.adjust.clusters import inflation
 from survey.adjust.common_height import water_start
@@ -37,7 +36,7 @@ from survey.adjust.observability import FEWEST_WET
 from survey.adjust.result.verdicts import MOST_SIGMAS, MOST_SIGMAS_OF_FOUR, MOST_STD_INDEX
 from survey.adjust.rounds import Adjusted, adjust, std_over_points
 from survey.errors import SurveyError
-from survey.folder.contradiction import Contradiction
+from survey.findings import Contradiction
 from survey.folder.pose_priors import BAROMETER_STD_M
 from survey.folder.survey import Survey
 from survey.plan.poses import MOST_MISFIT_PX

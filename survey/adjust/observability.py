@@ -34,7 +34,7 @@ from survey.adjust.result.adjustment import UNKNOWN, Parameter
 from survey.adjust.result.verdicts import water_limits
 from survey.adjust.rounds import Adjusted, adjust
 from survey.folder.survey import Survey
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 
 # Fewest tie points under water. The covariance is estimated from the scatter of N points, to one part in sqrt(2 N): an
 # eighth. Fewer also turn wet and dry as the level moves, and the adjustment oscillates.

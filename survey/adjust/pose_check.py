@@ -1,4 +1,4 @@
-"""Test of poses that are given as exact: the misfit of a sample of windows, with only points adjusted.
+"""Tests of a survey before its adjustment: poses that are given as exact, and `bathynerf check --deep`.
 
 Poses, lens and water that are exact leave residuals with no mean over a photograph. Errors of a pose move all that its
 photograph shows in one direction; what points can follow of them does no harm to the bed. Points follow a
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,13 +21,19 @@ from survey.adjust.block.prediction import relief_sides
 from survey.adjust.block.priors import FREE_WATER, HELD, known_of, priors_for
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import State
-from survey.adjust.block.windows import windows_of_block
+from survey.adjust.block.windows import loaded, windows_of_block
 from survey.adjust.given_values import check_dry_bed, check_given_values, dry_bed_error, misfit, most_contradicted
-from survey.folder.contradiction import Contradiction
-from survey.folder.survey import Survey
-from survey.photos.tie_points import TiePoints
-from survey.plan.plan import Plan
+from survey.adjust.refine import adjust_survey
+from survey.adjust.result.adjustment import Adjustment
+from survey.errors import SurveyError
+from survey.findings import Contradiction
+from survey.folder.survey import Survey, load_survey
+from survey.photos.poses import TiePoints
+from survey.plan.check import Section
+from survey.plan.choices import Choices
+from survey.plan.plan import Plan, make_plan
 from survey.plan.poses import MOST_MISFIT_PX
+from survey.progress import current
 
 if TYPE_CHECKING:
     from fields.sweep.block import Block
@@ -143,3 +150,46 @@ def _of_middle(survey: Survey, height: float) -> list[int]:
     seen = centres + height * ahead[:, :2] / np.maximum(-ahead[:, 2:], _LEAST_COSINE)
     away = np.linalg.norm(seen - np.median(seen, axis=0), axis=1)
     return np.sort(np.argsort(away, kind="stable")[:SAMPLE]).tolist()
+
+
+def deep_check(folder: Path, *, device: str = "auto") -> list[Section]:
+    """Test of poses, lens and water against the photographs, without a point cloud.
+
+    Poses that structure from motion has to find are kept in ``folder/bathynerf``, for `process` to use.
+
+    Raises
+    ------
+    SurveyError, GeoError
+        Where the survey cannot be used, its photographs do not match, or they show water over a bed that is dry.
+    """
+    progress = current()
+    survey = load_survey(folder, report=progress.note)
+    plan, checked = make_plan(survey, Choices(device=device)), PoseCheck(None)
+    if plan.poses[0] == "check":
+        with progress.stage("Poses", 1.0) as stage, suppress(SurveyError):
+            checked = check_of_windows(survey, plan, *loaded(survey, plan), stage.advance)
+        checked.require_water()
+        survey = replace(survey, provenance=replace(survey.provenance, contradiction=checked.contradiction))
+    with progress.stage("Adjustment", 1.0) as stage:
+        found = adjust_survey(survey, device=device, advance=stage.advance)
+    sections = [Section("photographs", (*_rows_of_check(checked), *_rows(found)))]
+    if found.warnings:
+        sections.append(Section("contradicted by the photographs", tuple(("", text) for text in found.warnings)))
+    return sections
+
+
+def _rows_of_check(checked: PoseCheck) -> tuple[tuple[str, str], ...]:
+    if checked.misfit_px is None:
+        return ()
+    said = f"reprojection misfit {checked.misfit_px:.2f} px with the given poses"
+    return (("poses", said if checked.contradiction is None else f"{said}, and {checked.contradiction}"),)
+
+
+def _rows(found: Adjustment) -> tuple[tuple[str, str], ...]:
+    rows = [(row.name, row.verdict) for row in found.parameters]
+    for name, count in found.statistics.num_observations.items():
+        rows.append((name, f"{count:,}, good to {found.statistics.std_px[name]:.2f} px"))
+    for point in found.control:
+        east, north, up = (f"{1000.0 * miss:.0f}" for miss in point.residual_m)
+        rows.append((point.name, f"{east}, {north} and {up} mm east, north and up; {point.num_marks} marks"))
+    return tuple(rows)

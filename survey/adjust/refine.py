@@ -45,10 +45,10 @@ from survey.adjust.square_pixels import with_square_pixels
 from survey.adjust.unnamed_water import water_seen
 from survey.control.points import Ground
 from survey.errors import SurveyError
-from survey.folder.contradiction import Contradiction
+from survey.findings import Contradiction
 from survey.folder.pose_priors import GPS_STD_M
 from survey.folder.survey import Survey
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 from survey.plan.choices import Choices
 from survey.plan.level_doubt import DOWN_DEG, GIVE_LEVEL, tilts_deg
 from survey.plan.plan import make_plan

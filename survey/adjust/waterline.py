@@ -22,9 +22,9 @@ from survey.files.outputs import is_json, require_file
 from survey.folder.inputs import survey_inputs
 from survey.folder.place import water_plane
 from survey.folder.survey import Survey, load_survey
-from survey.names import SFM_FOLDER
 from survey.progress import current
 from survey.settings.config import WaterConfig
+from survey.words import SFM_FOLDER
 
 NADIR_DEG = 5.0
 

@@ -2,24 +2,146 @@
 
 from __future__ import annotations
 
+import os
+import platform
+import shutil
+import subprocess
+import sys
 import tempfile
+import threading
+import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import psutil
+
+import survey
 from geo.errors import GeoError
 from survey.benchmark.cases import GIVEN, POSES, Case, case_of, drawn_case, drawn_names, variant
 from survey.benchmark.corrected import write_corrected
-from survey.benchmark.front import draw_front
-from survey.benchmark.measured import METHODS, Method, errors_of
-from survey.benchmark.records import Record, Results, write_results
-from survey.benchmark.running import commit, machine, run_bathynerf
+from survey.benchmark.records import METHODS, Cost, Method, Record, Results, errors_of, write_results
+from survey.benchmark.text import draw_front
 from survey.errors import SurveyError
+from survey.machine import memory_bytes, num_cores
 from survey.progress import current
 from survey.run.folder import versions
+from survey.stage_key import code_hash
 
+_BATHYNERF = (sys.executable, "-c", "from survey.commands.app import main; main()")
+_ROOT = Path(survey.__file__).resolve().parent.parent
+# Between two looks at the memory [s].
+_LOOK_S = 0.1
 RESULTS, FRONT = "results.json", "front.png"
 _CLOUD = "cloud.las"
+
+
+def run_bathynerf(arguments: list[str], home: Path, *, under: tuple[str, ...] = ()) -> tuple[int, Cost, str]:
+    """Run the command line in a process of its own, with its compiled kernels in `home`.
+
+    Parameters
+    ----------
+    arguments : list of str
+    home : Path
+    under : tuple of str
+        A command that runs the command after it, e.g. ("timeout", "60").
+
+    Returns
+    -------
+    exit code, cost, last line of standard error
+    """
+    environment = {**os.environ, "HOME": str(home), "PYTHONPATH": os.pathsep.join([str(_ROOT), *sys.path])}
+    log = home / "stderr.txt"
+    start, before = time.monotonic(), os.times()
+    with log.open("wb") as errors:
+        process = subprocess.Popen(
+            [*under, *_BATHYNERF, *arguments], env=environment, stdout=subprocess.DEVNULL, stderr=errors
+        )
+        peak = _Peak(process.pid)
+        try:
+            code = process.wait()
+        except BaseException:
+            process.terminate()
+            process.wait()
+            raise
+        finally:
+            peak.stop()
+    wall, after = time.monotonic() - start, os.times()
+    processor = (after.children_user - before.children_user) + (after.children_system - before.children_system)
+    words = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    return code, Cost(wall, processor, peak.bytes), words[-1] if words else ""
+
+
+class _Peak:
+    """Watches the resident memory of a process and its children, in a thread."""
+
+    def __init__(self, pid: int):
+        self.bytes = 0
+        self._process, self._ended = psutil.Process(pid), threading.Event()
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def _watch(self) -> None:
+        while not self._ended.wait(_LOOK_S):
+            self.bytes = max(self.bytes, _tree_bytes(self._process))
+
+
+def _tree_bytes(process: psutil.Process) -> int:
+    total = 0
+    # Some may have just ended.
+    with suppress(psutil.Error):
+        for member in (process, *process.children(recursive=True)):
+            with suppress(psutil.Error):
+                total += member.memory_info().rss
+    return total
+
+
+def machine() -> dict[str, str]:
+    """Processor, cores, memory and system, in words."""
+    return {
+        "processor": _processor(),
+        "cores": str(num_cores()),
+        "memory": f"{memory_bytes() / 1024**3:.1f} GiB",
+        "gpu": _gpu(),
+        "system": platform.system(),
+        "python": platform.python_version(),
+    }
+
+
+def commit() -> str:
+    """The commit of the working tree, with + where files differ; the hash of the code where there is no repository."""
+    git = shutil.which("git")
+    if git is not None and (_ROOT / ".git").exists():
+        words = [git, "-C", str(_ROOT), "describe", "--always", "--dirty=+", "--abbrev=12", "--exclude=*"]
+        found = subprocess.run(words, capture_output=True, text=True, check=False)
+        if found.returncode == 0:
+            return found.stdout.strip()
+    return code_hash("survey.run.process")[:12]
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    flags = next((line.partition(":")[2].split() for line in lines if line.startswith("flags")), [])
+    width = next((text for flag, text in (("avx512f", "AVX-512"), ("avx2", "AVX2")) if flag in flags), "")
+    return ", ".join(filter(None, [named[0] if named else platform.machine(), width]))
+
+
+def _gpu() -> str:
+    nvidia = shutil.which("nvidia-smi")
+    if nvidia is None:
+        return "none"
+    words = [nvidia, "--query-gpu=name", "--format=csv,noheader"]
+    found = subprocess.run(words, capture_output=True, text=True, check=False)
+    return found.stdout.strip().replace("\n", ", ") or "none"
 
 
 @dataclass(frozen=True)

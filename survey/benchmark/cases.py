@@ -10,10 +10,10 @@ from pathlib import Path
 import tomli_w
 
 from survey.errors import FILE_NAME, SurveyError
-from survey.names import RUN_FOLDER
 from survey.progress import current
 from survey.settings.config import read_config
 from survey.simulate.drawn import DrawnScene, draw_survey
+from survey.words import RUN_FOLDER
 
 REFERENCE, VISIBLE, TRUTH = "reference.ply", "visible.ply", "truth"
 # Names of poses: as the survey has them, or found from its photographs and their GPS positions.

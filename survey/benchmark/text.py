@@ -1,15 +1,43 @@
-"""The records of a benchmark as the rows of a table."""
+"""Results of a benchmark as text and picture: rows of a table, changes between two results, a Pareto front.
+
+Errors and means are paired block by block of the plan: both clouds come from the same photographs and share most of
+their noise. Times and memory are compared where both were measured on the same machine and often enough. Completeness
+and the coverage of the standard deviations are shares of the whole cloud, whose differences count beyond `NOISE`. Over
+several surveys the changes of each method are taken together, which judges times that were measured once, too.
+"""
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 
-from survey.benchmark.against import COMPLETE, COVERS, MEAN, Change, changes, over_surveys, unpaired
-from survey.benchmark.front import on_front, wall_s
-from survey.benchmark.measured import METHODS
-from survey.benchmark.records import Record, Results
+import numpy as np
+from matplotlib.ticker import LogLocator, NullFormatter
+from scipy.stats import t as student
+
+from survey.benchmark.records import METHODS, Cost, Errors, Record, Results
+from survey.compare.canvas import canvas, save
+from survey.display.palette import INK, RED, SERIES, SOFT
 from survey.display.quantities import length
 
+# Numbers within each decade that stand at the axes.
+_TICKS = (1.0, 2.0, 5.0)
+_COLOURS = (*SERIES, RED, INK)
+_MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*", "<", ">")
+_DRAWS, _SEED = 2000, 20_261_122
+_LEVEL = (2.5, 97.5)
+# Fewer repeats than this do not show how a time varies; fewer blocks not how an error does.
+MIN_REPEATS, MIN_BLOCKS = 3, 10
+# Fewer surveys than this are not taken together.
+MIN_SURVEYS = 3
+ANOTHER_MACHINE = "another machine"
+COMPLETE, MEAN, COVERS = "complete", "mean", "std covers"
+# Smaller differences are noise: of the mean as a share of the error, of completeness and of coverage as shares.
+NOISE = {MEAN: 0.05, COMPLETE: 0.002, COVERS: 0.01}
+# Which share of the errors 1.96 standard deviations should cover.
+_COVERED = 0.95
+BETTER, WORSE, SAME, UNKNOWN = "better", "worse", "as before", "not judged"
 _HEAD = ("survey", "method", "quality", "poses", "device", "time", "processor", "memory", "mean", "std",
          "complete 0.2, 0.1, 0.05 m", "std covers", "")  # fmt: skip
 
@@ -17,6 +45,221 @@ _HEAD = ("survey", "method", "quality", "poses", "device", "time", "processor", 
 _UNITS = {COMPLETE: " points", MEAN: " % of the error", COVERS: " points away from 95 %"}
 # Records that are named where others cannot be paired.
 _MOST_NAMED = 3
+
+
+def wall_s(record: Record) -> float:
+    """Median wall clock of the repeats [s]."""
+    return float(np.median([cost.wall_s for cost in record.costs]))
+
+
+def on_front(records: Sequence[Record]) -> set[tuple[str, ...]]:
+    """Keys of the records of each case than which none is both faster and more accurate."""
+    front: set[tuple[str, ...]] = set()
+    for case in {record.case for record in records}:
+        least = np.inf
+        known = [(wall_s(r), r.errors.error_m, r.key) for r in records if r.case == case and r.errors is not None]
+        for _, error, key in sorted(known):
+            if error < least:
+                least = error
+                front.add(key)
+    return front
+
+
+def draw_front(path: Path, records: Sequence[Record]) -> None:
+    """Time over error on logarithmic axes: a colour for each method, a mark for each case; the front is filled."""
+    known = [record for record in records if record.errors is not None]
+    cases, front = list(dict.fromkeys(record.case for record in known)), on_front(known)
+    figure, axes = canvas(7.2, 4.6)
+    methods = [name for name in METHODS if any(record.method == name for record in known)]
+    for record in known:
+        assert record.errors is not None
+        colour = _COLOURS[methods.index(record.method) % len(_COLOURS)]
+        axes.plot(
+            1000.0 * record.errors.error_m,
+            wall_s(record),
+            _MARKERS[cases.index(record.case) % len(_MARKERS)],
+            color=colour,
+            markerfacecolor=colour if record.key in front else "none",
+            ms=11,
+        )
+        axes.annotate(
+            record.quality[0].upper(), (1000.0 * record.errors.error_m, wall_s(record)), ha="center", va="center",
+            fontsize=7, color="white" if record.key in front else colour,
+        )  # fmt: skip
+    letters = dict.fromkeys(record.quality for record in known)
+    for label, marker, colour, is_filled in legend_of(methods, cases):
+        axes.plot([], [], marker, color=colour, markerfacecolor=colour if is_filled else "none", label=label)
+    axes.plot([], [], " ", label=", ".join(f"{name[0].upper()}: {name}" for name in letters))
+    axes.set(xscale="log", yscale="log")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(subs=_TICKS))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(NullFormatter())
+    axes.set_xlabel("error: root of mean² + std² of the inner 90 % [mm]", color=INK)
+    axes.set_ylabel("run time [s]", color=INK)
+    axes.grid(True, lw=0.3, color=SOFT, alpha=0.5)
+    if known:
+        axes.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    save(figure, path)
+
+
+def legend_of(methods: Sequence[str], cases: Sequence[str]) -> list[tuple[str, str, str, bool]]:
+    """Legend of the marks: words, marker, colour, and whether it is filled."""
+    return [
+        *((METHODS[name].words, "o", _COLOURS[i % len(_COLOURS)], True) for i, name in enumerate(methods)),
+        *((case, _MARKERS[i % len(_MARKERS)], INK, False) for i, case in enumerate(cases)),
+        ("filled: on the front", "o", SOFT, True),
+        ("hollow: another is faster and more accurate", "o", SOFT, False),
+    ]
+
+
+@dataclass(frozen=True)
+class Change:
+    """Change of a figure of a record: the ratio of now over then, or the difference of now less then."""
+
+    key: tuple[str, ...]  # Of the record
+    figure: str
+    ratio: float  # NaN where it is a difference
+    # (low, high) or None: of ratio or difference, 95 %; None where there is too little to tell
+    interval: tuple[float, float] | None
+    verdict: str  # "better", "worse", "as before" or "not judged"
+    why: str = ""  # Of "not judged"
+    # Of completeness; of the distance of the coverage from 95 %; of the mean's absolute value over the error then. NaN
+    # where it is a ratio.
+    difference: float = float("nan")
+
+    @property
+    def kind(self) -> str:
+        """The figure without its tolerance: what its noise is known by."""
+        return self.figure.partition(" at ")[0]
+
+
+def changes(now: Results, then: Results) -> list[Change]:
+    """All figures of all records that both have; a cloud that one lacks is a change too."""
+    earlier = {record.key: record for record in then.records}
+    same_machine = now.machine == then.machine
+    found = []
+    for record in now.records:
+        before = earlier.get(record.key)
+        if before is not None:
+            found += _of_record(record, before, same_machine)
+    return found
+
+
+def over_surveys(found: list[Change]) -> list[Change]:
+    """The changes of each method and figure over all surveys: the geometric mean of ratios, the mean of differences.
+
+    The interval is Student's, of ratios that of their logarithms: surveys count as drawn from all that could be.
+    """
+    groups: dict[tuple[tuple[str, ...], str], list[Change]] = {}
+    for change in found:
+        if (np.isfinite(change.ratio) or change.kind in NOISE) and change.why != ANOTHER_MACHINE:
+            groups.setdefault((change.key[1:], change.figure), []).append(change)
+    return [_together(key, figure, group) for (key, figure), group in groups.items() if len(group) >= MIN_SURVEYS]
+
+
+def _together(key: tuple[str, ...], figure: str, group: list[Change]) -> Change:
+    name, is_difference = (f"{len(group)} surveys", *key), group[0].kind in NOISE
+    values = np.array([change.difference for change in group]) if is_difference else np.log([c.ratio for c in group])
+    half = student.ppf(0.5 * (1.0 + 0.01 * (_LEVEL[1] - _LEVEL[0])), len(values) - 1) * values.std(ddof=1)
+    middle, half = float(values.mean()), float(half) / len(values) ** 0.5
+    if is_difference:
+        return _differs(name, figure, middle, (middle - half, middle + half))
+    interval = (float(np.exp(middle - half)), float(np.exp(middle + half)))
+    return Change(name, figure, float(np.exp(middle)), interval, _verdict(*interval))
+
+
+def unpaired(now: Results, then: Results) -> tuple[list[tuple[str, ...]], list[tuple[str, ...]]]:
+    """Keys of the records that only the one has, and of those that only the other has."""
+    ours, theirs = ({record.key for record in results.records} for results in (now, then))
+    return sorted(ours - theirs), sorted(theirs - ours)
+
+
+def _of_record(now: Record, then: Record, same_machine: bool) -> list[Change]:
+    if now.errors is None or then.errors is None:
+        if (now.errors is None) == (then.errors is None):
+            return []
+        verdict = WORSE if now.errors is None else BETTER
+        return [Change(now.key, "has a cloud", float("nan"), None, verdict)]
+    found = [_error(now.key, now.errors, then.errors), _mean(now.key, now.errors, then.errors)]
+    for tolerance in sorted(now.errors.completeness.keys() & then.errors.completeness.keys(), key=float):
+        after, before = (errors.completeness[tolerance] for errors in (now.errors, then.errors))
+        found.append(_differs(now.key, f"{COMPLETE} at {tolerance} m", after - before))
+    shares = (now.errors.coverage, then.errors.coverage)
+    if METHODS[now.method].is_refracted and shares[0] is not None and shares[1] is not None:
+        found.append(_differs(now.key, COVERS, abs(shares[0] - _COVERED) - abs(shares[1] - _COVERED)))
+    costs: tuple[tuple[str, Callable[[Cost], float]], ...] = (
+        ("wall_s", lambda cost: cost.wall_s),
+        ("processor_s", lambda cost: cost.processor_s),
+        ("memory", lambda cost: float(cost.peak_bytes)),
+    )
+    for figure, of in costs:
+        a, b = (np.array([of(cost) for cost in record.costs]) for record in (now, then))
+        found.append(_cost(now.key, figure, a, b, same_machine))
+    return found
+
+
+def _error(key: tuple[str, ...], now: Errors, then: Errors) -> Change:
+    """Root mean square of the inner 90 %, by pairs of blocks that are drawn anew."""
+    ratio, drawn = now.error_m / then.error_m, _drawn(now, then)
+    if isinstance(drawn, str):
+        return Change(key, "error", ratio, None, UNKNOWN, drawn)
+    return _judged(key, "error", ratio, _rms(drawn[0]) / _rms(drawn[1]))
+
+
+def _mean(key: tuple[str, ...], now: Errors, then: Errors) -> Change:
+    """Bias of the inner 90 % over the earlier error, by a bootstrap over pairs of blocks."""
+    difference, drawn = (abs(now.mean_m) - abs(then.mean_m)) / then.error_m, _drawn(now, then)
+    if isinstance(drawn, str):
+        return Change(key, MEAN, float("nan"), None, UNKNOWN, drawn, difference)
+    off = [np.abs(sums[:, 1] / sums[:, 0]) for sums in drawn]
+    low, high = (float(v) for v in np.percentile((off[0] - off[1]) / then.error_m, _LEVEL))
+    return _differs(key, MEAN, difference, (low, high))
+
+
+def _drawn(now: Errors, then: Errors) -> tuple[np.ndarray, np.ndarray] | str:
+    """Sums (draws, 3) over blocks that both have, drawn anew in pairs; in words why there are too few of them."""
+    shared = sorted(now.blocks.keys() & then.blocks.keys())
+    if len(shared) < MIN_BLOCKS:
+        return f"{len(shared)} blocks in common, expected {MIN_BLOCKS}"
+    a, b = (np.array([errors.blocks[name] for name in shared]) for errors in (now, then))
+    drawn = np.random.default_rng(_SEED).integers(len(shared), size=(_DRAWS, len(shared)))
+    return a[drawn].sum(axis=1), b[drawn].sum(axis=1)
+
+
+def _rms(sums: np.ndarray) -> np.ndarray:
+    return np.sqrt(sums[..., 2] / sums[..., 0])
+
+
+def _cost(key: tuple[str, ...], figure: str, now: np.ndarray, then: np.ndarray, same_machine: bool) -> Change:
+    ratio = float(np.median(now) / np.median(then))
+    if not same_machine:
+        return Change(key, figure, ratio, None, UNKNOWN, ANOTHER_MACHINE)
+    if min(len(now), len(then)) < MIN_REPEATS:
+        return Change(key, figure, ratio, None, UNKNOWN, f"expected --repeats {MIN_REPEATS} or more in both")
+    rng = np.random.default_rng(_SEED)
+    a, b = (np.median(values[rng.integers(len(values), size=(_DRAWS, len(values)))], axis=1) for values in (now, then))
+    return _judged(key, figure, ratio, a / b)
+
+
+def _judged(key: tuple[str, ...], figure: str, ratio: float, ratios: np.ndarray) -> Change:
+    low, high = (float(v) for v in np.percentile(ratios, _LEVEL))
+    return Change(key, figure, ratio, (low, high), _verdict(low, high))
+
+
+def _differs(
+    key: tuple[str, ...], figure: str, difference: float, interval: tuple[float, float] | None = None
+) -> Change:
+    """A difference: beyond noise, and with an interval, where there is one, on the same side of zero."""
+    change = Change(key, figure, float("nan"), interval, SAME, "", difference)
+    is_one_sided = interval is None or interval[0] > 0.0 or interval[1] < 0.0
+    if abs(difference) <= NOISE[change.kind] or not is_one_sided:
+        return change
+    return replace(change, verdict=BETTER if (difference > 0.0) == (change.kind == COMPLETE) else WORSE)
+
+
+def _verdict(low: float, high: float) -> str:
+    return BETTER if high < 1.0 else WORSE if low > 1.0 else SAME
 
 
 def table(results: Results) -> list[str]:

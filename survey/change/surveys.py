@@ -16,8 +16,8 @@ from geo.reproject import Reprojection
 from geo.shapes import in_height_unit, left_out, part_of
 from survey.change.volume import Differences
 from survey.errors import SurveyError
+from survey.export.bed_cells import PlanCells, round_side
 from survey.export.cell_fit import CellPoints, correlated_px2, fit_cells
-from survey.export.plan_cells import PlanCells, round_side
 from survey.run.folder import RunDir
 
 # Side of a cell where none is asked for, in spacings of the points.

@@ -28,7 +28,7 @@ def main() -> None:
     except KeyboardInterrupt:
         # In the first moments, or for the second time.
         from survey.commands.faults import STOPPED as code
-        from survey.commands.streams import say_error
+        from survey.commands.faults import say_error
 
         say_error("stopped")
     # Or Python would search all that is left for circles of references before it ends.
@@ -37,25 +37,24 @@ def main() -> None:
 
 
 def _run() -> int:
-    from survey.commands import streams
+    from survey.commands import faults
     from survey.commands.faults import BAD_INPUT, BROKEN_PIPE, STANDARD_OUTPUT, refusal_of
 
-    streams.open_closed()
+    faults.open_closed()
     code = _run_verb()
-    error = streams.flush_all()
+    error = faults.flush_all()
     if error is None or code != 0:
         return code
     if isinstance(error, BrokenPipeError):
         return BROKEN_PIPE
-    streams.say_error(refusal_of(error, STANDARD_OUTPUT) or f"{STANDARD_OUTPUT} is broken: {error}")
+    faults.say_error(refusal_of(error, STANDARD_OUTPUT) or f"{STANDARD_OUTPUT} is broken: {error}")
     return BAD_INPUT
 
 
 def _run_verb() -> int:
     from pathlib import Path
 
-    from survey.commands.faults import STANDARD_OUTPUT, fault_of, has
-    from survey.commands.streams import say_error
+    from survey.commands.faults import STANDARD_OUTPUT, fault_of, has, say_error
 
     try:
         from survey.commands.console import Ended

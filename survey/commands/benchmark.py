@@ -72,8 +72,7 @@ def run(
     """Measure run time against error, of the whole chain and of what it has to beat."""
     with command(verbose, quiet, output) as results:
         from survey.benchmark.benchmark import FRONT, RESULTS, Settings, benchmark, present_devices
-        from survey.benchmark.measured import METHODS
-        from survey.benchmark.records import read_results
+        from survey.benchmark.records import METHODS, read_results
         from survey.benchmark.text import comparison, table
 
         # Read before hours are spent.

@@ -112,7 +112,7 @@ def _sections(folder: Path, asked: ProcessConfig, wind: float, deep: bool) -> It
         yield Section("Asked", rows_of(aim, checked.survey, Choices(device=chosen.device), load))
     if deep:
         require_address_space()
-        from survey.adjust.deep_check import deep_check
+        from survey.adjust.pose_check import deep_check
 
         yield from deep_check(folder, device=chosen.device)
 

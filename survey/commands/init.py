@@ -60,7 +60,7 @@ def run(
     """
     with command(verbose, quiet, folder, reads=folder) as results:
         from survey.init.draft import SCHEMA_LINE, require_level_and_dry_apart, write_schema, write_settings
-        from survey.init.entry import Answers
+        from survey.init.place import Answers
         from survey.progress import current
 
         answers = Answers(crs, level, dry, origin, _ask if sys.stdin.isatty() and sys.stderr.isatty() else None)

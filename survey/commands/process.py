@@ -12,7 +12,7 @@ from survey.commands.console import command
 from survey.commands.grouped import ProcessOptions, grouped
 from survey.commands.memory import require_address_space
 from survey.commands.options import COMPARED, KEPT, Quiet, SurveyFolder, Verbose, Visible
-from survey.names import RUN_FOLDER
+from survey.words import RUN_FOLDER
 
 EXAMPLES = """
     bathynerf process my_survey

@@ -26,15 +26,21 @@ from geo import Mesh
 from geo.files import disk_refusals, existing_file
 from geo.shapes import vertices_of
 from survey.compare import measure
-from survey.compare.area import Bounds, as_text, metres_in_crs, to_local, within
-from survey.compare.checkpoints import checkpoint_accuracy, read_checkpoints
-from survey.compare.figures import M3C2, Circumstances, CloudToCloud, Comparison, Figures
-from survey.compare.inputs import Inputs, Paths, load_inputs
-from survey.compare.json_numbers import numbers_of
-from survey.compare.measure import Scene
-from survey.compare.options import CompareOptions, check_options, check_outputs, outlier_filter
+from survey.compare.figures import M3C2, Circumstances, CloudToCloud, Comparison, Figures, numbers_of
+from survey.compare.inputs import Inputs, Paths, is_table, level_of_cloud, load_inputs
+from survey.compare.measure import Scene, checkpoint_accuracy, read_checkpoints
+from survey.compare.options import (
+    Bounds,
+    CompareOptions,
+    as_text,
+    check_options,
+    check_outputs,
+    metres_in_crs,
+    outlier_filter,
+    to_local,
+    within,
+)
 from survey.compare.pictures import write_report
-from survey.compare.tables import is_table, level_of_cloud
 from survey.files.column_units import Units
 from survey.files.json_values import write_json
 from survey.progress import current

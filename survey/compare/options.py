@@ -1,4 +1,4 @@
-"""Options of `bathynerf compare`: their meaning, and which values are refused."""
+"""Options of `bathynerf compare`, their meaning and checks, and the frame and bounds of a comparison."""
 
 from __future__ import annotations
 
@@ -7,9 +7,94 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from evaluation.c2m import Sign
-from survey.compare.area import Bounds, CompareError, check_bounds
+from geo import LocalFrame
+from survey.errors import SurveyError
 from survey.files.outputs import ReadFiles, is_json, require_file, require_folder
+
+Bounds = tuple[float, float, float, float]
+
+
+class CompareError(SurveyError):
+    """Two data sets that cannot be compared, or an option whose value makes no sense."""
+
+
+@dataclass(frozen=True)
+class ShiftedFrame:
+    """Substitute for a `LocalFrame` if no file has a CRS: coordinates in metres, shifted near zero."""
+
+    origin: tuple[float, float, float]
+
+    def local_from_crs(self, points: np.ndarray) -> np.ndarray:
+        """Points (..., 3) as given, minus the origin [m]."""
+        return np.asarray(points, dtype=np.float64) - self.origin
+
+    def crs_from_local(self, points: np.ndarray) -> np.ndarray:
+        """The inverse."""
+        return np.asarray(points, dtype=np.float64) + self.origin
+
+
+def within(points: np.ndarray, bounds: Bounds | None, margins: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+    """Whether points (N, 3) lie in bounds (edges included) that grow by margins in easting and northing."""
+    if bounds is None:
+        return np.ones(len(points), dtype=bool)
+    e0, n0, e1, n1 = bounds
+    east, north = points[:, 0], points[:, 1]
+    return (
+        (east >= e0 - margins[0]) & (east <= e1 + margins[0]) & (north >= n0 - margins[1]) & (north <= n1 + margins[1])
+    )
+
+
+def to_local(frame: LocalFrame | ShiftedFrame, points: np.ndarray, name: Path) -> np.ndarray:
+    """Points (N, 3) in the local frame [m].
+
+    Raises
+    ------
+    CompareError
+        If some lie where the projection of the CRS ends.
+    """
+    local = frame.local_from_crs(points)
+    if isinstance(frame, ShiftedFrame):
+        return local
+    bad = int((~np.isfinite(local).all(axis=1)).sum())
+    if bad:
+        raise CompareError(
+            f"{bad} of {len(points)} points of {name} lie off the map of {frame.crs.name}; remove them or "
+            "correct the CRS of the file"
+        )
+    return local
+
+
+def metres_in_crs(frame: LocalFrame | ShiftedFrame, length_m: float) -> tuple[float, float]:
+    """A length [m] near the origin in units of easting and of northing (degrees in a geographic CRS)."""
+    e, n, h = frame.origin
+    step = 1e-6 * max(abs(e), abs(n), 1.0)
+    ends = np.array([[e + step, n, h], [e - step, n, h], [e, n + step, h], [e, n - step, h]])
+    local = frame.local_from_crs(ends)
+    east = float(np.linalg.norm(local[0] - local[1])) / (2.0 * step)
+    north = float(np.linalg.norm(local[2] - local[3])) / (2.0 * step)
+    return length_m / east, length_m / north
+
+
+def check_bounds(bounds: Bounds | None) -> None:
+    """Raise CompareError unless bounds are four finite numbers, the low ones first."""
+    if bounds is None:
+        return
+    if len(bounds) != 4 or not all(math.isfinite(v) for v in bounds):
+        raise CompareError(f"--bounds is {tuple(bounds)}, expected four finite numbers E0 N0 E1 N1")
+    e0, n0, e1, n1 = bounds
+    if e0 >= e1 or n0 >= n1:
+        raise CompareError(
+            f"--bounds is {as_text(bounds)}, expected E0 N0 E1 N1 with E0 below E1 and N0 below N1; put the "
+            "south-west corner first (not E0 E1 N0 N1)"
+        )
+
+
+def as_text(values) -> str:
+    """Numbers for a message, to ten digits."""
+    return " ".join(f"{value:.10g}" for value in values)
 
 
 @dataclass(frozen=True)
@@ -29,7 +114,7 @@ class CompareOptions:
     water_level : float, optional, in crs
         Height of the water; depths are then taken from the reference alone.
     checkpoints : Path, optional
-        Table of check points, see `survey.compare.checkpoints`.
+        Table of check points, see `survey.compare.measure`.
     outliers : str, optional
         ``"sor:K,S"``: leave statistical outliers out, see `evaluation.is_outlier`. Nothing is left out without it.
     c2c : bool

@@ -9,10 +9,10 @@ import math
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
-from survey.control.content import Content, ControlFormat, GivenMark, GivenPoint, is_check_role
+from survey.control.points import Content, ControlFormat, GivenMark, GivenPoint, is_check_role
 from survey.errors import ControlError
+from survey.files.column_units import is_odm_crs, odm_crs
 from survey.files.csv_table import shortened, text_lines
-from survey.files.text_crs import is_odm_crs, odm_crs
 from survey.photos.exif import SUFFIXES
 
 _FORM = "x y z px py image name"

@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from survey.control.content import Content, ControlFormat, GivenMark, GivenPoint, require_std
+from survey.control.points import Content, ControlFormat, GivenMark, GivenPoint, require_std
 from survey.errors import ControlError
 from survey.files.csv_table import shortened
 from survey.files.xml_tree import read_xml

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pyproj import CRS
 
-from survey.control.content import Content, ControlFormat, GivenMark, GivenPoint
+from survey.control.points import Content, ControlFormat, GivenMark, GivenPoint
 from survey.errors import ControlError
 from survey.files.csv_table import shortened
 from survey.files.json_values import finite_number, finite_numbers, read_foreign_json

@@ -10,11 +10,9 @@ from pyproj import CRS
 
 from geo.crs import EARTH_RADIUS_M, height_unit_m, horizontal_unit, is_geographic
 from geo.frames import LocalFrame
-from survey.control.content import GivenPoint
-from survey.control.horizontal import swapped
-from survey.control.points import Checkpoint, Control, ControlPoint, Mark
-from survey.control.reading import Gathered
-from survey.display.words import named
+from survey.control.points import Checkpoint, Control, ControlPoint, GivenPoint, Mark
+from survey.control.reading import Gathered, swapped
+from survey.display.quantities import named
 from survey.errors import ControlError
 
 # No photograph of a survey of shallow water shows a point further away.

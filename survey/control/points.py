@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
+from pyproj import CRS
+
+from survey.errors import ControlError
+from survey.files.column_units import Units
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,3 +61,87 @@ class Ground:
 
     points: np.ndarray  # (N, 3) float64 [m], local
     std_m: tuple[float, float]  # (horizontal, vertical) [m]: standard deviation of a shift that all of them share
+
+
+@dataclass(frozen=True)
+class GivenPoint:
+    """The coordinates of a point in a file."""
+
+    name: str
+    where: str  # File and line, for messages
+    # (easting or longitude, northing or latitude, height): horizontally in `crs`; the height is one in the crs of the
+    # survey, or in the unit that the file says
+    place: tuple[float, float, float]
+    crs: CRS | None = None  # None where it is that of the survey
+    # (east, north, up) [m] or None: None where the file does not say it
+    std_m: tuple[float, float, float] | None = None
+    is_check: bool = False
+    as_read: GivenPoint | None = None  # The point as its file has it, once `place` was taken to the crs of the survey
+    datum_std_m: float = 0.0  # What that way adds in plan, alike for all points of a file
+    units: Units = field(default_factory=Units)  # That the file gives its coordinates beside a CRS
+
+
+@dataclass(frozen=True)
+class GivenMark:
+    """Mark of a point in a photograph, as a file has it."""
+
+    # point, image: As the file calls them
+    point: str
+    image: str
+    where: str  # File and line, for messages
+    pixel: tuple[float, float]  # (x, y): the centre of the first pixel is 0.5, 0.5
+    # Whether `pixel` counts from the middle of the photograph in units of its longer side instead
+    in_sides: bool = False
+
+    def in_pixels(self, size: tuple[int, int]) -> GivenMark:
+        """The mark in pixels of a photograph of (width, height) [px]."""
+        if not self.in_sides:
+            return self
+        x, y = (value * max(size) + 0.5 * side for value, side in zip(self.pixel, size, strict=True))
+        return replace(self, pixel=(x, y), in_sides=False)
+
+
+@dataclass(frozen=True)
+class Content:
+    """Contents of a file: points and marks; either may be empty."""
+
+    points: tuple[GivenPoint, ...] = ()
+    marks: tuple[GivenMark, ...] = ()
+
+
+@dataclass(frozen=True)
+class ControlFormat:
+    """A format of control files."""
+
+    name: str  # In a sentence: "expected ..."
+    recognises: Callable[[Path], bool]  # callable: whether a path, which is a file, is of this format
+    read: Callable[[Path], Content]  # callable: the content of such a file; raises ControlError
+
+
+# What the columns of roles are filled with, in lower case.
+_CHECK, _CONTROL = ("check", "checkpoint", "check point", "cp"), ("control", "gcp", "ground control", "")
+
+
+def is_check_role(role: str, where: str) -> bool:
+    """Whether the word for a point's role means a check point.
+
+    Raises
+    ------
+    ControlError
+        If it means nothing.
+    """
+    word = role.strip().casefold()
+    if word not in (*_CHECK, *_CONTROL):
+        raise ControlError(f'{where}: the role is "{role[:40]}", expected control or check; correct it')
+    return word in _CHECK
+
+
+def require_std(values: tuple[float, float, float], where: str) -> tuple[float, float, float]:
+    """Standard deviations [m] that a file has; ControlError unless all are above zero and at most 10 m."""
+    if not all(0.0 < value <= 10.0 for value in values):
+        shown = ", ".join(f"{value:g}" for value in values)
+        raise ControlError(
+            f"{where}: the standard deviations are {shown}, expected metres above 0 and at most 10; correct them, or "
+            "leave the columns out and give [control] std_m"
+        )
+    return values

@@ -8,12 +8,11 @@ from pathlib import Path
 from pyproj import CRS
 
 from geo.crs import horizontal_crs
-from survey.control.content import Content, ControlFormat, GivenMark, GivenPoint, is_check_role, require_std
+from survey.control.points import Content, ControlFormat, GivenMark, GivenPoint, is_check_role, require_std
 from survey.errors import ControlError
-from survey.files.column_units import Units
+from survey.files.column_units import Units, crs_of_comment
 from survey.files.csv_table import Row, column_names, read_table, shortened
 from survey.files.point_table import PLACE, STDS, SYNONYMS, has_depths, read_points, require_exact, units_said
-from survey.files.text_crs import crs_of_comment
 
 # What other programs call the columns.
 _MARK_SYNONYMS = {

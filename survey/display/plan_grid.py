@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS
 
-from evaluation.cells import cell_counts, cell_means, cell_numbers
+from evaluation.bootstrap import cell_counts, cell_means, cell_numbers
 from geo.projection import ground_units_m
 
 # A few stray points must not shrink the picture of all others.

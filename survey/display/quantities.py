@@ -11,9 +11,12 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import TypeGuard
+from typing import TYPE_CHECKING, TypeGuard
 
 from survey.errors import SurveyError
+
+if TYPE_CHECKING:
+    from pyproj import CRS
 
 # Between a number and its unit, and between groups of three digits.
 NO_BREAK, NARROW = "\u00a0", "\u202f"
@@ -23,6 +26,10 @@ _SMALL_M = 0.5
 # Length of the foot in use [m]; None for metres.
 _FOOT_M: ContextVar[float | None] = ContextVar("foot_m", default=None)
 _UNITS = {"": 1.0, "B": 1.0, "KB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12, "KIB": 2**10, "MIB": 2**20, "GIB": 2**30}
+# The international one [m].
+_FOOT = 0.3048
+# Of a foot: the kinds that surveys use differ by some parts in a million.
+_ALIKE = 1e-4
 
 
 @contextmanager
@@ -167,3 +174,33 @@ def room(num_bytes: float) -> str:
 def size(num_bytes: float) -> str:
     """Room that is needed."""
     return f"{num_bytes / 1e9:.1f} GB" if num_bytes >= 1e9 else f"{math.ceil(num_bytes / 1e7) * 10} MB"
+
+
+def foot_m(units: str | None, crs: CRS) -> float | None:
+    """The length of the foot that lengths are shown in [m], None for metres.
+
+    Parameters
+    ----------
+    units : "metres", "feet" or None
+        None leaves it to the CRS; "feet" are those of the CRS, else international ones.
+    crs : pyproj.CRS
+        With a height.
+    """
+    if units == "metres":
+        return None
+    # Here, so that programs that show no lengths of a CRS start without PROJ.
+    from geo.crs import height_unit_m, horizontal_unit
+
+    of_crs = [unit for unit in (height_unit_m(crs), horizontal_unit(crs)) if abs(unit / _FOOT - 1.0) < _ALIKE]
+    if of_crs:
+        return of_crs[0]
+    return _FOOT if units == "feet" else None
+
+
+def named(names: list[str], noun: str, what: str) -> list[str]:
+    """A warning that counts and names, e.g. "2 images without a pose, left out: a.jpg, b.jpg"; none without names."""
+    if not names:
+        return []
+    more = f" and {len(names) - 10} more" if len(names) > 10 else ""
+    plural = "s" if len(names) > 1 else ""
+    return [f"{len(names)} {noun}{plural} {what}: {', '.join(names[:10])}{more}"]

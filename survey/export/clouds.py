@@ -17,24 +17,24 @@ _LAS_SYSTEM = slice(26, 58)
 
 
 def _write_las(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-    from survey.run.cloud import write_bed_las
+    from survey.run.products import write_bed_las
 
     stored, classes = run.bed_in(options.crs), None
     if options.no_bed:
-        from survey.export.unseen import with_unseen
+        from survey.export.footprints import with_unseen
 
         stored, classes = with_unseen(run, stored, options.crs)
     write_bed_las(path, stored, classes)
 
 
 def _write_ply(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-    from survey.run.cloud import write_bed_ply
+    from survey.run.products import write_bed_ply
 
     write_bed_ply(path, run.bed_in(options.crs))
 
 
 def _write_e57(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-    from survey.run.cloud import write_bed_e57
+    from survey.run.products import write_bed_e57
 
     write_bed_e57(path, run.bed_in(options.crs))
 

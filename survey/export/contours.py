@@ -10,8 +10,8 @@ import numpy as np
 
 from geo.vectors import Layer
 from survey.errors import SurveyError
+from survey.export.bed_cells import Window
 from survey.export.gridded import gridded
-from survey.export.plan_cells import Window
 
 if TYPE_CHECKING:
     from survey.export.bed_cells import Gridded

@@ -9,7 +9,6 @@ from dataclasses import fields
 from pathlib import Path
 
 from geo.errors import UnwritableFile
-from survey.code_hash import code_hash
 from survey.errors import OutputError, SurveyError
 from survey.export.loaded import LoadedRun
 from survey.export.product import ExportOptions, Product, require_lengths
@@ -18,7 +17,7 @@ from survey.export.styles import write_style
 from survey.files.json_values import read_json_object, write_json
 from survey.files.outputs import ReadFiles, require_file, require_folder
 from survey.progress import current
-from survey.stage_key import stage_key
+from survey.stage_key import code_hash, stage_key
 
 _RECORD = "exports.json"
 

@@ -24,9 +24,8 @@ from geo.files import scratch_array
 from geo.projection import ground_units_m
 from survey.display.quantities import length
 from survey.errors import SurveyError
-from survey.export.bed_cells import Gridded, LevelFit, fill_gaps
+from survey.export.bed_cells import Gridded, LevelFit, PlanCells, fill_gaps, round_side
 from survey.export.cell_fit import CellPoints, correlated_px2, fit_cells
-from survey.export.plan_cells import PlanCells, round_side
 from survey.export.product import require_lengths, require_not_too_fine
 
 if TYPE_CHECKING:

@@ -13,9 +13,8 @@ from fields.sweep.maps import HeightMap, trusted
 from fields.views.image_based import ImageBasedField, Source, heights_over
 from refract import PinholeCamera
 from survey.errors import SurveyError
-from survey.export.loaded import LoadedRun
+from survey.export.loaded import LoadedRun, flight_of
 from survey.export.occlusion import exposure_gains
-from survey.export.photographs import flight_of
 from survey.files.json_values import read_json_object
 from survey.photos.images import load_image, load_mask
 from survey.run.flight import Flight

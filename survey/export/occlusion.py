@@ -1,29 +1,165 @@
-"""Photographs in the cells of the bed: occlusion of cells by others in front, and exposure compensation.
+"""Photographs in the cells of the bed: projection, occlusion, exposure compensation, and their mosaic.
 
 The heights of the bed are projected into the photograph. A cell is hidden where the bed at its pixel is seen higher:
 cameras look from above, so that along a ray the higher bed is the nearer one.
 
 Exposures are compensated by the cells of the bed that several photographs show.
+
+The way through the water is solved at every sixteenth cell and at three heights; between these the pixel changes so
+evenly that linear steps in plan and parabolas in height leave a hundredth of a pixel.
+
+Where views are about equally steep they fade into each other.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from refract import PinholeCamera
-from survey.export.cell_projection import CellProjection, Windows
-from survey.export.photographs import Photograph
+from geo.crs import height_unit_m
+from geo.files import scratch_array
+from geo.reproject import Reprojection
+from refract import FlatWater, PinholeCamera
+from survey.export.bed_cells import PlanCells, Window
+from survey.export.loaded import Photograph
+from survey.run.flight import Flight
 
+WINDOW = 512
+_STEP = 16
+# Heights of one window differ by this at least, so that there is a parabola through them [m].
+_LEAST_RELIEF_M = 0.01
 # A cell is hidden where the bed that is seen at its pixel is higher by so many cells.
 _HIDDEN_CELLS = 3.0
 # Side of the blocks of pixels that are told apart, in cells of the bed: so that each has one.
 _BLOCK_CELLS = 1.5
 # Cells that are compared at most, about, and rounds of medians.
 _COMPARED, _ROUNDS = 20_000, 6
+# Over this difference of the squared tangent of their angles one view takes over from another.
+_FADING = 0.004
+# Towards the border of a photograph it fades out [px].
+_BORDER_PX = 24.0
+
+
+@dataclass(frozen=True)
+class CellProjection:
+    """Projection of cells into a camera, (rows, columns) each; NaN where it does not see them."""
+
+    # u, v: [px]
+    u: np.ndarray
+    v: np.ndarray
+    cos_incidence: np.ndarray  # [-]: of the ray in air, to the normal of the water
+    lean: np.ndarray  # [-]: square of the tangent of the angle between the straight line to the camera and the vertical
+
+    def where(self, seen: np.ndarray) -> CellProjection:
+        """The same where ``seen`` (rows, columns) bool, else NaN."""
+        return CellProjection(*(np.where(seen, x, np.nan) for x in (self.u, self.v, self.cos_incidence, self.lean)))
+
+
+class Windows:
+    """The windows of a raster in which the bed has a height, ready to be looked up in photographs.
+
+    Parameters
+    ----------
+    flight : Flight
+    cells : PlanCells
+    heights : callable
+        Heights (rows, columns) [m] of a window, NaN where there is none. Asked again for each photograph that shows it.
+    """
+
+    def __init__(self, flight: Flight, cells: PlanCells, heights: Callable[[Window], np.ndarray]):
+        self._water, self._heights = flight.water, heights
+        self._windows = []
+        for window in cells.windows(WINDOW):
+            height = heights(window)
+            if np.isfinite(height).any():
+                self._windows.append(_Knots.of(flight, cells, window, height))
+
+    def all(self) -> Iterator[tuple[Window, np.ndarray]]:
+        """Each window with its heights."""
+        for knots in self._windows:
+            yield knots.window, self._heights(knots.window)
+
+    def through(self, camera: PinholeCamera) -> Iterator[tuple[Window, np.ndarray, CellProjection]]:
+        """The windows of which a camera may see something, with their heights, and how it sees them."""
+        for knots in self._windows:
+            found = knots.seen_by(camera, self._water)
+            if found is not None:
+                height = self._heights(knots.window)
+                yield knots.window, height, knots.at_cells(found, height, camera)
+
+
+@dataclass(frozen=True)
+class _Knots:
+    """The places of a window at which ways through the water are solved."""
+
+    window: Window
+    # middle, half [m]: the heights are ``middle - half``, ``middle``, ``middle + half``
+    middle: float
+    half: float
+    # rows, columns (cells, knots): weights that interpolate between knots
+    rows: np.ndarray
+    columns: np.ndarray
+    points: np.ndarray  # (3, knots, knots, 3) [m], local
+
+    @staticmethod
+    def of(flight: Flight, cells: PlanCells, window: Window, height: np.ndarray) -> _Knots:
+        low, high = float(np.nanmin(height)), float(np.nanmax(height))
+        middle, half = 0.5 * (low + high), max(0.5 * (high - low), 0.5 * _LEAST_RELIEF_M)
+        rows, columns = (_knots(n) for n in window.shape)
+        east = cells.west + (window.left + columns + 0.5) * cells.side[0]
+        north = cells.north - (window.top + rows + 0.5) * cells.side[1]
+        levels = np.array([middle - half, middle, middle + half]) / height_unit_m(cells.crs)
+        points = np.stack(np.meshgrid(levels, north, east, indexing="ij")[::-1], axis=-1)
+        across, along = _between(rows, window.shape[0]), _between(columns, window.shape[1])
+        return _Knots(window, middle, half, across, along, _local(flight, cells, points))
+
+    def seen_by(self, camera: PinholeCamera, water: FlatWater | None) -> np.ndarray | None:
+        """Values of `CellProjection` (4, 3, knots, knots) at the knots; None where surely no cell is seen."""
+        pixels, size = camera.project(self.points, water), np.array([camera.width, camera.height])
+        with np.errstate(invalid="ignore"):
+            # A window is larger than a photograph where its cells are larger than pixels: then knots lie around it.
+            known = np.isfinite(pixels).all(axis=-1)
+            if not known.any() or (pixels[known].min(axis=0) > size).any() or (pixels[known].max(axis=0) < 0.0).any():
+                return None
+        up = np.array((0.0, 0.0, 1.0) if water is None else water.up)
+        cosine = -(camera.directions(np.where(known[..., None], pixels, 0.0)) @ up)
+        to_camera = camera.centre - self.points
+        lean = (to_camera[..., :2] ** 2).sum(axis=-1) / to_camera[..., 2] ** 2
+        return np.stack([pixels[..., 0], pixels[..., 1], cosine, lean])
+
+    def at_cells(self, found: np.ndarray, height: np.ndarray, camera: PinholeCamera) -> CellProjection:
+        """Values at the cells, interpolated from the knots by their heights."""
+        t = (height - self.middle) / self.half
+        u, v, cosine, lean = (self._parabola(values, t) for values in found)
+        with np.errstate(invalid="ignore"):
+            seen = (u >= 0.0) & (u < camera.width) & (v >= 0.0) & (v < camera.height)
+        return CellProjection(u, v, cosine, lean).where(seen)
+
+    def _parabola(self, values: np.ndarray, t: np.ndarray) -> np.ndarray:
+        below, middle, above = (self.rows @ level @ self.columns.T for level in values)
+        return middle + 0.5 * (above - below) * t + (0.5 * (above + below) - middle) * t**2
+
+
+def _local(flight: Flight, cells: PlanCells, points: np.ndarray) -> np.ndarray:
+    """Points (..., 3) in the crs of cells as local ones."""
+    frame = flight.frame
+    if not cells.crs.equals(frame.crs):
+        points = Reprojection.between(cells.crs, frame.crs)(points.reshape(-1, 3)).reshape(points.shape)
+    return frame.local_from_crs(points)
+
+
+def _knots(count: int) -> np.ndarray:
+    """Cells at which ways are solved, the first and the last among them."""
+    return np.unique(np.append(np.arange(0, count, _STEP), [count - 1]))
+
+
+def _between(knots: np.ndarray, count: int) -> np.ndarray:
+    """Weights (count, knots) that interpolate linearly between knots."""
+    return np.stack([np.interp(np.arange(count), knots, row) for row in np.eye(len(knots))], axis=1)
 
 
 @dataclass(frozen=True)
@@ -109,3 +245,47 @@ def exposure_gains(shown: np.ndarray) -> np.ndarray:
             gain = np.nan_to_num(np.nanmedian(shown - bed, axis=1))
             gain -= gain.mean(axis=0)
     return gain
+
+
+@dataclass(frozen=True)
+class Mosaic:
+    """Sums over views in cells, in files; the highest weight of a cell is 1."""
+
+    cells: PlanCells
+    highest: np.ndarray  # (rows, columns) float32: logarithm of the highest weight; of no meaning where `weight` is 0
+    weight: np.ndarray  # (rows, columns) float32
+    colour: np.ndarray  # (rows, columns, 3) float32: sum of weighted colours, 0 to 255
+
+    @staticmethod
+    def empty(cells: PlanCells, folder: Path) -> Mosaic:
+        """Mosaic without a colour; its files are made in a folder."""
+        shapes = {"highest": cells.shape, "weight": cells.shape, "colour": (*cells.shape, 3)}
+        files = {name: scratch_array(folder / f"mosaic-{name}", "f4", shape) for name, shape in shapes.items()}
+        return Mosaic(cells, **files)
+
+    def add(self, window: Window, log_weight: np.ndarray, colour: np.ndarray) -> None:
+        """Add a view's colours (rows, columns, 3) with the logarithms of their weights; NaN is not seen."""
+        at = window.slices
+        seen = np.isfinite(log_weight)
+        before, weight = self.highest[at], self.weight[at]
+        new = np.where(seen, log_weight, -np.inf)
+        old = np.where(weight > 0.0, before, -np.inf)
+        highest = np.where(seen, np.maximum(old, new), np.where(weight > 0.0, before, 0.0))
+        keep, own = np.exp(old - highest), np.exp(new - highest)
+        self.weight[at] = keep * weight + own
+        self.colour[at] = keep[..., None] * self.colour[at] + np.where(seen[..., None], own[..., None] * colour, 0.0)
+        self.highest[at] = highest
+
+    def rgba(self, window: Window) -> np.ndarray:
+        """Colours with transparency (4, rows, columns) uint8 of a window."""
+        weight = self.weight[window.slices]
+        colour = self.colour[window.slices] / np.where(weight > 0.0, weight, 1.0)[..., None]
+        stored = np.clip(np.round(colour), 0, 255).astype(np.uint8)
+        return np.concatenate([np.moveaxis(stored, -1, 0), np.where(weight > 0.0, 255, 0).astype(np.uint8)[None]])
+
+
+def log_weight(sight: CellProjection, camera: PinholeCamera) -> np.ndarray:
+    """Logarithm of the weight (rows, columns) of a view: the steeper the more, and little at its border."""
+    u, v = sight.u, sight.v
+    border = np.minimum(np.minimum(u, camera.width - u), np.minimum(v, camera.height - v))
+    return -sight.lean / _FADING + np.log(np.clip(border / _BORDER_PX, 1e-3, 1.0))

@@ -13,11 +13,9 @@ from survey.export.terrain import is_our_raster, noted_if_empty
 if TYPE_CHECKING:
     import numpy as np
 
-    from survey.export.bed_cells import Gridded
-    from survey.export.cell_projection import CellProjection
+    from survey.export.bed_cells import Gridded, PlanCells, Window
     from survey.export.loaded import LoadedRun
-    from survey.export.mosaic import Mosaic
-    from survey.export.plan_cells import PlanCells, Window
+    from survey.export.occlusion import CellProjection, Mosaic
 
     ColourOf = Callable[[np.ndarray, Window, np.ndarray, CellProjection], np.ndarray]
 
@@ -27,9 +25,9 @@ _FEWEST_PX = 8
 
 def _write_orthophoto(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     from geo.crs import horizontal_crs
-    from geo.raster_writing import Band, RasterForm, write_cog
-    from survey.export.cell_projection import WINDOW
-    from survey.export.plan_cells import round_side
+    from geo.raster import Band, RasterForm, write_cog
+    from survey.export.bed_cells import round_side
+    from survey.export.occlusion import WINDOW
 
     side_m = options.resolution_m or round_side(run.place.gsd_m)
     mosaic = _mosaic(run, options, side_m)
@@ -50,12 +48,10 @@ def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
     import numpy as np
 
     from survey.errors import SurveyError
-    from survey.export.cell_projection import Windows
+    from survey.export.bed_cells import round_side
     from survey.export.gridded import gridded
-    from survey.export.mosaic import Mosaic, log_weight
-    from survey.export.occlusion import HeightBuffer, common_exposure
-    from survey.export.photographs import at_scale, flight_of
-    from survey.export.plan_cells import round_side
+    from survey.export.loaded import at_scale, flight_of
+    from survey.export.occlusion import HeightBuffer, Mosaic, Windows, common_exposure, log_weight
     from survey.progress import current
 
     require_not_too_fine(side_m, run.place.gsd_m)
@@ -112,7 +108,7 @@ def _heights(grid: Gridded, cells: PlanCells, window: Window) -> np.ndarray:
 
 def _colour_of(run: LoadedRun, grid: Gridded, cells: PlanCells) -> ColourOf:
     """Colours as the mosaic has them, of what a photograph shows: as they are, or without the water."""
-    from survey.export.photographs import colours_without_water
+    from survey.export.loaded import colours_without_water
 
     without_water, level = colours_without_water(run), grid.level
     if without_water is None or level is None:

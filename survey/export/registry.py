@@ -5,12 +5,11 @@ from __future__ import annotations
 from survey.export.cameras import CAMERAS
 from survey.export.clouds import CLOUDS
 from survey.export.documents import DOCUMENTS
-from survey.export.hydrography import HYDROGRAPHY
+from survey.export.hydrography import HYDROGRAPHY, SOUNDINGS
 from survey.export.meshes import MESHES
 from survey.export.orthophoto import ORTHOPHOTO
 from survey.export.product import Product
 from survey.export.qgis_project import QGIS
-from survey.export.soundings import SOUNDINGS
 from survey.export.terrain import TERRAIN
 from survey.export.vectors import VECTORS
 

@@ -20,9 +20,8 @@ from geo.frames import LocalFrame
 from refract import PinholeCamera
 from refract.lens import Lens
 from survey.errors import FILE_NAME, ConfigError, OutputError, SurveyError
-from survey.export.loaded import LoadedRun
+from survey.export.loaded import LoadedRun, colours_without_water
 from survey.export.novel_views import image_based_field
-from survey.export.photographs import colours_without_water
 from survey.files.outputs import ReadFiles, require_file, require_folder
 from survey.folder.inputs import poses_inputs, survey_inputs
 from survey.folder.pairing import lens_from_config

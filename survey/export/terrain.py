@@ -12,10 +12,9 @@ from survey.export.styles import of_heights, of_slopes
 if TYPE_CHECKING:
     import numpy as np
 
-    from geo.raster_writing import Band, Part, RasterForm
-    from survey.export.bed_cells import Gridded
+    from geo.raster import Band, Part, RasterForm
+    from survey.export.bed_cells import Gridded, Window
     from survey.export.loaded import LoadedRun
-    from survey.export.plan_cells import Window
 
 NODATA = -9999.0
 CELLS = ("crs", "resolution_m", "fill_m")
@@ -29,7 +28,7 @@ _UNCERTAINTY = (
 
 def raster_form(grid: Gridded, *bands: Band, said: dict[str, str], **form) -> RasterForm:
     """Metadata of a raster of a gridded bed; ``said`` are tags of the product beside those of every one."""
-    from geo.raster_writing import RasterForm
+    from geo.raster import RasterForm
 
     tags = {
         "CELL_M": f"{grid.cells.side_m:g}",
@@ -66,7 +65,7 @@ def noted_if_empty(path: Path, parts: Iterable[Part], no_value: float | None, ba
 def _write_dem(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     import numpy as np
 
-    from geo.raster_writing import Band, write_cog
+    from geo.raster import Band, write_cog
     from survey.export.gridded import gridded
 
     grid = gridded(run, options)
@@ -95,7 +94,7 @@ def _write_dem(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 
 
 def _write_slope(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-    from geo.raster_writing import Band
+    from geo.raster import Band
     from survey.export.relief import slope_deg
 
     said = {"SLOPE": "of central differences between neighbouring cells"}
@@ -103,7 +102,7 @@ def _write_slope(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 
 
 def _write_hillshade(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-    from geo.raster_writing import Band
+    from geo.raster import Band
     from survey.export.relief import hillshade
 
     said = {"HILLSHADE": "light from the north-west at 45 degrees, heights not exaggerated; 1 to 255"}
@@ -122,7 +121,7 @@ def _write_relief(
     form: Callable[[Gridded], RasterForm],
 ) -> None:
     """A raster of what the heights around each cell, and the side of cells, say."""
-    from geo.raster_writing import write_cog
+    from geo.raster import write_cog
     from survey.export.gridded import gridded
 
     grid = gridded(run, options)
@@ -137,7 +136,7 @@ def _write_relief(
 
 def is_our_raster(path: Path) -> bool:
     """Whether a file is a GeoTIFF that bathynerf wrote."""
-    from geo.raster_writing import is_our_tiff
+    from geo.raster import is_our_tiff
 
     return is_our_tiff(path)
 

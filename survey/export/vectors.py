@@ -22,7 +22,7 @@ def _is_ours(path: Path) -> bool:
 
         return is_our_shapefile(path)
     if path.suffix.lower() == ".dxf":
-        from geo.dxf import is_our_dxf
+        from geo.vectors import is_our_dxf
 
         return is_our_dxf(path)
     return (_SQLITE if path.suffix.lower() == ".gpkg" else _GEOJSON)(path)
@@ -31,7 +31,7 @@ def _is_ours(path: Path) -> bool:
 def _write_dxf(path: Path, layer: Layer) -> None:
     import numpy as np
 
-    from geo.dxf import DxfLine, write_dxf
+    from geo.vectors import DxfLine, write_dxf
 
     heights = layer.heights or []
     lines = [np.column_stack([line, z]) for line, z in zip(layer.shapes, heights, strict=True)]
@@ -106,7 +106,7 @@ def _product(
 
 
 def _is_our_unseen(path: Path) -> bool:
-    from geo.raster_writing import is_our_tiff
+    from geo.raster import is_our_tiff
 
     return is_our_tiff(path) if path.suffix.lower() in _RASTERS else _is_ours(path)
 

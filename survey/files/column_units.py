@@ -1,17 +1,20 @@
-"""Units in the names of columns: height_ft, Z [m], depth (cm), lon (deg)."""
+"""CRS in comments and units in names of columns, as text files state them."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from pyproj import CRS
+from pyproj.exceptions import CRSError
 
-from geo.crs import has_height, height_unit_m, horizontal_unit, is_geographic
+from geo.crs import crs_of, has_height, height_unit_m, horizontal_unit, is_geographic
 from geo.stated import US_SURVEY_FOOT_M, unit_named
 from survey.errors import SurveyError
+from survey.files.csv_table import shortened, text_lines
 
 _IN_BRACKETS = re.compile(r"(.*?)[\s_]*[(\[]\s*([^()\[\]]+?)\s*[)\]]")
 _DEGREES = ("deg", "degree", "degrees", "°", "dd", "decimal degrees")
@@ -19,6 +22,19 @@ _DEGREES = ("deg", "degree", "degrees", "°", "dd", "decimal degrees")
 _SAME_UNIT = 1e-9
 _BARE_FOOT = ("ft", "foot", "feet")
 _FEET = (0.3048, US_SURVEY_FOOT_M)
+_COMMENT = re.compile(r"#\s*CoordinateSystem:\s*(.+)", re.IGNORECASE)
+# A comment that is nothing but a code, under one of the names that people have for it.
+_CODE = re.compile(
+    r"(?:#|//)\s*(?:(?:crs|srs|srid|projection|coordinates?(?: reference)?(?: system)?)(?: in| is)?\s*[:=]?\s*)?"
+    r"(EPSG\s*[:=]\s*\d+(?:\+\d+)?)",
+    re.IGNORECASE,
+)
+_SRID = re.compile(r"(?:#|//)\s*SRID\s*[:=]\s*(\d+)", re.IGNORECASE)
+_UTM = re.compile(r"WGS\s*84\s+UTM\s+(\d{1,2})\s*([NS])", re.IGNORECASE)
+# OpenSfM's word for longitude and latitude.
+_WGS84 = re.compile(r"WGS\s*84", re.IGNORECASE)
+_EPSG = re.compile(r"EPSG:\s*(\d{1,9}(?:\+\d{1,9})?)", re.IGNORECASE)
+_FORM = 'e.g. "EPSG:25832", "WGS84 UTM 32N" or "+proj=utm +zone=32 +datum=WGS84"'
 
 
 class BareFoot(float):
@@ -126,3 +142,88 @@ def _parts(cell: str) -> Iterator[tuple[str, str]]:
     for i, letter in enumerate(cell):
         if letter in "_ " and 0 < i < len(cell) - 1:
             yield cell[:i], cell[i + 1 :]
+
+
+def crs_of_comment(path: Path, error: type[SurveyError]) -> CRS | None:
+    """The CRS in a line ``# CoordinateSystem: WKT or code``, ``# EPSG:code`` or ``# crs = EPSG:code``.
+
+    None where there is none, one of the site, or a datum of heights alone.
+
+    Raises
+    ------
+    error
+        If it is not known.
+    """
+    lines = (line.strip() for _, line in text_lines(path, error))
+    found = next((said for line in lines if (said := _said(line)) is not None), None)
+    if found is None or "LOCAL_CS" in found:
+        return None
+    try:
+        crs = crs_of(found.strip())
+    except CRSError as wrong:
+        raise error(
+            f"{path}: the CRS {shortened(found)} of a comment is not a known CRS; correct the comment, or remove it "
+            "where coordinates are in the crs of survey.toml"
+        ) from wrong
+    # A comment on what heights count from does not tell where places are.
+    return None if crs.is_vertical and not crs.is_compound else crs
+
+
+def _said(line: str) -> str | None:
+    """CRS that a line of a file names."""
+    if match := _COMMENT.match(line):
+        return match[1]
+    if match := _SRID.fullmatch(line):
+        return f"EPSG:{match[1]}"
+    match = _CODE.fullmatch(line)
+    return None if match is None else re.sub(r"\s*[:=]\s*", ":", match[1])
+
+
+def is_odm_crs(line: str) -> bool:
+    """Whether a line has the form of one that names a CRS."""
+    return "+proj" in line or any(known.fullmatch(line) for known in (_UTM, _EPSG, _WGS84))
+
+
+def odm_crs(line: str, where: str, name: str, error: type[SurveyError]) -> CRS:
+    """The CRS that a line names.
+
+    Parameters
+    ----------
+    line : str
+        Without blanks around it.
+    where, name : str
+        Of the line, and of the file, for errors.
+    error : type of SurveyError
+
+    Raises
+    ------
+    error
+        If the line names none, or one that is not known.
+    """
+    if _WGS84.fullmatch(line):
+        return CRS.from_epsg(4326)
+    utm, epsg = _UTM.fullmatch(line), _EPSG.fullmatch(line)
+    said = f'{where}: "{shortened(line)}"'
+    if utm is not None:
+        zone = int(utm[1])
+        if not 1 <= zone <= 60:
+            raise error(f"{said} is no UTM zone, expected 1 to 60; correct it")
+        return CRS.from_epsg((32600 if utm[2].upper() == "N" else 32700) + zone)
+    if not is_odm_crs(line):
+        if sum(_is_number(word) for word in line.split()) > 1:
+            raise error(f"{said} is a line of a point, expected the CRS before it, {_FORM}; add it")
+        raise error(f"{said} is no CRS that {name} may begin with, expected {_FORM}; correct it")
+    try:
+        crs = crs_of(f"EPSG:{epsg[1]}" if epsg is not None else line.strip("'\""))
+    except CRSError as wrong:
+        raise error(f"{said} is not a known CRS, expected {_FORM}; correct it") from wrong
+    if not (crs.is_projected or crs.is_geographic):
+        raise error(f"{said} is {crs.name}, expected a CRS of a map or of longitude and latitude, {_FORM}; correct it")
+    return crs
+
+
+def _is_number(word: str) -> bool:
+    try:
+        return math.isfinite(float(word))
+    except ValueError:
+        return False

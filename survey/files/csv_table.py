@@ -30,7 +30,7 @@ class Row:
     # dict of str to str: texts of the requested columns, by name; of optional ones only those that the table has
     cells: dict[str, str]
     decimal: str  # "." or ","
-    error: type[SurveyError]  # type: what is raised
+    error: type[SurveyError]  # what is raised
 
     def text(self, name: str) -> str:
         """The text in a column.

@@ -1,4 +1,4 @@
-"""Checks of output paths: one rule for every command, applied before anything is computed.
+"""Checks of output paths, one rule for every command, and a lock file: one process at a time works in a folder.
 
 - The folder of a named file has to exist; a folder that is named (-o DIR) is made, with those above it.
 - No output is a file that the command reads, under whatever name, nor lies in a folder of them.
@@ -9,14 +9,20 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
 
-from survey.errors import OutputError
+from filelock import FileLock, Timeout
+
+from survey.errors import OutputError, SurveyError
 
 # Longer than every head by which a kind of file is known.
 _HEAD_BYTES = 2048
+# The file that the system locks, and beside it the number of the process: where a lock keeps others from reading
+# (Windows), the file itself cannot tell.
+NAME, OWNER = ".lock", ".lock.pid"
 
 
 @dataclass(frozen=True)
@@ -134,3 +140,42 @@ def _require_permission(said: str, folder: Path) -> None:
         TemporaryFile(dir=folder).close()
     except OSError as error:
         raise OutputError(f"{said}but {folder} takes no new file ({error.strerror}); name another place") from error
+
+
+@contextmanager
+def locked(folder: Path, *, busy: str) -> Iterator[None]:
+    """Hold the lock of a folder, which exists, for a block; the system frees it when the process ends, however it ends.
+
+    Parameters
+    ----------
+    folder : Path
+    busy : str
+        The message where another process has the lock; ``{pid}`` in it is that process's number.
+
+    Raises
+    ------
+    SurveyError
+        If another process has the lock.
+    """
+    path, owner = folder / NAME, folder / OWNER
+    lock = FileLock(path, blocking=False)
+    try:
+        lock.acquire()
+    except Timeout as error:
+        raise SurveyError(busy.format(pid=_number_in(owner))) from error
+    try:
+        owner.write_text(str(os.getpid()), encoding="ascii")
+        yield
+    finally:
+        owner.unlink(missing_ok=True)
+        # Where an open file can be removed: one who waits for it finds that it has gone, and makes it anew.
+        with suppress(PermissionError):
+            path.unlink(missing_ok=True)
+        lock.release()
+
+
+def _number_in(owner: Path) -> str:
+    try:
+        return owner.read_text(encoding="ascii").strip() or "unknown"
+    except (OSError, ValueError):
+        return "unknown"

@@ -12,7 +12,7 @@ import numpy as np
 
 from refract import FlatWater
 from refract.lens import Lens
-from survey.display.words import named
+from survey.display.quantities import named
 from survey.errors import ConfigError, PosesError
 from survey.photos.cameras import CAM_FROM_OPK_CAM, View, grid_from_opk
 from survey.photos.exif import Exif

@@ -16,13 +16,11 @@ from geo.crs import height_unit_m
 from geo.files import existing_file
 from geo.frames import LocalFrame
 from refract import FlatWater
-from survey.control.content import Content, GivenPoint
-from survey.control.horizontal import in_crs
 from survey.control.placing import checkpoints_in_local, control_in_local, without_pose
-from survey.control.points import Checkpoint, Control
-from survey.control.reading import Gathered, gather, read_control
+from survey.control.points import Checkpoint, Content, Control, GivenPoint
+from survey.control.reading import Gathered, gather, in_crs, read_control
 from survey.control.tables import read_checkpoints
-from survey.display.words import named
+from survey.display.quantities import named
 from survey.files.point_table import several_heights
 from survey.findings import Findings
 from survey.photos.cameras import View

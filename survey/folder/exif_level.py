@@ -10,8 +10,13 @@ from scipy.spatial import KDTree
 
 from geo.crs import EARTH_RADIUS_M
 from survey.folder.datum_mixups import above_start_of, explanation
-from survey.folder.ground import USUAL_OVERLAP
-from survey.folder.plausible import AIRCRAFT_HEIGHT_M, DRONE_HEIGHT_M, MOST_OF_OVERLAP, require_level_fits
+from survey.folder.plausible import (
+    AIRCRAFT_HEIGHT_M,
+    DRONE_HEIGHT_M,
+    MOST_OF_OVERLAP,
+    USUAL_OVERLAP,
+    require_level_fits,
+)
 from survey.folder.pose_priors import common_up_std_of_exif
 from survey.photos.exif import Exif
 from survey.settings.config import SurveyConfig

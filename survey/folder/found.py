@@ -15,13 +15,12 @@ from pyproj import CRS
 from geo.area_of_use import require_at
 from geo.crs import height_unit_m, parse_crs
 from geo.operations import use_grids
-from survey.display.words import named
+from survey.display.quantities import named
 from survey.errors import FILE_NAME, ConfigError, PosesError, SurveyError
 from survey.folder import infer
 from survey.folder.control import FoundControl, find_control
 from survey.folder.geo_txt import find_geo_txt, with_positions
 from survey.folder.positions import position_doubts
-from survey.names import GCP_LIST
 from survey.photos.exif import Exif, position_sources, read_exif, without_void
 from survey.photos.images import list_images, same_files
 from survey.pose_files import find_poses, find_unread
@@ -33,6 +32,7 @@ from survey.water.level import with_level
 from survey.water.level_observation import LevelObservation
 from survey.water.position_check import doubts_of_water_places
 from survey.water.tides import Tide
+from survey.words import GCP_LIST
 
 MIN_VIEWS = 2
 # Where a survey may have the grid of the geoid under its heights.

@@ -17,15 +17,15 @@ from pyproj import CRS, Geod
 from geo.area_of_use import require_in_area
 from geo.crs import has_height, height_unit_m, horizontal_crs, horizontal_unit, is_geographic
 from geo.transformation import lon_lat
-from survey.display.words import named
+from survey.display.quantities import named
 from survey.errors import PosesError
+from survey.files.column_units import odm_crs
 from survey.files.csv_table import shortened, text_lines
-from survey.files.text_crs import odm_crs
 from survey.findings import Findings
-from survey.names import GEO_TXT
 from survey.photos.exif import SUFFIXES, Exif, TablePlace
 from survey.photos.names import ImageNames
 from survey.settings.std import require_std
+from survey.words import GEO_TXT
 
 _FORM = "image x y [z] [omega phi kappa] [horizontal accuracy] [vertical accuracy]"
 # How many numbers a line may have: x y, z, three angles, accuracies.

@@ -15,12 +15,12 @@ from survey.errors import FILE_NAME, ConfigError, ControlError
 from survey.findings import Findings
 from survey.folder.plausible import distances_to_exif
 from survey.folder.posed import middle_of_geocentric, points_in_crs
-from survey.names import GCP_LIST, GEO_TXT
 from survey.photos.exif import SUFFIXES, Exif, position_sources, utm_code_of
 from survey.photos.names import ImageNames
 from survey.photos.poses import PoseFile, PoseFrame
 from survey.pose_files import read_poses
 from survey.settings.config import ImagesConfig, SurveyConfig
+from survey.words import GCP_LIST, GEO_TXT
 
 # EXIF counts heights from the sea level; receivers mean the geoid model EGM96 by that.
 _EGM96_HEIGHT = 5773

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from refract import FlatWater
-from survey.display.words import named
+from survey.display.quantities import named
 from survey.errors import FILE_NAME
 from survey.findings import Findings
 from survey.photos.cameras import View, metres_per_px

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from geo.crs import EARTH_RADIUS_M
-from survey.display.words import named
+from survey.display.quantities import named
 from survey.photos.exif import Exif
 
 # A position is far from the others beyond so many times what is usual among them, and these lengths [m]; more than this

@@ -14,7 +14,7 @@ from pyproj.crs import CompoundCRS
 from geo.compatibility import same_crs
 from geo.crs import has_height, height_unit_m, vertical_crs
 from geo.frames import LocalFrame
-from geo.polygons import points_inside, read_polygons
+from geo.lines import points_inside, read_polygons
 from geo.reading import read_reference
 from geo.reproject import Reprojection
 from geo.shapes import Cloud, Mesh, in_height_unit, left_out, part_of, vertices_of

@@ -15,10 +15,9 @@ from geo.transformation import lon_lat
 from refract import FlatWater
 from survey.control.points import Checkpoint, Control, Ground
 from survey.errors import FILE_NAME, SurveyError
-from survey.findings import Findings
+from survey.findings import Contradiction, Findings
 from survey.folder import place
 from survey.folder.camera_faults import require_apart, require_focal_lengths
-from survey.folder.contradiction import Contradiction
 from survey.folder.control import checkpoint_doubts, mark_doubts
 from survey.folder.datum_mixups import exif_doubts, low_flight_doubts, place_of, start_doubts
 from survey.folder.found import Found, find_survey
@@ -26,18 +25,17 @@ from survey.folder.motion import Velocity, shutter_doubts, velocities_of, with_m
 from survey.folder.placed_views import PlacedViews, lifted_over_water, views_of_file, views_of_photographs
 from survey.folder.plausible import doubts_of_places, require_true
 from survey.folder.pose_priors import PosePrior, common_plan_std
+from survey.folder.posed import Reprojection
 from survey.folder.positions import far_from_others
 from survey.folder.reference import read_ground
-from survey.folder.reprojection import Reprojection
 from survey.photos.cameras import View, metres_per_px
 from survey.photos.images import load_image, load_mask
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 from survey.settings.config import SurveyConfig, WaterConfig
-from survey.water.curvature import still_water
 from survey.water.level import with_level_of_clicks, with_plane_of_surface
 from survey.water.level_observation import LevelObservation
 from survey.water.position_check import doubts_of_water_places
-from survey.water.surface import Departure, height_above
+from survey.water.surface import Departure, height_above, still_water
 from survey.water.tides import Tide, with_tides
 
 __all__ = [

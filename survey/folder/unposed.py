@@ -13,26 +13,26 @@ from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from refract.lens import Lens
 from survey.control.placing import require_near
-from survey.display.words import named
+from survey.display.quantities import named
 from survey.errors import FILE_NAME, ControlError, ImageError, PosesError
-from survey.folder.block_control import control_of_block, may_hold_roll, of_two_marks, require_placing_control
 from survey.folder.camera_faults import require_focal_lengths
+from survey.folder.checked_control import control_of_block, may_hold_roll, of_two_marks, require_placing_control
 from survey.folder.datum_mixups import place_of, start_doubts, xmp_doubts
 from survey.folder.exif_level import require_level_fits_exif
 from survey.folder.found import Found
 from survey.folder.motion import shutter_doubts
 from survey.folder.pose_priors import GPS_STD_M, best_plan_std
-from survey.names import RUN_FOLDER, SFM_FOLDER
 from survey.photos.cameras import View
 from survey.photos.images import require_all_complete
-from survey.photos.opening import HEIC_SUFFIXES
-from survey.photos.tie_points import TiePoints, least_track
+from survey.photos.pixels import HEIC_SUFFIXES
+from survey.photos.poses import TiePoints, least_track
 from survey.sfm.control_fit import line_of_control
 from survey.sfm.datum import require_as_good
 from survey.sfm.gps import gps_positions, is_whole, positions_in_crs, ways_into_crs
 from survey.sfm.gps_fit import HOLD_THE_ROLL, MIN_STD_M, contradicted, line_of
 from survey.sfm.marked import BlockControl
 from survey.sfm.settings import one_focal, require_size, require_solver
+from survey.words import RUN_FOLDER, SFM_FOLDER
 
 # With the distance of two positions known no better than to this share, heights over the bed are too wrong to be told a
 # standard deviation.

@@ -1,21 +1,27 @@
-"""A finished run as an object: its cloud, its report, products, profiles and comparisons."""
+"""A finished run as an object: its cloud, report, terrain models, products, profiles and comparisons."""
 
 from __future__ import annotations
 
 import base64
 import html
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
+import rasterio
+from pyproj import CRS
 
 from geo.las import read_cloud
 from geo.lines import Line
 from geo.shapes import Cloud
 from survey.errors import SurveyError
+from survey.export.loaded import LoadedRun
 from survey.export.product import ExportOptions
+from survey.export.registry import PRODUCTS
 from survey.files.json_values import read_json_object
 from survey.profile.profile import Bed, Profile
 from survey.run.folder import RunDir
@@ -26,12 +32,92 @@ if TYPE_CHECKING:
 
     from survey.compare.figures import Figures
     from survey.compare.options import CompareOptions
-    from survey.handles.dem import Dem
 
+# Of the product, in the order of its bands.
+_BANDS = ("height", "std", "std_common", "num_points", "depth", "origin")
 # Of the report, the first that is there: for notebooks.
 _PICTURES = ("depth.png", "orthophoto.png", "std.png")
 # Places (K, 2) of a line in the CRS of the run: easting or longitude first.
 Places = Sequence[Sequence[float]] | np.ndarray
+
+
+@dataclass(frozen=True)
+class Dem:
+    """Heights of the bed in cells, the first row in the north; NaN where nothing is known.
+
+    ``numpy.asarray(dem)`` are its heights.
+
+    Attributes
+    ----------
+    height : (rows, columns) float32, in the heights of crs
+    std, std_common : (rows, columns) float32 [m]
+        Standard deviation of the height by errors of its own, and by what all heights have in common.
+    num_points : (rows, columns) int
+    depth : (rows, columns) float32 [m]
+        Below the water, negative above it; NaN for a dry survey.
+    east, north : (columns,), (rows,), in crs
+        Middles of the cells.
+    crs : pyproj.CRS
+        Of heights too.
+    """
+
+    height: np.ndarray
+    std: np.ndarray
+    std_common: np.ndarray
+    num_points: np.ndarray
+    depth: np.ndarray
+    east: np.ndarray
+    north: np.ndarray
+    crs: CRS
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        """The heights."""
+        return np.array(self.height, dtype=dtype, copy=copy)
+
+    def to_xarray(self) -> Any:
+        """An ``xarray.Dataset`` of all layers, with the CRS as rioxarray and CF have it (``spatial_ref``).
+
+        Raises
+        ------
+        SurveyError
+            If xarray is not installed.
+        """
+        try:
+            import xarray
+        except ModuleNotFoundError as error:
+            raise SurveyError("xarray is not installed: pip install 'bathynerf[xarray]'") from error
+        layers = ("height", "std", "std_common", "num_points", "depth")
+        values = {name: (("y", "x"), getattr(self, name), {"grid_mapping": "spatial_ref"}) for name in layers}
+        place = ((), 0, {"crs_wkt": self.crs.to_wkt()})
+        return xarray.Dataset(values, coords={"x": self.east, "y": self.north, "spatial_ref": place})
+
+
+def dem_of(path: Path, options: ExportOptions) -> Dem:
+    """The terrain model of a run folder, as ``export --dem`` makes it.
+
+    Raises
+    ------
+    SurveyError, GeoError
+        See `survey.export.export.export`.
+    """
+    (product,) = (each for each in PRODUCTS if each.option == "dem")
+    with LoadedRun(path) as run, TemporaryDirectory(prefix="bathynerf-dem-") as folder:
+        file = Path(folder) / "dem.tif"
+        product.write(file, run, options)
+        crs = run.place.crs if options.crs is None else run.way_to(options.crs).crs
+        with rasterio.open(file) as raster:
+            layers = dict(zip(_BANDS, raster.read(masked=True).filled(np.nan), strict=True))
+            transform, (rows, columns) = raster.transform, raster.shape
+    return Dem(
+        height=layers["height"],
+        std=layers["std"],
+        std_common=layers["std_common"],
+        num_points=np.nan_to_num(layers["num_points"]).astype(np.int64),
+        depth=layers["depth"],
+        east=transform.c + transform.a * (np.arange(columns) + 0.5),
+        north=transform.f + transform.e * (np.arange(rows) + 0.5),
+        crs=crs,
+    )
 
 
 class Run:
@@ -92,8 +178,6 @@ class Run:
         crs : str, optional
             Of the model; default that of the survey.
         """
-        from survey.handles.dem import dem_of
-
         return dem_of(self.folder, ExportOptions(resolution_m=resolution_m, fill_m=fill_m, crs=crs))
 
     def export(self, *, options: ExportOptions | None = None, **files: str | Path | None) -> list[Path]:

@@ -8,9 +8,9 @@ from typing import Any
 from survey.folder import survey as folder_survey
 from survey.folder.found import Found, find_survey
 from survey.handles.run import Run, table_html
-from survey.names import RUN_FOLDER
 from survey.plan.check import Section, check_survey
 from survey.plan.choices import Choices
+from survey.words import RUN_FOLDER
 
 
 class Survey:

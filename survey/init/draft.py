@@ -7,12 +7,11 @@ from pathlib import Path
 from geo.files import write_whole
 from survey.errors import FILE_NAME, ConfigError, OutputError, SurveyError
 from survey.files.json_values import write_json
-from survey.files.toml_schema import schema_of
+from survey.files.toml_table import schema_of
 from survey.findings import Findings
 from survey.folder import infer
 from survey.folder.geo_txt import find_geo_txt, with_positions
-from survey.init.entry import Answers, Table
-from survey.init.place import Photographs, require_in_place, write_crs, write_origin
+from survey.init.place import Answers, Photographs, Table, require_in_place, write_crs, write_origin
 from survey.photos.exif import read_exif, without_void
 from survey.photos.images import list_images
 from survey.pose_files import find_poses, read_poses

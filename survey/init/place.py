@@ -1,13 +1,15 @@
-"""The CRS of a survey, the datum of heights in EXIF, and the origin of poses in a local frame, as files tell them."""
+"""The CRS, the datum of heights in EXIF and the origin of poses for a new survey.toml, its keys and questions."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from textwrap import shorten
+from typing import Any
 
 import numpy as np
+import tomli_w
 from pyproj import CRS
 
 from geo.area_of_use import height_systems_at, require_at
@@ -17,20 +19,84 @@ from survey.errors import ConfigError
 from survey.folder import infer
 from survey.folder.plausible import distances_to_exif
 from survey.folder.posed import middle_of_geocentric, points_in_crs
-from survey.init.entry import Answers, Table
-from survey.names import GEO_TXT
 from survey.photos.exif import Exif, position_sources, utm_code_of
 from survey.photos.names import ImageNames
 from survey.photos.poses import PoseFile, PoseFrame
 from survey.photos.xmp import ELLIPSOIDAL
 from survey.sfm.datum import area_at, height_transformer
 from survey.sfm.gps import positions_in_crs
+from survey.words import GEO_TXT
 
+# Asks a person; returns the answer, which may be empty.
+Ask = Callable[[str], str]
 _EGM96_HEIGHT, _WGS84_3D = 5773, 4979
 # A GPS position without corrections is within 10 m; another zone or datum is farther off.
 _SAME_PLACE_M = 100.0
 # Positions by GPS are explained by poses in metres, east, north and up, but for this share of their variance.
 _UNEXPLAINED = 0.1
+
+
+@dataclass(frozen=True)
+class Answers:
+    """Answers on the command line."""
+
+    crs: str | None = None
+    level_m: float | None = None
+    is_dry: bool = False  # There is no water
+    # (easting, northing, height) or None: of the local frame of poses, in crs
+    origin: tuple[float, float, float] | None = None
+    ask: Ask | None = None  # callable or None: None where nobody is there to be asked
+
+    def number(self, question: str, *, otherwise: str | None) -> float | None:
+        """The number that a person answers; None for an empty answer, or nobody to ask.
+
+        Parameters
+        ----------
+        question : str
+        otherwise : str or None
+            What the error says where a number is required; None where it is not.
+
+        Raises
+        ------
+        ConfigError
+            If the answer is no number, or is required and missing.
+        """
+        text = "" if self.ask is None else self.ask(question).strip()
+        if not text and otherwise is not None:
+            raise ConfigError(otherwise)
+        try:
+            return float(text) if text else None
+        except ValueError as error:
+            raise ConfigError(f'the answer to "{question}" is "{text}", expected a number such as 12.34') from error
+
+
+@dataclass
+class Table:
+    """A table of survey.toml."""
+
+    name: str  # Empty for the keys before the first table
+    lines: list[str] = field(default_factory=list)
+
+    def set(self, key: str, value: Any, comment: str = "", more: tuple[str, ...] = ()) -> None:
+        """Add a key with a comment behind it, and lines of comment below."""
+        line = f"{key} = {_toml(value)}"
+        self.lines.append(f"{line}    # {comment}" if comment else line)
+        self.lines += [f"# {text}" for text in more]
+
+    def say(self, *comments: str) -> None:
+        """Add lines of comment."""
+        self.lines += [f"# {text}" for text in comments]
+
+    def text(self) -> str:
+        """The table in TOML; empty where it has no line."""
+        head = f"[{self.name}]\n" if self.name else ""
+        return head + "\n".join(self.lines) + "\n" if self.lines else ""
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_toml(each) for each in value)}]"
+    return tomli_w.dumps({"key": value}).partition(" = ")[2].strip()
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,8 @@ from typing import NamedTuple, TypeVar
 
 from geo.files import write_whole
 from survey.control import gcp_list
-from survey.control.content import Content, GivenMark, GivenPoint
-from survey.control.horizontal import in_crs
-from survey.control.reading import read_control
+from survey.control.points import Content, GivenMark, GivenPoint
+from survey.control.reading import in_crs, read_control
 from survey.control.tables import read_checkpoints
 from survey.errors import SurveyError
 from survey.folder.found import Found

@@ -16,11 +16,11 @@ from pyproj import CRS
 from geo.crs import crs_code, horizontal_crs, is_geographic
 from geo.errors import UnknownUnit
 from geo.transformation import height_scale, transformed
-from survey.control.content import Content, GivenPoint
 from survey.control.gcp_list import is_of_content, line_cells, mark_line, read_gcp_list
+from survey.control.points import Content, GivenPoint
 from survey.errors import ConfigError, ControlError
+from survey.files.column_units import odm_crs
 from survey.files.csv_table import column_names, read_table, text_lines
-from survey.files.text_crs import odm_crs
 from survey.photos.names import ImageNames
 
 # Decimals of coordinates in metres and in degrees: to a tenth of a millimetre.

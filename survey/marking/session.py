@@ -10,11 +10,10 @@ import numpy as np
 from geo.crs import EARTH_RADIUS_M, height_unit_m
 from geo.transformation import lon_lat
 from refract import FlatWater
-from survey.control.content import GivenPoint
+from survey.control.points import GivenPoint
 from survey.errors import SurveyError
 from survey.marking.book import GROUND, WATER, Book, Key, Pixel
-from survey.marking.geometry import by_gain, crossing, epipolar_curve, seen_at
-from survey.marking.poses import poses_to_mark, survey_to_mark
+from survey.marking.geometry import by_gain, crossing, epipolar_curve, poses_to_mark, seen_at, survey_to_mark
 from survey.photos.cameras import View
 from survey.photos.intersection import Intersection, intersect
 from survey.settings.control import DEFAULT_MARKS_STD_PX

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from geo.files import write_whole
 from refract.lens import MODELS, Lens
 from survey.photos.cameras import View
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 
 _GREY = "128 128 128"
 FILES = ("cameras.txt", "images.txt", "points3D.txt")

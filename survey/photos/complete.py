@@ -17,7 +17,7 @@ from PIL import Image
 
 from survey.photos.heic import has_zeros
 from survey.photos.jpeg import jpeg_fault
-from survey.photos.opening import HEIC_SUFFIXES, open_image
+from survey.photos.pixels import HEIC_SUFFIXES, open_image
 
 # A complete JPEG ends with this marker, which the compressed pixels never contain; cameras add a few bytes behind it.
 _JPEG_END = b"\xff\xd9"

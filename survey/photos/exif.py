@@ -15,10 +15,19 @@ from PIL import ExifTags, Image
 from pyproj import CRS
 
 from geo.crs import utm_code
-from survey.photos.exif_focal import FocalCandidate, focal_candidates, focal_doubt, focal_px
-from survey.photos.exif_position import altitude_reference, other_datum, plain, position_of, std_of_gps, words
-from survey.photos.opening import HEIC_SUFFIXES, damage_named, open_image, without_complaints
-from survey.photos.pixels import channel_bits, stored_size
+from survey.photos.exif_position import (
+    FocalCandidate,
+    altitude_reference,
+    focal_candidates,
+    focal_doubt,
+    focal_px,
+    other_datum,
+    plain,
+    position_of,
+    std_of_gps,
+    words,
+)
+from survey.photos.pixels import HEIC_SUFFIXES, channel_bits, damage_named, open_image, stored_size, without_complaints
 from survey.photos.xmp import (
     SEA_LEVEL,
     Motion,
@@ -91,7 +100,7 @@ class Exif:
     gps_datum: str = ""
     # Whether the receiver says that it measured no position, and gives an earlier one (GPSStatus V)
     is_void: bool = False
-    focal_doubt: str = ""  # Why the focal length may be that of another image: `survey.photos.exif_focal.focal_doubt`
+    focal_doubt: str = ""  # why it may be that of another image: `survey.photos.exif_position.focal_doubt`
     serial: str = ""  # Serial number of the camera; empty where it is not known
     # Where a table gives the position, which then counts instead of that of the file itself
     table_place: TablePlace | None = None

@@ -3,21 +3,48 @@
 Pillow decodes what has 8 bits, as JPEG has. It opens 16 bits of three channels too and drops half of them without a
 word, so that OpenCV decodes those; pillow-heif does in HEIC. Both, and Pillow in TIFF, turn pixels by the tag of the
 orientation, which is undone here: poses and sizes are those of the stored pixels.
+
+Pillow refuses images of more than 179 Mpx whatever the machine is, and photographs of 200 Mpx exist. The limit here:
+an image may take half of the memory while it is decoded.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import struct
+import threading
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 import cv2
 import numpy as np
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from geo.optional import library_for
+from survey import machine
 from survey.errors import ImageError
-from survey.photos.opening import HEIC_SUFFIXES, damage_named, open_image
 
+# Decoded by Pillow 4, converted 4, on its way to an array 3 and as one 3; measured.
+_BYTES_PER_PIXEL = 14
+_SHARE_OF_MEMORY = 0.5
+# What Pillow and OpenCV raise about files that do not hold what their heads promise.
+_DAMAGE = (
+    OSError,
+    SyntaxError,
+    ValueError,
+    TypeError,
+    KeyError,
+    IndexError,
+    OverflowError,
+    EOFError,
+    struct.error,
+    cv2.error,
+)
+_one_at_a_time = threading.RLock()
+# Read by pillow-heif, an extra.
+HEIC_SUFFIXES = (".heic", ".heif")
 _WIDTH, _HEIGHT, _BITS, _ORIENTATION, _PLANES = 256, 257, 258, 274, 284
 _SEPARATE_PLANES = 2
 # What a band beyond the colours is: 0 is unspecified, 1 and 2 are transparency that colours are multiplied with or not.
@@ -35,6 +62,79 @@ _STORED: dict[int, Callable[[np.ndarray], np.ndarray]] = {
     7: lambda pixels: np.rot90(pixels, 2).swapaxes(0, 1),
     8: lambda pixels: np.rot90(pixels, -1),
 }
+
+
+@contextmanager
+def open_image(path: Path) -> Iterator[Image.Image]:
+    """An image whose head is read and whose size was checked.
+
+    Raises
+    ------
+    ImageError
+        Where the file is no image, or one that is too large for this machine.
+    UnreadableFile
+        Where the library that reads its format is not installed.
+    OSError
+        What the disk refuses.
+    """
+    if path.suffix.lower() in HEIC_SUFFIXES:
+        library_for(path, "pillow_heif", "heic").register_heif_opener()
+    # From an open file: Pillow maps a file that it opens itself into memory, and takes width for height in a TIFF that
+    # its tag of the orientation turns by a quarter.
+    with path.open("rb") as file:
+        with damage_named(f"{path} is not an image that can be read"):
+            image = open_stream(file)
+        with image:
+            _require_fit(path, *image.size)
+            yield image
+
+
+@contextmanager
+def damage_named(said: str) -> Iterator[None]:
+    """Around calls of a decoder: all that damaged or hostile files make it raise becomes an ImageError.
+
+    Errors of the disk have an errno, those of decoders about damaged files have none.
+    """
+    try:
+        yield
+    except ImageError:
+        raise
+    except _DAMAGE as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            raise
+        why = " ".join(str(error).split())[:200] or type(error).__name__
+        if isinstance(error, UnidentifiedImageError):  # its own text names an object of Python
+            why = "it does not begin as any known format does"
+        raise ImageError(f"{said} ({why}); copy it again or remove it") from error
+
+
+def open_stream(file: BinaryIO, *formats: str) -> Image.Image:
+    """Opened without Pillow's own limit, which is one number for the whole process; of all formats, or of some."""
+    with without_complaints():
+        limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
+        try:
+            return Image.open(file, formats=formats or None)
+        finally:
+            Image.MAX_IMAGE_PIXELS = limit
+
+
+@contextmanager
+def without_complaints() -> Iterator[None]:
+    """Without the warnings of Pillow about damaged tags: what they cost, e.g. a position, is found missing later."""
+    # Filters of warnings are those of the whole process too.
+    with _one_at_a_time, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+def _require_fit(path: Path, width: int, height: int) -> None:
+    most = _SHARE_OF_MEMORY * machine.memory_bytes() / _BYTES_PER_PIXEL
+    said = f"{path} has {width} x {height} pixels ({width * height / 1e6:.0f} Mpx)"
+    if width * height > most:
+        raise ImageError(
+            f"{said}, expected at most {most / 1e6:.0f} Mpx on this machine ({_BYTES_PER_PIXEL} bytes a pixel in half "
+            f"of {machine.memory_bytes() / 1e9:.1f} GB); use smaller images with poses made from them, or more memory"
+        )
 
 
 def stored_size(image: Image.Image) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""Relative sharpness of photographs: finest against coarser detail.
+"""Relative sharpness of photographs, finest against coarser detail, and their saturated pixels.
 
 A scene has detail of its own, so that no number says by itself that a photograph is blurred; of photographs of one bed
 by one camera, one whose ratio is lower than that of the others is. Motion takes detail along its direction alone, so
@@ -15,8 +15,13 @@ import cv2
 import numpy as np
 
 from survey.photos.pixels import read_grey
-from survey.photos.saturation import saturated
 
+# White, 255, less a margin for noise and JPEG [grey levels].
+_WHITE = 250.0
+# A photograph of which more than this share is white shows the sun, or its exposure, rather than the bed.
+MOSTLY_WHITE = 0.5
+# Width of the fainter rim of glint around saturated pixels, which hides the bed as well [px].
+_RIM_PX = 1
 # Standard deviations of the Gaussians that leave fine and coarse detail, and half the way of their differences [px].
 _FINE, _COARSE = (0.7, 1), (2.8, 4)
 _DIRECTIONS = ((1, 0), (0, 1), (1, 1), (1, -1))
@@ -31,12 +36,19 @@ _LEAST = 1e-3
 _PLAIN_STD, _BLACK = 2.0, 16.0
 
 
+def saturated(grey: np.ndarray) -> np.ndarray:
+    """Saturated pixels of an image (height, width) of 0 to 255, and those beside them, (height, width) bool."""
+    white = (grey >= _WHITE).astype(np.uint8)
+    side = 2 * _RIM_PX + 1
+    return cv2.dilate(white, np.ones((side, side), np.uint8)).astype(bool) if white.any() else white.astype(bool)
+
+
 @dataclass(frozen=True)
 class ImageDetail:
     """Detail in a photograph, for its sharpness."""
 
     detail: np.ndarray  # (4,): see `detail_of`
-    white: float  # [-]: share of its pixels that are white or beside white; see `survey.photos.saturation`
+    white: float  # [-]: share of its pixels that are white or beside white; see `saturated`
     is_plain: bool = False  # Whether it is black, as under a lens cap, or has one colour all over
 
 

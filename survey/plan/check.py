@@ -11,16 +11,14 @@ from typing import Any
 import numpy as np
 
 from geo.crs import height_unit_m
-from survey.display.quantities import length
-from survey.display.words import named
+from survey.display.quantities import length, named
 from survey.errors import SurveyError
 from survey.folder.motion import shutter_text
 from survey.folder.pose_priors import accuracy_of_gps, accuracy_of_priors, common_up_std_of_exif
 from survey.folder.survey import Found, Survey, find_survey, load_survey
 from survey.folder.unposed import placing_control, require_solvable
-from survey.names import RUN_FOLDER
 from survey.photos.exif import position_sources
-from survey.photos.water_like import look_like_water
+from survey.photos.texture import look_like_water
 from survey.plan.area import require_seen
 from survey.plan.check_inputs import control_rows, mark_rows, water_stds
 from survey.plan.choices import USUAL, Choices
@@ -33,6 +31,7 @@ from survey.plan.tiling import water_doubts
 from survey.plan.workload import Workload, room_doubts, workload_of, workload_of_images
 from survey.settings.config import SurveyConfig
 from survey.sfm.datum import WELL_KNOWN_M
+from survey.words import RUN_FOLDER
 
 
 @dataclass(frozen=True)

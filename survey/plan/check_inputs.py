@@ -1,8 +1,9 @@
-"""Rows of `check` about the observations besides tie points: their source and accuracy."""
+"""Rows of `check` about the observations besides tie points, their source and accuracy, and its verdicts."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from enum import StrEnum
 
 import numpy as np
 
@@ -78,3 +79,24 @@ def water_stds(water: WaterConfig, levels: Sequence[LevelObservation], *, is_ind
     if water.level_m is not None and water.level_std_m is None:
         told += f"; level_std_m is not given, {STAFF_STD_M:g} m as of a staff are assumed: say how well it is known"
     return told
+
+
+class Verdict(StrEnum):
+    """Suitability for measuring the bed."""
+
+    good = "good"
+    fair = "fair"
+    poor = "poor"
+
+
+def by_limits(value: float, good: float, fair: float) -> Verdict:
+    """The verdict on a value by the limits up to which it is good or fair; where good > fair, from which on."""
+    sign = 1.0 if good <= fair else -1.0
+    if sign * value <= sign * good:
+        return Verdict.good
+    return Verdict.fair if sign * value <= sign * fair else Verdict.poor
+
+
+def judged(verdict: Verdict, found: str, advice: str) -> str:
+    """The sentence that `check` prints; advice only where there is something to mend."""
+    return f"{verdict}: {found}" + ("" if verdict is Verdict.good else f"; {advice}")

@@ -17,13 +17,12 @@ from survey.folder.motion import velocities_of
 from survey.folder.survey import Survey
 from survey.photos.cameras import level_from_yaw_pitch_roll
 from survey.photos.exif import Exif
-from survey.photos.saturation import MOSTLY_WHITE
-from survey.photos.sharpness import bytes_per_pixel, image_detail, relative
+from survey.photos.sharpness import MOSTLY_WHITE, bytes_per_pixel, image_detail, relative
 from survey.plan.check import Checked, Section
+from survey.plan.check_inputs import Verdict, by_limits, judged
 from survey.plan.glitter import USUAL_WIND_M_S, Glitter, GlitterOfFlight
 from survey.plan.places import in_the_middle
 from survey.plan.plan import make_plan
-from survey.plan.verdict import Verdict, by_limits, judged
 
 # Of the photographs of a place, lost to glitter: up to these shares it is good, or fair. Where no places are known, of
 # a photograph.

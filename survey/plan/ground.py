@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from survey.folder.ground import Ground, ground_below
+from survey.folder.plausible import Ground, ground_below
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey

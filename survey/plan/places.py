@@ -8,7 +8,7 @@ import numpy as np
 
 from fields.sweep.views import coverage
 from survey.folder.survey import Survey
-from survey.photos.tie_points import least_track
+from survey.photos.poses import least_track
 from survey.plan.area import local_area, within
 from survey.plan.ground import dry_ground
 

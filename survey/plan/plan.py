@@ -19,8 +19,7 @@ from survey.plan.heights import in_words
 from survey.plan.poses import pose_choice
 from survey.plan.recipe import AIMED, RECIPES, Recipe, image_decision, image_scale
 from survey.plan.skipped import FULL, Decision, finer_passes, first_heights, lens_terms, pixels, refraction
-from survey.water.curvature import SOURCE as EARTH
-from survey.water.surface import Departure
+from survey.water.surface import EARTH, Departure
 from survey.water.tides import MOST_SHIFT_PX
 
 

@@ -13,9 +13,8 @@ from fields.image_store import GreyImages
 from fields.sweep.block import Block
 from refract import PinholeCamera
 from survey.errors import SurveyError
-from survey.photos.images import load_mask
-from survey.photos.saturation import saturated
-from survey.photos.store import ImageStore
+from survey.photos.images import ImageStore, load_mask
+from survey.photos.sharpness import saturated
 from survey.plan.ground import dry_ground
 
 if TYPE_CHECKING:

@@ -14,10 +14,10 @@ import numpy as np
 
 from survey.errors import PosesError
 from survey.files.csv_table import shortened, text_lines
-from survey.names import GEO_TXT
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.photos.poses import Pose, PoseFile, PoseFrame, SecondPose
 from survey.pose_files.format import Format
+from survey.words import GEO_TXT
 
 _SUFFIXES = (".txt", ".dat", ".opk", ".eo")
 _NUMBERS, _WITH_MATRIX = 6, 15

@@ -1,12 +1,28 @@
-"""A format of pose files: how it is found, recognised and read."""
+"""A format of pose files: how it is found, recognised and read, and which of its keys change a lens.
+
+The one place for all formats: a reader names the keys that it reads, and what is left is held against this.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+from refract.lens import LensError
+from survey.files.csv_table import shortened
 from survey.photos.poses import FileTies, PoseFile
+
+# Names of coefficients, what only says which lens it is, and words in the names of keys that are about a lens.
+_COEFFICIENT = re.compile(r"(k|p|b|s|tau|sx|sy)_?\d{1,2}")
+_LABEL = re.compile(r"(lens|camera)_(make|maker|name|serial|serial_number|id)|lens_model")
+_WORDS = re.compile(
+    r"fish_?eye|distort|lens|skew|shear|aspect|focal|fov|principal|ppx|ppy|^[fc]_?[xy]$|^fl_|ftheta|projection|"
+    r"equirect|lat_?long|panorama|spherical|cylindrical|omnidirectional|camera_model|camera_type|prism|radial|"
+    r"tangential|affin|intrinsic|rolling|shutter|decent(er|r)ing|dist_?coeff?"
+)
 
 
 @dataclass(frozen=True)
@@ -22,3 +38,55 @@ class Format:
     files: Callable[[Path], list[Path]] | None = None
     # callable, optional: tie points that came with the poses, in their frame; None where none came; raises PosesError
     read_ties: Callable[[Path], FileTies | None] | None = None
+
+
+def require_understood(
+    values: Mapping[str, Any], known: Collection[str], *, mend: str, are_all_of_lens: bool = False
+) -> None:
+    """Raise LensError where a key that changes the lens is none of those that a reader knows.
+
+    Parameters
+    ----------
+    values : mapping
+        Keys and values of a file, or of an object in it.
+    known : collection of str
+        What the reader reads, and what it knows to change nothing.
+    mend : str
+        What to do instead, after the semicolon of the error.
+    are_all_of_lens : bool
+        Whether the object is that of a lens alone, so that each key is one of it; else names tell it.
+
+    Raises
+    ------
+    LensError
+    """
+    for key, value in values.items():
+        is_of_lens = are_all_of_lens or is_lens_key(key)
+        if is_of_lens and key not in known and not _changes_nothing(value):
+            raise LensError(
+                f"{shortened(key)} is {shortened(str(value))}, a part of the lens that is not read, expected none; "
+                f"{mend}"
+            )
+
+
+def is_lens_key(key: str) -> bool:
+    """Whether the name of a key or column is that of a part of a lens."""
+    name = key.casefold()
+    if _LABEL.fullmatch(name):
+        return False
+    return _COEFFICIENT.fullmatch(name) is not None or _WORDS.search(name) is not None
+
+
+def _changes_nothing(value: Any) -> bool:
+    """Zero, false or empty, as a number, its text, or a list of those."""
+    if isinstance(value, list | tuple):
+        return all(_changes_nothing(part) for part in value)
+    if isinstance(value, dict):
+        return all(_changes_nothing(part) for part in value.values())
+    if isinstance(value, str):
+        text = value.strip().casefold()
+        try:
+            return all(float(word) == 0.0 for word in text.replace(",", " ").split())
+        except ValueError:
+            return text in ("false", "none", "null")
+    return not value

@@ -13,8 +13,7 @@ from survey.files.csv_table import shortened
 from survey.files.json_values import finite_number, finite_numbers, read_foreign_json
 from survey.photos.cameras import nearest_rotation
 from survey.photos.poses import Pose, PoseFile, PoseFrame, SecondPose
-from survey.pose_files.format import Format
-from survey.pose_files.lens_keys import require_understood
+from survey.pose_files.format import Format, require_understood
 
 _NAME = "transforms.json"
 _EXPORT = "write it again with ns-process-data"

@@ -15,15 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
-from geo.ellipsoid import enu_from_geocentric, geocentric_from_geodetic
+from geo.projection import enu_from_geocentric, geocentric_from_geodetic
 from refract.lens import Lens, LensError
 from survey.errors import PosesError
 from survey.files.csv_table import shortened
 from survey.files.json_values import finite_number, finite_numbers, read_foreign_json
 from survey.photos.cameras import rotation_from_axis_angle
 from survey.photos.poses import FileTies, Pose, PoseFile, PoseFrame
-from survey.pose_files.format import Format
-from survey.pose_files.lens_keys import require_understood
+from survey.pose_files.format import Format, require_understood
 
 _TOPOCENTRIC, _PLAIN, _GRID = "reconstruction.topocentric.json", "reconstruction.json", "reconstruction.geocoords.json"
 _REFERENCE, _TRACKS = "reference_lla.json", "tracks.csv"

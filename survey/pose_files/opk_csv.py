@@ -13,13 +13,11 @@ import numpy as np
 from pyproj import CRS
 
 from survey.errors import PosesError
-from survey.files.column_units import common_unit_m, meaning
+from survey.files.column_units import common_unit_m, crs_of_comment, meaning
 from survey.files.csv_table import Row, column_names, read_table
-from survey.files.text_crs import crs_of_comment
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk, level_from_yaw_pitch_roll
 from survey.photos.poses import GivenPosition, Pose, PoseFile, PoseFrame, SecondPose
-from survey.pose_files.format import Format
-from survey.pose_files.lens_keys import is_lens_key
+from survey.pose_files.format import Format, is_lens_key
 
 COLUMNS = ("image", "easting", "northing", "height", "omega", "phi", "kappa")
 _PLACE, _OPK = COLUMNS[1:4], COLUMNS[4:]

@@ -16,9 +16,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from geo.crs import crs_code, height_unit_m, is_geographic
-from geo.dxf import DxfLine, write_dxf
 from geo.files import write_whole
 from geo.lines import read_lines
+from geo.vectors import DxfLine, write_dxf
 from survey.compare.canvas import save, write_title
 from survey.display.palette import BLUE, INK, LAND, RED, WATER, WATER_LINE
 from survey.display.quantities import length, share

@@ -9,8 +9,7 @@ from geo.files import write_whole
 from survey.files.json_values import write_json
 from survey.report.collect import figures_of
 from survey.report.facts import ReportFacts
-from survey.report.figures import ReportFigures
-from survey.report.json_figures import json_of
+from survey.report.figures import ReportFigures, json_of
 from survey.report.page import render_page
 from survey.report.pictures import draw_pictures
 

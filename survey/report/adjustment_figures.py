@@ -13,7 +13,7 @@ from survey.adjust.result.parts import Part, parts_of_adjustment
 from survey.adjust.result.std_common import CommonError, common_error
 from survey.display.quantities import length
 from survey.folder.survey import Survey
-from survey.report.stated import CE90, LE90
+from survey.report.checkpoints import CE90, LE90
 
 # Standard deviations below this are those of parameters that were not to move.
 HELD_STD = 1e-7

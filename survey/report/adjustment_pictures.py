@@ -14,7 +14,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from evaluation.cells import cell_counts, cell_means, cell_numbers
+from evaluation.bootstrap import cell_counts, cell_means, cell_numbers
 from geo.projection import ground_units_m
 from survey.adjust.result.adjustment import Adjustment
 from survey.adjust.result.parts import part_numbers

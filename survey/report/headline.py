@@ -22,8 +22,8 @@ from survey.display.quantities import (
     volume,
 )
 from survey.report.blocks import Block, Rows, Sentences
+from survey.report.facts import Gate, Verdict
 from survey.report.figures import ReportFigures
-from survey.report.verdict import Gate, Verdict
 
 # 95 % of normal errors are within so many standard deviations.
 _SIGMAS_95 = 1.96

@@ -10,7 +10,7 @@ import jinja2
 
 from survey.display import palette
 from survey.display.quantities import LengthUnit
-from survey.report import adjustment_tables, photographs, reference_tables, stated, survey_tables, taken
+from survey.report import adjustment_tables, checkpoints, photographs, tables
 from survey.report.blocks import Block, Rows, Section, Sentences
 from survey.report.figures import ReportFigures
 from survey.report.headline import cards, headline, limits, seen
@@ -45,13 +45,13 @@ def render_page(figures: ReportFigures, pictures: list[Picture]) -> str:
     return _template().render(
         palette=palette,
         survey=figures.survey,
-        head_lines=[*taken.head_lines(figures.taken), *_unit_line()],
+        head_lines=[*photographs.head_lines(figures.taken), *_unit_line()],
         verdict=headline(figures.verdict, figures.warnings),
         cards=cards(figures),
         num_warnings=len(figures.warnings),
         groups=_grouped(pictures),
         sections=[section for section in _sections(figures) if section.blocks],
-        settings=survey_tables.settings(figures.settings),
+        settings=tables.settings(figures.settings),
         version=figures.versions.get("bathynerf", ""),
     )
 
@@ -75,21 +75,21 @@ def _sections(figures: ReportFigures) -> list[Section]:
     return [
         Section("Limits", limits(figures)),
         Section("What was seen of the water", seen(figures)),
-        Section("Against the reference", reference_tables.comparison(comparison)),
-        Section("At the check points", reference_tables.checkpoints(figures.checkpoints)),
-        Section("Vertical uncertainty (IHO S-44)", reference_tables.iho_s44(uncertainty)),
-        Section("Uncertainty as the cloud states it", stated.table(figures.stated)),
+        Section("Against the reference", tables.comparison(comparison)),
+        Section("At the check points", tables.checkpoints(figures.checkpoints)),
+        Section("Vertical uncertainty (IHO S-44)", tables.iho_s44(uncertainty)),
+        Section("Uncertainty as the cloud states it", checkpoints.table(figures.stated)),
         Section("Adjustment", adjustment_tables.adjustment(figures.adjustment)),
-        Section("What refraction would cost if ignored", reference_tables.baselines(figures.baselines)),
-        Section("The cloud", survey_tables.cloud(figures.cloud, survey.crs)),
-        Section("Who, when, with what", taken.table(figures.taken)),
-        Section("Survey and water", survey_tables.survey(survey, figures.water, figures.plan)),
+        Section("What refraction would cost if ignored", tables.baselines(figures.baselines)),
+        Section("The cloud", tables.cloud(figures.cloud, survey.crs)),
+        Section("Who, when, with what", photographs.taken_table(figures.taken)),
+        Section("Survey and water", tables.survey(survey, figures.water, figures.plan)),
         Section("Photographs", photographs.table(figures.photographs, figures.left_out)),
-        Section("What was done, and why", survey_tables.decisions(figures.plan.decisions)),
+        Section("What was done, and why", tables.decisions(figures.plan.decisions)),
         Section("Assumptions", _listed(figures.assumptions)),
         Section("Warnings", _listed(figures.warnings)),
         Section("Notes", _listed(figures.notes)),
-        Section("Time", survey_tables.timings(figures.timings_s, figures.total_s)),
+        Section("Time", tables.timings(figures.timings_s, figures.total_s)),
         Section("Versions", [Rows(list(figures.versions.items()))] if figures.versions else []),
     ]
 

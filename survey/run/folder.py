@@ -21,16 +21,15 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from geo.files import disk_refusals, write_whole
-from survey.code_hash import code_hash
 from survey.errors import SurveyError
 from survey.files.json_values import read_json_object
-from survey.files.lock import locked
-from survey.files.outputs import ReadFiles
-from survey.names import RUN_FOLDER, SFM_FOLDER
+from survey.files.outputs import ReadFiles, locked
 from survey.progress import current
 from survey.run import result
 from survey.run.keys import Key
-from survey.run.owner import Owner
+from survey.run.result import Owner
+from survey.stage_key import code_hash
+from survey.words import RUN_FOLDER, SFM_FOLDER
 
 _MARKER, _RECORD, _PART = ".bathynerf-run.json", "stage.json", ".part"
 _NAMED_VERSIONS = (

@@ -19,8 +19,8 @@ from survey.display.quantities import NO_BREAK, length, share
 from survey.plan.aim import SHARE
 from survey.plan.recipe import MAX_STD_GSD, max_height_std
 from survey.report.collect import height_std
+from survey.report.facts import Gate, Verdict
 from survey.report.seen_cells import SeenCells, cells_of
-from survey.report.verdict import Gate, Verdict
 from survey.run.cell_std import std_cells
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from fields.sweep.kernels.arrays import release
 from survey.adjust.far_poses import Search, find_anew
 from survey.errors import SurveyError
 from survey.files.toml_table import table_of
-from survey.photos.store import ImageStore
+from survey.photos.images import ImageStore
 from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area
 from survey.plan.plan import make_plan
 from survey.plan.sweep_block import cameras_of_block, load_block

@@ -22,7 +22,6 @@ from survey.folder.found import Found, process_config
 from survey.folder.inputs import survey_inputs
 from survey.folder.survey import Survey, load_survey
 from survey.forecast import Forecast
-from survey.names import RUN_FOLDER
 from survey.plan.aim import aim_and_choices
 from survey.plan.check import Checked, require_processable
 from survey.plan.choices import Choices, Device
@@ -37,9 +36,10 @@ from survey.run.aimed_run import AimedRun
 from survey.run.clock import Clock
 from survey.run.feasibility import begin_aimed_run, require_some_time
 from survey.run.folder import RunDir
-from survey.run.owner import Owner
 from survey.run.repeat import Truth
+from survey.run.result import Owner
 from survey.settings.process import ProcessConfig
+from survey.words import RUN_FOLDER
 
 if TYPE_CHECKING:
     from survey.run.job import Job

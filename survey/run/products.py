@@ -1,4 +1,4 @@
-"""The results of a run: cloud, settings, plan and report, written into a folder of their own."""
+"""The results of a run, its cloud, settings, plan and report, written into a folder of their own."""
 
 from __future__ import annotations
 
@@ -13,11 +13,14 @@ import numpy as np
 
 from fields.sweep.maps import HeightMap
 from fields.sweep.photo_consistency import Consistency
+from geo.e57 import write_e57
+from geo.las import write_cloud
+from geo.ply import write_ply
+from geo.verified import write_verified
 from survey.adjust.applied import CAMERAS, MODEL_FOLDER
 from survey.adjust.result.adjustment import ARRAYS, JSON, Adjustment, read_adjustment
 from survey.compare.figures import Comparison
-from survey.display.quantities import length, lengths_in_feet
-from survey.display.units import foot_m
+from survey.display.quantities import foot_m, length, lengths_in_feet
 from survey.files.json_values import read_json_object, write_json
 from survey.files.toml_table import table_of
 from survey.folder.survey import Survey
@@ -26,11 +29,9 @@ from survey.photos.texture import matched_light
 from survey.plan.tiling import water_doubts
 from survey.report import NUM_STEPS, ReportFacts, write_report
 from survey.report.checkpoints import checkpoint_doubts
-from survey.report.coverage import CoverageFigures, coverage_of
+from survey.report.facts import Verdict, dry_doubts
 from survey.report.photographs import PhotographFigures, doubts, photographs_of, summary
-from survey.report.seen_cells import SeenCells, cells_of
-from survey.report.verdict import Verdict, dry_doubts
-from survey.run.cloud import write_bed_las
+from survey.report.seen_cells import CoverageFigures, SeenCells, cells_of, coverage_of
 from survey.run.flight import save_flight
 from survey.run.folder import RunDir, seconds_of, versions, versions_of
 from survey.run.gate import asked_gate, verdict_of
@@ -43,6 +44,45 @@ from survey.run.stored_maps import Stored
 
 # At which the report asks how complete the cloud is: that of the study which this work follows, and a finer one.
 TOLERANCES_M = (0.2, 0.05)
+
+
+def write_bed_las(path: Path, stored: StoredBed, classification: np.ndarray | None = None) -> None:
+    """The cloud as LAS, or LAZ or COPC by the suffix, with classes (N,) other than its own; see `geo.write_cloud`."""
+    bed = stored.bed
+    write_cloud(
+        path,
+        stored.points_crs,
+        stored.crs,
+        rgb=bed.rgb,
+        depth_m=bed.depth,
+        std_m=bed.std,
+        num_views=bed.num_views,
+        incidence_deg=np.degrees(bed.incidence),
+        is_wet=bed.wet,
+        std_common_m=stored.std_common,
+        classification=classification,
+        origin=bed.origin,
+    )
+
+
+def write_bed_ply(path: Path, stored: StoredBed) -> None:
+    """The cloud as PLY; see `geo.write_ply`."""
+    bed = stored.bed
+    scalars = {
+        "depth_m": bed.depth,
+        "std_m": bed.std,
+        "std_common_m": np.full(len(bed), np.nan) if stored.std_common is None else stored.std_common,
+        "num_views": bed.num_views,
+        "incidence_deg": np.degrees(bed.incidence),
+    }
+    points, crs = stored.points_crs, stored.crs
+    write_verified(path, lambda copy: write_ply(copy, points, rgb=bed.rgb, scalars=scalars, crs=crs), points, None, crs)
+
+
+def write_bed_e57(path: Path, stored: StoredBed) -> None:
+    """Places and colours as E57; see `geo.e57.write_e57`."""
+    points, crs, rgb = stored.points_crs, stored.crs, stored.bed.rgb
+    write_verified(path, lambda copy: write_e57(copy, points, crs, rgb=rgb), points, None, crs)
 
 
 def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path], truth: Truth) -> Verdict:

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from survey.code_hash import code_hash
 from survey.run.folder import RunDir
 from survey.run.keys import Key
+from survey.stage_key import code_hash
 
 if TYPE_CHECKING:
     from survey.run.job import Job
 
 # What gives the photographs to all stages.
-LOADING = ("survey.plan.sweep_block", "survey.photos.store", "survey.run.windows")
+LOADING = ("survey.plan.sweep_block", "survey.photos.images", "survey.run.windows")
 
 Compute = Callable[["Job", Path, Mapping[str, Path]], None]
 

@@ -13,7 +13,7 @@ from survey.adjust import pose_check
 from survey.adjust.pose_check import PoseCheck
 from survey.errors import SurveyError
 from survey.files.json_values import write_json
-from survey.folder.contradiction import Contradiction
+from survey.findings import Contradiction
 
 if TYPE_CHECKING:
     from survey.run.job import Job

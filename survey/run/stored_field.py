@@ -14,7 +14,7 @@ import torch
 from pyproj import CRS
 
 from fields.device import Device
-from fields.slab.slab import Slab
+from fields.slab.rays import Slab
 from fields.slab.tensor_field import FieldSettings, TensorField
 from fields.water_column import WaterColumn
 from geo.files import write_whole

@@ -39,7 +39,7 @@ def save_colour(folder: Path, sources: Sources) -> None:
         If it cannot be estimated from the photographs.
     """
     # Imported where it is needed: it takes torch, whose import takes seconds.
-    from fields.colour.absorption import estimate_absorption
+    from fields.colour.true_colour import estimate_absorption
 
     try:
         absorption = estimate_absorption(sources)

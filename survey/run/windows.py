@@ -12,7 +12,7 @@ from fields.sweep.view_pass import outline_of
 from fields.sweep.views import Footprint
 from refract import FlatWater, PinholeCamera
 from survey.photos.cameras import View
-from survey.photos.store import ImageStore
+from survey.photos.images import ImageStore
 from survey.plan.tiling import Area
 
 if TYPE_CHECKING:

@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from geo.files import disk_refusals, write_whole
-from survey.code_hash import code_hash
 from survey.errors import SurveyError
 from survey.plan.tile_choice import NO_DASK
+from survey.stage_key import code_hash
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey

@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from geo.similarity import Similarity
 from refract.lens import Lens
 from survey import machine
-from survey.photos.tie_points import TiePoints, least_track
+from survey.photos.poses import TiePoints, least_track
 from survey.progress import current
 from survey.sfm.features import features_of
 from survey.sfm.settings import ALL_PAIRS_UP_TO, NEIGHBOURS

@@ -15,10 +15,10 @@ from geo.crs import has_height, is_geographic, parse_crs, vertical_crs
 from geo.frames import LocalFrame
 from geo.transformation import WGS84, Transformation, height_scale, lon_lat
 from survey.errors import FILE_NAME, ConfigError, PosesError
-from survey.names import GEO_TXT
 from survey.photos.exif import Exif, utm_code_of
-from survey.photos.tie_points import least_track
+from survey.photos.poses import least_track
 from survey.sfm.datum import WELL_KNOWN_M, DatumStd, area_at, height_transformer, plan_std
+from survey.words import GEO_TXT
 
 # Mean sea level by EGM96: the heights of consumer receivers and drones.
 _EGM96_HEIGHT = 5773

@@ -17,7 +17,7 @@ from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from geo.similarity import Similarity, fit_similarity, robust_similarity
 from survey.errors import ControlError, PosesError, SurveyError
-from survey.photos.tie_points import least_track
+from survey.photos.poses import least_track
 from survey.sfm import block as sfm_block
 from survey.sfm.block import Sensor
 from survey.sfm.control_fit import ControlFit, fit_control

@@ -23,12 +23,11 @@ from pyproj import CRS
 from geo.files import disk_refusals
 from geo.frames import LocalFrame
 from refract.lens import Lens
-from survey.code_hash import code_hash
 from survey.errors import ImageError, SurveyError
 from survey.files.json_values import read_json_object, write_json
-from survey.files.lock import locked
+from survey.files.outputs import locked
 from survey.photos.exif import Exif, read_exif
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 from survey.sfm import block as sfm_block
 from survey.sfm.gps import gps_positions, positions_in_crs
 from survey.sfm.gps_fit import attitudes_of
@@ -36,7 +35,7 @@ from survey.sfm.marked import BlockControl
 from survey.sfm.placing import Placed, place_by_control, place_by_gps
 from survey.sfm.settings import one_focal, require_size
 from survey.sfm.solve import Free, aliases, sensors_of, solve
-from survey.stage_key import stage_key
+from survey.stage_key import code_hash, stage_key
 
 __all__ = ["FreeViews", "SfmResult", "SfmView", "blocks_of", "image_names", "seconds_of_solve", "solve_poses"]
 

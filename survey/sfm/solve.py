@@ -14,7 +14,7 @@ import numpy as np
 
 from survey.errors import FILE_NAME, PosesError
 from survey.photos.exif import Exif
-from survey.photos.tie_points import least_track
+from survey.photos.poses import least_track
 from survey.sfm import block as sfm_block
 from survey.sfm.block import Sensor
 

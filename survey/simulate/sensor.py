@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fields.gamma import GAMMA
+from fields.image_store import GAMMA
 from refract import PinholeCamera
 from refract.lens import Lens, normalised
 

@@ -11,8 +11,7 @@ import numpy as np
 from survey.display.quantities import count, number
 from survey.errors import SurveyError
 from survey.viewer.detail import Style, viewpoint_of
-from survey.viewer.shown import SCALES, Shown
-from survey.viewer.trained import TrainedField
+from survey.viewer.shown import SCALES, Shown, TrainedField
 
 if TYPE_CHECKING:
     import viser

@@ -21,14 +21,23 @@ from survey.run.flight import FLIGHT, load_flight
 from survey.run.folder import RunDir
 from survey.run.live import LIVE
 from survey.run.stored import load_arrays
-from survey.viewer.browser import address, close_server, light, open_server
-from survey.viewer.clicks import Clicks
 from survey.viewer.detail import CloudInBrowser, Style
-from survey.viewer.layers import add_cameras, add_frusta, add_water, look_from, median_height
-from survey.viewer.page import require_page, write_page
+from survey.viewer.layers import (
+    OnDemand,
+    add_cameras,
+    add_frusta,
+    add_water,
+    coloured_mesh,
+    look_from,
+    median_height,
+    mesh,
+    reference_node,
+    terrain,
+)
+from survey.viewer.page import address, close_server, light, open_server, require_page, write_page
 from survey.viewer.panel import Panel, add_field
 from survey.viewer.shown import Shown, load_shown
-from survey.viewer.surfaces import OnDemand, coloured_mesh, mesh, reference_node, terrain
+from survey.viewer.sightings import Clicks
 
 if TYPE_CHECKING:
     import viser

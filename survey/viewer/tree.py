@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geo.octree import CELLS, build_octree
+from geo.copc import CELLS, build_octree
 
 # Steps along the largest extent: finer than any cloud, and they fit into 32 bits.
 _STEPS = 2**30

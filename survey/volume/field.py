@@ -22,12 +22,11 @@ from geo import read_reference
 from geo.las import write_cloud
 from refract import PinholeCamera
 from survey.compare.comparison import compare_files
-from survey.compare.json_numbers import numbers_of
+from survey.compare.figures import numbers_of
 from survey.compare.options import CompareOptions
 from survey.display.quantities import length
 from survey.errors import SurveyError
-from survey.export.loaded import LoadedRun
-from survey.export.photographs import flight_of
+from survey.export.loaded import LoadedRun, flight_of
 from survey.export.render import Target, targets_of, write_views
 from survey.files.json_values import write_json
 from survey.progress import current, shares

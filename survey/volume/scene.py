@@ -24,8 +24,7 @@ from geo.files import disk_refusals, write_whole
 from geo.frames import LocalFrame
 from refract import FlatWater, PinholeCamera
 from survey.errors import OutputError, SurveyError
-from survey.export.loaded import LoadedRun
-from survey.export.photographs import Photograph, at_scale
+from survey.export.loaded import LoadedRun, Photograph, at_scale
 from survey.files.json_values import read_json_object
 from survey.files.outputs import ReadFiles, require_folder
 from survey.run.flight import Flight

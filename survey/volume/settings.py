@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from survey.errors import FILE_NAME
-from survey.export.loaded import LoadedRun
-from survey.export.photographs import survey_folder
+from survey.export.loaded import LoadedRun, survey_folder
 from survey.settings.config import read_config
 from survey.settings.field import FieldConfig
 from survey.volume.field import VolumeOptions

@@ -11,7 +11,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 
-from refract.dispersion import converted_index
+from refract.media import converted_index
 from survey.errors import FILE_NAME, ConfigError
 from survey.findings import Findings
 from survey.photos.texture import MatchedLight

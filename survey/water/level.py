@@ -38,7 +38,7 @@ from survey.water.level_observation import (
     readings_of_gauge,
 )
 from survey.water.plane_doubt import plane_doubt
-from survey.water.surface import SOURCE as SURFACE
+from survey.water.surface import SURFACE
 from survey.water.tides import Tide, tide_of_gauge, tide_of_levels, tide_of_rate
 
 _MEASURED = ("shoreline", "gnss_points")

@@ -31,9 +31,9 @@ from survey.adjust.block.priors import Known
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import POSE, RELIEF, State
 from survey.control.points import Control
-from survey.display.words import named
+from survey.display.quantities import named
 from survey.photos.cameras import View
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey

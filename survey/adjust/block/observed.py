@@ -13,7 +13,7 @@ from refract.lens import Lens, affine_from_brown, brown_from_affine, distorted, 
 from survey.adjust.block.lenses import is_held
 from survey.adjust.block.priors import Known
 from survey.control.points import Control, Ground
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey

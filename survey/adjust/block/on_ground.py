@@ -5,7 +5,7 @@ Tie points over the ground lie on it, each on the plane through the points aroun
 in plan where it is not flat. Whether a tie point is dry follows from the earlier survey, whose heights count from the
 datum of crs, and not from the block, which may lie metres off. Tie points off their plane by more than others (what
 grew, was washed away or built) are left out. Of each square one point counts, so that their errors are independent. The
-shift that all points of the earlier survey share is a parameter with a prior (`survey.adjust.block.planes`), so that
+shift that all points of the earlier survey share is a parameter with a prior (`survey.adjust.block.problem`), so that
 control and positions that are known better than the earlier survey determine the datum of the block and this shift.
 
 First the block is shifted onto the ground: from the best of many places on a grid in plan, by least squares with robust
@@ -24,8 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from evaluation.local_surface import local_surface
 from survey.adjust.block.bundle import Solution, System, inverse, system_with
-from survey.adjust.block.planes import Planes
-from survey.adjust.block.problem import Problem
+from survey.adjust.block.problem import Planes, Problem
 from survey.adjust.block.state import State
 from survey.control.points import Ground
 from survey.errors import ControlError

@@ -19,7 +19,7 @@ from scipy.sparse import csr_array
 
 from refract import FlatWater, crossing_point
 from survey.adjust.block.state import LENS, POSE, RELIEF, WATER, Layout, State, distort
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 
 # Four are exact to the last bits in drone geometry (docs/optics.md), two more for lower flights.
 _NEWTON_STEPS = 6

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from survey.adjust.block.state import POSE, Layout
-from survey.photos.tie_points import least_track, parts_of
+from survey.photos.poses import least_track, parts_of
 from survey.sfm.control_fit import line_of_control
 from survey.sfm.gps_fit import Across, Line, gps_std, line_of, roll_by_attitudes
 

@@ -24,7 +24,7 @@ from refract import FlatWater, PinholeCamera
 from survey.adjust.block.matching import RADIUS, match, prepared, window
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
-from survey.photos.tie_points import TiePoints, least_track
+from survey.photos.poses import TiePoints, least_track
 from survey.plan.area import limits, local_area, within
 from survey.plan.choices import Choices
 from survey.plan.plan import Plan, make_plan

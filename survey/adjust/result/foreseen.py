@@ -24,12 +24,12 @@ from survey.adjust.block.state import WATER
 from survey.adjust.result.std_common import std_common
 from survey.adjust.result.verdicts import MOST_STD_FOCAL, MOST_STD_INDEX, MOST_STD_LEVEL_M
 from survey.folder.survey import Survey
-from survey.photos.tie_points import TiePoints
+from survey.photos.poses import TiePoints
 from survey.plan.check import Section
+from survey.plan.check_inputs import Verdict, by_limits, judged
 from survey.plan.choices import USUAL, Choices
 from survey.plan.places import in_the_middle, places_of
 from survey.plan.plan import Plan, make_plan
-from survey.plan.verdict import Verdict, by_limits, judged
 from survey.water.index import ASSUMED_INDEX_STD
 
 # What is assumed [px] of the windows of an adjustment and of the pixels of the cloud, in clear and still water: on

@@ -15,7 +15,7 @@ from refract import FlatWater
 from survey.adjust.result.adjustment import Adjustment, Residuals
 from survey.adjust.result.std_common import moves_over_area
 from survey.display.quantities import length
-from survey.photos.tie_points import parts_of
+from survey.photos.poses import parts_of
 
 # Runs of photographs that are named.
 _MOST_RUNS = 6
@@ -35,7 +35,7 @@ class Part:
 
 
 def part_numbers(found: Adjustment) -> np.ndarray:
-    """Part of each view by shared tie points, without marks of control (`survey.photos.tie_points.parts_of`)."""
+    """Part of each view by shared tie points, without marks of control (`survey.photos.poses.parts_of`)."""
     is_tie = found.residuals.point < len(found.points) - len(found.control)
     return parts_of(len(found.poses.names), found.residuals.point[is_tie], found.residuals.view[is_tie])
 

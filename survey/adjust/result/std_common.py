@@ -33,7 +33,7 @@ from survey.adjust.block.prediction import linearise
 from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M, known_of, parameters_of
 from survey.adjust.block.state import RELIEF, WATER, Layout, State
 from survey.adjust.result.adjustment import Adjustment
-from survey.photos.tie_points import TiePoints, least_track
+from survey.photos.poses import TiePoints, least_track
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey

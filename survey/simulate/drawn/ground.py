@@ -15,11 +15,19 @@ from refract import FlatWater, PinholeCamera, channel_indices, water_index
 from refract.lens import Lens
 from survey.simulate.drawn.settings import DrawnScene
 from survey.simulate.ground.ground import Ground, Material, seen_area, shade_beside_bed, shade_of_map
-from survey.simulate.ground.paint import ROCK, in_texels, light_of_bed, noise, periodic, sand
+from survey.simulate.ground.paint import (
+    ROCK,
+    ImageSkin,
+    in_texels,
+    light_of_bed,
+    noise,
+    periodic,
+    sand,
+    skin_from_above,
+)
 from survey.simulate.ground.shapes import BedGrid, Solid, rotation
-from survey.simulate.ground.skin import ImageSkin, skin_from_above
 from survey.simulate.light import Light
-from survey.simulate.output.staged_scene import StagedScene
+from survey.simulate.output.sidecars import StagedScene
 from survey.simulate.render.direct import DirectRenderer
 from survey.simulate.render.sun_on_waves import SunOnWaves, suns_of
 from survey.simulate.sensor import Sensor

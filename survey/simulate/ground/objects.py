@@ -11,14 +11,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from fields.gamma import GAMMA
+from fields.image_store import GAMMA
 from geo import Mesh, read_reference
 from survey.errors import SurveyError
 from survey.simulate.ground.ground import Material, shade_beside_bed
-from survey.simulate.ground.paint import periodic, sand
-from survey.simulate.ground.shapes import rotation
-from survey.simulate.ground.skin import ImageSkin, VertexSkin, skin_from_above
-from survey.simulate.ground.triangles import TriangleMesh
+from survey.simulate.ground.paint import ImageSkin, VertexSkin, periodic, sand, skin_from_above
+from survey.simulate.ground.shapes import TriangleMesh, rotation
 from survey.simulate.light import Light
 from survey.simulate.scene_file import ObjectSettings, TextureSettings
 

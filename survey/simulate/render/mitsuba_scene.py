@@ -11,7 +11,7 @@ from refract import HeightFieldWater, WavyWater
 from refract.surfaces import WaterSurface
 from survey.errors import SurveyError
 from survey.simulate.ground.ground import Ground, Shape
-from survey.simulate.ground.skin import ImageSkin, VertexSkin
+from survey.simulate.ground.paint import ImageSkin, VertexSkin
 
 # The plane of the water reaches this far beyond the solids, as a share of their extent: light comes from there.
 _BEYOND = 0.1

@@ -21,8 +21,8 @@ from survey.photos.poses import PoseFrame
 from survey.pose_files import read_poses
 from survey.simulate.flight import plan_flight
 from survey.simulate.flight.patterns import Site
-from survey.simulate.ground.bed import bed_from_file
-from survey.simulate.ground.triangles import TriangleMesh
+from survey.simulate.ground.ground import bed_from_file
+from survey.simulate.ground.shapes import TriangleMesh
 from survey.simulate.scene_file import CameraSettings, LightSettings, SceneSettings
 from survey.simulate.water import WaterLevel
 

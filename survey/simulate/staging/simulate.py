@@ -21,14 +21,11 @@ from survey.progress import current
 from survey.simulate.drawn.ground import build_ground
 from survey.simulate.drawn.settings import DrawnScene
 from survey.simulate.flight.coverage import Coverage, coverage, picture
-from survey.simulate.ground.bed import plane
-from survey.simulate.ground.ground import Ground, Material, seen_area, shade_of_normals
+from survey.simulate.ground.ground import Ground, Material, plane, seen_area, shade_of_normals
 from survey.simulate.ground.objects import place_object, require_texels, skin_of_bed
-from survey.simulate.ground.shapes import BedGrid
-from survey.simulate.ground.triangles import TriangleMesh
+from survey.simulate.ground.shapes import BedGrid, TriangleMesh
 from survey.simulate.light import Light
-from survey.simulate.output.sidecars import cameras_csv
-from survey.simulate.output.staged_scene import StagedScene
+from survey.simulate.output.sidecars import StagedScene, cameras_csv
 from survey.simulate.output.writing import write_survey
 from survey.simulate.render.direct import DirectRenderer
 from survey.simulate.render.mitsuba_scene import load_mitsuba, solid_scene, water_scene

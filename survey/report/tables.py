@@ -1,16 +1,147 @@
-"""The tables of report.html about the distance to a reference, from the figures of a report."""
+"""The tables of report.html about the cloud, the survey, the plan, the run, and the distance to a reference."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 from evaluation import Band, DistanceStatistics, Scores
 from survey.compare.figures import Figures, VerticalUncertainty
 from survey.compare.text import limits_label, tvu_in_words
-from survey.display.quantities import NO_BREAK, LengthUnit, count, is_known, length, number, share
+from survey.display.quantities import (
+    NO_BREAK,
+    LengthUnit,
+    area,
+    count,
+    density,
+    distance,
+    height,
+    is_known,
+    length,
+    number,
+    share,
+)
+from survey.plan.plan import Plan
+from survey.plan.skipped import Decision
 from survey.report.blocks import Block, Rows, Sentences, Table, Text
 from survey.report.checkpoints import CheckpointFigures
-from survey.report.figures import Baselines
+from survey.report.figures import Baselines, CloudFigures, CrsFigures, Extent, LightFigures, SurveyFigures, WaterFigures
+
+# Digits of coordinates by their unit: to the centimetre in metres, to about as much in degrees.
+_DECIMALS = {"m": 2, "°": 7}
+_AXES = ("easting", "northing", "height")
+# Longer runs are written in minutes [s].
+_LONG_S = 600.0
+
+
+def cloud(found: CloudFigures, crs: CrsFigures) -> list[Block]:
+    """Number of points, density, extent, and how depth, spread, views and incidence are distributed."""
+    rows = [("points", f"{count(found.points)}: {count(found.points_wet)} wet, {count(found.points_dry)} dry")]
+    if found.density_per_m2:
+        rows.append(("density", f"{density(found.density_per_m2)} over {area(found.covered_area_m2)}"))
+    return [Rows(rows), *_distributions(found), *_extent(found.extent, crs)]
+
+
+def _distributions(found: CloudFigures) -> list[Table]:
+    """A row for each quantity that is known; a statistic that says nothing of it is left empty."""
+    rows = []
+    if (depth := found.depth_m) is not None:
+        values = (depth.min, depth.median, depth.p95, depth.max)
+        unit = LengthUnit.of_heights()
+        rows.append((f"true depth [{unit.name}]", *(unit.number(value) for value in values)))
+    if (std := found.std_m) is not None:
+        unit = LengthUnit.of([std.median, std.p95])
+        rows.append((f"standard deviation [{unit.name}]", "", unit.number(std.median), unit.number(std.p95), ""))
+    if (std := found.std_common_m) is not None:
+        unit = LengthUnit.of([std.median, std.p95])
+        name = f"the same by water, lens and poses, in common [{unit.name}]"
+        rows.append((name, "", unit.number(std.median), unit.number(std.p95), ""))
+    if found.plan_std_common_m:
+        unit = LengthUnit.of_heights()
+        shift = unit.number(found.plan_std_common_m)
+        rows.append((f"places in plan, in common, by the change of datums [{unit.name}]", "", shift, shift, ""))
+    if (views := found.views_per_point) is not None:
+        rows.append(("views per point", number(views.min, 0), number(views.median, 0), "", number(views.max, 0)))
+    if (angle := found.incidence_deg) is not None:
+        rows.append(("incidence [°]", "", *(number(value, 1) for value in (angle.median, angle.p95, angle.max))))
+    return [Table(("over all points", "lowest", "median", "95 % below", "highest"), rows)] if rows else []
+
+
+def _extent(extent: Extent | None, crs: CrsFigures) -> list[Table]:
+    if extent is None:
+        return []
+    units = (crs.unit, crs.unit, crs.height_unit)
+    rows = []
+    for name, unit, low, high in zip(_AXES, units, extent.low, extent.high, strict=True):
+        digits = _DECIMALS.get(unit, 2)
+        rows.append((f"{name} [{unit}]", number(low, digits), number(high, digits), number(high - low, digits)))
+    return [Table(("extent", "from", "to", "size"), rows)]
+
+
+def survey(taken: SurveyFigures, water: WaterFigures | None, plan: Plan) -> list[Block]:
+    """Where, with what, from how high, and through which water."""
+    crs, decimals = taken.crs, _DECIMALS.get(taken.crs.unit, 2)
+    columns, lines = taken.image_size_px
+    size = " x ".join(distance(side) for side in plan.footprint_m)
+    rows = [
+        ("coordinate reference system", crs.name + (f", {crs.code}" if crs.code else "")),
+        ("photographs", f"{taken.views_used} used, {taken.views_left_out} left out"),
+        ("images", f"{columns} x {lines} px, focal length {taken.focal_px:.1f} px"),
+        ("poses", taken.poses),
+        ("flying height", f"{distance(plan.height_m)}, one image covers {size}"),
+        ("ground sampling distance", length(plan.gsd_m)),
+    ]
+    if taken.shutter is not None:
+        rows.append(("shutter", taken.shutter))
+    if taken.bounds is not None:
+        e0, n0, e1, n1 = (number(v, decimals) for v in taken.bounds)
+        rows.append(("bounds", f"{e0} to {e1} east, {n0} to {n1} north"))
+    if water is None:
+        return [Rows([*rows, ("water", "none: a dry survey")])]
+    at = ", ".join(number(v, decimals) for v in water.level_at)
+    slope = f"{water.slope_east:g} to the east, {water.slope_north:g} to the north"
+    rows += [
+        ("water level", f"{height(water.level_m)} at {at} ({water.level_from})"),
+        ("slope of the water", f"{slope} ({water.slope_from})"),
+        ("refractive index", f"{water.refractive_index:.4f} ({water.refractive_index_from})"),
+    ]
+    if water.light is not None:
+        rows.append(("light that is matched", _light(water.light)))
+    return [Rows(rows)]
+
+
+def _light(light: LightFigures) -> str:
+    """To which light the index belongs, and what another convention would move."""
+    shares = ", ".join(
+        f"{name} {share(value)}" for name, value in (("red", light.red), ("green", light.green), ("blue", light.blue))
+    )
+    said = f"{light.wavelength_nm:.0f} nm: {shares} {'of the texture' if light.is_measured else 'by luma'}"
+    moved = "" if light.over_sodium_m is None else f", or {length(light.over_sodium_m)} at the median depth"
+    return f"{said}; the index belongs to it. At 589 nm, as in handbooks, it is {light.over_sodium:.4f} less{moved}"
+
+
+def decisions(taken: tuple[Decision, ...]) -> list[Block]:
+    """The plan with its reasons."""
+    rows = [(decision.name, decision.choice, decision.reason) for decision in taken]
+    return [Table(("decision", "choice", "reason"), rows, num_texts=3)]
+
+
+def timings(seconds: dict[str, float], total_s: float) -> list[Block]:
+    """How long each stage took when it was computed, and all together, in one unit."""
+    unit, factor = ("min", 1.0 / 60.0) if total_s >= _LONG_S else ("s", 1.0)
+    rows = [(name.replace("_", " "), number(value * factor, 1)) for name, value in seconds.items()]
+    return [Table(("stage", f"time [{unit}]"), [*rows, ("total", number(total_s * factor, 1))])]
+
+
+def settings(values: dict, prefix: str = "") -> str:
+    """Settings as lines of ``section.key = value``, those without a value left out."""
+    lines = []
+    for name, value in values.items():
+        if isinstance(value, dict):
+            lines.append(settings(value, f"{prefix}{name}."))
+        elif value is not None:
+            lines.append(f"{prefix}{name} = {json.dumps(value, ensure_ascii=False)}")
+    return "\n".join(line for line in lines if line)
 
 
 def comparison(found: Figures | None) -> list[Block]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from evaluation.standards import TO_95, TVU
@@ -17,6 +18,8 @@ MAX_STD_GSD = 1.5
 # Of the standard deviation of a height with all that it shares: that of IHO S-44's strictest order in shallow water,
 # 77 mm, where one and a half ground sampling distances are less.
 STRICTEST_ORDER_M = TVU[0][1] / TO_95
+# Photographs of which less is shown than this see the sun, and no number of them sees the bed.
+_LEAST_SHOWN = 0.1
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,13 @@ RECIPES = {
     # More than any place is seen: every view is matched.
     Quality.fine.value: Recipe(megapixels=100.0, times_seen=(1000, 1000), field="solver"),
 }
+
+
+def times_seen_between(white: Sequence[float], times_seen: tuple[int, int]) -> tuple[int, int]:
+    """`Recipe.times_seen` where photographs have shares of white pixels, which show no bed: as many more of them."""
+    shown = max(1.0 - sum(white) / max(len(white), 1), _LEAST_SHOWN)
+    steep, oblique = (round(times / shown) for times in times_seen)
+    return steep, oblique
 
 
 def image_decision(camera: PinholeCamera, scale: float, quality: str, recipe: Recipe, *, asked: bool) -> Decision:

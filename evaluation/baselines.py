@@ -64,7 +64,6 @@ def per_camera(
     incidence : (N, V) [rad]
         Angle in air between the normal of the water and the line from the apparent point to the camera.
     is_seen : (N, V) bool
-    n_water : float
 
     Notes
     -----

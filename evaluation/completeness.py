@@ -25,8 +25,6 @@ def sample_mesh(
     vertices : (V, 3) [m], a Cartesian frame
         In a map grid areas would be distorted.
     faces : (F, 3) int
-    num_samples : int
-    seed : int
 
     Returns
     -------

@@ -68,7 +68,6 @@ def write_cog(path: str | Path, form: RasterForm, parts: Iterable[Part]) -> None
     Parameters
     ----------
     path : .tif
-    form : RasterForm
     parts : iterable of (row, column, values)
         Windows that cover the raster, in any order; blocks that none covers are left without data.
 

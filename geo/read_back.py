@@ -59,7 +59,6 @@ def require_raster(part: Path, path: Path, crs: CRS, transform, shape: tuple[int
 
     Parameters
     ----------
-    crs : pyproj.CRS
     transform : six floats
     shape : (rows, columns)
     sums : of each band, of all values that were written

@@ -42,7 +42,6 @@ class Reprojection:
 
         Parameters
         ----------
-        source : pyproj.CRS
         target : str or pyproj.CRS
             EPSG code, WKT or PROJ string, e.g. "EPSG:32632" or "EPSG:4326+5773".
         where : str

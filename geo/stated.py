@@ -80,7 +80,6 @@ def height_unit_said(crs: CRS | None, said: float | None, path: Path, where: str
 
     Parameters
     ----------
-    crs : pyproj.CRS or None
     said : [m] or None
     path, where : what gives it, for a message.
 

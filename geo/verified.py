@@ -35,7 +35,6 @@ def write_verified(
     points : (N, 3), in crs
     num_faces : int or None
         None for a cloud.
-    crs : pyproj.CRS
 
     Raises
     ------

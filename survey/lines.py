@@ -15,7 +15,6 @@ def fitted(text: str, stream: IO[str], *, label: str = "", indent: str = "  ") -
 
     Parameters
     ----------
-    text : str
     stream : text file
         Only a terminal has a width.
     label : str

@@ -69,7 +69,6 @@ def without_water(
     incidence : (N,) [rad]
         In air.
     n_water : [-]
-    column : WaterColumn
     """
     cos_wet = np.sqrt(1.0 - (np.sin(incidence) / n_water) ** 2)
     mirrored = fresnel_coefficients(np.cos(incidence), n_from=1.0, n_to=n_water).reflectance

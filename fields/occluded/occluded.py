@@ -59,7 +59,6 @@ def find_occluded(
 
     Parameters
     ----------
-    block : Block
     maps : sequence of HeightMap
         With the heights of the solver.
     photograph : callable

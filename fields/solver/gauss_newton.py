@@ -76,11 +76,8 @@ def solve(
 
     Parameters
     ----------
-    tile : Tile
-    projected : TileProjection
     images : (height, width) float32, by view
         Grey levels; NaN where masked.
-    start : Start
     roughness : [m]
         Scale of the second differences of the bed.
     tolerance : [m]

@@ -120,7 +120,6 @@ def solve_maps(
     ----------
     block : Block
         At the scale of the maps.
-    maps : sequence of HeightMap
     kept : sequence of (height, width) bool
         As `fields.sweep.bed.unique_pixels` gives.
     gsd : [m]

@@ -147,7 +147,6 @@ def remove_free_space_violations(block: Block, maps: Sequence[HeightMap], keep: 
 
     Parameters
     ----------
-    block : Block
     maps : sequence of HeightMap
         Of `fields.sweep.sweep.sweep`.
     keep : callable

@@ -53,7 +53,6 @@ def match_view(reference: Reference, hypotheses: Hypotheses, columns: np.ndarray
 
     Parameters
     ----------
-    reference : Reference
     hypotheses : Hypotheses
         With a ``start`` of the shape of the image.
     columns : (height, 2) int, optional

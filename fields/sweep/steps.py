@@ -38,7 +38,6 @@ def search_steps(
     found : height [m], score, curvature [1/m^2], (height, width) float32 each
     parallax : [px/m]
         At the scale of the stack, per metre of height.
-    search : StepSearch
     among : (height, width) bool, optional
         Pixels that are searched: those that were matched, of a view of which parts were not.
     """
@@ -100,7 +99,6 @@ def wall_slopes(
 
     Parameters
     ----------
-    camera, water
     ways : (rows, columns, 2)
         Direction in which the heights of each tile rise, of any length: `fields.sweep.images_host.tile_gradients`.
     extent : (rows, columns) each [m]

@@ -56,12 +56,9 @@ def sweep(
 
     Parameters
     ----------
-    block : Block
     chosen : indices of the views that get a height map
-    search : Search
     progress : called with the share done, 0 to 1
         Number of samples (pixels x hypotheses x compared views) of all passes, which take nearly all of the time.
-    earlier : EarlierMaps, optional
     keep : callable
         Factory of the stores of maps between passes; default in memory.
 

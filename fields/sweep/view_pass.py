@@ -180,8 +180,6 @@ def columns_seeing_area(
 
     Parameters
     ----------
-    camera : PinholeCamera
-    water : FlatWater or None
     area : (x0, y0, x1, y1) [m], local
     bound : (low, high) [m] over the water plane
         In which the bed lies.

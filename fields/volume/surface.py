@@ -50,8 +50,6 @@ def distance_of(rendered: Rendered, rule: Rule, density: float) -> Tensor:
 
     Parameters
     ----------
-    rendered : Rendered
-    rule : Rule
     density : [1/m]
         Of ``Rule.density``.
     """
@@ -87,8 +85,6 @@ def surface_of(
 
     Parameters
     ----------
-    renderer : VolumeRenderer
-    photographs : Photographs
     cells : Cells
         The proxy of the volume.
     samples : int

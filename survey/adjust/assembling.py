@@ -78,8 +78,6 @@ def result(
 
     Parameters
     ----------
-    survey : Survey
-    done : Adjusted
     total : int
         Observations before any was left out.
     lost : dict of name to Unobservable, optional

@@ -46,7 +46,6 @@ def inflation(ties: TiePoints, residuals: np.ndarray, std_px: np.ndarray, kind: 
 
     Parameters
     ----------
-    ties : TiePoints
     residuals : (N, 2) [px]
     std_px : (kinds,) [px]
         Standard deviation of a pixel coordinate of each kind.
@@ -86,7 +85,6 @@ def terrain_design_effect(problem: Problem, solution: Solution, sizes, kinds: np
 
     Parameters
     ----------
-    problem : Problem
     solution : Solution
         Of it.
     sizes : (width, height) [px] of each photograph

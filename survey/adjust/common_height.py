@@ -151,7 +151,6 @@ def with_common(found: Adjustment, common: CommonHeight, water: FlatWater | None
 
     Parameters
     ----------
-    found, common
     water : FlatWater or None
         Local, as it was found.
     """

@@ -271,7 +271,6 @@ def check_dry_block(
 
     Parameters
     ----------
-    survey : Survey
     known : Known
         What the block was adjusted with.
     seen : Observed

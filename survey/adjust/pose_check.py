@@ -75,8 +75,6 @@ def check_of_windows(
 
     Parameters
     ----------
-    survey : Survey
-    plan : Plan
     block : Block
         The photographs of the survey, at the scale of the plan.
     bound : (low, high) [m] over the water plane

@@ -75,7 +75,6 @@ def adjust_survey(
 
     Parameters
     ----------
-    survey : Survey
     device : "auto", "cpu" or "cuda"
     advance : callable
         Called with the increment; increments sum to 1.

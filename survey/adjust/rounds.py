@@ -47,7 +47,6 @@ def covariance_over_shore(problem: Problem, solution: Solution) -> np.ndarray:
 
     Parameters
     ----------
-    problem : Problem
     solution : Solution
         Of the problem; its weights are kept.
     """
@@ -90,10 +89,7 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
 
     Parameters
     ----------
-    known : Known
-    seen : Observed
     sizes : (width, height) [px] of each photograph
-    marks_std_px : float
 
     Raises
     ------

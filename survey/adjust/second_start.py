@@ -38,7 +38,6 @@ def of_two_starts(
 
     Parameters
     ----------
-    survey, known
     first : Adjustment
         From the start as it is.
     adjusted : callable

@@ -42,8 +42,6 @@ def run_bathynerf(arguments: list[str], home: Path, *, under: tuple[str, ...] = 
 
     Parameters
     ----------
-    arguments : list of str
-    home : Path
     under : tuple of str
         A command that runs the command after it, e.g. ("timeout", "60").
 
@@ -205,7 +203,6 @@ def benchmark(
     folder : Path
         For drawn surveys, run folders, results.json and front.png, which are written anew after every process.
     drawn : names DEPTH,PATTERN,IMAGES or "all", see `survey.benchmark.cases.drawn_names`
-    settings : Settings, optional
     known : of Record
         Of an earlier call with this code: they are kept, and their processes do not run again.
 

@@ -94,7 +94,6 @@ def variant(case: Case, folder: Path, *, poses: str, is_refracted: bool) -> Path
 
     Parameters
     ----------
-    case : Case
     folder : Path
         Made here, where it is not there yet.
     poses : "given" or "images"

@@ -34,7 +34,6 @@ def write_corrected(path: Path, run: Path, survey: Path, correction: str) -> Non
 
     Parameters
     ----------
-    path : Path
     run : Path
         Of the survey without its water.
     survey : Path

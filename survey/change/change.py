@@ -47,7 +47,6 @@ def aligned(differences: Differences, stable: np.ndarray, correlation: Correlati
 
     Parameters
     ----------
-    differences : Differences
     stable : (rows, columns) bool
         Cells that did not change.
     correlation : Correlation

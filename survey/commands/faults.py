@@ -48,7 +48,6 @@ def fault_of(error: BaseException, place: Path | None = None, *, stopped: str = 
 
     Parameters
     ----------
-    error : BaseException
     place : Path, optional
         Named when a system error does not name a file.
     stopped : str

@@ -47,7 +47,6 @@ def read_shape(path: Path, water_level: float | None, crs: CRS | None = None) ->
 
     Parameters
     ----------
-    path : Path
     water_level : float, optional
         In the CRS of the comparison.
     crs : pyproj.CRS, optional

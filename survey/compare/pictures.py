@@ -115,7 +115,6 @@ def error_map(
         PNG to write.
     crs : pyproj.CRS, optional
         For the names of the axes and, if geographic, their aspect.
-    subtitle : str
     """
     known = np.isfinite(distances)
     points, d = points[known], distances[known]

@@ -69,7 +69,6 @@ def mark_line(place: Sequence[str], pixel: tuple[float, float], image: str, word
         As the file has them.
     pixel : (x, y)
         The centre of the first pixel is 0.5, 0.5, as everywhere here.
-    image : str
     words : name and role, or as many of them as there are
     """
     at = [f"{value - _HALF_A_PIXEL:.3f}" for value in pixel]

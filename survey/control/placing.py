@@ -28,7 +28,6 @@ def require_near(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) ->
     ----------
     points : of GivenPoint, in crs
     cameras : (N, 3) in crs
-    crs : CRS
 
     Raises
     ------
@@ -141,12 +140,9 @@ def control_in_local(
 
     Parameters
     ----------
-    gathered : Gathered
-    frame : LocalFrame
     views : names of those with a pose
     std_m : (east, north, up) [m]
         Of points whose file does not say it.
-    marks_std_px : float
     """
     posed = set(views)
     marks = tuple(mark for mark in gathered.marks if mark.view in posed)

@@ -139,7 +139,6 @@ def gather(contents: Sequence[Content], crs: CRS, sizes: Mapping[str, tuple[int,
     Parameters
     ----------
     contents : of each file
-    crs : CRS
     sizes : name of a photograph to (width, height) [px]
 
     Raises

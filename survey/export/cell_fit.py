@@ -72,7 +72,6 @@ def fit_cells(points: CellPoints, *, side: float, pixel: float, correlated: floa
 
     Parameters
     ----------
-    points : CellPoints
     side, pixel : [m]
         Of a cell, and what a pixel of the photographs covers.
     correlated : [px²]

@@ -37,7 +37,6 @@ def image_based_field(
 
     Parameters
     ----------
-    run : LoadedRun
     survey : str or None
         Folder of the survey, if it was moved since the run.
     cameras : sequence of PinholeCamera

@@ -176,8 +176,6 @@ class HeightBuffer:
 
         Parameters
         ----------
-        camera : PinholeCamera
-        bed : Windows
         cell_m, cell_px : [m], [px]
             Side of a cell of the bed, on the bed and in the photograph.
         """
@@ -210,7 +208,6 @@ def common_exposure(
     ----------
     photographs : V of them
     buffers : HeightBuffer of each
-    bed : Windows
     advance : callable
         Called after each photograph.
     """

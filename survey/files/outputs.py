@@ -148,7 +148,6 @@ def locked(folder: Path, *, busy: str) -> Iterator[None]:
 
     Parameters
     ----------
-    folder : Path
     busy : str
         The message where another process has the lock; ``{pid}`` in it is that process's number.
 

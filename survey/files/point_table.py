@@ -90,7 +90,6 @@ def read_points(
 
     Parameters
     ----------
-    path : Path
     optional : names
     by_place : bool
         Whether a file of numbers alone is taken as easting, northing, height and, in a fourth column, std.

@@ -81,7 +81,6 @@ def parse_toml(
 
     Parameters
     ----------
-    text : str
     kind : dataclass
         Types of its fields are float, int, bool, str, tuples of them, other dataclasses (tables), tuples of these
         (arrays of tables), or a union of these and None.

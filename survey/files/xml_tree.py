@@ -20,7 +20,6 @@ def read_xml(path: Path, content: str, error: type[SurveyError]) -> Element:
 
     Parameters
     ----------
-    path : Path
     content : str
         What is to be exported again if the file is damaged, e.g. "the markers".
     error : type

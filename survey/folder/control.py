@@ -134,8 +134,6 @@ def place_control(
 
     Parameters
     ----------
-    found : FoundControl or None
-    frame : LocalFrame
     views : names of those with a pose
 
     Raises

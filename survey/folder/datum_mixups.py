@@ -51,7 +51,6 @@ def explanation(
     over_m, level_m : [m]
         Height of the cameras over the water, median; the level.
     place : (latitude, longitude) [deg]
-    crs : pyproj.CRS
     above_start_m : [m] or None
         Height of the cameras over the take-off point, median.
     """
@@ -155,7 +154,6 @@ def start_doubts(
     heads : name to Exif
     level_m : [m]
     place : (latitude, longitude) [deg]
-    crs : pyproj.CRS
     """
     starts = [
         over - above

@@ -78,7 +78,6 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
 
     Parameters
     ----------
-    folder : Path
     config : SurveyConfig, optional
         What counts in place of survey.toml.
 

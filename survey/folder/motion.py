@@ -163,7 +163,6 @@ def shutter_doubts(cameras: CamerasConfig, heads: Mapping[str, Exif], metres_per
 
     Parameters
     ----------
-    cameras : CamerasConfig
     heads : name to Exif
         Of the photographs.
     metres_per_px : [m/px] or None

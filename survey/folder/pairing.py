@@ -141,7 +141,6 @@ def lens_from_config(cameras: CamerasConfig, heads: dict[str, Exif]) -> tuple[Le
 
     Parameters
     ----------
-    cameras : CamerasConfig
     heads : name to Exif, of the images that have a pose
 
     Raises

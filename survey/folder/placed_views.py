@@ -226,7 +226,6 @@ def lifted_over_water(
 
     Parameters
     ----------
-    placed : PlacedViews
     views : list of View
         Those of `placed`, with all else that is known of them.
     water : FlatWater or None

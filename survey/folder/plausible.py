@@ -158,7 +158,6 @@ def require_level_fits(
 
     Parameters
     ----------
-    water, heights, over_water
     who, like : str
         Who says so, and what has the datum that the level should have; for the message.
     most_m : [m]

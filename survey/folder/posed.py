@@ -187,7 +187,6 @@ def reprojection(ties: FileTies, points: np.ndarray, views: Mapping[str, View]) 
 
     Parameters
     ----------
-    ties : FileTies
     points : (N, 3) [m], local
         Those of the ties.
     views : by the name that the file has

@@ -48,14 +48,10 @@ def read_ground(
 
     Parameters
     ----------
-    folder : Path
-    config : SurveyConfig
-    frame : LocalFrame
     places : (N, 3) [m], local
         Cameras and tie points.
     above_water : callable, or None
         Heights (K,) [m] of places (K, 3), local, above the water; None where there is none.
-    is_level_known : bool
 
     Raises
     ------

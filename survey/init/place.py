@@ -52,7 +52,6 @@ class Answers:
 
         Parameters
         ----------
-        question : str
         otherwise : str or None
             What the error says where a number is required; None where it is not.
 

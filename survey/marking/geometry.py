@@ -147,7 +147,6 @@ def poses_to_mark(found: Found, run: Path | None) -> tuple[Posed | None, str | N
 
     Parameters
     ----------
-    found : Found
     run : Path or None
         A run folder whose poses are wanted; None: the one in the survey folder, if it has come to its end.
 

@@ -35,8 +35,6 @@ def write_model(folder: Path, views: Sequence[View], *, head: str, points: str, 
 
     Parameters
     ----------
-    folder : Path
-    views : sequence of View
     head : str
         Comment lines at the beginning of cameras.txt.
     points : str

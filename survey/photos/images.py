@@ -112,7 +112,6 @@ def load_image(view: View, *, scale: float = 1.0) -> np.ndarray:
 
     Parameters
     ----------
-    view : View
     scale : [-]
         Below 1, pixels are averaged over their area; the result fits ``view.camera.scaled(scale)``.
 

@@ -108,8 +108,6 @@ def check_survey(
 
     Parameters
     ----------
-    folder : Path
-    chosen : Choices
     checked : Checked, optional
         What `require_processable` found in the folder, where it has looked already.
     slowness : float, optional

@@ -53,7 +53,6 @@ def height_range(survey: Survey, flying_m: float) -> HeightRange:
 
     Parameters
     ----------
-    survey : Survey
     flying_m : [m]
         Median height of the cameras over the water, or over the ground as far as it is known.
 

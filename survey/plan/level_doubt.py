@@ -27,7 +27,6 @@ def level_doubt(found: Found, survey: Survey | None) -> str | None:
 
     Parameters
     ----------
-    found : Found
     survey : Survey or None
         None where the poses are not known yet: XMP may have the attitudes of the cameras.
     """

@@ -26,7 +26,6 @@ def write_report(folder: Path, facts: ReportFacts, advance: Callable[[], None] =
     ----------
     folder : Path
         That of the run.
-    facts : ReportFacts
     advance : callable
         Called after each picture.
 

@@ -131,7 +131,6 @@ def checkpoint_heights(points: np.ndarray, places: np.ndarray, gsd_m: float) -> 
     ----------
     points : (N, 3) [m], local
     places : (K, 3) [m], local
-    gsd_m : float
 
     Returns
     -------

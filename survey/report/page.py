@@ -33,7 +33,6 @@ def render_page(figures: ReportFigures, pictures: list[Picture]) -> str:
 
     Parameters
     ----------
-    figures : ReportFigures
     pictures : list of Picture
         Their files are put into the page.
 

@@ -51,7 +51,6 @@ def draw_pictures(
     ----------
     folder : Path
         Has to exist.
-    facts : ReportFacts
     advance : callable
         Called after each picture.
     checkpoints : CheckpointFigures, optional

@@ -57,8 +57,6 @@ def cells_seen(
 
     Parameters
     ----------
-    cameras : sequence of PinholeCamera
-    water : FlatWater or None
     area : (x0, y0, x1, y1) [m], local, or None
         The ground that is asked about; None for where the axes of cameras meet the bed and one view reaches around.
     xyz : (N, 3) [m], local

@@ -35,9 +35,6 @@ def through_surface(
     ----------
     bed : BedPoints
         Of the plane.
-    cameras : sequence of PinholeCamera
-    plane : FlatWater
-    departure : Departure
     """
     if not len(bed):
         return bed

@@ -92,11 +92,8 @@ def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path]
     ----------
     folder : Path
         Of the new result; it takes its place in the run afterwards.
-    run : RunDir
-    job : Job
     done : mapping
         Folders of the finished stages, by name.
-    truth : Truth
     """
     stored = load_bed(done["bed"])
     # Beside the report, which reads it only to compare it.

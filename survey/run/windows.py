@@ -103,7 +103,6 @@ def windows_of(
     ----------
     cameras : mapping of number to PinholeCamera
         Of one size.
-    water : FlatWater or None
     own, ground : (x0, y0, x1, y1) [m]
         The tile without and with its rim.
     bound : (low, high) [m]

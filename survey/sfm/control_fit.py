@@ -51,7 +51,6 @@ def fit_control(control: BlockControl, views: Mapping[str, Posed]) -> ControlFit
 
     Parameters
     ----------
-    control : BlockControl
     views : name to Posed, in the frame of the block
 
     Raises

@@ -55,7 +55,6 @@ def require_as_good(way: Transformation, plan_std_m: float, said: str, num_contr
 
     Parameters
     ----------
-    way : Transformation
     plan_std_m : [m]
         Of the places in plan, before.
     said : str

@@ -151,7 +151,6 @@ def roll_by_attitudes(across: Across, rotations: np.ndarray, attitudes: np.ndarr
 
     Parameters
     ----------
-    across
     rotations, attitudes : (V, 3, 3)
         Cam from local, as the block has them and as attitudes have them.
     """
@@ -167,7 +166,6 @@ def roll_by_ground(across: Across, rotations: np.ndarray, points: np.ndarray) ->
 
     Parameters
     ----------
-    across
     rotations : (V, 3, 3)
         Cam from local.
     points : (N, 3) [m], local
@@ -186,7 +184,6 @@ def roll_by_control(across: Across, places: np.ndarray, control: np.ndarray) -> 
 
     Parameters
     ----------
-    across
     places, control : (K, 3) [m], local
     """
     ours, theirs = across.flat(places), across.flat(control)

@@ -60,9 +60,7 @@ def place_by_gps(
 
     Parameters
     ----------
-    free, gps
     alias_of : mapping of name to name in the block
-    sensors : list of Sensor
     spare : BlockControl, optional
         For the blocks that positions cannot place, and for the roll of those on one line; its views have the names that
         are keys of `alias_of`.
@@ -113,11 +111,9 @@ def place_by_control(
 
     Parameters
     ----------
-    free : Free
     control : BlockControl
         Its views have the names that are keys of `alias_of`.
     alias_of : mapping of name to name in the block
-    sensors : list of Sensor
     attitudes
         As for `place_by_gps`.
 

@@ -95,7 +95,6 @@ def solve_poses(
 
     Parameters
     ----------
-    photographs : Photographs
     crs : pyproj.CRS or None
         With a vertical part; None: UTM with heights above EGM96, said in the notes.
     workspace : Path

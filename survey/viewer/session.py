@@ -213,8 +213,6 @@ def serve(run: str | Path, options: ViewOptions, say: Callable[[str], None]) -> 
 
     Parameters
     ----------
-    run : str or Path
-    options : ViewOptions
     say : callable
         Called with the address for a browser on this machine.
 

@@ -155,7 +155,6 @@ def picture_of(found: Slice, base_m: float, colours: np.ndarray) -> np.ndarray:
 
     Parameters
     ----------
-    found : Slice
     base_m : [m]
         Height of local z = 0.
     colours : (K, 3) uint8

@@ -87,7 +87,6 @@ def pick(tree: CloudTree, origin: np.ndarray, direction: np.ndarray, *, angle: f
 
     Parameters
     ----------
-    tree : CloudTree
     origin, direction : (3,) [m], local
         The direction of any length.
     angle : [rad]

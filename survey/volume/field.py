@@ -147,7 +147,6 @@ def train_field(run: str | Path, output: str | Path, options: VolumeOptions | No
         Folder that `bathynerf process` made.
     output : Path
         A new folder, or one with the same training in it.
-    options : VolumeOptions, optional
 
     Returns
     -------

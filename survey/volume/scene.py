@@ -92,10 +92,8 @@ def load_scene(
 
     Parameters
     ----------
-    run : LoadedRun
     flight : Flight
         Its photographs, where they are now.
-    options : SceneOptions
     advance : callable
         Called after each photograph.
 

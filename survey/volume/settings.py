@@ -18,7 +18,6 @@ def field_config(run: str | Path, survey: str | None) -> FieldConfig:
 
     Parameters
     ----------
-    run : Path
     survey : str, optional
         Folder of the survey, if it was moved since the run.
 

@@ -28,7 +28,6 @@ def refractive_index(given: WaterConfig, light: Callable[[], MatchedLight]) -> t
 
     Parameters
     ----------
-    given : WaterConfig
     light : callable
         Measures the light in the photographs; called only where the index depends on it.
 

@@ -26,10 +26,8 @@ def doubts_of_water_places(
 
     Parameters
     ----------
-    crs : pyproj.CRS
     cameras : (N, 2)
         Longitude and latitude of WGS 84 [deg].
-    water : WaterConfig or None
     levels : of the survey, whose places are in crs
 
     Raises

@@ -235,7 +235,6 @@ def still_water(frame: LocalFrame, plane: FlatWater, centres: np.ndarray) -> Sti
 
     Parameters
     ----------
-    frame : LocalFrame
     plane : FlatWater
         That touches the water at its point, apart from slopes that both have.
     centres : (N, 3) [m], local

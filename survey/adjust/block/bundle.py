@@ -56,7 +56,6 @@ def std_of_kinds(problem: Problem, residuals: np.ndarray, taken: float) -> np.nd
 
     Parameters
     ----------
-    problem : Problem
     residuals : (N, 2) [px]
     taken : float
         How many coordinates the parameters take.
@@ -131,8 +130,6 @@ def solve(problem: Problem, start: State, *, inflation: np.ndarray | None = None
 
     Parameters
     ----------
-    problem : Problem
-    start : State
     inflation : (N,), optional
         Factor on the variance of each observation, for what neighbours share.
 
@@ -236,7 +233,6 @@ def cost(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarr
 
     Parameters
     ----------
-    problem, state
     std_px : (kinds,) [px]
         Of the observations.
     inflation : (N,), optional

@@ -77,9 +77,6 @@ def checked_points(problem: Problem, solution: Solution, seen: Observed, stated:
 
     Parameters
     ----------
-    problem : Problem
-    solution : Solution
-    seen : Observed
     stated : name to StatedPoint
         Of control points, before any was freed or widened.
     """
@@ -229,7 +226,6 @@ def contradicted_points(
 
     Parameters
     ----------
-    control
     marks_std_px : [px]
     views : sequence of View
         That the marks are in.

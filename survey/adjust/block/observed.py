@@ -66,10 +66,8 @@ def observed(parts: list[tuple[int, TiePoints]], control: Control | None, survey
     Parameters
     ----------
     parts : list of (kind, TiePoints)
-    control : Control or None
     survey : Survey
         Whose views the tie points are numbered by.
-    known : Known
     """
     if control is not None and control.points:
         parts = [*parts, (MARK, _marks(control, survey))]
@@ -150,7 +148,6 @@ def thinned(ties: TiePoints, sizes: Sequence[tuple[int, int]], cells: int, per_c
 
     Parameters
     ----------
-    ties : TiePoints
     sizes : (width, height) [px] of each photograph
     cells : int
         Each photograph is divided into that many along its longer side.

@@ -54,7 +54,6 @@ def judged(known: Known, solution: Solution, blunders: np.ndarray) -> Judged:
 
     Parameters
     ----------
-    known : Known
     solution : Solution
         Of the block with these.
     blunders : (V, 2) bool

@@ -113,7 +113,6 @@ def predict(
 
     Parameters
     ----------
-    layout, state, ties
     sides : (N, 3)
         As `relief_sides` gives them.
     rows : (N,) [px], optional

@@ -77,7 +77,6 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
 
     Parameters
     ----------
-    survey : Survey
     gsd : [m]
         Ground sampling distance.
     free_water : bool

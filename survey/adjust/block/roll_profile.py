@@ -40,12 +40,10 @@ def profiled(problem: Problem, solution: Solution, inflation: np.ndarray, roll: 
 
     Parameters
     ----------
-    problem : Problem
     solution : Solution
         Of it.
     inflation : (N,)
         As for `survey.adjust.block.bundle.solve`.
-    roll : Roll
     """
     sides = [_scanned(problem, solution, inflation, roll, sign) for sign in (1, -1)]
     held = [each for side, _ in sides for each in side]

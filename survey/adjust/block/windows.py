@@ -90,7 +90,6 @@ def measure(
         Where windows are chosen, to one pixel of the sweep.
     advance : callable
         Called with the increment; increments sum to 1.
-    density : Density
 
     Returns
     -------

@@ -78,7 +78,6 @@ def common_error(found: Adjustment, water: FlatWater | None) -> CommonError | No
 
     Parameters
     ----------
-    found : Adjustment
     water : FlatWater or None
         Local, as it was found.
     """

@@ -43,7 +43,6 @@ def std_of_block(xyz: np.ndarray, survey: Survey, found: Adjustment, gsd: float)
     xyz : (N, 3) [m], local
     survey : Survey
         As the points were made with it.
-    found : Adjustment
     gsd : [m]
         Ground sampling distance.
 

@@ -127,7 +127,6 @@ def readout_limits(state: State, layout: Layout, heights: Sequence[int]) -> np.n
 
     Parameters
     ----------
-    state, layout
     heights : (L,) [px]
         Of the photographs of each lens.
     """

@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from geo.reading import read_reference
     from geo.shapes import Cloud, Mesh
     from refract.camera import PinholeCamera
+    from refract.curved.height_field import HeightFieldWater
+    from refract.curved.wavy import WavyWater
     from refract.distortion import Distortion
-    from refract.height_field import HeightFieldWater
     from refract.media import water_index
     from refract.paths import trace
     from refract.projection import project
     from refract.surfaces import FlatWater, WaterSurface
-    from refract.wavy import WavyWater
     from survey.adjust.waterline import estimate_water
     from survey.compare.comparison import compare_files as compare
     from survey.compare.options import CompareOptions
@@ -103,12 +103,12 @@ _MODULES = {
     "geo.shapes": ("Cloud", "Mesh"),
     "refract.camera": ("PinholeCamera",),
     "refract.distortion": ("Distortion",),
-    "refract.height_field": ("HeightFieldWater",),
+    "refract.curved.height_field": ("HeightFieldWater",),
     "refract.media": ("water_index",),
     "refract.paths": ("trace",),
     "refract.projection": ("project",),
     "refract.surfaces": ("FlatWater", "WaterSurface"),
-    "refract.wavy": ("WavyWater",),
+    "refract.curved.wavy": ("WavyWater",),
     "survey.adjust.waterline": ("estimate_water",),
     "survey.compare.comparison": ("compare",),
     "survey.compare.options": ("CompareOptions",),

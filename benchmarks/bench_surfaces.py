@@ -16,11 +16,11 @@ import time
 import numpy as np
 
 from refract import kernels
-from refract._disc import search_disc
-from refract.height_field import HeightFieldWater
-from refract.spherical import SphericalWater
+from refract.curved._disc import search_disc
+from refract.curved.height_field import HeightFieldWater
+from refract.curved.spherical import SphericalWater
+from refract.curved.wavy import WavyWater
 from refract.surfaces import FlatWater
-from refract.wavy import WavyWater
 
 COUNT = 20_000
 HARD_COUNT = 500  # where most points need the full search

@@ -12,7 +12,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from refract import FlatWater, WavyWater
+from refract import FlatWater
+from refract.curved import WavyWater
 from survey.simulate.drawn import DrawnScene, stage_drawing
 from survey.simulate.ground.ground import Ground, Material, shade_of_normals
 from survey.simulate.ground.paint import TILE, ImageSkin, periodic

@@ -45,7 +45,7 @@ from refract import (
     tangential_shift,
     trace,
 )
-from refract.wavy import WavyWater
+from refract.curved.wavy import WavyWater
 
 IMAGES = Path(__file__).resolve().parent.parent / "docs" / "img"
 N_WATER = 1.333

@@ -17,7 +17,8 @@ from field_settings import FieldSettings
 from fields.image_store import GAMMA
 from geo.crs import parse_crs
 from geo.frames import LocalFrame
-from refract import FlatWater, PinholeCamera, WavyWater
+from refract import FlatWater, PinholeCamera
+from refract.curved import WavyWater
 from refract.fresnel import fresnel_coefficients
 from refract.lens import Lens, normalised
 from survey.simulate.ground.ground import BED, Ground, Material, seen_area, shade_of_map

@@ -10,7 +10,8 @@ from functools import cached_property
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from refract import FlatWater, PinholeCamera, WavyWater
+from refract import FlatWater, PinholeCamera
+from refract.curved import WavyWater
 from survey.simulate.drawn import DrawnScene
 from survey.simulate.ground.ground import Ground, Material, shade_of_map
 from survey.simulate.ground.paint import TILE, ImageSkin, light_of_bed, periodic, sand

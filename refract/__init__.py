@@ -1,14 +1,11 @@
-"""Snell optics of a camera in air and a bed under water."""
+"""Snell optics of a camera in air and a bed under water; surfaces that are no planes are in `refract.curved`."""
 
 # Part of bathynerf.
 
 from refract._numbers import OutsideFit
 from refract.absorption import channel_absorption, leg_transmittance
-from refract.any_surface import AnySurface
-from refract.bicubic import BicubicWater
 from refract.camera import PinholeCamera
 from refract.fresnel import fresnel_coefficients, radiance_factor
-from refract.height_field import HeightFieldWater
 from refract.layers import LayeredPath, ParallelLayers
 from refract.media import air_index, channel_indices, water_index, water_index_iapws, water_index_parrish
 from refract.paths import BentPaths, trace
@@ -23,27 +20,20 @@ from refract.snell import (
     tangential_shift,
     true_depth,
 )
-from refract.spherical import SphericalWater, curvature_drop, gaussian_radius
 from refract.surfaces import FlatWater, WaterSurface
 from refract.tidal import TidalWater
-from refract.wavy import WavyWater
 
 __all__ = [
-    "AnySurface",
     "BentPaths",
-    "BicubicWater",
     "FlatWater",
-    "HeightFieldWater",
     "LayeredPath",
     "OutsideFit",
     "ParallelLayers",
     "PinholeCamera",
     "Projection",
     "Regime",
-    "SphericalWater",
     "TidalWater",
     "WaterSurface",
-    "WavyWater",
     "air_index",
     "apparent_depth",
     "apparent_depth_tangential",
@@ -53,9 +43,7 @@ __all__ = [
     "channel_indices",
     "counts",
     "crossing_point",
-    "curvature_drop",
     "fresnel_coefficients",
-    "gaussian_radius",
     "leg_transmittance",
     "project",
     "radiance_factor",

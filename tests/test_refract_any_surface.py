@@ -7,19 +7,8 @@ import pytest
 import torch
 from torch.func import jacfwd, jacrev, vmap
 
-from refract import (
-    AnySurface,
-    BicubicWater,
-    FlatWater,
-    HeightFieldWater,
-    LayeredPath,
-    ParallelLayers,
-    Regime,
-    SphericalWater,
-    WavyWater,
-    project,
-    trace,
-)
+from refract import FlatWater, LayeredPath, ParallelLayers, Regime, project, trace
+from refract.curved import AnySurface, BicubicWater, HeightFieldWater, SphericalWater, WavyWater
 
 CENTRE = np.array([1.0, -2.0, 40.0])
 WAVES = WavyWater((0.0, 0.0, 0.0), (0.05, 0.03), ((1.0, 0.5), (-0.4, 0.8)))

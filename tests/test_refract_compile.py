@@ -7,17 +7,8 @@ import pytest
 import torch
 from slow_cases import slow
 
-from refract import (
-    AnySurface,
-    BicubicWater,
-    FlatWater,
-    HeightFieldWater,
-    ParallelLayers,
-    SphericalWater,
-    WavyWater,
-    project,
-    trace,
-)
+from refract import FlatWater, ParallelLayers, project, trace
+from refract.curved import AnySurface, BicubicWater, HeightFieldWater, SphericalWater, WavyWater
 
 # Of values of tens of metres and their derivatives; with the backends "eager" and "aot_eager" none differs at all.
 ROUNDING = {"rtol": 1e-12, "atol": 1e-12}

@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from refract import Regime, project, trace
-from refract.height_field import HeightFieldWater
-from refract.spherical import SphericalWater
+from refract.curved.height_field import HeightFieldWater
+from refract.curved.spherical import SphericalWater
+from refract.curved.wavy import WavyWater
 from refract.surfaces import FlatWater
-from refract.wavy import WavyWater
 
 WAVES = WavyWater((0.0, 0.0, 0.3), (0.02, 0.01), ((1.5, 0.3), (-0.6, 2.2)), (0.3, 1.0))
 NODES = np.linspace(-90.0, 90.0, 46)

@@ -12,7 +12,8 @@ from fifty_digits import exact_derivatives, worst
 from slow_cases import slow
 from torch.func import hessian, jacfwd, jacrev, vmap
 
-from refract import AnySurface, BicubicWater, HeightFieldWater, SphericalWater, WavyWater, project, trace
+from refract import project, trace
+from refract.curved import AnySurface, BicubicWater, HeightFieldWater, SphericalWater, WavyWater
 
 # Of the largest derivative of a kind. Measured worst: 5e-15 and 5e-15, and 1.2e-9 for second derivatives of `project`
 # over a surface that knows only height and normal.

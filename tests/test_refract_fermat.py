@@ -9,8 +9,8 @@ import pytest
 from surface_rays import bed_points, cameras, falling_rays, view_angle
 
 from refract import _branches, _disc, fermat
-from refract._branches import Interval
-from refract.wavy import WavyWater
+from refract.curved._branches import Interval
+from refract.curved.wavy import WavyWater
 
 
 def ripples(amplitude, wavelength, *, phase=0.3, n_water=1.333) -> WavyWater:

@@ -10,9 +10,9 @@ import torch
 from surface_rays import bed_points, cameras, falling_rays, view_angle
 
 from refract import crossing_point, kernels, trace
-from refract.height_field import HeightFieldWater
+from refract.curved.height_field import HeightFieldWater
+from refract.curved.wavy import WavyWater
 from refract.surfaces import FlatWater
-from refract.wavy import WavyWater
 
 FLAT = FlatWater((1.0, 2.0, 0.5), n_water=1.34, slope_x=0.01, slope_y=-0.02)
 SWELL = WavyWater((0.0, 0.0, 0.0), (0.1, 0.05), ((0.5, 0.1), (-0.2, 0.9)), (0.3, 1.0))

@@ -7,7 +7,8 @@ import pytest
 import torch
 from slow_cases import slow
 
-from refract import FlatWater, SphericalWater, TidalWater, WavyWater, channel_indices, crossing_point, project, trace
+from refract import FlatWater, TidalWater, channel_indices, crossing_point, project, trace
+from refract.curved import SphericalWater, WavyWater
 
 CENTRE = np.array([1.0, 2.0, 30.0])
 COUNT = 7

@@ -10,7 +10,7 @@ import pytest
 import torch
 from surface_rays import bed_points, cameras, falling_rays, view_angle
 
-from refract.spherical import MEAN_RADIUS_M, SphericalWater, curvature_drop, gaussian_radius
+from refract.curved.spherical import MEAN_RADIUS_M, SphericalWater, curvature_drop, gaussian_radius
 from refract.surfaces import FlatWater
 
 RAY_RAD = 1e-12  # project after trace; measured 1e-14 over 1 km

@@ -10,8 +10,8 @@ import torch
 from surface_rays import bed_points, cameras, falling_rays, view_angle
 
 from refract import kernels
+from refract.curved.wavy import WavyWater
 from refract.surfaces import FlatWater
-from refract.wavy import WavyWater
 
 EPS32 = np.finfo(np.float32).eps
 POINT = (1.0, 2.0, 0.5)

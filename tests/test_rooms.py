@@ -24,7 +24,7 @@ MAY_IMPORT = {
 # may import at all.
 LAYERS = (
     {"refract", "geo", "evaluation/images", "fields"},
-    {"fields/sweep/kernels"},
+    {"fields/sweep/kernels", "refract/curved"},
     {"evaluation", "fields/sweep", "fields/views", "fields/volume", "survey"},
     {"fields/colour", "fields/occluded", "fields/slab", "fields/solver", "survey/files", "survey/display"},
     {"survey/photos", "survey/compare", "survey/mesh", "survey/settings"},

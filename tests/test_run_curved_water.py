@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from fields.sweep.bed import BedPoints
-from refract import FlatWater, PinholeCamera, WavyWater
+from refract import FlatWater, PinholeCamera
+from refract.curved import WavyWater
 from survey.run.curved_water import by_level, through_surface
 from survey.run.tile_job import heights_over
 from survey.water.surface import Departure

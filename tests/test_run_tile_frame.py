@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from geo.frames import LocalFrame
-from refract import curvature_drop
+from refract.curved import curvature_drop
 from survey.plan.tiling import Tiling, inside
 from survey.run.tile_frame import area_in_frame, frame_of_tile, has_frames, survey_in_frame
 from survey.run.tile_job import over_own_plane

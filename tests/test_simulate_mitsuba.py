@@ -9,7 +9,8 @@ import pytest
 from scipy.integrate import quad
 from slow_cases import slow
 
-from refract import FlatWater, HeightFieldWater, PinholeCamera, WavyWater
+from refract import FlatWater, PinholeCamera
+from refract.curved import HeightFieldWater, WavyWater
 from refract.lens import Lens
 from survey.errors import ConfigError
 from survey.simulate.ground.ground import Ground, Material, shade_of_normals

@@ -20,7 +20,8 @@ from fields.sweep.kernels.rays import (
 )
 from fields.sweep.kernels.stack import CameraTerms, ViewStack, camera_table
 from fields.sweep.kernels.water import kernel_water
-from refract import FlatWater, PinholeCamera, WavyWater
+from refract import FlatWater, PinholeCamera
+from refract.curved import WavyWater
 
 WATER = FlatWater((0.0, 0.0, 0.0))
 WIDTH, HEIGHT = 1000, 750

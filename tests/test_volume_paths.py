@@ -10,7 +10,8 @@ import torch
 from volume_scenes import BOX, WATER, looking_down
 
 from fields.volume.paths import Box, Paths, paths_of
-from refract import FlatWater, SphericalWater, fresnel_coefficients
+from refract import FlatWater, fresnel_coefficients
+from refract.curved import SphericalWater
 
 # Positions of some metres in float32: half a step is 0.12 um for 2 m, and a path adds up a dozen roundings.
 FLOAT32_M = 3e-6

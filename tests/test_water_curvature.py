@@ -11,7 +11,8 @@ from test_run_curved_water import bed_of, cameras, intersected
 
 from geo.crs import parse_crs
 from geo.frames import LocalFrame
-from refract import FlatWater, SphericalWater, curvature_drop, gaussian_radius
+from refract import FlatWater
+from refract.curved import SphericalWater, curvature_drop, gaussian_radius
 from survey.run.curved_water import through_surface
 from survey.water.surface import EARTH, still_water
 

@@ -14,7 +14,8 @@ import numpy as np
 
 from fields.sweep.bed import BedPoints
 from fields.sweep.views import Footprint
-from refract import BicubicWater, FlatWater, PinholeCamera, kernels
+from refract import FlatWater, PinholeCamera, kernels
+from refract.curved import BicubicWater
 from survey.water.surface import Departure
 
 # Steps to where a ray meets the surface: each leaves the square of its slope, a thousandth, of the error.

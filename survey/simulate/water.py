@@ -16,7 +16,8 @@ from geo import read_reference
 from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from geo.shapes import in_height_unit, vertices_of
-from refract import FlatWater, HeightFieldWater, WavyWater
+from refract import FlatWater
+from refract.curved import HeightFieldWater, WavyWater
 from survey.errors import SurveyError
 from survey.simulate.scene_file import WaveSettings
 

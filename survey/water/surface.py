@@ -20,7 +20,8 @@ from scipy.spatial import KDTree
 
 from geo.crs import height_unit_m
 from geo.frames import LocalFrame
-from refract import BicubicWater, FlatWater, curvature_drop
+from refract import FlatWater
+from refract.curved import BicubicWater, curvature_drop
 from survey.water.level_observation import LevelObservation
 
 Area = tuple[float, float, float, float]

@@ -9,21 +9,8 @@ import pytest
 import torch
 
 import refract
-from refract import (
-    AnySurface,
-    BicubicWater,
-    FlatWater,
-    HeightFieldWater,
-    ParallelLayers,
-    SphericalWater,
-    WavyWater,
-    bend,
-    bend_regime,
-    counts,
-    crossing_point,
-    project,
-    trace,
-)
+from refract import FlatWater, ParallelLayers, bend, bend_regime, counts, crossing_point, project, trace
+from refract.curved import AnySurface, BicubicWater, HeightFieldWater, SphericalWater, WavyWater
 
 
 class Bowl(AnySurface):
@@ -116,7 +103,7 @@ FUNCTIONS = {
         refract.water_index_parrish(550.0, 15.0, numbers), refract.channel_indices(numbers, 0.0),
         refract.air_index(numbers), refract.air_index(550.0, numbers),
     ),
-    "a sphere": lambda none, numbers, one: refract.curvature_drop(numbers),
+    "a sphere": lambda none, numbers, one: refract.curved.curvature_drop(numbers),
 }  # fmt: skip
 for _name in ("apparent_depth", "true_depth", "apparent_depth_tangential", "tangential_shift"):
     FUNCTIONS[_name] = lambda none, numbers, one, function=getattr(refract, _name): (

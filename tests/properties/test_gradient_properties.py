@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from slow_cases import slow
 
-from refract import BicubicWater, FlatWater, HeightFieldWater, ParallelLayers, SphericalWater, WavyWater, project, trace
+from refract import FlatWater, ParallelLayers, project, trace
+from refract.curved import BicubicWater, HeightFieldWater, SphericalWater, WavyWater
 
 # The same examples every time; no deadline, because the first example pays for imports.
 always = settings(max_examples=100, deadline=None, derandomize=True)

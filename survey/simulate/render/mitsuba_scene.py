@@ -7,7 +7,7 @@ from types import ModuleType
 import numpy as np
 
 from fields.device import choose_device
-from refract import HeightFieldWater, WavyWater
+from refract.curved import HeightFieldWater, WavyWater
 from refract.surfaces import WaterSurface
 from survey.errors import SurveyError
 from survey.simulate.ground.ground import Ground, Shape

@@ -11,7 +11,7 @@ import numpy as np
 from refract._array import as_like, as_numpy, compiling, namespace
 from refract._numbers import hold, moved, number, read, require_index
 from refract._solvers import solved
-from refract.any_surface import AnySurface, arrived_at, path_found
+from refract.curved.any_surface import AnySurface, arrived_at, path_found
 
 
 @solved

@@ -1,7 +1,7 @@
 """Rays through any smooth surface with known height and normal: tracing and projection by Newton's method.
 
 Nothing is proven here: the meeting or the path that the steps arrive at is the answer, and others are not looked for.
-`refract.wavy` and `refract.fermat` find all of them, from bounds that a surface must then give.
+`refract.curved.wavy` and `refract.curved.fermat` find all of them, from bounds that a surface must then give.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from refract import kernels
 from refract._array import namespace, transformed
 from refract._implicit import along_ray, newton_step, over_surface
 from refract._solvers import solver
-from refract.fermat import together
+from refract.curved.fermat import together
 
 # A step below this part of the length of the ray, or of the distance between camera and point, has arrived.
 _CONVERGED = 1e-12
@@ -48,7 +48,8 @@ class AnySurface(ABC):
     Water that stands in a bowl, 1 cm higher at 10 m from its middle:
 
     >>> import numpy as np
-    >>> from refract import AnySurface, project
+    >>> from refract import project
+    >>> from refract.curved import AnySurface
     >>> class Bowl(AnySurface):
     ...     n_water = 1.333
     ...     def height(self, x, y):

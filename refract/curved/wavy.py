@@ -8,12 +8,13 @@ from typing import Any, final
 
 import numpy as np
 
-from refract import fermat, kernels
+from refract import kernels
 from refract._array import namespace
-from refract._disc import Bounds
 from refract._implicit import along_ray
 from refract._numbers import hold, moved, number, plain, read, require_index
 from refract._solvers import solved, solver
+from refract.curved import fermat
+from refract.curved._disc import Bounds
 
 # Steps along a ray to its first meeting with the waves: 4 to 8 for most; at 89.9 deg to the vertical over waves of
 # slope 0.3 some 40, and 130 at worst. A ray that needs this many runs along the surface.
@@ -263,7 +264,7 @@ class WavyWater:
         return clear
 
     def crossing(self, camera, point, steps: int):
-        """See `WaterSurface.crossing`: all stationary paths are counted, the shortest taken (`refract.fermat`)."""
+        """See `WaterSurface.crossing`: all stationary paths are counted, the shortest taken (`fermat`)."""
         return fermat.crossing(self, camera, point)
 
 

@@ -1,7 +1,7 @@
 """Search disc of all paths through a curved surface, from bounds of its height, slope and curvature.
 
-The first two steps of `refract.fermat`, on numpy and Dr.Jit. Angles only occur as sines, cosines and tangents. Suffixes
-_lo and _hi bound a quantity over the disc, far_w and far_a are the largest ways from P and C along x, y:
+The first two steps of `refract.curved.fermat`, on numpy and Dr.Jit. Angles only occur as sines, cosines and tangents.
+Suffixes _lo and _hi bound a quantity over the disc, far_w and far_a are the largest ways from P and C along x, y:
 
     depth          vertical depth of P under the surface; z_p the height of the surface there
     H              height of C above the level z_p

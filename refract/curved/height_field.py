@@ -9,12 +9,12 @@ from typing import Any, final
 
 import numpy as np
 
-from refract import _facet_paths, _triangulation, fermat
 from refract._array import alike, as_like, as_numpy, compiling, namespace, transformed
-from refract._disc import Bounds
 from refract._numbers import moved, number, plain, read, require_index
 from refract._solvers import solved
-from refract._triangulation import Triangulation
+from refract.curved import _facet_paths, _triangulation, fermat
+from refract.curved._disc import Bounds
+from refract.curved._triangulation import Triangulation
 
 # Triangulations that are kept: those of a surface whose heights change are the same.
 _KEPT = 2
@@ -232,7 +232,7 @@ class HeightFieldWater:
         return xp.like(xp.where(meets > 0.0, xp.maximum(t, 0.0), math.nan), like)
 
     def crossing(self, camera, point, steps: int):
-        """See `WaterSurface.crossing`: the shortest of all paths through plane triangles (`refract._facet_paths`)."""
+        """See `WaterSurface.crossing`: the shortest of all paths through plane triangles (`_facet_paths`)."""
         _needs_numpy_or_torch(point[0])
         return _facet_paths.crossing(self, camera, point)
 

@@ -5,8 +5,8 @@ it counts where it lies inside the triangle. Between triangles the length has a 
 from it; at a trough, where the bed has a strip that no ray of either side reaches, the edge itself or a corner may be
 the shortest way: it represents the rays that a rounded trough would send there, and counts as well.
 
-Only triangles that reach into the disc of `refract._disc.search_disc` are examined. All in numpy float64; torch gets
-the gradients of the plane that was found, and none on an edge, where the derivative jumps.
+Only triangles that reach into the disc of `refract.curved._disc.search_disc` are examined. All in numpy float64; torch
+gets the gradients of the plane that was found, and none on an edge, where the derivative jumps.
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ import math
 
 import numpy as np
 
-from refract import _triangulation, fermat, kernels
+from refract import kernels
 from refract._array import namespace
-from refract._disc import search_disc
 from refract._numbers import read
 from refract._solvers import solver
+from refract.curved import _triangulation, fermat
+from refract.curved._disc import search_disc
 
 # A crossing this near an edge [m] belongs to both sides; found twice, it counts once.
 _ON_EDGE = 1e-11
@@ -49,7 +50,7 @@ def crossing(surface, camera, point):
 def shortest_path(surface, *arrays):
     """Crossing x, y, z, number of paths, a triangle, and whether the shortest leads through its inside.
 
-    In numpy, of arrays as `refract.fermat.located` takes them; NaN and 0 where not bent.
+    In numpy, of arrays as `refract.curved.fermat.located` takes them; NaN and 0 where not bent.
     """
     *ends, depth, bent = (array.ravel() for array in arrays)
     wet = bent != 0.0

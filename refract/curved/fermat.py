@@ -4,10 +4,10 @@ The path from camera C over a surface point S to a bed point P has the optical l
 takes those S where it is stationary (Fermat). Three steps, each with a bound behind it:
 
 1. No path that obeys Snell's law crosses outside a disc, which follows from bounds of the surface (range of height,
-   slope, curvature), because slopes turn the refracted ray only so far (`refract._disc`).
+   slope, curvature), because slopes turn the refracted ray only so far (`refract.curved._disc`).
 2. If the length is strictly convex over the disc, it holds exactly one path, and Newton's steps find it.
 3. Elsewhere the disc is cut into boxes until interval arithmetic proves each one empty or the home of exactly one
-   path (`refract._branches`). What it cannot prove within its budget is NaN, with a count of -1.
+   path (`refract.curved._branches`). What it cannot prove within its budget is NaN, with a count of -1.
 
 Vectors are triples of component arrays (numpy, torch, Dr.Jit), as in `refract.kernels`.
 """
@@ -21,11 +21,11 @@ import numpy as np
 
 from refract import kernels
 from refract._array import namespace, transformed
-from refract._branches import every_path
-from refract._disc import Bounds, Disc, hypot, search_disc
 from refract._implicit import newton_step, over_surface
 from refract._numbers import read
 from refract._solvers import solver
+from refract.curved._branches import every_path
+from refract.curved._disc import Bounds, Disc, hypot, search_disc
 from refract.surfaces import WaterSurface
 
 # Newton's last step, as part of the camera's distance: squared, it is far below the rounding.

@@ -3,10 +3,10 @@
 Krawczyk's operator: with gradient F and Hessian H of the optical length, Y an approximate inverse of H and m the middle
 of a box X, every root of F in X lies in ``K = m - Y F(m) + (I - Y H(X)) (X - m)``. If K misses X there is none; if K
 lies inside X there is exactly one (R. Krawczyk, Computing 4, 1969; R. E. Moore, SIAM J. Numer. Anal. 14, 1977). All in
-numpy float64; H(X) and F(m) are enclosed by interval arithmetic on numpy arrays, the proof behind `refract.fermat`: a
-result contains every value that the operation takes over its arguments: bounds move outward by one unit in the last
-place after the correctly rounded operations, by a few after sine and cosine. An `Interval` answers numpy's functions
-and operators (NEP 13), so formulas written once for numbers also give enclosures.
+numpy float64; H(X) and F(m) are enclosed by interval arithmetic on numpy arrays, the proof behind
+`refract.curved.fermat`: a result contains every value that the operation takes over its arguments: bounds move outward
+by one unit in the last place after the correctly rounded operations, by a few after sine and cosine. An `Interval`
+answers numpy's functions and operators (NEP 13), so formulas written once for numbers also give enclosures.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def every_path(surface, path_slope, camera, point, disc):
     ----------
     surface : Relief
     path_slope : callable
-        `refract.fermat.path_slope`, for numbers and intervals alike.
+        `refract.curved.fermat.path_slope`, for numbers and intervals alike.
     camera, point : triples of (points,) float64
     disc : Disc
         Holds every crossing.

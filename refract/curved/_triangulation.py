@@ -1,7 +1,7 @@
 """Triangulation of a convex outline in x, y: the triangle of a point, and those that a ray passes.
 
 A walk from triangle to triangle under the ray leads to where it first meets one; in numpy float64, the surface a
-`refract.height_field.HeightFieldWater` without gradients. scipy is imported where it is used: `import refract` takes
+`HeightFieldWater` without gradients. scipy is imported where it is used: `import refract.curved` takes
 half the time without it.
 """
 

@@ -8,11 +8,12 @@ from typing import Any, final
 
 import numpy as np
 
-from refract import fermat, kernels
+from refract import kernels
 from refract._array import namespace
-from refract._disc import Bounds
 from refract._numbers import hold, moved, number, of_any_size, plain, require_index
 from refract._solvers import solved
+from refract.curved import fermat
+from refract.curved._disc import Bounds
 from refract.kernels import GRAZING
 
 MEAN_RADIUS_M = 6_371_000.0

@@ -162,6 +162,15 @@ def test_a_worker_that_is_not_as_it_should_be_is_named(run_and_photograph, worke
         of_workers._check(ClientOfOne(**worker), *run_and_photograph)
 
 
+def test_a_worker_that_ends_while_it_is_looked_at_is_left_out(run_and_photograph):
+    class Leaving(ClientOfOne):
+        def run(self, function, *args, on_error):
+            self.nthreads = dict
+            return {PLACE: OSError("Stream is closed")}
+
+    of_workers._check(Leaving(), *run_and_photograph)
+
+
 def test_the_code_of_a_process_is_that_of_its_start_and_a_task_of_other_code_is_refused(tmp_path, monkeypatch):
     loaded_code.cache_clear()
     hashes = iter(["first", "of files that changed"])

@@ -53,6 +53,14 @@ def test_images_without_texture_have_no_range(device):
         find_range(Block(device, cameras, grey, None, -2.0), LIMITS)
 
 
+def test_ground_that_no_view_shows_has_no_range(device):
+    cameras = ring(2, **WIDE)
+    grey = [np.full((c.height, c.width), 12.0, np.float32) for c in cameras]
+    block = Block(device, cameras, grey, None, -2.0, ground=(90.0, 90.0, 95.0, 95.0))
+    with pytest.raises(ValueError, match="only 0 thumbnail pixels match"):
+        find_range(block, LIMITS)
+
+
 def test_matches_by_chance_do_not_widen_the_range(rng):
     limits = (-25.0, 14.0)
     bed, chance = rng.normal(-3.0, 0.4, 1500), rng.uniform(*limits, 60)

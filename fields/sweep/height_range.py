@@ -51,7 +51,8 @@ def find_range(block: Block, limits: tuple[float, float]) -> tuple[float, float]
     scale = min(1.0, THUMBNAIL_PX / block.cameras[0].width)
     stack = block.stack(scale)
     chosen = block.cover(1, 0)
-    chosen = [chosen[i] for i in np.unique(np.linspace(0, len(chosen) - 1, NUM_VIEWS).astype(int))]
+    # Of a tile perhaps none: its windows hold heights at which no view shows it.
+    chosen = [chosen[i] for i in np.unique(np.linspace(0, len(chosen) - 1, NUM_VIEWS).astype(int))] if chosen else []
     heights, steps, radius = [np.empty(0)], [0.0], WINDOW_RADIUS
     backend = images(block.device)
     for view in chosen:

@@ -208,8 +208,12 @@ def _check(client: Any, stages: Path, photograph: Path) -> None:
     photograph = photograph.absolute()
     with _token(stages) as token:
         found = client.run(_seen, token, photograph, on_error="return")
+    left = client.nthreads()
     for place, each in found.items():
         if isinstance(each, Exception):
+            if place not in left:
+                # It has ended meanwhile; another may have taken its place.
+                continue
             # Dask passes on an error of loading as text.
             raise SurveyError(
                 f"the worker {place} cannot load bathynerf ({each}); install the same version on all"

@@ -92,7 +92,7 @@ def _looking(camera: PinholeCamera, centre: np.ndarray, ahead: np.ndarray) -> Pi
 
 def test_a_level_under_which_all_is_dry_ends_the_run_where_photographs_show_water(tmp_path):
     flooded = {"name": "level_m", "given": 80.0, "given_std": 0.02, "difference": 4.213, "std": 0.03}
-    found = {"misfit_px": 0.01, "told": [], "flooded": flooded}
+    found = {"misfit_px": 0.01, "contradictions": [], "flooded": flooded}
     (tmp_path / MISFIT).write_text(json.dumps(found), encoding="utf-8")
     with pytest.raises(SurveyError, match=r"level_m is 80\.000 m, which leaves all .* 84\.21 \+- 0\.03 m.*datum"):
         use_misfit(SimpleNamespace(), tmp_path)

@@ -9,7 +9,7 @@ import pytest
 
 from refract.lens import Lens, distorted, undistorted
 from survey.adjust.applied import apply_adjustment
-from survey.adjust.block.observed import rows_taken
+from survey.adjust.block.observed import original_rows
 from survey.adjust.block.prediction import predict
 from survey.adjust.block.state import LENS, RELIEF
 from survey.adjust.refine import adjust_survey
@@ -128,7 +128,7 @@ def test_rows_behind_a_lens_that_is_held_are_those_of_the_photograph(rng):
     seen = undistorted(fisheye, taken) * fisheye.focal + (fisheye["cx"], fisheye["cy"])
     ties = TiePoints(np.zeros((20, 3)), np.arange(20), np.arange(20) % 2, seen)
     plain = Lens("PINHOLE", (300.0, 300.0, 320.0, 240.0), 640, 480)
-    rows = rows_taken(ties, (fisheye, plain), np.array([0, 1]))
+    rows = original_rows(ties, (fisheye, plain), np.array([0, 1]))
     np.testing.assert_allclose(rows[::2], taken[::2, 1], atol=1e-6)
     np.testing.assert_array_equal(rows[1::2], seen[1::2, 1])
     assert np.abs(rows - distorted(plain, seen)[:, 1])[::2].max() > 5.0

@@ -155,9 +155,9 @@ def test_the_clock_counts_down_from_when_the_time_began():
     clock = Clock(100.0, gone_s=10.0, now=hand)
     hand.seconds += 50.0
     assert clock.left_s == pytest.approx(40.0)
-    clock.keep(39.0)
+    clock.require(39.0)
     with pytest.raises(OutOfTimeError):
-        clock.keep(41.0)
+        clock.require(41.0)
 
 
 def test_cells_have_the_median_of_their_points():

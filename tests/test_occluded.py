@@ -10,7 +10,7 @@ from fields.device import choose_device
 from fields.occluded.agreement import FoundPoints
 from fields.occluded.boxes import Box, boxes_about
 from fields.occluded.consensus import Colours, consensus
-from fields.occluded.explained import explained_above, sheet_heights
+from fields.occluded.explained import explained_above, surface_heights
 from fields.occluded.holes import Holes
 from fields.occluded.layer import BedLayer, smooth
 from fields.occluded.occluded import find_occluded, show_bed
@@ -98,7 +98,7 @@ def test_what_other_photographs_see_over_the_layer_explains_those_that_agree_on_
 
     members = np.zeros((7, 64, 64), dtype=bool)
     members[:3] = True
-    explained = explained_above(slopes, colours(0.0), [colours(each) for each in sheet_heights(1.0)], members, 1.0)
+    explained = explained_above(slopes, colours(0.0), [colours(each) for each in surface_heights(1.0)], members, 1.0)
     assert explained.mean() == (1.0 if height else 0.0)
 
 

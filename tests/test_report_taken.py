@@ -10,7 +10,7 @@ from small_survey import write_image
 
 from survey.photos.exif import Exif, read_exif
 from survey.report.blocks import Rows
-from survey.report.photographs import CameraFigures, flown, head_lines, table, taken_of
+from survey.report.photographs import CameraFigures, flown, head_lines, taken_of, taken_table
 from survey.settings.config import ReportConfig, parse_config
 
 START = datetime(2026, 6, 1, 10, 12, 40, tzinfo=UTC)
@@ -31,7 +31,7 @@ def test_the_head_says_who_when_and_with_what():
         "Harbour & basin · A. Surveyor",
         "flown 2026-06-01 10:12 to 10:31 UTC · processed 2026-06-03",
     ]
-    (rows,) = table(found)
+    (rows,) = taken_table(found)
     assert isinstance(rows, Rows)
     assert rows.rows[-1] == ("camera", "DJI FC6310, serial number 0A1B: 2 photographs")
 
@@ -52,13 +52,13 @@ def test_without_gps_time_the_clock_of_the_camera_counts_and_without_any_nothing
     assert flown(taken_of(SAID, {"a.jpg": own}, NOW)) == "2026-06-01 10:12 by the clock of the camera"
     bare = taken_of(ReportConfig(), {"a.jpg": replace(HEAD, taken=None, camera="", serial="")}, NOW)
     assert head_lines(bare) == ["processed 2026-06-03"]
-    assert [label for label, _ in table(bare)[0].rows] == ["processed", "camera"]
-    assert (head_lines(None), table(None)) == ([], [])
+    assert [label for label, _ in taken_table(bare)[0].rows] == ["processed", "camera"]
+    assert (head_lines(None), taken_table(None)) == ([], [])
 
 
 def test_many_serial_numbers_are_counted():
     many = {f"{i}.jpg": replace(HEAD, serial=str(i)) for i in range(6)}
-    assert "6 of them: 6 photographs" in table(taken_of(SAID, many, NOW))[0].rows[-1][1]
+    assert "6 of them: 6 photographs" in taken_table(taken_of(SAID, many, NOW))[0].rows[-1][1]
 
 
 def test_the_serial_number_is_that_of_exif_or_xmp(tmp_path):

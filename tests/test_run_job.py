@@ -23,6 +23,6 @@ def test_the_settings_of_the_water_count_for_the_adjustment_and_its_colour_does_
         if toml is not None:
             (folder / "survey.toml").write_text(text.replace("[water]\n", f"[water]\n{toml}\n"))
         with opened() as progress:
-            return Job(load_survey(folder), Choices(), progress).part("water_settings")
+            return Job(load_survey(folder), Choices(), progress).hash_of_part("water_settings")
 
     assert (settings("plain", None) != settings("other", key)) == matters

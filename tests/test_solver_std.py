@@ -128,7 +128,7 @@ def test_residuals_tell_whether_heights_follow_the_bed_from_pixel_to_pixel(relie
     found = noise_shares(
         null_solutions_of([residuals(white(8), relief=relief)], ROUGHNESS, 1.0), 1.0, STILL, is_wet=True
     )
-    assert low <= found.unfollowed <= high
+    assert low <= found.excess_relief <= high
 
 
 def test_heights_have_no_more_noise_than_the_residuals_along_them():

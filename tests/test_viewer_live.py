@@ -38,6 +38,7 @@ def test_points_of_a_map_lie_where_its_heights_are(tmp_path, scale):
     score[:, : camera.width // 2] = 0.1
     job = SimpleNamespace(survey=survey, plan=SimpleNamespace(image_scale=1.0), photographs=ImageStore())
     job.block = SimpleNamespace(cameras=[view.camera for view in survey.views])
+    job.in_survey = lambda places: places
     job.whole = job
     live = LiveMaps(tmp_path, job, "sweep")
     m = HeightMap(0, np.full(shape, -0.7, dtype=np.float32), score, np.zeros(shape, dtype=np.uint8), 0.0 * score)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from fields.occluded.consensus import WINDOW, Colours, consensus, windowed
-from fields.occluded.explained import explained_above, sheet_heights
+from fields.occluded.explained import explained_above, surface_heights
 from fields.occluded.holes import Holes
 from fields.occluded.sightings import Sighting
 
@@ -56,19 +56,19 @@ def points_of_holes(holes: Holes, sightings: Sequence[Sighting]) -> FoundPoints 
     if len(sightings) > _MOST_VIEWS:
         shown = [int((wanted & each.is_inside & ~each.hidden).sum()) for each in sightings]
         sightings = [sightings[k] for k in np.sort(np.argsort(shown, kind="stable")[-_MOST_VIEWS:])]
-    alike = _Alike.of(sightings) if wanted.any() else None
-    if alike is None:
+    radiometry = _Radiometry.of(sightings) if wanted.any() else None
+    if radiometry is None:
         return None
     context = binary_dilation(wanted, iterations=_WINDOW // 2)
     part = _extent(context)
-    found = _search(holes, [each.part(part) for each in sightings], alike, context[part])
+    found = _search(holes, [each.part(part) for each in sightings], radiometry, context[part])
     height, information = np.zeros(holes.shape), np.full(holes.shape, np.inf)
     members = np.zeros((len(sightings), *holes.shape), dtype=bool)
     height[part], information[part], members[:, *part] = found
-    kept = _hang_together(wanted & (members.sum(axis=0) >= LEAST_VIEWS))
+    kept = _connected(wanted & (members.sum(axis=0) >= LEAST_VIEWS))
     if not kept.any():
         return None
-    kept = _unexplained(holes, sightings, alike, height, members, kept)
+    kept = _unexplained(holes, sightings, radiometry, height, members, kept)
     if not kept.any():
         return None
     std = np.sqrt(1.0 / information + holes.roughness**2)
@@ -82,37 +82,39 @@ def _extent(mask: np.ndarray) -> tuple[slice, slice]:
 
 
 def _search(
-    holes: Holes, sightings: Sequence[Sighting], alike: _Alike, context: np.ndarray
+    holes: Holes, sightings: Sequence[Sighting], radiometry: _Radiometry, context: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Heights (rows, columns) [m] over the layer by Gauss-Newton steps, their information [1/m2], and the members."""
     use = np.stack([each.is_inside & ~each.hidden & context for each in sightings])
     height, step = np.zeros(context.shape), _STEP_GSD * holes.gsd
     prior = 1.0 / ((_PRIOR_GSD * holes.gsd) ** 2 + holes.roughness**2)
-    members = consensus(alike.colours(sightings, height, use)).members
+    members = consensus(radiometry.colours(sightings, height, use)).members
     for _ in range(_ROUNDS):
-        low, middle, high = (_misfit(alike.colours(sightings, height + d, use), members) for d in (-step, 0.0, step))
+        low, middle, high = (
+            _misfit(radiometry.colours(sightings, height + d, use), members) for d in (-step, 0.0, step)
+        )
         slope, bend = (high - low) / (2.0 * step), np.maximum(low + high - 2.0 * middle, 0.0) / (2.0 * step**2)
         # The misfit is twice the negative logarithm of the likelihood.
         information = bend + prior
         height = height - np.clip((0.5 * slope + prior * height) / information, -step, step)
-    return height, information, consensus(alike.colours(sightings, height, use)).members
+    return height, information, consensus(radiometry.colours(sightings, height, use)).members
 
 
 def _unexplained(
     holes: Holes,
     sightings: Sequence[Sighting],
-    alike: _Alike,
+    radiometry: _Radiometry,
     height: np.ndarray,
     members: np.ndarray,
     kept: np.ndarray,
 ) -> np.ndarray:
     """Kept cells (rows, columns) that no surface over the layer explains; none where many are explained."""
     inside = np.stack([each.is_inside for each in sightings])
-    sheets = (alike.colours(sightings, each, inside) for each in sheet_heights(holes.gsd))
-    slopes, on_layer = np.array([each.slope for each in sightings]), alike.colours(sightings, height, inside)
+    surfaces = (radiometry.colours(sightings, each, inside) for each in surface_heights(holes.gsd))
+    slopes, on_layer = np.array([each.slope for each in sightings]), radiometry.colours(sightings, height, inside)
     part = _extent(binary_dilation(kept, iterations=WINDOW))
     found = np.zeros_like(kept)
-    found[part] = explained_above(slopes, on_layer, sheets, members, holes.gsd, part)
+    found[part] = explained_above(slopes, on_layer, surfaces, members, holes.gsd, part)
     return kept & ~found & (found[kept].mean() <= _MOST_EXPLAINED)
 
 
@@ -129,14 +131,14 @@ def _misfit(colours: Colours, members: np.ndarray) -> np.ndarray:
     return windowed(square, known, _WINDOW) * _INDEPENDENT * cells
 
 
-def _hang_together(cells: np.ndarray) -> np.ndarray:
+def _connected(cells: np.ndarray) -> np.ndarray:
     """Cells (rows, columns) bool that touch enough others: a chance agreement stands alone."""
     _, label, stats, _ = cv2.connectedComponentsWithStats(cells.astype(np.uint8), connectivity=8)
     return cells & (stats[:, cv2.CC_STAT_AREA] >= _LEAST_CELLS)[label]
 
 
 @dataclass(frozen=True)
-class _Alike:
+class _Radiometry:
     """Gain and offset (K, 3) of each photograph against the mean of all, and the noise (3,) of one."""
 
     gain: np.ndarray
@@ -144,7 +146,7 @@ class _Alike:
     noise: np.ndarray
 
     @staticmethod
-    def of(sightings: Sequence[Sighting]) -> _Alike | None:
+    def of(sightings: Sequence[Sighting]) -> _Radiometry | None:
         """Gain, offset and noise from certain sightings of the bed; None where these are too few."""
         values = np.stack([each.colours(0.0) for each in sightings])
         shown = np.stack([each.shown & each.is_inside for each in sightings])
@@ -165,7 +167,7 @@ class _Alike:
         if not residuals:
             return None
         noise = 1.4826 * np.median(np.abs(np.concatenate(residuals)), axis=0)
-        return _Alike(gain, offset, np.maximum(noise, _LEAST_NOISE))
+        return _Radiometry(gain, offset, np.maximum(noise, _LEAST_NOISE))
 
     def colours(self, sightings: Sequence[Sighting], height: np.ndarray | float, use: np.ndarray) -> Colours:
         """Colours of the photographs at heights over the layer, corrected for gain and offset."""

@@ -24,7 +24,7 @@ _BY_CHANCE = 0.3
 def explained_above(
     slopes: np.ndarray,
     on_layer: Colours,
-    sheets: Iterable[Colours],
+    surfaces: Iterable[Colours],
     members: np.ndarray,
     gsd: float,
     part: tuple[slice, slice] = np.s_[:, :],
@@ -39,8 +39,8 @@ def explained_above(
         How far the rays of each photograph move over the ground with the height [m/m].
     on_layer : Colours
         At the cells.
-    sheets : iterable of Colours
-        At the heights `sheet_heights` over the layer.
+    surfaces : iterable of Colours
+        At the heights `surface_heights` over the layer.
     members : (K, rows, columns) bool
         Photographs that agree on each cell.
     gsd : [m]
@@ -57,7 +57,7 @@ def explained_above(
     )
     variance = on_layer.noise**2 * (1.0 + 1.0 / count)[..., None]
     most = np.zeros(count.shape)
-    for height, sheet in zip(sheet_heights(gsd), sheets, strict=True):
+    for height, sheet in zip(surface_heights(gsd), surfaces, strict=True):
         x, y = ((each + height * shift[..., axis]).astype(np.float32) for axis, each in enumerate((column, row)))
         agree, others = np.zeros(count.shape), np.zeros(count.shape)
         for values, use, is_member in zip(sheet.values, sheet.use, members, strict=True):
@@ -70,6 +70,6 @@ def explained_above(
     return most > _BY_CHANCE
 
 
-def sheet_heights(gsd: float) -> list[float]:
+def surface_heights(gsd: float) -> list[float]:
     """Heights [m] over the layer at which other photographs are tested."""
     return [gsd * each for each in _SHEETS_GSD]

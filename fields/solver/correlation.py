@@ -43,7 +43,7 @@ class NoiseShares:
     changes: float
     # Excess of the relief that the residuals show and the heights do not follow, over the relief that the prior should
     # smooth away, 0 to 1
-    unfollowed: float
+    excess_relief: float
 
 
 def median_response(samples: list[tuple[Tile, TileSolution]]) -> float:
@@ -114,10 +114,13 @@ def noise_shares(null_solutions: NullSolutions, response: float, shifts: Shifts,
     changes = np.quantile(null_solutions.changed / null_solutions.expected_change, ONE_STD)
     left, residual = (float(np.quantile(each, ONE_STD)) for each in (null_solutions.left, null_solutions.residual))
     # What the prior should take is counted as that; more than it goes on below the pixel.
-    unfollowed = float(np.quantile((null_solutions.residual - left) / null_solutions.relief, ONE_STD)) - 1.0
+    excess_relief = float(np.quantile((null_solutions.residual - left) / null_solutions.relief, ONE_STD)) - 1.0
     heights *= min(residual / left, 1.0)
     return NoiseShares(
-        response, max(float(heights), _LEAST_NOISE), max(float(changes), _LEAST_NOISE), min(max(unfollowed, 0.0), 1.0)
+        response,
+        max(float(heights), _LEAST_NOISE),
+        max(float(changes), _LEAST_NOISE),
+        min(max(excess_relief, 0.0), 1.0),
     )
 
 

@@ -23,7 +23,7 @@ APPEARANCE_ITERATIONS = 2
 # step and in those before it, which the next one corrects.
 CG_STEPS, CG_RESIDUAL, CG_RESIDUAL_BEFORE = 300, 3e-3, 3e-2
 # Weight of the start where neither images nor neighbours say anything [1/m^2].
-FAINT = np.float32(1e-2)
+LEAST_INFORMATION = np.float32(1e-2)
 # Steps beyond so many times their median lead from one feature of the texture to another.
 _LARGE_STEP = 2.0
 # Derivative of fourth order: exact for the wavelengths that a cubic lookup keeps.
@@ -102,7 +102,7 @@ def solve(
         step = conjugate_gradients(
             normal_matrix(information, differences, stiffness),
             -gradient - differences.gradient(stiffness, height),
-            information + differences.squared @ stiffness + FAINT,
+            information + differences.squared @ stiffness + LEAST_INFORMATION,
             CG_RESIDUAL if iteration + 1 == ITERATIONS else CG_RESIDUAL_BEFORE,
         )
         step = np.clip(step, -tolerance, tolerance).astype(np.float32)
@@ -173,7 +173,7 @@ def normal_matrix(
     information: np.ndarray, differences: SecondDifferences, stiffness: np.ndarray
 ) -> Callable[[np.ndarray], np.ndarray]:
     """The normal matrix as a function of heights (N,)."""
-    diagonal = information + FAINT
+    diagonal = information + LEAST_INFORMATION
     return lambda heights: diagonal * heights + differences.gradient(stiffness, heights)
 
 

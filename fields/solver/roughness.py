@@ -20,7 +20,7 @@ from fields.solver.correlation import null_solution_of
 from fields.solver.gauss_newton import (
     CG_RESIDUAL,
     CG_RESIDUAL_BEFORE,
-    FAINT,
+    LEAST_INFORMATION,
     TileSolution,
     conjugate_gradients,
     normal_matrix,
@@ -93,7 +93,7 @@ def heights_from_half(solved: TileSolution, half: Half, roughness: float) -> np.
             - half.information * (height - solved.height)
             - solved.differences.gradient(stiffness, height)
         )
-        diagonal = half.information + solved.differences.squared @ stiffness + FAINT
+        diagonal = half.information + solved.differences.squared @ stiffness + LEAST_INFORMATION
         matrix = normal_matrix(half.information, solved.differences, stiffness)
         residual = CG_RESIDUAL if number + 1 == _ROUNDS else CG_RESIDUAL_BEFORE
         height = height + conjugate_gradients(matrix, right, diagonal, residual)

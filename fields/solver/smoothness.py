@@ -16,13 +16,9 @@ class SecondDifferences:
     """Second differences of the heights of a tile, M of N heights: along rows, columns and across both.
 
     They are zero on a plane, however steep.
-
-    Attributes
-    ----------
-    of_heights : (M, N) sparse
     """
 
-    matrix: sparse.csr_matrix
+    matrix: sparse.csr_matrix  # (M, N) sparse: of heights
     transposed: sparse.csr_matrix  # (N, M) sparse
     squared: sparse.csr_matrix  # (N, M) sparse: squares of the entries
 

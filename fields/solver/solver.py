@@ -23,7 +23,7 @@ from fields.solver.uncertainty import (
     smoothing_change,
     subpixel_relief,
 )
-from fields.solver.views import WORKERS, Job, Views
+from fields.solver.views import WORKERS, TileTask, Views
 from fields.solver.visibility import Sightings
 from fields.sweep.block import Block
 from fields.sweep.height_std import small_sample_factor
@@ -154,7 +154,7 @@ def solve_maps(
         shared = figures
         sightings = Sightings.none(len(block.images))
 
-        def part(job: Job, each: TileSolution) -> tuple[_PartSolution, Sightings]:
+        def part(job: TileTask, each: TileSolution) -> tuple[_PartSolution, Sightings]:
             return _solve_part(job, block.cameras[views.views[job.index]].width, each, shared), Sightings.of(
                 each.views, each.brightness, len(block.images)
             )
@@ -233,7 +233,7 @@ def _estimate_figures(
     )
 
 
-def _solve_part(job: Job, width: int, found: TileSolution, figures: SolverFigures) -> _PartSolution:
+def _solve_part(job: TileTask, width: int, found: TileSolution, figures: SolverFigures) -> _PartSolution:
     """Solution of the wanted pixels of a tile, in a map of a width, without those that keep the height of the sweep."""
     tile, noise = job.tile, figures.noise
     rows, columns = tile.places
@@ -242,7 +242,7 @@ def _solve_part(job: Job, width: int, found: TileSolution, figures: SolverFigure
     expected = expected_variances(tile, found, noise.response, figures.spectral_slope)
     change = smoothing_change(found, found.height, noise.response)
     relief = smoothed_relief(tile, change, expected, noise.heights, noise.changes)
-    relief += subpixel_relief(found, expected, noise.heights, noise.unfollowed)
+    relief += subpixel_relief(found, expected, noise.heights, noise.excess_relief)
     by_noise = noise.heights * expected.noise
     values = (found.height, by_noise, relief, of_shift, local_slope(tile, found.height))
     taken = tile.requested & ~rejects_update(tile, found, by_noise, noise, figures.slopes, job.tolerance)

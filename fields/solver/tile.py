@@ -22,19 +22,13 @@ AROUND_PX = 3
 
 @dataclass(frozen=True)
 class Tile:
-    """Pixels of one height map that are solved together; N of them.
-
-    Attributes
-    ----------
-    asked : (N,) bool
-        Whose heights are wanted; the others are their surroundings.
-    """
+    """Pixels of one height map that are solved together; N of them."""
 
     # row, column: Of the first pixel of the window that holds them
     row: int
     column: int
     inside: np.ndarray  # (rows, columns) bool: which pixels of the window are solved
-    requested: np.ndarray
+    requested: np.ndarray  # (N,) bool: whose heights are wanted; the others are their surroundings
 
     def __len__(self) -> int:
         return len(self.requested)

@@ -14,7 +14,7 @@ from functools import cache
 import cv2
 import numpy as np
 
-from fields.solver.gauss_newton import FAINT, TileSolution, conjugate_gradients, normal_matrix
+from fields.solver.gauss_newton import LEAST_INFORMATION, TileSolution, conjugate_gradients, normal_matrix
 from fields.solver.tile import Tile
 
 # Information and stiffness are taken as constant over about the range in which heights are correlated [px].
@@ -39,20 +39,14 @@ _FREQUENCIES, _RATIOS = 256, np.logspace(-4.0, 9.0, 66)
 
 @dataclass(frozen=True)
 class ExpectedVariances:
-    """Expected variances (N,) [m^2] for independent noise and the relief of the prior.
-
-    Attributes
-    ----------
-    bends_noise : (N,)
-        Of the second differences of a height, by noise.
-    """
+    """Expected variances (N,) [m^2] for independent noise and the relief of the prior."""
 
     noise: np.ndarray  # (N,): of a height, by noise
     relief: np.ndarray  # (N,): of a height, by relief that the prior takes from the bed
     # changed_noise, changed_relief (N,): of the change by smoothing a height once more
     changed_noise: np.ndarray
     changed_relief: np.ndarray
-    differences_noise: np.ndarray
+    differences_noise: np.ndarray  # (N,): of the second differences of a height, by noise
     independent: np.ndarray  # (N,): how many independent values of that the Gauss window about a pixel has
 
 
@@ -82,7 +76,7 @@ def effective_information(tile: Tile, solved: TileSolution, response: float) -> 
     stiffness to it."""
     # Compliances add up, as those of springs in series: one loose second difference frees a height.
     compliance = _local_mean(tile, solved.differences.mean_at_heights(1.0 / solved.stiffness), _ALIKE_PX)
-    effective = response * _local_mean(tile, solved.information, _ALIKE_PX) + FAINT
+    effective = response * _local_mean(tile, solved.information, _ALIKE_PX) + LEAST_INFORMATION
     return effective, np.log(1.0 / (np.maximum(compliance, 1e-12) * effective))
 
 
@@ -90,7 +84,7 @@ def solve_normal_equations(solved: TileSolution, right: np.ndarray, response: fl
     """Heights (N,) for a right side (N,) of the normal equations with the effective information."""
     effective = np.float32(response) * solved.information
     matrix = normal_matrix(effective, solved.differences, solved.stiffness)
-    diagonal = effective + solved.differences.squared @ solved.stiffness + FAINT
+    diagonal = effective + solved.differences.squared @ solved.stiffness + LEAST_INFORMATION
     return conjugate_gradients(matrix, right.astype(np.float32), diagonal, residual)
 
 
@@ -141,15 +135,17 @@ def effective_sample_weight(ratio: np.ndarray, requested: np.ndarray, number: fl
     return count * (min(_WHOLE_AT_EDGES / count, 1.0)) ** beyond
 
 
-def subpixel_relief(solved: TileSolution, expected: ExpectedVariances, noise: float, unfollowed: float) -> np.ndarray:
+def subpixel_relief(
+    solved: TileSolution, expected: ExpectedVariances, noise: float, excess_relief: float
+) -> np.ndarray:
     """Variance (N,) [m^2] of the bed within a pixel, from its second differences.
 
     The share of noise in the second differences is subtracted as far as the photographs show no more relief of the
-    pixels than what the prior should take from the bed (``noise`` and ``unfollowed`` of
+    pixels than what the prior should take from the bed (``noise`` and ``excess_relief`` of
     `fields.solver.correlation.NoiseShares`): a bed that has none has none below the pixel.
     """
     differences = solved.differences.matrix @ solved.height
-    by_noise = (1.0 - unfollowed) * noise * expected.differences_noise
+    by_noise = (1.0 - excess_relief) * noise * expected.differences_noise
     return np.maximum(solved.differences.mean_at_heights(differences * differences) - by_noise, 0.0)
 
 
@@ -176,15 +172,7 @@ def _gaussian(tile: Tile, values: np.ndarray, alike_px: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class SpectralMeans:
-    """Means over the spectrum at ratios (N,) of stiffness to effective information.
-
-    Attributes
-    ----------
-    bends_noise : (N,)
-        Of noise in the second differences of a height.
-    alike : (N,) [px^2]
-        Number of pixels over which the change is correlated.
-    """
+    """Means over the spectrum at ratios (N,) of stiffness to effective information."""
 
     # noise, relief (N,): of the noise of a height, and of the relief that the prior takes from it
     noise: np.ndarray
@@ -193,8 +181,8 @@ class SpectralMeans:
     changed_noise: np.ndarray
     changed_relief: np.ndarray
     twice_changed_relief: np.ndarray  # (N,): of relief in the change of that change by smoothing it in turn
-    differences_noise: np.ndarray
-    correlated_px: np.ndarray
+    differences_noise: np.ndarray  # (N,): of noise in the second differences of a height
+    correlated_px: np.ndarray  # (N,) [px^2]: number of pixels over which the change is correlated
 
 
 def spectral_means(log_ratio: np.ndarray | float, spectral_slope: float) -> SpectralMeans:

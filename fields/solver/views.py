@@ -34,7 +34,7 @@ AHEAD_PX = 2 * MOST_PX
 
 
 @dataclass(frozen=True)
-class Job:
+class TileTask:
     """Tile of a height map and the photographs that it is compared with."""
 
     index: int  # Of the map
@@ -85,24 +85,28 @@ class Views:
     def _projector(self) -> Projector:
         return Projector(self.device, self.cameras, self.water)
 
-    def jobs(self, index: int, wanted: np.ndarray, side: int | None = None) -> Iterator[Job]:
+    def jobs(self, index: int, wanted: np.ndarray, side: int | None = None) -> Iterator[TileTask]:
         """Tiles of a map that hold all wanted pixels (height, width) bool; none where no other view overlaps."""
         if self.others[index] and wanted.any():
             for tile in tiles_of(wanted, self.maps[index].agreeing > 0, side):
-                yield Job(index, tile, self.others[index], self.tolerance[index])
+                yield TileTask(index, tile, self.others[index], self.tolerance[index])
 
     def solved(
-        self, jobs: Iterable[Job], roughness: float, pool: Executor, use: Callable[[Job, TileSolution], Used]
-    ) -> Iterator[tuple[Job, Used]]:
+        self,
+        jobs: Iterable[TileTask],
+        roughness: float,
+        pool: Executor,
+        use: Callable[[TileTask, TileSolution], Used],
+    ) -> Iterator[tuple[TileTask, Used]]:
         """Solve tiles about the heights of their maps, several at a time; yields ``use`` of each, in order.
 
         The kernels that see tiles in other photographs run on this thread, a few tiles ahead.
         """
 
-        def one(job: Job, projected: TileProjection, start: Start) -> Used:
+        def one(job: TileTask, projected: TileProjection, start: Start) -> Used:
             return use(job, solve(job.tile, projected, self.images, start, roughness, job.tolerance))
 
-        waiting: deque[tuple[Job, Future[Used]]] = deque()
+        waiting: deque[tuple[TileTask, Future[Used]]] = deque()
         pixels = 0
         for batch in _batches(jobs):
             for job, projected in zip(batch, self._projected(batch), strict=True):
@@ -116,16 +120,16 @@ class Views:
         for job, found in waiting:
             yield job, found.result()
 
-    def _projected(self, batch: list[Job]) -> list[TileProjection]:
+    def _projected(self, batch: list[TileTask]) -> list[TileProjection]:
         """Projections of the tiles of one map."""
         index = batch[0].index
         view, tolerance, tiles = self.views[index], batch[0].tolerance, [job.tile for job in batch]
         return project_tiles(tiles, view, batch[0].others, self._surfaces, self._projector, tolerance)
 
 
-def _batches(jobs: Iterable[Job]) -> Iterator[list[Job]]:
+def _batches(jobs: Iterable[TileTask]) -> Iterator[list[TileTask]]:
     """Jobs of one map each, of `MOST_PX` pixels together at most, except where one has more."""
-    batch: list[Job] = []
+    batch: list[TileTask] = []
     for job in jobs:
         if batch and (job.index != batch[0].index or sum(len(each.tile) for each in (*batch, job)) > MOST_PX):
             yield batch

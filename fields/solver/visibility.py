@@ -92,15 +92,17 @@ def lookup_window(x: np.ndarray, y: np.ndarray) -> tuple[slice, slice]:
     return rows, columns
 
 
-def lookup(image: np.ndarray, x: np.ndarray, y: np.ndarray, way: int) -> np.ndarray:
-    """Values (N,) of an image at positions (N,) [px], interpolated as OpenCV's flag ``way`` says; NaN outside."""
+def lookup(image: np.ndarray, x: np.ndarray, y: np.ndarray, interpolation: int) -> np.ndarray:
+    """Values (N,) of an image at positions (N,) [px], by a flag of OpenCV; NaN outside."""
     lines = -(-len(x) // _LINE)
     at = np.zeros((2, lines * _LINE), dtype=np.float32)
     at[0, : len(x)], at[1, : len(x)] = x - 0.5, y - 0.5
     across, down = at.reshape(2, lines, _LINE)
     # Not NaN as the value of the border: OpenCV 5 gives it to eight positions in a row if one of them is outside.
-    values = cv2.remap(image, across, down, way, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0).ravel()[: len(x)]
-    rim = _RIMS[way]
+    values = cv2.remap(image, across, down, interpolation, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0).ravel()[
+        : len(x)
+    ]
+    rim = _RIMS[interpolation]
     inside = (x >= rim) & (x <= image.shape[1] - rim) & (y >= rim) & (y <= image.shape[0] - rim)
     return np.where(inside, values, np.float32(np.nan))
 

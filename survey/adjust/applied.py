@@ -14,8 +14,8 @@ from geo.files import write_whole
 from refract.lens import Lens
 from survey.adjust.assembling import lens_with
 from survey.adjust.block.lenses import enlarged
-from survey.adjust.block.observed import pixels_taken
-from survey.adjust.block.priors import Known
+from survey.adjust.block.observed import original_pixels
+from survey.adjust.block.priors import PriorKnowledge
 from survey.adjust.block.state import Layout, State
 from survey.adjust.result.adjustment import Adjustment
 from survey.folder.motion import rows_between
@@ -66,7 +66,7 @@ def apply_adjustment(survey: Survey, found: Adjustment) -> Survey:
     return replace(survey, config=config, water=water_plane(survey.frame, found.water))
 
 
-def at_state(survey: Survey, known: Known, state: State) -> Survey:
+def at_state(survey: Survey, known: PriorKnowledge, state: State) -> Survey:
     """The survey at a state of its adjustment."""
     lenses = [lens_with(lens, state.lenses[i]) for i, lens in enumerate(known.lenses)]
     views = _views(
@@ -142,7 +142,7 @@ def _straight_ties(survey: Survey, found: Adjustment) -> TiePoints:
     order = np.argsort(found.residuals.point, kind="stable")
     point, view = found.residuals.point[order].astype(np.int64), found.residuals.view[order].astype(np.int64)
     ties = TiePoints(found.points, point, view, found.residuals.at_px[order], least_track(len(survey.views)))
-    pixel = pixels_taken(ties, found.lenses, found.poses.lens_of)
+    pixel = original_pixels(ties, found.lenses, found.poses.lens_of)
     centres, rays = np.empty((len(point), 3)), np.empty((len(point), 3))
     for number, each in enumerate(survey.views):
         mine = view == number

@@ -10,7 +10,7 @@ from refract.lens import Lens, is_affine
 from survey.adjust.block.control_check import control_warnings
 from survey.adjust.block.lenses import is_held
 from survey.adjust.block.observed import KINDS, MARK, Observed
-from survey.adjust.block.priors import Known
+from survey.adjust.block.priors import PriorKnowledge
 from survey.adjust.block.state import (
     FOCAL_NAME,
     LENS_NAMES,
@@ -153,7 +153,7 @@ def _names_of(survey: Survey, layout: Layout) -> tuple[str, ...]:
     )
 
 
-def _gps_std(known: Known) -> tuple[float, float, float] | None:
+def _gps_std(known: PriorKnowledge) -> tuple[float, float, float] | None:
     """Median standard deviation of the positions along each axis [m]; None where none is known."""
     std = known.std[known.layout.first_pose :].reshape(-1, 6)[:, :3]
     std = std[np.isfinite(std).all(axis=1)]
@@ -208,7 +208,7 @@ def _judged(
     return tuple(parameters), water
 
 
-def _rate(survey: Survey, known: Known, state: State, std: float) -> Parameter:
+def _rate(survey: Survey, known: PriorKnowledge, state: State, std: float) -> Parameter:
     """Rate of the level, with its verdict."""
     hours, given = known.layout.hours, survey.require_water()[1].rate.level_rate_m_per_h or 0.0
     assert hours is not None
@@ -216,7 +216,7 @@ def _rate(survey: Survey, known: Known, state: State, std: float) -> Parameter:
     return rate_verdict(Estimate(given + state.rate, std), before, hours)
 
 
-def _readouts(known: Known, state: State, std: np.ndarray) -> list[Parameter]:
+def _readouts(known: PriorKnowledge, state: State, std: np.ndarray) -> list[Parameter]:
     """Readouts of the shutters with verdicts; ``std`` is that of all parameters (P,)."""
     first, limits = known.layout.first_readout, readout_limits(state, known.layout, [w.height for w in known.lenses])
     return [

@@ -16,9 +16,9 @@ import numpy as np
 
 from refract import FlatWater
 from survey.adjust.block.bundle import NotConvergedError, Solution, cost, solve
-from survey.adjust.block.observed import KINDS, MARK, Observed, rows_taken
+from survey.adjust.block.observed import KINDS, MARK, Observed, original_rows
 from survey.adjust.block.prediction import relief_sides
-from survey.adjust.block.priors import Known, priors_for, shared_height_std
+from survey.adjust.block.priors import PriorKnowledge, priors_for, shared_height_std
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import POSE, State, with_parameters
 from survey.adjust.result.adjustment import Adjustment
@@ -45,7 +45,7 @@ class CommonHeight:
     level_std: float  # [m]: of the height of the water over the block, by photographs
 
 
-def water_start(known: Known, seen: Observed, marks_std_px: float) -> tuple[Known, np.ndarray]:
+def water_start(known: PriorKnowledge, seen: Observed, marks_std_px: float) -> tuple[PriorKnowledge, np.ndarray]:
     """Initial state of a block whose positions do not determine its height over the water.
 
     And the points (M, 3) [m] of what is seen. Without any start that converges, both as they are.
@@ -71,18 +71,18 @@ def water_start(known: Known, seen: Observed, marks_std_px: float) -> tuple[Know
     return replace(known, state=replace(least.state, points=np.zeros((0, 3)))), least.state.points
 
 
-def _levels(known: Known, seen: Observed) -> tuple[float, ...]:
+def _levels(known: PriorKnowledge, seen: Observed) -> tuple[float, ...]:
     """Candidate levels: as positions have it; with most points under water; with half of them."""
     points = seen.ties.start
     over = over_points(points, known.state.centres)
     return float(known.state.water_parameters()[0]), over, float(np.median(points[:, 2]))
 
 
-def _problem(known: Known, seen: Observed, state: State, marks_std_px: float) -> Problem:
+def _problem(known: PriorKnowledge, seen: Observed, state: State, marks_std_px: float) -> Problem:
     given = np.full(len(KINDS), np.nan)
     given[MARK] = marks_std_px
     sides = relief_sides(state, seen.ties)
-    rows = rows_taken(seen.ties, known.lenses, known.layout.lens_of)
+    rows = original_rows(seen.ties, known.lenses, known.layout.lens_of)
     return Problem(known.layout, seen.ties, seen.kind, priors_for(known, seen.ties), given, sides, rows)
 
 
@@ -109,7 +109,7 @@ def _is_corrected(done: Adjusted) -> bool:
     return len(scatter) > 0 and bool(np.median(scatter) <= WELL_KNOWN_M)
 
 
-def without_common(known: Known, done: Adjusted) -> Known | None:
+def without_common(known: PriorKnowledge, done: Adjusted) -> PriorKnowledge | None:
     """Priors without a common height error, where the positions prove to be those of a receiver with corrections.
 
     None where they do not: single positions, in plan, show its accuracy, and the level of the water agrees with them.

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from geo.similarity import Similarity
 from survey.adjust.assembling import FEW_MATCHES
-from survey.adjust.block.priors import Known
+from survey.adjust.block.priors import PriorKnowledge
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
@@ -37,17 +37,17 @@ class RecoveredPoses:
     rotations: np.ndarray
     warning: str = ""  # Why it was sought
 
-    def start(self, known: Known) -> Known:
+    def start(self, known: PriorKnowledge) -> PriorKnowledge:
         """The priors with these poses as initial values."""
         return replace(known, state=replace(known.state, centres=self.centres, rotations=self.rotations))
 
 
 # Finds the poses of a survey anew.
-Search = Callable[[Survey], RecoveredPoses]
+PoseRecovery = Callable[[Survey], RecoveredPoses]
 
 
 def windows_or_search(
-    survey: Survey, measure: Callable[[], TiePoints], search: Search | None
+    survey: Survey, measure: Callable[[], TiePoints], search: PoseRecovery | None
 ) -> TiePoints | RecoveredPoses:
     """Windows of a survey with poses of a file, or its block by structure from motion where too few match.
 

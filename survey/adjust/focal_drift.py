@@ -23,9 +23,9 @@ from scipy.linalg import cho_factor, cho_solve
 
 from survey.adjust.block.bundle import NotConvergedError, system_with
 from survey.adjust.block.lenses import FEWEST, is_held
-from survey.adjust.block.observed import rows_taken
+from survey.adjust.block.observed import original_rows
 from survey.adjust.block.prediction import relief_sides
-from survey.adjust.block.priors import Known, priors_for
+from survey.adjust.block.priors import PriorKnowledge, priors_for
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import POSE
 from survey.adjust.rounds import Adjusted
@@ -53,13 +53,13 @@ class FocalDrift:
 
 
 def with_focals(
-    known: Known, done: Adjusted, adjusted: Callable[[Known], Adjusted]
+    known: PriorKnowledge, done: Adjusted, adjusted: Callable[[PriorKnowledge], Adjusted]
 ) -> tuple[Adjusted, FocalDrift | None]:
     """The block with a focal length for each photograph, where these differ; else, or where it has them, as it was.
 
     Parameters
     ----------
-    known : Known
+    known : PriorKnowledge
         What the survey says, with the standard deviations of positions as stated.
     done : Adjusted
         With one focal length for each lens.
@@ -87,22 +87,22 @@ def with_focals(
     return done, drift
 
 
-def focal_drift(known: Known, done: Adjusted) -> FocalDrift | None:
+def focal_drift(known: PriorKnowledge, done: Adjusted) -> FocalDrift | None:
     """Scatter of the focal lengths that a block with one for each lens shows; None where it shows none."""
     stated = with_focal_std(known, done, np.inf)
     layout, solution = stated.layout, done.solution
     state = replace(solution.state, focals=np.zeros(len(layout.lens_of)))
     seen = done.used
-    sides, rows = relief_sides(state, seen.ties), rows_taken(seen.ties, known.lenses, layout.lens_of)
+    sides, rows = relief_sides(state, seen.ties), original_rows(seen.ties, known.lenses, layout.lens_of)
 
-    def normals(mine: Known) -> tuple[np.ndarray, np.ndarray, float]:
+    def normals(mine: PriorKnowledge) -> tuple[np.ndarray, np.ndarray, float]:
         """N, b, and ``v' W v - ln |W|``."""
         priors = priors_for(mine, seen.ties, seen.point_std)
         given = np.full(int(seen.kind.max()) + 1, np.nan)
         problem = Problem(layout, seen.ties, seen.kind, priors, given, sides, rows)
         system = system_with(problem, state, solution.weights)
         weights = mine.std[np.isfinite(mine.std)] ** -2.0
-        return system.normal, system.right, priors.squares(layout, state) - float(np.log(weights).sum())
+        return system.normal, system.right_side, priors.squares(layout, state) - float(np.log(weights).sum())
 
     own = np.r_[: layout.first_focal, layout.first_pose : len(layout)]
     # One focal length for each lens, positions as good as the block has them.
@@ -147,7 +147,7 @@ class _Eliminated:
         )  # fmt: skip
 
 
-def with_focal_std(known: Known, done: Adjusted, std: float) -> Known:
+def with_focal_std(known: PriorKnowledge, done: Adjusted, std: float) -> PriorKnowledge:
     """Priors with a focal length for each photograph, starting from an adjusted block.
 
     Positions that were stated are as good as that, but for those that the block contradicts.

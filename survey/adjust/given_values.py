@@ -27,7 +27,7 @@ from refract import FlatWater
 from survey.adjust.block.bundle import NotConvergedError, System, inverse, solve, std_of_kinds, system_at
 from survey.adjust.block.lenses import is_held
 from survey.adjust.block.observed import Observed
-from survey.adjust.block.priors import HELD, Known, known_of, priors_for
+from survey.adjust.block.priors import HELD, PriorKnowledge, known_of, priors_for
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import LENS_NAMES, WATER, WATER_PARAMETERS, Layout, State
 from survey.adjust.clusters import inflation
@@ -90,7 +90,7 @@ class _Linearised:
         strength = np.zeros(len(std))
         strength[others] = std[others] ** -2.0
         covariance = inverse(system.normal + np.diag(strength))
-        step = covariance @ system.right
+        step = covariance @ system.right_side
         # Scatter about the estimate, since a wrong level is no noise.
         left = problem.residuals(self.state.moved(problem.layout, step, system.point_steps(step)))
         taken = float(np.sum(1.0 - np.diag(covariance) / std**2))
@@ -153,7 +153,7 @@ def check_given_values(
     ]
 
 
-def _asked(known: Known, state: State, fewest_wet: int) -> list[int]:
+def _asked(known: PriorKnowledge, state: State, fewest_wet: int) -> list[int]:
     """Numbers of the tested parameters."""
     is_wet = state.water is not None and int((state.water.depth(state.points) > 0.0).sum()) >= fewest_wet
     starts = [known.layout.lens(number).start for number, lens in enumerate(known.lenses) if not is_held(lens)]
@@ -167,7 +167,7 @@ def _pose_std(layout: Layout, state: State, misfit_px: float, gsd: float) -> np.
     return np.column_stack([np.full((len(turn), 3), error_px * gsd), *[turn] * 3]).ravel()
 
 
-def _name_and_value(survey: Survey, known: Known, number: int) -> tuple[str, float]:
+def _name_and_value(survey: Survey, known: PriorKnowledge, number: int) -> tuple[str, float]:
     """Name and given value of a parameter."""
     if number < WATER:
         name = WATER_PARAMETERS[number]
@@ -204,7 +204,7 @@ def worst_contradiction(survey: Survey, done: Adjusted) -> Contradiction | None:
     return worst
 
 
-def released(known: Known, found: Contradiction) -> Known:
+def released(known: PriorKnowledge, found: Contradiction) -> PriorKnowledge:
     """Priors with the contradicted value as uncertain as it proved to be."""
     std = known.std.copy()
     std[WATER_PARAMETERS.index(found.name)] = max(abs(found.difference), found.given_std)
@@ -265,13 +265,13 @@ def dry_bed_error(level: Contradiction, way_out: str) -> SurveyError:
 
 
 def check_dry_block(
-    survey: Survey, known: Known, seen: Observed, done: Adjusted, marks_std_px: float
+    survey: Survey, known: PriorKnowledge, seen: Observed, done: Adjusted, marks_std_px: float
 ) -> Contradiction | None:
     """The level that an adjusted block shows where the given one leaves all of it dry; None where it shows none.
 
     Parameters
     ----------
-    known : Known
+    known : PriorKnowledge
         What the block was adjusted with.
     seen : Observed
         All of it.

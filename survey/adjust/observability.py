@@ -19,7 +19,7 @@ import numpy as np
 
 from survey.adjust.block.bundle import NotConvergedError
 from survey.adjust.block.observed import Observed
-from survey.adjust.block.priors import FREE_WATER, HELD, Known
+from survey.adjust.block.priors import FREE_WATER, HELD, PriorKnowledge
 from survey.adjust.block.state import (
     LENS_NAMES,
     RATE_NAME,
@@ -53,7 +53,7 @@ class Unobservable:
 
 
 def adjust_free(
-    survey: Survey, known: Known, seen: Observed, sizes, marks_std_px: float
+    survey: Survey, known: PriorKnowledge, seen: Observed, sizes, marks_std_px: float
 ) -> tuple[Adjusted, dict[str, Unobservable]]:
     """Adjust a block with free water (`known`); also returns its unobservable parameters by name.
 
@@ -130,7 +130,7 @@ def _inside(survey: Survey, ties: TiePoints) -> np.ndarray | None:
     return (east >= e0) & (east <= e1) & (north >= n0) & (north <= n1)
 
 
-def _held(known: Known, numbers: np.ndarray, std: float) -> Known:
+def _held(known: PriorKnowledge, numbers: np.ndarray, std: float) -> PriorKnowledge:
     """The priors with parameters of the water held at their given values."""
     held = known.std.copy()
     held[numbers] = std

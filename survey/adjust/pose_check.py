@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from survey.adjust.block.bundle import NotConvergedError, solve
-from survey.adjust.block.observed import KINDS, MATCH, WINDOW, observed, rows_taken
+from survey.adjust.block.observed import KINDS, MATCH, WINDOW, observed, original_rows
 from survey.adjust.block.prediction import relief_sides
 from survey.adjust.block.priors import FREE_WATER, HELD, known_of, priors_for
 from survey.adjust.block.problem import Problem
@@ -53,14 +53,14 @@ class PoseCheck:
     misfit_px: float | None
     # Tests of water and lens, contradicted or not, where the misfit confirms the poses. It is taken under the level
     # that fits best, since a wrong level causes a misfit of oblique photographs, too.
-    told: tuple[Contradiction, ...] = ()
+    contradictions: tuple[Contradiction, ...] = ()
     # The level that photographs show, where the given one leaves all of the bed dry
     flooded: Contradiction | None = None
 
     @property
     def contradiction(self) -> Contradiction | None:
         """The most contradicted parameter, if any."""
-        return most_contradicted(self.told)
+        return most_contradicted(self.contradictions)
 
     def require_water(self) -> None:
         """Raise `SurveyError` where photographs show water over a bed that the given level leaves dry."""
@@ -107,7 +107,7 @@ def check_of_ties(survey: Survey, plan: Plan, kind: int, ties: TiePoints) -> Pos
     held = replace(known, std=np.full_like(known.std, HELD))
     state = replace(known.state, points=seen.ties.start)
     priors, sides = priors_for(held, seen.ties), relief_sides(state, seen.ties)
-    rows = rows_taken(seen.ties, known.lenses, known.layout.lens_of)
+    rows = original_rows(seen.ties, known.lenses, known.layout.lens_of)
     problem = Problem(known.layout, seen.ties, seen.kind, priors, np.full(len(KINDS), np.nan), sides, rows)
     solution = solve(replace(problem, holds_parameters=True), state)
     found = misfit(solution.residuals, seen.ties.view)

@@ -19,11 +19,11 @@ from survey.adjust.block.bundle import NotConvergedError
 from survey.adjust.block.control_check import contradicted_points, contradiction_warning, has_unchecked_control
 from survey.adjust.block.observed import CELLS, MATCH, PER_CELL, WINDOW, Observed, observed, thinned
 from survey.adjust.block.on_ground import moved_by, shift_onto
-from survey.adjust.block.priors import Known, known_of
+from survey.adjust.block.priors import PriorKnowledge, known_of
 from survey.adjust.block.state import POSE, WATER, WATER_PARAMETERS
 from survey.adjust.block.windows import measure_windows
 from survey.adjust.common_height import apply_level_datum, height_doubts, water_start, with_common, without_common
-from survey.adjust.far_poses import Search, windows_or_search
+from survey.adjust.far_poses import PoseRecovery, windows_or_search
 from survey.adjust.focal_drift import FocalDrift, with_focal_std, with_focals
 from survey.adjust.given_values import LEVEL, LEVEL_NAME, check_dry_block, dry_bed_error, released, worst_contradiction
 from survey.adjust.observability import (
@@ -69,7 +69,7 @@ def adjust_survey(
     advance: Callable[[float], None] = lambda _share: None,
     use_windows: bool = True,
     free_water: bool = False,
-    search: Search | None = None,
+    search: PoseRecovery | None = None,
 ) -> Adjustment:
     """Adjust a survey.
 
@@ -105,7 +105,7 @@ class _Asked:
     free_water: bool
 
 
-def _adjust(survey: Survey, asked: _Asked, search: Search | None) -> Adjustment:
+def _adjust(survey: Survey, asked: _Asked, search: PoseRecovery | None) -> Adjustment:
     """See `adjust_survey`."""
     known = known_of(survey, make_plan(survey).gsd_m, free_water=asked.free_water)
     if survey.observations.ties is not None or not asked.use_windows:
@@ -126,7 +126,7 @@ def _adjust(survey: Survey, asked: _Asked, search: Search | None) -> Adjustment:
     return replace(found, warnings=(windows.warning, *found.warnings))
 
 
-def _adjusted(survey: Survey, known: Known, windows: TiePoints | None, asked: _Asked) -> Adjustment:
+def _adjusted(survey: Survey, known: PriorKnowledge, windows: TiePoints | None, asked: _Asked) -> Adjustment:
     """See `adjust_survey`; with the windows, where they were measured already."""
     device, advance, use_windows, free_water = asked.device, asked.advance, asked.use_windows, asked.free_water
     gathered = _BlockAdjustment(survey, known, free_water)
@@ -208,7 +208,7 @@ def _windows_at(survey: Survey, done: Adjusted | None, device: str, advance: Cal
 class _BlockAdjustment:
     """Adjustment of a survey in stages: observations as they are added, and adjustments of all that there are."""
 
-    def __init__(self, survey: Survey, known: Known, free_water: bool):
+    def __init__(self, survey: Survey, known: PriorKnowledge, free_water: bool):
         self._survey, self.known, self._free_water = survey, known, free_water
         self._sizes = [(view.lens.width, view.lens.height) for view in survey.views]
         control = survey.observations.control
@@ -221,7 +221,7 @@ class _BlockAdjustment:
     def _observed(self) -> Observed:
         return observed(self._parts, self._survey.observations.control, self._survey, self.known)
 
-    def with_more(self, kind: int, ties: TiePoints, start: Known) -> Adjusted:
+    def with_more(self, kind: int, ties: TiePoints, start: PriorKnowledge) -> Adjusted:
         """Take in more tie points, those that are needed, and adjust."""
         needed = ties.only(np.isin(ties.point, thinned(ties, self._sizes, CELLS, PER_CELL)))
         ground = self._survey.observations.ground
@@ -240,7 +240,9 @@ class _BlockAdjustment:
                 raise dry_bed_error(level, "leave out [water] if the bed is dry")
         return done
 
-    def _put_onto(self, ground: Ground, kind: int, ties: TiePoints, start: Known) -> tuple[Known, TiePoints]:
+    def _put_onto(
+        self, ground: Ground, kind: int, ties: TiePoints, start: PriorKnowledge
+    ) -> tuple[PriorKnowledge, TiePoints]:
         """Start and tie points shifted onto the ground, after an adjustment without it; positions too, where it shows.
 
         Positions of unknown accuracy may share an error of metres, those of a stated one an error as large as that,
@@ -270,7 +272,7 @@ class _BlockAdjustment:
         start = replace(start, shared_std=shared, state=replace(state, centres=state.centres + shift))
         return start, replace(ties, start=ties.start + shift)
 
-    def _at_level(self, start: Known) -> Adjusted:
+    def _at_level(self, start: PriorKnowledge) -> Adjusted:
         """Adjust where the level of the water, or else the positions, say how high the block lies."""
         start, points = water_start(start, self._observed, self.marks_std)
         kind, ties = self._parts[0]
@@ -345,11 +347,11 @@ class _BlockAdjustment:
 
     def _on_ground(self, found: Adjustment, done: Adjusted) -> Adjustment:
         """The result with how the block lies on the ground of an earlier survey, where there is one."""
-        if done.placed is None:
+        if done.alignment is None:
             return found
-        moved = moved_by(self._survey.views, done.solution.state, done.placed.middle)
+        moved = moved_by(self._survey.views, done.solution.state, done.alignment.middle)
         reference = str(self._survey.config.control.reference)
-        fit = ground_fit(done.placed, moved, reference, is_against_positions=self._is_against_positions)
+        fit = ground_fit(done.alignment, moved, reference, is_against_positions=self._is_against_positions)
         return replace(found, ground=fit, notes=(*found.notes, *fit.notes), warnings=(*found.warnings, *fit.warnings))
 
 
@@ -370,7 +372,7 @@ def _against(found: Adjustment, each: Contradiction) -> str:
     )
 
 
-def _started(known: Known, done: Adjusted) -> Known:
+def _started(known: PriorKnowledge, done: Adjusted) -> PriorKnowledge:
     """Priors that start from an adjusted state, with the std of positions that the adjustment estimated."""
     none = np.zeros((0, 3))
     std = np.concatenate([known.std[:WATER], done.known.std[WATER:]])

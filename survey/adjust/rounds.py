@@ -8,11 +8,11 @@ import numpy as np
 
 from survey.adjust.block.bundle import NotConvergedError, Solution, System, inverse, solve, system_with
 from survey.adjust.block.control_check import checked_points, stated_points
-from survey.adjust.block.observed import KINDS, MARK, Observed, rows_taken
+from survey.adjust.block.observed import KINDS, MARK, Observed, original_rows
 from survey.adjust.block.on_ground import GroundAlignment, OnGround, alignment_on, planes_under
-from survey.adjust.block.pose_std import judged
+from survey.adjust.block.pose_std import reestimate_pose_std
 from survey.adjust.block.prediction import relief_sides
-from survey.adjust.block.priors import Known, priors_for
+from survey.adjust.block.priors import PriorKnowledge, priors_for
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.roll import Roll
 from survey.adjust.block.roll_profile import profiled, widened
@@ -76,15 +76,15 @@ def std_over_points(system: System, covariance: np.ndarray) -> float:
 class Adjusted:
     """A block after its adjustment."""
 
-    known: Known  # With the standard deviations of poses that the block showed
+    known: PriorKnowledge  # With the standard deviations of poses that the block showed
     used: Observed  # What was not left out
     solution: Solution
     factor: np.ndarray  # (kinds,): on variances, for what neighbouring observations and neighbouring ground share
     blunders: np.ndarray  # (V, 2) bool: positions and rotations that the block contradicts and that were left out
-    placed: GroundAlignment | None = None  # On the ground of an earlier survey
+    alignment: GroundAlignment | None = None  # On the ground of an earlier survey
 
 
-def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted:
+def adjust(known: PriorKnowledge, seen: Observed, sizes, marks_std_px: float) -> Adjusted:
     """Adjust a block, and again without outliers until none is left.
 
     Parameters
@@ -110,7 +110,7 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
         problem, solution, on_ground = _solved(known, seen, state, kind, given, factors[kind])
         found = solution.std_px
         before, factors = factors, _factors(problem, solution, sizes, factors)
-        poses, known_blunders = judged(known, solution, blunders), blunders
+        poses, known_blunders = reestimate_pose_std(known, solution, blunders), blunders
         known, blunders = poses.known, poses.blunders
         checked = checked_points(problem, solution, seen, coordinates)
         control_changed = checked is not seen
@@ -146,10 +146,10 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
 
 
 def _solved(
-    known: Known, seen: Observed, state: State, kind: np.ndarray, given: np.ndarray, inflation: np.ndarray
+    known: PriorKnowledge, seen: Observed, state: State, kind: np.ndarray, given: np.ndarray, inflation: np.ndarray
 ) -> tuple[Problem, Solution, OnGround | None]:
     """Adjust once; on ground, until the planes under the points no longer change."""
-    sides, rows = relief_sides(state, seen.ties), rows_taken(seen.ties, known.lenses, known.layout.lens_of)
+    sides, rows = relief_sides(state, seen.ties), original_rows(seen.ties, known.lenses, known.layout.lens_of)
     on_ground = None
     for _ in range(1 if seen.ground is None else _MOST_PLANES):
         if seen.ground is not None:
@@ -168,7 +168,7 @@ def _solved(
     return problem, solution, on_ground
 
 
-def _open_rolls(known: Known, seen: Observed) -> list[Roll]:
+def _open_rolls(known: PriorKnowledge, seen: Observed) -> list[Roll]:
     """The rolls that nothing holds but level water."""
     if known.mean.water is None or np.isfinite(seen.point_std).all(axis=1).any():
         return []

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from survey.adjust.block.observed import KINDS, MARK
-from survey.adjust.block.priors import Known
+from survey.adjust.block.priors import PriorKnowledge
 from survey.adjust.result.adjustment import Adjustment
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
@@ -32,7 +32,7 @@ _REJECTED = 3.0
 
 
 def of_two_starts(
-    survey: Survey, known: Known, first: Adjustment, adjusted: Callable[[Survey, Known], Adjustment]
+    survey: Survey, known: PriorKnowledge, first: Adjustment, adjusted: Callable[[Survey, PriorKnowledge], Adjustment]
 ) -> Adjustment:
     """The adjustment as it is; of two photographs placed by control, the better of that and one from a level start.
 
@@ -92,7 +92,7 @@ def _is_asked(survey: Survey) -> bool:
     return not has_attitudes and any(not point.is_check for point in seen.control.points)
 
 
-def _to_level(known: Known) -> np.ndarray | None:
+def _to_level(known: PriorKnowledge) -> np.ndarray | None:
     """The turn (3, 3) of local after which the photographs look straight down in the mean; None where they do."""
     axis = known.state.rotations[:, 2].mean(axis=0)
     axis /= np.linalg.norm(axis)

@@ -19,9 +19,9 @@ import numpy as np
 
 from refract import FlatWater
 from survey.adjust.block.bundle import NotConvergedError, cost, solve
-from survey.adjust.block.observed import KINDS, MARK, Observed, rows_taken
+from survey.adjust.block.observed import KINDS, MARK, Observed, original_rows
 from survey.adjust.block.prediction import relief_sides
-from survey.adjust.block.priors import Known, priors_for
+from survey.adjust.block.priors import PriorKnowledge, priors_for
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import State
 from survey.adjust.observability import FEWEST_WET
@@ -85,7 +85,7 @@ def water_seen(done: Adjusted, marks_std_px: float) -> WaterSeen | None:
 
 
 def _over(
-    known: Known, seen: Observed, dry: State, level: float, shared: np.ndarray, marks_std_px: float
+    known: PriorKnowledge, seen: Observed, dry: State, level: float, shared: np.ndarray, marks_std_px: float
 ) -> tuple[float, WaterSeen] | None:
     """Gain of bent rays in units of variances, and the water; None where too little of it is sure."""
     x, y = dry.centres[:, :2].mean(axis=0).tolist()
@@ -119,8 +119,8 @@ def _levels(dry: State) -> tuple[float, float]:
     return top + _SHARE * max(float(np.median(dry.centres[:, 2])) - top, 0.0), middle
 
 
-def _problem(known: Known, seen: Observed, state: State, given: np.ndarray) -> Problem:
-    rows = rows_taken(seen.ties, known.lenses, known.layout.lens_of)
+def _problem(known: PriorKnowledge, seen: Observed, state: State, given: np.ndarray) -> Problem:
+    rows = original_rows(seen.ties, known.lenses, known.layout.lens_of)
     priors, sides = priors_for(known, seen.ties, seen.point_std), relief_sides(state, seen.ties)
     return Problem(known.layout, seen.ties, seen.kind, priors, given, sides, rows)
 

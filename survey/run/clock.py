@@ -30,7 +30,7 @@ class Clock:
         """Remaining time [s]; negative when it is over."""
         return self._end - self._now()
 
-    def keep(self, seconds: float) -> None:
+    def require(self, seconds: float) -> None:
         """Raise where less time is left than the required work takes.
 
         Raises

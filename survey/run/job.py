@@ -11,7 +11,7 @@ from threading import Event
 from typing import TYPE_CHECKING
 
 from fields.sweep.kernels.arrays import release
-from survey.adjust.far_poses import Search, find_anew
+from survey.adjust.far_poses import PoseRecovery, find_anew
 from survey.errors import SurveyError
 from survey.files.toml_table import table_of
 from survey.photos.images import ImageStore
@@ -84,7 +84,7 @@ class Job:
         self._found: dict[Path, Masks] = {}
         self.plan = self._planned()
 
-    def take(self, survey: Survey) -> None:
+    def use_survey(self, survey: Survey) -> None:
         """Replace the survey by one of the same photographs, e.g. with adjusted water."""
         before = self._sight()
         self.survey = survey
@@ -103,7 +103,7 @@ class Job:
 
     def _sight(self) -> list[str]:
         """Inputs that determine the rays of the photographs and the search volume."""
-        return [self.part(name) for name in ("cameras", "water", "size", "device", "heights")]
+        return [self.hash_of_part(name) for name in ("cameras", "water", "size", "device", "heights")]
 
     def plan_again(self) -> None:
         """Plan again by the present recipe of the aim."""
@@ -141,13 +141,13 @@ class Job:
         """Outlines of these photographs, for the tiles."""
         return Outlines(self.cameras)
 
-    def give_back(self) -> None:
+    def release(self) -> None:
         """Return memory that the last stage no longer uses to the system, so that the next one's comes not on top."""
         if "block" in self.__dict__:
             release(self.block.device)
 
     @property
-    def search(self) -> Search | None:
+    def search(self) -> PoseRecovery | None:
         """Structure from motion for poses of a file that are too inaccurate; None without a workspace."""
         if self.workspace is None:
             return None
@@ -199,7 +199,7 @@ class Job:
         times = times_seen_between(self.block.saturated, self.plan.recipe.times_seen)
         return self.block.cover(*times, local_area(self.survey))
 
-    def once(self, folder: Path, find: Callable[[], Masks]) -> Masks:
+    def unique_masks(self, folder: Path, find: Callable[[], Masks]) -> Masks:
         """Pixels of the maps of a sweep that become points, found once for the stages that ask.
 
         The name of the folder ends in the hash of all that they depend on.
@@ -208,7 +208,7 @@ class Job:
             self._found = {folder: find()}
         return self._found[folder]
 
-    def part(self, name: str) -> str:
+    def hash_of_part(self, name: str) -> str:
         """The hash of a part of the job that stages depend on; the names are those in `survey.run.keys`."""
         return self._photographs if name == "photographs" else stage_key(self._part(name))
 

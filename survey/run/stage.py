@@ -26,8 +26,8 @@ class Stage:
 
     name: str
     needs: tuple[str, ...]  # Stages whose results it reads; those that a run leaves out are left out here too
-    depends_on: tuple[str, ...]  # Parts of the job that decide its result; see `Job.part`
-    leaves: tuple[str, ...]  # Files in its folder
+    depends_on: tuple[str, ...]  # Parts of the job that decide its result; see `Job.hash_of_part`
+    files: tuple[str, ...]  # Files in its folder
     # callable: gets the job, the folder to write to, and the folders of the stages that it needs, by name. The code
     # that this function's module reaches by imports is a part of what the stage depends on.
     compute: Compute
@@ -37,7 +37,7 @@ class Stage:
 
     def key(self, job: Job, done: Mapping[str, Path]) -> Key:
         """Dependencies of the result, given the folders of the stages before."""
-        parts = {name: job.part(name) for name in self.depends_on}
+        parts = {name: job.hash_of_part(name) for name in self.depends_on}
         # The name of a stage's folder ends in the hash of all that it depends on.
         parts |= {name: done[name].name for name in self.needs if name in done}
         return Key(parts | {"code": code_hash(self.compute.__module__, *LOADING)})
@@ -56,7 +56,7 @@ def run_stage(
         temp = run.open_stage(stage.name)
         stage.compute(job, temp, {name: done[name] for name in stage.needs if name in done})
         folder = finish(stage, key, run, temp)
-        job.give_back()
+        job.release()
     if stage.apply is not None:
         stage.apply(job, folder)
     return folder
@@ -64,7 +64,7 @@ def run_stage(
 
 def finished(stage: Stage, key: Key, job: Job, run: RunDir, *, resume: bool, explains: bool = True) -> Path | None:
     """The folder of a stage in the run where it is still right; None, and why, where it has to be computed."""
-    folder = run.finished_stage(stage.name, key, stage.leaves) if resume else None
+    folder = run.finished_stage(stage.name, key, stage.files) if resume else None
     if folder is not None:
         job.progress.note(f"{stage.name}: used again, nothing that it depends on has changed")
         return folder
@@ -76,7 +76,7 @@ def finished(stage: Stage, key: Key, job: Job, run: RunDir, *, resume: bool, exp
 
 def finish(stage: Stage, key: Key, run: RunDir, temp: Path, seconds: float | None = None) -> Path:
     """Give what a stage has left in a folder its place in the run; ``seconds`` where a worker made it."""
-    missing = [name for name in stage.leaves if not (temp / name).is_file()]
+    missing = [name for name in stage.files if not (temp / name).is_file()]
     if missing:
         raise RuntimeError(f"the stage {stage.name} left no {', '.join(missing)}")
     return run.finish_stage(stage.name, key, temp, seconds)

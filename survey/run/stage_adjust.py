@@ -41,4 +41,4 @@ def use_adjustment(job: Job, folder: Path) -> None:
         job.progress.note(f"adjustment: {text}")
     for text in found.warnings:
         job.progress.warn(text)
-    job.take(replace(survey, findings=survey.findings + Findings(found.notes, found.warnings)))
+    job.use_survey(replace(survey, findings=survey.findings + Findings(found.notes, found.warnings)))

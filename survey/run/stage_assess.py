@@ -71,7 +71,7 @@ def _cells(job: Job, needs: Mapping[str, Path], solved: Sequence[SolvedMap]) -> 
     """Std by cells of the points that the run would have if it ended now, those with heights of the sweep included."""
     maps = Stored(needs["sweep"] / MAPS, HeightMap)
     look_at_bed(job, needs["sweep"])
-    kept = job.once(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m))
+    kept = job.unique_masks(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m))
     bed, _, _ = bed_points(job, maps, None, lambda _done: None, solved, kept, coloured=False)
     if not is_placed(job.survey):
         # As in the gate: no round reduces the std of the datum by GPS or control.

@@ -55,7 +55,7 @@ def points_of_bed(job: Job, needs: Mapping[str, Path]) -> BedPoints:
     look_at_bed(job, needs["sweep"])
     is_of_sweep = job.plan.field != "off" and field is None and solved is None
     with job.progress.stage("Bed of the sweep alone" if is_of_sweep else "Bed", len(maps)) as stage:
-        kept = job.once(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m))
+        kept = job.unique_masks(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m))
         bed, tide, moved = bed_points(job, maps, field, stage.advance, solved, kept)
     if solved is not None and job.plan.boxes and len(bed):
         bed, tide = with_occluded(job, maps, solved, bed, tide)

@@ -39,11 +39,11 @@ def use_misfit(job: Job, folder: Path) -> None:
     """Update the plan by the result; raise where the level leaves dry what photographs show under water."""
     values = json.loads((folder / MISFIT).read_text(encoding="utf-8"))
     misfit, flooded = values["misfit_px"], values["flooded"]
-    contradictions = tuple(Contradiction(**each) for each in values["told"])
+    contradictions = tuple(Contradiction(**each) for each in values["contradictions"])
     found = PoseCheck(misfit, contradictions, None if flooded is None else Contradiction(**flooded))
     found.require_water()
     misfit_px = -1.0 if misfit is None else misfit
     provenance = replace(job.survey.provenance, pose_misfit_px=misfit_px, contradiction=found.contradiction)
-    job.take(replace(job.survey, provenance=provenance))
+    job.use_survey(replace(job.survey, provenance=provenance))
     choice, reason = job.plan.poses
     job.progress.note(f"plan: poses: {choice} ({reason})")

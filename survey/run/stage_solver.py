@@ -40,7 +40,7 @@ def solve_with(job: Job, folder: Path, needs: Mapping[str, Path], figures: Solve
         _save(job, folder, [SolvedMap.empty() for _ in maps], None)
         return
     look_at_bed(job, needs["sweep"])
-    kept = job.once(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m)).copy()
+    kept = job.unique_masks(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m)).copy()
     pairs = wet_pairs(job.block, maps.views)
     for number, view in enumerate(maps.views):
         if view in pairs:

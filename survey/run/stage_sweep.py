@@ -117,7 +117,7 @@ def _go_on(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
             def advance(share: float) -> None:
                 report(share)
                 if aimed is not None and aimed.clock is not None:
-                    aimed.clock.keep(aimed.tail_s)
+                    aimed.clock.require(aimed.tail_s)
 
             maps = sweep(
                 block,

@@ -33,9 +33,9 @@ Merge = Callable[[Job, Path, Sequence[TileJob], Mapping[str, list[Path]], Mappin
 _OF = {stage.name: stage for stage in STAGES}
 _TILES = Stage("tiles", (), (*_OF["sweep"].depends_on, "tiles"), (SHARED,), find_shared)
 # Of one tile, by the name of what they are a part of.
-_SWEEP = replace(_OF["sweep"], needs=(), leaves=(MAPS, MASKS), compute=sweep_tile, apply=None)
+_SWEEP = replace(_OF["sweep"], needs=(), files=(MAPS, MASKS), compute=sweep_tile, apply=None)
 _SOLVER = replace(_OF["solver"], needs=("sweep", "figures"), compute=solve_tile)
-_BED = replace(_OF["bed"], needs=("sweep", "solver"), leaves=(POINTS,), compute=find_points)
+_BED = replace(_OF["bed"], needs=("sweep", "solver"), files=(POINTS,), compute=find_points)
 
 
 def run_tiled(job: Job, run: RunDir, *, resume: bool) -> dict[str, Path]:
@@ -69,7 +69,7 @@ def run_tiled(job: Job, run: RunDir, *, resume: bool) -> dict[str, Path]:
                 step_of_tiles(_SWEEP)
                 step(_over(stage, merge_sweeps, tiles, ("sweep",)))
             elif stage.name == "solver" and stage.is_on(job):
-                step(_over(replace(stage, name="figures", leaves=(FIGURES,)), learn_figures, tiles, ("sweep",)))
+                step(_over(replace(stage, name="figures", files=(FIGURES,)), learn_figures, tiles, ("sweep",)))
                 step_of_tiles(_SOLVER)
                 step(_over(stage, merge_solved, tiles, ("sweep", "solver")))
             elif stage.name == "bed":

@@ -336,7 +336,7 @@ def _compute(job: Path, stages: Path, task: Task, code: str) -> tuple[Path, floa
         shutil.rmtree(folder, ignore_errors=True)
         raise
     finally:
-        tile.give_back()
+        tile.release()
         tile.drop()
     return folder, time.monotonic() - start, list(said.lines)
 

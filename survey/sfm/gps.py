@@ -124,7 +124,7 @@ def positions_in_crs(heads: Mapping[str, Exif], crs: CRS, gps_height: str) -> tu
 
 
 @dataclass(frozen=True)
-class Way:
+class PositionTransform:
     """The way of GPS positions of one source into crs."""
 
     said: str  # What they are, for messages
@@ -133,7 +133,7 @@ class Way:
     up_std_m: float  # [m]: that the geoid adds to heights above the ellipsoid; 0 where they are taken as they are
 
 
-def ways_into_crs(heads: Mapping[str, Exif], crs: CRS, gps_height: str) -> list[Way]:
+def ways_into_crs(heads: Mapping[str, Exif], crs: CRS, gps_height: str) -> list[PositionTransform]:
     """The way of GPS positions into crs, one for each of their sources."""
     given = {name: _given(head) for name, head in heads.items() if head.lat_lon_height is not None}
     ways = []
@@ -142,7 +142,7 @@ def ways_into_crs(heads: Mapping[str, Exif], crs: CRS, gps_height: str) -> list[
         places = np.array(list(own.values()))
         up = _geoid_std(crs, source, places) if gps_height == "ellipsoidal" else 0.0
         plan = Transformation.between(source.crs, crs, places)
-        ways.append(Way(f"GPS positions{source.said}", tuple(own), plan, up))
+        ways.append(PositionTransform(f"GPS positions{source.said}", tuple(own), plan, up))
     return ways
 
 
@@ -163,7 +163,7 @@ def datum_stds(heads: Mapping[str, Exif], crs: CRS, gps_height: str) -> dict[str
     return {name: DatumStd(plan_std(way.plan), way.up_std_m) for way in ways for name in way.names}
 
 
-def datum_doubts(ways: Sequence[Way]) -> list[str]:
+def datum_doubts(ways: Sequence[PositionTransform]) -> list[str]:
     """Warnings where GPS positions in crs are less well known than as they are given."""
     doubts = [way.plan.doubt(way.said) for way in ways]
     doubts += [

@@ -36,7 +36,7 @@ _FOCAL_SHARE = 0.08
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedBlocks:
     """Blocks in one local frame."""
 
     blocks: tuple[pycolmap.Reconstruction, ...]  # Those that could be placed
@@ -45,7 +45,7 @@ class Placed:
 
 
 # Takes a block to local, in place, and says by what; raises PosesError or ControlError if it cannot.
-Way = Callable[["pycolmap.Reconstruction"], str]
+Placement = Callable[["pycolmap.Reconstruction"], str]
 
 
 def place_by_gps(
@@ -55,7 +55,7 @@ def place_by_gps(
     sensors: list[Sensor],
     spare: BlockControl | None = None,
     attitudes: Mapping[str, np.ndarray] | None = None,
-) -> Placed:
+) -> PlacedBlocks:
     """Place blocks by the GPS positions of their cameras; the blocks are changed.
 
     Parameters
@@ -93,7 +93,7 @@ def place_by_gps(
         met = None if nearby is None else meet(nearby, posed_of(block, alias_of))
         return f"{said}; {line.said(len(trusted))}: it starts {_roll(block, line, turned, met)}"
 
-    ways: list[Way] = [by_positions]
+    ways: list[Placement] = [by_positions]
     if spare is not None:
         ways.append(_way_of_control(spare, gps.frame, alias_of, turned))
     placed = _place(free, ways, gps.frame, alias_of, sensors)
@@ -106,7 +106,7 @@ def place_by_control(
     alias_of: Mapping[str, str],
     sensors: list[Sensor],
     attitudes: Mapping[str, np.ndarray] | None = None,
-) -> Placed:
+) -> PlacedBlocks:
     """Place blocks by control points; the blocks are changed.
 
     Parameters
@@ -132,7 +132,7 @@ def _by_alias(attitudes: Mapping[str, np.ndarray] | None, alias_of: Mapping[str,
 
 def _way_of_control(
     control: BlockControl, frame: LocalFrame, alias_of: Mapping[str, str], attitudes: Mapping[str, np.ndarray]
-) -> Way:
+) -> Placement:
     def by_control(block: pycolmap.Reconstruction) -> str:
         fit = fit_control(control if frame is control.frame else control.in_frame(frame), posed_of(block, alias_of))
         said = _onto_control(block, fit)
@@ -165,8 +165,8 @@ def _onto_control(block: pycolmap.Reconstruction, fit: ControlFit) -> str:
 
 
 def _place(
-    free: Free, ways: Sequence[Way], frame: LocalFrame, alias_of: Mapping[str, str], sensors: list[Sensor]
-) -> Placed:
+    free: Free, ways: Sequence[Placement], frame: LocalFrame, alias_of: Mapping[str, str], sensors: list[Sensor]
+) -> PlacedBlocks:
     """Place each block by the first way that can; where none of the blocks can be placed, raise for the largest."""
     notes, placed, found = list(free.notes), [], []
     refusals: list[SurveyError] = []
@@ -195,10 +195,10 @@ def _place(
             f"the photographs fall into {len(placed)} blocks without common points, of {counts} photographs: each is "
             "placed by itself, and they are adjusted together"
         )
-    return Placed(tuple(placed), _lowered(frame, placed), (*notes, *found))
+    return PlacedBlocks(tuple(placed), _lowered(frame, placed), (*notes, *found))
 
 
-def _by_first(ways: Sequence[Way], block: pycolmap.Reconstruction) -> str:
+def _by_first(ways: Sequence[Placement], block: pycolmap.Reconstruction) -> str:
     """Result of the first way that can place a block; the error of the first, with those of others, if none can."""
     refusals: list[SurveyError] = []
     for way in ways:

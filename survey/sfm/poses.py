@@ -32,7 +32,7 @@ from survey.sfm import block as sfm_block
 from survey.sfm.gps import gps_positions, positions_in_crs
 from survey.sfm.gps_fit import attitudes_of
 from survey.sfm.marked import BlockControl
-from survey.sfm.placing import Placed, place_by_control, place_by_gps
+from survey.sfm.placing import PlacedBlocks, place_by_control, place_by_gps
 from survey.sfm.settings import one_focal, require_size
 from survey.sfm.solve import Free, aliases, sensors_of, solve
 from survey.stage_key import code_hash, stage_key
@@ -123,7 +123,7 @@ def solve_poses(
     known = {name: given[path] if path in given else read_exif(path) for name, path in images.items()}
     require_size(images, known, photographs.size_px)
     focal_px = one_focal(photographs.focal_px)
-    place: Callable[..., Placed]
+    place: Callable[..., PlacedBlocks]
     if control is None:
         gps = gps_positions(known, crs, gps_height)
         frame, place = gps.frame, partial(place_by_gps, gps=gps, spare=spare_control, attitudes=attitudes_of(known))
@@ -271,7 +271,7 @@ def _store(workspace: Path, key: str, work: Path, free: Free, seconds: float) ->
     write_json(workspace / _RECORD, record)
 
 
-def _result(placed: Placed, positions: Mapping[str, np.ndarray], alias_of: Mapping[str, str]) -> SfmResult:
+def _result(placed: PlacedBlocks, positions: Mapping[str, np.ndarray], alias_of: Mapping[str, str]) -> SfmResult:
     frame = placed.frame
     block_of = {alias: block for block in placed.blocks for alias in sfm_block.poses_of(block)}
     poses = {alias: pose for block in placed.blocks for alias, pose in sfm_block.poses_of(block).items()}

@@ -91,16 +91,16 @@ class NotConvergedError(SurveyError):
 class System:
     """The normal equations at one state, points eliminated."""
 
-    # normal, right (P, P), (P,): with the priors
+    # normal, right_side (P, P), (P,): with the priors
     normal: np.ndarray
-    right: np.ndarray
+    right_side: np.ndarray
     root: np.ndarray
     free: np.ndarray
     mixed: csr_array
 
-    def promise(self, step: np.ndarray) -> float:
+    def predicted_decrease(self, step: np.ndarray) -> float:
         """Predicted decrease of the sum of squares by a step of parameters and points (linear model)."""
-        return float(self.right @ step + np.sum(self.free**2))
+        return float(self.right_side @ step + np.sum(self.free**2))
 
     def heights_by_parameters(self) -> np.ndarray:
         """Derivative (P,) of the mean height of the points by the parameters."""
@@ -151,14 +151,14 @@ def solve(problem: Problem, start: State, *, inflation: np.ndarray | None = None
 def _solved(problem: Problem, start: State, inflation: np.ndarray | None) -> Solution:
     inflation = np.ones(len(problem.kind)) if inflation is None else inflation
     std_px = std_of_kinds(problem, problem.residuals(start), 0.0)
-    state, system = descend(problem, start, std_px, inflation)
+    state, system = levenberg_marquardt(problem, start, std_px, inflation)
     for _ in range(_MOST_ROUNDS):
         # Each parameter takes one coordinate, less the share that its prior determines.
         taken = float(np.sum(1.0 - np.diag(inverse(system.normal)) / problem.priors.std**2))
         before, std_px = std_px, std_of_kinds(problem, problem.residuals(state), taken)
         if (np.abs(std_px / before - 1.0) < _STEADY).all():
             break
-        state, system = descend(problem, state, std_px, inflation)
+        state, system = levenberg_marquardt(problem, state, std_px, inflation)
     residuals = problem.residuals(state)
     weights = huber_weights(problem, residuals, std_px) / inflation
     return Solution(state, inverse(system.normal), residuals, weights, std_px, system)
@@ -179,7 +179,7 @@ def system_with(problem: Problem, state: State, weights: np.ndarray) -> System:
     return _weighted_system(problem, state, lambda _residuals: weights)
 
 
-def descend(problem: Problem, state: State, std_px, inflation) -> tuple[State, System]:
+def levenberg_marquardt(problem: Problem, state: State, std_px, inflation) -> tuple[State, System]:
     """The state of least cost for given standard deviations, and its normal equations.
 
     Raises
@@ -193,12 +193,12 @@ def descend(problem: Problem, state: State, std_px, inflation) -> tuple[State, S
         system = _system(problem, state, std_px, inflation)
         matrix, scale = _scaled(system.normal)
         while True:
-            step = scale * cho_solve(cho_factor(matrix + damping * np.eye(len(matrix))), scale * system.right)
+            step = scale * cho_solve(cho_factor(matrix + damping * np.eye(len(matrix))), scale * system.right_side)
             own = system.point_steps(step)
             moved = state.moved(problem.layout, step, own)
             costs = cost(problem, moved, std_px, inflation)
             # At the shoreline, where rays begin to bend, the linear model may predict a decrease that is not reached.
-            if costs < least + _SLACK * least or system.promise(step) < _DONE:
+            if costs < least + _SLACK * least or system.predicted_decrease(step) < _DONE:
                 break
             damping *= 10.0
             if damping > _DAMPING_MOST:

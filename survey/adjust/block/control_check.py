@@ -25,9 +25,9 @@ import numpy as np
 from scipy.special import chdtrc
 
 from survey.adjust.block.bundle import Solution
-from survey.adjust.block.observed import MARK, Observed, rows_taken
+from survey.adjust.block.observed import MARK, Observed, original_rows
 from survey.adjust.block.prediction import linearise
-from survey.adjust.block.priors import Known
+from survey.adjust.block.priors import PriorKnowledge
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import POSE, RELIEF, State
 from survey.control.points import Control
@@ -220,7 +220,7 @@ def has_unchecked_control(survey: Survey) -> bool:
 
 
 def contradicted_points(
-    control: Control, marks_std_px: float, views: Sequence[View], known: Known, solution: Solution
+    control: Control, marks_std_px: float, views: Sequence[View], known: PriorKnowledge, solution: Solution
 ) -> list[ControlContradiction]:
     """The control points that a block without control contradicts.
 
@@ -244,7 +244,7 @@ def contradicted_points(
         ties = TiePoints(
             place, np.zeros(len(marks), dtype=np.int64), shown_by, np.array([mark.pixel for mark in marks])
         )
-        rows = rows_taken(ties, known.lenses, layout.lens_of)
+        rows = original_rows(ties, known.lenses, layout.lens_of)
         linear = linearise(layout, replace(state, points=place), ties, np.zeros((len(marks), RELIEF)), rows)
         residual = (ties.pixel - linear.pixels).ravel()
         if not np.isfinite(residual).all():

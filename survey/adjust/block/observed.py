@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from refract.lens import Lens, affine_from_brown, brown_from_affine, distorted, is_affine, undistorted
 from survey.adjust.block.lenses import is_held
-from survey.adjust.block.priors import Known
+from survey.adjust.block.priors import PriorKnowledge
 from survey.control.points import Control, Ground
 from survey.photos.poses import TiePoints
 
@@ -60,7 +60,9 @@ class Observed:
         return replace(self, ties=replace(self.ties, start=np.where(known, self.ties.start, points)))
 
 
-def observed(parts: list[tuple[int, TiePoints]], control: Control | None, survey: Survey, known: Known) -> Observed:
+def observed(
+    parts: list[tuple[int, TiePoints]], control: Control | None, survey: Survey, known: PriorKnowledge
+) -> Observed:
     """All observations, in pixels that Brown's lens of the adjustment predicts.
 
     Parameters
@@ -109,12 +111,12 @@ def _marks(control: Control, survey: Survey) -> TiePoints:
     )
 
 
-def rows_taken(ties: TiePoints, lenses: Sequence[Lens], lens_of: np.ndarray) -> np.ndarray:
+def original_rows(ties: TiePoints, lenses: Sequence[Lens], lens_of: np.ndarray) -> np.ndarray:
     """Rows (N,) [px] of photographs as they were taken, of tie points in pixels that the adjustment predicts."""
-    return pixels_taken(ties, lenses, lens_of)[:, 1]
+    return original_pixels(ties, lenses, lens_of)[:, 1]
 
 
-def pixels_taken(ties: TiePoints, lenses: Sequence[Lens], lens_of: np.ndarray) -> np.ndarray:
+def original_pixels(ties: TiePoints, lenses: Sequence[Lens], lens_of: np.ndarray) -> np.ndarray:
     """Pixels (N, 2) of photographs as they were taken, of tie points in pixels that the adjustment predicts."""
     pixels = ties.pixel.copy()
     for number, lens in enumerate(lenses):
@@ -126,7 +128,7 @@ def pixels_taken(ties: TiePoints, lenses: Sequence[Lens], lens_of: np.ndarray) -
     return pixels
 
 
-def _straightened(ties: TiePoints, known: Known) -> np.ndarray:
+def _straightened(ties: TiePoints, known: PriorKnowledge) -> np.ndarray:
     """Pixels (N, 2) as they are; of lenses that the adjustment holds those of their pinhole, of affine ones those of
     Brown's part.
     """

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from survey.adjust.block.bundle import Solution, inverse
-from survey.adjust.block.priors import ROTATION_STD, Known, without_shift
+from survey.adjust.block.priors import ROTATION_STD, PriorKnowledge, without_shift
 from survey.adjust.block.problem import Priors
 from survey.adjust.block.state import POSE
 
@@ -41,15 +41,15 @@ _CHANGED = 0.1
 
 
 @dataclass(frozen=True)
-class Judged:
+class ReestimatedPriors:
     """Accuracy of given poses, estimated from the block."""
 
-    known: Known  # With their standard deviations; infinite of positions that are contradicted
+    known: PriorKnowledge  # With their standard deviations; infinite of positions that are contradicted
     blunders: np.ndarray  # (V, 2) bool: positions and rotations that the block contradicts
     is_changed: bool  # Whether the block is to be adjusted again
 
 
-def judged(known: Known, solution: Solution, blunders: np.ndarray) -> Judged:
+def reestimate_pose_std(known: PriorKnowledge, solution: Solution, blunders: np.ndarray) -> ReestimatedPriors:
     """Estimate standard deviations of poses, where the block determines them, and find blunders.
 
     Parameters
@@ -62,7 +62,7 @@ def judged(known: Known, solution: Solution, blunders: np.ndarray) -> Judged:
     std = _of_poses(known, known.std)
     used = np.isfinite(std[:, :3]).all(axis=1)
     if used.sum() < _FEWEST:
-        return Judged(known, blunders, is_changed=False)
+        return ReestimatedPriors(known, blunders, is_changed=False)
     estimated = _estimated(known, used, blunders)
     found, scaled = _components(known, solution, estimated)
     scale = _scale(scaled[used])
@@ -83,20 +83,20 @@ def judged(known: Known, solution: Solution, blunders: np.ndarray) -> Judged:
             changed[stated, :3] = std[stated, :3] * np.maximum(factor, 1.0)
     with np.errstate(invalid="ignore"):
         if not bad.any() and not (np.abs(changed / std - 1.0) > _CHANGED).any():
-            return Judged(known, blunders, is_changed=False)
+            return ReestimatedPriors(known, blunders, is_changed=False)
     all_std = known.std.copy()
     all_std[known.layout.first_pose :] = changed.ravel()
-    return Judged(replace(known, std=all_std), blunders | bad, is_changed=True)
+    return ReestimatedPriors(replace(known, std=all_std), blunders | bad, is_changed=True)
 
 
-def _estimated(known: Known, used: np.ndarray, blunders: np.ndarray) -> np.ndarray:
+def _estimated(known: PriorKnowledge, used: np.ndarray, blunders: np.ndarray) -> np.ndarray:
     """Mask (V, 6) of the pose coordinates whose standard deviation is estimated."""
     positions = known.unknown_positions & used
     rotations = known.unknown_rotations & ~blunders[:, 1]
     return np.column_stack([*[positions] * 3, *[rotations] * 3])
 
 
-def _components(known: Known, solution: Solution, estimated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _components(known: PriorKnowledge, solution: Solution, estimated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Variance components: standard deviations (V, 6) of poses, and their normalised residuals."""
     deviation = Priors(known.mean, known.std, np.empty((0, 3))).deviation(known.layout, solution.state)
     first, std = known.std**-2.0, _of_poses(known, known.std).copy()
@@ -127,7 +127,7 @@ def _components(known: Known, solution: Solution, estimated: np.ndarray) -> tupl
 
 
 def _beside_shift(
-    known: Known, std: np.ndarray, residual: np.ndarray, covariance: np.ndarray
+    known: PriorKnowledge, std: np.ndarray, residual: np.ndarray, covariance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Residuals (V, 6) of poses and their variances after the adjustment, without the shift that positions share.
 
@@ -155,7 +155,7 @@ def _scale_of(scaled: np.ndarray, redundancy: np.ndarray) -> float:
     return float(np.sqrt(np.sum(redundancy * squares) / (_MEAN_SQUARE * np.sum(redundancy))))
 
 
-def _of_poses(known: Known, values: np.ndarray) -> np.ndarray:
+def _of_poses(known: PriorKnowledge, values: np.ndarray) -> np.ndarray:
     """Values (V, 6) of the poses out of those (P,) of all parameters."""
     return values[known.layout.first_pose :].reshape(-1, POSE)
 

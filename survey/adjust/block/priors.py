@@ -47,7 +47,7 @@ HELD = 1e-9
 
 
 @dataclass(frozen=True)
-class Known:
+class PriorKnowledge:
     """A survey as the adjustment takes it."""
 
     layout: Layout
@@ -72,7 +72,7 @@ class Known:
         return (0.0, 0.0) if water is None else (float(water.point[0]), float(water.point[1]))
 
 
-def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
+def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> PriorKnowledge:
     """Prior knowledge of the unknowns, by a survey.
 
     Parameters
@@ -146,11 +146,11 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
             np.concatenate([position_std, rotation_std], axis=1).ravel(),
         ]
     )
-    return Known(layout, lenses, state, mean, std, unknown, unknown_rotations, common_up, rolls)
+    return PriorKnowledge(layout, lenses, state, mean, std, unknown, unknown_rotations, common_up, rolls)
 
 
 def priors_for(
-    known: Known, ties: TiePoints, point_std: np.ndarray | None = None, planes: Planes | None = None
+    known: PriorKnowledge, ties: TiePoints, point_std: np.ndarray | None = None, planes: Planes | None = None
 ) -> Priors:
     """The priors of an adjustment with these points, known to (M, 3) [m] or to lie on planes where any are."""
     free = np.full((len(ties), 3), np.inf) if point_std is None else point_std
@@ -162,7 +162,7 @@ def priors_for(
     return Priors(replace(known.mean, points=ties.start), known.std, free, rows, signs, planes)
 
 
-def without_shift(known: Known, shared_std: np.ndarray, strength: np.ndarray) -> np.ndarray:
+def without_shift(known: PriorKnowledge, shared_std: np.ndarray, strength: np.ndarray) -> np.ndarray:
     """Rows (3, P) of `Priors` that take out what a shift of all positions in common explains of their deviations.
 
     ``shared_std`` (3,) [m] is that of the shift, ``strength`` (P,) are the inverse variances of the parameters.
@@ -284,7 +284,7 @@ def shared_height_std(survey: Survey) -> float:
 
 
 def _common_up_std(survey: Survey) -> float:
-    """See `Known.common_up_std`."""
+    """See `PriorKnowledge.common_up_std`."""
     # What clicks in the photographs say of the level is as high as the block.
     is_clicked = any(level.source == "clicks" for level in survey.observations.levels)
     return shared_height_std(survey) if survey.water and survey.provenance.is_level_known and not is_clicked else 0.0

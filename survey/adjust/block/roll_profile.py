@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from survey.adjust.block.bundle import NotConvergedError, Solution, cost, descend, solve
+from survey.adjust.block.bundle import NotConvergedError, Solution, cost, levenberg_marquardt, solve
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.roll import Roll
 from survey.adjust.block.state import State
@@ -112,7 +112,7 @@ def _scanned(
             signs=np.append(signs, 1.0),
         )
         try:
-            state, _ = descend(replace(problem, priors=priors), state, solution.std_px, inflation)
+            state, _ = levenberg_marquardt(replace(problem, priors=priors), state, solution.std_px, inflation)
         except NotConvergedError:
             return found, False
         before = angle

@@ -28,7 +28,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from refract import FlatWater
-from survey.adjust.block.observed import rows_taken
+from survey.adjust.block.observed import original_rows
 from survey.adjust.block.prediction import linearise
 from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M, known_of, parameters_of
 from survey.adjust.block.state import RELIEF, WATER, Layout, State
@@ -115,13 +115,13 @@ def place_moves(found: Adjustment, water: FlatWater | None, ties: TiePoints) -> 
     state = State(water, np.zeros(RELIEF), lenses, poses.centres, poses.rotations, ties.start, readouts)
     if poses.focals is not None:
         state = replace(state, focals=poses.focals)
-    return moves_of(layout, state, ties, rows_taken(ties, found.lenses, found.poses.lens_of))
+    return moves_of(layout, state, ties, original_rows(ties, found.lenses, found.poses.lens_of))
 
 
 def moves_of(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray) -> np.ndarray:
     """Derivative (K, 3, P) of places, those of the state, by water, lenses and poses.
 
-    ``rows`` (N,) as `survey.adjust.block.observed.rows_taken` gives them.
+    ``rows`` (N,) as `survey.adjust.block.observed.original_rows` gives them.
     """
     linear = linearise(layout, state, ties, np.zeros((len(ties.view), RELIEF)), rows)
     kept = np.r_[:WATER, layout.first_lens : len(layout)]

@@ -1,4 +1,4 @@
-"""Heights that other views look through: level beds seen by all views, with heights of one view that hang over them."""
+"""Heights that other views look through, and places that they show masked: level beds seen by all views."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from plane_survey import TILTED, PlaneBed, ring
 
 from fields.sweep.block import Block
-from fields.sweep.fusion import remove_free_space_violations
+from fields.sweep.fusion import peers_with_height, remove_free_space_violations
 from fields.sweep.maps import HeightMap, trusted
 from refract import FlatWater
 
@@ -79,3 +79,16 @@ def test_views_that_overlap_with_no_other_keep_their_maps(device):
     cameras, maps = level_maps(TILTED)
     found = remove_free_space_violations(block_of(device, cameras), maps[:1])
     assert found[0] is maps[0]
+
+
+def test_peers_that_show_a_place_masked_have_no_height_there(device):
+    cameras, maps = level_maps(TILTED)
+    block = block_of(device, cameras)
+    whole = next(peers_with_height(block, maps))
+    # All peers but one are masked.
+    masked = [*maps[:2], *(replace(m, score=-m.score) for m in maps[2:])]
+    one = next(peers_with_height(block, masked))
+    assert whole.shape == one.shape == maps[0].height.shape
+    assert whole.max() == len(cameras) - 1
+    assert set(np.unique(one)) == {0.0, 1.0}
+    assert (one <= whole).all()

@@ -66,3 +66,14 @@ def test_where_fewer_views_agree_than_beside_it_the_others_see_another_height():
     alone = height_std(PLANE, np.full(SHAPE, 1, np.uint8), spread, TOLERANCE)[24, 28]
     assert near > 2.0 * alone
     assert far == pytest.approx(2.0 * near, rel=0.1)
+
+
+def test_views_that_show_nothing_of_a_place_do_not_dissent():
+    agreeing, spread = np.full(SHAPE, 9, np.uint8), np.full(SHAPE, 0.01)
+    agreeing[22:26, 26:30] = 1
+    of_all = height_std(PLANE, agreeing, spread, TOLERANCE)
+    # All others have a height there, or none of them has one.
+    np.testing.assert_array_equal(height_std(PLANE, agreeing, spread, TOLERANCE, np.full(SHAPE, 9.0)), of_all)
+    std = height_std(PLANE, agreeing, spread, TOLERANCE, agreeing.astype(np.float32))
+    alone = height_std(PLANE, np.full(SHAPE, 1, np.uint8), spread, TOLERANCE)
+    assert std[24, 28] < 1.2 * alone[24, 28]

@@ -138,6 +138,25 @@ def agreement(
     return backend.agreement_statistics(backend.heights_at(heights, view, pixels), sums, shape)
 
 
+def peers_with_height(block: Block, maps: Sequence[HeightMap]) -> Iterator[np.ndarray]:
+    """Of each map, the number (height, width) of peers that have a height of their own at the point of a pixel.
+
+    Others show it masked or white, or outside.
+    """
+    chosen = [m.view for m in maps]
+    cameras = [block.cameras[view] for view in chosen]
+
+    def matched(number: int) -> np.ndarray:
+        m = maps[number]
+        return np.where(m.score > MATCHED_NCC, m.height, np.float32(np.nan))
+
+    stack = ViewStack.build(block.device, cameras, LazyImages(matched, len(chosen), largest(cameras), 1), block.water)
+    for index, m in enumerate(maps):
+        peers = [chosen.index(peer) for peer in block.neighbours(m.view, PEERS, among=chosen)]
+        count, _, _ = kernels(block.device).compare_heights(stack, index, peers, math.inf)
+        yield host(block.device, count).reshape(m.height.shape)
+
+
 def remove_free_space_violations(block: Block, maps: Sequence[HeightMap], keep: Keep = dict) -> OrderedMaps:
     """Maps in which heights are unconfirmed where as many views see through them (free space) as confirm them.
 

@@ -180,7 +180,7 @@ def test_the_eliminated_system_has_the_step_of_the_whole_one(solved):
     # Points that are damped by 1e-9 of their own matrices.
     np.testing.assert_allclose(system.normal * np.outer(scale, scale), schur * np.outer(scale, scale), atol=1e-5)
     reduced = right[:size] - mixed @ np.linalg.solve(own, right[size:])
-    np.testing.assert_allclose(system.right * scale, reduced * scale, atol=1e-3)
+    np.testing.assert_allclose(system.right_side * scale, reduced * scale, atol=1e-3)
     step = 1e-3 * np.sqrt(np.diag(solution.covariance))
     points = np.linalg.solve(own, right[size:] - mixed.T @ step).reshape(-1, 3)
     np.testing.assert_allclose(system.point_steps(step), points, atol=1e-6)
@@ -188,7 +188,7 @@ def test_the_eliminated_system_has_the_step_of_the_whole_one(solved):
 
 def test_at_the_solution_no_parameter_moves_by_more_than_a_fifth_of_its_standard_deviation(solved):
     _, solution = solved
-    step = np.linalg.solve(solution.system.normal, solution.system.right)
+    step = np.linalg.solve(solution.system.normal, solution.system.right_side)
     assert np.abs(step / np.sqrt(np.diag(solution.covariance))).max() < 0.2
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from slow_cases import slow
 
-from survey.adjust.block.bundle import inverse
+from survey.adjust.block.normal_matrix import inverse
 from survey.adjust.block.observed import MATCH, observed
 from survey.adjust.block.priors import known_of
 from survey.adjust.block.state import POSE

@@ -24,8 +24,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from refract import FlatWater
-from survey.adjust.block.bundle import NotConvergedError, System, inverse, solve, std_of_kinds, system_at
+from survey.adjust.block.bundle import NotConvergedError, System, solve, std_of_kinds, system_at
 from survey.adjust.block.lenses import is_held
+from survey.adjust.block.normal_matrix import inverse
 from survey.adjust.block.observed import Observed
 from survey.adjust.block.priors import HELD, PriorKnowledge, known_of, priors_for
 from survey.adjust.block.problem import Problem

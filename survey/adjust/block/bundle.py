@@ -17,9 +17,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import bsr_array, csr_array
 
+from survey.adjust.block.normal_matrix import damped_step, inverse
 from survey.adjust.block.prediction import linearise
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import SHIFT, State
@@ -106,8 +106,7 @@ class System:
 
     def decrement(self) -> float:
         """Predicted decrease of the sum of squares by the undamped step: the Newton decrement."""
-        matrix, scale = _scaled(self.normal)
-        return self.predicted_decrease(scale * cho_solve(cho_factor(matrix), scale * self.right_side))
+        return self.predicted_decrease(damped_step(self.normal, 0.0, self.right_side))
 
     def heights_by_parameters(self) -> np.ndarray:
         """Derivative (P,) of the mean height of the points by the parameters."""
@@ -197,9 +196,8 @@ def levenberg_marquardt(problem: Problem, state: State, std_px, inflation) -> tu
     damping, least, small = _DAMPING_START, cost(problem, state, std_px, inflation), 0
     for _ in range(_MOST_STEPS):
         system = _system(problem, state, std_px, inflation)
-        matrix, scale = _scaled(system.normal)
         while True:
-            step = scale * cho_solve(cho_factor(matrix + damping * np.eye(len(matrix))), scale * system.right_side)
+            step = damped_step(system.normal, damping, system.right_side)
             moved = state.moved(problem.layout, step, system.point_steps(step))
             costs, predicted = cost(problem, moved, std_px, inflation), system.predicted_decrease(step)
             if predicted >= _DONE and costs > least - _AS_PREDICTED * predicted:
@@ -244,18 +242,6 @@ def _with_points(
             break
         state, costs = moved, costs_of_moved
     return state, costs
-
-
-def inverse(normal: np.ndarray) -> np.ndarray:
-    """Inverse (P, P) of a normal matrix whose parameters have different units."""
-    matrix, scale = _scaled(normal)
-    return cho_solve(cho_factor(matrix), np.eye(len(matrix))) * np.outer(scale, scale)
-
-
-def _scaled(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The matrix scaled to ones on its diagonal, and the scales."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    return normal * np.outer(scale, scale), scale
 
 
 def cost(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarray | float = 1.0) -> float:

@@ -23,7 +23,8 @@ from scipy.ndimage import minimum_filter
 from scipy.spatial.transform import Rotation
 
 from evaluation.local_surface import local_surface
-from survey.adjust.block.bundle import Solution, System, inverse, system_with
+from survey.adjust.block.bundle import Solution, System, system_with
+from survey.adjust.block.normal_matrix import inverse
 from survey.adjust.block.problem import Planes, Problem
 from survey.adjust.block.state import State
 from survey.control.points import Ground

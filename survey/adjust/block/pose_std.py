@@ -16,7 +16,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from survey.adjust.block.bundle import Solution, inverse
+from survey.adjust.block.bundle import Solution
+from survey.adjust.block.normal_matrix import inverse
 from survey.adjust.block.priors import ROTATION_STD, PriorKnowledge, without_shift
 from survey.adjust.block.problem import Priors
 from survey.adjust.block.state import POSE

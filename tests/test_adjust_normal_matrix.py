@@ -1,0 +1,44 @@
+"""Steps and inverses of normal matrices whose parameters have different units, and the memory that they take."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from survey.adjust.block.normal_matrix import damped_step, inverse
+
+
+def normal_of(rng, size: int) -> np.ndarray:
+    design = rng.normal(size=(size + 20, size)) * 10.0 ** rng.uniform(-3.0, 3.0, size)
+    return design.T @ design
+
+
+def test_a_step_solves_the_equations_with_their_scaled_diagonal_raised(rng):
+    normal, right = normal_of(rng, 40), rng.normal(size=40)
+    raised = normal + np.diag(0.01 * np.diag(normal))
+    np.testing.assert_allclose(raised @ damped_step(normal, 0.01, right), right, rtol=0.0, atol=1e-9)
+
+
+def test_the_inverse_is_one_whatever_the_units(rng):
+    normal = normal_of(rng, 300)
+    scale = np.sqrt(np.diag(normal))
+    product = inverse(normal) @ normal
+    np.testing.assert_allclose(product * scale[:, None] / scale, np.eye(300), rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("take", "arrays"), [(lambda n: damped_step(n, 1e-3, n[0]), 1.0), (inverse, 2.0)])
+def test_a_large_matrix_is_copied_as_rarely_as_can_be(rng, take, arrays):
+    normal = normal_of(rng, 1200)
+    tracemalloc.start()
+    take(normal)
+    peak = tracemalloc.get_traced_memory()[1] / normal.nbytes
+    tracemalloc.stop()
+    # And what is scaled at a time.
+    assert peak < arrays + 0.25
+
+
+def test_a_singular_matrix_is_refused():
+    with pytest.raises(np.linalg.LinAlgError):
+        inverse(np.diag([1.0, -1.0]))

@@ -75,7 +75,7 @@ def edit(copy):
         ("survey/photos/images.py", "cv2.INTER_AREA", "cv2.INTER_LINEAR", (SWEEP, BED)),
         ("survey/plan/heights.py", "HIGHEST, DEEPEST = 0.8, 1.5", "HIGHEST, DEEPEST = 0.8, 1.4", (SWEEP, BED)),
         ("fields/sweep/passes.py", "Pass(0.5, 2, 11,", "Pass(0.5, 2, 13,", (SWEEP, BED)),
-        ("fields/slab/refine.py", "CHUNK = 65536", "CHUNK = 32768", (BED,)),
+        ("fields/slab/novel_view.py", "CHUNK = 65536", "CHUNK = 32768", (BED,)),
         ("refract/kernels.py", *A_LINE, (SWEEP, BED)),
         *((f"fields/sweep/kernels/{name}.py", *A_LINE, (SWEEP, BED)) for name in KERNELS),
         ("survey/photos/images.py", *A_LINE, (SWEEP, BED)),

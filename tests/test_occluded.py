@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 
 from fields.device import choose_device
-from fields.occluded.agreement import FoundPoints
+from fields.occluded.agreement import FoundPoints, explained_above, surface_heights
 from fields.occluded.boxes import Box, boxes_about
 from fields.occluded.consensus import Colours, consensus
-from fields.occluded.explained import explained_above, surface_heights
-from fields.occluded.holes import Holes
-from fields.occluded.layer import BedLayer, smooth
+from fields.occluded.holes import BedLayer, Holes, smooth
 from fields.occluded.occluded import find_occluded, show_bed
 from fields.sweep.block import Block
 from fields.sweep.maps import HeightMap

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from survey.errors import ImageError
-from survey.sfm.features import features_of
+from survey.sfm.block import features_of
 
 
 def texture(path: Path, rng: np.random.Generator, size: tuple[int, int] = (240, 320)) -> np.ndarray:

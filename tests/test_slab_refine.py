@@ -11,8 +11,8 @@ from plane_field import plane_sources
 from plane_survey import TILTED, PlaneBed, ring
 
 from fields.device import choose_device
+from fields.slab.novel_view import refine
 from fields.slab.rays import slab_of
-from fields.slab.refine import refine
 from fields.slab.tensor_field import FieldSettings, TensorField
 from fields.water_column import WaterColumn
 

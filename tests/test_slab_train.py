@@ -12,8 +12,8 @@ from plane_survey import TILTED, PlaneBed, ring
 
 from fields.device import choose_device
 from fields.slab import train as training
+from fields.slab.novel_view import refine
 from fields.slab.rays import draw_rays, slab_of
-from fields.slab.refine import refine
 from fields.slab.tensor_field import FieldSettings, TensorField
 from fields.slab.train import Schedule, train
 from fields.sweep.maps import Sources

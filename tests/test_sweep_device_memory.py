@@ -11,13 +11,12 @@ from plane_survey import PlaneBed, ring, texture
 from slow_cases import slow
 
 from fields.device import choose_device, memory_bytes
-from fields.sweep import device_filters, device_maps, images_device
+from fields.sweep import device_filters, images_device
 from fields.sweep.block import Block
-from fields.sweep.device_maps import DeviceMaps, device_map_store
 from fields.sweep.kernels import arrays, flat
 from fields.sweep.maps import HeightMap
 from fields.sweep.passes import Pass, StepSearch
-from fields.sweep.sweep import EarlierMaps, sweep
+from fields.sweep.sweep import DeviceMaps, EarlierMaps, device_map_store, sweep
 from fields.sweep.view_pass import Search
 from refract import FlatWater
 
@@ -60,7 +59,7 @@ def swept(device, *, holes: bool = False, room: int = PLENTY, passes=PASSES, are
     """Maps of all views, by a device whose memory has so many bytes."""
     block = block_of(device, holes=holes)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(device_maps, "memory_bytes", lambda device: room)
+        patch.setattr("fields.sweep.sweep.memory_bytes", lambda device: room)
         return list(sweep(block, list(VIEWS), Search((-2.4, -1.4), passes, area), lambda share: None, **options))
 
 

@@ -1,20 +1,120 @@
-"""Holes of a cloud in the layer of a box."""
+"""Layer of the bed in a box, its lowest surface carried on below what stands over it, and holes of the cloud in it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
+from scipy import sparse
+from scipy.ndimage import binary_erosion, distance_transform_edt, grey_dilation, grey_erosion, map_coordinates
+from scipy.sparse.linalg import spsolve
 from scipy.spatial import cKDTree
 
-from fields.occluded.boxes import CONTEXT_GSD, MARGIN_GSD, Box
-from fields.occluded.layer import BedLayer
+from fields.occluded.boxes import CONTEXT_GSD, MARGIN_GSD, SIDE_GSD, Box
 
+# Side of the cells of the layer, half the width of what may stand over the bed, and the thickness of the bed in a
+# cell: in ground sampling distances.
+_CELL_GSD, _RADIUS_GSD, _THICK_GSD = 5, 60, 3.0
+# Points of the bed are this near to the morphologically opened surface, then to the smooth one, in ground sampling
+# distances.
+_OPENED_GSD, _SMOOTH_GSD = 14.0, (8.0, 4.5, 3.0, 3.0)
+# Weight of second differences against heights: while the bed is classified, and for the final surface.
+_STIFF, _SOFT = 10.0, 1.0
+# How far the layer goes beyond the bed, in ground sampling distances.
+_BEYOND_GSD = 30.0
+# Least share of the cells that are bed.
+_LEAST_BED = 0.1
 # A cell has a point of the cloud within so many ground sampling distances in plan, and in height.
 _NEAR_GSD, _LEVEL_GSD = 1.5, 4.0
 # Fewest cells that are worth a look.
 _LEAST_CELLS = 10
+
+
+class BedLayer:
+    """A smooth surface through the lowest points about a box.
+
+    Attributes
+    ----------
+    roughness : [m]
+        Standard deviation of the bed from it.
+    """
+
+    def __init__(self, box: Box, low: np.ndarray, is_bed: np.ndarray):
+        z = smooth(low, is_bed, _SOFT)
+        far = _CELL_GSD * distance_transform_edt(~is_bed) > _BEYOND_GSD
+        self._box, self._z = box, np.where(far, np.nan, z)
+        left = (low - z)[is_bed]
+        self.roughness = 1.4826 * float(np.median(np.abs(left)))
+
+    @staticmethod
+    def of(box: Box, points: np.ndarray) -> BedLayer | None:
+        """Layer of points (N, 3) [m], local; None where too little of the bed is known."""
+        low = _lowest(box, points)
+        known = np.isfinite(low)
+        if known.mean() < _LEAST_BED:
+            return None
+        reach = _RADIUS_GSD // _CELL_GSD
+        aside = np.arange(-reach, reach + 1)
+        disc = aside[:, None] ** 2 + aside**2 <= reach * reach
+        eroded = grey_erosion(np.where(known, low, np.inf), footprint=disc, mode="nearest")
+        opened = grey_dilation(np.where(np.isinf(eroded), -np.inf, eroded), footprint=disc, mode="nearest")
+        is_bed = known & (low < opened + _OPENED_GSD * box.gsd)
+        for within in _SMOOTH_GSD:
+            if is_bed.mean() < _LEAST_BED:
+                return None
+            is_bed = known & (np.abs(low - smooth(low, is_bed, _STIFF)) < within * box.gsd)
+        # Beside an edge the windows of the sweep raise the bed.
+        is_bed = binary_erosion(is_bed, np.ones((3, 3)), border_value=1)
+        return BedLayer(box, low, is_bed) if is_bed.mean() >= _LEAST_BED else None
+
+    def at(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Heights [m], local z, of the layer at places (...) [m]; NaN far from the bed."""
+        cell, context = _CELL_GSD * self._box.gsd, CONTEXT_GSD * self._box.gsd
+        row, column = ((each + context) / cell - 0.5 for each in (y - self._box.y, x - self._box.x))
+        return map_coordinates(self._z, [row, column], order=1, mode="nearest")
+
+
+def _lowest(box: Box, points: np.ndarray) -> np.ndarray:
+    """Mean height of the lowest points of each cell about a box; NaN where none is."""
+    size = (SIDE_GSD + 2 * CONTEXT_GSD) // _CELL_GSD
+    cell = _CELL_GSD * box.gsd
+    column, row = (
+        # Rounding may put a point beside the upper edge.
+        ((points[:, axis] - corner) / cell + CONTEXT_GSD / _CELL_GSD).astype(np.int64).clip(0, size - 1)
+        for axis, corner in enumerate((box.x, box.y))
+    )
+    index, z = row * size + column, points[:, 2]
+    order = np.lexsort((z, index))
+    index, z = index[order], z[order]
+    first = np.searchsorted(index, np.arange(size * size))
+    count = np.bincount(index, minlength=size * size)
+    # Of some points the lowest may be a stray.
+    least = z[np.minimum(first + count // 10, max(len(z) - 1, 0))] if len(z) else np.zeros(size * size)
+    near = np.abs(z - least[index]) < _THICK_GSD * box.gsd
+    number = np.bincount(index[near], minlength=size * size)
+    total = np.bincount(index[near], weights=z[near], minlength=size * size)
+    return np.where(number > 0, total / np.maximum(number, 1), np.nan).reshape(size, size)
+
+
+def smooth(values: np.ndarray, known: np.ndarray, stiffness: float) -> np.ndarray:
+    """Surface (rows, columns) near the known values, with the least second differences elsewhere: a thin plate."""
+    bending = _bending(values.shape)
+    matrix = sparse.diags(known.ravel().astype(float)) + stiffness * bending
+    return spsolve(matrix.tocsc(), np.where(known, values, 0.0).ravel()).reshape(values.shape)
+
+
+@lru_cache(maxsize=4)
+def _bending(shape: tuple[int, int]) -> sparse.csr_matrix:
+    """Sum of squares of the second differences of a grid as a matrix."""
+    rows, columns = (sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(size - 2, size)) for size in shape)
+    down, across = (sparse.diags([-1.0, 1.0], [0, 1], shape=(size - 1, size)) for size in shape)
+    parts = (
+        (1.0, sparse.kron(rows, sparse.eye(shape[1]))),
+        (1.0, sparse.kron(sparse.eye(shape[0]), columns)),
+        (2.0, sparse.kron(down, across)),
+    )
+    return sum(weight * (part.T @ part) for weight, part in parts).tocsr()
 
 
 @dataclass(frozen=True)

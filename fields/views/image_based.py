@@ -16,7 +16,6 @@ import cv2
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from fields.views.novel_view import NovelView
 from refract import FlatWater, PinholeCamera
 from refract.paths import BentPaths
 
@@ -34,6 +33,23 @@ _ANGLE, _BORDER_PX = 0.3, 24.0
 # Colours (N, 3), 0 to 255, without the water, of those that a photograph shows, the depths (N,) [m] and the incidence
 # (N,) [rad] of its rays in air.
 WithoutWater = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class NovelView:
+    """A rendered view; NaN, and black, where the camera sees nothing."""
+
+    rgb: np.ndarray  # (height, width, 3) uint8: as a photograph stores it
+    # (height, width) float32 [m]: over the water plane (over local z = 0 without water), negative below it
+    bed_height: np.ndarray
+    # (height, width) float32 [m]: from the camera to the bed along the path, air and water legs together
+    distance: np.ndarray
+    normal: np.ndarray  # (height, width, 3) float32 unit, local: of the bed, up
+
+    @property
+    def seen(self) -> np.ndarray:
+        """(height, width) bool: pixels that show something."""
+        return np.isfinite(self.bed_height)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ def _write_las(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 
     stored, classes = run.bed_in(options.crs), None
     if options.no_bed:
-        from survey.export.footprints import with_unseen
+        from survey.export.outlines import with_unseen
 
         stored, classes = with_unseen(run, stored, options.crs)
     write_bed_las(path, stored, classes)

@@ -14,7 +14,7 @@ from PIL.PngImagePlugin import PngInfo
 
 from fields.device import choose_device
 from fields.slab.novel_view import render_view
-from fields.views.novel_view import NovelView
+from fields.views.image_based import NovelView
 from geo.files import disk_refusals, write_whole
 from geo.frames import LocalFrame
 from refract import PinholeCamera

@@ -61,25 +61,25 @@ def _writer(make: Callable[[LoadedRun, ExportOptions], Layer]) -> Callable[[Path
 
 
 def _footprints(run: LoadedRun, options: ExportOptions) -> Layer:
-    from survey.export.footprints import footprints
+    from survey.export.outlines import footprints
 
     return footprints(run, options)
 
 
 def _shoreline(run: LoadedRun, options: ExportOptions) -> Layer:
-    from survey.export.contours import shoreline
+    from survey.export.outlines import shoreline
 
     return shoreline(run, options)
 
 
 def _contours(run: LoadedRun, options: ExportOptions) -> Layer:
-    from survey.export.contours import contours
+    from survey.export.outlines import contours
 
     return contours(run, options)
 
 
 def _unseen(run: LoadedRun, options: ExportOptions) -> Layer:
-    from survey.export.footprints import unseen_areas
+    from survey.export.outlines import unseen_areas
 
     return unseen_areas(run, options)
 
@@ -113,7 +113,7 @@ def _is_our_unseen(path: Path) -> bool:
 
 def _write_unseen(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     if path.suffix.lower() in _RASTERS:
-        from survey.export.footprints import write_mask
+        from survey.export.outlines import write_mask
 
         write_mask(path, run, options)
     else:

@@ -85,7 +85,7 @@ def bed_points(
             keep = keep & is_supported(height_map.height, trusted(height_map), tolerance)
         keep = keep[: camera.height, : camera.width]
         if field is not None:
-            from fields.slab.refine import refine
+            from fields.slab.novel_view import refine
 
             height, taken = refine(field, camera, height_map, rgb, survey.water, keep)
             height_map, moved = replace(height_map, height=height), moved + taken

@@ -1,4 +1,4 @@
-"""Blocks of photographs by pycolmap: features, matches, poses, and their adjustment to GPS positions.
+"""Blocks of photographs by pycolmap: features (SIFT by OpenCV), matches, poses, and their fit to GPS positions.
 
 Nothing outside this file knows pycolmap's options. Pixels are those of the stored image, whatever its EXIF
 orientation, and the centre of the first pixel is at (0.5, 0.5).
@@ -6,28 +6,32 @@ orientation, and the centre of the first pixel is at (0.5, 0.5).
 
 from __future__ import annotations
 
-# pycolmap 4.2.1 bundles its own zlib; if that is loaded before the system's, reading a PNG file corrupts the heap.
-import zlib  # noqa: F401
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
 from geo.similarity import Similarity
 from refract.lens import Lens
 from survey import machine
+from survey.photos.images import eight_bits
+from survey.photos.pixels import read_rgb
 from survey.photos.poses import TiePoints, least_track
 from survey.progress import current
-from survey.sfm.features import features_of
-from survey.sfm.settings import ALL_PAIRS_UP_TO, NEIGHBOURS
+from survey.sfm.settings import ALL_PAIRS_UP_TO, FEATURES_PX, NEIGHBOURS
 
 if TYPE_CHECKING:
     import pycolmap
 
+# Extrema of less contrast are noise; the limit is that of pycolmap.
+_CONTRAST = 0.02
+# A descriptor's numbers are shares of its whole, of which a byte has so many steps.
+_STEPS = 512.0
 # More threads would be faster; with two, repeated runs agree in all significant digits.
 _THREADS = 2
 _SEED = 0
@@ -46,6 +50,47 @@ _MIN_IMAGES = 3
 # Of two photographs: the least angle [deg] at which their rays meet, and the least number of matches, to start from.
 _PAIR_ANGLE_DEG, _PAIR_MATCHES = 1.0, 30
 _ERRORS_ONLY = 2
+
+
+def features_of(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """Features of a photograph, those of the largest scale first.
+
+    Parameters
+    ----------
+    path : Path
+        EXIF orientation is not applied.
+    most : int
+        No more than these are kept.
+
+    Returns
+    -------
+    (N, 4) float32
+        x, y, scale [px] and orientation [rad], in the stored photograph.
+    (N, 128) uint8
+        Roots of the shares (R. Arandjelovic and A. Zisserman, Three things everyone should know to improve object
+        retrieval, 2012), as pycolmap has them.
+
+    Raises
+    ------
+    ImageError
+        If the photograph is damaged or cannot be read.
+    """
+    pixels = cv2.cvtColor(eight_bits(read_rgb(path)), cv2.COLOR_RGB2GRAY)
+    shrunk = min(1.0, FEATURES_PX / max(pixels.shape))
+    if shrunk < 1.0:
+        pixels = cv2.resize(pixels, None, fx=shrunk, fy=shrunk, interpolation=cv2.INTER_AREA)
+    sift = cv2.SIFT.create(nfeatures=0, contrastThreshold=_CONTRAST, enable_precise_upscale=True)
+    found = sift.detect(pixels, None)
+    # A large feature is found again from further off, and in worse photographs.
+    found = sorted(found, key=lambda each: (-each.size, -each.response, each.pt))[:most]
+    if not found:
+        return np.zeros((0, 4), np.float32), np.zeros((0, 128), np.uint8)
+    found, descriptors = sift.compute(pixels, found)
+    at = (np.array([each.pt for each in found]) + 0.5) / shrunk
+    size = np.array([[0.5 * each.size / shrunk, np.radians(each.angle)] for each in found])
+    share = descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-9)
+    rooted = np.clip(np.rint(_STEPS * np.sqrt(share)), 0, 255).astype(np.uint8)
+    return np.column_stack([at, size]).astype(np.float32), rooted
 
 
 @dataclass(frozen=True)

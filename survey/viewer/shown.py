@@ -23,7 +23,7 @@ from survey.viewer.slices import Reference, load_reference
 from survey.viewer.tree import CloudTree, Viewpoint, build_tree
 
 if TYPE_CHECKING:
-    from fields.views.novel_view import NovelView
+    from fields.views.image_based import NovelView
 
 # Rows of a picture: a second or two of one core.
 _ROWS = 200

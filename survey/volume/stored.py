@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from fields.device import choose_device, tensor_place
-from fields.views.image_based import heights_over, normals_of
-from fields.views.novel_view import NovelView
+from fields.views.image_based import NovelView, heights_over, normals_of
 from fields.volume.appearance import appearance_vectors
 from fields.volume.models import APPEARANCE, build_model, proposal_for
 from fields.volume.paths import Box

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from datetime import datetime
 from typing import TYPE_CHECKING
 
@@ -21,6 +22,7 @@ from survey.photos.images import list_images
 from survey.photos.texture import MatchedLight
 from survey.report.adjustment_figures import adjustment_of
 from survey.report.checkpoints import checkpoint_doubts, checkpoints_of, stated_of
+from survey.report.column import Column
 from survey.report.facts import ReportFacts, dry_doubts
 from survey.report.figures import (
     BaselineRow,
@@ -177,9 +179,9 @@ def stated_std(std: np.ndarray, std_common: np.ndarray | None) -> np.ndarray:
 
 def height_std(std: np.ndarray, std_common: np.ndarray | None) -> HeightStd:
     """Std of the height of a point, all included: medians over points (N,), one at least."""
-    told = np.zeros(0) if std_common is None else std_common[np.isfinite(std_common)]
-    shared = float(np.median(told)) if len(told) else None
-    return HeightStd(float(np.median(stated_std(std, std_common))), shared, float(np.nanmedian(std)))
+    told = None if std_common is None else Column(std_common)
+    shared = told.median if told is not None and told.size else None
+    return HeightStd(Column(stated_std(std, std_common)).median, shared, Column(std).median)
 
 
 def _left_out(survey: Survey) -> tuple[str, ...]:
@@ -255,11 +257,11 @@ def _cloud(facts: ReportFacts) -> CloudFigures:
         points_wet=int(bed.wet.sum()),
         extent=_extent(facts.points_crs) if len(bed) else None,
         covered_area_m2=area,
-        depth_m=_spread(bed.depth[bed.wet]),
-        std_m=_spread(bed.std),
-        std_common_m=None if facts.std_common is None else _spread(facts.std_common),
-        views_per_point=_spread(bed.num_views),
-        incidence_deg=_spread(np.degrees(bed.incidence)),
+        depth_m=_spread(Column(bed.depth, bed.wet)),
+        std_m=_spread(Column(bed.std)),
+        std_common_m=None if facts.std_common is None else _spread(Column(facts.std_common)),
+        views_per_point=_spread(Column(bed.num_views)),
+        incidence_deg=_spread(Column(bed.incidence, scale=math.degrees(1.0))),
         plan_std_common_m=facts.survey.plan_std_m,
     )
 
@@ -269,15 +271,9 @@ def _extent(points: np.ndarray) -> Extent:
     return Extent((low[0], low[1], low[2]), (high[0], high[1], high[2]))
 
 
-def _spread(values: np.ndarray) -> Spread | None:
+def _spread(values: Column) -> Spread | None:
     """Statistics over what is finite; None where nothing is."""
-    values = values[np.isfinite(values)].astype(np.float64)
     if not values.size:
         return None
-    return Spread(
-        min=float(np.min(values)),
-        median=float(np.median(values)),
-        mean=float(np.mean(values)),
-        p95=float(np.quantile(values, 0.95)),
-        max=float(np.max(values)),
-    )
+    (p95,) = values.quantiles(0.95)
+    return Spread(min=values.least, median=values.median, mean=values.mean, p95=p95, max=values.greatest)

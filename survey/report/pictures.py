@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -22,6 +23,7 @@ from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, number, with_unit
 from survey.report import adjustment_pictures, flight, maps, profile
 from survey.report.checkpoints import CheckpointFigures
+from survey.report.column import Column
 from survey.report.facts import ReportFacts, distances_of
 from survey.report.maps import draw_unseen
 from survey.report.profile import choose_cut
@@ -156,26 +158,26 @@ def draw_histograms(path: Path, facts: ReportFacts) -> Picture:
     """Distributions of depth, spread, views and incidence over the points."""
     bed = facts.bed
     is_dry = facts.survey.water is None
-    std = LengthUnit.of([float(np.nanmedian(bed.std))] if np.isfinite(bed.std).any() else [])
+    of_std = Column(bed.std)
+    std = LengthUnit.of([of_std.median] if of_std.size else [])
     tall = LengthUnit.of_heights()
     up = tall.per_metre * height_unit_m(facts.survey.frame.crs)
     angle = "angle off nadir" if is_dry else "incidence at the water"
     graphs = (
-        ("height", tall.name, tall.decimals, up * facts.points_crs[:, 2])
+        ("height", tall.name, tall.decimals, Column(facts.points_crs[:, 2], scale=up))
         if is_dry
-        else ("true depth", tall.name, tall.decimals, tall.per_metre * bed.depth[bed.wet]),
-        (_STD, std.name, std.decimals, std.per_metre * bed.std),
-        ("views that agree", "", 0, bed.num_views),
-        (angle, "°", 1, np.degrees(bed.incidence)),
+        else ("true depth", tall.name, tall.decimals, Column(bed.depth, bed.wet, tall.per_metre)),
+        (_STD, std.name, std.decimals, Column(bed.std, scale=std.per_metre)),
+        ("views that agree", "", 0, Column(bed.num_views)),
+        (angle, "°", 1, Column(bed.incidence, scale=math.degrees(1.0))),
     )
     # Two by two: four in a row cannot be read on a phone.
     figure = Figure(figsize=(7.2, 4.6), layout="constrained")
     FigureCanvasAgg(figure)
     for axes, (label, unit, decimals, values), colour in zip(figure.subplots(2, 2).flat, graphs, SERIES, strict=True):
-        values = values[np.isfinite(values)].astype(np.float64)
         if values.size:
             _histogram(axes, values, colour, is_count=not unit, is_log=label == _STD)
-            median = with_unit(number(float(np.median(values)), decimals), unit)
+            median = with_unit(number(values.median, decimals), unit)
             axes.set_title(f"median {median}", loc="right", color=SOFT, fontsize=9)
         axes.set(yticks=[])
         axes.set_xlabel(f"{label} [{unit}]" if unit else label, color=INK)
@@ -185,21 +187,22 @@ def draw_histograms(path: Path, facts: ReportFacts) -> Picture:
     return Picture(path, "Distributions", "Over all points; the dark lines mark the medians.")
 
 
-def _histogram(axes: Axes, values: np.ndarray, colour: str, *, is_count: bool, is_log: bool) -> None:
+def _histogram(axes: Axes, values: Column, colour: str, *, is_count: bool, is_log: bool) -> None:
     """Shares of values in bins of equal width or ratio, or one for each whole number if they count; and the median."""
     axes.xaxis.set_major_locator(MaxNLocator(4, integer=is_count))
-    low, high = np.quantile(values, [0.002, 0.998])
+    low, high, top = values.quantiles(0.002, 0.998, 0.995)
     high = high if high > low else low + 1.0
     if is_count:
-        edges = np.arange(0.5, np.quantile(values, 0.995) + 1.0)
+        edges = np.arange(0.5, top + 1.0)
     elif is_log and low > 0.0:
         edges = np.geomspace(low, high, 61)
         axes.set_xscale("log")
         plain_log_ticks(axes.xaxis)
     else:
         edges = np.linspace(low, high, 61)
-    axes.hist(values, edges.tolist(), color=colour, rwidth=0.85 if is_count else 1.0)
-    axes.axvline(float(np.median(values)), color=INK, lw=1.2)
+    counts = values.histogram(edges)
+    axes.hist(edges[:-1], edges.tolist(), weights=counts, color=colour, rwidth=0.85 if is_count else 1.0)
+    axes.axvline(values.median, color=INK, lw=1.2)
 
 
 def draw_error_over_depth(path: Path, facts: ReportFacts, distances: np.ndarray) -> Picture:

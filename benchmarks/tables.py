@@ -43,6 +43,8 @@ def tables() -> dict[tuple[Path, str], list[str]]:
         (page, "straight"): straight_rows((*quick.records, *drawn.records)),
         (DOCS / "notes" / "benchmark.md", "drawn"): lines_of(drawn),
     }
+    tiles = json.loads((RESULTS / "tiles.json").read_text(encoding="utf-8"))
+    found[DOCS / "notes" / "scaling.md", "tiles"] = tile_rows(tiles)
     return found | {(DOCS / "real.md", name): rows(real[name]) for name, rows in TABLES.items()}
 
 
@@ -72,6 +74,31 @@ def straight_rows(records: tuple[Record, ...]) -> list[str]:
         mm = [f"{1000.0 * median[method]:.0f} mm" for method in ("straight", "times_index", "per_camera")]
         lines.append(f"| {words} | {mm[0]} | {100.0 * median['straight'] / depth_m:.0f} % | {mm[1]} | {mm[2]} |")
     return lines
+
+
+def tile_rows(found: dict) -> list[str]:
+    """A survey in tiles against the same in one piece."""
+    one, many = ({row["tiles"]: row for row in found["runs"]}[tiles] for tiles in (1, found["tiles"]))
+    steps = [max(abs(step) for step in row["steps_mm"]) for row in (many, one)]
+
+    def times(key: str) -> float:
+        return many[key] / one[key]
+
+    def reached(key: str) -> str:
+        return f"{100.0 * many['completeness'][key]:.2f} for {100.0 * one['completeness'][key]:.2f} %"
+
+    return [
+        f"| {found['tiles']} tiles against one piece | data/{found['survey']}, {found['quality']} |",
+        "|---|---|",
+        f"| mean of the inner 90 % | {many['mean_mm']:.2f} for {one['mean_mm']:.2f} mm |",
+        f"| its std | {many['std_mm']:.2f} for {one['std_mm']:.2f} mm, {100.0 * (times('std_mm') - 1.0):+.1f} % |",
+        f"| completeness at 0.2 m | {reached('0.2')} |",
+        f"| at 0.05 m | {reached('0.05')} |",
+        f"| largest step at a line (medians of 0.5 m on either side) | {steps[0]:.2f} for {steps[1]:.2f} mm |",
+        f"| processor time | {many['processor_s']:.0f} for {one['processor_s']:.0f} s, "
+        f"{times('processor_s'):.2f} times |",
+        f"| peak of memory | {many['memory_bytes'] / 1e9:.2f} for {one['memory_bytes'] / 1e9:.2f} GB |",
+    ]
 
 
 def main() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from surface_rays import bed_points, cameras, falling_rays, view_angle
 
-from refract import _branches, _disc, fermat
+from refract.curved import _branches, _disc, fermat
 from refract.curved._branches import Interval
 from refract.curved.wavy import WavyWater
 

@@ -163,7 +163,7 @@ def test_the_covariance_is_the_inverse_of_the_normal_matrix_of_all_unknowns(solv
     expected = np.linalg.inv(normal * np.outer(scale, scale)) * np.outer(scale, scale)
     expected = expected[: len(problem.layout), : len(problem.layout)]
     std, expected_std = np.sqrt(np.diag(solution.covariance)), np.sqrt(np.diag(expected))
-    # The last step changes the robust weights by a little, and the elimination is damped by 1e-9.
+    # The last step changes the robust weights by a little.
     np.testing.assert_allclose(std, expected_std, rtol=2e-2)
     difference = (solution.covariance - expected) / np.outer(expected_std, expected_std)
     assert np.abs(difference).max() < 2e-2
@@ -177,7 +177,7 @@ def test_the_eliminated_system_has_the_step_of_the_whole_one(solved):
     schur = normal[:size, :size] - mixed @ np.linalg.solve(own, mixed.T)
     system = _system(problem, solution.state, solution.std_px, np.ones(len(problem.kind)))
     scale = 1.0 / np.sqrt(np.diag(schur))
-    # Points that are damped by 1e-9 of their own matrices.
+    # Points that are damped by 1e-13 of their own matrices.
     np.testing.assert_allclose(system.normal * np.outer(scale, scale), schur * np.outer(scale, scale), atol=1e-5)
     reduced = right[:size] - mixed @ np.linalg.solve(own, right[size:])
     np.testing.assert_allclose(system.right_side * scale, reduced * scale, atol=1e-3)
@@ -243,6 +243,19 @@ def test_depth_and_level_are_found_along_their_curved_valley(short_of):
     costs = [cost(problem, solve(problem, start).state, np.array([0.03])) for start in (true, shallow)]
     # Each ends within a fifth of a standard deviation of the minimum.
     assert abs(costs[1] - costs[0]) < 1.0
+
+
+def test_the_scale_of_a_block_is_as_uncertain_as_positions_leave_it():
+    block = draw_block(4, num_points=400, num_views=12, dry_share=1.0, num_control=0, pixel_std=0.01)
+    problem = problem_of(block, position_std=3.0)
+    solution = solve(problem, problem.priors.state)
+    centres = problem.priors.state.centres
+    arms = centres - centres.mean(axis=0)
+    by_scale = np.zeros(len(problem.layout))
+    by_scale[15:].reshape(-1, 6)[:, :3] = arms / np.sum(arms**2)
+    # Nothing but the positions says how long a metre is: of n of them, s / sqrt(sum of squared arms).
+    expected = 3.0 / np.sqrt(np.sum(arms**2))
+    assert np.sqrt(by_scale @ solution.covariance @ by_scale) == pytest.approx(expected, rel=0.01)
 
 
 def test_a_photograph_that_nothing_ties_is_refused_in_words():

@@ -43,8 +43,9 @@ _MOST_SMALL = 10
 _AS_PREDICTED, _POINT_STEPS = 0.5, 2
 # Weights are renewed from the residuals until the standard deviations of all kinds change by less than this share.
 _STEADY, _MOST_ROUNDS = 0.02, 6
-# Keeps the elimination finite for a point that its rays hardly determine.
-_DAMPING = 1e-9
+# Keeps the elimination finite for a point that its rays hardly determine. It holds points where they are, and with them
+# the scale of a block: 1e-9 says as much of that as positions of 0.2 m do.
+_DAMPING = 1e-13
 _DAMPING_START, _DAMPING_LEAST, _DAMPING_MOST = 1e-6, 1e-12, 1e6
 
 
@@ -341,4 +342,4 @@ def _sum(ties: TiePoints, values: np.ndarray) -> np.ndarray:
 def _damped(normal: np.ndarray) -> np.ndarray:
     """Matrices (M, 3, 3), damped so that they can be inverted."""
     scale = np.trace(normal, axis1=1, axis2=2)[:, None, None]
-    return normal + (_DAMPING * scale + 1e-12) * np.eye(3)
+    return normal + (_DAMPING * scale + 1e-300) * np.eye(3)

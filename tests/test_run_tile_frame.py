@@ -11,8 +11,9 @@ import pytest
 from geo.frames import LocalFrame
 from refract.curved import curvature_drop
 from survey.plan.tiling import Tiling, inside
+from survey.run.job import Job
 from survey.run.tile_frame import area_in_frame, frame_of_tile, has_frames, survey_in_frame
-from survey.run.tile_job import over_own_plane
+from survey.run.tile_job import TileJob, over_own_plane
 from survey.water.surface import still_water
 
 TILING = Tiling((-500.0, 3000.0, 6500.0, 10_000.0), (-200.0, 200.0), 0.2)
@@ -28,6 +29,17 @@ def far(shallow_survey):
     survey = survey_in_frame(shallow_survey, frame, EVERYWHERE)
     own = frame_of_tile(frame, TILING, LAST)
     return survey, own
+
+
+def test_tiles_answer_what_stages_ask_of_a_job_for_themselves():
+    asked = "unique_masks views_to_match ground own_ground swept_ground limits bound hashes photographs block in_survey"
+    for name in asked.split():
+        assert getattr(TileJob, name) is not getattr(Job, name)
+    # What is defined is asked for: a name of the base class, or of the tile alone.
+    own = {name for name in vars(TileJob) if not name.startswith("_")}
+    assert own - set(dir(Job)) == {
+        "is_void", "cell", "has_frame", "range_of_heights", "bound_over_survey", "shared_bound", "over_whole", "drop",
+    }  # fmt: skip
 
 
 def test_only_a_survey_of_more_than_a_kilometre_has_frames_of_tiles():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pickle
 import sys
 import time
-from concurrent.futures import Future
+from concurrent.futures import CancelledError, Future
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -160,6 +160,21 @@ def test_a_worker_that_is_as_it_should_be_passes(run_and_photograph):
 def test_a_worker_that_is_not_as_it_should_be_is_named(run_and_photograph, worker, said):
     with pytest.raises(SurveyError, match=f"the worker {PLACE} {said}"):
         of_workers._check(ClientOfOne(**worker), *run_and_photograph)
+
+
+def test_a_scheduler_that_is_lost_is_named(tmp_path, monkeypatch):
+    client = ClientOfOne()
+    client.submit = lambda *given, **named: named["key"]
+
+    def lost(_self, futures):
+        yield from ()
+        raise CancelledError("scheduler-connection-lost")
+
+    monkeypatch.setattr(of_workers.Workers, "_as_they_end", lost)
+    tasks = [Task("sweep_tile1", 0, print, {})]
+    with pytest.raises(SurveyError, match="scheduler of the workers was lost; 1 of 1 tiles are missing: start it"):
+        list(of_workers.Workers(client, tmp_path, are_started=False).computed(tmp_path, tasks))
+    assert client.cancelled is not None
 
 
 def test_a_worker_that_ends_while_it_is_looked_at_is_left_out(run_and_photograph):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,9 +84,12 @@ def require_true(
     config: SurveyConfig,
     heads: Mapping[str, Exif],
     *,
+    above_water: Callable[[np.ndarray], np.ndarray] | None = None,
     see_points: bool = False,
 ) -> None:
     """Raise where cameras lie under the water, far above it, look at the sky, or far from the bounds.
+
+    ``above_water`` takes places (N, 3), local, to their heights [m] over water that is no plane.
 
     Cameras of a dry survey may look up where they see tie points of their poses file (`see_points`), at a cliff or a
     house.
@@ -105,7 +108,8 @@ def require_true(
     centres = np.array([view.camera.centre for view in views])
     _require_together(frame, views, centres)
     if water is not None and config.water is not None:
-        _require_above_water(frame, views, -water.depth(centres), config.water, heads)
+        over_water = -water.depth(centres) if above_water is None else above_water(centres)
+        _require_above_water(frame, views, over_water, config.water, heads)
     if config.area.bounds is not None:
         _require_bounds_near(frame, centres, config.area.bounds)
 

@@ -211,7 +211,15 @@ def load_survey(
     ground, said = read_ground(found.folder, config, frame, seen, above_water, is_level_known=is_level_known)
     assumptions += said.assumptions
     warnings += said.warnings
-    require_true(frame, views, water, config, found.heads, see_points=placed.reprojection is not None)
+    require_true(
+        frame,
+        views,
+        water,
+        config,
+        found.heads,
+        above_water=above_water,
+        see_points=placed.reprojection is not None,
+    )
     warnings += _doubts(replace(found, config=config), frame, views, water, placed.control)
     if found.poses_path is not None:
         warnings += checkpoint_doubts(placed.checkpoints, views, water)

@@ -238,7 +238,7 @@ class TileJob(Job):
         """Forget the windows."""
         self.__dict__.pop("block", None)
 
-    def once(self, folder: Path, find: Callable[[], Masks]) -> Masks:
+    def unique_masks(self, folder: Path, find: Callable[[], Masks]) -> Masks:
         """Pixels that become points of the tile or stand beside it, as its sweep left them."""
         return load_masks(folder / MASKS, KEPT)
 

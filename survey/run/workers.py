@@ -14,6 +14,7 @@ import shutil
 import time
 import uuid
 from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
@@ -74,7 +75,7 @@ class Workers:
         Raises
         ------
         SurveyError
-            If the workers of a task end again and again.
+            If the workers of a task end again and again, or the scheduler is lost.
         """
         from distributed import KilledWorker
 
@@ -84,6 +85,7 @@ class Workers:
             ): number
             for number, task in enumerate(tasks)
         }
+        ended = 0
         try:
             for future in self._as_they_end(futures):
                 try:
@@ -95,7 +97,13 @@ class Workers:
                         "ended by the system, most likely for want of memory; what other tiles have is kept: give the "
                         f"same command with {advice}"
                     ) from error
+                ended += 1
                 yield futures[future], folder, seconds, said
+        except CancelledError as error:
+            raise SurveyError(
+                f"the scheduler of the workers was lost; {len(tasks) - ended} of {len(tasks)} tiles are missing: start "
+                "it and its workers again, and give the same command: it goes on with what is finished"
+            ) from error
         finally:
             # After an early end those that wait are not begun.
             self._client.cancel(list(futures))

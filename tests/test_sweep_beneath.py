@@ -13,8 +13,12 @@ from fields.sweep.kernels.stack import ViewStack
 OVER = HEIGHT + 0.4
 
 
-def added(device, maps: list[np.ndarray], kept) -> bool:
-    """Whether `PIXEL` of the first map is added."""
+def added(device, maps: list[np.ndarray], kept, near: bool = True) -> bool:
+    """Whether `PIXEL` of the first map is added; ``near`` has a kept point a ground sampling distance from it."""
+    if near:
+        beside = np.zeros(SHAPE, bool)
+        beside[PIXEL[0] + 1, PIXEL[1] + 1] = True
+        kept[0] = beside
     stack = ViewStack.build(device, ring(len(maps) - 1), maps, TILTED)
     add_beneath(stack, masks(len(maps), m0=True), everywhere(len(maps), True), kept, GSD)
     return bool(kept[0][PIXEL])
@@ -48,6 +52,21 @@ def last_map_kept(number: int):
 def test_what_two_maps_hold_is_added_but_not_what_lies_between_heights_or_is_seen_through(device, others, expected):
     maps = [level(HEIGHT), *others, level(OVER)]
     assert added(device, maps, last_map_kept(len(maps))) == expected
+
+
+@pytest.mark.parametrize(
+    ("others", "expected"),
+    [
+        ([level(HEIGHT)], True),
+        ([level(HEIGHT), jumping()], True),
+        ([jumping()] * 2, False),
+        ([level(HEIGHT), level(HEIGHT - 0.5)], True),
+        ([level(HEIGHT), *[level(HEIGHT - 0.5)] * 2], False),
+    ],
+)
+def test_far_from_all_points_one_map_is_enough_unless_more_see_through_it(device, others, expected):
+    maps = [level(HEIGHT), *others, level(OVER)]
+    assert added(device, maps, last_map_kept(len(maps)), near=False) == expected
 
 
 def test_without_a_kept_point_above_nothing_is_added(device):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +35,28 @@ class MapPoints:
         number = np.repeat(np.arange(len(pixels)), [len(each) for each in pixels])
         parts = [points_of_pixels(stack, number, each) for number, each in enumerate(pixels)]
         return MapPoints(number, np.concatenate(pixels), np.concatenate(parts, axis=1))
+
+    @staticmethod
+    def about(stack: ViewStack, masks: Iterable[np.ndarray], xyz: np.ndarray, distance: float) -> MapPoints:
+        """Those of the True pixels that are within a distance of points (3, N), N at least 1, and more."""
+        # Few of all points are near any.
+        corners = np.stack(np.meshgrid(*[(-distance, distance)] * 3)).reshape(3, 8, 1).astype(np.float32)
+        reached = np.zeros(_TABLE_SIZE, dtype=bool)
+        for corner in corners.transpose(1, 0, 2):
+            reached[_hash_cells(xyz + corner, distance)] = True
+        parts = []
+        for number, mask in enumerate(masks):
+            pixel = np.flatnonzero(mask)
+            points = points_of_pixels(stack, number, pixel)
+            near = reached[_hash_cells(points, distance)]
+            parts.append(MapPoints(np.full(near.sum(), number), pixel[near], points[:, near]))
+        return MapPoints.joined(parts)
+
+    @staticmethod
+    def joined(parts: Sequence[MapPoints]) -> MapPoints:
+        """Points of several, in this order."""
+        number, pixel = (np.concatenate([getattr(each, name) for each in parts]) for name in ("number", "pixel"))
+        return MapPoints(number, pixel, np.concatenate([each.xyz for each in parts], axis=1))
 
     def __getitem__(self, which: np.ndarray) -> MapPoints:
         return MapPoints(self.number[which], self.pixel[which], self.xyz[:, which])
@@ -104,16 +126,7 @@ def far_from(stack: ViewStack, kept: Iterable[np.ndarray], xyz: np.ndarray, dist
 
 def points_about(stack: ViewStack, masks: Iterable[np.ndarray], xyz: np.ndarray, distance: float) -> np.ndarray:
     """Points (M, 3) of the pixels of masks, all that are within a distance of points (3, N), N at least 1, and more."""
-    # Few of all points are near any.
-    corners = np.stack(np.meshgrid(*[(-distance, distance)] * 3)).reshape(3, 8, 1).astype(np.float32)
-    reached = np.zeros(_TABLE_SIZE, dtype=bool)
-    for corner in corners.transpose(1, 0, 2):
-        reached[_hash_cells(xyz + corner, distance)] = True
-    near = []
-    for number, mask in enumerate(masks):
-        points = points_of_pixels(stack, number, np.flatnonzero(mask))
-        near.append(points[:, reached[_hash_cells(points, distance)]])
-    return np.concatenate(near, axis=1).T
+    return MapPoints.about(stack, masks, xyz, distance).xyz.T
 
 
 def points_of_pixels(stack: ViewStack, number: int, pixels: np.ndarray) -> np.ndarray:

@@ -11,13 +11,14 @@ import numpy as np
 
 from fields.solver.solver import SolvedMap
 from fields.sweep.bed import unique_pixels
+from fields.sweep.ghosts import without_ghosts
 from fields.sweep.maps import HeightMap
 from survey.adjust.result.std_common import BASIS_ADJUSTED, BASIS_STATED, std_common
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.plan.sweep_block import backend
 from survey.run.curved_water import through_surface
-from survey.run.occluded import with_occluded
+from survey.run.occluded import SolvedHeights, with_occluded
 from survey.run.points import adjustment_of, bed_points, is_placed, with_std_of_block
 from survey.run.stage_solver import SOLVED
 from survey.run.stage_sweep import MAPS, look_at_bed
@@ -56,6 +57,8 @@ def points_of_bed(job: Job, needs: Mapping[str, Path]) -> BedPoints:
     is_of_sweep = job.plan.field != "off" and field is None and solved is None
     with job.progress.stage("Bed of the sweep alone" if is_of_sweep else "Bed", len(maps)) as stage:
         kept = job.unique_masks(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m))
+        if solved is not None:
+            kept = without_ghosts(job.block, SolvedHeights(maps, solved), kept, job.plan.gsd_m)
         bed, tide, moved = bed_points(job, maps, field, stage.advance, solved, kept)
     if solved is not None and job.plan.boxes and len(bed):
         bed, tide = with_occluded(job, maps, solved, bed, tide)

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from geo.frames import LocalFrame
+from survey.errors import ConfigError, PosesError
+from survey.folder.plausible import require_true
 from survey.plan.flattened import flattened
 from survey.run.tile_frame import survey_in_frame
 
@@ -31,3 +33,13 @@ def test_photographs_far_from_the_origin_are_as_high_over_the_water_as_they_are(
     if is_wet:
         np.testing.assert_allclose((found.water.slope_x, found.water.slope_y),
                                    (near.water.slope_x, near.water.slope_y), atol=1e-5)  # fmt: skip
+
+
+def test_low_flights_over_water_that_falls_away_are_not_under_it(shallow_survey):
+    survey, plane = shallow_survey, shallow_survey.water
+    x, y, z = plane.point
+    above = replace(plane, point=(x, y, z + 500.0))
+    given = survey.frame, list(survey.views), above, survey.config, {}
+    with pytest.raises((ConfigError, PosesError)):
+        require_true(*given)
+    require_true(*given, above_water=lambda places: -plane.depth(places))

@@ -394,12 +394,13 @@ def test_the_drawn_surveys_load_without_an_assumption_or_a_warning(data_dir, nam
     assert (survey.water is None) == (name == "wreck_dry")
 
 
-def test_a_plane_that_touches_far_from_the_cameras_is_doubted(tmp_path):
+def test_level_water_is_followed_from_where_its_plane_touches(tmp_path):
     toml = replaced((f"level_at = [{E0}, {N0}]", f"level_at = [{E0 + 1000.0}, {N0}]"))
-    (warning,) = load_survey(small_survey(tmp_path / "s", toml=toml)).findings.warnings
+    survey = load_survey(small_survey(tmp_path / "s", toml=toml))
+    assert survey.findings.warnings == ()
     # Of 1000 m on the grid 1000.5 m are left without its scale and height; so far level water falls 7.9 cm.
-    assert warning.startswith("cameras lie up to 1001 m from where the water plane touches (level_at); level water")
-    assert "7.9 cm under the plane there" in warning
+    over = survey.observations.departure.at(np.zeros((1, 2)))[0]
+    assert over == pytest.approx(-0.079, abs=2e-3)
 
 
 @pytest.mark.parametrize("off", [-12.0, 15.0, 400.0])

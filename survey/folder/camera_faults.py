@@ -10,7 +10,6 @@ import math
 
 import numpy as np
 
-from refract import FlatWater
 from refract.lens import Lens
 from survey.display.quantities import named
 from survey.errors import ConfigError, PosesError
@@ -80,8 +79,8 @@ def require_focal_lengths(lenses: dict[str, Lens], heads: dict[str, Exif]) -> li
     return warnings
 
 
-def require_apart(views: list[View], water: FlatWater | None) -> list[str]:
-    """Warnings about views that share a pose.
+def require_apart(views: list[View], over_water: np.ndarray | None) -> list[str]:
+    """Warnings about views that share a pose, by their heights (N,) [m] over the water; None for a dry survey.
 
     Raises
     ------
@@ -94,14 +93,14 @@ def require_apart(views: list[View], water: FlatWater | None) -> list[str]:
             f"all {len(views)} cameras are at one place within {1000.0 * _ONE_PLACE_M:.0f} mm, expected places some "
             "metres apart; give each photograph its own pose"
         )
-    warnings = [] if water is None else _overlap_doubts(views, water)
+    warnings = [] if over_water is None else _overlap_doubts(views, over_water)
     poses = [(*view.camera.centre, *view.camera.cam_from_local.ravel()) for view in views]
     first = {pose: i for i, pose in reversed(list(enumerate(poses)))}
     again = [view.name for i, view in enumerate(views) if first[poses[i]] != i]
     return warnings + named(again, "image", "with the pose of another one")
 
 
-def _overlap_doubts(views: list[View], water: FlatWater) -> list[str]:
+def _overlap_doubts(views: list[View], over_water: np.ndarray) -> list[str]:
     """Warnings about views that overlap no other at the water; circles around footprints allow for a bed far below it.
 
     Raises
@@ -110,11 +109,11 @@ def _overlap_doubts(views: list[View], water: FlatWater) -> list[str]:
         Where most views do.
     """
     places, radii = [], []
-    for view in views:
+    for view, height in zip(views, over_water.tolist(), strict=True):
         camera = view.camera
         # Along the optical axis; at most three flying heights for views to the horizon.
         falling = max(-camera.cam_from_local[2, 2], 1.0 / 3.0)
-        along = float(-water.depth(camera.centre)) / falling
+        along = height / falling
         places.append((camera.centre + along * camera.cam_from_local[2])[:2])
         radii.append(0.5 * along * math.hypot(camera.width / camera.fx, camera.height / camera.fy) / falling)
     apart = _gaps(np.array(places), np.array(radii))

@@ -33,8 +33,6 @@ _MOST_PAIRED = 1500
 DRONE_HEIGHT_M, AIRCRAFT_HEIGHT_M = 300.0, 3000.0
 # Photographs of one survey overlap: cameras that would be so many times as high as the usual overlap suggests are not.
 MOST_OF_OVERLAP = 8.0
-# A plane leaves the level surface by 0.5 cm at 250 m from where it touches and by 2 cm at 500 m.
-_FLAT_WITHIN_M = 250.0
 # Further apart than this, positions are not of one survey.
 _ONE_SURVEY_M = 20e3
 # A GPS position without corrections is within 10 m.
@@ -199,25 +197,21 @@ def _require_bounds_near(frame: LocalFrame, centres: np.ndarray, bounds: tuple[f
 
 
 def doubts_of_places(
-    frame: LocalFrame, views: list[View], water: FlatWater | None, heads: dict[str, Exif]
+    frame: LocalFrame, views: list[View], over_water: np.ndarray | None, heads: dict[str, Exif]
 ) -> list[str]:
-    """Warnings about positions and heights that are possible but more likely a mistake."""
+    """Warnings about positions and heights that are possible but more likely a mistake.
+
+    ``over_water`` (N,) [m] are the heights of the cameras over the water; None for a dry survey.
+    """
     up = [view.name for view in views if view.camera.cam_from_local[2, 2] > 0.0]
     found = named(up, "camera", "that looks up at the sky by its pose, and shows nothing of the bed")
     centres = np.array([view.camera.centre for view in views])
-    if water is not None:
-        too_high = -water.depth(centres) > DRONE_HEIGHT_M
+    if over_water is not None:
+        too_high = over_water > DRONE_HEIGHT_M
         names = [view.name for view, is_high in zip(views, too_high, strict=True) if is_high]
         found += named(
             names, "camera", f"more than {DRONE_HEIGHT_M:.0f} m over the water: check that both count from one datum"
         )
-        reach = float(np.linalg.norm((centres - water.point)[:, :2], axis=1).max())
-        if reach > _FLAT_WITHIN_M:
-            found.append(
-                f"cameras lie up to {reach:.0f} m from where the water plane touches (level_at); level water lies "
-                f"{100.0 * reach**2 / (2 * 6.371e6):.1f} cm under the plane there: give level_at amid the cameras, and "
-                "a longer survey in parts"
-            )
     crs_centres = dict(zip((view.name for view in views), frame.crs_from_local(centres), strict=True))
     distances = distances_to_exif(frame.crs, crs_centres, heads)
     if distances.size and np.median(distances) > _EXIF_DOUBT_M:

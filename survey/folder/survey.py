@@ -220,7 +220,7 @@ def load_survey(
         above_water=above_water,
         see_points=placed.reprojection is not None,
     )
-    warnings += _doubts(replace(found, config=config), frame, views, water, placed.control)
+    warnings += _doubts(replace(found, config=config), frame, views, water, above_water, placed.control)
     if found.poses_path is not None:
         warnings += checkpoint_doubts(placed.checkpoints, views, water)
     config = _with_poses_name(config, found)
@@ -281,7 +281,12 @@ def _with_poses_name(config: SurveyConfig, found: Found) -> SurveyConfig:
 
 
 def _doubts(
-    found: Found, frame: LocalFrame, views: list[View], water: FlatWater | None, control: Control | None
+    found: Found,
+    frame: LocalFrame,
+    views: list[View],
+    water: FlatWater | None,
+    above_water: Callable[[np.ndarray], np.ndarray] | None,
+    control: Control | None,
 ) -> list[str]:
     """Warnings about probable mistakes; a focal length comes first, as others follow from it.
 
@@ -289,7 +294,9 @@ def _doubts(
     """
     posed = found.poses_path is not None
     warnings = require_focal_lengths({view.name: view.lens for view in views}, found.heads) if posed else []
-    warnings += require_apart(views, water) + doubts_of_places(frame, views, water, found.heads)
+    centres = np.array([view.camera.centre for view in views])
+    above = None if above_water is None else above_water(centres)
+    warnings += require_apart(views, above) + doubts_of_places(frame, views, above, found.heads)
     if len(views) == 2:
         warnings.append(
             "two photographs: no third view checks a height; outliers against their surroundings are left out, heights "
@@ -298,15 +305,14 @@ def _doubts(
         )
     if not posed:
         return warnings
-    centres = np.array([view.camera.centre for view in views])
     heights = frame.crs_from_local(centres)[:, 2] * height_unit_m(frame.crs)
     warnings += far_from_others(np.array([view.name for view in views]), centres[:, :2], heights, "pose")
     heads = {view.name: found.heads[view.name] for view in views}
     warnings += shutter_doubts(found.config.cameras, heads, metres_per_px(views, water))
     if control is not None:
         warnings += mark_doubts(control, views, water)
-    if water is not None:
-        over_water = {view.name: float(-water.depth(view.camera.centre)) for view in views}
+    if above is not None:
+        over_water = dict(zip((view.name for view in views), above.tolist(), strict=True))
         warnings += _height_doubts(found, frame, views, over_water)
     return warnings
 

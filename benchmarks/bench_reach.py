@@ -26,7 +26,7 @@ import numpy as np
 from drawn_reach import CRS_NAME, ORIGIN, Errors, Reach, errors_of, with_measured_water
 from pyproj import CRS
 
-from geo.raster import Band, RasterForm, write_cog
+from geo.raster import RasterBand, RasterForm, write_cog
 from refract import FlatWater
 from survey.benchmark.benchmark import machine, run_bathynerf
 from survey.folder.survey import Survey, load_survey
@@ -70,7 +70,7 @@ def with_water(survey: Path, copy: Path, reach: Reach, case: str) -> None:
     reach.write_points(copy / "water.csv", places, 0.02, 0.02 * rng.standard_normal(80))
     cells = np.broadcast_to(ORIGIN[2] + reach.level(np.arange(-22.5, 23.0)), (20, 46))
     transform = (1.0, 0.0, ORIGIN[0] - 23.0, 0.0, -1.0, ORIGIN[1] + 10.0)
-    form = RasterForm(CRS(CRS_NAME), transform, (20, 46), (Band("water", "metre"),), dtype="float64")
+    form = RasterForm(CRS(CRS_NAME), transform, (20, 46), (RasterBand("water", "metre"),), dtype="float64")
     write_cog(copy / "water.tif", form, [(0, 0, cells[None])])
 
 

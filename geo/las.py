@@ -21,7 +21,7 @@ from geo.crs import is_geographic, wkt1
 from geo.errors import EmptyCloud, GeoError, UnreadableFile, UnwritableFile
 from geo.files import existing_file, write_whole
 from geo.las_header import add_extra_bytes, crs_of_header, extra_of, length_fault, stored_extra
-from geo.read_back import Sums, require_cloud
+from geo.read_back import ValueSums, require_cloud
 from geo.shapes import Cloud
 
 POINT_FORMAT = 7
@@ -136,7 +136,7 @@ def classes_of(is_wet: np.ndarray) -> np.ndarray:
 
 def _write(records: copc.Records, count: int, header: laspy.LasHeader, path: Path) -> None:
     """Write records, made a portion at a time, and read them again, but for an octree."""
-    compress, sums = path.suffix.lower() == ".laz", Sums()
+    compress, sums = path.suffix.lower() == ".laz", ValueSums()
     with write_whole(path) as stream:
         try:
             if path.name.lower().endswith(copc.SUFFIX):

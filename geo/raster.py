@@ -23,7 +23,7 @@ from rasterio.windows import Window
 from geo.crs import ellipsoid, ellipsoidal_wkt1, has_height, horizontal_crs, vertical_crs
 from geo.errors import UnreadableFile, UnwritableFile
 from geo.files import existing_file, refusal, write_whole_at
-from geo.read_back import Sums, require_raster
+from geo.read_back import ValueSums, require_raster
 from geo.shapes import Mesh
 from geo.stated import height_unit_said, unit_named
 
@@ -33,7 +33,7 @@ _BLOCK = 512
 
 
 @dataclass(frozen=True)
-class Band:
+class RasterBand:
     """Band of a raster."""
 
     name: str  # What it holds, e.g. "height".
@@ -49,7 +49,7 @@ class RasterForm:
     # corners
     transform: tuple[float, float, float, float, float, float]
     shape: tuple[int, int]  # (rows, columns)
-    bands: tuple[Band, ...]
+    bands: tuple[RasterBand, ...]
     dtype: str = "float32"  # Of all bands, e.g. "float32".
     nodata: float | None = None
     # dict of str to str: Metadata, e.g. how the values were computed.
@@ -130,10 +130,10 @@ def write_bag(path: str | Path, form: RasterForm, parts: Iterable[Part], said: d
         copy.replace(part)
 
 
-def _write(path: Path | str, form: RasterForm, parts: Iterable[Part], **profile) -> list[Sums]:
+def _write(path: Path | str, form: RasterForm, parts: Iterable[Part], **profile) -> list[ValueSums]:
     """Write a raster; returns the checksum of each band."""
     rows, columns = form.shape
-    sums = [Sums(form.nodata) for _ in form.bands]
+    sums = [ValueSums(form.nodata) for _ in form.bands]
     raster = rasterio.open(
         path,
         "w",

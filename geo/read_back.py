@@ -26,7 +26,7 @@ _SAME_CELL = 1e-6
 
 
 @dataclass
-class Sums:
+class ValueSums:
     """A checksum of values that does not depend on their order: count and sum of bit patterns, modulo 2^64."""
 
     nodata: float | None = None  # Not counted, nor is NaN
@@ -54,7 +54,9 @@ def unreadable(path: Path, what: str) -> UnwritableFile:
     )
 
 
-def require_raster(part: Path, path: Path, crs: CRS, transform, shape: tuple[int, int], sums: Iterable[Sums]) -> None:
+def require_raster(
+    part: Path, path: Path, crs: CRS, transform, shape: tuple[int, int], sums: Iterable[ValueSums]
+) -> None:
     """Raise UnwritableFile unless a raster in ``part``, to be ``path``, reads as it was written.
 
     Parameters
@@ -78,7 +80,7 @@ def require_raster(part: Path, path: Path, crs: CRS, transform, shape: tuple[int
                 raise unreadable(path, "it lies elsewhere")
             _require_crs(raster.crs, crs, path)
             for number, expected in enumerate(sums, start=1):
-                found = Sums(expected.nodata)
+                found = ValueSums(expected.nodata)
                 for _, window in raster.block_windows(number):
                     found.add(raster.read(number, window=window))
                 if (found.count, found.total) != (expected.count, expected.total):
@@ -109,7 +111,7 @@ def _require_crs(found: rasterio.crs.CRS | None, crs: CRS, path: Path) -> None:
         )
 
 
-def require_cloud(stream: BinaryIO, path: Path, count: int, sums: Sums) -> None:
+def require_cloud(stream: BinaryIO, path: Path, count: int, sums: ValueSums) -> None:
     """Raise UnwritableFile unless LAS or LAZ in a stream has so many points, with these stored coordinates.
 
     Raises
@@ -117,7 +119,7 @@ def require_cloud(stream: BinaryIO, path: Path, count: int, sums: Sums) -> None:
     UnwritableFile
         Naming what differs.
     """
-    found = Sums()
+    found = ValueSums()
     try:
         stream.seek(0)
         with laspy.open(stream, closefd=False) as reader:

@@ -92,7 +92,7 @@ class Load:
 
     @classmethod
     def of(cls, probes_s: list[float], wall_s: float, ran_and_waited: tuple[int, int] | None) -> Load:
-        """From the processor times of probes and the wall clock of all of them.
+        """Load from the processor times of probes and the wall clock of all of them.
 
         Work is the median of probes. Turns follow from how long the process has run and waited, where the system counts
         it, else from wall clock over processor time.
@@ -102,7 +102,7 @@ class Load:
 
     @property
     def slowness(self) -> float:
-        """How many times as long work takes; at least 1, so that a faster machine has a reserve."""
+        """Factor by which work takes longer; at least 1, so that a faster machine has a reserve."""
         return max(self.work * self.turns, 1.0)
 
     def __str__(self) -> str:

@@ -147,7 +147,7 @@ class _TimeLeft(ProgressColumn):
 
 
 class Progress:
-    """Where a run reports what it does.
+    """Reports what a run does.
 
     Parameters
     ----------

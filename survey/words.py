@@ -15,7 +15,7 @@ GCP_LIST = "gcp_list.txt"
 
 
 class Quality(StrEnum):
-    """How much time is spent; `survey.plan.recipe` says what each means."""
+    """Qualities, by the time that is spent; `survey.plan.recipe` says what each means."""
 
     draft = "draft"
     standard = "standard"
@@ -23,7 +23,7 @@ class Quality(StrEnum):
 
 
 class Device(StrEnum):
-    """Where kernels run."""
+    """Devices of the kernels."""
 
     auto = "auto"
     cpu = "cpu"

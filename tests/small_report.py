@@ -15,7 +15,7 @@ from survey.folder.survey import Survey, load_survey
 from survey.plan.plan import Plan
 from survey.plan.skipped import Decision
 from survey.report import ReportFacts, write_report
-from survey.report.facts import Gate, Verdict
+from survey.report.facts import Gate, RunVerdict
 from survey.run.folder import RunDir
 from survey.run.products import write_bed_las
 from survey.run.stored import StoredBed
@@ -58,7 +58,9 @@ def facts_of(survey, bed, **others) -> ReportFacts:
 def write_plane_report(survey: Survey, folder: Path) -> SimpleNamespace:
     """A finished report against a reference 4 mm above the bed, its run and its figures."""
     bed = plane_bed(survey)
-    facts = facts_of(survey, bed, height_maps=[plane_height_map(survey, 1)], verdict=Verdict((MET,)), notes=("a note",))
+    facts = facts_of(
+        survey, bed, height_maps=[plane_height_map(survey, 1)], verdict=RunVerdict((MET,)), notes=("a note",)
+    )
     write_bed_las(folder / "cloud.las", StoredBed(bed, facts.points_crs, survey.frame.crs, "small", 0.05))
     reference = write_plane_mesh(folder / "reference.ply", survey, raised_m=RAISED_M)
     facts = replace(

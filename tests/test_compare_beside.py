@@ -12,7 +12,7 @@ from pyproj import CRS
 
 from geo import Cloud, LocalFrame, Mesh
 from survey.compare.comparison import _beside
-from survey.compare.inputs import Inputs, Paths
+from survey.compare.inputs import InputPaths, Inputs
 
 
 @pytest.mark.parametrize("crs", [UTM32, CRS("EPSG:4326+5773")])
@@ -23,7 +23,7 @@ def test_points_beside_a_mesh_are_left_out_by_bounds_that_hold_it_and_those_in_i
     mesh = Mesh(vertices=corners, faces=np.array([[0, 2, 1], [0, 3, 2]]), crs=crs)
     points = at + np.column_stack([np.linspace(-9, 9, 50), np.zeros(50), np.zeros(50)]) * [unit, unit, 1.0]
     frame = LocalFrame(crs, tuple(at.tolist()))
-    paths = Paths(Path("c.las"), Path("r.ply"))
+    paths = InputPaths(Path("c.las"), Path("r.ply"))
     inputs = Inputs(paths, Cloud(points=points, crs=crs), np.ones(50, bool), 0, mesh, None, crs, frame, ())
     is_off = np.abs(points[:, 0] - at[0]) > 5 * unit
     (note,) = _beside(inputs, np.where(is_off, np.nan, 0.0))

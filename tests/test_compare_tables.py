@@ -8,7 +8,7 @@ from compare_plane import FRAME, compared, grid, write_las
 from pyproj import CRS
 
 from geo.errors import CRSMismatch
-from survey.compare.inputs import Paths, load_inputs, read_shape
+from survey.compare.inputs import InputPaths, load_inputs, read_shape
 from survey.compare.measure import read_checkpoints
 from survey.compare.options import CompareError
 from survey.files.column_units import Units, crs_of_comment
@@ -103,7 +103,7 @@ def test_heights_of_a_table_whose_crs_has_none_are_those_of_the_other_file(tmp_p
     other.write_text(
         "# CoordinateSystem: EPSG:2264+6360\ne,n,h\n1400000,600000,1900\n1400010,600010,1900\n1400010,600000,1900\n"
     )
-    assert load_inputs(Paths(table, other), None).cloud.points[:, 2] == pytest.approx(1900.0, abs=1e-9)
+    assert load_inputs(InputPaths(table, other), None).cloud.points[:, 2] == pytest.approx(1900.0, abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from stored_run import GSD_M, run_of, stored_points
 from survey.errors import SurveyError
 from survey.export import bed_cells
 from survey.export import gridded as gridded_module
-from survey.export.bed_cells import LevelFit, PlanCells, Window, round_side
+from survey.export.bed_cells import CellWindow, LevelFit, PlanCells, round_side
 from survey.export.cell_fit import LEAST_PX2, CellPoints, correlated_px2, fit_cells
 from survey.export.gridded import gridded, seen_from_above
 from survey.export.loaded import LoadedRun
@@ -195,7 +195,7 @@ def test_what_all_heights_share_is_not_averaged_away(tmp_path):
         raster = gridded(run, options)
         assert run.common_std_m == 0.04
         assert (raster.common == np.float32(0.04)).all()
-        stds = raster.stds(Window(0, 40, 0, 40))
+        stds = raster.stds(CellWindow(0, 40, 0, 40))
         assert (stds > 0.04).all()
         assert np.median(stds) < np.hypot(0.04, 0.01)
 
@@ -219,12 +219,12 @@ def test_gaps_up_to_a_width_are_filled_marked_and_less_sure(tmp_path):
     run, options = made(plan, 10.0 + 0.5 * plan[:, 1], tmp_path, fill_m=0.5)
     with run:
         raster = gridded(run, options)
-        at = raster.cells.middles(Window(0, 40, 0, 40)) - CORNER
+        at = raster.cells.middles(CellWindow(0, 40, 0, 40)) - CORNER
         in_narrow, in_wide = np.abs(at[..., 0] - 1.05) < 0.15, np.abs(at - 2.75).max(axis=-1) < 0.4
         assert (raster.known[in_narrow] == 2).all()
         assert (raster.count[in_narrow] == 0).all()
         assert (raster.known[in_wide] == 0).all()
-        assert np.isnan(raster.heights(Window(0, 40, 0, 40))[in_wide]).all()
+        assert np.isnan(raster.heights(CellWindow(0, 40, 0, 40))[in_wide]).all()
         error = raster.height[in_narrow] - (10.0 + 0.5 * at[..., 1][in_narrow])
         assert (np.abs(error) < 2.0 * raster.std[in_narrow]).all()
         assert raster.std[in_narrow].min() > 2.0 * np.median(raster.std[raster.known == 1])
@@ -260,7 +260,7 @@ def test_cells_lie_at_multiples_of_their_side_and_cover_all_points():
     at = cells.place(points)
     assert (at >= 0.0).all()
     assert (at[:, ::-1] <= cells.shape).all()
-    np.testing.assert_allclose(cells.middles(Window(0, 1, 0, 1))[0, 0], [691000.375, 5334002.875])
+    np.testing.assert_allclose(cells.middles(CellWindow(0, 1, 0, 1))[0, 0], [691000.375, 5334002.875])
 
 
 def test_a_resolution_that_makes_too_many_cells_or_none_is_refused(tmp_path):

@@ -27,7 +27,7 @@ from stored_run import run_of, stored_points
 from geo.frames import LocalFrame
 from refract import FlatWater
 from survey.errors import SurveyError
-from survey.export.bed_cells import PlanCells, Window
+from survey.export.bed_cells import CellWindow, PlanCells
 from survey.export.export import export
 from survey.export.loaded import Pixels
 from survey.export.occlusion import CellProjection, HeightBuffer, Mosaic, Windows, common_exposure
@@ -113,7 +113,7 @@ def test_pixels_of_cells_are_those_of_the_exact_way_through_the_water():
 
 
 def test_exposures_are_compared_however_many_cells_one_window_has():
-    window, height = Window(0, 190, 0, 200), np.zeros((190, 200))
+    window, height = CellWindow(0, 190, 0, 200), np.zeros((190, 200))
     u, v = np.meshgrid(np.linspace(1.0, 99.0, 200), np.linspace(1.0, 99.0, 190))
     sight = CellProjection(u, v, np.ones_like(u), np.zeros_like(u))
     bed = SimpleNamespace(all=lambda: iter([(window, height)]), through=lambda _: iter([(window, height, sight)]))
@@ -136,7 +136,7 @@ def test_a_side_of_cells_that_is_none_is_refused(tmp_path, side_m):
 def test_what_stands_behind_something_is_hidden():
     camera = look((-8.0, 0.0, 8.0), (0.0, 0.0, 0.0), focal=300.0, size=(400, 300), heading=np.pi / 2)
     cells = PlanCells(CRS("EPSG:25832+5778"), E0 - 6.0, N0 + 3.0, (0.1, 0.1), 0.1, (60, 120))
-    window = Window(0, 60, 0, 120)
+    window = CellWindow(0, 60, 0, 120)
     x, y = np.moveaxis(cells.middles(window) - [E0, N0], -1, 0)
     heights = LEVEL + np.where((np.abs(x) < 1.0) & (np.abs(y) < 1.0), 2.0, 0.0)
     bed = Windows(flown(None), cells, lambda w: heights[w.slices])
@@ -153,7 +153,7 @@ def test_what_stands_behind_something_is_hidden():
 def test_a_picture_does_not_depend_on_the_order_of_its_views(tmp_path):
     rng = np.random.default_rng(2)
     cells = PlanCells(CRS("EPSG:25832+5778"), E0, N0, (0.1, 0.1), 0.1, (8, 9))
-    window = Window(0, 8, 0, 9)
+    window = CellWindow(0, 8, 0, 9)
     greys = np.array([50.0, 100.0, 200.0])
     weights = np.where(rng.random((3, 8, 9)) < 0.6, -300.0 * rng.random((3, 8, 9)), np.nan)
     pictures = []

@@ -19,7 +19,7 @@ from slow_cases import slow
 from stored_run import plane_stored, run_of, stored_points
 
 from geo.errors import UnwritableFile
-from geo.raster import Band, RasterForm, write_cog
+from geo.raster import RasterBand, RasterForm, write_cog
 from survey.errors import OutputError, SurveyError
 from survey.export.export import export
 from survey.export.product import ExportOptions
@@ -143,7 +143,9 @@ def test_slope_and_light_are_those_of_gdal(tmp_path, what):
     x, y = np.meshgrid(np.arange(60) * SIDE, np.arange(50) * SIDE)
     height = np.sin(0.4 * x) * np.cos(0.3 * y) + 0.05 * rng.standard_normal(x.shape)
     height[20:24, 30:33] = np.nan
-    form = RasterForm(CRS("EPSG:25832"), (SIDE, 0, 0, 0, -SIDE, 0), x.shape, (Band("height"),), "float64", nodata=-9999)
+    form = RasterForm(
+        CRS("EPSG:25832"), (SIDE, 0, 0, 0, -SIDE, 0), x.shape, (RasterBand("height"),), "float64", nodata=-9999
+    )
     write_cog(tmp_path / "in.tif", form, [(0, 0, np.nan_to_num(height, nan=-9999)[None])])
     command = ["gdaldem", what, tmp_path / "in.tif", tmp_path / "out.tif", "-alg", "ZevenbergenThorne", "-q"]
     subprocess.run(command, check=True)
@@ -206,7 +208,7 @@ def test_an_earlier_raster_is_replaced_and_a_foreign_one_is_not(run_folder, dem,
 
 
 def test_a_raster_that_fails_leaves_nothing_behind(tmp_path):
-    form = RasterForm(CRS("EPSG:25832"), (1, 0, 0, 0, -1, 0), (600, 600), (Band("height"),))
+    form = RasterForm(CRS("EPSG:25832"), (1, 0, 0, 0, -1, 0), (600, 600), (RasterBand("height"),))
 
     def parts():
         yield 0, 0, np.zeros((1, 512, 512), dtype=np.float32)

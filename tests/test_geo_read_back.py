@@ -13,8 +13,8 @@ from geo.crs import parse_crs
 from geo.errors import UnwritableFile
 from geo.files import scratch_array
 from geo.las import write_cloud
-from geo.raster import Band, RasterForm, stored_crs, write_bag, write_cog
-from geo.read_back import Sums, require_cloud, require_raster
+from geo.raster import RasterBand, RasterForm, stored_crs, write_bag, write_cog
+from geo.read_back import ValueSums, require_cloud, require_raster
 
 CODES = ["EPSG:25832+5783", "EPSG:32632+4979", "EPSG:2264+6360", "EPSG:4979", "EPSG:4326+5773", "EPSG:3857+5773"]
 SHAPE = (90, 70)
@@ -23,7 +23,7 @@ SHAPE = (90, 70)
 def form_of(code: str, nodata=float("nan")) -> RasterForm:
     crs = parse_crs(code)
     transform = (1e-6, 0.0, 9.0, 0.0, -1e-6, 48.0) if crs.is_geographic else (0.25, 0.0, 5e5, 0.0, -0.25, 5.2e6)
-    return RasterForm(crs, transform, SHAPE, (Band("height", "metre"), Band("std", "metre")), nodata=nodata)
+    return RasterForm(crs, transform, SHAPE, (RasterBand("height", "metre"), RasterBand("std", "metre")), nodata=nodata)
 
 
 def values(rng) -> np.ndarray:
@@ -79,7 +79,7 @@ def test_a_raster_with_a_fault_does_not_take_its_place(tmp_path, rng, how):
     form, whole = form_of("EPSG:25832+5783"), values(rng)
     path = tmp_path / "a.tif"
     write_cog(path, form, [(0, 0, whole)])
-    sums = [Sums(form.nodata) for _ in form.bands]
+    sums = [ValueSums(form.nodata) for _ in form.bands]
     for each, band in zip(sums, whole, strict=True):
         each.add(band)
     require_raster(path, path, form.crs, form.transform, SHAPE, sums)
@@ -109,7 +109,7 @@ def test_a_cloud_with_a_fault_does_not_take_its_place(tmp_path, rng, suffix, how
     )  # fmt: skip
     import laspy
 
-    las, sums = laspy.read(path), Sums()
+    las, sums = laspy.read(path), ValueSums()
     for axis in (las.X, las.Y, las.Z):
         sums.add(np.asarray(axis, dtype=np.int32))
     if how == "cut":
@@ -130,7 +130,7 @@ def test_a_cloud_with_a_fault_does_not_take_its_place(tmp_path, rng, suffix, how
 
 def test_sums_do_not_depend_on_the_order_and_leave_out_what_is_no_data(rng):
     whole = rng.normal(size=1000).astype(np.float32)
-    first, second = Sums(nodata=-9999.0), Sums(nodata=-9999.0)
+    first, second = ValueSums(nodata=-9999.0), ValueSums(nodata=-9999.0)
     first.add(whole)
     for part in np.array_split(rng.permutation(whole), 7):
         second.add(np.concatenate([part, np.float32([np.nan, -9999.0])]))

@@ -19,7 +19,7 @@ from geo.gltf import write_glb
 from geo.obj import write_obj
 from geo.ply import write_ply
 from geo.stated import unit_named
-from survey.compare.inputs import Paths, load_inputs
+from survey.compare.inputs import InputPaths, load_inputs
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*trimesh.*")
 US_FOOT = 1200.0 / 3937.0
@@ -81,7 +81,7 @@ def test_bands_that_are_no_heights_are_refused(tmp_path, names, words):
 def test_heights_of_a_raster_are_in_the_unit_of_its_band(tmp_path, name, metres):
     assert unit_named(name) == metres
     reference = raster_file(tmp_path / "r.tif", np.full((12, 12), HEIGHT / metres), unit=name)
-    inputs = load_inputs(Paths(cloud_file(tmp_path / "c.las"), reference), None)
+    inputs = load_inputs(InputPaths(cloud_file(tmp_path / "c.las"), reference), None)
     np.testing.assert_allclose(inputs.reference.vertices[:, 2], HEIGHT, rtol=1e-12)
     assert any("converted" in note for note in inputs.notes) is (metres != 1.0)
 
@@ -90,7 +90,7 @@ def test_heights_of_a_raster_are_in_the_unit_of_its_band(tmp_path, name, metres)
 def test_a_cloud_with_heights_in_feet_gets_a_raster_in_any_unit_in_feet(tmp_path, name, metres):
     cloud = cloud_file(tmp_path / "c.las", "EPSG:25832+6360", height=1.0 / US_FOOT)
     reference = raster_file(tmp_path / "r.tif", np.full((12, 12), HEIGHT / metres), unit=name)
-    inputs = load_inputs(Paths(cloud, reference), None)
+    inputs = load_inputs(InputPaths(cloud, reference), None)
     np.testing.assert_allclose(inputs.reference.vertices[:, 2], HEIGHT / US_FOOT, rtol=1e-12)
 
 

@@ -14,7 +14,7 @@ from geo import read_reference
 from geo.errors import UnreadableFile
 from geo.ply import write_ply
 from geo.values import check_values, is_mark_of_no_data
-from survey.compare.inputs import Paths, load_inputs
+from survey.compare.inputs import InputPaths, load_inputs
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*trimesh.*")
 # UTM, a zone number before the easting, a northing in the south, and Web Mercator.
@@ -119,7 +119,7 @@ def test_degrees_of_a_file_without_a_crs_are_judged_beside_a_cloud_in_degrees(tm
     las.write(tmp_path / "c.las")
     as_ply(tmp_path / "r.ply", narrowed(points, "float32"))
     with pytest.raises(UnreadableFile, match=r"r\.ply are multiples of .*(single precision|were rounded)"):
-        load_inputs(Paths(tmp_path / "c.las", tmp_path / "r.ply"), None)
+        load_inputs(InputPaths(tmp_path / "c.las", tmp_path / "r.ply"), None)
 
 
 @pytest.mark.parametrize("corner", [0.0, 0.25, 0.5, 0.05])

@@ -18,7 +18,7 @@ from geo.area_of_use import height_systems_at
 from geo.crs import vertical_crs
 from survey.errors import ConfigError
 from survey.init.draft import draft
-from survey.init.place import Answers, Photographs, Table, write_crs
+from survey.init.place import Answers, FolderPhotographs, SettingsTable, write_crs
 from survey.photos.exif import Exif
 from survey.photos.xmp import ELLIPSOIDAL
 
@@ -164,13 +164,13 @@ def test_a_height_system_is_taken_where_it_is_the_only_one():
 
 def photographs_above_the_ellipsoid(lat, lon):
     head = Exif((640, 480), (lat, lon, 60.0), 800.0, 1, "DJI FC6310", None, height_datum=ELLIPSOIDAL)
-    return Photographs({"a.jpg": head, "b.jpg": head}, None, None)
+    return FolderPhotographs({"a.jpg": head, "b.jpg": head}, None, None)
 
 
 @pytest.mark.parametrize("lat_lon", [(0.0, -30.0), (52.1, 4.9)])
 def test_heights_above_the_ellipsoid_become_national_ones_only_by_the_grid_of_the_geoid(lat_lon):
     """Whether the grid is installed is the machine's business; crs and gps_height have to agree either way."""
-    top, cameras = Table(""), Table("cameras")
+    top, cameras = SettingsTable(""), SettingsTable("cameras")
     crs = write_crs(photographs_above_the_ellipsoid(*lat_lon), Answers(), top, cameras)
     written = tomllib.loads(top.text() + cameras.text())
     if vertical_crs(crs) is None:

@@ -11,7 +11,7 @@ from geo.crs import parse_crs
 from survey.control.gcp_list import read_gcp_list
 from survey.errors import SurveyError
 from survey.folder.found import find_survey
-from survey.marking.book import GROUND, WATER, Book, Key
+from survey.marking.book import GROUND, WATER, Book, PointKey
 from survey.marking.gcp_file import ControlMark, header_of, points_without_mark, read_clicks, with_click, with_marks
 from survey.marking.geometry import survey_to_mark
 
@@ -81,7 +81,7 @@ def test_new_points_of_a_list_in_another_crs_come_back_where_they_are(tmp_path, 
     path.write_text(with_marks(path, [mark()], CRS, IMAGES))
     (tmp_path / "s").mkdir()
     book = book_of(tmp_path / "s", gcps=path.read_text())
-    assert np.abs(np.array(book.points()[Key(GROUND, "new")].place) - PLACE).max() < 2e-4
+    assert np.abs(np.array(book.points()[PointKey(GROUND, "new")].place) - PLACE).max() < 2e-4
 
 
 @pytest.mark.parametrize(
@@ -135,7 +135,7 @@ def test_process_reads_what_was_marked(tmp_path):
     assert [key.name for key in book.points()] == ["p1", "p2", "p3"]
     for i, name in enumerate(("p1", "p2", "p3")):
         for j in range(2):
-            book.set(Key(GROUND, name), f"000{j}.jpg", (10.125 + i, 20.5 + j))
+            book.set(PointKey(GROUND, name), f"000{j}.jpg", (10.125 + i, 20.5 + j))
     found = find_survey(folder)
     assert found.control is not None
     assert [(mark.point, mark.view) for mark in found.control.gathered.marks][:2] == [
@@ -148,7 +148,7 @@ def test_process_reads_what_was_marked(tmp_path):
 
 def test_edits_are_taken_back_one_by_one(tmp_path):
     book = book_of(tmp_path / "s", gcps=odm(images=("0000.jpg",)))
-    key, path = Key(GROUND, "p1"), tmp_path / "s" / "gcp_list.txt"
+    key, path = PointKey(GROUND, "p1"), tmp_path / "s" / "gcp_list.txt"
     before = book.marks()
     book.set(key, "0000.jpg", (1.0, 2.0))
     book.set(key, "0000.jpg", None)
@@ -165,8 +165,8 @@ def test_what_another_program_writes_meanwhile_stays(tmp_path):
     book = book_of(tmp_path / "s", gcps=odm(images=("0000.jpg",)))
     path = tmp_path / "s" / "gcp_list.txt"
     path.write_text(path.read_text() + f"{E0} {N0} {LEVEL} 1 2 0003.jpg p1\n")
-    book.set(Key(GROUND, "p2"), "0001.jpg", (5.0, 6.0))
-    assert book.marks()[Key(GROUND, "p1")]["0003.jpg"] == (1.5, 2.5)
+    book.set(PointKey(GROUND, "p2"), "0001.jpg", (5.0, 6.0))
+    assert book.marks()[PointKey(GROUND, "p1")]["0003.jpg"] == (1.5, 2.5)
     assert len(path.read_text().splitlines()) == 6
 
 
@@ -176,9 +176,9 @@ def test_marks_of_other_files_go_into_the_list_when_it_is_written_first(tmp_path
     (folder / "gcps.csv").write_text(table())
     (folder / "marks.csv").write_text("image,name,x,y\n0000.jpg,p1,10.5,20.5\n0001.jpg,p2,3.5,4.5\n")
     book = book_of(folder, control='gcps = "gcps.csv"\nmarks = "marks.csv"')
-    assert book.marks()[Key(GROUND, "p1")] == {"0000.jpg": (10.5, 20.5)}
+    assert book.marks()[PointKey(GROUND, "p1")] == {"0000.jpg": (10.5, 20.5)}
     assert not book.control_path.exists()
-    book.set(Key(GROUND, "p3"), "0000.jpg", (7.5, 8.5))
+    book.set(PointKey(GROUND, "p3"), "0000.jpg", (7.5, 8.5))
     assert {key.name: len(own) for key, own in book.marks().items()} == {"p1": 1, "p2": 1, "p3": 1}
     assert book.settings() == ['[control] gcps = ["gcps.csv", "gcp_list.txt"], without marks']
 
@@ -187,7 +187,7 @@ def test_points_and_spots_are_added_by_name(tmp_path):
     book = book_of(tmp_path / "s")
     new = book.add(GROUND, " n1 ", PLACE)
     spot = book.add(WATER, "w1", None)
-    assert (new, spot) == (Key(GROUND, "n1"), Key(WATER, "w1"))
+    assert (new, spot) == (PointKey(GROUND, "n1"), PointKey(WATER, "w1"))
     for name, what in (("n1", "already"), ("", "needs a letter"), ("a,b", "no comma")):
         with pytest.raises(SurveyError, match=what):
             book.add(GROUND, name, PLACE)
@@ -207,5 +207,5 @@ def test_a_file_that_cannot_be_read_is_not_written_over(tmp_path):
     path = tmp_path / "s" / "gcp_list.txt"
     path.write_text("not a list\n")
     with pytest.raises(SurveyError, match="no CRS"):
-        book.set(Key(GROUND, "p1"), "0000.jpg", (5.0, 3.0))
+        book.set(PointKey(GROUND, "p1"), "0000.jpg", (5.0, 3.0))
     assert path.read_text() == "not a list\n"

@@ -23,8 +23,8 @@ from survey.control.gcp_list import read_gcp_list
 from survey.errors import SurveyError
 from survey.folder.found import find_survey
 from survey.folder.survey import load_survey
-from survey.marking.book import Book, Key
-from survey.marking.server import TILE_PX, TOKEN_HEADER, MarkingServer, Tiles, pyramid
+from survey.marking.book import Book, PointKey
+from survey.marking.server import TILE_PX, TOKEN_HEADER, MarkingServer, PhotographTiles, pyramid
 from survey.marking.session import Session
 from survey.run.flight import save_flight
 
@@ -199,7 +199,7 @@ def test_the_poses_of_a_finished_run_count_before_those_of_the_file(tmp_path):
     session.book.add("ground", "p", PLACE)
     local = survey.frame.local_from_crs(np.array(PLACE))
     expected = raised.views[1].camera.project(local, survey.water)
-    assert session.look(Key("ground", "p"), "0001.jpg")["predicted"] == pytest.approx(tuple(expected), abs=1e-6)
+    assert session.look(PointKey("ground", "p"), "0001.jpg")["predicted"] == pytest.approx(tuple(expected), abs=1e-6)
 
 
 def _raised(view):
@@ -216,7 +216,7 @@ def test_tiles_join_to_the_photograph_and_halves_keep_their_place(tmp_path):
     pixels = np.zeros((TILE_PX + 31, 2 * TILE_PX + 5, 3), dtype=np.uint8)
     pixels[:, :, 0] = np.linspace(0, 250, pixels.shape[1]).astype(np.uint8)
     Image.fromarray(pixels).save(tmp_path / "a b.png")
-    tiles = Tiles({"a b.png": tmp_path / "a b.png"})
+    tiles = PhotographTiles({"a b.png": tmp_path / "a b.png"})
     sizes = [
         [Image.open(io.BytesIO(tiles.jpeg("a b.png", 0, column, row))).size for column in range(3)] for row in range(2)
     ]
@@ -234,11 +234,11 @@ def test_the_command_prints_the_address_and_at_its_end_what_it_wrote(folder, mon
     (folder / "gcp_list.txt").write_text(odm())
 
     def serve(server):
-        server.session.book.set(Key("water", "w1"), "0000.jpg", (5.0, 6.0))
+        server.session.book.set(PointKey("water", "w1"), "0000.jpg", (5.0, 6.0))
         raise KeyboardInterrupt
 
     monkeypatch.setattr(MarkingServer, "serve_forever", serve)
-    monkeypatch.setattr(Book, "points", lambda self: {Key("water", "w1"): None})
+    monkeypatch.setattr(Book, "points", lambda self: {PointKey("water", "w1"): None})
     found = bathynerf("mark", folder, "--no-browser")
     assert found.exit_code == 0
     lines = found.stdout.split("\n")

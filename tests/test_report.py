@@ -24,7 +24,7 @@ from small_survey import TOML, small_survey
 from evaluation import DistanceStatistics, iho_s44
 from survey.folder.survey import load_survey
 from survey.report.collect import figures_of
-from survey.report.facts import Verdict, dry_doubts
+from survey.report.facts import RunVerdict, dry_doubts
 from survey.report.figures import Spread, json_of
 from survey.report.headline import cards, headline
 from survey.report.page import render_page
@@ -131,7 +131,7 @@ def test_without_a_reference_orders_are_said_to_be_stated_alone(shallow_survey):
 
 
 def test_a_failed_gate_is_in_the_verdict_and_among_the_warnings(shallow_survey):
-    facts = facts_of(shallow_survey, plane_bed(shallow_survey, num=20), verdict=Verdict((MET, MISSED)))
+    facts = facts_of(shallow_survey, plane_bed(shallow_survey, num=20), verdict=RunVerdict((MET, MISSED)))
     figures = figures_of(facts)
     assert figures.warnings == (MISSED.sentence,)
     assert json_of(figures)["verdict"] == {"passed": False, "gates": [asdict(MET), asdict(MISSED)]}
@@ -141,9 +141,9 @@ def test_a_failed_gate_is_in_the_verdict_and_among_the_warnings(shallow_survey):
     ("verdict", "warnings", "colour"),
     [
         (None, (), "unjudged"),
-        (Verdict((MET,)), (), "passed"),
-        (Verdict((MET,)), ("poses are old",), "doubtful"),
-        (Verdict((MET, MISSED)), (MISSED.sentence,), "failed"),
+        (RunVerdict((MET,)), (), "passed"),
+        (RunVerdict((MET,)), ("poses are old",), "doubtful"),
+        (RunVerdict((MET, MISSED)), (MISSED.sentence,), "failed"),
     ],
 )
 def test_the_colour_of_a_verdict_is_that_of_its_gates_and_warnings(verdict, warnings, colour):

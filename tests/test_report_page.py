@@ -11,7 +11,7 @@ import pytest
 from small_report import MET, MISSED
 
 from survey.display.quantities import LengthUnit, length
-from survey.report.facts import Verdict
+from survey.report.facts import RunVerdict
 from survey.report.figures import json_of
 from survey.report.page import render_page
 
@@ -114,7 +114,7 @@ def test_columns_of_lengths_have_one_unit():
 
 
 def test_the_verdict_stands_on_top_in_words_and_colour(plane_report):
-    page = render_page(replace(plane_report.figures, verdict=Verdict((MET, MISSED))), [])
+    page = render_page(replace(plane_report.figures, verdict=RunVerdict((MET, MISSED))), [])
     assert page.index('class="verdict failed"') < page.index('class="cards"') < page.index("<h2>Pictures</h2>")
     assert "<strong>Failed</strong> 1 of 2 quality gates is not met." in page
     assert MISSED.sentence in page

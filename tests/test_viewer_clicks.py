@@ -19,7 +19,7 @@ from survey.folder.survey import load_survey
 from survey.viewer.layers import OnDemand, grid_faces
 from survey.viewer.page import require_page, thinned, write_page
 from survey.viewer.sightings import DISTANCE, RAYS, SLICE, facts_of, way_between
-from survey.viewer.slices import Reference, load_reference, picture_of, slice_of
+from survey.viewer.slices import ReferenceSlice, load_reference, picture_of, slice_of
 from survey.viewer.tree import build_tree
 
 RAISED_M = 0.04
@@ -52,7 +52,7 @@ def test_errors_are_distances_below_a_raised_plane(shown):
 def test_a_reference_of_points_is_looked_up_between_them():
     x, y = (v.ravel() for v in np.meshgrid(np.arange(40) * 0.25, np.arange(40) * 0.25))
     plane = np.column_stack([x, y, 0.1 * x])
-    reference = Reference(None, plane, None)
+    reference = ReferenceSlice(None, plane, None)
     places = np.array([[3.1, 4.2, 5.0], [8.03, 1.9, -5.0], [-30.0, 0.0, 0.0]])
     np.testing.assert_allclose(reference.heights(places)[:2], 0.1 * places[:2, 0], atol=1e-9)
     np.testing.assert_allclose(reference.errors(places)[:2], places[:2, 2] - 0.1 * places[:2, 0], atol=1e-9)

@@ -9,7 +9,7 @@ import pytest
 
 from refract import trace
 from survey.viewer.shown import SCALES, UNKNOWN, Scale
-from survey.viewer.sightings import ENLARGED, WINDOW_PX, Photographs, mosaic, sightings_of, thumbnail, unhidden
+from survey.viewer.sightings import ENLARGED, WINDOW_PX, PhotographCache, mosaic, sightings_of, thumbnail, unhidden
 from survey.viewer.tree import build_tree
 
 # From the centre of the small survey: 0.3 m under water, within the first frames.
@@ -77,7 +77,7 @@ def test_photographs_from_behind_a_wall_do_not_show_the_point(survey):
 
 
 def test_windows_have_the_point_in_their_middle(survey):
-    photographs = Photographs(survey.views)
+    photographs = PhotographCache(survey.views)
     sighting = sightings_of(survey.views, POINT, survey.water)[0]
     # At the centre of a pixel, whose colour the middle of an odd window then has.
     at = replace(sighting, pixel=np.array([20.5, 30.5]))

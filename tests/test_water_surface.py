@@ -8,7 +8,7 @@ import pytest
 from geo.crs import parse_crs
 from geo.errors import CRSMismatch
 from geo.frames import LocalFrame
-from geo.raster import Band, RasterForm, write_cog
+from geo.raster import RasterBand, RasterForm, write_cog
 from refract import FlatWater
 from survey.errors import ConfigError
 from survey.settings.config import parse_config
@@ -113,7 +113,7 @@ def raster(path, crs, unit="metre"):
     """A GeoTIFF of cells of 1 m whose heights are LEVEL, a millimetre more for each metre east."""
     columns = np.arange(12) + 0.5
     heights = np.broadcast_to(LEVEL + 1e-3 * columns, (5, 12))
-    form = RasterForm(crs, (1.0, 0.0, E0, 0.0, -1.0, N0), (5, 12), (Band("water", unit),), dtype="float64")
+    form = RasterForm(crs, (1.0, 0.0, E0, 0.0, -1.0, N0), (5, 12), (RasterBand("water", unit),), dtype="float64")
     write_cog(path, form, [(0, 0, heights[None])])
 
 

@@ -84,7 +84,7 @@ def stored_colours(radiance: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Sightings:
+class PatchSightings:
     """Patches as views see them, N of them."""
 
     patch: np.ndarray  # (N,) int
@@ -107,7 +107,7 @@ def estimate_absorption(sources: Sources) -> tuple[float, float, float]:
         _sightings(points, patch, *view, sources.water)
         for view in zip(sources.cameras, sources.maps, sources.images, strict=True)
     ]
-    seen = Sightings(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("patch", "below", "way")))
+    seen = PatchSightings(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("patch", "below", "way")))
     if np.count_nonzero(np.bincount(seen.patch) > 1) < FEWEST:
         raise ValueError("too little of the bed under water is seen by several views")
     red, green, blue = (_fit(seen.patch, seen.below[:, channel], seen.way) for channel in range(3))
@@ -140,7 +140,7 @@ def _sightings(
     height_map: HeightMap,
     image: np.ndarray,
     water: FlatWater,
-) -> Sightings:
+) -> PatchSightings:
     """The patches that one view sees whole."""
     pixels = camera.project(points, water)
     size = np.array([camera.width, camera.height])
@@ -161,7 +161,7 @@ def _sightings(
     whole, found = np.bincount(patch), np.bincount(patch[inside], minlength=patch[-1] + 1 if len(patch) else 0)
     kept = np.flatnonzero(found >= SEEN_SHARE * whole)
     means = np.stack([np.bincount(patch[inside], v, len(whole))[kept] / found[kept] for v in columns], axis=-1)
-    return Sightings(kept, means[:, :3], means[:, 3])
+    return PatchSightings(kept, means[:, :3], means[:, 3])
 
 
 def _fit(patch: np.ndarray, below: np.ndarray, way: np.ndarray) -> float:

@@ -29,7 +29,7 @@ from survey.errors import SurveyError
 from survey.findings import Contradiction
 from survey.folder.survey import Survey, load_survey
 from survey.photos.poses import TiePoints
-from survey.plan.check import Section
+from survey.plan.check import CheckSection
 from survey.plan.choices import Choices
 from survey.plan.plan import Plan, make_plan
 from survey.plan.poses import MOST_MISFIT_PX
@@ -150,7 +150,7 @@ def _of_middle(survey: Survey, height: float) -> list[int]:
     return np.sort(np.argsort(away, kind="stable")[:SAMPLE]).tolist()
 
 
-def deep_check(folder: Path, *, device: str = "auto") -> list[Section]:
+def deep_check(folder: Path, *, device: str = "auto") -> list[CheckSection]:
     """Test of poses, lens and water against the photographs, without a point cloud.
 
     Poses that structure from motion has to find are kept in ``folder/bathynerf``, for `process` to use.
@@ -170,9 +170,9 @@ def deep_check(folder: Path, *, device: str = "auto") -> list[Section]:
         survey = replace(survey, provenance=replace(survey.provenance, contradiction=checked.contradiction))
     with progress.stage("Adjustment", 1.0) as stage:
         found = adjust_survey(survey, device=device, advance=stage.advance)
-    sections = [Section("photographs", (*_rows_of_check(checked), *_rows(found)))]
+    sections = [CheckSection("photographs", (*_rows_of_check(checked), *_rows(found)))]
     if found.warnings:
-        sections.append(Section("contradicted by the photographs", tuple(("", text) for text in found.warnings)))
+        sections.append(CheckSection("contradicted by the photographs", tuple(("", text) for text in found.warnings)))
     return sections
 
 

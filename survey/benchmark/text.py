@@ -114,7 +114,7 @@ def legend_of(methods: Sequence[str], cases: Sequence[str]) -> list[tuple[str, s
 
 
 @dataclass(frozen=True)
-class Change:
+class ResultChange:
     """Change of a figure of a record: the ratio of now over then, or the difference of now less then."""
 
     key: tuple[str, ...]  # Of the record
@@ -134,7 +134,7 @@ class Change:
         return self.figure.partition(" at ")[0]
 
 
-def changes(now: Results, then: Results) -> list[Change]:
+def changes(now: Results, then: Results) -> list[ResultChange]:
     """All figures of all records that both have; a cloud that one lacks is a change too."""
     earlier = {record.key: record for record in then.records}
     same_machine = now.machine == then.machine
@@ -146,19 +146,19 @@ def changes(now: Results, then: Results) -> list[Change]:
     return found
 
 
-def over_surveys(found: list[Change]) -> list[Change]:
+def over_surveys(found: list[ResultChange]) -> list[ResultChange]:
     """The changes of each method and figure over all surveys: the geometric mean of ratios, the mean of differences.
 
     The interval is Student's, of ratios that of their logarithms: surveys count as drawn from all that could be.
     """
-    groups: dict[tuple[tuple[str, ...], str], list[Change]] = {}
+    groups: dict[tuple[tuple[str, ...], str], list[ResultChange]] = {}
     for change in found:
         if (np.isfinite(change.ratio) or change.kind in NOISE) and change.why != ANOTHER_MACHINE:
             groups.setdefault((change.key[1:], change.figure), []).append(change)
     return [_together(key, figure, group) for (key, figure), group in groups.items() if len(group) >= MIN_SURVEYS]
 
 
-def _together(key: tuple[str, ...], figure: str, group: list[Change]) -> Change:
+def _together(key: tuple[str, ...], figure: str, group: list[ResultChange]) -> ResultChange:
     name, is_difference = (f"{len(group)} surveys", *key), group[0].kind in NOISE
     values = np.array([change.difference for change in group]) if is_difference else np.log([c.ratio for c in group])
     half = student.ppf(0.5 * (1.0 + 0.01 * (_LEVEL[1] - _LEVEL[0])), len(values) - 1) * values.std(ddof=1)
@@ -166,7 +166,7 @@ def _together(key: tuple[str, ...], figure: str, group: list[Change]) -> Change:
     if is_difference:
         return _differs(name, figure, middle, (middle - half, middle + half))
     interval = (float(np.exp(middle - half)), float(np.exp(middle + half)))
-    return Change(name, figure, float(np.exp(middle)), interval, _verdict(*interval))
+    return ResultChange(name, figure, float(np.exp(middle)), interval, _verdict(*interval))
 
 
 def unpaired(now: Results, then: Results) -> tuple[list[tuple[str, ...]], list[tuple[str, ...]]]:
@@ -175,12 +175,12 @@ def unpaired(now: Results, then: Results) -> tuple[list[tuple[str, ...]], list[t
     return sorted(ours - theirs), sorted(theirs - ours)
 
 
-def _of_record(now: Record, then: Record, same_machine: bool) -> list[Change]:
+def _of_record(now: Record, then: Record, same_machine: bool) -> list[ResultChange]:
     if now.errors is None or then.errors is None:
         if (now.errors is None) == (then.errors is None):
             return []
         verdict = WORSE if now.errors is None else BETTER
-        return [Change(now.key, "has a cloud", float("nan"), None, verdict)]
+        return [ResultChange(now.key, "has a cloud", float("nan"), None, verdict)]
     found = [_error(now.key, now.errors, then.errors), _mean(now.key, now.errors, then.errors)]
     for tolerance in sorted(now.errors.completeness.keys() & then.errors.completeness.keys(), key=float):
         after, before = (errors.completeness[tolerance] for errors in (now.errors, then.errors))
@@ -199,19 +199,19 @@ def _of_record(now: Record, then: Record, same_machine: bool) -> list[Change]:
     return found
 
 
-def _error(key: tuple[str, ...], now: Errors, then: Errors) -> Change:
+def _error(key: tuple[str, ...], now: Errors, then: Errors) -> ResultChange:
     """Root mean square of the inner 90 %, by pairs of blocks that are drawn anew."""
     ratio, drawn = now.error_m / then.error_m, _drawn(now, then)
     if isinstance(drawn, str):
-        return Change(key, "error", ratio, None, UNKNOWN, drawn)
+        return ResultChange(key, "error", ratio, None, UNKNOWN, drawn)
     return _judged(key, "error", ratio, _rms(drawn[0]) / _rms(drawn[1]))
 
 
-def _mean(key: tuple[str, ...], now: Errors, then: Errors) -> Change:
+def _mean(key: tuple[str, ...], now: Errors, then: Errors) -> ResultChange:
     """Bias of the inner 90 % over the earlier error, by a bootstrap over pairs of blocks."""
     difference, drawn = (abs(now.mean_m) - abs(then.mean_m)) / then.error_m, _drawn(now, then)
     if isinstance(drawn, str):
-        return Change(key, MEAN, float("nan"), None, UNKNOWN, drawn, difference)
+        return ResultChange(key, MEAN, float("nan"), None, UNKNOWN, drawn, difference)
     off = [np.abs(sums[:, 1] / sums[:, 0]) for sums in drawn]
     low, high = (float(v) for v in np.percentile((off[0] - off[1]) / then.error_m, _LEVEL))
     return _differs(key, MEAN, difference, (low, high))
@@ -231,27 +231,27 @@ def _rms(sums: np.ndarray) -> np.ndarray:
     return np.sqrt(sums[..., 2] / sums[..., 0])
 
 
-def _cost(key: tuple[str, ...], figure: str, now: np.ndarray, then: np.ndarray, same_machine: bool) -> Change:
+def _cost(key: tuple[str, ...], figure: str, now: np.ndarray, then: np.ndarray, same_machine: bool) -> ResultChange:
     ratio = float(np.median(now) / np.median(then))
     if not same_machine:
-        return Change(key, figure, ratio, None, UNKNOWN, ANOTHER_MACHINE)
+        return ResultChange(key, figure, ratio, None, UNKNOWN, ANOTHER_MACHINE)
     if min(len(now), len(then)) < MIN_REPEATS:
-        return Change(key, figure, ratio, None, UNKNOWN, f"expected --repeats {MIN_REPEATS} or more in both")
+        return ResultChange(key, figure, ratio, None, UNKNOWN, f"expected --repeats {MIN_REPEATS} or more in both")
     rng = np.random.default_rng(_SEED)
     a, b = (np.median(values[rng.integers(len(values), size=(_DRAWS, len(values)))], axis=1) for values in (now, then))
     return _judged(key, figure, ratio, a / b)
 
 
-def _judged(key: tuple[str, ...], figure: str, ratio: float, ratios: np.ndarray) -> Change:
+def _judged(key: tuple[str, ...], figure: str, ratio: float, ratios: np.ndarray) -> ResultChange:
     low, high = (float(v) for v in np.percentile(ratios, _LEVEL))
-    return Change(key, figure, ratio, (low, high), _verdict(low, high))
+    return ResultChange(key, figure, ratio, (low, high), _verdict(low, high))
 
 
 def _differs(
     key: tuple[str, ...], figure: str, difference: float, interval: tuple[float, float] | None = None
-) -> Change:
+) -> ResultChange:
     """A difference: beyond noise, and with an interval, where there is one, on the same side of zero."""
-    change = Change(key, figure, float("nan"), interval, SAME, "", difference)
+    change = ResultChange(key, figure, float("nan"), interval, SAME, "", difference)
     is_one_sided = interval is None or interval[0] > 0.0 or interval[1] < 0.0
     if abs(difference) <= NOISE[change.kind] or not is_one_sided:
         return change
@@ -297,7 +297,7 @@ def comparison(now: Results, then: Results) -> list[str]:
     return lines
 
 
-def lines_of(changes: list[Change]) -> list[str]:
+def lines_of(changes: list[ResultChange]) -> list[str]:
     """Lines of text, one for each change."""
     lines = []
     for change in changes:
@@ -306,7 +306,7 @@ def lines_of(changes: list[Change]) -> list[str]:
     return lines
 
 
-def _by_how_much(change: Change) -> str:
+def _by_how_much(change: ResultChange) -> str:
     if np.isnan(change.ratio) and np.isnan(change.difference):
         return ""
     if np.isnan(change.difference):

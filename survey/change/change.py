@@ -16,7 +16,7 @@ import numpy as np
 
 from geo.files import existing_file
 from geo.lines import cells_inside, read_polygons
-from geo.raster import Band, RasterForm, is_our_tiff, write_cog
+from geo.raster import RasterBand, RasterForm, is_our_tiff, write_cog
 from survey.change.surveys import ChangeError, StatedStd, cloud_path, differences_of
 from survey.change.volume import CHANGED, MAD_TO_STD, Correlation, Differences, Volume, measured_correlation, volume_of
 from survey.display.quantities import MINUS, length, share
@@ -295,10 +295,10 @@ def _write_raster(change: Change, first: Path, second: Path, path: Path) -> None
     layers = (differences.height, differences.std, differences.detection, differences.is_significant)
     values = np.stack([np.where(change.inside, layer, np.nan) for layer in layers])
     bands = (
-        Band("difference, second minus first", "metre"),
-        Band("uncertainty of its own, one standard deviation", "metre"),
-        Band("minimum level of detection at 95 %", "metre"),
-        Band("beyond it: 1", "code"),
+        RasterBand("difference, second minus first", "metre"),
+        RasterBand("uncertainty of its own, one standard deviation", "metre"),
+        RasterBand("minimum level of detection at 95 %", "metre"),
+        RasterBand("beyond it: 1", "code"),
     )
     tags = {"FIRST": first.name, "SECOND": second.name, "CELL_M": f"{change.cells.side_m:g}"}
     cells = change.cells

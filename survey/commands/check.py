@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from survey.commands.console import Results, command
+from survey.commands.console import ConsoleResults, command
 from survey.commands.grouped import PlanOptions, grouped
 from survey.commands.memory import address_space_shortage, require_address_space
 from survey.commands.options import Quiet, Verbose
@@ -18,7 +18,7 @@ from survey.plan.choices import Choices
 
 if TYPE_CHECKING:
     from survey.plan.aim import Aim
-    from survey.plan.check import Section
+    from survey.plan.check import CheckSection
     from survey.settings.process import ProcessConfig
 
 EXAMPLES = """
@@ -85,12 +85,12 @@ def _chosen(asked: ProcessConfig) -> tuple[Aim | None, Choices]:
     return aim, chosen
 
 
-def _sections(folder: Path, asked: ProcessConfig, wind: float, deep: bool) -> Iterator[Section]:
+def _sections(folder: Path, asked: ProcessConfig, wind: float, deep: bool) -> Iterator[CheckSection]:
     """Sections on contents and gaps of a survey, its light, its expected accuracy, and the cost of an aim."""
     from survey import machine
     from survey.adjust.result.foreseen import foreseen_section
     from survey.folder.found import process_config
-    from survey.plan.check import Section, check_survey, require_processable
+    from survey.plan.check import CheckSection, check_survey, require_processable
     from survey.plan.check_light import light_section
     from survey.progress import current
 
@@ -109,7 +109,7 @@ def _sections(folder: Path, asked: ProcessConfig, wind: float, deep: bool) -> It
     if aim is not None and load is not None and checked.survey is not None:
         from survey.run.feasibility import rows_of
 
-        yield Section("Asked", rows_of(aim, checked.survey, Choices(device=chosen.device), load))
+        yield CheckSection("Asked", rows_of(aim, checked.survey, Choices(device=chosen.device), load))
     if deep:
         require_address_space()
         from survey.adjust.pose_check import deep_check
@@ -117,7 +117,7 @@ def _sections(folder: Path, asked: ProcessConfig, wind: float, deep: bool) -> It
         yield from deep_check(folder, device=chosen.device)
 
 
-def _sections_of_plan(path: Path, asked: ProcessConfig, wind: float, deep: bool) -> Iterator[Section]:
+def _sections_of_plan(path: Path, asked: ProcessConfig, wind: float, deep: bool) -> Iterator[CheckSection]:
     """Sections on the expected accuracy of a planned flight, and on accuracy and cost of an aim."""
     if deep:
         raise SurveyError("--deep holds a survey against its photographs, and a plan has none; remove it")
@@ -129,21 +129,21 @@ def _sections_of_plan(path: Path, asked: ProcessConfig, wind: float, deep: bool)
     yield from check_plan(path, quality=chosen.quality, device=chosen.device, wind_m_s=wind)
     if aim is not None:
         from survey import machine
-        from survey.plan.check import Section
+        from survey.plan.check import CheckSection
         from survey.run.feasibility import rows_of
 
         plan = flight_of(path)
         rows = rows_of(aim, survey_of(plan), Choices(device=chosen.device), machine.load(), depth_of(plan))
-        yield Section("Asked", rows)
+        yield CheckSection("Asked", rows)
 
 
-def show(results: Results, section: Section) -> None:
+def show(results: ConsoleResults, section: CheckSection) -> None:
     """Print a section."""
     rows = [(f"  {label}" if label else "  -", text) for label, text in section.rows]
     results.columns(section.title, rows)
 
 
-def as_dict(section: Section) -> dict:
+def as_dict(section: CheckSection) -> dict:
     """A section for JSON."""
     rows = [{"label": label, "text": text} for label, text in section.rows]
     return {"title": section.title, "rows": rows, **({} if section.numbers is None else {"numbers": section.numbers})}

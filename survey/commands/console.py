@@ -24,7 +24,7 @@ class Ended(typer.Exit):
     """Raised to exit after the error has been printed."""
 
 
-class Results:
+class ConsoleResults:
     """Standard output, for results: numbers, verdicts and the paths of written files."""
 
     def __init__(self, *, is_silent: bool):
@@ -61,7 +61,7 @@ class Results:
 @contextmanager
 def command(
     verbose: int, quiet: int, place: Path, *, stopped: str = "", reads: Path | None = None
-) -> Iterator[Results]:
+) -> Iterator[ConsoleResults]:
     """The body of a verb: an error in it becomes one sentence on standard error and an exit code.
 
     Parameters
@@ -82,7 +82,7 @@ def command(
         try:
             if reads is not None and reads.exists():
                 progress.note(f"reading {reads}")
-            yield Results(is_silent=verbosity <= _NO_RESULTS)
+            yield ConsoleResults(is_silent=verbosity <= _NO_RESULTS)
             return
         except typer.Exit:
             raise

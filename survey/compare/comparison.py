@@ -27,8 +27,8 @@ from geo.files import disk_refusals, existing_file
 from geo.shapes import vertices_of
 from survey.compare import measure
 from survey.compare.figures import M3C2, Circumstances, CloudToCloud, Comparison, Figures, numbers_of
-from survey.compare.inputs import Inputs, Paths, is_table, level_of_cloud, load_inputs
-from survey.compare.measure import Scene, checkpoint_accuracy, read_checkpoints
+from survey.compare.inputs import InputPaths, Inputs, is_table, level_of_cloud, load_inputs
+from survey.compare.measure import ComparedScene, checkpoint_accuracy, read_checkpoints
 from survey.compare.options import (
     Bounds,
     CompareOptions,
@@ -87,7 +87,7 @@ def compare_files(cloud: str | Path, reference: str | Path, *, options: CompareO
 def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> Comparison:
     """The comparison itself, with its distances; writes nothing. Parameters as `compare_files`."""
     check_options(options)
-    paths = Paths(Path(cloud), Path(reference), None if options.visible is None else Path(options.visible))
+    paths = InputPaths(Path(cloud), Path(reference), None if options.visible is None else Path(options.visible))
     places = None if options.checkpoints is None else Path(options.checkpoints)
     if places is None and is_table(paths.reference):
         # Measured points, between which nothing is known: the cloud is asked at each of them, too.
@@ -106,7 +106,7 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
         level = level_of_cloud(inputs.cloud) if options.water_level is None else options.water_level
         checkpoints = read_checkpoints(places, level, inputs.crs, Units.of(inputs.crs))
     inputs, is_left, of_outliers = _without_outliers(inputs, options)
-    scene = Scene.of(inputs, options.bounds, is_left, max(options.tolerances_m))
+    scene = ComparedScene.of(inputs, options.bounds, is_left, max(options.tolerances_m))
     distances, surface, of_distances = measure.distances_of(scene, options.sign)
     blocks = spatial_blocks(scene.points[:, :2], distances.signed)
     depth = measure.bed_depth(scene, distances.nearest, options.water_level)
@@ -143,7 +143,7 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
     return Comparison(figures, points, distances.signed, distances.nearest, depth, targets, first.targets, inputs)
 
 
-def _reaches(scene: Scene, tolerances_m: Sequence[float]) -> list[measure.Reach]:
+def _reaches(scene: ComparedScene, tolerances_m: Sequence[float]) -> list[measure.Reach]:
     """Completeness of the reference at each tolerance."""
     reaches = []
     with current().stage("Completeness", len(tolerances_m)) as stage:
@@ -153,7 +153,9 @@ def _reaches(scene: Scene, tolerances_m: Sequence[float]) -> list[measure.Reach]
     return reaches
 
 
-def _circumstances(scene: Scene, options: CompareOptions, blocks: Blocks, notes: Sequence[str]) -> Circumstances:
+def _circumstances(
+    scene: ComparedScene, options: CompareOptions, blocks: Blocks, notes: Sequence[str]
+) -> Circumstances:
     is_mesh, crs, paths = isinstance(scene.inputs.reference, Mesh), scene.inputs.crs, scene.inputs.paths
     narrow = (
         f"the errors are correlated over {blocks.correlation_m:.3g} m, too far for the extent of the cloud: the "
@@ -240,7 +242,7 @@ def _outside(inputs: Inputs, bounds: Bounds | None) -> list[str]:
     ]
 
 
-def cloud_to_cloud(scene: Scene) -> CloudToCloud:
+def cloud_to_cloud(scene: ComparedScene) -> CloudToCloud:
     """Distances without sign to the samples of the reference, and from them to the cloud."""
     with current().stage("Cloud to cloud"):
         there, _ = distance_to_cloud(scene.points, scene.samples)
@@ -248,7 +250,7 @@ def cloud_to_cloud(scene: Scene) -> CloudToCloud:
     return CloudToCloud(distance_statistics(there), distance_statistics(back))
 
 
-def m3c2(scene: Scene, radius_m: float) -> M3C2:
+def m3c2(scene: ComparedScene, radius_m: float) -> M3C2:
     """M3C2 at some of the targets around the cloud: statistics, radius and share that is significant."""
     low, high = scene.points[:, :2].min(axis=0) - radius_m, scene.points[:, :2].max(axis=0) + radius_m
     near, core = (

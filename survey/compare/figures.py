@@ -55,7 +55,7 @@ class VerticalUncertainty:
 
 
 @dataclass(frozen=True)
-class Checkpoints:
+class CheckpointFigures:
     """A cloud at surveyed places."""
 
     accuracy: AsprsAccuracy
@@ -117,7 +117,7 @@ class Figures:
     circumstances: Circumstances
     vertical: Vertical | None = None  # Where the reference is a mesh
     uncertainty: VerticalUncertainty | None = None  # Where depths are known
-    checkpoints: Checkpoints | None = None
+    checkpoints: CheckpointFigures | None = None
     c2c: CloudToCloud | None = None
     m3c2: M3C2 | None = None
     reference_surface: ReferenceSurface | None = None  # Where the reference is a cloud
@@ -261,7 +261,7 @@ def _order(order: TvuOrder) -> dict:
     }
 
 
-def _asprs(checkpoints: Checkpoints) -> dict:
+def _asprs(checkpoints: CheckpointFigures) -> dict:
     rows = [
         {"easting": e, "northing": n, "height": h, "residual_m": residual}
         for (e, n, h), residual in zip(checkpoints.places.tolist(), checkpoints.residuals.tolist(), strict=True)

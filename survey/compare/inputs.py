@@ -117,7 +117,7 @@ def level_of_cloud(shape: Mesh | Cloud) -> float | None:
 
 
 @dataclass(frozen=True)
-class Paths:
+class InputPaths:
     """The files of a comparison; ``visible`` is None where it is not known what cameras see."""
 
     cloud: Path
@@ -129,7 +129,7 @@ class Paths:
 class Inputs:
     """A cloud, its reference and a frame for both."""
 
-    paths: Paths
+    paths: InputPaths
     cloud: Cloud  # As read, not cropped
     # (N,) bool: the points that are compared: within the bounds, and of the ground by what the file says of them
     inside: np.ndarray
@@ -141,7 +141,7 @@ class Inputs:
     notes: tuple[str, ...]  # What was taken to be so without a file saying it
 
 
-def load_inputs(paths: Paths, bounds: Bounds | None, water_level: float | None = None) -> Inputs:
+def load_inputs(paths: InputPaths, bounds: Bounds | None, water_level: float | None = None) -> Inputs:
     """Read the files of a comparison and refuse what cannot be compared.
 
     Depths in tables count from ``water_level``, in the CRS of the cloud, else from the water that the cloud has.
@@ -285,7 +285,7 @@ def _common_crs(cloud: Mesh | Cloud, path: Path, others: dict[Path, Mesh | Cloud
 
 
 def _height_doubts(
-    points: np.ndarray, vertices: np.ndarray, paths: Paths, frame: LocalFrame | ShiftedFrame
+    points: np.ndarray, vertices: np.ndarray, paths: InputPaths, frame: LocalFrame | ShiftedFrame
 ) -> list[str]:
     """Refuse heights that are of another place; a note on those that do not meet."""
     # Two points give the size in metres, whatever the units of the CRS.

@@ -38,7 +38,7 @@ from geo.compatibility import require_same_crs, require_same_place
 from geo.crs import height_unit_m
 from geo.files import existing_file
 from geo.shapes import left_out, vertices_of
-from survey.compare.figures import Checkpoints, Parts, ReferenceSurface, Vertical, VerticalUncertainty
+from survey.compare.figures import CheckpointFigures, Parts, ReferenceSurface, Vertical, VerticalUncertainty
 from survey.compare.inputs import DEPTH_NAMES, GIVE_LEVEL, Inputs
 from survey.compare.options import Bounds, CompareError, metres_in_crs, to_local, within
 from survey.display.quantities import named
@@ -52,7 +52,7 @@ _VIEWS_NAMES = ("num_views",)
 
 
 @dataclass(frozen=True)
-class Scene:
+class ComparedScene:
     """Data of a comparison, local [m]."""
 
     inputs: Inputs
@@ -67,7 +67,7 @@ class Scene:
     targets: np.ndarray
 
     @staticmethod
-    def of(inputs: Inputs, bounds: Bounds | None, is_left: np.ndarray, largest_m: float) -> Scene:
+    def of(inputs: Inputs, bounds: Bounds | None, is_left: np.ndarray, largest_m: float) -> ComparedScene:
         """Bring the points that are left (N,) bool, the reference and the visible points into the local frame."""
         near = within(inputs.cloud.points, bounds, metres_in_crs(inputs.frame, largest_m))
         around = near & is_left & ~left_out(inputs.cloud)[0]
@@ -78,7 +78,7 @@ class Scene:
             visible = to_local(inputs.frame, vertices_of(inputs.visible), inputs.paths.visible)
             targets = _samples(visible, inputs.visible)
         points = cloud[inputs.inside[around]]
-        return Scene(inputs, bounds, np.flatnonzero(around), cloud, points, reference, samples, targets)
+        return ComparedScene(inputs, bounds, np.flatnonzero(around), cloud, points, reference, samples, targets)
 
     def extra(self, names: tuple[str, ...]) -> np.ndarray | None:
         """Values (N,) of the compared points that the cloud has under one of the names, else None."""
@@ -124,7 +124,7 @@ class Reach:
         return scores(distances, tolerance_m=self.tolerance_m, is_reached=self.samples, is_reached_visible=self.visible)
 
 
-def distances_of(scene: Scene, sign: Sign) -> tuple[Distances, ReferenceSurface | None, list[str]]:
+def distances_of(scene: ComparedScene, sign: Sign) -> tuple[Distances, ReferenceSurface | None, list[str]]:
     """Distances of the compared points, what the surface through a reference of points is like, and notes on both.
 
     Raises
@@ -150,7 +150,7 @@ def distances_of(scene: Scene, sign: Sign) -> tuple[Distances, ReferenceSurface 
     return Distances(result.signed, result.nearest, result.slope_deg), None, notes
 
 
-def _over_surface(scene: Scene, surface: LocalSurface) -> tuple[Distances, ReferenceSurface, list[str]]:
+def _over_surface(scene: ComparedScene, surface: LocalSurface) -> tuple[Distances, ReferenceSurface, list[str]]:
     name, known = scene.inputs.paths.reference.name, np.isfinite(surface.height)
     if not known.any():
         raise CompareError(
@@ -173,7 +173,7 @@ def _over_surface(scene: Scene, surface: LocalSurface) -> tuple[Distances, Refer
     return Distances(scene.points[:, 2] - surface.height, nearest, None, surface.std), found, notes
 
 
-def reached_at(scene: Scene, tolerance_m: float) -> Reach:
+def reached_at(scene: ComparedScene, tolerance_m: float) -> Reach:
     """Completeness at one tolerance of the cloud, cropped to the bounds and the tolerance more."""
     margin = metres_in_crs(scene.inputs.frame, tolerance_m)
     cloud = scene.cloud[within(scene.inputs.cloud.points[scene.around], scene.bounds, margin)]
@@ -185,7 +185,7 @@ def reached_at(scene: Scene, tolerance_m: float) -> Reach:
     )
 
 
-def bed_depth(scene: Scene, nearest: np.ndarray, water_level: float | None) -> np.ndarray | None:
+def bed_depth(scene: ComparedScene, nearest: np.ndarray, water_level: float | None) -> np.ndarray | None:
     """Depth (N,) [m] of the nearest point of the reference; None if neither a level nor the cloud gives it.
 
     The depth in the cloud alone would sort its points by their errors; its sum with the height is the water surface,
@@ -200,7 +200,7 @@ def bed_depth(scene: Scene, nearest: np.ndarray, water_level: float | None) -> n
     return None if depth is None else depth + scene.points[:, 2] - nearest[:, 2]
 
 
-def parts(scene: Scene, distances: Distances, depth: np.ndarray | None, blocks: Blocks) -> Parts:
+def parts(scene: ComparedScene, distances: Distances, depth: np.ndarray | None, blocks: Blocks) -> Parts:
     """Statistics by depth, incidence, number of views and slope, as far as these are known."""
     incidence, views, slope = (
         () if values is None else by_band(distances.signed, values, edges, blocks)
@@ -213,7 +213,7 @@ def parts(scene: Scene, distances: Distances, depth: np.ndarray | None, blocks: 
     return Parts(_by_depth(distances.signed, depth, blocks), incidence, views, slope)
 
 
-def reached_by_slope_of(scene: Scene, reaches: list[Reach]) -> tuple[ReachedBand, ...]:
+def reached_by_slope_of(scene: ComparedScene, reaches: list[Reach]) -> tuple[ReachedBand, ...]:
     """Completeness in bands of slope, of what cameras see where that is known; nothing of a reference of points."""
     if not isinstance(scene.inputs.reference, Mesh):
         return ()
@@ -223,7 +223,9 @@ def reached_by_slope_of(scene: Scene, reaches: list[Reach]) -> tuple[ReachedBand
     return reached_by_slope(found.slope_deg, [reach.targets for reach in reaches])
 
 
-def vertical(scene: Scene, depth: np.ndarray | None, blocks: Blocks) -> tuple[Vertical | None, np.ndarray | None]:
+def vertical(
+    scene: ComparedScene, depth: np.ndarray | None, blocks: Blocks
+) -> tuple[Vertical | None, np.ndarray | None]:
     """Vertical differences to a mesh: their statistics, and the differences (N,) [m]; None and None to a cloud."""
     if not isinstance(scene.inputs.reference, Mesh):
         return None, None
@@ -287,7 +289,7 @@ def read_checkpoints(
     return table
 
 
-def checkpoint_accuracy(scene: Scene, table: np.ndarray, path: Path) -> tuple[Checkpoints, list[str]]:
+def checkpoint_accuracy(scene: ComparedScene, table: np.ndarray, path: Path) -> tuple[CheckpointFigures, list[str]]:
     """Vertical accuracy of the compared cloud at check points (K, 4), and its shortcomings as a test."""
     places = to_local(scene.inputs.frame, table[:, :3], path)
     residuals = height_at(scene.points, places[:, :2]) - places[:, 2]
@@ -306,4 +308,4 @@ def checkpoint_accuracy(scene: Scene, table: np.ndarray, path: Path) -> tuple[Ch
         )
     if not table[:, 3].any():
         notes.append(f"{path.name} gives no standard deviations: its check points are taken as free of error")
-    return Checkpoints(accuracy, table[:, :3], residuals), notes
+    return CheckpointFigures(accuracy, table[:, :3], residuals), notes

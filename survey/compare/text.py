@@ -6,7 +6,7 @@ import math
 
 from evaluation import Band, DistanceStatistics, Scores
 from evaluation.standards import TvuOrder
-from survey.compare.figures import Checkpoints, Circumstances, Figures, ReferenceSurface, VerticalUncertainty
+from survey.compare.figures import CheckpointFigures, Circumstances, Figures, ReferenceSurface, VerticalUncertainty
 
 Section = tuple[str | None, list[tuple[str, str]]]
 
@@ -114,7 +114,7 @@ def _circumstances(held: Circumstances) -> list[tuple[str, str | None]]:
     ]
 
 
-def _asprs(checkpoints: Checkpoints | None) -> list[tuple[str, str]]:
+def _asprs(checkpoints: CheckpointFigures | None) -> list[tuple[str, str]]:
     if checkpoints is None:
         return []
     accuracy = checkpoints.accuracy

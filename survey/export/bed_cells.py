@@ -39,7 +39,7 @@ _ANY_SLOPE = 1.0
 
 
 @dataclass(frozen=True)
-class Window:
+class CellWindow:
     """Rows ``top`` to ``bottom`` and columns ``left`` to ``right`` of a raster, the later ones excluded."""
 
     top: int
@@ -57,16 +57,16 @@ class Window:
         """Rows and columns."""
         return self.bottom - self.top, self.right - self.left
 
-    def grown(self, cells: int, shape: tuple[int, int]) -> Window:
+    def grown(self, cells: int, shape: tuple[int, int]) -> CellWindow:
         """The window with a margin, as far as the raster has it."""
-        return Window(
+        return CellWindow(
             max(self.top - cells, 0),
             min(self.bottom + cells, shape[0]),
             max(self.left - cells, 0),
             min(self.right + cells, shape[1]),
         )
 
-    def within(self, larger: Window) -> tuple[slice, slice]:
+    def within(self, larger: CellWindow) -> tuple[slice, slice]:
         """Slices of this window in an array of a larger one."""
         return (
             slice(self.top - larger.top, self.bottom - larger.top),
@@ -128,19 +128,19 @@ class PlanCells:
             [(points_crs[:, 0] - self.west) / self.side[0], (self.north - points_crs[:, 1]) / self.side[1]]
         )
 
-    def middles(self, window: Window) -> np.ndarray:
+    def middles(self, window: CellWindow) -> np.ndarray:
         """Coordinates (rows, columns, 2) in crs of the middles of the cells of a window."""
         columns = np.arange(window.left, window.right) + 0.5
         rows = np.arange(window.top, window.bottom) + 0.5
         east, north = np.meshgrid(self.west + columns * self.side[0], self.north - rows * self.side[1])
         return np.stack([east, north], axis=-1)
 
-    def windows(self, cells: int) -> Iterator[Window]:
+    def windows(self, cells: int) -> Iterator[CellWindow]:
         """Windows of up to ``cells`` rows and columns that cover the raster, row by row."""
         rows, columns = self.shape
         for top in range(0, rows, cells):
             for left in range(0, columns, cells):
-                yield Window(top, min(top + cells, rows), left, min(left + cells, columns))
+                yield CellWindow(top, min(top + cells, rows), left, min(left + cells, columns))
 
 
 def round_side(side_m: float) -> float:
@@ -166,17 +166,17 @@ class Gridded:
     level: LevelFit | None  # Height of the water; None for a dry survey
     pixel_m: float  # [m]: what a pixel of the photographs covers
 
-    def heights(self, window: Window) -> np.ndarray:
+    def heights(self, window: CellWindow) -> np.ndarray:
         """Heights (rows, columns) float64 [m] of a window, NaN where there is none."""
         at = window.slices
         return np.where(self.known[at] > 0, self.height[at].astype(np.float64), np.nan)
 
-    def stds(self, window: Window) -> np.ndarray:
+    def stds(self, window: CellWindow) -> np.ndarray:
         """Standard deviations (rows, columns) float64 [m] by all errors, NaN where there is no height."""
         at = window.slices
         return np.where(self.known[at] > 0, np.hypot(self.std[at].astype(np.float64), self.common[at]), np.nan)
 
-    def depths(self, window: Window) -> np.ndarray:
+    def depths(self, window: CellWindow) -> np.ndarray:
         """Depth under the water (rows, columns) float64 [m], negative above it; NaN without height or water."""
         if self.level is None:
             return np.full(window.shape, np.nan)
@@ -253,7 +253,7 @@ def _closed(known: np.ndarray, width: int) -> np.ndarray:
     return (opened == 0)[width + 1 : -width - 1, width + 1 : -width - 1]
 
 
-def _interpolated(grid: Gridded, known: np.ndarray, around: Window, gaps: np.ndarray) -> np.ndarray:
+def _interpolated(grid: Gridded, known: np.ndarray, around: CellWindow, gaps: np.ndarray) -> np.ndarray:
     """Height, both standard deviations [m] and incidence [rad] (4, K) of cells (K, 2) of a window, from known ones."""
     layers = (grid.height, grid.std, grid.common, grid.incidence)
     height, std, common, incidence = (layer[around.slices].astype(np.float64) for layer in layers)

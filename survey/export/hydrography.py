@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import numpy as np
     from pyproj import CRS
 
-    from survey.export.bed_cells import Gridded, Window
+    from survey.export.bed_cells import CellWindow, Gridded
     from survey.export.loaded import LoadedRun
 
 # Fixed by the format.
@@ -42,7 +42,7 @@ def _write_bag(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     """
     import numpy as np
 
-    from geo.raster import SOFTWARE, Band, RasterForm, write_bag
+    from geo.raster import SOFTWARE, RasterBand, RasterForm, write_bag
     from survey.export.gridded import gridded
 
     grid = gridded(run, options)
@@ -56,12 +56,12 @@ def _write_bag(path: Path, run: LoadedRun, options: ExportOptions) -> None:
             "give --crs, e.g. the UTM zone"
         )
 
-    def values(window: Window) -> np.ndarray:
+    def values(window: CellWindow) -> np.ndarray:
         height = grid.heights(window)
         return np.nan_to_num(np.stack([height, grid.stds(window)]), nan=_BAG_NODATA).astype(np.float32)
 
     cells = grid.cells
-    bands = (Band("elevation", "metre"), Band("uncertainty", "metre"))
+    bands = (RasterBand("elevation", "metre"), RasterBand("uncertainty", "metre"))
     form = RasterForm(crs, cells.transform, cells.shape, bands, nodata=_BAG_NODATA)
     filled = f"; gaps up to {options.fill_m:g} m are interpolated" if options.fill_m else ""
     said = {
@@ -85,7 +85,7 @@ def _write_s44(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     import numpy as np
 
     from evaluation.standards import TVU, order_by_thu, order_by_tvu
-    from geo.raster import Band, write_cog
+    from geo.raster import RasterBand, write_cog
     from survey.export.gridded import gridded
 
     grid = gridded(run, options)
@@ -93,7 +93,7 @@ def _write_s44(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     if grid.level is None or n_water is None:
         raise SurveyError("--s44 judges what lies under water, but the survey is dry; leave it out")
 
-    def values(window: Window) -> np.ndarray:
+    def values(window: CellWindow) -> np.ndarray:
         std, depth = grid.stds(window), grid.depths(window)
         vertical = order_by_tvu(std, depth)
         horizontal = order_by_thu(plan_std(grid, window, std, n_water, run.plan_std_m), depth)
@@ -108,15 +108,15 @@ def _write_s44(path: Path, run: LoadedRun, options: ExportOptions) -> None:
         "NOT_TESTED": _NOT_TESTED,
     }
     bands = (
-        Band("order by vertical and horizontal uncertainty", "code"),
-        Band("order by vertical uncertainty (TVU)", "code"),
-        Band("order by horizontal uncertainty (THU)", "code"),
+        RasterBand("order by vertical and horizontal uncertainty", "code"),
+        RasterBand("order by vertical uncertainty (TVU)", "code"),
+        RasterBand("order by horizontal uncertainty (THU)", "code"),
     )
     form = raster_form(grid, *bands, said=said, dtype="uint8", nodata=0, resampling="NEAREST")
     write_cog(path, form, noted_if_empty(path, parts_of(grid, values), 0))
 
 
-def plan_std(grid: Gridded, window: Window, std: np.ndarray, n_water: float, cameras_std: float) -> np.ndarray:
+def plan_std(grid: Gridded, window: CellWindow, std: np.ndarray, n_water: float, cameras_std: float) -> np.ndarray:
     """Standard deviation (rows, columns) [m] along each axis in plan of where the points of cells lie.
 
     A point moves along its ray in water by its error in height; its pixel covers a piece of the bed; and the cameras

@@ -102,7 +102,7 @@ class LoadedRun:
         return load_bed_columns(self._bed_folder, *names)
 
     def way_to(self, crs: str) -> Reprojection:
-        """From the CRS of the survey to another one; see `geo.reproject.Reprojection`.
+        """Transformation from the CRS of the survey to another one; see `geo.reproject.Reprojection`.
 
         Raises
         ------

@@ -24,7 +24,7 @@ from geo.crs import height_unit_m
 from geo.files import scratch_array
 from geo.reproject import Reprojection
 from refract import FlatWater, PinholeCamera
-from survey.export.bed_cells import PlanCells, Window
+from survey.export.bed_cells import CellWindow, PlanCells
 from survey.export.loaded import Photograph
 from survey.run.flight import Flight
 
@@ -70,7 +70,7 @@ class Windows:
         Heights (rows, columns) [m] of a window, NaN where there is none. Asked again for each photograph that shows it.
     """
 
-    def __init__(self, flight: Flight, cells: PlanCells, heights: Callable[[Window], np.ndarray]):
+    def __init__(self, flight: Flight, cells: PlanCells, heights: Callable[[CellWindow], np.ndarray]):
         self._water, self._heights = flight.water, heights
         self._windows = []
         for window in cells.windows(WINDOW):
@@ -78,12 +78,12 @@ class Windows:
             if np.isfinite(height).any():
                 self._windows.append(_Knots.of(flight, cells, window, height))
 
-    def all(self) -> Iterator[tuple[Window, np.ndarray]]:
+    def all(self) -> Iterator[tuple[CellWindow, np.ndarray]]:
         """Each window with its heights."""
         for knots in self._windows:
             yield knots.window, self._heights(knots.window)
 
-    def through(self, camera: PinholeCamera) -> Iterator[tuple[Window, np.ndarray, CellProjection]]:
+    def through(self, camera: PinholeCamera) -> Iterator[tuple[CellWindow, np.ndarray, CellProjection]]:
         """The windows of which a camera may see something, with their heights, and how it sees them."""
         for knots in self._windows:
             found = knots.seen_by(camera, self._water)
@@ -96,7 +96,7 @@ class Windows:
 class _Knots:
     """The places of a window at which ways through the water are solved."""
 
-    window: Window
+    window: CellWindow
     # middle, half [m]: the heights are ``middle - half``, ``middle``, ``middle + half``
     middle: float
     half: float
@@ -106,7 +106,7 @@ class _Knots:
     points: np.ndarray  # (3, knots, knots, 3) [m], local
 
     @staticmethod
-    def of(flight: Flight, cells: PlanCells, window: Window, height: np.ndarray) -> _Knots:
+    def of(flight: Flight, cells: PlanCells, window: CellWindow, height: np.ndarray) -> _Knots:
         low, high = float(np.nanmin(height)), float(np.nanmax(height))
         middle, half = 0.5 * (low + high), max(0.5 * (high - low), 0.5 * _LEAST_RELIEF_M)
         rows, columns = (_knots(n) for n in window.shape)
@@ -260,7 +260,7 @@ class Mosaic:
         files = {name: scratch_array(folder / f"mosaic-{name}", "f4", shape) for name, shape in shapes.items()}
         return Mosaic(cells, **files)
 
-    def add(self, window: Window, log_weight: np.ndarray, colour: np.ndarray) -> None:
+    def add(self, window: CellWindow, log_weight: np.ndarray, colour: np.ndarray) -> None:
         """Add a view's colours (rows, columns, 3) with the logarithms of their weights; NaN is not seen."""
         at = window.slices
         seen = np.isfinite(log_weight)
@@ -273,7 +273,7 @@ class Mosaic:
         self.colour[at] = keep[..., None] * self.colour[at] + np.where(seen[..., None], own[..., None] * colour, 0.0)
         self.highest[at] = highest
 
-    def rgba(self, window: Window) -> np.ndarray:
+    def rgba(self, window: CellWindow) -> np.ndarray:
         """Colours with transparency (4, rows, columns) uint8 of a window."""
         weight = self.weight[window.slices]
         colour = self.colour[window.slices] / np.where(weight > 0.0, weight, 1.0)[..., None]

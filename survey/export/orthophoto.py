@@ -13,11 +13,11 @@ from survey.export.terrain import is_our_raster, noted_if_empty
 if TYPE_CHECKING:
     import numpy as np
 
-    from survey.export.bed_cells import Gridded, PlanCells, Window
+    from survey.export.bed_cells import CellWindow, Gridded, PlanCells
     from survey.export.loaded import LoadedRun
     from survey.export.occlusion import CellProjection, Mosaic
 
-    ColourOf = Callable[[np.ndarray, Window, np.ndarray, CellProjection], np.ndarray]
+    ColourOf = Callable[[np.ndarray, CellWindow, np.ndarray, CellProjection], np.ndarray]
 
 # Of the shorter side of a photograph at the resolution that is asked for.
 _FEWEST_PX = 8
@@ -25,7 +25,7 @@ _FEWEST_PX = 8
 
 def _write_orthophoto(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     from geo.crs import horizontal_crs
-    from geo.raster import Band, RasterForm, write_cog
+    from geo.raster import RasterBand, RasterForm, write_cog
     from survey.export.bed_cells import round_side
     from survey.export.occlusion import WINDOW
 
@@ -36,7 +36,7 @@ def _write_orthophoto(path: Path, run: LoadedRun, options: ExportOptions) -> Non
         "COLOURS": "of the bed without its water" if run.is_true_colour else "as photographed, to a common exposure",
         "CELL_M": f"{side_m:g}",
     }
-    bands = (Band("red"), Band("green"), Band("blue"), Band("seen"))
+    bands = (RasterBand("red"), RasterBand("green"), RasterBand("blue"), RasterBand("seen"))
     crs = horizontal_crs(cells.crs)
     form = RasterForm(crs, cells.transform, cells.shape, bands, dtype="uint8", tags=said, is_colour=True)
     parts = ((window.top, window.left, mosaic.rgba(window)) for window in cells.windows(WINDOW))
@@ -88,7 +88,7 @@ def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
     return mosaic
 
 
-def _heights(grid: Gridded, cells: PlanCells, window: Window) -> np.ndarray:
+def _heights(grid: Gridded, cells: PlanCells, window: CellWindow) -> np.ndarray:
     """Heights (rows, columns) [m] of finer cells, linear between those of the bed's raster; NaN where it has none."""
     import numpy as np
 
@@ -115,7 +115,7 @@ def _colour_of(run: LoadedRun, grid: Gridded, cells: PlanCells) -> ColourOf:
         return lambda colour, _window, _height, _seen: colour
     import numpy as np
 
-    def dry(colour: np.ndarray, window: Window, height: np.ndarray, seen: CellProjection) -> np.ndarray:
+    def dry(colour: np.ndarray, window: CellWindow, height: np.ndarray, seen: CellProjection) -> np.ndarray:
         depth = level(cells.middles(window)) - height
         wet = np.isfinite(colour[..., 0]) & (depth > 0.0)
         incidence = np.arccos(np.clip(seen.cos_incidence[wet], -1.0, 1.0))

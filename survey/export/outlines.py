@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import contourpy
 import numpy as np
 
-from geo.raster import Band, write_cog
+from geo.raster import RasterBand, write_cog
 from geo.transformation import Transformation
 from geo.vectors import Layer
 from survey.errors import SurveyError
-from survey.export.bed_cells import Window
+from survey.export.bed_cells import CellWindow
 from survey.export.gridded import gridded
 from survey.export.terrain import parts_of, raster_form
 from survey.plan.area import local_area
@@ -228,13 +228,13 @@ def write_mask(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     back = Transformation.between(grid.cells.crs, run.place.crs, corner)
     level = float(unseen.frame.origin[2])
 
-    def values(window: Window) -> np.ndarray:
+    def values(window: CellWindow) -> np.ndarray:
         east, north = back(*np.moveaxis(grid.cells.middles(window), -1, 0))
         codes = unseen.codes_at(np.stack([east, north, np.full(window.shape, level)], axis=-1))
         return np.where(grid.known[window.slices] > 0, 0, codes).astype(np.uint8)[None]
 
     said = {f"CODE_{code}": reason for code, reason in REASONS.items()} | {"CODE_0": "everything else"}
-    band = Band("no bed found", "code")
+    band = RasterBand("no bed found", "code")
     form = raster_form(grid, band, said=said, dtype="uint8", nodata=None, resampling="NEAREST")
     write_cog(path, form, parts_of(grid, values))
 
@@ -297,9 +297,9 @@ def _heights(grid: Gridded, lines: list[np.ndarray], values: list[float]) -> lis
     ]
 
 
-def _whole(grid: Gridded) -> Window:
+def _whole(grid: Gridded) -> CellWindow:
     rows, columns = grid.cells.shape
-    return Window(0, rows, 0, columns)
+    return CellWindow(0, rows, 0, columns)
 
 
 def _lines(grid: Gridded, values: np.ndarray, level: float) -> list[np.ndarray]:

@@ -12,8 +12,8 @@ from survey.export.styles import of_heights, of_slopes
 if TYPE_CHECKING:
     import numpy as np
 
-    from geo.raster import Band, Part, RasterForm
-    from survey.export.bed_cells import Gridded, Window
+    from geo.raster import Part, RasterBand, RasterForm
+    from survey.export.bed_cells import CellWindow, Gridded
     from survey.export.loaded import LoadedRun
 
 NODATA = -9999.0
@@ -26,7 +26,7 @@ _UNCERTAINTY = (
 )
 
 
-def raster_form(grid: Gridded, *bands: Band, said: dict[str, str], **form) -> RasterForm:
+def raster_form(grid: Gridded, *bands: RasterBand, said: dict[str, str], **form) -> RasterForm:
     """Metadata of a raster of a gridded bed; ``said`` are tags of the product beside those of every one."""
     from geo.raster import RasterForm
 
@@ -39,7 +39,7 @@ def raster_form(grid: Gridded, *bands: Band, said: dict[str, str], **form) -> Ra
     return RasterForm(grid.cells.crs, grid.cells.transform, grid.cells.shape, bands, tags=tags, **form)
 
 
-def parts_of(grid: Gridded, values: Callable[[Window], np.ndarray]) -> Iterator[tuple[int, int, np.ndarray]]:
+def parts_of(grid: Gridded, values: Callable[[CellWindow], np.ndarray]) -> Iterator[tuple[int, int, np.ndarray]]:
     """Windows of a raster with their values (bands, rows, columns), in float32 with NaN as `NODATA`."""
     import numpy as np
 
@@ -65,13 +65,13 @@ def noted_if_empty(path: Path, parts: Iterable[Part], no_value: float | None, ba
 def _write_dem(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     import numpy as np
 
-    from geo.raster import Band, write_cog
+    from geo.raster import RasterBand, write_cog
     from survey.export.gridded import gridded
 
     grid = gridded(run, options)
     unit = grid.cells.crs.axis_info[2].unit_name
 
-    def values(window: Window) -> np.ndarray:
+    def values(window: CellWindow) -> np.ndarray:
         at = window.slices
         known = grid.known[at] > 0
         std, common = (np.where(known, layer[at], np.nan) for layer in (grid.std, grid.common))
@@ -79,12 +79,12 @@ def _write_dem(path: Path, run: LoadedRun, options: ExportOptions) -> None:
         return np.stack([height, std, common, grid.count[at], grid.depths(window), grid.known[at]])
 
     bands = (
-        Band("height", unit),
-        Band("uncertainty, one standard deviation", "metre"),
-        Band("uncertainty that all heights share, one standard deviation", "metre"),
-        Band("points", "count"),
-        Band("depth below the water, negative above it", "metre"),
-        Band("origin of the height: 1 points, 2 filled, 0 none", "code"),
+        RasterBand("height", unit),
+        RasterBand("uncertainty, one standard deviation", "metre"),
+        RasterBand("uncertainty that all heights share, one standard deviation", "metre"),
+        RasterBand("points", "count"),
+        RasterBand("depth below the water, negative above it", "metre"),
+        RasterBand("origin of the height: 1 points, 2 filled, 0 none", "code"),
     )
     said = {"FILLED_GAPS_M": f"{options.fill_m:g}", "UNCERTAINTY": _UNCERTAINTY}
     # A cell of an overview is one of the raster, whose height, uncertainty, points and origin belong together: a mean
@@ -94,21 +94,23 @@ def _write_dem(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 
 
 def _write_slope(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-    from geo.raster import Band
+    from geo.raster import RasterBand
     from survey.export.relief import slope_deg
 
     said = {"SLOPE": "of central differences between neighbouring cells"}
-    _write_relief(path, run, options, slope_deg, lambda grid: raster_form(grid, Band("slope", "degree"), said=said))
+    _write_relief(
+        path, run, options, slope_deg, lambda grid: raster_form(grid, RasterBand("slope", "degree"), said=said)
+    )
 
 
 def _write_hillshade(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-    from geo.raster import Band
+    from geo.raster import RasterBand
     from survey.export.relief import hillshade
 
     said = {"HILLSHADE": "light from the north-west at 45 degrees, heights not exaggerated; 1 to 255"}
 
     def form(grid: Gridded) -> RasterForm:
-        return raster_form(grid, Band("hillshade", "1 to 255"), said=said, dtype="uint8", nodata=0)
+        return raster_form(grid, RasterBand("hillshade", "1 to 255"), said=said, dtype="uint8", nodata=0)
 
     _write_relief(path, run, options, hillshade, form)
 
@@ -126,7 +128,7 @@ def _write_relief(
 
     grid = gridded(run, options)
 
-    def values(window: Window) -> np.ndarray:
+    def values(window: CellWindow) -> np.ndarray:
         around = window.grown(1, grid.cells.shape)
         return of(grid.heights(around), grid.cells.side_m)[window.within(around)][None]
 

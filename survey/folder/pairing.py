@@ -23,7 +23,7 @@ from survey.folder import place
 from survey.folder.camera_faults import angle_doubts
 from survey.folder.found import MIN_VIEWS, Found
 from survey.folder.pose_priors import PosePrior, priors_of_poses
-from survey.folder.posed import Reprojection, given_in_local, points_in_local, reprojection, way_into_crs
+from survey.folder.posed import TiePointMisfit, given_in_local, points_in_local, reprojection, way_into_crs
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.photos.names import ImageNames
@@ -217,7 +217,7 @@ class FilePoses:
     # tool, masks: See `PoseFile`
     tool: str | None
     masks: Path | None
-    reprojection: Reprojection | None  # None where the file does not say where the photographs show its points
+    reprojection: TiePointMisfit | None  # None where the file does not say where the photographs show its points
     priors: dict[str, PosePrior]  # dict of name to PosePrior
 
 
@@ -292,7 +292,7 @@ def _with_clicks(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[Found
 
 def _ties(
     found: Found, path: Path, file: PoseFile, frame: LocalFrame, views: Mapping[str, View]
-) -> tuple[np.ndarray | None, Reprojection | None]:
+) -> tuple[np.ndarray | None, TiePointMisfit | None]:
     """Tie points in local that three photographs see, of two both, and how well all fall back on their places."""
     ties = read_ties(path)
     if ties is None:

@@ -24,7 +24,7 @@ from survey.folder.pairing import read_file_poses, require_image
 from survey.folder.place import over_points
 from survey.folder.plausible import most_over_water
 from survey.folder.pose_priors import PosePrior, common_up_std, priors_of_gps
-from survey.folder.posed import Reprojection
+from survey.folder.posed import TiePointMisfit
 from survey.folder.unposed import solve_views
 from survey.photos.cameras import View
 from survey.photos.exif import SUFFIXES
@@ -151,7 +151,7 @@ class PlacedViews:
     points: np.ndarray | None
     ties: TiePoints | None
     tool: str | None
-    reprojection: Reprojection | None
+    reprojection: TiePointMisfit | None
     priors: Mapping[str, PosePrior]
     control: Control | None
     checkpoints: tuple[Checkpoint, ...]

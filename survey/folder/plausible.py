@@ -40,7 +40,7 @@ _EXIF_DOUBT_M = 50.0
 
 
 @dataclass(frozen=True)
-class Ground:
+class GroundHeight:
     """Rough height of dry ground."""
 
     height: float  # [m], local
@@ -48,7 +48,7 @@ class Ground:
     is_guess: bool = False  # Whether it is known from the usual overlap of photographs alone
 
 
-def ground_below(cameras: Sequence[PinholeCamera]) -> Ground:
+def ground_below(cameras: Sequence[PinholeCamera]) -> GroundHeight:
     """Rough height of the ground below cameras, from their poses alone.
 
     Where the axes of oblique views converge, the median height at which pairs of them pass each other; else
@@ -67,12 +67,12 @@ def ground_below(cameras: Sequence[PinholeCamera]) -> Ground:
         t = (along_i - cos * along_j) / (1.0 - cos**2)
         met = (centres[i] + t[:, None] * axes[i])[t > 0.0, 2]
         if met.size >= _FEWEST_PAIRS:
-            return Ground(float(np.median(met)), "where the axes of oblique views converge")
+            return GroundHeight(float(np.median(met)), "where the axes of oblique views converge")
     base = float(np.median(KDTree(centres[:, :2]).query(centres[:, :2], k=2)[0][:, 1]))
     camera = cameras[0]
     seen = min(camera.width / camera.fx, camera.height / camera.fy)
     height = float(np.median(centres[:, 2]) - base / ((1.0 - USUAL_OVERLAP) * seen))
-    return Ground(height, f"a guess: neighbours overlap by {100 * USUAL_OVERLAP:.0f} %", is_guess=True)
+    return GroundHeight(height, f"a guess: neighbours overlap by {100 * USUAL_OVERLAP:.0f} %", is_guess=True)
 
 
 def require_true(

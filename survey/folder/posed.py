@@ -162,7 +162,7 @@ def _from_geocentric(file: PoseFile, points: np.ndarray, crs: CRS, gps_height: s
 
 
 @dataclass(frozen=True)
-class Reprojection:
+class TiePointMisfit:
     """Distances [px] in the image between where tie points were seen and where straight rays put them."""
 
     # rms_px, median_px: Root mean square and median distance
@@ -182,8 +182,8 @@ class Reprojection:
         )
 
 
-def reprojection(ties: FileTies, points: np.ndarray, views: Mapping[str, View]) -> Reprojection | None:
-    """See `Reprojection`; None where the file has no places of its points in these photographs.
+def reprojection(ties: FileTies, points: np.ndarray, views: Mapping[str, View]) -> TiePointMisfit | None:
+    """See `TiePointMisfit`; None where the file has no places of its points in these photographs.
 
     Parameters
     ----------
@@ -210,4 +210,4 @@ def reprojection(ties: FileTies, points: np.ndarray, views: Mapping[str, View]) 
     every = np.concatenate(squares)
     num_points = len(np.unique(np.concatenate(seen_points)))
     rms, median = (float(np.sqrt(value)) for value in (every.mean(), np.median(every)))
-    return Reprojection(rms, median, num_points, num_images, len(every), lost)
+    return TiePointMisfit(rms, median, num_points, num_images, len(every), lost)

@@ -25,7 +25,7 @@ from survey.folder.motion import Velocity, shutter_doubts, velocities_of, with_m
 from survey.folder.placed_views import PlacedViews, lifted_over_water, views_of_file, views_of_photographs
 from survey.folder.plausible import doubts_of_places, require_true
 from survey.folder.pose_priors import PosePrior, common_plan_std
-from survey.folder.posed import Reprojection
+from survey.folder.posed import TiePointMisfit
 from survey.folder.positions import far_from_others
 from survey.folder.reference import read_ground
 from survey.photos.cameras import View, metres_per_px
@@ -86,7 +86,7 @@ class Provenance:
     # not say
     tool: str | None = None
     # Reprojection error of the tie points of the poses file; None where there are none
-    reprojection: Reprojection | None = None
+    reprojection: TiePointMisfit | None = None
     # Reprojection misfit between photographs under the given poses [px]; below 0 where too little matches, None before
     # it is measured
     pose_misfit_px: float | None = None

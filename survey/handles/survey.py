@@ -8,7 +8,7 @@ from typing import Any
 from survey.folder import survey as folder_survey
 from survey.folder.found import Found, find_survey
 from survey.handles.run import Run, table_html
-from survey.plan.check import Section, check_survey
+from survey.plan.check import CheckSection, check_survey
 from survey.plan.choices import Choices
 from survey.words import RUN_FOLDER
 
@@ -47,7 +47,7 @@ class Survey:
     def __repr__(self) -> str:
         return f"Survey({str(self.folder)!r})"
 
-    def check(self, **choices: Any) -> list[Section]:
+    def check(self, **choices: Any) -> list[CheckSection]:
         """Check the survey: findings, assumptions, and the plan of `process`; keywords are those of `Choices`."""
         return check_survey(self.folder, chosen=Choices(**choices))
 

@@ -11,7 +11,7 @@ from survey.files.toml_table import schema_of
 from survey.findings import Findings
 from survey.folder import infer
 from survey.folder.geo_txt import find_geo_txt, with_positions
-from survey.init.place import Answers, Photographs, Table, require_in_place, write_crs, write_origin
+from survey.init.place import Answers, FolderPhotographs, SettingsTable, require_in_place, write_crs, write_origin
 from survey.photos.exif import read_exif, without_void
 from survey.photos.images import list_images
 from survey.pose_files import find_poses, read_poses
@@ -76,7 +76,7 @@ def write_settings(folder: Path, answers: Answers, *, force: bool = False, names
 def draft(folder: Path, answers: Answers) -> str:
     """Settings in TOML for a folder of photographs, and of poses, control and water levels found with them."""
     top, images, cameras, water, control, local = (
-        Table(name) for name in ("", "images", "cameras", "water", "control", "local")
+        SettingsTable(name) for name in ("", "images", "cameras", "water", "control", "local")
     )
     top.set("name", folder.resolve().name)
     inferred = infer.config_of_folder(folder)
@@ -99,7 +99,7 @@ def draft(folder: Path, answers: Answers) -> str:
         cameras.say(f"No poses found: structure from motion computes them from the {len(found)} photographs.")
     cameras.say(*(f"Found: {sentence}." for sentence in said.assumptions))
     cameras.say(*(f"Not certain: {sentence}." for sentence in said.warnings))
-    photographs = Photographs(heads, poses[0] if poses else None, read_poses(poses[0]) if poses else None)
+    photographs = FolderPhotographs(heads, poses[0] if poses else None, read_poses(poses[0]) if poses else None)
     if photographs.file is not None and any(pose.lens is None for pose in photographs.file.poses):
         cameras.say(
             "Not certain: the lens, by EXIF where it tells the focal length. Of a calibration:",
@@ -118,7 +118,7 @@ def draft(folder: Path, answers: Answers) -> str:
     return text
 
 
-def _write_water(folder: Path, photographs: Photographs, answers: Answers, water: Table) -> None:
+def _write_water(folder: Path, photographs: FolderPhotographs, answers: Answers, water: SettingsTable) -> None:
     files = {key: name for key in _WATER_FILES if (name := _named(folder, _WATER_FILES[key])) is not None}
     level = answers.level_m
     if level is None and not files:
@@ -148,7 +148,7 @@ def _write_water(folder: Path, photographs: Photographs, answers: Answers, water
     water.say("refractive_index: not certain, taken as that of fresh water, 1.333 for a handbook; the sea has 1.340.")
 
 
-def _write_control(folder: Path, control: Table) -> None:
+def _write_control(folder: Path, control: SettingsTable) -> None:
     files = {key: name for key in _CONTROL_FILES if (name := _named(folder, _CONTROL_FILES[key])) is not None}
     if "gcps" in files and "marks" not in files and not files["gcps"].endswith(".txt"):
         control.say(

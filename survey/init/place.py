@@ -70,7 +70,7 @@ class Answers:
 
 
 @dataclass
-class Table:
+class SettingsTable:
     """A table of survey.toml."""
 
     name: str  # Empty for the keys before the first table
@@ -99,7 +99,7 @@ def _toml(value: Any) -> str:
 
 
 @dataclass(frozen=True)
-class Photographs:
+class FolderPhotographs:
     """Photographs of a folder, and the poses found with them."""
 
     heads: Mapping[str, Exif]  # mapping of name to Exif
@@ -134,7 +134,7 @@ class Photographs:
         return 2 * sum(datum == ELLIPSOIDAL for datum in said) > len(said)
 
 
-def write_crs(photographs: Photographs, answers: Answers, top: Table, cameras: Table) -> CRS:
+def write_crs(photographs: FolderPhotographs, answers: Answers, top: SettingsTable, cameras: SettingsTable) -> CRS:
     """Add crs, and gps_height where heights in EXIF are ellipsoidal; returns the CRS.
 
     Raises
@@ -168,7 +168,7 @@ def write_crs(photographs: Photographs, answers: Answers, top: Table, cameras: T
     return crs
 
 
-def _horizontal(photographs: Photographs) -> tuple[str | None, str]:
+def _horizontal(photographs: FolderPhotographs) -> tuple[str | None, str]:
     """The CRS of the poses, else the UTM zone of the photographs, and what says so; or None and what is missing."""
     file = photographs.file
     if file is not None and file.crs is not None and file.frame in (PoseFrame.GRID, PoseFrame.LEVEL):
@@ -196,7 +196,7 @@ def _horizontal(photographs: Photographs) -> tuple[str | None, str]:
 
 
 def _vertical(
-    photographs: Photographs, horizontal: str, answers: Answers, cameras: Table
+    photographs: FolderPhotographs, horizontal: str, answers: Answers, cameras: SettingsTable
 ) -> tuple[int | None, str, tuple[str, ...]]:
     """EPSG code of the heights, what they are, and what else they might be."""
     place = photographs.lat_lon
@@ -226,7 +226,7 @@ def _vertical(
 
 
 def _of_ellipsoidal(
-    photographs: Photographs, horizontal: str, chosen: CRS | None, listed: tuple[str, ...], cameras: Table
+    photographs: FolderPhotographs, horizontal: str, chosen: CRS | None, listed: tuple[str, ...], cameras: SettingsTable
 ) -> tuple[int | None, str, tuple[str, ...]]:
     """Vertical CRS as `_vertical`, where XMP says that heights in EXIF are ellipsoidal.
 
@@ -259,7 +259,7 @@ def _area(system: CRS) -> str:
     return shorten(name.rstrip("."), 60, placeholder=" ...")
 
 
-def write_origin(photographs: Photographs, answers: Answers, crs: CRS, local: Table) -> None:
+def write_origin(photographs: FolderPhotographs, answers: Answers, crs: CRS, local: SettingsTable) -> None:
     """Add the origin of poses in a local frame: as given, else by GPS positions in EXIF.
 
     Raises
@@ -301,7 +301,7 @@ def write_origin(photographs: Photographs, answers: Answers, crs: CRS, local: Ta
     )
 
 
-def require_in_place(photographs: Photographs, crs: CRS) -> None:
+def require_in_place(photographs: FolderPhotographs, crs: CRS) -> None:
     """Raise GeoError where the poses cannot be brought into crs."""
     file = photographs.file
     if file is not None and file.frame is not PoseFrame.LOCAL:

@@ -33,7 +33,7 @@ Pixel = tuple[float, float]
 _Read = TypeVar("_Read")
 
 
-class Key(NamedTuple):
+class PointKey(NamedTuple):
     """A point by its kind, `GROUND` or `WATER`, and name."""
 
     kind: str
@@ -43,7 +43,7 @@ class Key(NamedTuple):
 class Edit(NamedTuple):
     """A mark before it was set, moved or removed; its pixel is None where there was none."""
 
-    key: Key
+    key: PointKey
     image: str
     before: Pixel | None
 
@@ -85,29 +85,29 @@ class Book:
         """Whether there is an edit to take back."""
         return bool(self._done)
 
-    def points(self) -> dict[Key, GivenPoint | None]:
+    def points(self) -> dict[PointKey, GivenPoint | None]:
         """All points with their coordinates in the crs of the survey; spots of the waterline have none."""
         _, ground = self._control()
         # In the order of the files, those of gcp_list.txt alone after the others.
         known = {**self._fixed, **{name: point for name, point in ground.items() if name not in self._fixed}}
-        points: dict[Key, GivenPoint | None] = {
-            Key(GROUND, name): point for name, point in {**self._added, **known}.items()
+        points: dict[PointKey, GivenPoint | None] = {
+            PointKey(GROUND, name): point for name, point in {**self._added, **known}.items()
         }
         names = dict.fromkeys(row.name for row in self._clicks()) | self._spots
-        return points | {Key(WATER, name): None for name in names}
+        return points | {PointKey(WATER, name): None for name in names}
 
-    def marks(self) -> dict[Key, dict[str, Pixel]]:
+    def marks(self) -> dict[PointKey, dict[str, Pixel]]:
         """Marks by point and photograph."""
         control, _ = self._control()
-        found: dict[Key, dict[str, Pixel]] = {}
+        found: dict[PointKey, dict[str, Pixel]] = {}
         for (name, image), pixel in control.items():
-            found.setdefault(Key(GROUND, name), {})[image] = pixel
+            found.setdefault(PointKey(GROUND, name), {})[image] = pixel
         for row in self._clicks():
             if row.image is not None:
-                found.setdefault(Key(WATER, row.name), {})[row.image] = row.pixel
+                found.setdefault(PointKey(WATER, row.name), {})[row.image] = row.pixel
         return found
 
-    def add(self, kind: str, name: str, place: tuple[float, float, float] | None) -> Key:
+    def add(self, kind: str, name: str, place: tuple[float, float, float] | None) -> PointKey:
         """A point that a mark can be set of: it is in no file before one is.
 
         Raises
@@ -116,7 +116,7 @@ class Book:
             If there is such a point, or its name cannot be in the files.
         """
         name = name.strip()
-        key = Key(kind, name)
+        key = PointKey(kind, name)
         if not name or _NOT_IN_NAMES & set(name):
             raise SurveyError("the name of a point needs a letter, and no comma, semicolon, quote or #; give another")
         if key in self.points():
@@ -129,7 +129,7 @@ class Book:
             self._added[name] = GivenPoint(name, "entered by hand", place)
         return key
 
-    def set(self, key: Key, image: str, pixel: Pixel | None) -> None:
+    def set(self, key: PointKey, image: str, pixel: Pixel | None) -> None:
         """Set or move the mark of a point in a photograph, or remove it, and write the file.
 
         Raises
@@ -180,18 +180,18 @@ class Book:
             lines.append(f'[water] clicks = "{self.clicks_path.name}"{instead}')
         return lines
 
-    def _write(self, key: Key, image: str, pixel: Pixel | None) -> None:
+    def _write(self, key: PointKey, image: str, pixel: Pixel | None) -> None:
         path = self.clicks_path if key.kind == WATER else self.control_path
         if key.kind == WATER:
             text = with_click(path, key.name, image, pixel, self._sizes)
         else:
             points = self.points()
             found = {} if path.is_file() else dict(self._foreign)
-            found = {(name, photo): at for (name, photo), at in found.items() if Key(GROUND, name) in points}
+            found = {(name, photo): at for (name, photo), at in found.items() if PointKey(GROUND, name) in points}
             marks = [
                 ControlMark(name, point.place, point.is_check, photo, at)
                 for (name, photo), at in {**found, (key.name, image): pixel}.items()
-                if (point := points[Key(GROUND, name)]) is not None
+                if (point := points[PointKey(GROUND, name)]) is not None
             ]
             text = with_marks(path, marks, self._found.crs, self._sizes)
         with write_whole(path) as stream:

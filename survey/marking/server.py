@@ -25,7 +25,7 @@ import numpy as np
 
 from geo.errors import GeoError
 from survey.errors import ImageError, SurveyError
-from survey.marking.book import Key
+from survey.marking.book import PointKey
 from survey.marking.session import Session
 from survey.photos.images import eight_bits
 from survey.photos.pixels import read_rgb
@@ -47,7 +47,7 @@ _QUALITY = 92
 _KEPT_BYTES = 600e6
 
 
-class Tiles:
+class PhotographTiles:
     """Tiles of photographs, of which the last ones are kept decoded; for several threads.
 
     Level 0 has the pixels of the file; each further level has half as many along each side, every pixel of it the mean
@@ -130,7 +130,7 @@ class MarkingServer(ThreadingHTTPServer):
     daemon_threads = True
 
     def __init__(self, session: Session, host: str = "localhost", port: int = 0):
-        self.session, self.tiles = session, Tiles(session.images)
+        self.session, self.tiles = session, PhotographTiles(session.images)
         self.token = secrets.token_urlsafe(16)
         self.lock = threading.Lock()
         self.is_loopback = host in _LOOPBACK
@@ -231,8 +231,8 @@ def _object(body: bytes) -> dict:
     return said
 
 
-def _key(said: dict) -> Key:
-    return Key(str(said["kind"]), str(said["name"]))
+def _key(said: dict) -> PointKey:
+    return PointKey(str(said["kind"]), str(said["name"]))
 
 
 def _mark(session: Session, said: dict) -> dict:

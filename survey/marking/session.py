@@ -12,15 +12,15 @@ from geo.transformation import lon_lat
 from refract import FlatWater
 from survey.control.points import GivenPoint
 from survey.errors import SurveyError
-from survey.marking.book import GROUND, WATER, Book, Key, Pixel
+from survey.marking.book import GROUND, WATER, Book, Pixel, PointKey
 from survey.marking.geometry import by_gain, crossing, epipolar_curve, poses_to_mark, seen_at, survey_to_mark
 from survey.photos.cameras import View
 from survey.photos.intersection import Intersection, intersect
 from survey.settings.control import DEFAULT_MARKS_STD_PX
 from survey.water.clicks import CLICK_STD_PX
 
-_Points = Mapping[Key, GivenPoint | None]
-_Marks = Mapping[Key, Mapping[str, Pixel]]
+_Points = Mapping[PointKey, GivenPoint | None]
+_Marks = Mapping[PointKey, Mapping[str, Pixel]]
 # A mark that misses the place of its point by this many standard deviations is shown as doubtful.
 _MOST_MISS = 3.0
 # Of epipolar curves in one photograph: more hide it.
@@ -82,7 +82,7 @@ class Session:
             "points": [self._point(key, point, marks.get(key, {})) for key, point in sorted(points.items(), key=_rank)],
         }
 
-    def look(self, key: Key, image: str) -> dict:
+    def look(self, key: PointKey, image: str) -> dict:
         """A point in a photograph: its mark, the predicted place, epipolar curves; photographs to go on in.
 
         Raises
@@ -108,7 +108,7 @@ class Session:
             "next": self._next(place, water, own, image),
         }
 
-    def _others(self, key: Key, view: View, points: _Points, marks: _Marks, common: np.ndarray) -> list[dict]:
+    def _others(self, key: PointKey, view: View, points: _Points, marks: _Marks, common: np.ndarray) -> list[dict]:
         """Places of other points that a photograph shows without a mark."""
         found = []
         for other, point in points.items():
@@ -151,7 +151,7 @@ class Session:
         order = [name for _, name in sorted(zip(away.tolist(), known, strict=True)) if name not in own]
         return [name for name in order if name != image][:_MOST_NEXT]
 
-    def _point(self, key: Key, point: GivenPoint | None, own: Mapping[str, Pixel]) -> dict:
+    def _point(self, key: PointKey, point: GivenPoint | None, own: Mapping[str, Pixel]) -> dict:
         """A point with its marks, and what these say: residuals [px], standard deviation and error of the place [m]."""
         said: dict = {
             "kind": key.kind,
@@ -195,7 +195,7 @@ class Session:
     def _views(self) -> Mapping[str, View]:
         return {} if self._posed is None else self._posed.views
 
-    def _water_of(self, key: Key) -> FlatWater | None:
+    def _water_of(self, key: PointKey) -> FlatWater | None:
         """The water that bends the rays to a point: none to one where the water ends."""
         return None if self._posed is None or key.kind == WATER else self._posed.water
 
@@ -213,7 +213,7 @@ class Session:
         local = self._posed.frame.local_from_crs(np.array(point.place))
         return local if np.isfinite(local).all() else None
 
-    def _meet(self, key: Key, own: Mapping[str, Pixel]) -> Intersection | None:
+    def _meet(self, key: PointKey, own: Mapping[str, Pixel]) -> Intersection | None:
         """Intersection of the marks of a point; None without two photographs that determine it."""
         names = [name for name in own if name in self._views]
         if len(names) < 2:
@@ -227,7 +227,7 @@ class Session:
         return self._met[asked]
 
     def _place(
-        self, key: Key, point: GivenPoint | None, own: Mapping[str, Pixel], common: np.ndarray
+        self, key: PointKey, point: GivenPoint | None, own: Mapping[str, Pixel], common: np.ndarray
     ) -> np.ndarray | None:
         """Predicted place of a point (3,), local: where its marks meet, else by its coordinates, else on the water.
 
@@ -264,7 +264,7 @@ class Session:
         ]
 
 
-def _rank(entry: tuple[Key, GivenPoint | None]) -> int:
+def _rank(entry: tuple[PointKey, GivenPoint | None]) -> int:
     """Control points first, then check points, then the waterline."""
     key, point = entry
     return 2 if key.kind == WATER else int(point is not None and point.is_check)

@@ -117,7 +117,7 @@ def oriented_normals(points: np.ndarray) -> np.ndarray:
 
 
 def _agreements(normals: np.ndarray, near: np.ndarray) -> csr_array:
-    """How much (N, N) points weigh in each other's vote: signed squares of the cosine between their normals."""
+    """Weights (N, N) of points in each other's vote: signed squares of the cosine between their normals."""
     point = np.repeat(np.arange(len(near), dtype=np.int32), near.shape[1])
     other = near.ravel()
     cosine = np.einsum("ij,ij->i", normals[point], normals[other])

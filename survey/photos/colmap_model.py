@@ -80,7 +80,7 @@ def _pose_lines(views: Sequence[View], lenses: tuple[Lens, ...], seen: Sequence[
 
 
 def _seen_lines(num_views: int, ties: TiePoints) -> list[str]:
-    """For each photograph x, y and the number of the point of all observations in it, in their order."""
+    """Lines of each photograph: x, y and the number of the point of all observations in it, in their order."""
     return [
         " ".join(
             f"{x:.3f} {y:.3f} {point + 1}" for (x, y), point in zip(ties.pixel[mine], ties.point[mine], strict=True)

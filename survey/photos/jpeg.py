@@ -337,7 +337,7 @@ class _Stream(io.BytesIO):
         return self._at
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        """Only in the first part, where the head is."""
+        """Seek in the first part only, where the head is."""
         self._at = offset if whence == io.SEEK_SET else self._at + offset
         return self._at
 

@@ -35,7 +35,7 @@ from survey.words import RUN_FOLDER
 
 
 @dataclass(frozen=True)
-class Section:
+class CheckSection:
     """Section of the output: a title, labelled sentences (a label may be empty), and their numbers for JSON."""
 
     title: str
@@ -103,7 +103,7 @@ def check_survey(
     checked: Checked | None = None,
     slowness: float | None = None,
     chooses_workers: bool = False,
-) -> list[Section]:
+) -> list[CheckSection]:
     """Check a survey and describe what `process` would do; nothing is computed and nothing written.
 
     Parameters
@@ -147,12 +147,12 @@ def check_survey(
 
 def _sections(
     rows, decisions: tuple[Decision, ...], workload: Workload | str, assumptions, warnings, plan: dict | None = None
-) -> list[Section]:
+) -> list[CheckSection]:
     said = (*((d.name, f"{d.choice}: {d.reason}") for d in decisions), ("workload", str(workload)))
     numbers = {**(plan or {}), "workload": workload if isinstance(workload, Workload) else None}
-    sections = [Section("Found", tuple(rows)), Section("Plan", said, numbers)]
-    sections += [Section("Assumed", tuple(("", text) for text in assumptions))] if assumptions else []
-    sections += [Section("Warnings", tuple(("", text) for text in warnings))] if warnings else []
+    sections = [CheckSection("Found", tuple(rows)), CheckSection("Plan", said, numbers)]
+    sections += [CheckSection("Assumed", tuple(("", text) for text in assumptions))] if assumptions else []
+    sections += [CheckSection("Warnings", tuple(("", text) for text in warnings))] if warnings else []
     return sections
 
 
@@ -205,7 +205,7 @@ def _water(survey: Survey) -> str:
     )
 
 
-def _without_poses(checked: Checked, chosen: Choices) -> list[Section]:
+def _without_poses(checked: Checked, chosen: Choices) -> list[CheckSection]:
     """The sections of a survey that needs structure from motion first."""
     found = checked.found
     require_placeable(found.config.control.reference, chosen.poses)

@@ -18,7 +18,7 @@ from survey.folder.survey import Survey
 from survey.photos.cameras import level_from_yaw_pitch_roll
 from survey.photos.exif import Exif
 from survey.photos.sharpness import MOSTLY_WHITE, bytes_per_pixel, image_detail, relative
-from survey.plan.check import Checked, Section
+from survey.plan.check import Checked, CheckSection
 from survey.plan.check_inputs import Verdict, by_limits, judged
 from survey.plan.glitter import USUAL_WIND_M_S, Glitter, GlitterOfFlight
 from survey.plan.places import in_the_middle
@@ -41,7 +41,7 @@ _WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "w
 _DEG_PER_HOUR = 15.0
 
 
-def light_section(checked: Checked, *, wind_m_s: float = USUAL_WIND_M_S) -> Section:
+def light_section(checked: Checked, *, wind_m_s: float = USUAL_WIND_M_S) -> CheckSection:
     """Section on light by the image headers, and on the sharpness of a sample of photographs.
 
     Raises
@@ -51,7 +51,7 @@ def light_section(checked: Checked, *, wind_m_s: float = USUAL_WIND_M_S) -> Sect
     """
     found, survey = checked.found, checked.survey
     rows = [*_sun_rows(found, survey, wind_m_s), ("motion", motion_text(*_motion(found, survey)))]
-    return Section("Light and sharpness", (*rows, ("sharpness", sharpness_text(found))))
+    return CheckSection("Light and sharpness", (*rows, ("sharpness", sharpness_text(found))))
 
 
 def sun_text(suns: list[Sun], when: str) -> str:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from survey.folder.plausible import Ground, ground_below
+from survey.folder.plausible import GroundHeight, ground_below
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 _FEWEST_POINTS = 50
 
 
-def dry_ground(survey: Survey) -> Ground:
+def dry_ground(survey: Survey) -> GroundHeight:
     """Rough height of the ground of a survey, without regard to water.
 
     From the median of the tie points, else of the control points, else the middle of ``[area] heights``, else where
@@ -23,14 +23,14 @@ def dry_ground(survey: Survey) -> Ground:
     """
     points, control = survey.observations.points, survey.observations.control
     if points is not None and len(points) >= _FEWEST_POINTS:
-        return Ground(float(np.median(points[:, 2])), f"the median of {len(points):,} tie points")
+        return GroundHeight(float(np.median(points[:, 2])), f"the median of {len(points):,} tie points")
     cameras = [view.camera for view in survey.views]
     if control is not None and control.points:
         places = np.array([point.local for point in control.points])
-        return Ground(float(np.median(places[:, 2])), f"the median of {len(places)} control points")
+        return GroundHeight(float(np.median(places[:, 2])), f"the median of {len(places)} control points")
     heights = survey.config.area.heights
     if heights is not None:
         place = survey.frame.crs_from_local(np.median([camera.centre for camera in cameras], axis=0))
         place[2] = 0.5 * sum(heights)
-        return Ground(float(survey.frame.local_from_crs(place)[2]), "the middle of [area] heights")
+        return GroundHeight(float(survey.frame.local_from_crs(place)[2]), "the middle of [area] heights")
     return ground_below(cameras)

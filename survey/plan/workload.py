@@ -92,7 +92,7 @@ class Workload:
         return "at most " if self.is_bound else "about "
 
     def __str__(self) -> str:
-        """In words, as `check` and `process` say it."""
+        """The workload in words, as `check` and `process` say it."""
         rooms = f"{self.most}{size(self.memory_bytes)} of memory and {size(self.disk_bytes)} on the disk"
         maps = f"{self.num_maps} of {self.num_views} views get a height map"
         if self.seconds is None:

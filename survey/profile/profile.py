@@ -16,7 +16,7 @@ from geo.crs import has_height, height_unit_m
 from geo.lines import Line
 from geo.projection import ground_units_m
 from geo.shapes import in_height_unit, left_out, part_of
-from survey.compare.inputs import Paths, load_inputs
+from survey.compare.inputs import InputPaths, load_inputs
 from survey.errors import SurveyError
 from survey.export.bed_cells import LevelFit
 from survey.run.folder import RunDir
@@ -106,7 +106,7 @@ class Bed:
             self._cloud = part_of(cloud, ~out)
             crs = cloud.crs
         else:
-            inputs = load_inputs(Paths(file, reference), None)
+            inputs = load_inputs(InputPaths(file, reference), None)
             self._cloud, self._reference, crs = part_of(inputs.cloud, inputs.inside), inputs.reference, inputs.crs
         if crs is None:
             raise ProfileError(f"{file} does not say its CRS, in which lines are looked up; give a run folder")

@@ -37,7 +37,7 @@ class Gate:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class RunVerdict:
     """All gates of a run."""
 
     gates: tuple[Gate, ...]
@@ -78,7 +78,7 @@ class ReportFacts:
     sweep_comparison: Comparison | None = None
     notes: tuple[str, ...] = ()  # Further sentences for the reader
     versions: dict[str, str] = field(default_factory=dict)  # dict: of what computed, by name
-    verdict: Verdict | None = None  # Whether the cloud may be used unseen
+    verdict: RunVerdict | None = None  # Whether the cloud may be used unseen
     adjustment: Adjustment | None = None  # None where poses and water were used as they came
     std_common: np.ndarray | None = None  # (N,) [m] or None: of the heights of the points, by water, lens and poses
     light: MatchedLight | None = None  # To which the index of the water belongs; None in a dry survey

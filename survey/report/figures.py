@@ -9,7 +9,7 @@ from survey.files.json_values import plain
 from survey.plan.plan import Plan
 from survey.report.adjustment_figures import AdjustmentFigures
 from survey.report.checkpoints import CheckpointFigures, StatedFigures
-from survey.report.facts import Verdict
+from survey.report.facts import RunVerdict
 from survey.report.photographs import PhotographFigures, TakenFigures
 from survey.report.seen_cells import CoverageFigures
 
@@ -161,7 +161,7 @@ class HeightStd:
 class ReportFigures:
     """All figures of a report."""
 
-    verdict: Verdict | None  # None where the run was not judged
+    verdict: RunVerdict | None  # None where the run was not judged
     survey: SurveyFigures
     water: WaterFigures | None  # None for a dry survey
     plan: Plan
@@ -219,7 +219,7 @@ def json_of(figures: ReportFigures) -> dict:
     })  # fmt: skip
 
 
-def _verdict(verdict: Verdict) -> dict:
+def _verdict(verdict: RunVerdict) -> dict:
     return {"passed": verdict.passed, "gates": verdict.gates}
 
 

@@ -84,7 +84,7 @@ def _draw_wet_and_dry(axes: Axes, facts: ReportFacts) -> None:
 
 
 def _draw_lines(axes: Axes, facts: ReportFacts, centres: np.ndarray) -> None:
-    """From exposure to exposure in the order of their times; no line over a pause."""
+    """Draw lines from exposure to exposure in the order of their times; no line over a pause."""
     heads = [facts.heads.get(view.name) for view in facts.survey.views]
     # One clock for all.
     times = [None if head is None else head.taken for head in heads]
@@ -122,7 +122,7 @@ def _ground_height(facts: ReportFacts) -> float:
 
 
 def _footprint(camera: PinholeCamera, survey: Survey, ground: float) -> np.ndarray:
-    """Where the border (N, 3) of an image meets the water, or level ground; local.
+    """Border (N, 3) of an image on the water, or on level ground; local.
 
     Rays that fall less than 1 in 4 end where they would with that fall. Places without light are left out.
     """

@@ -22,7 +22,7 @@ from survey.display.quantities import (
     volume,
 )
 from survey.report.blocks import Block, Rows, Sentences
-from survey.report.facts import Gate, Verdict
+from survey.report.facts import Gate, RunVerdict
 from survey.report.figures import ReportFigures
 
 # 95 % of normal errors are within so many standard deviations.
@@ -50,7 +50,7 @@ class Card:
     detail: str = ""
 
 
-def headline(verdict: Verdict | None, warnings: tuple[str, ...]) -> Headline:
+def headline(verdict: RunVerdict | None, warnings: tuple[str, ...]) -> Headline:
     """Green where all gates are met without a warning, amber with one, red where a gate failed."""
     if verdict is None:
         return Headline("unjudged", "Not judged", "No quality gates were applied to this run.", ())

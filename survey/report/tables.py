@@ -127,7 +127,7 @@ def decisions(taken: tuple[Decision, ...]) -> list[Block]:
 
 
 def timings(seconds: dict[str, float], total_s: float) -> list[Block]:
-    """How long each stage took when it was computed, and all together, in one unit."""
+    """Duration of each stage when it was computed, and all together, in one unit."""
     unit, factor = ("min", 1.0 / 60.0) if total_s >= _LONG_S else ("s", 1.0)
     rows = [(name.replace("_", " "), number(value * factor, 1)) for name, value in seconds.items()]
     return [Table(("stage", f"time [{unit}]"), [*rows, ("total", number(total_s * factor, 1))])]

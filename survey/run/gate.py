@@ -19,7 +19,7 @@ from survey.display.quantities import NO_BREAK, length, share
 from survey.plan.aim import SHARE
 from survey.plan.recipe import MAX_STD_GSD, max_height_std
 from survey.report.collect import height_std
-from survey.report.facts import Gate, Verdict
+from survey.report.facts import Gate, RunVerdict
 from survey.report.seen_cells import SeenCells, cells_of
 from survey.run.cell_std import std_cells
 
@@ -31,9 +31,9 @@ MIN_COVERED_SHARE = 0.5
 MIN_VIEWS = 2
 
 
-def verdict_of(survey: Survey, stored: StoredBed, gsd_m: float, cells: SeenCells | None = None) -> Verdict:
+def verdict_of(survey: Survey, stored: StoredBed, gsd_m: float, cells: SeenCells | None = None) -> RunVerdict:
     """Verdict of the gates on the points of a bed at a ground sampling distance [m], with its `cells_of` if known."""
-    return Verdict(
+    return RunVerdict(
         (
             _completeness(cells_of(survey, stored.bed.xyz, gsd_m) if cells is None else cells),
             _precision(stored.std_of_photographs(), gsd_m),

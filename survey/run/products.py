@@ -29,7 +29,7 @@ from survey.photos.texture import matched_light
 from survey.plan.tiling import water_doubts
 from survey.report import NUM_STEPS, ReportFacts, write_report
 from survey.report.checkpoints import checkpoint_doubts
-from survey.report.facts import Verdict, dry_doubts
+from survey.report.facts import RunVerdict, dry_doubts
 from survey.report.photographs import PhotographFigures, doubts, photographs_of, summary
 from survey.report.seen_cells import CoverageFigures, SeenCells, cells_of, coverage_of
 from survey.run.flight import save_flight
@@ -85,7 +85,7 @@ def write_bed_e57(path: Path, stored: StoredBed) -> None:
     write_verified(path, lambda copy: write_e57(copy, points, crs, rgb=rgb), points, None, crs)
 
 
-def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path], truth: Truth) -> Verdict:
+def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path], truth: Truth) -> RunVerdict:
     """Write all results of a run.
 
     Parameters
@@ -109,7 +109,7 @@ def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path]
 
 def _write_report(
     folder: Path, run: RunDir, job: Job, done: Mapping[str, Path], truth: Truth, stored: StoredBed
-) -> Verdict:
+) -> RunVerdict:
     """Write the report and all results but the cloud."""
     survey, plan = job.survey, job.plan
     options = options_of(job, truth)
@@ -126,7 +126,7 @@ def _write_report(
     verdict = verdict_of(survey, stored, plan.gsd_m, cells)
     aim = None if job.aimed is None else job.aimed.aim
     if aim is not None and aim.std_m is not None:
-        verdict = Verdict((*verdict.gates, asked_gate(stored, aim.std_m)))
+        verdict = RunVerdict((*verdict.gates, asked_gate(stored, aim.std_m)))
     photographs = _photographs(done)
     for text in (*dry_doubts(survey, stored.bed), *doubts(photographs)):
         job.progress.warn(text)

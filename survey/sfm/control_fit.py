@@ -31,7 +31,7 @@ _LINE_SHARE, _LINE_STD = 0.05, 3.0
 
 @dataclass(frozen=True)
 class ControlFit:
-    """How a block is placed by its control."""
+    """Placement of a block by its control."""
 
     similarity: Similarity  # From the frame of the block to that of the control
     met: Met
@@ -205,7 +205,7 @@ def _is_line(places: np.ndarray) -> bool:
 
 
 def _limits(met: Met, std: np.ndarray, scale: float) -> np.ndarray:
-    """By how much (K, 3) [m] a block may miss its points: it is bent, the more the wider it is for its range."""
+    """Tolerances (K, 3) [m] of a block at its points: it is bent, the more the wider it is for its range."""
     wide = np.mean(np.sum((met.places - met.places.mean(axis=0)) ** 2, axis=1))
     bent = _BENT_SHARE * scale * (met.ranges + wide / met.ranges)
     return _MOST_STD * std + (bent + met.slack)[:, None]

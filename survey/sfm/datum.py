@@ -89,12 +89,12 @@ def least(stds: Collection[DatumStd]) -> DatumStd:
 
 
 def area_at(lon: np.ndarray, lat: np.ndarray) -> AreaOfInterest:
-    """Where a survey lies, by longitudes and latitudes [deg], for PROJ to choose among regional transformations."""
+    """Area of a survey, by longitudes and latitudes [deg], for PROJ to choose among regional transformations."""
     return area_about(float(np.median(lon)), float(np.median(lat)))
 
 
 def height_transformer(crs: CRS, area: AreaOfInterest) -> Transformer:
-    """From longitude, latitude [deg] and height above the WGS 84 ellipsoid [m] to the height in crs.
+    """Transformer from longitude, latitude [deg] and height above the WGS 84 ellipsoid [m] to the height in crs.
 
     Only heights are transformed: its horizontal part is WGS 84, so that no grid of horizontal datums is needed.
 

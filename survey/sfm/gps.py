@@ -188,7 +188,7 @@ class _Source:
 
 
 def _given(head: Exif) -> tuple[_Source, tuple[float, float, float]]:
-    """Where the position of a photograph is written, and the position, easting or longitude first."""
+    """Source of the position of a photograph, and the position, easting or longitude first."""
     if head.table_place is not None:
         return _Source(head.table_place.source, head.table_place.crs), head.table_place.place
     assert head.lat_lon_height is not None

@@ -65,7 +65,7 @@ class Met:
 
 
 def meet(control: BlockControl, views: Mapping[str, Posed]) -> Met:
-    """Where the rays of the marks of each point meet in a block."""
+    """Intersections of the rays of the marks of each point in a block."""
     marks_of: dict[str, list[Mark]] = {point.name: [] for point in control.points}
     for mark in control.marks:
         if mark.point in marks_of and mark.view in views:

@@ -18,7 +18,7 @@ _PAIRS_OF_NEIGHBOUR = 0.65
 
 
 def pairs_about(num: int) -> int:
-    """How many pairs of so many images are matched, about."""
+    """Approximate number of pairs that are matched of so many images."""
     return num * (num - 1) // 2 if num <= ALL_PAIRS_UP_TO else round(_PAIRS_OF_NEIGHBOUR * NEIGHBOURS * num)
 
 

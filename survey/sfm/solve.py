@@ -34,7 +34,7 @@ class Free:
 
     @property
     def num_images(self) -> int:
-        """How many images have a pose in their block."""
+        """Number of images with a pose in their block."""
         return sum(block.num_reg_images() for block in self.blocks)
 
 

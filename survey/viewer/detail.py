@@ -22,7 +22,7 @@ NODE = "/cloud/{}"
 
 @dataclass(frozen=True)
 class Style:
-    """How the points are drawn."""
+    """Style of the points."""
 
     kind: str = "colour"  # A column of `Shown`, or ``colour``
     limits: tuple[float, float] | None = None  # (low, high) or None: values of the first and the last colour

@@ -14,7 +14,7 @@ from survey.photos.cameras import View
 from survey.progress import current
 from survey.viewer.shown import SCALES, Shown
 from survey.viewer.sightings import thumbnail
-from survey.viewer.slices import Reference
+from survey.viewer.slices import ReferenceSlice
 
 if TYPE_CHECKING:
     import viser
@@ -188,7 +188,7 @@ def coloured_mesh(server: viser.ViserServer, name: str, parts: tuple[np.ndarray,
     return server.scene.add_mesh_trimesh(name, made, cast_shadow=False, receive_shadow=False)
 
 
-def reference_node(server: viser.ViserServer, reference: Reference, size_m: float) -> Any:
+def reference_node(server: viser.ViserServer, reference: ReferenceSlice, size_m: float) -> Any:
     """A reference in the scene: a mesh in one colour, or its points."""
     if reference.faces is not None:
         return server.scene.add_mesh_simple(

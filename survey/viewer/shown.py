@@ -19,7 +19,7 @@ from survey.export.loaded import LoadedRun, flight_of
 from survey.photos.cameras import View
 from survey.progress import current
 from survey.run.flight import Flight
-from survey.viewer.slices import Reference, load_reference
+from survey.viewer.slices import ReferenceSlice, load_reference
 from survey.viewer.tree import CloudTree, Viewpoint, build_tree
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ def camera_of(view: Viewpoint, rows: int) -> PinholeCamera:
 
 @dataclass(frozen=True)
 class Scale:
-    """How the values of a quantity become colours."""
+    """Colour scale of the values of a quantity."""
 
     label: str
     unit: str
@@ -190,7 +190,7 @@ class Shown:
     flight: Flight
     has_photographs: bool  # Whether the files of the photographs are where the run found them
     gsd_m: float  # [m]: ground sampling distance, about that of the points
-    reference: Reference | None = None  # What the cloud is compared with
+    reference: ReferenceSlice | None = None  # What the cloud is compared with
     # Of the run's own stage, where it has one, and of a folder of `bathynerf field`
     fields: list[TrainedField] = field(default_factory=list)
     # low, high (3,) [m], local: corners of a box about all points but strays

@@ -113,7 +113,7 @@ def thumbnail(view: View, longer_px: int = THUMBNAIL_PX) -> np.ndarray:
     return load_image(view, scale=scale)
 
 
-class Photographs:
+class PhotographCache:
     """Photographs at full size, the last ones that were asked for kept in memory."""
 
     def __init__(self, views: Sequence[View]):
@@ -199,7 +199,7 @@ class Clicks:
 
     def __init__(self, server: viser.ViserServer, shown: Shown, style: Callable[[], Style]):
         self._server, self._shown, self._style = server, shown, style
-        self._photographs = Photographs(shown.views)
+        self._photographs = PhotographCache(shown.views)
         self._nodes: list[Any] = []
         self._first: np.ndarray | None = None
         self._lock = Lock()

@@ -26,7 +26,7 @@ _SIZE_IN, _DPI = (4.0, 3.0), 160
 
 
 @dataclass(frozen=True)
-class Reference:
+class ReferenceSlice:
     """A mesh, or a cloud, in the local frame of a run."""
 
     path: Path
@@ -34,7 +34,7 @@ class Reference:
     faces: np.ndarray | None  # (F, 3) int or None: None of a cloud
 
     def errors(self, points: np.ndarray) -> np.ndarray:
-        """How far points (N, 3), local, are above it (N,) [m]: as `bathynerf compare` measures, nothing aligned."""
+        """Heights (N,) [m] of points (N, 3), local, above it: as `bathynerf compare` measures, nothing aligned."""
         # Imported where they are needed: they take a second, and most runs are shown without a reference.
         from evaluation import distance_to_mesh, local_surface
 
@@ -51,7 +51,7 @@ class Reference:
         return local_surface(self.points, places[:, :2]).height
 
 
-def load_reference(path: Path, frame: LocalFrame, cloud_crs: np.ndarray) -> Reference:
+def load_reference(path: Path, frame: LocalFrame, cloud_crs: np.ndarray) -> ReferenceSlice:
     """The reference in a file.
 
     Parameters
@@ -76,11 +76,11 @@ def load_reference(path: Path, frame: LocalFrame, cloud_crs: np.ndarray) -> Refe
     require_same_place(cloud_crs, vertices_of(shape), "the run", str(path))
     if isinstance(shape, Mesh):
         vertices, faces = weld(shape.vertices, shape.faces)
-        return Reference(path, frame.local_from_crs(vertices), faces)
+        return ReferenceSlice(path, frame.local_from_crs(vertices), faces)
     out, said = left_out(shape)
     if out.all():
         raise SurveyError(f"no point of {path} is of the ground: it holds {said}")
-    return Reference(path, frame.local_from_crs(part_of(shape, ~out).points), None)
+    return ReferenceSlice(path, frame.local_from_crs(part_of(shape, ~out).points), None)
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def slice_of(
     end: np.ndarray,
     half_m: float,
     water: FlatWater | None = None,
-    reference: Reference | None = None,
+    reference: ReferenceSlice | None = None,
 ) -> Slice:
     """The slice between two points (3,) [m], local, that differ in plan."""
     length = float(np.linalg.norm((end - start)[:2]))

@@ -33,7 +33,7 @@ from survey.run.flight import Flight
 from survey.settings.field import LossesConfig
 from survey.volume.monocular import priors_hash
 from survey.volume.scene import Scene, SceneOptions, VolumeFolder, load_scene
-from survey.volume.stored import Recipe, view_of
+from survey.volume.stored import VolumeRecipe, view_of
 
 CLOUD, REPORT, VIEWS, HELD = "cloud.las", "report.json", "views", "held out"
 # Weights of depth and of normals (MonoSDF, Yu et al. 2022).
@@ -100,9 +100,9 @@ class VolumeOptions:
         return SceneOptions(**{each.name: getattr(self, each.name) for each in fields(SceneOptions)})
 
     @property
-    def recipe(self) -> Recipe:
+    def recipe(self) -> VolumeRecipe:
         """Options of the model and its paths."""
-        return Recipe(**{name: getattr(self, name) for name in Recipe.__dataclass_fields__})
+        return VolumeRecipe(**{name: getattr(self, name) for name in VolumeRecipe.__dataclass_fields__})
 
     def of_losses(self) -> Losses:
         """The weights of the losses."""

@@ -28,7 +28,7 @@ from survey.volume.scene import SETTINGS, STATE, box_of_run, read_state
 
 
 @dataclass(frozen=True)
-class Recipe:
+class VolumeRecipe:
     """Settings that determine the parameters of a model and how its paths run."""
 
     model: str  # key of `fields.volume.models.MODELS`
@@ -57,7 +57,13 @@ class Recipe:
 
 
 def view_of(
-    renderer: VolumeRenderer, cells: Cells, recipe: Recipe, water: FlatWater | None, camera: PinholeCamera, *, dry: bool
+    renderer: VolumeRenderer,
+    cells: Cells,
+    recipe: VolumeRecipe,
+    water: FlatWater | None,
+    camera: PinholeCamera,
+    *,
+    dry: bool,
 ) -> NovelView:
     """A trained volume as a camera sees it, over the water of its survey or, ``dry``, with the water taken away."""
     bent = None if dry else recipe.bends(water)
@@ -76,7 +82,7 @@ class StoredVolume:
     """The folder of a volume beside the run that it was trained on."""
 
     folder: Path
-    recipe: Recipe
+    recipe: VolumeRecipe
     box: Box
     water: FlatWater | None  # Of the run
 
@@ -101,7 +107,7 @@ class StoredVolume:
                 "train one on this result: bathynerf field, into another folder"
             )
         try:
-            recipe = Recipe(**{name: settings[name] for name in Recipe.__dataclass_fields__})
+            recipe = VolumeRecipe(**{name: settings[name] for name in VolumeRecipe.__dataclass_fields__})
             bounds = settings["bounds"]
             box = box_of_run(run, run.flight.frame, None if bounds is None else tuple(bounds), recipe.cells)
         except (KeyError, TypeError, ValueError) as error:

@@ -25,7 +25,7 @@ from survey.adjust.result.std_common import std_common
 from survey.adjust.result.verdicts import MOST_STD_FOCAL, MOST_STD_INDEX, MOST_STD_LEVEL_M
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
-from survey.plan.check import Section
+from survey.plan.check import CheckSection
 from survey.plan.check_inputs import Verdict, by_limits, judged
 from survey.plan.choices import USUAL, Choices
 from survey.plan.places import in_the_middle, places_of
@@ -219,12 +219,12 @@ def _angles(survey: Survey, ties: TiePoints) -> np.ndarray:
     return found
 
 
-def foreseen_section(survey: Survey, *, depth_m: float = DEPTH_M, chosen: Choices = USUAL) -> Section | None:
+def foreseen_section(survey: Survey, *, depth_m: float = DEPTH_M, chosen: Choices = USUAL) -> CheckSection | None:
     """Section of `check` with the expected accuracy; None where too few views overlap."""
     found = foresee(survey, depth_m=depth_m, chosen=chosen)
     if found is None:
         return None
-    return Section("Foreseen from the poses", rows_of(found, heights_by_depth(survey, depth_m, chosen=chosen)))
+    return CheckSection("Foreseen from the poses", rows_of(found, heights_by_depth(survey, depth_m, chosen=chosen)))
 
 
 def rows_of(found: Foreseen, by_depth: Sequence[HeightStds]) -> tuple[tuple[str, str], ...]:

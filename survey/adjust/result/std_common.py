@@ -280,7 +280,7 @@ def seen_places(places: np.ndarray, survey: Survey) -> TiePoints:
 
 
 def _some(views: np.ndarray) -> np.ndarray:
-    """At most `_VIEWS` of these, spread over them."""
+    """Sample of at most `_VIEWS` of these, spread over them."""
     return views[np.linspace(0, len(views) - 1, min(len(views), _VIEWS)).round().astype(np.int64)]
 
 

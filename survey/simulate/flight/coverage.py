@@ -29,7 +29,7 @@ _SIDE_IN = 7.0
 
 
 @dataclass(frozen=True)
-class Coverage:
+class BedCoverage:
     """Coverage by a block."""
 
     footprints: np.ndarray  # (views, 5, 2) [m], local: east and north of the corners of each image on the bed, closed
@@ -66,7 +66,7 @@ class Coverage:
         return found
 
 
-def coverage(cameras: Sequence[PinholeCamera], site: Site) -> Coverage:
+def coverage(cameras: Sequence[PinholeCamera], site: Site) -> BedCoverage:
     """Coverage of a level bed at the site's mean depth by a block."""
     half = 0.5 * np.array(site.size_m)
     east, north = (np.linspace(-h, h, _POINTS) for h in half)
@@ -77,7 +77,7 @@ def coverage(cameras: Sequence[PinholeCamera], site: Site) -> Coverage:
         num_views += camera.sees(camera.project(points, site.water))
     footprints = np.array([_footprint(camera, site) for camera in cameras])
     sensitivity = None if site.water is None else _level_sensitivity(cameras, site)
-    return Coverage(footprints, east, north, num_views, sensitivity)
+    return BedCoverage(footprints, east, north, num_views, sensitivity)
 
 
 def _footprint(camera: PinholeCamera, site: Site) -> np.ndarray:
@@ -135,7 +135,7 @@ def _lowered(camera: PinholeCamera) -> PinholeCamera:
     return PinholeCamera(centre, camera.cam_from_local, *own)
 
 
-def picture(cameras: Sequence[PinholeCamera], cover: Coverage, site: Site) -> bytes:
+def picture(cameras: Sequence[PinholeCamera], cover: BedCoverage, site: Site) -> bytes:
     """A plan view as PNG: views of the bed as shades, footprints, cameras with their direction of view."""
     figure = matplotlib.figure.Figure(figsize=(_SIDE_IN, _SIDE_IN), layout="constrained")
     axes = figure.add_subplot()

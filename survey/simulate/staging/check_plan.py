@@ -17,7 +17,7 @@ from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import Observations, Survey
 from survey.photos.cameras import View
 from survey.photos.poses import TiePoints
-from survey.plan.check import Section
+from survey.plan.check import CheckSection
 from survey.plan.check_inputs import Verdict, by_limits, judged
 from survey.plan.check_light import LOST_GOOD, glitter_text, lost_share, motion_text, sun_text
 from survey.plan.choices import Choices
@@ -28,7 +28,7 @@ from survey.plan.workload import room_doubts, workload_of
 from survey.settings.config import AreaConfig, SurveyConfig, WaterConfig
 from survey.simulate.flight.coverage import coverage
 from survey.simulate.scene_file import read_scene
-from survey.simulate.staging.planning import Plan, plan_scene
+from survey.simulate.staging.planning import ScenePlan, plan_scene
 
 # Of the area, seen by fewer than three photographs: good, and fair.
 _UNSEEN = 0.0, 0.05
@@ -40,7 +40,7 @@ _STEP_MIN, _LOWEST_SUN_DEG = 15, 15.0
 _NO_TIME = 'unknown: give [light] time, e.g. time = "2026-07-14T09:30+02:00"'
 
 
-def check_plan(path: Path, *, quality: str, device: str, wind_m_s: float) -> list[Section]:
+def check_plan(path: Path, *, quality: str, device: str, wind_m_s: float) -> list[CheckSection]:
     """Pre-analysis of a flight before it is flown; nothing is written.
 
     Parameters
@@ -61,14 +61,14 @@ def check_plan(path: Path, *, quality: str, device: str, wind_m_s: float) -> lis
     survey = survey_of(plan)
     foreseen = foreseen_section(survey, depth_m=depth_of(plan), chosen=Choices(quality=quality))
     sections = [
-        Section("Flight", tuple(_flight_rows(plan, survey))),
-        Section("Light and motion", tuple(_light_rows(plan, survey, wind_m_s))),
-        Section("Processing", tuple(_processing_rows(survey, quality, device))),
+        CheckSection("Flight", tuple(_flight_rows(plan, survey))),
+        CheckSection("Light and motion", tuple(_light_rows(plan, survey, wind_m_s))),
+        CheckSection("Processing", tuple(_processing_rows(survey, quality, device))),
     ]
     return sections if foreseen is None else [*sections[:1], foreseen, *sections[1:]]
 
 
-def flight_of(path: Path) -> Plan:
+def flight_of(path: Path) -> ScenePlan:
     """The planned flight of a scene file.
 
     Raises
@@ -81,12 +81,12 @@ def flight_of(path: Path) -> Plan:
     return plan_scene(read_scene(path), path.parent)
 
 
-def depth_of(plan: Plan) -> float:
+def depth_of(plan: ScenePlan) -> float:
     """Depth of the bed under the water for which the accuracy is predicted [m]."""
     return plan.site.depth_m or DEPTH_M
 
 
-def survey_of(plan: Plan) -> Survey:
+def survey_of(plan: ScenePlan) -> Survey:
     """A planned flight as the survey that it would be, without photographs: GPS, the lens of a data sheet, no ties."""
     settings, frame = plan.settings, plan.frame
     water = None
@@ -124,7 +124,7 @@ def survey_of(plan: Plan) -> Survey:
     )
 
 
-def _flight_rows(plan: Plan, survey: Survey) -> list[tuple[str, str]]:
+def _flight_rows(plan: ScenePlan, survey: Survey) -> list[tuple[str, str]]:
     lens, site, cameras = plan.lens, plan.site, plan.cameras
     centres = np.array([camera.centre for camera in cameras])
     height = float(np.median(centres[:, 2])) - site.level
@@ -154,7 +154,7 @@ def _duration(seconds: float) -> str:
     return f"{seconds:.0f} seconds" if seconds < _SHORT_S else f"{seconds / 60.0:.0f} minutes"
 
 
-def _light_rows(plan: Plan, survey: Survey, wind_m_s: float) -> list[tuple[str, str]]:
+def _light_rows(plan: ScenePlan, survey: Survey, wind_m_s: float) -> list[tuple[str, str]]:
     time = plan.settings.light.known_time
     rows = [("sun", _NO_TIME)]
     if time is not None:

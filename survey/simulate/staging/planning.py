@@ -35,7 +35,7 @@ _PROBES = 15
 
 
 @dataclasses.dataclass(frozen=True)
-class Plan:
+class ScenePlan:
     """A scene before anything is built: where it lies and how it is flown.
 
     Attributes
@@ -62,7 +62,7 @@ class Plan:
     cameras: list[PinholeCamera]
 
 
-def plan_scene(settings: SceneSettings, folder: Path) -> Plan:
+def plan_scene(settings: SceneSettings, folder: Path) -> ScenePlan:
     """Place a scene on Earth and fly over it.
 
     Raises
@@ -87,7 +87,7 @@ def plan_scene(settings: SceneSettings, folder: Path) -> Plan:
         cameras = plan_flight(settings.flight, lens, site, settings.seed)
     else:
         cameras = _cameras_of(folder / settings.flight.poses, lens, frame)
-    return Plan(settings, folder, frame, level, lens, site, bed, cameras)
+    return ScenePlan(settings, folder, frame, level, lens, site, bed, cameras)
 
 
 def files_of(settings: SceneSettings) -> list[str]:

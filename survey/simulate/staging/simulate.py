@@ -20,7 +20,7 @@ from survey.files.outputs import ReadFiles, require_folder
 from survey.progress import current
 from survey.simulate.drawn.ground import build_ground
 from survey.simulate.drawn.settings import DrawnScene
-from survey.simulate.flight.coverage import Coverage, coverage, picture
+from survey.simulate.flight.coverage import BedCoverage, coverage, picture
 from survey.simulate.ground.ground import Ground, Material, plane, seen_area, shade_of_normals
 from survey.simulate.ground.objects import place_object, require_texels, skin_of_bed
 from survey.simulate.ground.shapes import BedGrid, TriangleMesh
@@ -31,7 +31,7 @@ from survey.simulate.render.direct import DirectRenderer
 from survey.simulate.render.mitsuba_scene import load_mitsuba, solid_scene, water_scene
 from survey.simulate.scene_file import LightSettings, SceneSettings, read_scene
 from survey.simulate.sensor import Sensor
-from survey.simulate.staging.planning import Plan, files_of, marks_of, plan_scene, sun_of
+from survey.simulate.staging.planning import ScenePlan, files_of, marks_of, plan_scene, sun_of
 from survey.simulate.water import WaterColour, measured, with_waves
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ def _changed(settings: SceneSettings, mode: str | None, preview: bool) -> SceneS
     return dataclasses.replace(settings, render=render)
 
 
-def _say_of(plan: Plan, cover: Coverage) -> None:
+def _say_of(plan: ScenePlan, cover: BedCoverage) -> None:
     """Report the figures of a flight, and what to improve."""
     heights = [float(camera.centre[2]) - plan.site.level for camera in plan.cameras]
     height, focal = sum(heights) / len(heights), plan.lens.focal[0]
@@ -133,7 +133,7 @@ def _say_of(plan: Plan, cover: Coverage) -> None:
         progress.warn(warning)
 
 
-def stage_scene(plan: Plan) -> StagedScene:
+def stage_scene(plan: ScenePlan) -> StagedScene:
     """Build the planned scene, ready to be photographed."""
     settings = plan.settings
     light = light_of(settings.light, plan.frame)
@@ -170,7 +170,7 @@ def stage_scene(plan: Plan) -> StagedScene:
     )
 
 
-def _surface(plan: Plan) -> WaterSurface | None:
+def _surface(plan: ScenePlan) -> WaterSurface | None:
     """The surface of the water, which flight planning approximates by a plane."""
     water, plane = plan.settings.water, plan.site.water
     if water is None or plane is None:
@@ -180,7 +180,7 @@ def _surface(plan: Plan) -> WaterSurface | None:
     return with_waves(plane, water.waves) if water.waves else plane
 
 
-def _path_tracer(plan: Plan, renderer: DirectRenderer, light: Light) -> PathTracer:
+def _path_tracer(plan: ScenePlan, renderer: DirectRenderer, light: Light) -> PathTracer:
     mi = load_mitsuba()
     # Only now: it takes Mitsuba's Dr.Jit to be there.
     from survey.simulate.render.path_tracer import PathTracer, Sunlight
@@ -209,7 +209,7 @@ def light_of(light: LightSettings, frame: LocalFrame) -> Light:
     return Light(to_sun, light.sun_share, math.radians(0.5 * light.sun_diameter_deg), light.sky == "overcast")
 
 
-def _ground(plan: Plan, light: Light) -> Ground:
+def _ground(plan: ScenePlan, light: Light) -> Ground:
     settings = plan.settings
     if settings.bed.kind == "drawn":
         ground = _drawn(plan, light)
@@ -224,7 +224,7 @@ def _ground(plan: Plan, light: Light) -> Ground:
     return Ground(shape, tuple(solids), tuple(looks))
 
 
-def _drawn(plan: Plan, light: Light) -> Ground:
+def _drawn(plan: ScenePlan, light: Light) -> Ground:
     """A drawn bed with its bodies, in the requested texture."""
     settings, bed, texture = plan.settings, plan.settings.bed, plan.settings.texture
     area = seen_area(plan.cameras, settings.area.size_m, -1.5 * bed.depth_m)
@@ -246,7 +246,7 @@ def _drawn(plan: Plan, light: Light) -> Ground:
     return Ground(ground.bed, ground.solids, (Material(skin, ground.looks[0].shade), *ground.looks[1:]))
 
 
-def _bed(plan: Plan, light: Light) -> tuple[BedGrid | TriangleMesh, Material]:
+def _bed(plan: ScenePlan, light: Light) -> tuple[BedGrid | TriangleMesh, Material]:
     """A bed that is a plane, or comes from a file."""
     settings = plan.settings
     shape: BedGrid | TriangleMesh

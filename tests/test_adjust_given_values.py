@@ -70,7 +70,7 @@ def test_water_as_given_is_not_contradicted_and_lies_within_what_is_said():
         block, survey = block_and_survey(seed)
         found = checked(block, survey)
         assert found.contradiction is None
-        told += found.told
+        told += found.contradictions
     scaled = np.array([each.difference / each.std for each in told if each.name == "level_m"])
     assert len(scaled) == 12
     # Of 12 normal deviates the root mean square is one within 20 % (one sigma); three of these. Wider is honest, too.
@@ -127,7 +127,7 @@ def test_dry_ground_says_nothing_of_water(level):
         block, survey = block_and_survey(seed, dry_share=1.0)
         found = checked(block, off(survey, level=level))
         assert (found.contradiction, found.flooded) == (None, None)
-        assert all(each.is_of_lens for each in found.told)
+        assert all(each.is_of_lens for each in found.contradictions)
 
 
 @pytest.mark.parametrize("error", [slow(-5.0), slow(-20.0), slow(-50.0), -100.0])

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from geo.crs import height_unit_m
 from survey.folder.plausible import GroundHeight, ground_below
 
 if TYPE_CHECKING:
@@ -26,8 +27,11 @@ def dry_ground(survey: Survey) -> GroundHeight:
         return GroundHeight(float(np.median(points[:, 2])), f"the median of {len(points):,} tie points")
     cameras = [view.camera for view in survey.views]
     if control is not None and control.points:
-        places = np.array([point.local for point in control.points])
-        return GroundHeight(float(np.median(places[:, 2])), f"the median of {len(places)} control points")
+        # By their heights in crs: level ground kilometres from the origin lies metres below its z = 0.
+        height = float(np.median([point.crs[2] for point in control.points])) - survey.frame.origin[2]
+        return GroundHeight(
+            height * height_unit_m(survey.frame.crs), f"the median of {len(control.points)} control points"
+        )
     heights = survey.config.area.heights
     if heights is not None:
         place = survey.frame.crs_from_local(np.median([camera.centre for camera in cameras], axis=0))

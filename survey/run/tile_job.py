@@ -13,8 +13,10 @@ import numpy as np
 
 from fields.image_store import GreyImages, Masks
 from fields.sweep.block import Block
+from fields.sweep.views import ground_points
 from survey.errors import SurveyError
 from survey.plan.area import grown, limits
+from survey.plan.flattened import flattened
 from survey.plan.rates import part_name
 from survey.plan.sweep_block import backend
 from survey.plan.tiling import Area, places_of
@@ -80,7 +82,9 @@ class TileJob(Job):
             # The bound of the survey is over its plane.
             self._bound = found.bound[0] - highest, found.bound[1] - lowest
         else:
-            self._limits = limits(survey)
+            # The height of dry ground may be known from how far views are apart, which one alone does not tell.
+            is_alone = survey.water is None and len(survey.views) < 2
+            self._limits = limits(flattened(whole.survey) if is_alone else survey)
             self._bound = self._limits if found.bounds is None else found.bounds[number]
         own = self._in_frame(whole.tiling.ground(number, 0.0))
         showing = whole.outlines.showing(survey.water, own, self._bound, self._moved)
@@ -97,8 +101,10 @@ class TileJob(Job):
 
     @property
     def is_void(self) -> bool:
-        """Whether too few views show the tile."""
-        return len(self.windows) < 2 or not self.views_to_match()
+        """Whether too few views show the tile, or none of them looks down at it."""
+        if len(self.windows) < 2 or not self.views_to_match():
+            return True
+        return bool(np.isnan(ground_points([view.camera for view in self.survey.views], 0.0)).all())
 
     def views_to_match(self) -> list[int]:
         """Views of the whole survey that show the tile, by their numbers here."""

@@ -4,16 +4,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from geo.frames import LocalFrame
 from refract.curved import curvature_drop
+from survey.control.points import Control, ControlPoint
+from survey.plan.area import limits
+from survey.plan.choices import USUAL
+from survey.plan.flattened import flattened
+from survey.plan.ground import dry_ground
+from survey.plan.recipe import RECIPES, times_seen_between
 from survey.plan.tiling import Tiling, inside
+from survey.progress import Progress
+from survey.run import stage_tiles
 from survey.run.job import Job
 from survey.run.tile_frame import area_in_frame, frame_of_tile, has_frames, survey_in_frame
-from survey.run.tile_job import TileJob, over_own_plane
+from survey.run.tile_job import TileJob, TilePlan, over_own_plane
 from survey.water.surface import still_water
 
 TILING = Tiling((-500.0, 3000.0, 6500.0, 10_000.0), (-200.0, 200.0), 0.2)
@@ -99,3 +108,65 @@ def test_the_ground_of_a_tile_holds_it_in_its_frame_whatever_the_height(far, rng
     assert max(np.subtract(area[2:], area[:2]) - np.subtract(ground[2:], ground[:2])) < 10.0
     cell = area_in_frame(TILING.cell(LAST), moved)
     assert (math.isfinite(cell[0]), *map(math.isinf, cell[1:])) == (True, True, True, True)
+
+
+@pytest.fixture
+def dry_job(far, tmp_path):
+    """The survey dry, without matched points, its first view 700 m beside the others, in a tile each."""
+    survey, _ = far
+    bare = replace(survey.observations, points=None, control=None, departure=None, ties=None)
+    first, *others = survey.views
+    aside = replace(first.camera, centre=first.camera.centre - (700.0, 0.0, 0.0))
+    views = (replace(first, camera=aside), *others)
+    area = replace(survey.config.area, bounds=None, heights=None)
+    survey = replace(survey, water=None, views=views, observations=bare, config=replace(survey.config, area=area))
+    x = aside.centre[0]
+    with Progress(verbosity=-1) as progress:
+        job = Job(survey, USUAL, progress, scratch=tmp_path)
+        job.tiling = Tiling((x - 20.0, x + 300.0, x + 800.0), (-100.0, 200.0), 0.2)
+        yield job
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_one_photograph_over_dry_ground_takes_the_limits_of_the_survey(dry_job):
+    tile = TileJob(dry_job, 0, TilePlan.of_search(dry_job))
+    assert tile.bound == limits(flattened(dry_job.survey))
+    assert np.isfinite(tile.bound).all()
+
+
+def test_a_tile_that_only_views_of_the_sky_show_is_void(dry_job):
+    tile = TileJob(dry_job, 1, TilePlan.of_search(dry_job))
+    assert not tile.is_void
+    level = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    views = (replace(view, camera=replace(view.camera, cam_from_local=level)) for view in tile.survey.views)
+    tile.survey = replace(tile.survey, views=tuple(views))
+    assert tile.is_void
+
+
+def test_dry_ground_by_control_is_as_high_in_the_frame_of_a_tile(far):
+    survey, own = far
+    place = np.array([8000.0, 50.0, -curvature_drop(8000.0)])
+    crs = tuple(survey.frame.crs_from_local(place).tolist())
+    control = Control((ControlPoint("a", crs, place, np.full(3, 0.01)),), (), 0.5)
+    dry = replace(survey, water=None, observations=replace(survey.observations, points=None, control=control))
+    heights = [dry_ground(each).height for each in (dry, survey_in_frame(dry, own, EVERYWHERE))]
+    # 8 km from the origin of the first frame and 250 m from that of the second: 5 m under its z = 0, and 5 mm.
+    np.testing.assert_allclose(heights, 0.0, atol=0.02)
+
+
+def test_tiles_choose_more_views_under_glitter(monkeypatch):
+    asked = []
+
+    class Tile(SimpleNamespace):
+        block = SimpleNamespace(
+            saturated=(0.5, 0.5), cover=lambda *times: asked.append(times) or [0], judge_overlap_at=lambda height: None
+        )
+
+    def tile(*_):
+        return Tile(is_void=False, windows=[SimpleNamespace(view=7)], range_of_heights=lambda: (-2.0, 0.0), drop=int)
+
+    monkeypatch.setattr(stage_tiles, "TileJob", tile)
+    monkeypatch.setattr(TilePlan, "of_search", lambda job: None)
+    job = SimpleNamespace(tiling=[0], plan=SimpleNamespace(recipe=RECIPES["draft"]))
+    bounds, views = stage_tiles._of_tiles(job, lambda share: None)
+    assert (bounds, views, asked) == ([(-2.0, 0.0)], [7], [times_seen_between((0.5, 0.5), RECIPES["draft"].times_seen)])

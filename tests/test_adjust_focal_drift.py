@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from refract.lens import distorted
+from refract.lens import MODELS, Lens, distorted
 from survey.adjust.applied import apply_adjustment, write_cameras
 from survey.adjust.block.bundle import NotConvergedError
 from survey.adjust.block.lenses import enlarged, lenses_of
@@ -124,9 +124,78 @@ def test_lenses_of_few_photographs_or_of_several_cameras_are_kept(drifted):
     two = [replace(view, lens=views[number % 2].lens) for number, view in enumerate(views)]
     lenses, lens_of, focals = lenses_of(two)
     assert (len(lenses), lens_of.tolist(), len(focals)) == (2, 8 * [0, 1], 0)
-    # One of another size among them.
-    other = replace(views[0], lens=replace(views[0].lens, width=views[0].lens.width + 2))
-    assert len(lenses_of((other, *views[1:]))[0]) == len(views)
+
+
+def with_lenses(views, lenses):
+    return tuple(replace(view, lens=lens) for view, lens in zip(views, lenses, strict=True))
+
+
+@pytest.mark.parametrize(("decimals", "aspect"), [(None, 1.0), (2, 1.0), (1, 1.0), (6, 1.0003), (3, 1.0003)])
+def test_lenses_with_rounded_focal_lengths_are_one(drifted, decimals, aspect):
+    view, lens = drifted[1].views[0], drifted[1].views[0].lens
+    at = [MODELS[lens.model][1].index(name) for name in ("fx", "fy")]
+    # Each of two photographs, as where a focus stays.
+    shares = np.tile(np.random.default_rng(3).normal(0.0, SHARE, 50), 2)
+    written = []
+    for share in shares.tolist():
+        params = list(lens.params)
+        params[at[0]], params[at[1]] = 3000.0 * (1.0 + share), 3000.0 * (1.0 + share) * aspect
+        written.append(replace(lens, params=tuple(p if decimals is None else round(p, decimals) for p in params)))
+    lenses, lens_of, focals = lenses_of([replace(view, lens=each) for each in written])
+    assert (len(lenses), lens_of.tolist()) == (1, 100 * [0])
+    given = np.array([each.focal for each in written])
+    back = np.array([enlarged(lenses[0], 1.0 + share).focal for share in focals.tolist()])
+    # Both focal lengths are wrong by no more than their ratio.
+    np.testing.assert_allclose(back, given, rtol=1e-6)
+
+
+def test_lenses_whose_two_focal_lengths_spread_are_not_one(drifted):
+    view, lens = drifted[1].views[0], drifted[1].views[0].lens
+    at = MODELS[lens.model][1].index("fy")
+    views = []
+    for number in range(12):
+        params = list(enlarged(lens, 1.0 + 1e-3 * number).params)
+        # Of three neighbours the ratio is the same to 1e-6.
+        params[at] *= 1.0 + 4e-7 * number
+        views.append(replace(view, lens=replace(lens, params=tuple(params))))
+    assert len(lenses_of(views)[0]) == 12
+
+
+def test_photographs_of_other_cameras_keep_their_lens(drifted):
+    """Beside one camera with autofocus: one photograph of another size, and a camera of one focal length."""
+    _, survey, found = drifted
+    views = apply_adjustment(survey, found).views
+    each = [view.lens for view in views]
+    small = replace(each[0], width=each[0].width + 2)
+    fixed = replace(each[0], height=each[0].height + 2)
+    given = replace(survey, views=with_lenses(views, [small, *each[1:11], *5 * [fixed]]))
+    lenses, lens_of, focals = lenses_of(given.views)
+    assert lens_of.tolist() == [0, *10 * [1], *5 * [2]]
+    assert (lenses[0], lenses[2]) == (small, fixed)
+    assert focals[[0, *range(11, 16)]].tolist() == 6 * [0.0]
+    focal = np.array([lens.focal[0] for lens in each[1:11]])
+    assert lenses[1].focal[0] == pytest.approx(focal.mean())
+    assert focals[1:11] == pytest.approx(focal / focal.mean() - 1.0)
+    known = known_of(given, 0.02)
+    std = known.std[known.layout.first_focal : known.layout.first_pose]
+    # Those of the other cameras are held: what differs is in their lenses.
+    assert std[1:11] == pytest.approx(np.full(10, rms(focals[1:11])))
+    assert std[[0, *range(11, 16)]].max() < 1e-9
+    adjusted = replace(given, observations=replace(given.observations, ties=None))
+    std = known_of(adjusted, 0.02, free_water=True).std[known.layout.first_focal : known.layout.first_pose]
+    assert std[1:11].min() > 1e-5
+    assert std[[0, *range(11, 16)]].max() < 1e-9
+
+
+def test_a_lens_is_not_compared_with_every_other(drifted, monkeypatch):
+    lens, read = drifted[1].views[0].lens, []
+    each = [replace(lens, width=lens.width + number) for number in range(400)]
+    views = [replace(drifted[1].views[0], lens=mine) for mine in each]
+    focal = Lens.focal.fget
+    monkeypatch.setattr(Lens, "focal", property(lambda mine: read.append(1) or focal(mine)))
+    assert len(lenses_of(views)[0]) == len(views)
+    # All pairs would be 80,000.
+    assert len(read) <= 10 * len(views)
 
 
 def test_a_block_that_does_not_converge_with_them_keeps_one_focal_length(drifted):

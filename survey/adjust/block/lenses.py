@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -13,10 +14,10 @@ from survey.photos.cameras import View
 # Models whose distortion is Brown's; other lenses are held, and their tie points straightened.
 BROWN = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
 _FOCAL_NAMES = ("f", "fx", "fy")
-# Of fewer photographs nothing tells a scatter of the focal lengths from several cameras.
+# Fewer focal lengths that differ are those of several cameras, not the scatter of one.
 FEWEST = 5
-# Ratios of both focal lengths are written with 17 digits.
-_SAME_RATIO = 1e-12
+# Ratios of both focal lengths differ by less: of focal lengths of thousands of pixels written with three decimals.
+_SAME_RATIO = 1e-6
 
 
 def is_held(lens: Lens) -> bool:
@@ -34,8 +35,8 @@ def enlarged(lens: Lens, factor: float) -> Lens:
 def lenses_of(views: Sequence[View]) -> tuple[tuple[Lens, ...], np.ndarray, np.ndarray]:
     """Lenses of a block, L of V photographs.
 
-    Where each photograph has a focal length of its own and all else is as in others, as an adjustment with autofocus
-    writes them, these are one lens with the mean of the focal lengths.
+    Lenses that differ in nothing but their focal length, of `FEWEST` different focal lengths or more, as an adjustment
+    with autofocus writes them, are one with the mean of the focal lengths. All others are kept as they are.
 
     Returns
     -------
@@ -46,35 +47,40 @@ def lenses_of(views: Sequence[View]) -> tuple[tuple[Lens, ...], np.ndarray, np.n
         Focal length of each photograph over that of its lens, less one; empty where they do not differ.
     """
     each = [view.lens for view in views]
-    lenses = tuple(dict.fromkeys(each))
-    if len(lenses) == len(views) >= FEWEST and not any(map(is_held, lenses)):
-        shapes = _alike(lenses)
-        if len(shapes) < len(lenses) and np.bincount(number := _numbers(lenses, shapes)).min() > 1:
-            focal = np.array([lens.focal[0] for lens in lenses])
-            mean = np.bincount(number, focal) / np.bincount(number)
-            common = tuple(enlarged(lens, mean[i] / lens.focal[0]) for i, lens in enumerate(shapes))
-            return common, number, focal / mean[number] - 1.0
-    return lenses, np.array([lenses.index(lens) for lens in each]), np.zeros(0)
+    focal = np.array([lens.focal[0] for lens in each])
+    common, focals = list(each), np.zeros(len(each))
+    for alike in _alike(each):
+        first = each[alike[0]]
+        if is_held(first) or len(np.unique(focal[alike])) < FEWEST:
+            continue
+        mean = focal[alike].mean()
+        lens = enlarged(first, float(mean) / first.focal[0])
+        focals[alike] = focal[alike] / mean - 1.0
+        for photograph in alike:
+            common[photograph] = lens
+    numbers = {lens: number for number, lens in enumerate(dict.fromkeys(common))}
+    lens_of = np.array([numbers[lens] for lens in common], dtype=np.int64)
+    return tuple(numbers), lens_of, focals if focals.any() else np.zeros(0)
 
 
-def _alike(lenses: Sequence[Lens]) -> list[Lens]:
-    """The first of those lenses that differ in nothing but their focal length."""
-    found: list[Lens] = []
-    for lens in lenses:
-        if not any(_is_scaled(lens, other) for other in found):
-            found.append(lens)
-    return found
+def _alike(lenses: Sequence[Lens]) -> list[list[int]]:
+    """Groups of the numbers of lenses that differ in nothing but their focal length."""
+    groups = defaultdict(list)
+    for number, lens in enumerate(lenses):
+        names = MODELS[lens.model][1]
+        rest = tuple(p for name, p in zip(names, lens.params, strict=True) if name not in _FOCAL_NAMES)
+        groups[lens.model, lens.width, lens.height, rest].append(number)
+    return [part for group in groups.values() for part in _of_one_ratio(lenses, group)]
 
 
-def _numbers(lenses: Sequence[Lens], shapes: Sequence[Lens]) -> np.ndarray:
-    return np.array([next(i for i, shape in enumerate(shapes) if _is_scaled(lens, shape)) for lens in lenses])
-
-
-def _is_scaled(lens: Lens, other: Lens) -> bool:
-    """Whether two lenses differ in nothing but their focal length."""
-    if (lens.model, lens.width, lens.height) != (other.model, other.width, other.height):
-        return False
-    names = MODELS[lens.model][1]
-    rest = [i for i, name in enumerate(names) if name not in _FOCAL_NAMES]
-    ratios = [each.focal[1] / each.focal[0] for each in (lens, other)]
-    return abs(ratios[0] / ratios[1] - 1.0) < _SAME_RATIO and all(lens.params[i] == other.params[i] for i in rest)
+def _of_one_ratio(lenses: Sequence[Lens], group: Sequence[int]) -> list[list[int]]:
+    """Parts of a group whose ratios of both focal lengths are the same."""
+    parts: list[list[int]] = []
+    least = 0.0
+    for ratio, number in sorted((lenses[number].focal[1] / lenses[number].focal[0], number) for number in group):
+        # Against the least of a part, not its neighbour: ratios that spread continuously are no single one.
+        if not parts or ratio > least * (1.0 + _SAME_RATIO):
+            parts.append([])
+            least = ratio
+        parts[-1].append(number)
+    return parts

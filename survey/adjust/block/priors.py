@@ -130,7 +130,6 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> PriorKn
         rotations=rolled_to_attitudes(rotations, rolls),
         focals=np.zeros(len(focals)),
     )
-    of_focal = _CALIBRATED * _FOCAL_SHARE if calibrated else math.sqrt(np.mean(focals**2)) if len(focals) else 0.0
     of_given = _GIVEN_LENS if len(views) == 2 and survey.config.cameras.distortion is not None else 1.0
     of_water = _water_std(survey, free=free_water)
     of_water[0] = math.hypot(of_water[0], common_up)
@@ -142,7 +141,7 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> PriorKn
             *(_lens_std(lens) * (_CALIBRATED if calibrated else of_given) for lens in lenses),
             np.full(layout.first_rate - layout.first_readout, readout_std, dtype=np.float64),
             np.full(layout.first_focal - layout.first_rate, _rate_std(survey), dtype=np.float64),
-            np.full(len(focals), of_focal),
+            _focals_std(lens_of, focals, calibrated=calibrated),
             np.concatenate([position_std, rotation_std], axis=1).ravel(),
         ]
     )
@@ -261,6 +260,15 @@ def _lens_std(lens: Lens) -> np.ndarray:
     middle = _MIDDLE_SHARE * side
     std = np.array([_FOCAL_SHARE * focal, middle, middle, *radial, decentred, decentred])
     return HELD * std if is_held(lens) else std
+
+
+def _focals_std(lens_of: np.ndarray, focals: np.ndarray, *, calibrated: bool) -> np.ndarray:
+    """Std of the focal lengths of photographs (V,): their scatter about that of their lens; held where it has none."""
+    if not len(focals):
+        return focals
+    scatter = np.sqrt(np.bincount(lens_of, focals**2) / np.bincount(lens_of))
+    std = np.where(scatter > 0.0, _CALIBRATED * _FOCAL_SHARE, 0.0) if calibrated else scatter
+    return np.maximum(std, HELD * _FOCAL_SHARE)[lens_of]
 
 
 def _water_std(survey: Survey, *, free: bool) -> np.ndarray:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +15,9 @@ from geo.crs import parse_crs
 from geo.frames import LocalFrame
 from refract import FlatWater
 from refract.curved import SphericalWater, curvature_drop, gaussian_radius
+from survey.folder.placed_views import PlacedViews, lifted_over_water
+from survey.photos.cameras import View
+from survey.photos.poses import TiePoints
 from survey.run.curved_water import through_surface
 from survey.water.surface import EARTH, still_water
 
@@ -81,3 +86,20 @@ def test_the_bed_a_kilometre_away_lies_where_rays_through_a_sphere_meet(rng):
     assert np.abs(bed.xyz[:, 2] - points[:, 2]).max() > 0.02
     assert np.abs(found.xyz - points).max() < 5e-4
     np.testing.assert_allclose(found.depth, -drop - found.xyz[:, 2], atol=2e-3)
+
+
+@pytest.mark.parametrize(("up", "is_lifted"), [(5.0, False), (-2.0, True)])
+def test_low_flights_kilometres_away_are_over_their_water(up, is_lifted):
+    """5 m over the water, 10 km from where its plane touches it, a camera lies 3 m under the plane."""
+    there = np.array([10_000.0, 0.0, -curvature_drop(10_000.0)])
+    views = [
+        View(str(number), Path(f"{number}.jpg"), replace(camera, centre=np.add(there, (0.0, 3.0 * number, up))), None)
+        for number, camera in enumerate(cameras()[:3])
+    ]
+    departure = still_water(FRAME, PLANE, np.array([view.camera.centre for view in views]))
+    priors = {"0": SimpleNamespace(position=there, common_up_std=30.0)}
+    ties = TiePoints(there + np.zeros((10, 3)), *[np.zeros(0, dtype=int)] * 2, np.zeros((0, 2)))
+    placed = PlacedViews(None, FRAME, views, ties.start, ties, None, None, priors, None, ())
+    _, moved, said = lifted_over_water(placed, views, PLANE, departure)
+    assert bool(said.warnings) == is_lifted
+    assert (moved is views) != is_lifted

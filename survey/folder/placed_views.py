@@ -32,6 +32,7 @@ from survey.photos.images import is_hidden, read_mask, require_all_complete
 from survey.photos.names import MASK_ENDING, ImageNames
 from survey.photos.pixels import open_image, stored_size
 from survey.photos.poses import TiePoints
+from survey.water.surface import Departure, height_above
 
 # Decoding the masks of thousands of photographs takes minutes: so many of them tell black from white.
 _NUM_LOOKED_AT = 5
@@ -217,7 +218,7 @@ def _with_images(found: Found, views: list[View], masks: Path | None) -> tuple[l
 
 
 def lifted_over_water(
-    placed: PlacedViews, views: list[View], water: FlatWater | None
+    placed: PlacedViews, views: list[View], water: FlatWater | None, departure: Departure | None
 ) -> tuple[PlacedViews, list[View], Findings]:
     """Views shifted in height where all cameras lie under the water or far above it.
 
@@ -230,16 +231,19 @@ def lifted_over_water(
         Those of `placed`, with all else that is known of them.
     water : FlatWater or None
         Whose level is known.
+    departure : Departure or None
+        Of the water from this plane.
     """
     if water is None or placed.ties is None or placed.control is not None or common_up_std(placed.priors) == 0.0:
         return placed, views, Findings()
     centres = np.array([view.camera.centre for view in views])
-    over = -water.depth(centres)
+    over = height_above(water, departure, centres)
     most_m = most_over_water([view.camera for view in views])
     if over.min() > 0.0 and over.max() < most_m:
         return placed, views, Findings()
     x, y, _ = np.median(centres, axis=0).tolist()
-    up = float(water.height(x, y)) - over_points(placed.ties.start, centres)
+    level = float(water.height(x, y)) + (0.0 if departure is None else float(departure.at(np.array([[x, y]]))[0][0]))
+    up = level - over_points(placed.ties.start, centres)
     said = "under the water" if over.min() <= 0.0 else f"more than {most_m:.0f} m over the water"
     warning = (
         f"the heights of their positions put the cameras {said} ({over.min():.1f} to {over.max():.1f} m over it): the "

@@ -198,15 +198,14 @@ def load_survey(
     config, water, is_level_known, levels, said = _water(placed, views)
     assumptions += said.assumptions
     warnings += said.warnings
-    if is_level_known:
-        placed, views, said = lifted_over_water(placed, views, water)
-        warnings += said.warnings
-    views, tide = with_tides(views, found.tide, water)
-    seen = np.array([view.camera.centre for view in views])
-    seen = seen if placed.points is None else np.concatenate([seen, placed.points])
     departure = Departure.of(levels, frame, water)
     if departure is None and water is not None:
-        departure = still_water(frame, water, seen)
+        departure = still_water(frame, water, _seen(placed, views))
+    if is_level_known:
+        placed, views, said = lifted_over_water(placed, views, water, departure)
+        warnings += said.warnings
+    views, tide = with_tides(views, found.tide, water)
+    seen = _seen(placed, views)
     above_water = None if water is None else partial(height_above, water, departure)
     ground, said = read_ground(found.folder, config, frame, seen, above_water, is_level_known=is_level_known)
     assumptions += said.assumptions
@@ -278,6 +277,12 @@ def _with_poses_name(config: SurveyConfig, found: Found) -> SurveyConfig:
         return config
     poses_name = found.poses_path.relative_to(found.folder).as_posix()
     return replace(config, cameras=replace(config.cameras, poses=poses_name))
+
+
+def _seen(placed: PlacedViews, views: list[View]) -> np.ndarray:
+    """Cameras and matched points (N, 3) [m], local: as far as a survey reaches."""
+    centres = np.array([view.camera.centre for view in views])
+    return centres if placed.points is None else np.concatenate([centres, placed.points])
 
 
 def _doubts(

@@ -19,6 +19,7 @@ from stored_run import plane_stored, run_of
 
 from geo.errors import UnwritableFile
 from geo.vectors import DxfLine, Layer, write_dxf, write_geojson, write_geopackage, write_shapefile
+from refract.curved import curvature_drop
 from survey.errors import SurveyError
 from survey.export.export import export
 from survey.export.loaded import LoadedRun
@@ -26,7 +27,8 @@ from survey.export.outlines import ONE_VIEW, TWO_VIEWS, unseen_of
 from survey.export.product import ExportOptions
 from survey.folder.survey import load_survey
 from survey.progress import Progress
-from survey.run.flight import save_flight
+from survey.run.flight import load_flight, save_flight
+from survey.water.surface import still_water
 
 TO_CRS = Transformer.from_crs("EPSG:4326", "EPSG:25832", always_xy=True)
 # Cells of 0.2 m on the rim of the hole have points in one half only.
@@ -312,3 +314,19 @@ def test_a_dry_survey_has_contours_of_height_and_no_shoreline(tmp_path):
     assert 2104.0 < min(heights) < max(heights) < 2105.1
     with pytest.raises(SurveyError, match="is a dry survey and has no shoreline; leave --shoreline out"):
         export(path, shoreline=tmp_path / "s.geojson")
+
+
+def test_the_water_of_a_run_of_kilometres_follows_the_earth(block, tmp_path):
+    _, survey = block
+    reached = np.array([[-100.0, 0.0, 80.0], [8000.0, 0.0, 80.0]])
+    departure = still_water(survey.frame, survey.water, reached)
+    save_flight(tmp_path, replace(survey, observations=replace(survey.observations, departure=departure)))
+    flight = load_flight(tmp_path)
+    crs = survey.frame.crs_from_local([8000.0, 0.0, -curvature_drop(8000.0)])
+    there = survey.frame.local_from_crs([*crs[:2], 2105.0])
+    assert flight.level(there[None, :2])[0] == pytest.approx(there[2], abs=1e-3)
+    # A camera 5 m over the water there lies in the plane that touches the water at the origin.
+    camera = replace(survey.views[0].camera, centre=np.add(there, (0.0, 0.0, 5.0)))
+    under = flight.water_under(camera)
+    assert under.height(*there[:2]) == pytest.approx(there[2], abs=1e-3)
+    assert (under.slope_x - flight.water.slope_x) == pytest.approx(-2.0 * curvature_drop(8000.0) / 8000.0, rel=0.01)

@@ -14,6 +14,7 @@ from survey.control.points import Checkpoint, Control, ControlPoint, Mark
 from survey.folder.survey import load_survey
 from survey.report.checkpoints import WITHIN_GSD, checkpoint_heights, checkpoints_of
 from survey.report.tables import checkpoints as checkpoint_blocks
+from survey.water.surface import still_water
 from tests.changed_survey import changed
 
 GSD_M = 0.05
@@ -86,3 +87,16 @@ def test_without_check_points_there_are_no_figures_and_without_a_cloud_no_groups
     alone = checkpoints_of(changed(survey, checkpoints=(check(survey, "rod", [0, 0, 0]),)), np.zeros((0, 3)), GSD_M)
     assert (alone.groups, alone.rows[0].difference_m) == ((), None)
     assert len(checkpoint_blocks(alone)) == 2
+
+
+def test_depths_kilometres_away_count_from_water_that_follows_the_earth(survey):
+    reached = np.array([[0.0, 0.0, 80.0], [5000.0, 0.0, 80.0]])
+    departure = still_water(survey.frame, survey.water, reached)
+    far = replace(survey, observations=replace(survey.observations, departure=departure))
+    e, n, _ = survey.frame.crs_from_local(np.array([5000.0, 0.0, -2.0])).tolist()
+    # The water of the small survey stands at 2105 m.
+    place = survey.frame.local_from_crs(np.array([e, n, 2104.0]))
+    point = Checkpoint("far", (e, n, 2104.0), place)
+    far = replace(far, observations=replace(far.observations, checkpoints=(point,)))
+    (row,) = checkpoints_of(far, plane_bed(survey).xyz, GSD_M).rows
+    assert row.depth_m == pytest.approx(1.0, abs=1e-3)

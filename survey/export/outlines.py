@@ -92,9 +92,7 @@ def _unseen(run: LoadedRun) -> Unseen:
     cameras = [view.camera for view in flight.views]
     cells = cells_seen(cameras, flight.water, local_area(flight), run.columns("xyz")["xyz"], run.place.gsd_m)
     places = cells.middles
-    level = np.full(cells.height.shape, np.nan)
-    if flight.water is not None:
-        level = flight.water.height(places[..., 0], places[..., 1])
+    level = flight.level(places[..., :2])
     is_water = cells.height < level
     codes = np.where(cells.num_views >= 2, TWO_VIEWS, np.where(cells.num_views == 1, ONE_VIEW, 0))
     return Unseen(cells, np.where(is_water & ~cells.has_point, codes, 0).astype(np.uint8), level, flight.frame)
@@ -149,7 +147,7 @@ def footprints(run: LoadedRun, options: ExportOptions) -> Layer:
     cells = cells_seen(cameras, flight.water, None, xyz, run.place.gsd_m)
     shapes, names, areas, lost = [], [], [], []
     for view in flight.views:
-        ring = _on_bed(view.camera, flight.water, cells)
+        ring = _on_bed(view.camera, flight.water_under(view.camera), cells)
         if ring is None:
             lost.append(view.name)
             continue
@@ -171,9 +169,9 @@ def _on_bed(camera: PinholeCamera, water: FlatWater | None, cells: SeenCells) ->
     share = np.linspace(0.0, 1.0, _PLACES_OF_SIDE, endpoint=False)[:, None]
     border = np.concatenate([a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
     path = camera.paths(border, water)
-    height = np.full(len(border), float(np.median(cells.height)))
+    height = np.full(len(border), float(cells.height[cells.index(camera.centre)]))
     if water is not None:
-        height -= float(water.height(*cells.middles[..., :2].reshape(-1, 2).mean(axis=0)))
+        height -= float(water.height(*camera.centre[:2]))
     for _ in range(_STEPS):
         places = path.at_height(height, water)
         if not np.isfinite(places).all():

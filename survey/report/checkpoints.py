@@ -14,6 +14,7 @@ from survey.control.points import Checkpoint, ControlPoint
 from survey.display.quantities import count, length, named, share
 from survey.folder.survey import Survey
 from survey.report.blocks import Block, Rows, Text
+from survey.water.surface import height_above
 
 # 90 % of normal errors are within so many standard deviations: along one axis, and in two that are alike.
 LE90, CE90 = 1.644854, 2.145966
@@ -157,7 +158,8 @@ def checkpoints_of(
     places = np.array([point.local for point in given])
     differences = checkpoint_heights(points, places, gsd_m)
     stds, outside = _stated_at(points, stated, places), _outside(survey, np.array([point.crs for point in given]))
-    depths = None if survey.water is None else np.asarray(survey.water.depth(places))
+    water = survey.water
+    depths = None if water is None else -height_above(water, survey.observations.departure, places)
     rows = tuple(
         CheckpointRow(
             point.name,

@@ -17,8 +17,10 @@ from refract.lens import Lens
 from survey.errors import SurveyError
 from survey.files.json_values import read_json_object
 from survey.photos.cameras import View
+from survey.water.surface import Departure, StillWater, height_above
 
 if TYPE_CHECKING:
+    from refract import PinholeCamera
     from survey.folder.survey import Survey
 
 FLIGHT = "flight.json"
@@ -33,6 +35,24 @@ class Flight:
     water: FlatWater | None  # Local; None for a dry survey
     views: tuple[View, ...]  # Adjusted, where the run adjusted them
     bounds: tuple[float, float, float, float] | None  # (e0, n0, e1, n1) or None: in crs: where the bed was wanted
+    departure: Departure | None = None  # Of the water from its plane
+
+    def level(self, xy: np.ndarray) -> np.ndarray:
+        """Heights (...) [m], local, of the water at places (..., 2); NaN in a dry survey."""
+        if self.water is None:
+            return np.full(xy.shape[:-1], np.nan)
+        level = self.water.height(xy[..., 0], xy[..., 1])
+        if self.departure is None:
+            return level
+        return level + self.departure.at(xy.reshape(-1, 2))[0].reshape(level.shape)
+
+    def water_under(self, camera: PinholeCamera) -> FlatWater | None:
+        """The plane that fits the water best as far around a camera as this flies over it."""
+        if self.water is None or self.departure is None:
+            return self.water
+        reach = max(float(height_above(self.water, self.departure, camera.centre[None])[0]), 1.0)
+        around = np.stack(np.meshgrid(*[(-reach, 0.0, reach)] * 2), axis=-1).reshape(-1, 2)
+        return self.departure.tangent(camera.centre[:2] + around, self.water)
 
 
 def save_flight(folder: Path, survey: Survey) -> None:
@@ -43,10 +63,25 @@ def save_flight(folder: Path, survey: Survey) -> None:
         "origin": list(survey.frame.origin),
         "water": water,
         "bounds": survey.bounds,
+        "departure": _said_departure(survey.observations.departure),
         "views": [_said(view) for view in survey.views],
     }
     with write_whole(folder / FLIGHT) as stream:
         stream.write(json.dumps(said, indent=1, ensure_ascii=False, default=_plain).encode())
+
+
+def _said_departure(departure: Departure | None) -> dict | None:
+    if departure is None:
+        return None
+    is_still = isinstance(departure, StillWater)
+    return {"is_still": is_still, "points": departure.points, "stds": departure.stds}
+
+
+def _departure(said: dict | None) -> Departure | None:
+    if said is None:
+        return None
+    kind = StillWater if said["is_still"] else Departure
+    return kind(np.array(said["points"]), np.array(said["stds"]))
 
 
 def _said(view: View) -> dict:
@@ -89,6 +124,7 @@ def load_flight(run: Path) -> Flight:
             None if water is None else FlatWater(**{**water, "point": tuple(water["point"])}),
             tuple(_view(entry) for entry in said["views"]),
             None if said["bounds"] is None else tuple(said["bounds"]),
+            _departure(said.get("departure")),
         )
     except (KeyError, TypeError, ValueError) as error:
         why = "was made before runs kept their cameras" if not said else f"holds a {FLIGHT} that cannot be read"

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from survey.display.quantities import bytes_of, room, size
+from survey.display.quantities import bytes_of, length, room, size
 from survey.errors import SurveyError
 from survey.plan import tile_choice
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
 from survey.plan.tile_choice import choose_tiles
-from survey.plan.tiling import Tiling, aside_px, ground_of, inside, water_doubts
+from survey.plan.tiling import Tiling, aside_px, ground_of, inside, tile_doubts
 from survey.plan.workload import workload_of
 from survey.water.surface import Departure
 from tests.changed_survey import changed
@@ -178,7 +178,7 @@ def test_water_near_a_plane_needs_no_tiles(planned):
     survey, plan, workload = with_water(planned, lambda x, y: 0.02 * np.sin(x))
     found = choose_tiles(survey, plan, Choices(memory="8GB"), workload, is_aimed=False)
     assert found.tiling is None
-    assert not water_doubts(survey, plan, None)
+    assert not tile_doubts(survey, plan, None)
 
 
 def test_water_far_from_a_plane_gets_tiles_and_the_plan_says_why(planned):
@@ -190,7 +190,7 @@ def test_water_far_from_a_plane_gets_tiles_and_the_plan_says_why(planned):
     ground = ground_of(survey, plan)
     (_, in_one), (_, in_tiles) = aside_px(survey, plan, ground, [None, found.tiling])
     assert in_tiles < 0.5 * in_one
-    assert "are skew by up to" in water_doubts(survey, plan, None)[0]
+    assert "are skew by up to" in tile_doubts(survey, plan, None)[0]
 
 
 def test_rays_miss_by_what_snell_says(planned):
@@ -201,3 +201,10 @@ def test_rays_miss_by_what_snell_says(planned):
     in_water = np.arcsin(np.sin(incidence) / survey.water.n_water)
     aside = 0.1 * (np.tan(incidence) - survey.water.n_water * np.tan(in_water)) / plan.gsd_m
     assert list(aside_px(survey, plan, ground_of(survey, plan), [None])) == [(None, pytest.approx(aside, rel=1e-3))]
+
+
+def test_tiles_larger_than_a_local_frame_serves_for_are_warned_of(planned):
+    survey, plan, _ = planned
+    assert not tile_doubts(survey, plan, Tiling((0.0, 1000.0, 2000.0), (0.0, 500.0), 0.2))
+    (doubt,) = tile_doubts(survey, plan, Tiling((0.0, 1500.0, 3000.0), (0.0, 500.0), 0.2))
+    assert doubt.startswith(f"tiles are {length(1500.0)} wide, expected at most {length(1000.0)}")

@@ -27,7 +27,7 @@ from survey.plan.plan import Plan, device_decision, make_plan
 from survey.plan.poses import require_placeable
 from survey.plan.skipped import Decision
 from survey.plan.tile_choice import choose_tiles
-from survey.plan.tiling import water_doubts
+from survey.plan.tiling import tile_doubts
 from survey.plan.workload import Workload, room_doubts, workload_of, workload_of_images
 from survey.settings.config import SurveyConfig
 from survey.sfm.datum import WELL_KNOWN_M
@@ -134,7 +134,7 @@ def check_survey(
         tiles = choose_tiles(survey, plan, chosen, workload, is_aimed=False, chooses_workers=chooses_workers)
         workload = replace(workload, memory_bytes=int(tiles.memory_bytes))
         plan = replace(plan, decisions=(*plan.decisions, *tiles.decisions))
-        of_water = water_doubts(survey, plan, tiles.tiling)
+        of_water = tile_doubts(survey, plan, tiles.tiling)
     except SurveyError as error:
         if survey.provenance.reprojection is None:
             raise

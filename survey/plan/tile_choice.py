@@ -14,7 +14,7 @@ from survey import machine
 from survey.display.quantities import bytes_of, length, room, size
 from survey.errors import SurveyError
 from survey.plan.skipped import Decision
-from survey.plan.tiling import MOST_ASIDE_PX, RIM_GSD, Area, Tiling, aside_px, ground_of
+from survey.plan.tiling import FRAME_M, MOST_ASIDE_PX, RIM_GSD, Area, Tiling, aside_px, ground_of
 from survey.plan.workload import POINT_BYTES, amounts_of, memory_of
 
 if TYPE_CHECKING:
@@ -33,8 +33,6 @@ _LEAST_FOOTPRINTS = 0.5
 _FEW = 12
 # Cores that one process makes good use of: the solver has no more threads.
 _CORES_OF_WORKER = 4
-# A local frame is used for no more than this [m] along a side.
-_FRAME_M = 1000.0
 # What a run without Dask is told.
 NO_DASK = "--workers and --scheduler take Dask, which is not installed: pip install 'bathynerf[cluster]'"
 # Beside the points while bed and report are made.
@@ -153,7 +151,7 @@ def _for_water(survey: Survey, plan: Plan) -> tuple[int, str]:
 
 def _for_frames(ground: Area) -> int:
     """Number of tiles of a kilometre at most along each side."""
-    return math.prod(math.ceil((ground[axis + 2] - ground[axis]) / _FRAME_M) for axis in (0, 1))
+    return math.prod(math.ceil((ground[axis + 2] - ground[axis]) / FRAME_M) for axis in (0, 1))
 
 
 def require_dask(chosen: Choices) -> None:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fields.sweep.block import Overlap
+from survey.display.quantities import length
 from survey.plan.area import AREA_MARGIN_M, grown, local_area
 from survey.plan.flattened import flattened
 from survey.plan.ground import dry_ground
@@ -32,6 +33,8 @@ Area = tuple[float, float, float, float]
 RIM_GSD = 8.0
 # Distance at which rays of a point may be skew to each other [ground sampling distances].
 MOST_ASIDE_PX = 0.25
+# A local frame is used for no more than this [m] along a side.
+FRAME_M = 1000.0
 # Places along each side of a tile.
 _PLACES = 16
 # Rays nearer to the horizon tell nothing of the bed.
@@ -126,7 +129,24 @@ def aside_px(
         yield tiling, most * per_m / plan.gsd_m
 
 
-def water_doubts(survey: Survey, plan: Plan, tiling: Tiling | None) -> tuple[str, ...]:
+def tile_doubts(survey: Survey, plan: Plan, tiling: Tiling | None) -> tuple[str, ...]:
+    """Warnings where a plane or a local frame does not serve for a tile, or none."""
+    return (*_water_doubts(survey, plan, tiling), *_frame_doubts(tiling))
+
+
+def _frame_doubts(tiling: Tiling | None) -> tuple[str, ...]:
+    if tiling is None:
+        return ()
+    side = max(tiling.x[1] - tiling.x[0], tiling.y[1] - tiling.y[0])
+    if side <= FRAME_M * (1.0 + 1e-9):
+        return ()
+    return (
+        f"tiles are {length(side)} wide, expected at most {length(FRAME_M)}, for which a local frame serves: heights "
+        "kilometres from its middle come out too high (0.4 mm at 5 km); take more tiles (--tiles)",
+    )
+
+
+def _water_doubts(survey: Survey, plan: Plan, tiling: Tiling | None) -> tuple[str, ...]:
     """A warning where the planes of the tiles do not serve, or none."""
     if survey.water is None or survey.observations.departure is None:
         return ()

@@ -29,7 +29,7 @@ from survey.plan.plan import device_decision, make_plan
 from survey.plan.poses import require_placeable
 from survey.plan.rates import parts_in_tiles, parts_s
 from survey.plan.tile_choice import SHARED, TileChoice, choose_tiles, require_dask
-from survey.plan.tiling import water_doubts
+from survey.plan.tiling import tile_doubts
 from survey.plan.workload import amounts_of_run, parts_of_found, require_room, workload_of, workload_of_found
 from survey.progress import Progress, opened
 from survey.run.aimed_run import AimedRun
@@ -252,7 +252,7 @@ def _announce(
             slowness = progress.forecast.slowness
             workload = workload if slowness < _BUSY else workload.on_busy(slowness)
     progress.note(f"workload: {'' if aimed is None else 'with the largest recipe, '}{workload}")
-    for text in (*water_doubts(survey, plan, tiles.tiling), *require_room(workload, run.path)):
+    for text in (*tile_doubts(survey, plan, tiles.tiling), *require_room(workload, run.path)):
         progress.warn(text)
     return tiles
 

@@ -26,7 +26,7 @@ from survey.files.toml_table import table_of
 from survey.folder.survey import Survey
 from survey.photos.exif import read_exif
 from survey.photos.texture import matched_light
-from survey.plan.tiling import water_doubts
+from survey.plan.tiling import tile_doubts
 from survey.report import NUM_STEPS, ReportFacts, write_report
 from survey.report.checkpoints import checkpoint_doubts
 from survey.report.facts import RunVerdict, dry_doubts
@@ -152,7 +152,7 @@ def _write_report(
         coverage=_coverage(survey, stored, cells),
         cells=cells,
         heads={view.name: read_exif(view.path) for view in survey.views},
-        notes=water_doubts(survey, plan, job.tiling),
+        notes=tile_doubts(survey, plan, job.tiling),
     )
     with job.progress.stage("Report", NUM_STEPS) as stage:
         figures = write_report(folder, facts, stage.advance)

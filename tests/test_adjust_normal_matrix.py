@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from survey.adjust.block.normal_matrix import damped_step, inverse
+from survey.adjust.block.normal_matrix import _ROWS, damped_step, inverse
 
 
 def normal_of(rng, size: int) -> np.ndarray:
@@ -18,7 +18,11 @@ def normal_of(rng, size: int) -> np.ndarray:
 def test_a_step_solves_the_equations_with_their_scaled_diagonal_raised(rng):
     normal, right = normal_of(rng, 40), rng.normal(size=40)
     raised = normal + np.diag(0.01 * np.diag(normal))
-    np.testing.assert_allclose(raised @ damped_step(normal, 0.01, right), right, rtol=0.0, atol=1e-9)
+    step, scale = damped_step(normal, 0.01, right), np.sqrt(np.diag(normal))
+    # In units that make the diagonal ones, Cholesky's backward error of an entry is below 3 n + 1 roundings (N. J.
+    # Higham, Accuracy and Stability of Numerical Algorithms, theorem 10.4), of n entries and with the product 4 n^2.
+    bound = 4.0 * len(right) ** 2 * np.finfo(np.float64).eps * np.abs(scale * step).max()
+    assert np.abs((raised @ step - right) / scale).max() < bound
 
 
 def test_the_inverse_is_one_whatever_the_units(rng):
@@ -35,8 +39,8 @@ def test_a_large_matrix_is_copied_as_rarely_as_can_be(rng, take, arrays):
     take(normal)
     peak = tracemalloc.get_traced_memory()[1] / normal.nbytes
     tracemalloc.stop()
-    # And what is scaled at a time.
-    assert peak < arrays + 0.25
+    # And the rows that are scaled at a time; some fifty vectors of 1 / 1200 beside them are no copy.
+    assert peak < arrays + _ROWS / len(normal) + 50 / len(normal)
 
 
 def test_a_singular_matrix_is_refused():

@@ -122,6 +122,10 @@ class GreyImages(LazyImages):
         """Window of an image."""
         return self._kept[view].window(rows, columns)
 
+    def is_masked(self, view: int) -> bool:
+        """Whether any pixel of an image is masked."""
+        return self._kept[view].is_masked
+
     @property
     def are_unmasked(self) -> bool:
         """Whether no pixel is masked."""

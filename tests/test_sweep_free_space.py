@@ -9,7 +9,8 @@ import pytest
 from plane_survey import TILTED, PlaneBed, ring
 
 from fields.sweep.block import Block
-from fields.sweep.fusion import peers_with_height, remove_free_space_violations
+from fields.sweep.fusion import num_comparable, remove_free_space_violations
+from fields.sweep.height_std import height_std
 from fields.sweep.maps import HeightMap, trusted
 from refract import FlatWater
 
@@ -81,14 +82,39 @@ def test_views_that_overlap_with_no_other_keep_their_maps(device):
     assert found[0] is maps[0]
 
 
-def test_peers_that_show_a_place_masked_have_no_height_there(device):
+def masked_block(device, cameras, holes: dict[int, tuple[slice, slice]]) -> Block:
+    """The block with a part of some photographs masked."""
+    images = [np.zeros((camera.height, camera.width), dtype=np.float32) for camera in cameras]
+    for view, hole in holes.items():
+        images[view][hole] = np.nan
+    return Block(device, cameras, images, TILTED, -2.0)
+
+
+def test_photographs_that_are_masked_at_a_place_are_not_comparable_there(device):
     cameras, maps = level_maps(TILTED)
-    block = block_of(device, cameras)
-    whole = next(peers_with_height(block, maps))
-    # All peers but one are masked.
-    masked = [*maps[:2], *(replace(m, score=-m.score) for m in maps[2:])]
-    one = next(peers_with_height(block, masked))
-    assert whole.shape == one.shape == maps[0].height.shape
-    assert whole.max() == len(cameras) - 1
-    assert set(np.unique(one)) == {0.0, 1.0}
-    assert (one <= whole).all()
+    assert list(num_comparable(block_of(device, cameras), maps)) == [None] * len(cameras)
+    found = next(
+        num_comparable(masked_block(device, cameras, dict.fromkeys(range(2, len(cameras)), np.s_[:, :])), maps)
+    )
+    assert found.shape == maps[0].height.shape
+    assert set(np.unique(found)) == {0.0, 1.0, np.inf}
+    # Where none of the photographs that show a place is masked there, all of them are comparable.
+    found = next(num_comparable(masked_block(device, cameras, {4: np.s_[:1, :1]}), maps))
+    assert np.mean(np.isfinite(found)) < 0.01
+
+
+def test_a_masked_pixel_changes_the_std_only_at_the_place_that_it_shows(device):
+    cameras, maps = level_maps(TILTED)
+    # One other photograph agrees in the patch; the others match nothing there, and are neither masked nor white.
+    maps[0].agreeing[PATCH], maps[0].spread[:] = 1, 0.01
+    maps = [*maps[:2], *(replace(m, score=0.0 * m.score) for m in maps[2:])]
+
+    def std(holes: dict[int, tuple[slice, slice]]) -> np.ndarray:
+        (found, *_) = num_comparable(masked_block(device, cameras, holes), maps)
+        return height_std(maps[0].height, maps[0].agreeing, maps[0].spread, 0.03, found)
+
+    corner = np.s_[:1, :1]
+    whole, far = std({}), std({4: corner})
+    assert (far[PATCH] == whole[PATCH]).all()
+    assert np.mean(far != whole) < 0.05
+    assert np.median(std(dict.fromkeys(range(2, len(cameras)), np.s_[:, :]))[PATCH] / whole[PATCH]) < 0.85

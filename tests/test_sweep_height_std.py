@@ -68,7 +68,7 @@ def test_where_fewer_views_agree_than_beside_it_the_others_see_another_height():
     assert far == pytest.approx(2.0 * near, rel=0.1)
 
 
-def test_views_that_show_nothing_of_a_place_do_not_dissent():
+def test_photographs_that_are_masked_at_a_place_see_no_other_height_there():
     agreeing, spread = np.full(SHAPE, 9, np.uint8), np.full(SHAPE, 0.01)
     agreeing[22:26, 26:30] = 1
     of_all = height_std(PLANE, agreeing, spread, TOLERANCE)

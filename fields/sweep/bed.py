@@ -198,25 +198,25 @@ def points_of(
     rgb: np.ndarray,
     tolerance: float,
     solved_std: np.ndarray | None = None,
-    compared: np.ndarray | None = None,
+    num_comparable: np.ndarray | None = None,
 ) -> BedPoints:
     """Points of the kept pixels (height, width) bool of one view, in float64 from the ray to the point.
 
     ``tolerance`` [m] is that of views that agree, ``solved_std`` (height, width) [m] the standard deviation where it is
-    known, and NaN elsewhere; ``compared`` is as `height_std` has it. The map may be larger than the camera's image
-    (padded at its right and bottom).
+    known, and NaN elsewhere; ``num_comparable`` is as `height_std` has it. The map may be larger than the camera's
+    image (padded at its right and bottom).
     """
     height, agreeing, spread = (
         array[: camera.height, : camera.width] for array in (height_map.height, height_map.agreeing, height_map.spread)
     )
-    if compared is not None:
-        compared = compared[: camera.height, : camera.width]
+    if num_comparable is not None:
+        num_comparable = num_comparable[: camera.height, : camera.width]
     if solved_std is None:
-        std = height_std(height, agreeing, spread, tolerance, compared)
+        std = height_std(height, agreeing, spread, tolerance, num_comparable)
     else:
         std = solved_std[: camera.height, : camera.width]
         if np.isnan(std[keep]).any():
-            std = np.where(np.isnan(std), height_std(height, agreeing, spread, tolerance, compared), std)
+            std = np.where(np.isnan(std), height_std(height, agreeing, spread, tolerance, num_comparable), std)
     parts = []
     for first in range(0, camera.height, rows := max(_POINTS_AT_ONCE // camera.width, 1)):
         part = np.s_[first : first + rows]

@@ -138,23 +138,32 @@ def agreement(
     return backend.agreement_statistics(backend.heights_at(heights, view, pixels), sums, shape)
 
 
-def peers_with_height(block: Block, maps: Sequence[HeightMap]) -> Iterator[np.ndarray]:
-    """Of each map, the number (height, width) of peers that have a height of their own at the point of a pixel.
+def num_comparable(block: Block, maps: Sequence[HeightMap]) -> Iterator[np.ndarray | None]:
+    """Of each map, the number (height, width) of peers that show the point of a pixel neither masked nor white.
 
-    Others show it masked or white, or outside.
+    It is infinite where no peer shows the point masked or white, and None where no photograph of a peer is so anywhere.
     """
     chosen = [m.view for m in maps]
     cameras = [block.cameras[view] for view in chosen]
 
-    def matched(number: int) -> np.ndarray:
-        m = maps[number]
-        return np.where(m.score > MATCHED_NCC, m.height, np.float32(np.nan))
+    def shown(number: int) -> np.ndarray:
+        return np.where(np.isnan(block.images[chosen[number]]), np.float32(np.nan), maps[number].height)
 
-    stack = ViewStack.build(block.device, cameras, LazyImages(matched, len(chosen), largest(cameras), 1), block.water)
+    inside, unmasked = (
+        ViewStack.build(block.device, cameras, LazyImages(make, len(chosen), largest(cameras), 1), block.water)
+        for make in (lambda number: maps[number].height, shown)
+    )
     for index, m in enumerate(maps):
-        peers = [chosen.index(peer) for peer in block.neighbours(m.view, PEERS, among=chosen)]
-        count, _, _ = kernels(block.device).compare_heights(stack, index, peers, math.inf)
-        yield host(block.device, count).reshape(m.height.shape)
+        peers = block.neighbours(m.view, PEERS, among=chosen)
+        if not any(block.images.is_masked(peer) for peer in peers):
+            yield None
+            continue
+        numbers = [chosen.index(peer) for peer in peers]
+        of_all, of_unmasked = (
+            host(block.device, kernels(block.device).compare_heights(stack, index, numbers, math.inf)[0])
+            for stack in (inside, unmasked)
+        )
+        yield np.where(of_unmasked < of_all, of_unmasked, np.float32(np.inf)).reshape(m.height.shape)
 
 
 def remove_free_space_violations(block: Block, maps: Sequence[HeightMap], keep: Keep = dict) -> OrderedMaps:

@@ -14,7 +14,11 @@ _AVERAGED_PX, _AVERAGE_PX, _WIDTH_PX = 1.0, 9, 2
 
 
 def height_std(
-    height: np.ndarray, agreeing: np.ndarray, spread: np.ndarray, tolerance: float, compared: np.ndarray | None = None
+    height: np.ndarray,
+    agreeing: np.ndarray,
+    spread: np.ndarray,
+    tolerance: float,
+    num_comparable: np.ndarray | None = None,
 ) -> np.ndarray:
     """Standard deviation (height, width) [m] of the heights of a `HeightMap`, where other views confirm them.
 
@@ -29,9 +33,9 @@ def height_std(
         As `HeightMap` has them.
     tolerance : [m]
         Heights of views that differ by less agree.
-    compared : (height, width), optional
-        Views that have a height there; by default all. Where photographs are masked or white, views that agree near the
-        pixel show nothing at it.
+    num_comparable : (height, width), optional
+        Number of views that may see another height there; by default all. A photograph that is masked or white there
+        shows none (`fields.sweep.fusion.num_comparable`).
     """
     views = agreeing.astype(np.float32) + 1.0
     confirmed = views > 1.0
@@ -40,8 +44,8 @@ def height_std(
     others = _local_mean(views - 1.0)
     disagreement = squares / np.maximum(others, 1e-6)
     dissenting = np.where(confirmed, cv2.dilate(views, np.ones((_NEAR_PX, _NEAR_PX))) - views, 0.0)
-    if compared is not None:
-        dissenting = np.clip(compared - agreeing, 0.0, dissenting)
+    if num_comparable is not None:
+        dissenting = np.clip(num_comparable - agreeing, 0.0, dissenting)
     # A view that does not agree differs by the tolerance at least.
     with_dissenting = (squares + _local_mean(dissenting) * tolerance**2) / np.maximum(
         others + _local_mean(dissenting), 1e-6

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +16,7 @@ from fields.median import median
 from fields.solver.solver import SolvedMap
 from fields.sweep.bed import BedPoints, has_neighbours, is_supported, points_of, unique_pixels, with_slope_std
 from fields.sweep.block import AGREEMENT_PX
-from fields.sweep.fusion import PEERS, peers_with_height
+from fields.sweep.fusion import PEERS, num_comparable
 from fields.sweep.maps import HeightMap, trusted
 from survey.adjust.result.adjustment import Adjustment, read_adjustment
 from survey.adjust.result.std_of_block import std_of_block
@@ -74,8 +73,7 @@ def bed_points(
     parts, sources, tides, moved, area = [], [], [], 0, job.ground
     if kept is None:
         kept = unique_pixels(block, maps, plan.gsd_m)
-    compared = repeat(None) if block.images.are_unmasked else peers_with_height(block, maps)
-    for number, (height_map, keep, with_height) in enumerate(zip(maps, kept, compared, strict=False)):
+    for number, (height_map, keep, comparable) in enumerate(zip(maps, kept, num_comparable(block, maps), strict=True)):
         view = survey.views[height_map.view]
         camera = camera_of(view, plan)
         rgb = job.photographs.load(view, scale=plan.image_scale) if coloured else _black(camera)
@@ -90,7 +88,7 @@ def bed_points(
             height, taken = refine(field, camera, height_map, rgb, survey.water, keep)
             height_map, moved = replace(height_map, height=height), moved + taken
         final, std = (height_map, None) if solved is None else solved[number].over(height_map)
-        points = points_of(camera, survey.water, final, keep, rgb, tolerance, std, with_height)
+        points = points_of(camera, survey.water, final, keep, rgb, tolerance, std, comparable)
         points = with_slope_std(points, final.height, keep, plan.gsd_m, survey.water)
         # Floor of std at 0.01 px of parallax: heights that agree exactly do so by chance.
         points = replace(points, std=np.maximum(points.std, np.float32(LEAST_STD_PX / parallax)))

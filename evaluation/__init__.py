@@ -7,12 +7,11 @@
 | height over a reference of points, with its uncertainty | `local_surface` |
 | distance along normals (M3C2), positive above the reference | `m3c2` |
 | distance to a cloud, completeness, F-score | `completeness` |
-| bias, spread and scores | `summary`; of parts, as by depth: `strata`; intervals of confidence: `bootstrap` |
+| bias, spread and scores | `summary`; of parts, as by depth: `strata`; confidence intervals, by blocks: `bootstrap` |
 | share of errors within 1.96 std, in classes; interval score | `coverage` |
-| IHO S-44 and ASPRS | `standards`; the height of a cloud at check points: `checkpoints` |
+| IHO S-44 and ASPRS | `standards`; the height of a cloud at check points: `vertical` |
 | statistical outliers | `outliers` |
 | what straight rays would give | `baselines` |
-| points binned in plan | `cells` |
 | quality of images | `images/` |
 """
 

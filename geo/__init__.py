@@ -2,11 +2,11 @@
 
 | subject | files |
 |---|---|
-| coordinate reference systems | `crs`, `projection`, `ellipsoid`; whether two data sets fit together: `compatibility` |
+| coordinate reference systems | `crs`, `projection`; whether two data sets fit together: `compatibility` |
 | the local frame | `frames`; fitted transforms: `similarity` |
 | clouds and meshes in memory | `shapes` |
-| reading by the suffix of a name | `reading`, which takes `las`, `ply_reading`, `obj`, `gltf`, `raster` and `e57` |
-| writing | `las` (with `las_header`, `copc`, `octree`), `ply`, `obj`, `gltf`, `e57` |
+| reading by the suffix of a name | `reading`, which takes `las`, `ply`, `obj`, `gltf`, `raster` and `e57` |
+| writing | `las` (with `las_header`, `copc`), `ply`, `obj`, `gltf`, `e57` |
 | files that are written whole or not at all | `files`; errors: `errors`; libraries of single formats: `optional` |
 
 The formats have no folder of their own: they need `crs`, `errors` and `files`, this file needs them, and no two folders

@@ -261,6 +261,16 @@ def test_files_and_modules_that_texts_name_exist():
     assert wrong == []
 
 
+def test_modules_that_the_docstring_of_a_folder_names_are_in_it():
+    wrong = []
+    for path in (path for path in FILES if path.name == "__init__.py" and path.parent != ROOT / "bathynerf"):
+        # Single words in backticks: `crs`, `images/`. A name with a dot is looked for by another test.
+        named = re.findall(r"(?<!`)`([a-z]\w*)/?`(?!`)", ast.get_docstring(tree_of(path)) or "")
+        there = {item.name.removesuffix(".py") for item in path.parent.iterdir()}
+        wrong += [f"{name_of(path)}: {name}" for name in sorted(set(named) - there)]
+    assert wrong == []
+
+
 def test_the_files_to_open_first_have_the_names_that_are_looked_for():
     said = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     rows = said.partition("| wanted | file |")[2].partition("\n\n")[0]

@@ -2,5 +2,5 @@
 
     cases (surveys with known truth) x methods x qualities x poses -> one process each -> records -> table, picture
 
-`benchmark` is the loop over all of it; `against` compares two results.
+`benchmark` is the loop over all of it; `text` has the table and the picture, and compares two results.
 """

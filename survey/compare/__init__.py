@@ -1,5 +1,5 @@
 """A cloud against a reference, in figures and pictures; nothing is aligned.
 
-`comparison` reads files (`inputs`, `area`, `checkpoints`), measures in one frame (`scene`, `measure`) and returns
-figures (`figures`, `result`), which are shown as text (`text`), JSON (`json_numbers`) and pictures (`pictures`).
+`comparison` reads files (`inputs`), measures in one frame (`measure`, with the check points) and returns figures
+(`figures`, also as JSON), which are shown as text (`text`) and pictures (`pictures`, on `canvas`); settings: `options`.
 """

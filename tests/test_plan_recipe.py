@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from survey.plan.recipe import RECIPES, times_seen_between
+from survey.plan.recipe import RECIPES, required_views
 
 
 @pytest.mark.parametrize(
@@ -18,4 +18,4 @@ from survey.plan.recipe import RECIPES, times_seen_between
     ],
 )
 def test_photographs_that_are_partly_white_ask_for_as_many_more(white, expected):
-    assert times_seen_between(white, RECIPES["draft"].times_seen) == expected
+    assert required_views(white, RECIPES["draft"].times_seen) == expected

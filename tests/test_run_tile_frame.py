@@ -16,7 +16,7 @@ from survey.plan.area import limits
 from survey.plan.choices import USUAL
 from survey.plan.flattened import flattened
 from survey.plan.ground import dry_ground
-from survey.plan.recipe import RECIPES, times_seen_between
+from survey.plan.recipe import RECIPES, required_views
 from survey.plan.tiling import Tiling, inside
 from survey.progress import Progress
 from survey.run import stage_tiles
@@ -169,4 +169,4 @@ def test_tiles_choose_more_views_under_glitter(monkeypatch):
     monkeypatch.setattr(TilePlan, "of_search", lambda job: None)
     job = SimpleNamespace(tiling=[0], plan=SimpleNamespace(recipe=RECIPES["draft"]))
     bounds, views = stage_tiles._of_tiles(job, lambda share: None)
-    assert (bounds, views, asked) == ([(-2.0, 0.0)], [7], [times_seen_between((0.5, 0.5), RECIPES["draft"].times_seen)])
+    assert (bounds, views, asked) == ([(-2.0, 0.0)], [7], [required_views((0.5, 0.5), RECIPES["draft"].times_seen)])

@@ -65,7 +65,7 @@ def test_outlines_leave_out_no_photograph_that_shows_an_area(cameras, water, rng
     outlines, left_out = Outlines(cameras), 0
     for x, y in rng.uniform(-8.0, 8.0, (30, 2)).tolist():
         area = (x, y, x + 0.5, y + 0.5)
-        showing = outlines.showing(water, area, BOUND)
+        showing = outlines.may_show(water, area, BOUND)
         left_out += len(cameras) - len(showing)
         seen = windows_of(dict(enumerate(cameras)), water, area, area, BOUND)
         assert {each.view for each in seen} <= set(showing)

@@ -173,7 +173,7 @@ def test_a_block_needs_two_views_with_images():
 
 def test_a_block_that_sees_no_ground_is_refused():
     up = [look((0.1 * i, 0.0, 10.0), (0.0, 20.0, 30.0)) for i in range(3)]
-    with pytest.raises(ValueError, match="no view looks down"):
+    with pytest.raises(ValueError, match="no photograph looks down"):
         Block(choose_device("torch"), up, [np.zeros((72, 96), np.float32)] * 3, None, 0.0)
 
 
@@ -238,5 +238,5 @@ def test_overlap_is_judged_when_it_is_asked_for(monkeypatch):
     assert overlap.seen.all()
     assert overlap.seen.all()
     assert calls == [-3.0]
-    with pytest.raises(ValueError, match="no view looks down"):
+    with pytest.raises(ValueError, match="no photograph looks down"):
         Overlap([look((0.0, 0.0, 10.0), (4.0, 6.0, 20.0))] * 2, WATER, -2.0)

@@ -35,11 +35,11 @@ def ground_points(cameras: list[PinholeCamera], height: float) -> np.ndarray:
 
 
 def require_ground(cameras: list[PinholeCamera], height: float) -> np.ndarray:
-    """`ground_points`; ValueError where no view looks down at the ground."""
+    """`ground_points`; ValueError where no photograph looks down at the ground."""
     centres = ground_points(cameras, height)
     if np.isnan(centres).all():
         raise ValueError(
-            f"no view looks down at the ground at height {height:.1f} m, local; expected photographs taken downward: "
+            f"no photograph looks down at the ground at height {height:.1f} m, local; expected some taken downward: "
             "check the rotations of the poses"
         )
     return centres
@@ -59,7 +59,7 @@ def coverage(
     Raises
     ------
     ValueError
-        If no view looks down at the ground.
+        If no photograph looks down at the ground.
     """
     centres = require_ground(cameras, height)
     pixel_size = np.array([(c.centre[2] - height) / c.fx for c in cameras])

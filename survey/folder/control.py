@@ -154,7 +154,7 @@ def place_control(
     )
     control = control_in_local(found.gathered, frame, views, std, marks_std_px)
     if control is None:
-        warnings.append("no view with a pose shows a control point: they are not used")
+        warnings.append("no photograph with a pose shows a control point: they are not used")
     return control, checkpoints, Findings(warnings=tuple(warnings))
 
 

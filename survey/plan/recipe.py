@@ -42,9 +42,9 @@ RECIPES = {
 }
 
 
-def times_seen_between(white: Sequence[float], times_seen: tuple[int, int]) -> tuple[int, int]:
-    """`Recipe.times_seen` where photographs have shares of white pixels, which show no bed: as many more of them."""
-    shown = max(1.0 - sum(white) / max(len(white), 1), _LEAST_SHOWN)
+def required_views(white_shares: Sequence[float], times_seen: tuple[int, int]) -> tuple[int, int]:
+    """Number of photographs, as `Recipe.times_seen`: more where shares of them are white, which show no bed."""
+    shown = max(1.0 - sum(white_shares) / max(len(white_shares), 1), _LEAST_SHOWN)
     steep, oblique = (round(times / shown) for times in times_seen)
     return steep, oblique
 

@@ -17,7 +17,7 @@ from survey.files.toml_table import table_of
 from survey.photos.images import ImageStore
 from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area
 from survey.plan.plan import make_plan
-from survey.plan.recipe import times_seen_between
+from survey.plan.recipe import required_views
 from survey.plan.sweep_block import cameras_of_block, load_block
 from survey.run.stored import ArrayFiles
 from survey.run.water_colour import colour_of
@@ -196,7 +196,7 @@ class Job:
 
     def views_to_match(self) -> list[int]:
         """Views that get a height map."""
-        times = times_seen_between(self.block.saturated, self.plan.recipe.times_seen)
+        times = required_views(self.block.saturated, self.plan.recipe.times_seen)
         return self.block.cover(*times, local_area(self.survey))
 
     def unique_masks(self, folder: Path, find: Callable[[], Masks]) -> Masks:

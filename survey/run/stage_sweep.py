@@ -53,7 +53,7 @@ def sweep_views(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     Raises
     ------
     SurveyError
-        If the images do not match, or no two views overlap.
+        If the images do not match, or no two photographs overlap.
     """
     job.waits_for_kernels.set()
     if EARLIER_SWEEP in needs:
@@ -74,7 +74,7 @@ def sweep_views(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
             search = Search(heights, passes, job.swept_ground)
             maps = sweep(block, chosen, search, shares(stage), keep=keep)
             if not maps and job.tiling is None:
-                raise SurveyError("no two views overlap; check that the poses belong to the images")
+                raise SurveyError("no two photographs overlap; check that the poses belong to the images")
             swept = with_wide_windows(block, _finished(block, maps, keep), heights, job.swept_ground, keep)
             took = _Took(swept.views, job.plan.image_scale, time.monotonic() - start, images_s)
             _save(job, folder, swept, took, None)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from survey.errors import SurveyError
 from survey.files.json_values import read_json_object, write_json
-from survey.plan.recipe import times_seen_between
+from survey.plan.recipe import required_views
 from survey.plan.tile_choice import SHARED
 from survey.run.tile_frame import has_frames
 from survey.run.tile_job import TileJob, TilePlan
@@ -55,12 +55,12 @@ def _of_tiles(job: Job, advance: Callable[[float], None]) -> tuple[list[tuple[fl
                 tile.block.judge_overlap_at(0.5 * sum(found[number]))
             except SurveyError as error:
                 why = error
-            times = times_seen_between(tile.block.saturated, job.plan.recipe.times_seen)
+            times = required_views(tile.block.saturated, job.plan.recipe.times_seen)
             views |= {tile.windows[view].view for view in tile.block.cover(*times)}
             tile.drop()
         advance(1.0)
     if not found:
-        raise why or SurveyError("no two views overlap; check that the poses belong to the images")
+        raise why or SurveyError("no two photographs overlap; check that the poses belong to the images")
     of_all = min(low for low, _ in found.values()), max(high for _, high in found.values())
     return [found.get(number, of_all) for number in range(count)], sorted(views)
 

@@ -87,7 +87,7 @@ class TileJob(Job):
             self._limits = limits(flattened(whole.survey) if is_alone else survey)
             self._bound = self._limits if found.bounds is None else found.bounds[number]
         own = self._in_frame(whole.tiling.ground(number, 0.0))
-        showing = whole.outlines.showing(survey.water, own, self._bound, self._moved)
+        showing = whole.outlines.may_show(survey.water, own, self._bound, self._moved)
         cameras = {view: self._camera_in_frame(whole.cameras[view]) for view in showing}
         self.windows = windows_of(cameras, survey.water, own, self.ground, self._bound)
         views = tuple(

@@ -67,7 +67,7 @@ class Outlines:
         ]
         self._rays = np.array(rays)
 
-    def showing(
+    def may_show(
         self, water: FlatWater | None, area: Area, bound: tuple[float, float], moved: Similarity | None = None
     ) -> list[int]:
         """Numbers of the cameras that may show an area between two heights [m] over a plane, or over z = 0.

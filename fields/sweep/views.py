@@ -22,6 +22,8 @@ STEEP_DEG = 25.0
 # view.
 GRID_CELLS, MOST_CELLS = 48, 400
 CELLS_PER_VIEW = 8
+# Rays nearer to the horizon than this sine meet no ground.
+_LEAST_FALL = 0.05
 # Places along each side of an image, and the share of its extent by which a rectangle is wider than they say.
 _PLACES, _MARGIN = 17, 0.02
 
@@ -30,7 +32,7 @@ def ground_points(cameras: list[PinholeCamera], height: float) -> np.ndarray:
     """Intersections of the optical axes with the plane z = height, (views, 3) [m] local; NaN for those that look up."""
     axes = np.array([c.cam_from_local[2] for c in cameras])
     centres = np.array([c.centre for c in cameras])
-    descent = np.where(axes[:, 2] < -0.05, axes[:, 2], np.nan)
+    descent = np.where(axes[:, 2] < -_LEAST_FALL, axes[:, 2], np.nan)
     return centres + axes * ((height - centres[:, 2]) / descent)[:, None]
 
 
@@ -73,7 +75,7 @@ def coverage(
     plan = (
         np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         if max(columns, rows) <= MOST_CELLS
-        else (_nodes_about(centres[:, :2], reach, x, y))
+        else _nodes_about(cameras, height, x, y)
     )
     cells = np.column_stack([plan, np.full(len(plan), height)])
     seen = np.zeros((len(cameras), len(cells)), dtype=bool)
@@ -82,16 +84,36 @@ def coverage(
     return seen, cells
 
 
-def _nodes_about(centres: np.ndarray, reach: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Nodes (N, 2) of a grid within a square about any of some places (V, 2), row by row; NaN counts for none."""
-    found = []
-    for place in centres[np.isfinite(centres).all(axis=1)]:
+def _nodes_about(cameras: list[PinholeCamera], height: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Nodes (N, 2) of a grid that any of some cameras may see at z = height, row by row.
+
+    Of the rectangle about a camera and what it sees by straight rays, between which bent ones end; every second node of
+    it, or third, where it has more than `MOST_CELLS` along an axis.
+    """
+    found = [np.zeros(0, dtype=np.int64)]
+    for camera in cameras:
+        over, rays = camera.centre[2] - height, camera.directions(camera.outline())
+        rays = rays[np.isfinite(rays).all(axis=1)]
+        if over <= 0.0 or not (rays[:, 2] < -_LEAST_FALL).any():
+            continue
+        ends = camera.centre[:2] + rays[:, :2] * (over / np.maximum(-rays[:, 2], _LEAST_FALL))[:, None]
+        ends = np.concatenate([ends, camera.centre[None, :2]])
         columns, rows = (
-            np.arange(*np.searchsorted(axis, (at - reach, at + reach))) for axis, at in zip((x, y), place, strict=True)
+            _nodes_between(axis, low, high)
+            for axis, low, high in zip((x, y), ends.min(axis=0), ends.max(axis=0), strict=True)
         )
         found.append((rows[:, None] * len(x) + columns).ravel())
     row, column = np.divmod(np.unique(np.concatenate(found)), len(x))
     return np.column_stack([x[column], y[row]])
+
+
+def _nodes_between(axis: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Numbers of the nodes of an axis between two places, and of one on either side."""
+    first, end = np.searchsorted(axis, (low, high))
+    first, end = max(first - 1, 0), min(end + 1, len(axis))
+    every = max(-(-(end - first) // MOST_CELLS), 1)
+    # The same nodes for all cameras that leave out as many.
+    return np.arange(-(-first // every) * every, end, every)
 
 
 def cover(

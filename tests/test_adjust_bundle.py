@@ -17,9 +17,10 @@ from survey.adjust.block.bundle import (
     std_of_kinds,
     system_with,
 )
-from survey.adjust.block.prediction import linearise
+from survey.adjust.block.prediction import linearise, predict
 from survey.adjust.block.problem import Planes, Priors, Problem
 from survey.adjust.block.state import RELIEF, Layout, State
+from survey.adjust.rounds import std_over_points
 from survey.photos.poses import TiePoints
 from tests.drawn_block import DrawnBlock, draw_block, water_plane
 
@@ -256,6 +257,42 @@ def test_the_scale_of_a_block_is_as_uncertain_as_positions_leave_it():
     # Nothing but the positions says how long a metre is: of n of them, s / sqrt(sum of squared arms).
     expected = 3.0 / np.sqrt(np.sum(arms**2))
     assert np.sqrt(by_scale @ solution.covariance @ by_scale) == pytest.approx(expected, rel=0.01)
+
+
+@pytest.mark.parametrize("num_weak", [1, 10])
+def test_points_of_photographs_taken_from_one_place_do_not_stop_the_others(num_weak):
+    problem = from_one_place(num_weak)
+    start = problem.priors.state
+    solution = solve(problem, start)
+    assert cost(problem, solution.state, solution.std_px) < 0.9 * cost(problem, start, solution.std_px)
+    # Their heights are unknown, and do not count in the mean of all.
+    others = from_one_place(0)
+    stds = [std_over_points(each.system, each.covariance) for each in (solution, solve(others, others.priors.state))]
+    assert stds[0] == pytest.approx(stds[1], rel=0.2)
+
+
+def from_one_place(num_weak: int) -> Problem:
+    """A block of which two photographs are taken a millimetre apart, and alone show some points."""
+    block = draw_block(4, num_points=200, num_views=12, dry_share=0.5, num_control=4, pixel_std=0.3)
+    problem = problem_of(block, position_std=0.05)
+    true, ties = problem.priors.state, problem.ties
+    centres, rotations = true.centres.copy(), true.rotations.copy()
+    centres[1], rotations[1] = centres[0] + (0.001, 0.0, 0.0), rotations[0]
+    rng = np.random.default_rng(0)
+    below = np.column_stack([rng.uniform(-3.0, 3.0, (num_weak, 2)), np.full(num_weak, -centres[0, 2] - 1.0)])
+    points = np.concatenate([true.points, centres[0] + below])
+    more = len(true.points) + np.repeat(np.arange(num_weak), 2)
+    point, view = np.append(ties.point, more), np.append(ties.view, np.tile([0, 1], num_weak))
+    state = replace(true, centres=centres, rotations=rotations, points=points)
+    sides = np.zeros((len(point), RELIEF))
+    pixel = predict(problem.layout, state, TiePoints(points, point, view, np.zeros((len(point), 2))), sides)
+    priors = replace(
+        problem.priors,
+        state=state,
+        point_std=np.concatenate([problem.priors.point_std, np.full((num_weak, 3), np.inf)]),
+    )
+    noisy = TiePoints(points, point, view, pixel + 0.3 * rng.standard_normal(pixel.shape))
+    return replace(problem, ties=noisy, kind=np.zeros(len(point), dtype=np.int64), sides=sides, priors=priors)
 
 
 def test_a_photograph_that_nothing_ties_is_refused_in_words():

@@ -37,14 +37,14 @@ _MOST_STEPS = 60
 # standard deviation, and most by far less.
 _DONE = 0.03
 _SLACK = 1e-6
-# Steps in a row that gain less, after which an undamped one is not tried any more.
-_MOST_SMALL = 10
 # Where a step gains less than this share of what the linear model predicts, points are adjusted, in so many steps.
-_AS_PREDICTED, _POINT_STEPS = 0.5, 2
+_AS_PREDICTED, _POINT_STEPS = 0.5, 4
+# Points whose height has more than so many times the median standard deviation are of uncertain height.
+_WEAK = 3.0
 # Weights are renewed from the residuals until the standard deviations of all kinds change by less than this share.
 _STEADY, _MOST_ROUNDS = 0.02, 6
 # Keeps the elimination finite for a point that its rays hardly determine. It holds points where they are, and with them
-# the scale of a block: 1e-9 says as much of that as positions of 0.2 m do.
+# the scale of a block: 1e-9 constrains it as strongly as positions of 0.2 m.
 _DAMPING = 1e-13
 _DAMPING_START, _DAMPING_LEAST, _DAMPING_MOST = 1e-6, 1e-12, 1e6
 
@@ -110,9 +110,12 @@ class System:
         return self.predicted_decrease(damped_step(self.normal, 0.0, self.right_side))
 
     def heights_by_parameters(self) -> np.ndarray:
-        """Derivative (P,) of the mean height of the points by the parameters."""
-        up = self.root[:, :, 2].reshape(-1)
-        return -(self.mixed.T @ up) / len(self.root)
+        """Derivative (P,) of the mean height of the points by the parameters, without those of uncertain height."""
+        up = self.root[:, :, 2]
+        std = np.linalg.norm(up, axis=1)
+        # One point whose rays are nearly parallel would outweigh all others.
+        used = std <= _WEAK * np.median(std)
+        return -(self.mixed.T @ (up * used[:, None]).reshape(-1)) / used.sum()
 
     def point_steps(self, step: np.ndarray) -> np.ndarray:
         """Steps (M, 3) [m] of the points that go with a step of the parameters (P,)."""
@@ -194,31 +197,32 @@ def levenberg_marquardt(problem: Problem, state: State, std_px, inflation) -> tu
     NotConvergedError
         If it is not reached.
     """
-    damping, least, small = _DAMPING_START, cost(problem, state, std_px, inflation), 0
+    damping, least = _DAMPING_START, cost(problem, state, std_px, inflation)
     for _ in range(_MOST_STEPS):
         system = _system(problem, state, std_px, inflation)
         while True:
             step = damped_step(system.normal, damping, system.right_side)
             moved = state.moved(problem.layout, step, system.point_steps(step))
             costs, predicted = cost(problem, moved, std_px, inflation), system.predicted_decrease(step)
-            if predicted >= _DONE and costs > least - _AS_PREDICTED * predicted:
-                moved, costs = _with_points(problem, moved, costs, std_px, inflation)
+            if predicted >= _DONE and not costs < least - _AS_PREDICTED * predicted:
+                moved, costs = _with_points(problem, moved, state.points, std_px, inflation)
             # At the shoreline, where rays begin to bend, the linear model may predict a decrease that is not reached.
             if costs < least + _SLACK * least or predicted < _DONE:
                 break
             damping *= 10.0
             if damping > _DAMPING_MOST:
                 return state, system
-        gain = max(least - costs, 0.0)
+        gain = least - costs if costs < least else 0.0
         if gain > 0.0:
             state, least = moved, costs
         damping = max(damping * 0.1, _DAMPING_LEAST)
-        small = small + 1 if gain < _DONE else 0
-        if small:
+        if gain < _DONE:
             system = _system(problem, state, std_px, inflation)
             # A damped step that gains little may still be far from the minimum, along a direction of small curvature.
-            if small == _MOST_SMALL or system.decrement() < _DONE:
+            if gain == 0.0 or system.decrement() < _DONE:
                 return state, system
+    if gain < _DONE:
+        return state, system
     raise NotConvergedError(
         f"the adjustment did not converge in {_MOST_STEPS} steps: poses and photographs do not belong together, or "
         "the photographs hardly overlap"
@@ -226,23 +230,27 @@ def levenberg_marquardt(problem: Problem, state: State, std_px, inflation) -> tu
 
 
 def _with_points(
-    problem: Problem, state: State, costs: float, std_px: np.ndarray, inflation: np.ndarray
+    problem: Problem, state: State, before: np.ndarray, std_px: np.ndarray, inflation: np.ndarray
 ) -> tuple[State, float]:
-    """The state with its points adjusted under its parameters, where that costs less, and what it costs.
+    """The state with its points adjusted under its parameters, and what it costs.
 
     Depth and level of the water are coupled: along a step of both, points that move in a straight line leave the bottom
     of a curved valley. Embedded point iterations follow it (Y. Jeong et al., Pushing the envelope of modern methods for
-    bundle adjustment, IEEE TPAMI 34, 2012).
+    bundle adjustment, IEEE TPAMI 34, 2012). Each point is accepted by itself, beginning with its place (M, 3) before
+    the step: one whose rays are nearly parallel may be sent far along them.
     """
     held, none = replace(problem, holds_parameters=True), np.zeros(len(problem.priors.std))
-    for _ in range(_POINT_STEPS):
-        system = _system(held, state, std_px, inflation)
-        moved = state.moved(problem.layout, none, system.point_steps(none))
-        costs_of_moved = cost(problem, moved, std_px, inflation)
-        if not costs_of_moved < costs:
+    costs = _costs_of_points(problem, state, std_px, inflation)
+    moved = replace(state, points=before)
+    for step in range(1 + _POINT_STEPS):
+        costs_of_moved = _costs_of_points(problem, moved, std_px, inflation)
+        better = costs_of_moved < costs
+        if step and not better.any():
             break
-        state, costs = moved, costs_of_moved
-    return state, costs
+        state = replace(state, points=np.where(better[:, None], moved.points, state.points))
+        costs = np.where(better, costs_of_moved, costs)
+        moved = replace(state, points=state.points + _system(held, state, std_px, inflation).point_steps(none))
+    return state, float(costs.sum() + problem.priors.squares(problem.layout, state))
 
 
 def cost(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarray | float = 1.0) -> float:
@@ -255,16 +263,24 @@ def cost(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarr
     inflation : (N,), optional
         As for `solve`.
     """
+    of_points = _costs_of_points(problem, state, std_px, inflation)
+    return float(of_points.sum() + problem.priors.squares(problem.layout, state))
+
+
+def _costs_of_points(
+    problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarray | float = 1.0
+) -> np.ndarray:
+    """The part (M,) of the cost function that each point has."""
     residuals = problem.residuals(state)
     length = np.linalg.norm(residuals, axis=1) / std_px[problem.kind]
     # A point that went behind a camera costs more than any that did not.
     length = np.where(np.isfinite(length), length, 1e6)
-    huber = huber_loss(length) / inflation
+    huber = np.bincount(problem.ties.point, huber_loss(length) / inflation, len(problem.ties))
     known = (state.points - problem.priors.state.points) / problem.priors.point_std
     planes = problem.priors.planes
     if planes is not None:
-        huber = np.append(huber, planes.squares(state.points, state.shift))
-    return float(huber.sum() + problem.priors.squares(problem.layout, state) + np.sum(known**2))
+        huber += planes.squares(state.points, state.shift)
+    return huber + np.sum(known**2, axis=1)
 
 
 def _system(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarray) -> System:

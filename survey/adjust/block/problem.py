@@ -29,9 +29,9 @@ class Planes:
         off = np.einsum("mi,mi->m", self.normal, points - shift) - self.height
         return np.where(self.strength > 0.0, off, 0.0)
 
-    def squares(self, points: np.ndarray, shift: np.ndarray) -> float:
-        """The sum of squares of the distances, in units of variances."""
-        return float(self.strength @ self.distances(points, shift) ** 2)
+    def squares(self, points: np.ndarray, shift: np.ndarray) -> np.ndarray:
+        """Squares (M,) of the distances, in units of variances."""
+        return self.strength * self.distances(points, shift) ** 2
 
     def of_points(self, points: np.ndarray, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Contribution to the normal matrices (M, 3, 3) and right sides (M, 3) of the points.

@@ -185,7 +185,8 @@ def nadir_views(survey: Survey) -> Survey:
     steep = math.cos(math.radians(NADIR_DEG))
     looks_down = np.array([-view.camera.cam_from_local[2, 2] > steep for view in survey.views])
     if looks_down.sum() < 3:
-        raise SurveyError(f"{looks_down.sum()} photographs look down within {NADIR_DEG:g} degrees, expected three")
+        few = looks_down.sum()
+        raise SurveyError(f"{few} photographs look down within {NADIR_DEG:g} degrees, expected three or more")
     views = tuple(view for view, kept in zip(survey.views, looks_down, strict=True) if kept)
     ties = survey.observations.ties
     if ties is not None:

@@ -305,7 +305,7 @@ class Condition:
     poses : "given" or "images"
         Exact, or found from the photographs with positions good to 2 cm.
     cameras : dict
-        Keys of [cameras] that say otherwise than the scene; None leaves one out.
+        Keys of [cameras] that differ from the scene; None leaves one out.
     """
 
     words: str

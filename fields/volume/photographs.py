@@ -21,7 +21,7 @@ class Photographs:
     images: list[np.ndarray]  # list of (height, width, 3) uint8
     pixels: list[np.ndarray]  # list of (n,) int: flat indices of the pixels of each photograph that show the scene
     water: WaterSurface | None = None
-    priors: list[PriorImages] | None = None  # or None: what is known of the pixels of each photograph beforehand
+    priors: list[PriorImages] | None = None  # or None: priors of the pixels of each photograph
 
     @staticmethod
     def over(

@@ -167,7 +167,7 @@ def locked(folder: Path, *, busy: str) -> Iterator[None]:
         yield
     finally:
         owner.unlink(missing_ok=True)
-        # Where an open file can be removed: one who waits for it finds that it has gone, and makes it anew.
+        # Where an open file can be removed: who waits for it finds it removed, and makes it anew.
         with suppress(PermissionError):
             path.unlink(missing_ok=True)
         lock.release()

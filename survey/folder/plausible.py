@@ -192,7 +192,8 @@ def _require_bounds_near(frame: LocalFrame, centres: np.ndarray, bounds: tuple[f
     if not distances.min() < 1000.0:
         raise ConfigError(
             f"[area] bounds {list(bounds)} lie {distances.min() / 1000.0:.1f} km from the nearest camera, which is "
-            f"at {cameras[0, 0]:.6g}, {cameras[0, 1]:.7g}; give them in crs ({frame.crs.name})"
+            f"at {cameras[0, 0]:.6g}, {cameras[0, 1]:.7g}; give them in crs ({frame.crs.name}), or correct the "
+            "CRS of the positions or control points that place the cameras"
         )
 
 

@@ -60,7 +60,7 @@ class Observations:
     points: np.ndarray | None = field(default=None, compare=False, repr=False)
     # These points with their places in the photographs as they were taken, where structure from motion found them
     ties: TiePoints | None = field(default=None, compare=False, repr=False)
-    # dict of name to PosePrior: what is known of the pose of each view besides its photograph
+    # dict of name to PosePrior: prior of the pose of each view
     priors: Mapping[str, PosePrior] = field(default_factory=dict, compare=False, repr=False)
     control: Control | None = field(default=None, compare=False, repr=False)  # Control points that the photographs show
     # Points that results are compared with; none where there is no file of them

@@ -175,7 +175,7 @@ def draw_correlation(path: Path, found: Adjustment) -> Picture:
     colour_bar(axes, image, "correlation", extend="neither")
     write_title(axes, "Correlation of water and lens")
     save(figure, path)
-    words = "Near 1 or -1 the photographs do not separate the two: one is as good as what is known of the other."
+    words = "Near 1 or -1 the photographs do not separate the two: one is as good as the prior knowledge of the other."
     return Picture(path, "Correlation of the parameters", words)
 
 

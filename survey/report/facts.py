@@ -49,7 +49,7 @@ class RunVerdict:
 
 
 def dry_doubts(survey: Survey, bed: BedPoints) -> list[str]:
-    """A warning that says how far the bed lies over the water; none where a point is wet, or there is no water."""
+    """Warning of how far the bed lies over the water; none where a point is wet, or there is no water."""
     if survey.water is None or not len(bed) or bed.wet.any():
         return []
     above = height(-float(bed.depth.max()))

@@ -43,7 +43,7 @@ def cloud(found: CloudFigures, crs: CrsFigures) -> list[Block]:
 
 
 def _distributions(found: CloudFigures) -> list[Table]:
-    """A row for each quantity that is known; a statistic that says nothing of it is left empty."""
+    """A row for each quantity that is known; a statistic without it is left empty."""
     rows = []
     if (depth := found.depth_m) is not None:
         values = (depth.min, depth.median, depth.p95, depth.max)

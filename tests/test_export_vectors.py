@@ -28,7 +28,7 @@ from survey.export.product import ExportOptions
 from survey.folder.survey import load_survey
 from survey.progress import Progress
 from survey.run.flight import load_flight, save_flight
-from survey.water.surface import still_water
+from survey.water.surface import plane_under, still_water
 
 TO_CRS = Transformer.from_crs("EPSG:4326", "EPSG:25832", always_xy=True)
 # Cells of 0.2 m on the rim of the hole have points in one half only.
@@ -327,6 +327,6 @@ def test_the_water_of_a_run_of_kilometres_follows_the_earth(block, tmp_path):
     assert flight.level(there[None, :2])[0] == pytest.approx(there[2], abs=1e-3)
     # A camera 5 m over the water there lies in the plane that touches the water at the origin.
     camera = replace(survey.views[0].camera, centre=np.add(there, (0.0, 0.0, 5.0)))
-    under = flight.water_under(camera)
+    under = plane_under(flight.water, flight.departure, camera.centre)
     assert under.height(*there[:2]) == pytest.approx(there[2], abs=1e-3)
     assert (under.slope_x - flight.water.slope_x) == pytest.approx(-2.0 * curvature_drop(8000.0) / 8000.0, rel=0.01)

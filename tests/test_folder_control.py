@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -14,13 +15,14 @@ from small_survey import E0, LEVEL, N0, TOML, camera_lines, said, small_survey, 
 from geo.crs import parse_crs
 from survey.control.reading import gather, read_control
 from survey.errors import ControlError
-from survey.folder.control import mark_residuals
+from survey.folder.control import checkpoint_doubts, mark_residuals
 from survey.folder.found import find_survey
 from survey.folder.inputs import survey_inputs
 from survey.folder.survey import load_survey
 from survey.folder.unposed import require_solvable
 from survey.plan.check import check_survey
 from survey.stage_key import stage_key
+from survey.water.surface import Departure
 
 
 def test_marks_of_a_drawn_survey_are_where_its_true_lens_shows_the_points(data_dir):
@@ -194,6 +196,20 @@ def test_check_points_that_no_photograph_shows_are_named(tmp_path, height):
     assert [line for line in said if "no photograph shows" in line] == [
         "1 check point that no photograph shows, so that nothing is compared with it: far"
     ]
+
+
+def test_check_points_are_looked_for_through_the_water_that_is_there(tmp_path):
+    """Five metres under water that stands four over its plane, where a ray bent at this plane alone shows the point."""
+    rods = f"name,easting,northing,height\nedge,{E0 + 7.75},{N0},{LEVEL - 5.0}"
+    survey = load_survey(with_control(tmp_path, 'checkpoints = "rods.csv"', rods__csv=rods))
+    points, first = survey.observations.checkpoints, survey.views[:1]
+    low = replace(survey.water, point=(*survey.water.point[:2], survey.water.point[2] - 4.0))
+    corners = np.array([[-30.0, -30.0], [-30.0, 30.0], [30.0, -30.0], [30.0, 30.0]])
+    higher = Departure(np.column_stack([corners, np.full(4, 4.0)]), np.full(4, 0.01))
+    assert not checkpoint_doubts(points, first, low, None)
+    for water, departure in ((survey.water, None), (low, higher)):
+        (said,) = checkpoint_doubts(points, first, water, departure)
+        assert "no photograph shows" in said
 
 
 def test_the_files_of_control_are_inputs(tmp_path):

@@ -16,6 +16,7 @@ from survey.plan.recipe import MAX_STD_GSD, STRICTEST_ORDER_M, max_height_std
 from survey.report.seen_cells import CELL_GSD, cells_of
 from survey.run.gate import verdict_of
 from survey.run.stored import StoredBed
+from survey.water.surface import Departure
 from tests.changed_survey import changed
 
 DOWN = np.diag([1.0, -1.0, -1.0])
@@ -63,6 +64,18 @@ def test_cells_are_counted_by_the_views_that_see_them(survey):
     # Each sees 10 m x 6 m, and 6 m x 6 m together; a cell on an edge counts or not.
     for times, area in ((1, 2 * 4.0 * 6.0), (2, 6.0 * 6.0)):
         assert (num_views == times).sum() * cell_m2 == pytest.approx(area, rel=0.15)
+
+
+def test_cells_are_seen_through_the_water_that_is_there(survey):
+    bed, corners = bed_over(-5.0, 9.0).xyz, np.array([[-9.0, -9.0], [-9.0, 9.0], [9.0, -9.0], [9.0, 9.0]])
+    bent = FlatWater((0.0, 0.0, 0.0), n_water=1.333)
+    there = changed(survey, water=bent)
+    higher = Departure(np.column_stack([corners, np.full(4, 1.5)]), np.full(4, 0.01))
+    lower = changed(survey, water=replace(bent, point=(0.0, 0.0, -1.5)))
+    departed = replace(lower, observations=replace(lower.observations, departure=higher))
+    found = cells_of(departed, bed, GSD).num_views
+    np.testing.assert_array_equal(found, cells_of(there, bed, GSD).num_views)
+    assert (found != cells_of(lower, bed, GSD).num_views).any()
 
 
 @pytest.mark.parametrize("k1", [-0.3, 0.3, -0.9], ids=["barrel", "pincushion", "folding"])

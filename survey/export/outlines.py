@@ -20,6 +20,7 @@ from survey.export.terrain import parts_of, raster_form
 from survey.plan.area import local_area
 from survey.progress import current
 from survey.report.seen_cells import SeenCells, cells_seen
+from survey.water.surface import plane_under
 
 if TYPE_CHECKING:
     from pyproj import CRS
@@ -90,7 +91,8 @@ def unseen_of(run: LoadedRun) -> Unseen:
 def _unseen(run: LoadedRun) -> Unseen:
     flight = run.flight
     cameras = [view.camera for view in flight.views]
-    cells = cells_seen(cameras, flight.water, local_area(flight), run.columns("xyz")["xyz"], run.place.gsd_m)
+    xyz, area = run.columns("xyz")["xyz"], local_area(flight)
+    cells = cells_seen(cameras, flight.water, flight.departure, area, xyz, run.place.gsd_m)
     places = cells.middles
     level = flight.level(places[..., :2])
     is_water = cells.height < level
@@ -144,10 +146,10 @@ def footprints(run: LoadedRun, options: ExportOptions) -> Layer:
     flight = run.flight
     cameras = [view.camera for view in flight.views]
     xyz = run.columns("xyz")["xyz"]
-    cells = cells_seen(cameras, flight.water, None, xyz, run.place.gsd_m)
+    cells = cells_seen(cameras, flight.water, flight.departure, None, xyz, run.place.gsd_m)
     shapes, names, areas, lost = [], [], [], []
     for view in flight.views:
-        ring = _on_bed(view.camera, flight.water_under(view.camera), cells)
+        ring = _on_bed(view.camera, plane_under(flight.water, flight.departure, view.camera.centre), cells)
         if ring is None:
             lost.append(view.name)
             continue

@@ -26,6 +26,7 @@ from survey.findings import Findings
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.settings.control import DEFAULT_MARKS_STD_PX, DEFAULT_STD_M, ControlConfig, per_direction
+from survey.water.surface import Departure, height_above, plane_under
 
 # A lens of the data sheet or a pose by the receiver alone moves a point by less, as a share of the longer side.
 _DOUBTFUL_SHARE = 0.02
@@ -173,15 +174,17 @@ def mark_residuals(control: Control, views: Sequence[View], water: FlatWater | N
     return np.array(found)
 
 
-def checkpoint_doubts(checkpoints: Sequence[Checkpoint], views: Sequence[View], water: FlatWater | None) -> list[str]:
+def checkpoint_doubts(
+    checkpoints: Sequence[Checkpoint], views: Sequence[View], water: FlatWater | None, departure: Departure | None
+) -> list[str]:
     """A warning that names the check points which no photograph shows by its pose."""
     if not checkpoints:
         return []
     places = np.array([point.local for point in checkpoints])
-    wet = np.zeros(len(places), bool) if water is None else np.asarray(water.depth(places)) > 0.0
+    wet = np.zeros(len(places), bool) if water is None else height_above(water, departure, places) < 0.0
     seen = np.zeros(len(places), bool)
     for view in views:
-        for part, over in ((wet, water), (~wet, None)):
+        for part, over in ((wet, plane_under(water, departure, view.camera.centre)), (~wet, None)):
             if part.any():
                 seen[part] |= view.camera.sees(view.camera.project(places[part], over))
     unseen = [point.name for point, is_seen in zip(checkpoints, seen, strict=True) if not is_seen]

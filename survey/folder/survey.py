@@ -221,7 +221,7 @@ def load_survey(
     )
     warnings += _doubts(replace(found, config=config), frame, views, water, above_water, placed.control)
     if found.poses_path is not None:
-        warnings += checkpoint_doubts(placed.checkpoints, views, water)
+        warnings += checkpoint_doubts(placed.checkpoints, views, water, departure)
     config = _with_poses_name(config, found)
     return Survey(
         name=found.config.name or found.folder.resolve().name,

@@ -11,10 +11,12 @@ from scipy.ndimage import distance_transform_edt
 
 from survey.display.plan_grid import PlanGrid
 from survey.plan.area import local_area
+from survey.water.surface import plane_under
 
 if TYPE_CHECKING:
     from refract import FlatWater, PinholeCamera
     from survey.folder.survey import Survey
+    from survey.water.surface import Departure
 
     Area = tuple[float, float, float, float]
 
@@ -51,12 +53,19 @@ class SeenCells:
 
 
 def cells_seen(
-    cameras: Sequence[PinholeCamera], water: FlatWater | None, area: Area | None, xyz: np.ndarray, gsd_m: float
+    cameras: Sequence[PinholeCamera],
+    water: FlatWater | None,
+    departure: Departure | None,
+    area: Area | None,
+    xyz: np.ndarray,
+    gsd_m: float,
 ) -> SeenCells:
     """Look at the ground with every camera, at the heights of points (N, 3) [m], local, N at least 1.
 
     Parameters
     ----------
+    departure : Departure, optional
+        Of the water from its plane: rays then bend at the plane that fits it under each camera.
     area : (x0, y0, x1, y1) [m], local, or None
         The ground that is asked about; None for where the axes of cameras meet the bed and one view reaches around.
     xyz : (N, 3) [m], local
@@ -79,7 +88,7 @@ def cells_seen(
     x, y = places[0, :, 0], places[:, 0, 1]
     for camera in cameras:
         part = _around(camera, x, y, cells.height)
-        pixel = camera.project(places[part].reshape(-1, 3), water)
+        pixel = camera.project(places[part].reshape(-1, 3), plane_under(water, departure, camera.centre))
         sees = camera.sees(pixel)
         num_views[part] += sees.reshape(num_views[part].shape)
     return cells
@@ -119,7 +128,8 @@ def _around(camera: PinholeCamera, x: np.ndarray, y: np.ndarray, height: np.ndar
 
 def cells_of(survey: Survey, xyz: np.ndarray, gsd_m: float) -> SeenCells:
     """Cells of the ground of a survey: which have points (N, 3) [m], local, and the number of views that see each."""
-    return cells_seen([view.camera for view in survey.views], survey.water, local_area(survey), xyz, gsd_m)
+    cameras, departure = [view.camera for view in survey.views], survey.observations.departure
+    return cells_seen(cameras, survey.water, departure, local_area(survey), xyz, gsd_m)
 
 
 @dataclass(frozen=True)

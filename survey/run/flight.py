@@ -17,10 +17,9 @@ from refract.lens import Lens
 from survey.errors import SurveyError
 from survey.files.json_values import read_json_object
 from survey.photos.cameras import View
-from survey.water.surface import Departure, StillWater, height_above
+from survey.water.surface import Departure, StillWater
 
 if TYPE_CHECKING:
-    from refract import PinholeCamera
     from survey.folder.survey import Survey
 
 FLIGHT = "flight.json"
@@ -45,14 +44,6 @@ class Flight:
         if self.departure is None:
             return level
         return level + self.departure.at(xy.reshape(-1, 2))[0].reshape(level.shape)
-
-    def water_under(self, camera: PinholeCamera) -> FlatWater | None:
-        """The plane that fits the water best as far around a camera as this flies over it."""
-        if self.water is None or self.departure is None:
-            return self.water
-        reach = max(float(height_above(self.water, self.departure, camera.centre[None])[0]), 1.0)
-        around = np.stack(np.meshgrid(*[(-reach, 0.0, reach)] * 2), axis=-1).reshape(-1, 2)
-        return self.departure.tangent(camera.centre[:2] + around, self.water)
 
 
 def save_flight(folder: Path, survey: Survey) -> None:

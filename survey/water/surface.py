@@ -190,6 +190,15 @@ def height_above(plane: FlatWater, departure: Departure | None, places: np.ndarr
     return -plane.depth(places) - over
 
 
+def plane_under(plane: FlatWater | None, departure: Departure | None, centre: np.ndarray) -> FlatWater | None:
+    """The plane that fits the water best as far around a camera at (3,) [m], local, as this flies over it."""
+    if plane is None or departure is None:
+        return plane
+    reach = max(float(height_above(plane, departure, centre[None])[0]), 1.0)
+    around = np.stack(np.meshgrid(*[(-reach, 0.0, reach)] * 2), axis=-1).reshape(-1, 2)
+    return departure.tangent(centre[:2] + around, plane)
+
+
 def _between(x: np.ndarray, y: np.ndarray, values: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     """Values (rows, columns) at nodes x and y as a function of places (M, 2); beyond them that of the nearest place."""
     inside = RegularGridInterpolator((x, y), values.T, bounds_error=False, fill_value=np.nan)

@@ -96,7 +96,7 @@ class Factors(nn.Module):
         return lookup_drjit(self, u)
 
 
-def _nodes(u: Tensor, cells: int) -> tuple[Tensor, Tensor, Tensor]:
+def nodes_of(u: Tensor, cells: int) -> tuple[Tensor, Tensor, Tensor]:
     """Left node, right node and the share of the right one."""
     x = (u * cells - 0.5).clamp(0.0, cells - 1.0)
     left = x.floor().long().clamp(max=max(cells - 2, 0))
@@ -107,10 +107,10 @@ def lookup_torch(factors: Factors, u: Tensor) -> Tensor:
     """The twin of the fused lookup, in plain torch."""
     features = []
     for axis, a, b, n, n_a, n_b, plane, vector in factors.cells():
-        i0, i1, s = _nodes(u[:, axis], n)
+        i0, i1, s = nodes_of(u[:, axis], n)
         v = torch.lerp(factors.vectors[vector + i0], factors.vectors[vector + i1], s)
-        a0, a1, s_a = _nodes(u[:, a], n_a)
-        b0, b1, s_b = _nodes(u[:, b], n_b)
+        a0, a1, s_a = nodes_of(u[:, a], n_a)
+        b0, b1, s_b = nodes_of(u[:, b], n_b)
         low = torch.lerp(factors.planes[plane + b0 * n_a + a0], factors.planes[plane + b0 * n_a + a1], s_a)
         high = torch.lerp(factors.planes[plane + b1 * n_a + a0], factors.planes[plane + b1 * n_a + a1], s_a)
         features.append(v * torch.lerp(low, high, s_b))

@@ -62,6 +62,27 @@ def test_fine_density_gates_the_features_of_each_scale_by_the_weighting_network(
         assert value == pytest.approx(linear(head.fine, np.array(total))[0], rel=1e-12)
 
 
+def test_each_scale_may_have_a_weighting_network_of_its_own(rng):
+    head, features = randomised(DensityHead(L, D, F, shared=False)), features_of(rng)
+    head.is_fine = True
+    found = head(torch.from_numpy(features)).detach().numpy()
+
+    def mapped(layer, scale: int, x: np.ndarray) -> np.ndarray:
+        return layer.weight[scale].detach().numpy() @ x + layer.bias[scale].detach().numpy()
+
+    for value, sample in zip(found, features, strict=True):
+        total = []
+        for n, a in enumerate(sample.reshape(L, D * F)):
+            gate = gelu(mapped(head.gate, n, gelu(mapped(head.excite, n, gelu(mapped(head.squeeze, n, a))))))
+            weighted = (gate * a).reshape(D, F)
+            total += [sum(weighted[m, k] for m in range(D)) for k in range(F)]
+        assert value == pytest.approx(linear(head.fine, np.array(total))[0], rel=1e-12)
+    head.switch_to_fine()
+    torch.testing.assert_close(
+        head(torch.from_numpy(features)), randomised(DensityHead(L, D, F, shared=False))(torch.from_numpy(features))
+    )
+
+
 def test_an_untrained_density_is_zero_in_both_stages(rng):
     head = DensityHead(L, D, F)
     features = torch.from_numpy(features_of(rng)).float()
@@ -97,10 +118,13 @@ def test_all_of_the_weighting_network_learns_after_the_switch(rng):
     assert head.coarse.weight.grad is None
 
 
-@pytest.mark.parametrize(("shape", "reduction"), [((L, D, F), 2), ((6, 3, 4), 4), ((2, 1, 8), 2), ((1, 1, 4), 8)])
-def test_the_weighting_kernel_is_its_twin_forward_and_backward(device, shape, reduction, rng):
-    exact = randomised(DensityHead(*shape, reduction))
-    fast = DensityHead(*shape, reduction, device=device)
+@pytest.mark.parametrize(
+    ("shape", "reduction", "shared"),
+    [((L, D, F), 2, True), ((6, 3, 4), 4, True), ((2, 1, 8), 2, True), ((1, 1, 4), 8, True), ((L, D, F), 2, False)],
+)
+def test_the_weighting_kernel_is_its_twin_forward_and_backward(device, shape, reduction, shared, rng):
+    exact = randomised(DensityHead(*shape, reduction, shared=shared))
+    fast = DensityHead(*shape, reduction, device=device, shared=shared)
     fast.load_state_dict(exact.state_dict())
     exact.is_fine = fast.is_fine = True
     features = torch.from_numpy(rng.standard_normal((301, math.prod(shape)))).float()

@@ -11,7 +11,19 @@ import torch
 from analytic_volume import BOX, AnalyticVolume, floor_at, looking_down, seen_by
 
 from fields.volume.appearance import appearance_vectors
-from fields.volume.density_loss import NODES, Drawn, NodeScores, density_loss, draw_nodes, gaussian_density_loss
+from fields.volume.density_loss import (
+    LIMIT,
+    NODES,
+    Drawn,
+    NodeScores,
+    density_loss,
+    density_per_half,
+    draw_nodes,
+    empty_loss,
+    gaussian_density_loss,
+    limited_exp,
+    printed_density_loss,
+)
 from fields.volume.losses import (
     Losses,
     PatchWeights,
@@ -157,6 +169,33 @@ def test_the_gaussian_form_lets_ramps_pass_and_charges_curvature_by_its_closed_f
     # a_s - a is q l^2 times the mean of 4 chi-square numbers of 3 degrees: mean 3, variance 6 / 4.
     expected = (0.1 * LENGTH**2) ** 2 * (9.0 + 6.0 / 4.0)
     assert number(bend) == pytest.approx(expected, rel=0.03)  # 40000 points: 0.6 % standard deviation
+
+
+def test_the_printed_losses_of_a_ramp_of_density_are_their_closed_forms():
+    slope = torch.tensor([0.3, -0.1, 0.05], dtype=torch.float64)
+    ramp = AnalyticVolume(lambda x: 2.0 + x.double() @ slope)
+    torch.manual_seed(0)
+    # The box is 2 m wide: half of its edge is 1 m, so that density and gradient have the same numbers per metre.
+    node = 2.0 / torch.tensor(BOX.counts(NODES))
+    variance = number((slope**2 * node**2 / 12.0).sum()) * 7 / 8
+    expected = number(torch.exp(slope.abs()).mean()) + math.exp(variance)
+    assert number(printed_density_loss(ramp, LENGTH, drawn=2000, points=8)) == pytest.approx(expected, rel=1e-5)
+    assert number(gaussian_density_loss(ramp, LENGTH, of=density_per_half)) < 1e-12
+    assert number(printed_density_loss(AnalyticVolume(lambda x: torch.full((len(x),), 1e6)), LENGTH)) == 2.0
+
+
+def test_the_printed_exponential_goes_on_along_its_tangent_and_stays_finite_at_a_wall():
+    x = torch.tensor([-1.0, LIMIT, LIMIT + 2.0, 1e9], dtype=torch.float64)
+    found = limited_exp(x) / math.exp(LIMIT)
+    torch.testing.assert_close(found[:3], torch.tensor([math.exp(-1.0 - LIMIT), 1.0, 3.0], dtype=torch.float64))
+    assert math.isfinite(number(printed_density_loss(floor_at(0.0, width=1e-6, density=1e6), LENGTH)))
+
+
+def test_what_is_not_empty_costs_its_opacity():
+    fog = AnalyticVolume(lambda x: torch.full((len(x),), 0.7))
+    assert number(empty_loss(fog, LENGTH)) == pytest.approx(1.0 - math.exp(-0.07), rel=1e-5)
+    torch.manual_seed(0)
+    assert number(empty_loss(floor_at(0.0, density=1e4), LENGTH, points=4000)) == pytest.approx(0.5, abs=0.04)
 
 
 def test_scores_gather_where_density_changes_and_are_forgotten():

@@ -4,15 +4,21 @@
     L_dens   = mean (exp |l da/dx| - 1) + mean (exp var a - 1)                                                    (2)
     L_gauss  = mean (a - a_s)^2, a_s the mean of a over Gaussian neighbours                                       (3)
     score    = decay score + (1 - decay) (|mean l grad a| + var a)                                                (4)
+    L_dens   = mean exp |ds/dp| + mean exp var s,   L_gauss = mean (s - s_s)^2                                    (5)
+    L_empty  = mean a                                                                                             (6)
 
-The papers' equations have the density itself. It has the unit 1/m and no bound, and exp of it overflows; opacity over
-one length is density times length where that is small, and its differences over l and variance stay within 1. The one
-taken off in (2) changes no gradient and lets even density cost nothing. Means and variances run over the points drawn
-uniformly in each node of a coarse grid.
+As printed the losses are (5), of the density s itself, here per half of the box's longest edge, which is 1 in p as in
+the authors' scenes. It has no bound, and where an exponent exceeds `LIMIT` exp goes on along its tangent, since a wall
+overflows it. The printed l1(exp(grad s)) has no magnitude inside; without one it would depend on the way that axes
+point. In (2) and (3), which we train with, opacity over one length takes the place of density: its differences over l
+and its variance stay within 1, and the one taken off in (2) lets even density cost nothing. Means and variances run
+over the points drawn uniformly in each node of a coarse grid. (6) is the transparency of Inf-NeRF's code, of opacity
+over a cell in place of the unit of its scenes.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +33,8 @@ from fields.volume.sampling import BINS, Cells, Samples, inverse_cdf, samples_by
 NODES, DRAWN, POINTS = 16, 128, 8
 # Pairs of Gaussian neighbours of a point.
 PAIRS = 4
+# Above this exponent, exp is replaced by its tangent.
+LIMIT = 5.0
 
 
 @dataclass(frozen=True)
@@ -44,8 +52,20 @@ def opacity(model: VolumeModel, x: Tensor, length: float) -> Tensor:
     return -torch.expm1(-density * length)
 
 
-def draw_nodes(model: VolumeModel, length: float, *, drawn: int = DRAWN, points: int = POINTS) -> Drawn:
-    """Opacities and their gradients at points drawn uniformly in nodes drawn uniformly; ``length`` is l [m]."""
+def density_per_half(model: VolumeModel, x: Tensor, length: float) -> Tensor:
+    """Density (...) [1 / half of the longest edge] at positions (..., 3) [m], whatever the length."""
+    return 0.5 * model.box.edge * model.evaluate(x.reshape(-1, 3))[0].view(x.shape[:-1])
+
+
+def draw_nodes(
+    model: VolumeModel,
+    length: float,
+    *,
+    drawn: int = DRAWN,
+    points: int = POINTS,
+    of: Callable[[VolumeModel, Tensor, float], Tensor] = opacity,
+) -> Drawn:
+    """Opacities (``of``) and their differences at points drawn uniformly in nodes drawn uniformly; ``length`` is l [m]."""
     counts = model.box.counts(NODES)
     place = model.place
     node = torch.randint(0, int(np.prod(counts)), (drawn,), device=place)
@@ -54,7 +74,7 @@ def draw_nodes(model: VolumeModel, length: float, *, drawn: int = DRAWN, points:
     x = low + size * (corner[:, None] + torch.rand(drawn, points, 3, device=place))
     axes = torch.eye(3, device=place)
     aside = 0.5 * length * torch.cat([axes.new_zeros(1, 3), axes, -axes])
-    here, after, before = opacity(model, x[:, :, None] + aside, length).split([1, 3, 3], dim=2)
+    here, after, before = of(model, x[:, :, None] + aside, length).split([1, 3, 3], dim=2)
     return Drawn(node, here[:, :, 0], after - before)
 
 
@@ -64,8 +84,34 @@ def density_loss(drawn: Drawn) -> Tensor:
     return torch.expm1(drawn.gradient.abs()).mean() + torch.expm1(variance).mean()
 
 
-def gaussian_density_loss(model: VolumeModel, length: float, *, points: int = DRAWN * POINTS) -> Tensor:
+def printed_density_loss(model: VolumeModel, length: float, *, drawn: int = DRAWN, points: int = POINTS) -> Tensor:
+    """Equation (5), with central differences over ``length`` [m]."""
+    found = draw_nodes(model, length, drawn=drawn, points=points, of=density_per_half)
+    gradient = found.gradient.abs() * (0.5 * model.box.edge / length)
+    return limited_exp(gradient).mean() + limited_exp(found.opacity.var(dim=1, correction=0)).mean()
+
+
+def limited_exp(x: Tensor) -> Tensor:
+    """exp up to `LIMIT`, and its tangent there beyond it."""
+    return torch.exp(x.clamp(max=LIMIT)) * (1.0 + (x - LIMIT).clamp(min=0.0))
+
+
+def empty_loss(model: VolumeModel, length: float, *, points: int = DRAWN * POINTS) -> Tensor:
+    """Equation (6) at points drawn uniformly in the box, of pieces of ``length`` [m]."""
+    low, size = (_single(v, model.place) for v in (model.box.low, model.box.size))
+    return opacity(model, low + size * torch.rand(points, 3, device=model.place), length).mean()
+
+
+def gaussian_density_loss(
+    model: VolumeModel,
+    length: float,
+    *,
+    points: int = DRAWN * POINTS,
+    of: Callable[[VolumeModel, Tensor, float], Tensor] = opacity,
+) -> Tensor:
     """Equation (3) at points drawn uniformly in the box; neighbours at a standard deviation of ``length`` [m].
+
+    With `density_per_half` it is that of (5).
 
     Neighbours come in pairs about the point, so that density that changes linearly costs nothing.
     """
@@ -73,7 +119,7 @@ def gaussian_density_loss(model: VolumeModel, length: float, *, points: int = DR
     low, size = (_single(v, place) for v in (model.box.low, model.box.size))
     x = low + size * torch.rand(points, 1, 3, device=place)
     aside = length * torch.randn(points, PAIRS, 3, device=place)
-    a = opacity(model, torch.cat([x, x + aside, x - aside], dim=1), length)
+    a = of(model, torch.cat([x, x + aside, x - aside], dim=1), length)
     return ((a[:, 0] - a[:, 1:].mean(dim=1)) ** 2).mean()
 
 

@@ -9,7 +9,14 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from fields.volume.density_loss import density_loss, draw_nodes, gaussian_density_loss
+from fields.volume.density_loss import (
+    density_loss,
+    density_per_half,
+    draw_nodes,
+    empty_loss,
+    gaussian_density_loss,
+    printed_density_loss,
+)
 from fields.volume.paths import Paths
 from fields.volume.prior_losses import (
     as_patches,
@@ -60,9 +67,13 @@ class Losses:
     distortion: float = 0.0
     orientation: float = 0.0
     appearance: float = 0.0
-    # density, gaussian_density: Of `density_loss` and its Gaussian form
+    # density, gaussian_density: Of `density_loss` and its Gaussian form; then both as printed, and the loss on what is
+    # not empty
     density: float = 0.0
     gaussian_density: float = 0.0
+    printed_density: float = 0.0
+    printed_gaussian_density: float = 0.0
+    empty: float = 0.0
     virtual_views: float = 0.0  # Of `virtual_view_loss`
     patches: PatchWeights = field(default_factory=PatchWeights)
     priors: PriorWeights = field(default_factory=PriorWeights)
@@ -86,6 +97,12 @@ class Losses:
             (self.appearance, lambda: appearance_loss(renderer, paths)),
             (self.density, lambda: density_loss(draw_nodes(renderer.model, seen.cell))),
             (self.gaussian_density, lambda: gaussian_density_loss(renderer.model, seen.cell)),
+            (self.printed_density, lambda: printed_density_loss(renderer.model, seen.cell)),
+            (
+                self.printed_gaussian_density,
+                lambda: gaussian_density_loss(renderer.model, seen.cell, of=density_per_half),
+            ),
+            (self.empty, lambda: empty_loss(renderer.model, seen.cell)),
             (self.virtual_views, lambda: virtual_view_loss(renderer, paths, rendered, cells, water)),
             (self.patches.ncc, lambda: ncc_loss(as_patches(rendered.rgb, size), as_patches(paths.rgb, size))),
             (self.patches.ssim, lambda: ssim_loss(as_patches(rendered.rgb, size), as_patches(paths.rgb, size))),

@@ -4,7 +4,8 @@
 |---|---|---|
 | tensorf | planes times vectors, of density and of colour apart, refined in steps | Chen et al. 2022 |
 | mdw | planes times vectors at several scales, with weighted density | MDW-NeRF |
-| m, dw, vm | the same without the weighting, without the scales, without both | its ablation |
+| mdw-printed | the same with colour as its paper prints it, and L1 of the density features | MDW-NeRF |
+| m, dw, vm | mdw without the weighting, without the scales, without both | its ablation |
 | nerf, tinynerf | a multilayer perceptron of sines of the position | Mildenhall et al. 2020 |
 | nerfacto | a hash grid with two rounds of proposals | Tancik et al. 2023; Müller et al. 2022 |
 | hash | the same at a size for processors, with one round | |
@@ -71,6 +72,7 @@ def _hash(of: Setup, **sizes: int) -> VolumeModel:
 
 MODELS: dict[str, Make] = {
     "mdw": _tensor("mdw"),
+    "mdw-printed": _tensor("published"),
     "m": _tensor("m"),
     "dw": _tensor("dw"),
     "vm": _tensor("vm"),

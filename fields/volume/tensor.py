@@ -1,4 +1,10 @@
-"""Planes times vectors in a box: VM, DW, M and MDW-NeRF are one model with four settings."""
+"""Planes times vectors in a box: VM, DW, M and MDW-NeRF are one model with four settings.
+
+The loss of MDW-NeRF has a regulariser on the density features, for which the text gives no formula. Here it is TensoRF's
+(Chen et al. 2022) of their factors, on the features themselves:
+
+    L_features = mean |A_f| at a sample of each path                                                              (1)
+"""
 
 from __future__ import annotations
 
@@ -11,6 +17,7 @@ from fields.device import Device
 from fields.factors import Factors, Grid, geometric_scales
 from fields.heads import ColourHead, DensityHead
 from fields.training import Rates, has_converged
+from fields.volume.mdw_colour import PrintedColour, ScaleWeights
 from fields.volume.model import VolumeModel, density_of
 from fields.volume.paths import Box
 
@@ -27,10 +34,13 @@ class TensorSettings:
     n_max: int = 256
     # The density weighting network takes over from the coarse regression once the loss has converged
     weighting: bool = True
+    shared: bool = True  # The weighting network is one of all scales; else each scale has its own
     directions: str = "xyz"  # Of "xyz", those with a vector
     reduction: int = 4  # r of the weighting network
     degree: int = 2  # Of the spherical harmonics in the colour head; 0 for a matt scene
     hidden: int = 32  # Width of the colour head
+    printed_colour: bool = False  # Colour weights of the position and five maps, as in `fields.volume.mdw_colour`
+    features_l1: float = 0.0  # Weight of (1)
     # Learning rate of the factors after the switch. The paper's 0.001 is for 150,000 steps; in a thousand they hardly
     # change.
     fine_rate: float = 0.001
@@ -45,6 +55,11 @@ class TensorSettings:
     def mdw(**changes) -> TensorSettings:
         """Multi-scale, density weighted: MDW-NeRF."""
         return replace(TensorSettings(), **changes)
+
+    @staticmethod
+    def published(**changes) -> TensorSettings:
+        """MDW-NeRF with colour as printed and the regulariser of the density features, at TensoRF's weight."""
+        return replace(TensorSettings(printed_colour=True, features_l1=8e-5), **changes)
 
     @staticmethod
     def m(**changes) -> TensorSettings:
@@ -89,13 +104,26 @@ class TensorVolume(VolumeModel):
         scales = geometric_scales(settings.n_min, settings.n_max, settings.scales)
         self.factors = Factors([grid_of(box, n) for n in scales], settings.directions, settings.channels, device, seed)
         shape = (settings.scales, len(settings.directions), settings.channels)
-        self.regression = DensityHead(*shape, reduction=settings.reduction, device=device)
-        self.colour = ColourHead(*shape, hidden=settings.hidden, degree=settings.degree, extra=appearance)
+        self.regression = DensityHead(*shape, reduction=settings.reduction, device=device, shared=settings.shared)
+        look = {"hidden": settings.hidden, "degree": settings.degree, "extra": appearance}
+        if settings.printed_colour:
+            self.weights = ScaleWeights(self.factors.grids, settings.directions, settings.channels)
+            self.colour: nn.Module = PrintedColour(self.factors.num_features, **look)
+        else:
+            self.colour = ColourHead(*shape, **look)
         nn.init.ones_(self.regression.coarse.weight)
 
     def evaluate(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        features = self.factors(self.box.unit(x))
-        return density_of(self.regression(features), self.settings.n_max, self.box.edge), features
+        u = self.box.unit(x)
+        features = self.factors(u)
+        density = density_of(self.regression(features), self.settings.n_max, self.box.edge)
+        return density, features * self.weights(u) if self.settings.printed_colour else features
+
+    def penalty(self, x: Tensor) -> Tensor:
+        """Equation (1), times its weight."""
+        if not self.settings.features_l1:
+            return x.new_zeros(())
+        return self.settings.features_l1 * self.factors(self.box.unit(x)).abs().mean()
 
     def radiance(self, features: Tensor, direction: Tensor, appearance: Tensor | None) -> Tensor:
         return self.colour(features, -direction if self.settings.degree else None, appearance)
@@ -105,8 +133,12 @@ class TensorVolume(VolumeModel):
         return [
             Rates([self.factors.planes, self.factors.vectors], self.settings.fine_rate if fine else self.FACTORS),
             Rates(list(self.regression.parameters()), self.WEIGHTING if fine else self.COLOUR),
-            Rates(list(self.colour.parameters()), self.COLOUR),
+            Rates([p for part in self._of_colour for p in part.parameters()], self.COLOUR),
         ]
+
+    @property
+    def _of_colour(self) -> list[nn.Module]:
+        return [self.colour, self.weights] if self.settings.printed_colour else [self.colour]
 
     def observe(self, losses: list[float]) -> bool:
         if self.regression.is_fine or not self.settings.weighting or not self._has_converged(losses):

@@ -27,6 +27,7 @@ class Model(StrEnum):
     """See `fields.volume.models`, which takes torch to import."""
 
     mdw = "mdw"
+    mdw_printed = "mdw-printed"
     m = "m"
     dw = "dw"
     vm = "vm"

@@ -19,6 +19,10 @@ class LossesConfig:
     # density, gaussian_density: density between empty and full (Inf-NeRF), with Gaussians in place of nodes
     density: float = 0.0
     gaussian_density: float = 0.0
+    # printed_density, printed_gaussian_density: both as their paper prints them; empty: all that is not empty (Inf-NeRF)
+    printed_density: float = 0.0
+    printed_gaussian_density: float = 0.0
+    empty: float = 0.0
     # virtual_views, ncc, ssim, smooth_normals: on patches and views beside the photographs' own (MonoPatchNeRF)
     virtual_views: float = 0.0
     ncc: float = 0.0

@@ -2,14 +2,14 @@
 
     python benchmarks/bench_field.py WORK [--objects wreck ship hull] [--models vm dw m mdw ...] [--seeds N]
                                      [--steps N | --seconds S] [--scale S] [--cells N_MAX] [--rays N]
-                                     [--device auto|cpu|cuda|torch] [--write TABLE]
+                                     [--device auto|cpu|cuda|torch] [--write ablation|models]
 
 VM (planes times vectors, TensoRF's decomposition), DW, M and MDW-NeRF are one code with four settings, compared with
 TensoRF as published, NeRF, TinyNeRF, hash grids with proposals (Nerfacto, and one for processors) and a signed
 distance (as NeuS). All see the same photographs and paths and sample alike (hash grids by their proposals), for as many
 steps, or with --seconds for as many as take that time here. One photograph in eight is held out. Every row is a file in
-WORK; what is there is not computed again. With --write the table goes between its marks in docs/notes/field.md, and
-pictures with it. The defaults are for two cores; full size is --scale 1 --cells 256 --steps 30000 --rays 4096.
+WORK; what is there is not computed again. With --write one of the two tables of docs/notes/field.md is replaced, and
+the pictures with it. The defaults are for two cores; full size is --scale 1 --cells 256 --steps 30000 --rays 4096.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from field_tables import table_of, write_page
+from field_tables import PAGE, table_of, write_page
 from object_scenes import NAMES, ObjectScene, chamfer, load_scene
 from PIL import Image
 from point_clouds import thinned
@@ -47,7 +47,7 @@ from fields.water_column import WaterColumn
 
 ABLATION = ("vm", "dw", "m", "mdw")
 # Beside them. The second hash grid is one for processors, where a step of Nerfacto's own takes 5.6 s.
-BASELINES = ("tensorf", "nerf", "tinynerf", "nerfacto", "hash", "neus")
+BASELINES = ("mdw-printed", "tensorf", "nerf", "tinynerf", "nerfacto", "hash", "neus")
 # Steps of each model in turn, to compare their times: (rounds, steps of a round). After the switch from coarse to fine
 # density, where a model has one: most steps of a training are such.
 TIMED = (4, POOL_STEPS)
@@ -251,7 +251,7 @@ def options_of(arguments: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--rays", type=int, default=2048)
     parser.add_argument("--samples", type=int, default=32, help="of each path")
     parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda", "torch"))
-    parser.add_argument("--write", metavar="TABLE", help="put the table between these marks, and pictures, into docs/")
+    parser.add_argument("--write", choices=PAGE, help="put this table of the page, and pictures, into docs/")
     parser.add_argument("--memory", nargs=2, help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     folder = os.environ.get("BATHYNERF_DATA")
@@ -267,10 +267,9 @@ def main() -> None:
         print_memory(*options.memory, options)
         return
     rows = measure(options)
-    table = table_of(rows)
-    sys.stdout.write(table + "\n")
+    sys.stdout.write(table_of(rows) + "\n")
     if options.write:
-        write_page(options.write, table, options.work, rows)
+        write_page(options.write, options.work, rows)
 
 
 if __name__ == "__main__":

@@ -25,6 +25,7 @@ from torch import nn
 from fields.device import choose_device
 from fields.volume.appearance import appearance_vectors, match_appearance
 from fields.volume.losses import Losses, PatchWeights, PriorWeights
+from fields.volume.normal_head import NormalHead
 from fields.volume.photographs import Photographs
 from fields.volume.renderer import Backdrop, VolumeRenderer
 from fields.volume.sampling import Cells
@@ -49,16 +50,19 @@ class Row:
     losses : Losses
     change : dict
         Of `Training`.
+    volume : dict
+        Of `TensorSettings`.
     kind : str
         Of the photographs: "plain", "exposed" or "wide".
     part : str
-        "appearance", "shell", "black" or "colour": what the scene has besides the volume, the last the mean of the
-        photographs behind it.
+        "appearance", "shell", "black", "colour" or "normals": what the scene has besides the volume; "colour" is the
+        mean of the photographs behind it.
     """
 
     against: str = "none"
     losses: Losses = field(default_factory=Losses)
     change: dict | None = None
+    volume: dict | None = None
     kind: str = "plain"
     part: str = ""
 
@@ -75,10 +79,20 @@ def priors(**weights: float) -> Losses:
 # that of the colours after 240 steps.
 ROWS = {
     "none": Row(),
+    # Of MDW-NeRF, where its text leaves a choice.
+    "a weighting network for each scale": Row(volume={"shared": False}),
+    "colour as printed": Row(volume={"printed_colour": True}),
+    "L1 of density features 8e-5": Row(volume={"features_l1": 8e-5}),
+    "Huber 0.1": Row(change={"huber": 0.1}),
     "distortion 0.002": Row(losses=Losses(distortion=0.002)),
     "distortion 0.002 after 0.4": Row(losses=Losses(distortion=0.002), change={"losses_from": 0.4}),
     "density 0.002": Row(losses=Losses(density=0.002)),
     "Gaussian density 0.008": Row(losses=Losses(gaussian_density=0.008)),
+    "density as printed 0.002": Row(losses=Losses(printed_density=0.002)),
+    "density as printed 0.002 after 0.4": Row(losses=Losses(printed_density=0.002), change={"losses_from": 0.4}),
+    "Gaussian density as printed 0.002": Row(losses=Losses(printed_gaussian_density=0.002)),
+    "empty 0.001": Row(losses=Losses(empty=0.001)),
+    "density, distortion, empty": Row(losses=Losses(printed_density=0.002, distortion=0.002, empty=0.001)),
     "half of the samples by score": Row(change={"by_score": 0.5}),
     "orientation 0.004": Row(losses=Losses(orientation=0.004)),
     "virtual views 0.01": Row(losses=Losses(virtual_views=0.01)),
@@ -86,10 +100,12 @@ ROWS = {
     "length prior 0.0001": Row(losses=priors(length=0.0001)),
     "monocular depth 0.01": Row(losses=priors(depth=0.01)),
     "monocular normals 0.0001": Row(losses=priors(normal=0.0001)),
+    "predicted normals 0.0001": Row(losses=priors(predicted_normal=0.0001), part="normals"),
     # A loss of no weight to speak of: what drawing patches costs.
     "patches of 8 px": Row(losses=patches(ncc=1e-12)),
     "NCC 0.0003": Row("patches of 8 px", patches(ncc=0.0003)),
     "SSIM 0.003": Row("patches of 8 px", patches(ssim=0.003)),
+    "virtual patches 0.0003": Row("patches of 8 px", patches(virtual=0.0003)),
     "smooth normals 0.0001": Row("patches of 8 px", patches(smooth_normals=0.0001)),
     # Behind the box as a rule is nothing: the last sample is opaque.
     "black behind": Row(part="black"),
@@ -112,10 +128,13 @@ def measure(row: Row, training: Training, seed: int) -> dict:
     data = scene_of(row.kind)
     length = APPEARANCE if row.part == "appearance" else 0
     torch.manual_seed(seed)
+    settings = replace(SETTINGS, **(row.volume or {}))
+    volume = TensorVolume(BOX, settings, choose_device("cpu"), appearance=length, seed=seed)
     scene = VolumeRenderer(
-        TensorVolume(BOX, SETTINGS, choose_device("cpu"), appearance=length, seed=seed),
+        volume,
         appearance=appearance_vectors(len(data.train.cameras), length) if length else None,
         background=behind(row.part, data.train),
+        normals=NormalHead(volume.num_features) if row.part == "normals" else None,
     )
     training = replace(training, losses=row.losses, **(row.change or {}))
     start = time.process_time()

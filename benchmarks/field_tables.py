@@ -15,7 +15,8 @@ from survey.display.palette import INK, SOFT
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 LABELS = {
-    "vm": "VM", "dw": "DW", "m": "M", "mdw": "MDW", "tensorf": "TensoRF", "nerf": "NeRF", "tinynerf": "TinyNeRF",
+    "vm": "VM", "dw": "DW", "m": "M", "mdw": "MDW",
+    "mdw-printed": "MDW as printed", "tensorf": "TensoRF", "nerf": "NeRF", "tinynerf": "TinyNeRF",
     "nerfacto": "Nerfacto", "hash": "hash grid, proposals", "neus": "signed distance",
 }  # fmt: skip
 # What the object fills of its held-out photograph, in shares of its sides: left, right, top, bottom.
@@ -25,6 +26,11 @@ TIMES, _HIGHEST_IN = 4.0, 3.2
 HEAD = (
     "| object | model | held-out PSNR | Chamfer distance | parameters | memory | steps | a step | rays/s rendered |",
     "|---|---|---|---|---|---|---|---|---|",
+)
+# Of the page: what it leaves out is measured otherwise there, or the same in all rows.
+ABLATION_HEAD = (
+    "| object | model | held-out PSNR | Chamfer distance | parameters | a step | rays/s rendered |",
+    "|---|---|---|---|---|---|---|",
 )
 CONFIDENCE = 0.95
 
@@ -43,6 +49,51 @@ def table_of(rows: list[dict]) -> str:
             cells = _columns([r for r in of if r["model"] == model], None if model == models[0] else base)
             lines.append("| " + " | ".join([name, LABELS[model], *cells]) + " |")
     return "\n".join([*HEAD, *lines])
+
+
+def ablation_table(rows: list[dict]) -> list[str]:
+    """Lines of the table `ablation` of the page: as `table_of`, with ratios of parameters and times."""
+    lines = [*ABLATION_HEAD]
+    for name in dict.fromkeys(r["object"] for r in rows):
+        of = [r for r in rows if r["object"] == name]
+        first = of[0]
+        for model in dict.fromkeys(r["model"] for r in of):
+            each = [r for r in of if r["model"] == model]
+            base = None if model == first["model"] else [r for r in of if r["model"] == first["model"]]
+            psnr, distance, *_, speed = _columns(each, base)
+            sizes = [
+                f"{each[0]['parameters_mb']:.2f} MB{_times(each[0], first, 'parameters_mb')}",
+                f"{1e3 * each[0]['step_s']:.0f} ms{_times(each[0], first, 'step_s')}",
+            ]
+            lines.append("| " + " | ".join([name, LABELS[model], psnr, distance, *sizes, speed]) + " |")
+    return lines
+
+
+def _times(row: dict, first: dict, key: str) -> str:
+    return "" if row["model"] == first["model"] else f" (x {row[key] / first[key]:.2f})"
+
+
+def models_table(rows: list[dict]) -> list[str]:
+    """Lines of the table `models` of the page: a row for each model, all seeds of an object side by side."""
+    objects = list(dict.fromkeys(r["object"] for r in rows))
+    heads = [f"{name}, {'wet' if name == 'hull' else 'dry'}" for name in objects]
+    lines = [f"| model | {' | '.join(heads)} | parameters |", "|---" * (len(heads) + 2) + "|"]
+    for model in dict.fromkeys(r["model"] for r in rows):
+        of = [r for r in rows if r["model"] == model]
+        cells = [_seeds([r for r in of if r["object"] == name]) for name in objects]
+        lines.append(f"| {LABELS[model]} | {' | '.join(cells)} | {of[-1]['parameters_mb']:.2f} MB |")
+    return lines
+
+
+def _seeds(rows: list[dict]) -> str:
+    if not rows:
+        return "not run"
+    psnr, distance = ([f * r[key] for r in rows] for key, f in (("held_out_psnr_db", 1.0), ("chamfer_m", 1e3)))
+    return f"{', '.join(f'{v:.1f}' for v in psnr)} dB; {', '.join(f'{v:.0f}' for v in distance)} mm"
+
+
+# Tables of the page, by the names of their marks.
+PAGE = {"ablation": ablation_table, "models": models_table}
 
 
 def _columns(rows: list[dict], base: list[dict] | None) -> list[str]:
@@ -72,9 +123,9 @@ def interval(values: list[float], digits: int, *, sign: bool = False) -> str:
     return f"{mean} ± {half:.{digits}f}"
 
 
-def write_page(name: str, table: str, work: Path, rows: list[dict]) -> None:
-    """Replace a table of docs/notes/field.md, and its pictures."""
-    publish(DOCS / "notes" / "field.md", name, table.splitlines())
+def write_page(name: str, work: Path, rows: list[dict]) -> None:
+    """Replace a table of docs/notes/field.md, one of `PAGE`, and the pictures."""
+    publish(DOCS / "notes" / "field.md", name, PAGE[name](rows))
     for each in dict.fromkeys(r["object"] for r in rows):
         of = {r["model"]: r for r in rows if r["object"] == each and r["seed"] == 0}
         draw_row(work, each, of, DOCS / "img" / f"field_{each}.png")

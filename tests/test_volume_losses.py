@@ -33,6 +33,7 @@ from fields.volume.losses import (
     orientation_loss,
     transparency_loss,
 )
+from fields.volume.normal_head import NormalHead
 from fields.volume.photographs import Photographs
 from fields.volume.priors import COLUMNS
 from fields.volume.renderer import Backdrop, Rendered, VolumeRenderer
@@ -251,8 +252,8 @@ def test_samples_by_score_skip_the_empty_part_of_a_path():
 
 SWITCHES = [
     *(replace(Losses(), **{f.name: 1.0}) for f in fields(Losses) if f.name not in ("patches", "priors")),
-    *(Losses(patches=PatchWeights(size=4, **{name: 1.0})) for name in ("ncc", "ssim", "smooth_normals")),
-    *(Losses(priors=PriorWeights(**{name: 1.0})) for name in ("length", "depth", "normal")),
+    *(Losses(patches=PatchWeights(size=4, **{name: 1.0})) for name in ("ncc", "ssim", "smooth_normals", "virtual")),
+    *(Losses(priors=PriorWeights(**{name: 1.0})) for name in ("length", "depth", "normal", "predicted_normal")),
 ]
 
 
@@ -263,7 +264,7 @@ def trained_on():
     vectors = appearance_vectors(1, 2)
     vectors.weight.data += 0.3
     model = AnalyticVolume(lambda x: 6.0 * torch.sigmoid(8.0 * torch.sin(4.0 * x[:, 0] + 3.0 * x[:, 2])))
-    renderer = VolumeRenderer(model, appearance=vectors, background=BLACK)
+    renderer = VolumeRenderer(model, appearance=vectors, background=BLACK, normals=NormalHead(3))
     paths, cells = seen_by(looking_down()), Cells.everywhere(BOX, 32)
     paths.rgb = torch.rand(len(paths), 3)
     known = torch.rand(len(paths), COLUMNS)

@@ -16,10 +16,12 @@ from fields.volume.prior_losses import (
     C2,
     NOISE,
     as_patches,
+    masked_ncc,
     ncc_loss,
     paths_through,
     smooth_normals_loss,
     ssim_loss,
+    virtual_patch_loss,
     virtual_view_loss,
 )
 from fields.volume.renderer import VolumeRenderer
@@ -65,6 +67,30 @@ def test_structural_similarity_is_that_of_a_loop_over_windows():
                     values.append(light * (2.0 * cov + C2) / (a.var() + b.var() + C2))
     assert ssim_loss(x, y).item() == pytest.approx(0.5 * (1.0 - np.mean(values)), rel=1e-10)
     assert ssim_loss(x, x).item() == pytest.approx(0.0, abs=1e-14)
+
+
+def test_hidden_pixels_count_neither_in_correlation_nor_in_similarity():
+    x, y = two_patches(0), two_patches(1)
+    shown = torch.ones(2, 5, 5, dtype=torch.float64)
+    assert masked_ncc(x, y, shown).item() == pytest.approx(1.0 - ncc_loss(x, y).item())
+    assert ssim_loss(x, y, shown).item() == pytest.approx(ssim_loss(x, y).item())
+    shown[0, :, 3:], shown[1, 0] = 0.0, 0.0
+    total, windows = 0.0, []
+    for patch in range(2):
+        kept = shown[patch].numpy().astype(bool)
+        for channel in range(3):
+            a, b = (v[patch, :, :, channel].numpy() for v in (x, y))
+            cov = np.mean((a[kept] - a[kept].mean()) * (b[kept] - b[kept].mean()))
+            spread = math.sqrt((a[kept].var() + NOISE) * (b[kept].var() + NOISE))
+            total += kept.sum() * (cov + NOISE) / spread / 3.0
+            for row in range(3):
+                for column in range(3):
+                    if kept[row : row + 3, column : column + 3].all():
+                        window = (slice(patch, patch + 1), slice(row, row + 3), slice(column, column + 3))
+                        windows.append(ssim_loss(*(v[window][..., channel : channel + 1] for v in (x, y))).item())
+    assert masked_ncc(x, y, shown).item() == pytest.approx(total / shown.sum().item(), rel=1e-12)
+    assert ssim_loss(x, y, shown).item() == pytest.approx(np.mean(windows), rel=1e-10)
+    assert ssim_loss(x, y, torch.zeros(2, 5, 5)).item() == 0.0
 
 
 @pytest.mark.parametrize("loss", [ncc_loss, ssim_loss])
@@ -160,6 +186,21 @@ def test_colours_of_virtual_views_are_held_to_the_photograph():
     floor = VolumeRenderer(floor_at(-0.2, width=0.002, density=1000.0))
     # The pieces of virtual paths move colours by up to 0.01.
     assert virtual_loss(floor, brighter=0.3) - virtual_loss(floor) == pytest.approx(0.09, abs=0.01)
+
+
+def test_virtual_patches_of_a_floor_look_like_those_photographed_and_of_other_texture_they_do_not():
+    floor = VolumeRenderer(floor_at(-0.2, width=0.002, density=1000.0))
+    paths, cells = seen_by(looking_down(), WATER), Cells.everywhere(BOX, 16)
+    rendered = floor.render(paths, cells.samples(paths, 256, jitter=False))
+    losses = []
+    for seen in (rendered.rgb.detach(), 0.5 * rendered.rgb.detach() + 0.2, torch.rand(len(paths), 3)):
+        torch.manual_seed(0)
+        paths.rgb = seen
+        losses.append(virtual_patch_loss(floor, paths, rendered, cells, WATER, 4).item())
+    # Correlation is blind to gain and offset, similarity is not; noise has next to none of either: (1 - 0)^2 + 1.
+    assert losses[0] < 0.1
+    assert losses[0] < losses[1] < 0.7
+    assert losses[2] > 1.5
 
 
 def test_points_that_a_virtual_view_cannot_see_are_left_out():

@@ -65,7 +65,7 @@ def draw_nodes(
     points: int = POINTS,
     of: Callable[[VolumeModel, Tensor, float], Tensor] = opacity,
 ) -> Drawn:
-    """Opacities (``of``) and their differences at points drawn uniformly in nodes drawn uniformly; ``length`` is l [m]."""
+    """Opacities (or ``of``) and gradients at points drawn uniformly in nodes, themselves drawn; ``length`` is l [m]."""
     counts = model.box.counts(NODES)
     place = model.place
     node = torch.randint(0, int(np.prod(counts)), (drawn,), device=place)

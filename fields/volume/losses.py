@@ -23,9 +23,11 @@ from fields.volume.prior_losses import (
     length_loss,
     ncc_loss,
     normal_prior_loss,
+    predicted_normals,
     relative_depth_loss,
     smooth_normals_loss,
     ssim_loss,
+    virtual_patch_loss,
     virtual_view_loss,
 )
 from fields.volume.renderer import Rendered, VolumeRenderer
@@ -38,10 +40,11 @@ class PatchWeights:
     """Weights of losses on patches. With any of them training draws its paths as patches."""
 
     size: int = 8  # [px]
-    # ncc, ssim, smooth_normals: Of the losses of `fields.volume.prior_losses`
+    # ncc, ssim, smooth_normals, virtual: Of the losses of `fields.volume.prior_losses`
     ncc: float = 0.0
     ssim: float = 0.0
     smooth_normals: float = 0.0
+    virtual: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -50,12 +53,14 @@ class PriorWeights:
 
     Attributes
     ----------
-    length, depth, normal : float
+    length, depth, normal, predicted_normal : float
+        The last of the normals that the renderer's head says, `normal` of those of density.
     """
 
     length: float = 0.0
     depth: float = 0.0
     normal: float = 0.0
+    predicted_normal: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -82,7 +87,7 @@ class Losses:
     def patch(self) -> int:
         """Side [px] of the patches that training has to draw; 1 for single pixels."""
         patches = self.patches
-        return patches.size if patches.ncc or patches.ssim or patches.smooth_normals else 1
+        return patches.size if patches.ncc or patches.ssim or patches.smooth_normals or patches.virtual else 1
 
     def __call__(
         self, renderer: VolumeRenderer, paths: Paths, rendered: Rendered, cells: Cells, water: WaterSurface | None
@@ -110,9 +115,11 @@ class Losses:
                 self.patches.smooth_normals,
                 lambda: smooth_normals_loss(as_patches(seen.normals, size), as_patches(paths.rgb, size)),
             ),
+            (self.patches.virtual, lambda: virtual_patch_loss(renderer, paths, rendered, cells, water, size)),
             (self.priors.length, lambda: length_loss(paths, rendered)),
             (self.priors.depth, lambda: relative_depth_loss(paths, rendered, renderer.model.box.edge)),
             (self.priors.normal, lambda: normal_prior_loss(paths, seen.normals)),
+            (self.priors.predicted_normal, lambda: normal_prior_loss(paths, predicted_normals(rendered))),
         ]
         return sum((weight * loss() for weight, loss in terms if weight), rendered.rgb.new_zeros(()))
 

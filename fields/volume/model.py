@@ -29,6 +29,13 @@ class VolumeModel(nn.Module):
         """Device of its parameters and inputs; the host for a model without parameters."""
         return next(self.parameters(), torch.empty(0)).device
 
+    @property
+    def num_features(self) -> int:
+        """F of `evaluate`."""
+        middle = torch.as_tensor(0.5 * (self.box.low + self.box.high), dtype=torch.float32, device=self.place)
+        with torch.no_grad():
+            return self.evaluate(middle[None])[1].shape[1]
+
     @abstractmethod
     def evaluate(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Density (S,) [1/m] and features (S, F) at positions (S, 3) [m], local."""

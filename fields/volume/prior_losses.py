@@ -7,6 +7,8 @@ normals that change smoothly. Against virtual views close to the photographs' ow
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -14,7 +16,7 @@ from torch import Tensor, nn
 from fields.volume.paths import Box, Paths, paths_along
 from fields.volume.priors import Priors
 from fields.volume.renderer import Rendered, VolumeRenderer
-from fields.volume.sampling import Cells
+from fields.volume.sampling import Cells, Samples
 from refract import WaterSurface, crossing_point
 
 # Scale and shift of a photograph are fitted to at least this many paths of a batch; to two, any depth fits.
@@ -79,6 +81,21 @@ def normal_prior_loss(paths: Paths, normals: Tensor) -> Tensor:
     known = torch.isfinite(prior).all(dim=1)
     n, prior = normals[known], prior[known]
     return _mean((n - prior).abs().sum(dim=1) + 1.0 - (n * prior).sum(dim=1))
+
+
+def predicted_normals(rendered: Rendered) -> Tensor:
+    """Normals (N, 3) of the head of normals.
+
+    Raises
+    ------
+    ValueError
+        If the renderer has none.
+    """
+    if rendered.normals is None:
+        raise ValueError(
+            "predicted normals have a weight in the loss, but the volume has no head of normals; give it one"
+        )
+    return rendered.normals
 
 
 def mean_length(rendered: Rendered) -> Tensor:
@@ -149,8 +166,11 @@ def ncc_loss(rendered: Tensor, seen: Tensor) -> Tensor:
     return (1.0 - (cov + NOISE) / spread.sqrt()).mean()
 
 
-def ssim_loss(rendered: Tensor, seen: Tensor) -> Tensor:
-    """``(1 - SSIM) / 2``, mean over channels and all windows of 3 x 3 px with even weights inside the patches."""
+def ssim_loss(rendered: Tensor, seen: Tensor, shown: Tensor | None = None) -> Tensor:
+    """``(1 - SSIM) / 2``, mean over channels and all windows of 3 x 3 px with even weights inside the patches.
+
+    With ``shown`` (P, size, size), 1 or 0, over the windows that are shown whole; 0 where there is none.
+    """
     x, y = (v.permute(0, 3, 1, 2) for v in (rendered, seen))
 
     def mean(values: Tensor) -> Tensor:
@@ -159,7 +179,10 @@ def ssim_loss(rendered: Tensor, seen: Tensor) -> Tensor:
     mx, my = mean(x), mean(y)
     vx, vy, cov = mean(x * x) - mx**2, mean(y * y) - my**2, mean(x * y) - mx * my
     ssim = (2.0 * mx * my + C1) * (2.0 * cov + C2) / ((mx**2 + my**2 + C1) * (vx + vy + C2))
-    return 0.5 * (1.0 - ssim).mean()
+    if shown is None:
+        return 0.5 * (1.0 - ssim).mean()
+    whole = (mean(shown[:, None]) > 1.0 - 0.5 / WINDOW**2).to(ssim.dtype).expand_as(ssim)
+    return 0.5 * ((1.0 - ssim) * whole).sum() / whole.sum().clamp(min=1.0)
 
 
 def smooth_normals_loss(normals: Tensor, seen: Tensor) -> Tensor:
@@ -175,28 +198,84 @@ def smooth_normals_loss(normals: Tensor, seen: Tensor) -> Tensor:
     return total
 
 
+@dataclass(frozen=True)
+class VirtualView:
+    """Surfaces met by paths (N), rendered again from cameras beside those of their photographs."""
+
+    rendered: Rendered
+    length: Tensor  # (N,) [m]: from the virtual camera to the surface that was met
+    shown: Tensor  # (N,) bool: the virtual view does not hide it
+
+
+def virtual_view(
+    renderer: VolumeRenderer, paths: Paths, rendered: Rendered, cells: Cells, water: WaterSurface | None
+) -> VirtualView:
+    """The points at the median of the weights, taken without gradient, from a camera beside each photograph's."""
+    met = ((rendered.opacity > MIN_OPACITY) & (paths.near < paths.far)).detach()
+    depth = rendered.depth.detach()
+    box = renderer.model.box
+    middle = torch.as_tensor(0.5 * (box.low + box.high), dtype=depth.dtype, device=depth.device)
+    points = torch.where(met[:, None], paths.at(depth[:, None])[:, 0], middle)
+    away = BASELINE * (depth * met).sum() / met.sum().clamp(min=1)
+    moved, length = paths_through(paths.origin + away * _offsets(paths.view), points, water, paths, box)
+    again = renderer.render(moved, renderer.samples(moved, cells, SAMPLES, jitter=True))
+    cell = cells.box.edge / max(cells.occupied.shape)
+    shown = (again.depth > length - HIDDEN_CELLS * cell) & (moved.near < moved.far) & met
+    return VirtualView(again, length, shown.detach())
+
+
 def virtual_view_loss(
     renderer: VolumeRenderer, paths: Paths, rendered: Rendered, cells: Cells, water: WaterSurface | None
 ) -> Tensor:
     """Squared error of colour, and error of depth in edges of the box, in virtual views of the surfaces met.
 
-    The points at the median of the weights are taken as they are, without gradient. Colours are compared with those
-    photographed; weights of the virtual paths are drawn to the point. Points that the virtual view hides are left out.
+    Colours are compared with those photographed; weights of the virtual paths are drawn to the point. Points that the
+    virtual view hides are left out.
     """
     paths, rendered = paths[::EVERY], _thinned(rendered)
-    seen = (rendered.opacity > 0.5) & (paths.near < paths.far)
+    seen = (rendered.opacity > MIN_OPACITY) & (paths.near < paths.far)
     if not seen.any():
         return rendered.rgb.new_zeros(())
-    paths, depth = paths[seen], rendered.depth[seen]
-    points = paths.at(depth[:, None])[:, 0]
-    centres = paths.origin + BASELINE * depth.mean() * _offsets(paths.view)
-    moved, length = paths_through(centres, points, water, paths, renderer.model.box)
-    again = renderer.render(moved, renderer.samples(moved, cells, SAMPLES, jitter=True))
-    cell = cells.box.edge / max(cells.occupied.shape)
-    shown = ((again.depth > length - HIDDEN_CELLS * cell) & (moved.near < moved.far)).detach()
+    paths, rendered = paths[seen], _rows(rendered, seen)
+    found = virtual_view(renderer, paths, rendered, cells, water)
+    again, shown = found.rendered, found.shown
     colour = ((again.rgb - paths.rgb) ** 2).mean(dim=1)
-    away = (again.weights * (again.samples.s - length[:, None]).abs()).sum(dim=1) / renderer.model.box.edge
+    away = (again.weights * (again.samples.s - found.length[:, None]).abs()).sum(dim=1) / renderer.model.box.edge
     return ((colour + away) * shown).sum() / shown.sum().clamp(min=1)
+
+
+def virtual_patch_loss(
+    renderer: VolumeRenderer,
+    paths: Paths,
+    rendered: Rendered,
+    cells: Cells,
+    water: WaterSurface | None,
+    size: int,
+) -> Tensor:
+    """``(1 - NCC)^2 + 1 - SSIM`` of patches rendered in virtual views and as photographed, where these show them.
+
+    NCC is the mean over channels and patches, weighted by the pixels that are shown (MonoPatchNeRF, Wu et al. 2024, its
+    losses on virtual patches; it takes as hidden what lies 10 degrees off, and windows of 5 px for SSIM).
+    """
+    patches = len(paths) // size**2
+    rows = torch.arange(len(paths), device=paths.near.device).view(patches, -1)[::EVERY].reshape(-1)
+    paths, rendered = paths[rows], _rows(rendered, rows)
+    found = virtual_view(renderer, paths, rendered, cells, water)
+    seen, again = as_patches(paths.rgb, size), as_patches(found.rendered.rgb, size)
+    shown = as_patches(found.shown, size).to(again.dtype)
+    return (1.0 - masked_ncc(again, seen, shown)) ** 2 + 2.0 * ssim_loss(again, seen, shown)
+
+
+def masked_ncc(rendered: Tensor, seen: Tensor, shown: Tensor) -> Tensor:
+    """Correlation of patches (P, size, size, 3) over the pixels with ``shown`` (P, size, size) 1, not 0; a scalar."""
+    mask = shown.flatten(1)[..., None]
+    count = mask.sum(dim=1, keepdim=True).clamp(min=1.0)
+    x, y = (mask * v.flatten(1, 2) for v in (rendered, seen))
+    x, y = (mask * (v - v.sum(dim=1, keepdim=True) / count) for v in (x, y))
+    cov, vx, vy = ((p * q).sum(dim=1) / count[:, 0] for p, q in ((x, y), (x, x), (y, y)))
+    ncc = ((cov + NOISE) / ((vx + NOISE) * (vy + NOISE)).sqrt()).mean(dim=1)
+    weight = mask.sum(dim=(1, 2))
+    return (ncc * weight).sum() / weight.sum().clamp(min=1.0)
 
 
 def paths_through(
@@ -225,6 +304,12 @@ def _offsets(view: Tensor) -> Tensor:
 
 @torch.no_grad()
 def _thinned(rendered: Rendered) -> Rendered:
-    samples = rendered.samples
-    thin = type(samples)(*(getattr(samples, n)[::EVERY] for n in ("s", "length", "edges")))
-    return Rendered(rendered.rgb[::EVERY].detach(), rendered.weights[::EVERY].detach(), thin)
+    return _rows(rendered, slice(None, None, EVERY))
+
+
+@torch.no_grad()
+def _rows(rendered: Rendered, rows) -> Rendered:
+    """Some paths of a rendering, without gradient."""
+    of = rendered.samples
+    samples = Samples(of.s[rows], of.length[rows], of.edges[rows])
+    return Rendered(rendered.rgb[rows].detach(), rendered.weights[rows].detach(), samples)

@@ -11,6 +11,7 @@ from fields.compositing import composite, quantile_height, render_weights, with_
 from fields.image_store import GAMMA, as_stored
 from fields.training import Rates
 from fields.volume.model import VolumeModel
+from fields.volume.normal_head import NormalHead
 from fields.volume.paths import Paths
 from fields.volume.proposal import Proposal, Proposed
 from fields.volume.sampling import Cells, Samples
@@ -24,6 +25,7 @@ class Rendered:
     rgb: Tensor  # (N, 3): as a photograph stores it, 0 to 1 (glints above)
     weights: Tensor  # (N, K): share of each sample in the light; the sum is the opacity
     samples: Samples
+    normals: Tensor | None = None  # (N, 3) unit: of the head of normals, where there is one
 
     @property
     def opacity(self) -> Tensor:
@@ -52,6 +54,8 @@ class VolumeRenderer(nn.Module):
         because that is the quickest way to a bright picture, and stay as a wall before the cameras.)
     proposal : Proposal or None
         What draws the samples, in place of the occupied cells.
+    normals : NormalHead or None
+        What says normals from the features of the model.
     """
 
     RATE = 0.001
@@ -64,10 +68,11 @@ class VolumeRenderer(nn.Module):
         appearance: nn.Embedding | None = None,
         background: nn.Module | None = None,
         proposal: Proposal | None = None,
+        normals: NormalHead | None = None,
     ):
         super().__init__()
         self.model, self.column, self.appearance, self.background = model, column, appearance, background
-        self.proposal = proposal
+        self.proposal, self.normals = proposal, normals
 
     def samples(self, paths: Paths, cells: Cells, num: int, *, jitter: bool) -> Samples:
         """``num`` samples a path: where the proposal expects weight, or else in the occupied cells."""
@@ -98,7 +103,8 @@ class VolumeRenderer(nn.Module):
             # Light of dry ground crosses no surface.
             way = self.column.way(paths.fall * length, length)
             colour = self.column(colour, way, torch.where(length > 0.0, paths.reflectance, 0.0))
-        return Rendered(as_stored(colour), weights, samples)
+        normals = None if self.normals is None else self.normals.along(weights, features)
+        return Rendered(as_stored(colour), weights, samples, normals)
 
     def penalty(self, paths: Paths, rendered: Rendered) -> Tensor:
         """Regularisation in training, a scalar: of the model at a sample of each path, and of the proposal."""
@@ -112,7 +118,7 @@ class VolumeRenderer(nn.Module):
 
     def rates(self) -> list[Rates]:
         """Every parameter once, with its learning rate."""
-        around = [m for m in (self.column, self.appearance, self.background) if m is not None]
+        around = [m for m in (self.column, self.appearance, self.background, self.normals) if m is not None]
         others = [p for m in around for p in m.parameters()]
         proposed = [] if self.proposal is None else self.proposal.rates()
         return [*self.model.rates(), *proposed, *([Rates(others, self.RATE)] if others else [])]

@@ -1,7 +1,7 @@
 """Planes times vectors in a box: VM, DW, M and MDW-NeRF are one model with four settings.
 
-The loss of MDW-NeRF has a regulariser on the density features, for which the text gives no formula. Here it is TensoRF's
-(Chen et al. 2022) of their factors, on the features themselves:
+The loss of MDW-NeRF has a regulariser on the density features, for which the text gives no formula. Here it is that
+of TensoRF (Chen et al. 2022) for factors, on the features themselves:
 
     L_features = mean |A_f| at a sample of each path                                                              (1)
 """

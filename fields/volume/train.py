@@ -44,7 +44,9 @@ class Training:
     final_rate: float = 0.1  # Learning rates fall to this share of their start, exponentially
     # Share of the samples drawn where density has detail (`fields.volume.density_loss.NodeScores`)
     by_score: float = 0.0
-    losses: Losses = field(default_factory=Losses)  # What is added to the squared error of the colours
+    # Colours count by Huber's loss with this limit in place of the squared error; 0: they do not
+    huber: float = 0.0
+    losses: Losses = field(default_factory=Losses)  # What is added to the error of the colours
     # Share of the steps after which they count: a loss that draws weights together does harm while these are wrong
     losses_from: float = 0.0
 
@@ -174,7 +176,7 @@ def _step(
         samples = state.scores.samples(state.cells, paths, training.samples, training.by_score)
     rendered = renderer.render(paths, samples)
     error = ((rendered.rgb - paths.rgb) ** 2).mean()
-    total = error + renderer.penalty(paths, rendered)
+    total = _of_colours(rendered.rgb, paths.rgb, training.huber) + renderer.penalty(paths, rendered)
     if state.step >= training.losses_from * training.steps:
         total = total + training.losses(renderer, paths, rendered, state.cells, water)
     descend(state.optimiser, total)
@@ -183,6 +185,13 @@ def _step(
         state.changed.append(state.step)
         state.optimiser = adam(renderer.rates(), eps=ADAM_EPS)
     state.step += 1
+
+
+def _of_colours(rendered: torch.Tensor, seen: torch.Tensor, huber: float) -> torch.Tensor:
+    """Mean squared error, or Huber's loss: half the square below a limit, linear above it (MonoPatchNeRF has 0.1)."""
+    if huber:
+        return torch.nn.functional.huber_loss(rendered, seen, delta=huber)
+    return ((rendered - seen) ** 2).mean()
 
 
 @torch.no_grad()

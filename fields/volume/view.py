@@ -82,6 +82,4 @@ def chunk_of(renderer: VolumeRenderer, samples: int) -> int:
 
 def _numbers_per_sample(renderer: VolumeRenderer) -> int:
     """Features, as they are, weighted, picked and joined to the direction; and some 60 others."""
-    model = renderer.model
-    middle = torch.as_tensor(0.5 * (model.box.low + model.box.high), dtype=torch.float32, device=model.place)
-    return 4 * model.evaluate(middle[None])[1].shape[1] + 60
+    return 4 * renderer.model.num_features + 60

@@ -19,7 +19,7 @@ class LossesConfig:
     # density, gaussian_density: density between empty and full (Inf-NeRF), with Gaussians in place of nodes
     density: float = 0.0
     gaussian_density: float = 0.0
-    # printed_density, printed_gaussian_density: both as their paper prints them; empty: all that is not empty (Inf-NeRF)
+    # printed_density, printed_gaussian_density: both as printed; empty: all that is not empty (Inf-NeRF)
     printed_density: float = 0.0
     printed_gaussian_density: float = 0.0
     empty: float = 0.0
@@ -28,9 +28,12 @@ class LossesConfig:
     ncc: float = 0.0
     ssim: float = 0.0
     smooth_normals: float = 0.0
+    virtual_patches: float = 0.0
+    huber: float = 0.0  # limit of Huber's loss of the colours (MonoPatchNeRF: 0.1); 0: the squared error
     # depth, normal: departures from monocular depth and normals (MonoSDF); need `monocular`
     depth: float = 0.0
     normal: float = 0.0
+    predicted_normal: float = 0.0  # of normals that a head of the field says (MonoPatchNeRF); needs `monocular`
     patch_px: int = 8  # side of the patches
 
     def __post_init__(self):

@@ -81,7 +81,7 @@ class VolumeOptions:
             raise SurveyError(f"the image scale is {self.image_scale:g}, expected more than 0 and at most 1")
         if self.density is not None and not 0.0 < self.density < np.inf:
             raise SurveyError(f"the density is {self.density:g}, expected more than 0, in 1/m")
-        if self.monocular is None and (self.losses.depth or self.losses.normal):
+        if self.monocular is None and (self.losses.depth or self.losses.normal or self.losses.predicted_normal):
             raise SurveyError(
                 "losses on monocular depth or normals have a weight, but there are none; name their folder with "
                 "--monocular DIR"
@@ -108,7 +108,7 @@ class VolumeOptions:
         """The weights of the losses."""
         of = self.losses
         depth, normal = of.depth, of.normal
-        if self.monocular is not None and not (depth or normal):
+        if self.monocular is not None and not (depth or normal or of.predicted_normal):
             depth, normal = MONOCULAR
         return Losses(
             transparency=of.transparency,
@@ -120,8 +120,8 @@ class VolumeOptions:
             printed_gaussian_density=of.printed_gaussian_density,
             empty=of.empty,
             virtual_views=of.virtual_views,
-            patches=PatchWeights(of.patch_px, of.ncc, of.ssim, of.smooth_normals),
-            priors=PriorWeights(depth=depth, normal=normal),
+            patches=PatchWeights(of.patch_px, of.ncc, of.ssim, of.smooth_normals, of.virtual_patches),
+            priors=PriorWeights(depth=depth, normal=normal, predicted_normal=of.predicted_normal),
         )
 
 
@@ -200,10 +200,21 @@ def _targets(run: LoadedRun, flight: Flight, output: Path, options: VolumeOption
 
 def train(scene: Scene, flight: Flight, options: VolumeOptions, checkpoints: Checkpoints | None = None) -> Trained:
     """Train the field of the options on a scene of a flight, or go on from a checkpoint."""
-    renderer = options.recipe.renderer(scene.box, flight.water, len(scene.train.names), options.device)
+    renderer = options.recipe.renderer(
+        scene.box,
+        flight.water,
+        len(scene.train.names),
+        options.device,
+        normal_head=options.losses.predicted_normal > 0.0,
+    )
     cells = min(Training.cells, options.cells)
     training = Training(
-        steps=options.steps, rays=options.rays, samples=options.samples, cells=cells, losses=options.of_losses()
+        steps=options.steps,
+        rays=options.rays,
+        samples=options.samples,
+        cells=cells,
+        huber=options.losses.huber,
+        losses=options.of_losses(),
     )
     start = None if options.from_scratch else scene.cells_about_bed(training.cells, training.margin)
     with current().stage("Training", 1.0) as stage:

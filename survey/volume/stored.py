@@ -13,6 +13,7 @@ from fields.device import choose_device, tensor_place
 from fields.views.image_based import NovelView, heights_over, normals_of
 from fields.volume.appearance import appearance_vectors
 from fields.volume.models import APPEARANCE, build_model, proposal_for
+from fields.volume.normal_head import NormalHead
 from fields.volume.paths import Box
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
@@ -40,7 +41,9 @@ class VolumeRecipe:
     straight: bool  # Rays are not bent
     appearance: bool  # A vector for each photograph
 
-    def renderer(self, box: Box, water: FlatWater | None, photographs: int, device: str) -> VolumeRenderer:
+    def renderer(
+        self, box: Box, water: FlatWater | None, photographs: int, device: str, *, normal_head: bool = False
+    ) -> VolumeRenderer:
         """The untrained model in a box, with a water column where its rays are bent, ready to be rendered."""
         place, length = choose_device(device), APPEARANCE if self.appearance else 0
         model = build_model(self.model, box, self.cells, place, appearance=length, seed=self.seed, steps=self.steps)
@@ -49,6 +52,7 @@ class VolumeRecipe:
             column=WaterColumn() if self.bends(water) is not None else None,
             appearance=appearance_vectors(photographs, length) if length else None,
             proposal=proposal_for(self.model, box, self.cells),
+            normals=NormalHead(model.num_features) if normal_head else None,
         ).to(tensor_place(place))
 
     def bends(self, water: FlatWater | None) -> FlatWater | None:
@@ -131,7 +135,8 @@ class StoredVolume:
         try:
             parameters = state["renderer"]
             photographs = len(parameters["appearance.weight"]) if self.recipe.appearance else 0
-            renderer = self.recipe.renderer(self.box, self.water, photographs, device)
+            has_normals = any(name.startswith("normals.") for name in parameters)
+            renderer = self.recipe.renderer(self.box, self.water, photographs, device, normal_head=has_normals)
             renderer.load_state_dict(parameters)
             cells, step = Cells(self.box, state["occupied"]).to(renderer.model.place), int(state["step"])
         except (KeyError, TypeError, ValueError, RuntimeError) as error:

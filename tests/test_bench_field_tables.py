@@ -1,0 +1,55 @@
+"""`bench_field --write` writes the tables that the page has."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+ROW = {"seed": 0, "parameters_mb": 1.7, "step_s": 0.054, "train_mb": None, "inference_mb": 1.0, "steps": 1000,
+       "rays_per_s": 54e3}  # fmt: skip
+
+
+def row(name: str, model: str, psnr: float, distance: float, **changes) -> dict:
+    return ROW | {"object": name, "model": model, "held_out_psnr_db": psnr, "chamfer_m": distance} | changes
+
+
+@pytest.fixture
+def tables(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    import field_tables
+
+    return field_tables
+
+
+def on_page(name: str) -> list[str]:
+    text = (ROOT / "docs" / "notes" / "field.md").read_text(encoding="utf-8")
+    return re.split(f"<!-- {name}: (?:begin|end) -->", text)[1].strip().split("\n")
+
+
+def test_the_ablation_has_the_columns_of_the_page(tables):
+    rows = [row("wreck", "vm", 32.1, 0.1113), row("wreck", "mdw", 33.7, 0.0964, parameters_mb=0.646, step_s=0.0643)]
+    found = tables.ablation_table(rows)
+    page = on_page("ablation")
+    assert found[:2] == page[:2]
+    assert found[2] == "| wreck | VM | 32.10 dB | 111.3 mm | 1.70 MB | 54 ms | 54 k |" == page[2]
+    assert (
+        found[3] == "| wreck | MDW | 33.70 dB (+1.60) | 96.4 mm (x 0.87) | 0.65 MB (x 0.38) | 64 ms (x 1.19) | 54 k |"
+    )
+    assert found[3].replace("54 k", "49 k") == page[5]
+
+
+def test_all_models_stand_in_a_row_each_with_their_seeds_side_by_side(tables):
+    rows = [
+        row("wreck", "vm", 31.8, 0.122), row("ship", "vm", 28.3, 0.046), row("ship", "vm", 28.5, 0.045, seed=1),
+        row("hull", "vm", 34.3, 0.060), row("hull", "vm", 35.0, 0.058, parameters_mb=1.75),
+        row("hull", "nerfacto", 39.7, 0.061, parameters_mb=33.7),
+    ]  # fmt: skip
+    found = tables.models_table(rows)
+    page = on_page("models")
+    assert found[:3] == page[:3]
+    assert found[3] == "| Nerfacto | not run | not run | 39.7 dB; 61 mm | 33.70 MB |"
+    assert found[3] in page
+    assert set(tables.PAGE) == {"ablation", "models"}

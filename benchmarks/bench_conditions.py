@@ -22,7 +22,7 @@ from condition_scenes import CONDITIONS
 from published import publish
 
 from evaluation import slope_below, vertical_difference
-from evaluation.coverage import WALL_DEG
+from evaluation.vertical import WALL_DEG
 from survey.benchmark.benchmark import run_bathynerf
 from survey.benchmark.cases import Case, case_of, variant
 from survey.compare.comparison import CompareOptions, compare_surfaces

@@ -19,7 +19,7 @@ import laspy
 import numpy as np
 
 from evaluation import Coverage, coverage_by_class, interval_score, slope_below, vertical_difference
-from evaluation.coverage import WALL_DEG
+from evaluation.vertical import WALL_DEG
 from geo import read_reference
 from geo.las_header import extra_of
 

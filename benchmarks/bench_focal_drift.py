@@ -20,7 +20,7 @@ from unittest import mock
 import numpy as np
 from scipy.spatial import cKDTree
 
-from survey.adjust import focal_drift, refine
+from survey.adjust import focal_lengths, refine
 from survey.adjust.result.adjustment import Adjustment
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
@@ -64,15 +64,15 @@ def row_of(seed: int, share: float) -> Row:
     """Draw and adjust one block, twice."""
     block = drifting(draw_block(seed, **SETTINGS), share)
     survey, gains = survey_of(block), []
-    original = focal_drift.focal_drift
+    original = focal_lengths.focal_drift
 
     def noted(known, done):
-        with mock.patch.object(focal_drift, "_SIGNIFICANT", -np.inf):
+        with mock.patch.object(focal_lengths, "_SIGNIFICANT", -np.inf):
             found = original(known, done)
         gains.append(found.gain)
         return original(known, done)
 
-    with mock.patch.object(focal_drift, "focal_drift", noted):
+    with mock.patch.object(focal_lengths, "focal_drift", noted):
         each = refine.adjust_survey(survey, use_windows=False)
     with mock.patch.object(refine, "with_focals", lambda _known, done, _adjusted: (done, None)):
         one = refine.adjust_survey(survey, use_windows=False)

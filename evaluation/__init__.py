@@ -3,12 +3,11 @@
 | measure | files |
 |---|---|
 | signed distance to a mesh (C2M), **positive above the mesh** | `c2m`, on `triangles` |
-| vertical difference, positive above the mesh | `vertical` |
+| vertical difference, positive above the mesh; share of errors within 1.96 std, interval score | `vertical` |
 | height over a reference of points, with its uncertainty | `local_surface` |
 | distance along normals (M3C2), positive above the reference | `m3c2` |
 | distance to a cloud, completeness, F-score | `completeness` |
-| bias, spread and scores | `summary`; of parts, as by depth: `strata`; confidence intervals, by blocks: `bootstrap` |
-| share of errors within 1.96 std, in classes; interval score | `coverage` |
+| bias, spread and scores, also of parts as by depth | `summary`; confidence intervals, by blocks: `bootstrap` |
 | IHO S-44 and ASPRS | `standards`; the height of a cloud at check points: `vertical` |
 | statistical outliers | `outliers` |
 | what straight rays would give | `baselines` |
@@ -21,17 +20,28 @@ from evaluation.baselines import apparent_points, per_camera, times_index
 from evaluation.bootstrap import Blocks, mean_interval, spatial_blocks
 from evaluation.c2m import MeshDistances, distance_to_mesh
 from evaluation.completeness import distance_to_cloud, f_score, is_reached, sample_mesh
-from evaluation.coverage import Coverage, coverage_by_class, interval_score, slope_below
 from evaluation.images.feature_similarity import fsim, vsi
 from evaluation.images.quality import gmsd, image_quality, ms_gmsd, ms_ssim, psnr, ssim
 from evaluation.local_surface import LocalSurface, local_surface
 from evaluation.m3c2 import M3C2Distances, m3c2_distances
 from evaluation.outliers import is_outlier
 from evaluation.standards import AsprsAccuracy, IhoS44, asprs_vertical, iho_s44
-from evaluation.strata import Band, DepthParts, ReachedBand, by_band, by_depth, reached_by_slope
-from evaluation.summary import DistanceStatistics, Scores, Summary, distance_statistics, scores, summarise
+from evaluation.summary import (
+    Band,
+    DepthParts,
+    DistanceStatistics,
+    ReachedBand,
+    Scores,
+    Summary,
+    by_band,
+    by_depth,
+    distance_statistics,
+    reached_by_slope,
+    scores,
+    summarise,
+)
 from evaluation.triangles import weld
-from evaluation.vertical import height_at, vertical_difference
+from evaluation.vertical import Coverage, coverage_by_class, height_at, interval_score, slope_below, vertical_difference
 
 __all__ = [
     "AsprsAccuracy",

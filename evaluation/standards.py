@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evaluation.strata import DEPTH_EDGES_M
+from evaluation.summary import DEPTH_EDGES_M
 
 # IHO S-44 Ed. 6.1.0 (2022), table 1: total vertical uncertainty at 95 %, sqrt(a^2 + (b depth)^2), a in metres.
 TVU = (

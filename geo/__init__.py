@@ -7,7 +7,7 @@
 | clouds and meshes in memory | `shapes` |
 | reading by the suffix of a name | `reading`, which takes `las`, `ply`, `obj`, `gltf`, `raster` and `e57` |
 | writing | `las` (with `las_header`, `copc`), `ply`, `obj`, `gltf`, `e57` |
-| files that are written whole or not at all | `files`; errors: `errors`; libraries of single formats: `optional` |
+| files that are written whole or not at all, libraries of single formats | `files`; errors: `errors` |
 
 The formats have no folder of their own: they need `crs`, `errors` and `files`, this file needs them, and no two folders
 may import each other.

@@ -11,8 +11,7 @@ from pyproj import CRS
 
 from geo.crs import horizontal_crs, wkt1
 from geo.errors import EmptyCloud, UnreadableFile, UnwritableFile
-from geo.files import existing_file, write_whole_at
-from geo.optional import library_for
+from geo.files import existing_file, library_for, write_whole_at
 from geo.shapes import Cloud
 from geo.stated import crs_named
 

@@ -1,4 +1,7 @@
-"""Files written completely or not at all, and the message for an operation that the disk refuses."""
+"""Files written completely or not at all, messages for what the disk refuses, and the libraries of optional formats.
+
+These are extras of the distribution, imported when such a file is met.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,9 @@ import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import BinaryIO
 
 import numpy as np
@@ -188,3 +193,21 @@ def _is_full(path: Path) -> bool:
         if place.exists():
             return shutil.disk_usage(place).free < _NO_ROOM_BYTES
     return False
+
+
+def library_for(path: str | Path, module: str, extra: str, *, to_write: bool = False) -> ModuleType:
+    """The module that reads, or writes, a file.
+
+    Raises
+    ------
+    UnreadableFile, UnwritableFile
+        If it is not installed; the message names the extra that brings it.
+    """
+    try:
+        return import_module(module)
+    except ModuleNotFoundError as error:
+        verb, mend = ("written", "name") if to_write else ("read", "export it in")
+        raise (UnwritableFile if to_write else UnreadableFile)(
+            f"{path} is {verb} by {module.split('.')[0]}, which is not installed: pip install 'bathynerf[{extra}]', or "
+            f"{mend} another format."
+        ) from error

@@ -9,9 +9,8 @@ from pyproj import CRS
 
 from geo.crs import crs_code, has_height, height_unit_m, horizontal_unit
 from geo.errors import UnreadableFile
-from geo.files import existing_file, write_whole
+from geo.files import existing_file, library_for, write_whole
 from geo.frames import LocalFrame
-from geo.optional import library_for
 from geo.projection import is_to_scale
 from geo.shapes import Cloud, Mesh
 from geo.stated import crs_named

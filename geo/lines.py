@@ -17,8 +17,7 @@ from rasterio.features import geometry_mask
 
 from geo.crs import horizontal_crs
 from geo.errors import UnreadableFile
-from geo.files import existing_file
-from geo.optional import library_for
+from geo.files import existing_file, library_for
 from geo.transformation import WGS84, transformed
 
 # Of each polygon its rings (N, 2), the outer one first.

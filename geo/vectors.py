@@ -17,12 +17,11 @@ from typing import Literal, NamedTuple
 import numpy as np
 from pyproj import CRS
 
-from geo.antimeridian import cut_line, cut_polygon
 from geo.compatibility import crs_difference
 from geo.crs import called, crs_code, height_unit_m, horizontal_crs, horizontal_unit, is_geographic
 from geo.errors import UnwritableFile
-from geo.files import write_whole
-from geo.optional import library_for
+from geo.files import library_for, write_whole
+from geo.reproject import cut_line, cut_polygon
 from geo.transformation import WGS84, Transformation
 
 MARK = b'"made_by": "bathynerf"'

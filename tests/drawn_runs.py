@@ -19,7 +19,7 @@ from evaluation import (
     vertical_difference,
 )
 from evaluation.c2m import MeshDistances
-from evaluation.coverage import WALL_DEG
+from evaluation.vertical import WALL_DEG
 from geo import Cloud, Mesh, read_cloud, read_reference
 from geo.las import CLASS_BATHYMETRIC
 from survey.folder.survey import Survey, load_survey

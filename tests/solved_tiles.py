@@ -6,8 +6,7 @@ import numpy as np
 from scipy import ndimage
 
 from fields.solver.appearance import brightness_of
-from fields.solver.gauss_newton import Start, TileSolution, gradients_of
-from fields.solver.smoothness import second_differences_of, stiffness_of
+from fields.solver.gauss_newton import Start, TileSolution, gradients_of, second_differences_of, stiffness_of
 from fields.solver.tile import Tile
 
 

@@ -16,7 +16,7 @@ from survey.adjust.block.observed import MATCH, observed
 from survey.adjust.block.prediction import predict
 from survey.adjust.block.priors import known_of
 from survey.adjust.block.state import LENS, RELIEF
-from survey.adjust.focal_drift import with_focals
+from survey.adjust.focal_lengths import with_focals
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import read_adjustment, write_adjustment
 from survey.adjust.result.std_common import height_moves, seen_places

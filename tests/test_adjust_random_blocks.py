@@ -7,8 +7,8 @@ import pytest
 
 from survey.adjust.block.bundle import NotConvergedError
 from survey.adjust.block.roll import rolls_of
+from survey.adjust.observability import open_roll_named
 from survey.adjust.refine import adjust_survey
-from survey.adjust.roll_notes import open_roll_named
 from survey.errors import SurveyError
 from tests.block_survey import pose_errors, rms, survey_of
 from tests.drawn_block import draw_block

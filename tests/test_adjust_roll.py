@@ -99,7 +99,7 @@ def test_where_a_block_starts_says_nothing_of_its_roll():
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["control", "controls", "attitudes"])
 def test_the_standard_deviation_of_the_roll_covers_its_error(monkeypatch, kind):
-    monkeypatch.setattr("survey.adjust.roll_notes.max_height_std", lambda _gsd: math.inf)
+    monkeypatch.setattr("survey.adjust.observability.max_height_std", lambda _gsd: math.inf)
     scaled = []
     for seed in range(24):
         num = {"control": 1, "controls": 3, "attitudes": 0}[kind]
@@ -128,7 +128,7 @@ def test_the_standard_deviation_by_a_profile_is_that_of_its_wider_side():
 @pytest.mark.slow
 def test_level_water_alone_holds_the_roll_as_well_as_it_is_said(monkeypatch):
     """By the curvature at its end 3 of 12 were 2.9 to 3.5 standard deviations off."""
-    monkeypatch.setattr("survey.adjust.roll_notes.max_height_std", lambda _gsd: math.inf)
+    monkeypatch.setattr("survey.adjust.observability.max_height_std", lambda _gsd: math.inf)
     scaled = []
     for seed in range(12):
         block, survey, across = strip(seed, num_control=0)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from refract.lens import Lens
+from survey.adjust.focal_lengths import with_square_pixels
 from survey.adjust.refine import adjust_survey
-from survey.adjust.square_pixels import with_square_pixels
 from survey.folder.pose_priors import BY_POSES, PosePrior
 from tests.block_survey import survey_of
 from tests.changed_survey import changed

@@ -25,7 +25,7 @@ from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import load_survey
 from survey.photos.cameras import View
 from survey.photos.poses import TiePoints
-from survey.plan.poses import pose_choice
+from survey.plan.decisions import pose_choice
 from tests.changed_survey import changed
 from tests.small_survey import small_survey
 from tests.small_water_block import FOCAL, SIZE, TRUTH, convergent, nadir, tie_points

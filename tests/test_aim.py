@@ -12,8 +12,7 @@ from survey.errors import SurveyError
 from survey.plan.aim import Aim, aim_of, recipes_for
 from survey.plan.plan import image_scale
 from survey.plan.round_costs import FullSizeAmounts, RoundRates, samples
-from survey.run.aimed_run import AimedRun
-from survey.run.cell_std import DEPTH, FEW, NOISE, CellStd, std_cells
+from survey.run.aimed_run import DEPTH, FEW, NOISE, AimedRun, CellStd, std_cells
 from survey.run.clock import Clock, OutOfTimeError
 
 GROUND = FullSizeAmounts(photographs_mpx=10.0, map_px=10e6, points=1e6, poses="fixed", num_views=10)

@@ -14,7 +14,7 @@ from small_survey import TOML, camera_lines, said, small_survey, write_image
 
 from refract import PinholeCamera
 from survey.photos.exif import read_exif
-from survey.photos.sharpness import detail_of, relative
+from survey.photos.texture import detail_of, relative
 from survey.plan.check import require_processable
 from survey.plan.check_light import LEAST_SHARP, glitter_text, light_section, motion_text, sharpness_text, times_of
 from survey.plan.glitter import GlitterOfFlight, glitters, slope_variance, widest_lean

@@ -9,7 +9,7 @@ from scipy.special import ndtr, ndtri
 from slow_cases import slow
 
 from evaluation import coverage_by_class, interval_score, slope_below, vertical_difference
-from evaluation.coverage import WALL_DEG
+from evaluation.vertical import WALL_DEG
 from geo import read_cloud
 from survey.progress import Progress
 from survey.run.process import process

@@ -16,8 +16,7 @@ from geo.crs import parse_crs
 from survey.control.reading import gather, read_control
 from survey.errors import ControlError
 from survey.folder.control import checkpoint_doubts, mark_residuals
-from survey.folder.found import find_survey
-from survey.folder.inputs import survey_inputs
+from survey.folder.found import find_survey, survey_inputs
 from survey.folder.survey import load_survey
 from survey.folder.unposed import require_solvable
 from survey.plan.check import check_survey

@@ -12,8 +12,8 @@ from small_survey import E0, LEVEL, N0, said, unposed, write_image
 
 from geo.errors import GeoError, PlaceMismatch, UnknownUnit
 from survey.errors import ConfigError, PosesError
+from survey.folder.found import survey_inputs
 from survey.folder.geo_txt import with_positions
-from survey.folder.inputs import survey_inputs
 from survey.folder.pose_priors import accuracy_of_gps, common_up_std_of_exif
 from survey.folder.survey import find_survey
 from survey.init.draft import draft

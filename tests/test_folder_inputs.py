@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from small_survey import replaced, small_survey
 
-from survey.folder.inputs import poses_inputs, survey_inputs
+from survey.folder.found import poses_inputs, survey_inputs
 
 
 def test_settings_poses_and_photographs_are_inputs(tmp_path):

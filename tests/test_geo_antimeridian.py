@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from pyproj import CRS, Transformer
 
-from geo.antimeridian import crosses, cut_line, cut_polygon
 from geo.errors import UnsupportedCRS
-from geo.reproject import Reprojection
+from geo.reproject import Reprojection, crosses, cut_line, cut_polygon
 from geo.vectors import Layer, write_geojson
 
 FIJI = CRS("EPSG:3460")

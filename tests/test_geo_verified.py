@@ -12,8 +12,8 @@ from geo.errors import UnwritableFile
 from geo.gltf import write_glb
 from geo.obj import write_obj
 from geo.ply import write_ply
+from geo.reading import write_verified
 from geo.shapes import Mesh
-from geo.verified import write_verified
 
 CODES = {"EPSG:25832+5783": (5e5, 5.2e6), "EPSG:2264+6360": (1.5e6, 6e5), "EPSG:4326+5773": (9.0, 48.0)}
 FORMATS = (".ply", ".obj", ".glb")

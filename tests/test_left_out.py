@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 from fields.solver.appearance import brightness_of
 from fields.sweep.block import downsample, fill_small_holes
 from fields.sweep.photo_consistency import Consistency
-from survey.photos.sharpness import saturated
+from survey.photos.texture import saturated
 from survey.report.photographs import doubts, photographs_of, summary, table
 
 

@@ -8,10 +8,9 @@ import pytest
 
 from fields.device import choose_device
 from fields.occluded.agreement import FoundPoints, explained_above, surface_heights
-from fields.occluded.boxes import Box, boxes_about
-from fields.occluded.consensus import Colours, consensus
-from fields.occluded.holes import BedLayer, Holes, smooth
+from fields.occluded.holes import BedLayer, Box, Holes, boxes_about, smooth
 from fields.occluded.occluded import find_occluded, show_bed
+from fields.occluded.sightings import Colours, consensus
 from fields.sweep.block import Block
 from fields.sweep.maps import HeightMap
 from refract import FlatWater, PinholeCamera

@@ -10,7 +10,7 @@ import pytest
 from geo.frames import LocalFrame
 from survey.errors import ConfigError, PosesError
 from survey.folder.plausible import require_true
-from survey.plan.flattened import flattened
+from survey.plan.area import flattened
 from survey.run.tile_frame import survey_in_frame
 
 

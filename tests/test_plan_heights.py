@@ -15,7 +15,7 @@ from survey.folder.survey import load_survey
 from survey.photos.poses import TiePoints
 from survey.plan.area import limits
 from survey.plan.choices import Choices
-from survey.plan.ground import dry_ground
+from survey.plan.heights import dry_ground
 from survey.plan.plan import make_plan
 from survey.settings.config import parse_config
 from survey.sfm.poses import SfmResult, SfmView

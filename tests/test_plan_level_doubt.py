@@ -13,8 +13,8 @@ from small_survey import LEVEL, said, small_survey, unposed
 from survey.folder.survey import find_survey, load_survey
 from survey.photos.xmp import Motion
 from survey.plan.check import check_survey, require_processable
+from survey.plan.check_inputs import DOWN_DEG, level_doubt
 from survey.plan.choices import Choices
-from survey.plan.level_doubt import DOWN_DEG, level_doubt
 from survey.settings.config import WaterConfig
 from survey.settings.water import LevelSources
 from tests.changed_survey import changed

@@ -12,10 +12,9 @@ import pytest
 from geo.frames import LocalFrame
 from refract.curved import curvature_drop
 from survey.control.points import Control, ControlPoint
-from survey.plan.area import limits
+from survey.plan.area import flattened, limits
 from survey.plan.choices import USUAL
-from survey.plan.flattened import flattened
-from survey.plan.ground import dry_ground
+from survey.plan.heights import dry_ground
 from survey.plan.recipe import RECIPES, required_views
 from survey.plan.tiling import Tiling, inside
 from survey.progress import Progress

@@ -15,9 +15,8 @@ from solved_tiles import plain_tile
 
 from fields.device import choose_device
 from fields.solver.appearance import appearance_of, brightness_of
-from fields.solver.gauss_newton import Start, TileSolution
+from fields.solver.gauss_newton import Start, TileSolution, second_differences_of, stiffness_of
 from fields.solver.roughness import roughness_of
-from fields.solver.smoothness import second_differences_of, stiffness_of
 from fields.solver.solver import SolvedMap, SolverFigures, solve_maps
 from fields.solver.tile import Tile, tiles_of
 from fields.solver.visibility import Projector, Surface, lookup, lookup_window, project_tiles

@@ -7,8 +7,8 @@ import pytest
 from plane_survey import TILTED, ring
 from test_sweep_steep import GSD, HEIGHT, PIXEL, SHAPE, everywhere, masks
 
-from fields.sweep.beneath import add_beneath, beside_steps
 from fields.sweep.kernels.stack import ViewStack
+from fields.sweep.overhangs import add_beneath, beside_steps
 
 OVER = HEIGHT + 0.4
 

@@ -9,8 +9,8 @@ import pytest
 from plane_survey import TILTED, ring
 from test_sweep_steep import GSD, HEIGHT, PIXEL, SHAPE, masks
 
-from fields.sweep.ghosts import stand_off, without_ghosts
 from fields.sweep.maps import HeightMap
+from fields.sweep.overhangs import stand_off, without_ghosts
 
 # A level square of 13 points on each side, one ground sampling distance apart, and its middle.
 SIDE = np.arange(13.0)

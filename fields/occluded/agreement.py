@@ -13,9 +13,8 @@ import cv2
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from fields.occluded.consensus import WINDOW, Colours, consensus, windowed
 from fields.occluded.holes import Holes
-from fields.occluded.sightings import Sighting
+from fields.occluded.sightings import WINDOW, Colours, Sighting, consensus, windowed
 
 # Heights over the layer at which other photographs are tested, in ground sampling distances: steps of a fourth.
 _SHEETS_GSD = (3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 13.0, 16.0, 20.0, 25.0, 32.0, 40.0, 50.0, 64.0)

@@ -9,8 +9,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from fields.occluded.agreement import REACH_GSD, FoundPoints, points_of_holes
-from fields.occluded.boxes import Box, boxes_about, step_places
-from fields.occluded.holes import Holes
+from fields.occluded.holes import Box, Holes, boxes_about, step_places
 from fields.occluded.sightings import Sighting, sighting_of
 from fields.sweep.bed import BedPoints
 from fields.sweep.block import Block

@@ -13,9 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fields.solver.gauss_newton import CG_RESIDUAL, TileSolution, shift_information
+from fields.solver.gauss_newton import CG_RESIDUAL, TileSolution, shift_information, stiffness_of
 from fields.solver.shifts import Shifts, depth_of
-from fields.solver.smoothness import stiffness_of
 from fields.solver.tile import Tile
 from fields.solver.uncertainty import ONE_STD, expected_variances, smoothing_change, solve_normal_equations
 

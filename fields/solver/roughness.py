@@ -24,8 +24,8 @@ from fields.solver.gauss_newton import (
     TileSolution,
     conjugate_gradients,
     normal_matrix,
+    stiffness_of,
 )
-from fields.solver.smoothness import stiffness_of
 from fields.solver.tile import Tile
 from fields.solver.uncertainty import (
     ONE_STD,

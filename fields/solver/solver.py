@@ -11,10 +11,9 @@ import cv2
 import numpy as np
 
 from fields.solver.correlation import NoiseShares, median_response, noise_shares, null_solutions_of
-from fields.solver.gauss_newton import TileSolution, shift_information
+from fields.solver.gauss_newton import TileSolution, shift_information, stiffness_of
 from fields.solver.roughness import START_GSD, roughness_of, spectral_slope_of
 from fields.solver.shifts import Shifts, depth_of, shifts_of
-from fields.solver.smoothness import stiffness_of
 from fields.solver.tile import Tile, requested_in_squares
 from fields.solver.uncertainty import (
     expected_variances,

@@ -40,7 +40,7 @@ from survey.errors import SurveyError
 from survey.findings import Contradiction
 from survey.folder.pose_priors import BAROMETER_STD_M
 from survey.folder.survey import Survey
-from survey.plan.poses import MOST_MISFIT_PX
+from survey.plan.decisions import MOST_MISFIT_PX
 
 # Tested parameters: of the water, and of each lens.
 LEVEL, _INDEX = 0, WATER - 1

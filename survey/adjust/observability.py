@@ -1,4 +1,4 @@
-"""Observability: which parameters of water, lens and shutter a block determines, and adjustment with the others held.
+"""Observability of water, lens, shutter and roll by a block, and adjustment with parameters held that it leaves open.
 
 `adjust_free`
     Of a survey without prior knowledge of its water. The worst parameter is held first, and the others are adjusted
@@ -8,11 +8,15 @@
     that was found follows the noise of the block. With C the covariance with all parameters free, U those that are
     held, and S the covariance of what was given of them, the others follow them by ``G = C[:, U] C[U, U]^-1``, and the
     covariance of the block is ``C + G (S - C[U, U]) G^T``.
+
+Notes on the roll of a block about the line of its positions, and refusal of one that is too uncertain.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +24,7 @@ import numpy as np
 from survey.adjust.block.bundle import NotConvergedError
 from survey.adjust.block.observed import Observed
 from survey.adjust.block.priors import FREE_WATER, HELD, PriorKnowledge
+from survey.adjust.block.roll import Roll, spans_area
 from survey.adjust.block.state import (
     LENS_NAMES,
     RATE_NAME,
@@ -33,8 +38,11 @@ from survey.adjust.block.state import (
 from survey.adjust.result.adjustment import UNKNOWN, Parameter
 from survey.adjust.result.verdicts import water_limits
 from survey.adjust.rounds import Adjusted, adjust
+from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
+from survey.plan.recipe import max_height_std
+from survey.sfm.gps_fit import HOLD_THE_ROLL
 
 # Fewest tie points under water. The covariance is estimated from the scatter of N points, to one part in sqrt(2 N): an
 # eighth. Fewer also turn wet and dry as the level moves, and the adjustment oscillates.
@@ -234,3 +242,63 @@ def _step(done: Adjusted, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     back[layout.first_rate : layout.first_focal] = done.known.mean.rate - state.rate
     step = covariance[:, held] @ np.linalg.solve(covariance[np.ix_(held, held)], back[held])
     return step, done.solution.system.point_steps(step)
+
+
+def roll_notes(survey: Survey, done: Adjusted, gsd_m: float) -> list[str]:
+    """Sentences on the rolls that positions leave open, and their std.
+
+    Raises
+    ------
+    SurveyError
+        Where a roll leaves heights of the bed more uncertain than the quality gate allows.
+    """
+    known, state = done.known, done.solution.state
+    notes = []
+    most = max_height_std(gsd_m)
+    for roll in known.rolls:
+        # Control over an area holds all of a block: where heights are uncertain, by lens and position as by the roll.
+        if spans_area(survey, roll):
+            continue
+        std = roll.std_by(known.layout, done.solution.covariance)
+        beside, below = np.median(np.abs(roll.across.flat(state.points)), axis=0).tolist()
+        said = (
+            f"positions or control of {len(roll.views)} photographs lie on one line; the roll about it is known to "
+            f"{math.degrees(std):.2g} degrees by {_held_by(survey, done, roll)}, which leaves heights "
+            f"{std * beside:.2g} m uncertain (at {beside:.2g} m beside the line, the median) and the bed "
+            f"{std * below:.2g} m sideways"
+        )
+        if std * beside > most:
+            raise SurveyError(f"{said}; heights may be {most:.2g} m uncertain: {HOLD_THE_ROLL}")
+        notes.append(said)
+    return notes
+
+
+@contextmanager
+def open_roll_named(rolls: Sequence[Roll]) -> Iterator[None]:
+    """Name the line where an adjustment of photographs whose roll positions leave open does not converge.
+
+    Raises
+    ------
+    NotConvergedError
+    """
+    try:
+        yield
+    except NotConvergedError as error:
+        if not rolls:
+            raise
+        num = sum(len(roll.views) for roll in rolls)
+        raise NotConvergedError(
+            f"positions or control of {num} photographs lie on one line, about which their roll is not known well "
+            f"enough ({error}): {HOLD_THE_ROLL}"
+        ) from error
+
+
+def _held_by(survey: Survey, done: Adjusted, roll: Roll) -> str:
+    """Sources that determine a roll, in words."""
+    used = done.used
+    is_known = np.isfinite(used.point_std).all(axis=1)[len(used.ties) - len(used.control) :]
+    control = [name for name, known in zip(used.control, is_known, strict=True) if known]
+    by = [f"control ({', '.join(control)})"] if control else []
+    by += [f"the attitudes of {roll.num_attitudes} photographs"] if roll.num_attitudes else []
+    by += ["the level of the water"] if survey.water is not None else []
+    return " and ".join(by) if by else "the scatter of the positions alone"

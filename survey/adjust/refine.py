@@ -24,13 +24,15 @@ from survey.adjust.block.state import POSE, WATER, WATER_PARAMETERS
 from survey.adjust.block.windows import measure_windows
 from survey.adjust.common_height import apply_level_datum, height_doubts, water_start, with_common, without_common
 from survey.adjust.far_poses import PoseRecovery, windows_or_search
-from survey.adjust.focal_drift import FocalDrift, with_focal_std, with_focals
+from survey.adjust.focal_lengths import FocalDrift, with_focal_std, with_focals, with_square_pixels
 from survey.adjust.given_values import LEVEL, LEVEL_NAME, check_dry_block, dry_bed_error, released, worst_contradiction
 from survey.adjust.observability import (
     Unobservable,
     adjust_free,
     adjusted_with,
     dry_or_within_bounds,
+    open_roll_named,
+    roll_notes,
     water_std,
     within_bounds,
 )
@@ -38,10 +40,8 @@ from survey.adjust.result.adjustment import UNKNOWN, Adjustment
 from survey.adjust.result.ground_fit import ground_fit
 from survey.adjust.result.parts import parts_warning
 from survey.adjust.result.verdicts import MOST_SIGMAS, MOST_SIGMAS_OF_FOUR, MOST_STD_LEVEL_M
-from survey.adjust.roll_notes import open_roll_named, roll_notes
 from survey.adjust.rounds import Adjusted, adjust
 from survey.adjust.second_start import of_two_starts
-from survey.adjust.square_pixels import with_square_pixels
 from survey.adjust.unnamed_water import water_seen
 from survey.control.points import Ground
 from survey.errors import SurveyError
@@ -49,8 +49,8 @@ from survey.findings import Contradiction
 from survey.folder.pose_priors import GPS_STD_M
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
+from survey.plan.check_inputs import DOWN_DEG, GIVE_LEVEL, tilts_deg
 from survey.plan.choices import Choices
-from survey.plan.level_doubt import DOWN_DEG, GIVE_LEVEL, tilts_deg
 from survey.plan.plan import make_plan
 from survey.plan.rates import adjustment_s
 from survey.plan.workload import amounts_of_run

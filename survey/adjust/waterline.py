@@ -19,7 +19,7 @@ from survey.adjust.result.verdicts import unobservable_verdict
 from survey.errors import SurveyError
 from survey.files.json_values import json_text
 from survey.files.outputs import is_json, require_file
-from survey.folder.inputs import survey_inputs
+from survey.folder.found import survey_inputs
 from survey.folder.place import water_plane
 from survey.folder.survey import Survey, load_survey
 from survey.progress import current

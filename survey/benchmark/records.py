@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from evaluation import Coverage, slope_below, vertical_difference
-from evaluation.coverage import WALL_DEG
+from evaluation.vertical import WALL_DEG
 from geo import Mesh, write_whole
 from survey.benchmark.cases import Case
 from survey.compare.comparison import CompareOptions, compare_surfaces

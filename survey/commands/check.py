@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from survey.commands.console import ConsoleResults, command
+from survey.commands.faults import address_space_shortage, require_address_space
 from survey.commands.grouped import PlanOptions, grouped
-from survey.commands.memory import address_space_shortage, require_address_space
 from survey.commands.options import Quiet, Verbose
 from survey.errors import SurveyError
 from survey.plan.choices import Choices
@@ -154,7 +154,7 @@ def require_json(option: str, path: Path | None, survey: Path) -> None:
     if path is None:
         return
     from survey.files.outputs import ReadFiles, is_json, require_file
-    from survey.folder.inputs import survey_inputs
+    from survey.folder.found import survey_inputs
 
     read = ReadFiles.of(survey) if is_plan(survey) else survey_inputs(survey)
     require_file(option, path, read, kind="a JSON file", is_of_kind=is_json)

@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from survey.commands.console import command
+from survey.commands.faults import require_address_space
 from survey.commands.grouped import ProcessOptions, grouped
-from survey.commands.memory import require_address_space
 from survey.commands.options import COMPARED, KEPT, Quiet, SurveyFolder, Verbose, Visible
 from survey.words import RUN_FOLDER
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from survey.commands.console import command
-from survey.commands.memory import require_address_space
+from survey.commands.faults import require_address_space
 from survey.commands.options import KEPT, Quiet, Verbose, words_of
 
 EXAMPLES = """

@@ -31,7 +31,7 @@ from evaluation import (
 from evaluation.c2m import Sign
 from evaluation.completeness import NUM_SAMPLES
 from evaluation.standards import MIN_CHECKPOINTS
-from evaluation.strata import INCIDENCE_EDGES_DEG, SLOPE_EDGES_DEG, VIEWS_EDGES
+from evaluation.summary import INCIDENCE_EDGES_DEG, SLOPE_EDGES_DEG, VIEWS_EDGES
 from evaluation.triangles import num_wound_against
 from geo import Cloud, Mesh
 from geo.compatibility import require_same_crs, require_same_place

@@ -26,7 +26,7 @@ def _write_mesh(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     from geo.gltf import write_glb
     from geo.obj import write_obj
     from geo.ply import write_ply
-    from geo.verified import write_verified
+    from geo.reading import write_verified
 
     key = ("mesh", options.crs, options.resolution_m, options.mesh_method, options.watertight)
     mesh = run.once(key, lambda: _mesh(path, run, options))

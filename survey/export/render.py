@@ -23,7 +23,7 @@ from survey.errors import FILE_NAME, ConfigError, OutputError, SurveyError
 from survey.export.loaded import LoadedRun, colours_without_water
 from survey.export.novel_views import image_based_field
 from survey.files.outputs import ReadFiles, require_file, require_folder
-from survey.folder.inputs import poses_inputs, survey_inputs
+from survey.folder.found import poses_inputs, survey_inputs
 from survey.folder.pairing import lens_from_config
 from survey.folder.posed import cams_from_local, points_in_crs
 from survey.photos.poses import PoseFile, PoseFrame

@@ -1,4 +1,4 @@
-"""Contents of a survey folder: settings, image headers and poses file.
+"""Contents of a survey folder: settings, image headers, poses file, and the files that no result may overwrite.
 
 Image headers are checked here as well: rotation, several pages.
 """
@@ -17,13 +17,14 @@ from geo.crs import height_unit_m, parse_crs
 from geo.operations import use_grids
 from survey.display.quantities import named
 from survey.errors import FILE_NAME, ConfigError, PosesError, SurveyError
+from survey.files.outputs import ReadFiles
 from survey.folder import infer
 from survey.folder.control import FoundControl, find_control
 from survey.folder.geo_txt import find_geo_txt, with_positions
 from survey.folder.positions import position_doubts
-from survey.photos.exif import Exif, position_sources, read_exif, without_void
+from survey.photos.exif import SUFFIXES, Exif, position_sources, read_exif, without_void
 from survey.photos.images import list_images, same_files
-from survey.pose_files import find_poses, find_unread
+from survey.pose_files import find_poses, find_unread, pose_files
 from survey.settings.config import SurveyConfig, read_config
 from survey.settings.process import ProcessConfig
 from survey.sfm.datum import EXACT, DatumStd, least, plan_std
@@ -204,3 +205,35 @@ def head_doubts(heads: Mapping[str, Exif]) -> list[str]:
             "photographs, split them"
         )
     return warnings + position_doubts(heads)
+
+
+def survey_inputs(folder: Path) -> ReadFiles:
+    """Settings, poses, photographs, masks, control and measured water levels of a survey folder.
+
+    Raises
+    ------
+    ConfigError
+        Where the settings cannot be read, or there are neither settings nor images.
+    """
+    if not folder.is_dir():
+        return ReadFiles()
+    toml = folder / FILE_NAME
+    config = read_config(toml) if toml.is_file() else infer.config_of_folder(folder)
+    named = [toml]
+    if config.water is not None:
+        named += [folder / path for path in config.water.sources.named.values()]
+    named += [folder / name for name in config.control.files]
+    poses = find_poses(folder) if config.cameras.poses is None else [folder / config.cameras.poses]
+    table = find_geo_txt(folder, folder / config.images.dir)
+    named += [] if table is None else [table]
+    folders = [] if config.images.masks is None else [folder / config.images.masks]
+    if config.images.dir == ".":
+        named += [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES]
+    else:
+        folders.append(folder / config.images.dir)
+    return sum((poses_inputs(path) for path in poses), ReadFiles.of(*named, *folders))
+
+
+def poses_inputs(path: Path) -> ReadFiles:
+    """The files of poses: a table, or those of a model or project, but not what lies below its folder."""
+    return ReadFiles.of(*pose_files(path))

@@ -1,4 +1,4 @@
-"""A survey without poses: what structure from motion needs, and the views that it finds."""
+"""A survey without poses: what structure from motion needs, tests of its level before that, and the views it finds."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from pyproj import CRS
+from scipy.spatial import KDTree
 
-from geo.crs import height_unit_m
+from geo.crs import EARTH_RADIUS_M, height_unit_m
 from geo.frames import LocalFrame
 from refract.lens import Lens
 from survey.control.placing import require_near
@@ -17,15 +19,23 @@ from survey.display.quantities import named
 from survey.errors import FILE_NAME, ControlError, ImageError, PosesError
 from survey.folder.camera_faults import require_focal_lengths
 from survey.folder.checked_control import control_of_block, may_hold_roll, of_two_marks, require_placing_control
-from survey.folder.datum_mixups import place_of, start_doubts, xmp_doubts
-from survey.folder.exif_level import require_level_fits_exif
+from survey.folder.datum_mixups import above_start_of, explanation, place_of, start_doubts, xmp_doubts
 from survey.folder.found import Found
 from survey.folder.motion import shutter_doubts
-from survey.folder.pose_priors import GPS_STD_M, best_plan_std
+from survey.folder.plausible import (
+    AIRCRAFT_HEIGHT_M,
+    DRONE_HEIGHT_M,
+    MOST_OF_OVERLAP,
+    USUAL_OVERLAP,
+    require_level_fits,
+)
+from survey.folder.pose_priors import GPS_STD_M, best_plan_std, common_up_std_of_exif
 from survey.photos.cameras import View
+from survey.photos.exif import Exif
 from survey.photos.images import require_all_complete
 from survey.photos.pixels import HEIC_SUFFIXES
 from survey.photos.poses import TiePoints, least_track
+from survey.settings.config import SurveyConfig
 from survey.sfm.control_fit import line_of_control
 from survey.sfm.datum import require_as_good
 from survey.sfm.gps import gps_positions, is_whole, positions_in_crs, ways_into_crs
@@ -34,9 +44,51 @@ from survey.sfm.marked import BlockControl
 from survey.sfm.settings import one_focal, require_size, require_solver
 from survey.words import RUN_FOLDER, SFM_FOLDER
 
+# Heights in EXIF are not off by more standard deviations of what they have in common.
+_MOST_STD = 3.0
+# Of the shorter side of a photograph over its focal length, of the lenses of drones.
+_SHORT_SIDE = 0.6
 # With the distance of two positions known no better than to this share, heights over the bed are too wrong to be told a
 # standard deviation.
 _MOST_SCALE_STD = 0.1
+
+
+def require_level_fits_exif(config: SurveyConfig, heads: Mapping[str, Exif], crs: CRS) -> None:
+    """Raise where the level cannot fit the heights in EXIF, which structure from motion would use.
+
+    Raises
+    ------
+    ConfigError
+        Where all images lie under the water or far above it, by more than heights in EXIF may have in common; or by
+        less, if a mix-up of datums explains it and `position_std_m` does not say that they are as bad.
+    """
+    places = np.array([h.lat_lon_height for h in heads.values() if h.lat_lon_height is not None]).reshape(-1, 3)
+    places = places[np.isfinite(places).all(axis=1)]
+    heights = places[:, 2]
+    if config.water is None or config.water.level_m is None or config.cameras.gps_height != "crs" or not heights.size:
+        return
+    over_water = heights - config.water.known_level_m
+    lat, lon, _ = np.median(places, axis=0).tolist()
+    why = explanation(float(np.median(over_water)), config.water.known_level_m, (lat, lon), crs, above_start_of(heads))
+    unknown_m = _MOST_STD * common_up_std_of_exif(config.cameras, heads)
+    if why and config.cameras.position_std_m is None:
+        unknown_m = 0.0
+    most_m = DRONE_HEIGHT_M if why else _most_over_water(places)
+    if over_water.max() > -unknown_m and over_water.min() <= most_m + unknown_m:
+        return
+    like = f"the heights in EXIF{why}; if they are a barometer's, say so: [cameras] position_std_m = [3, 3, 80]"
+    require_level_fits(config.water, "EXIF has the cameras", heights, over_water, like, most_m=most_m)
+
+
+def _most_over_water(places: np.ndarray) -> float:
+    """Height over the water [m] that cameras at places (N, 3) can have, by how far apart they are.
+
+    As `survey.folder.plausible.most_over_water` for lenses that are not known yet.
+    """
+    metres = EARTH_RADIUS_M * np.radians(places[:, :2]) * [1.0, np.cos(np.radians(np.median(places[:, 0])))]
+    base = float(np.median(KDTree(metres).query(metres, k=2)[0][:, 1])) if len(places) > 1 else 0.0
+    by_overlap = base / ((1.0 - USUAL_OVERLAP) * _SHORT_SIDE)
+    return float(np.clip(MOST_OF_OVERLAP * by_overlap, DRONE_HEIGHT_M, AIRCRAFT_HEIGHT_M))
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
-from geo.optional import library_for
+from geo.files import library_for
 from geo.shapes import Mesh
 from survey.errors import SurveyError
 

@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
-from geo.optional import library_for
+from geo.files import library_for
 from survey import machine
 from survey.errors import ImageError
 

@@ -20,12 +20,10 @@ from survey.folder.unposed import placing_control, require_solvable
 from survey.photos.exif import position_sources
 from survey.photos.texture import look_like_water
 from survey.plan.area import require_seen
-from survey.plan.check_inputs import control_rows, mark_rows, water_stds
+from survey.plan.check_inputs import control_rows, level_doubt, mark_rows, water_stds
 from survey.plan.choices import USUAL, Choices
-from survey.plan.level_doubt import level_doubt
+from survey.plan.decisions import Decision, require_placeable
 from survey.plan.plan import Plan, device_decision, make_plan
-from survey.plan.poses import require_placeable
-from survey.plan.skipped import Decision
 from survey.plan.tile_choice import choose_tiles
 from survey.plan.tiling import tile_doubts
 from survey.plan.workload import Workload, room_doubts, workload_of, workload_of_images

@@ -17,11 +17,11 @@ from survey.folder.motion import velocities_of
 from survey.folder.survey import Survey
 from survey.photos.cameras import level_from_yaw_pitch_roll
 from survey.photos.exif import Exif
-from survey.photos.sharpness import MOSTLY_WHITE, bytes_per_pixel, image_detail, relative
+from survey.photos.texture import MOSTLY_WHITE, bytes_per_pixel, image_detail, relative
+from survey.plan.area import in_the_middle
 from survey.plan.check import Checked, CheckSection
 from survey.plan.check_inputs import Verdict, by_limits, judged
 from survey.plan.glitter import USUAL_WIND_M_S, Glitter, GlitterOfFlight
-from survey.plan.places import in_the_middle
 from survey.plan.plan import make_plan
 
 # Of the photographs of a place, lost to glitter: up to these shares it is good, or fair. Where no places are known, of

@@ -16,7 +16,7 @@ import numpy as np
 
 from refract import FlatWater, PinholeCamera
 from survey.folder.survey import Survey
-from survey.plan.places import Places, places_of
+from survey.plan.area import Places, places_of
 
 # A light breeze, in which most surveys of clear shallow water are flown [m/s].
 USUAL_WIND_M_S = 3.0

@@ -1,4 +1,4 @@
-"""The range of heights searched for the bed, and its source.
+"""Heights of a survey: the range searched for the bed with its source, and the approximate height of dry ground.
 
 Every height in this range is tried: chance matches far from the bed cost time and points, and a bed beyond it is lost.
 So the range is the one in survey.toml, else that of the matched points that came with the poses, else a multiple of
@@ -17,8 +17,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from geo.crs import height_unit_m
 from refract import apparent_depth_tangential
 from survey.errors import FILE_NAME, ConfigError
+from survey.folder.plausible import GroundHeight, ground_below
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey
@@ -36,6 +38,8 @@ _FEWEST_POINTS = 200
 _MARGIN_SPAN, _MARGIN_FLYING = 0.5, 0.1
 # Views of a point nearer to the horizon than this do not determine its height.
 _GRAZING_DEG = 80.0
+# Fewer tie points do not tell a height: some of them may be wrong.
+_FEWEST_TIE_POINTS = 50
 
 
 @dataclass(frozen=True)
@@ -156,3 +160,27 @@ def _centres(survey: Survey) -> np.ndarray:
 def _heights(survey: Survey, points: np.ndarray) -> np.ndarray:
     """Heights (N,) [m] of points (N, 3), local, over the water plane, or over local z = 0."""
     return points[:, 2] if survey.water is None else -survey.water.depth(points)
+
+
+def dry_ground(survey: Survey) -> GroundHeight:
+    """Rough height of the ground of a survey, without regard to water.
+
+    From the median of the tie points, else of the control points, else the middle of ``[area] heights``, else where
+    the axes of oblique views converge, else where neighbours overlap as planners aim at.
+    """
+    points, control = survey.observations.points, survey.observations.control
+    if points is not None and len(points) >= _FEWEST_TIE_POINTS:
+        return GroundHeight(float(np.median(points[:, 2])), f"the median of {len(points):,} tie points")
+    cameras = [view.camera for view in survey.views]
+    if control is not None and control.points:
+        # By their heights in crs: level ground kilometres from the origin lies metres below its z = 0.
+        height = float(np.median([point.crs[2] for point in control.points])) - survey.frame.origin[2]
+        return GroundHeight(
+            height * height_unit_m(survey.frame.crs), f"the median of {len(control.points)} control points"
+        )
+    heights = survey.config.area.heights
+    if heights is not None:
+        place = survey.frame.crs_from_local(np.median([camera.centre for camera in cameras], axis=0))
+        place[2] = 0.5 * sum(heights)
+        return GroundHeight(float(survey.frame.local_from_crs(place)[2]), "the middle of [area] heights")
+    return ground_below(cameras)

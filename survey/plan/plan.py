@@ -12,13 +12,20 @@ from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.plan import choices
+from survey.plan.area import flattened
 from survey.plan.choices import USUAL, Choices
-from survey.plan.flattened import flattened
-from survey.plan.ground import dry_ground
-from survey.plan.heights import in_words
-from survey.plan.poses import pose_choice
+from survey.plan.decisions import (
+    FULL,
+    Decision,
+    finer_passes,
+    first_heights,
+    lens_terms,
+    pixels,
+    pose_choice,
+    refraction,
+)
+from survey.plan.heights import dry_ground, in_words
 from survey.plan.recipe import AIMED, RECIPES, Recipe, image_decision, image_scale
-from survey.plan.skipped import FULL, Decision, finer_passes, first_heights, lens_terms, pixels, refraction
 from survey.water.surface import EARTH, Departure
 from survey.water.tides import MOST_SHIFT_PX
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fields.occluded.boxes import SIDE_GSD
+from fields.occluded.holes import SIDE_GSD
 from fields.sweep.passes import PASSES, POINTS_SHARE, Pass, before_solver
 
 # The first pass of the sweep tries as many heights as its bound holds.

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from evaluation.standards import TO_95, TVU
 from refract import PinholeCamera
 from survey.plan.choices import Quality
-from survey.plan.skipped import Decision
+from survey.plan.decisions import Decision
 
 # In place of a quality where `survey.plan.aim` makes the recipe.
 AIMED = "aimed"

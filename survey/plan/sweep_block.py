@@ -14,8 +14,8 @@ from fields.sweep.block import Block
 from refract import PinholeCamera
 from survey.errors import SurveyError
 from survey.photos.images import ImageStore, load_mask
-from survey.photos.sharpness import saturated
-from survey.plan.ground import dry_ground
+from survey.photos.texture import saturated
+from survey.plan.heights import dry_ground
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey, View

@@ -13,7 +13,7 @@ import numpy as np
 from survey import machine
 from survey.display.quantities import bytes_of, length, room, size
 from survey.errors import SurveyError
-from survey.plan.skipped import Decision
+from survey.plan.decisions import Decision
 from survey.plan.tiling import FRAME_M, MOST_ASIDE_PX, RIM_GSD, Area, Tiling, aside_px, ground_of
 from survey.plan.workload import POINT_BYTES, amounts_of, memory_of
 

@@ -17,9 +17,8 @@ import numpy as np
 
 from fields.sweep.block import Overlap
 from survey.display.quantities import length
-from survey.plan.area import AREA_MARGIN_M, grown, local_area
-from survey.plan.flattened import flattened
-from survey.plan.ground import dry_ground
+from survey.plan.area import AREA_MARGIN_M, flattened, grown, local_area
+from survey.plan.heights import dry_ground
 from survey.plan.sweep_block import camera_of
 
 if TYPE_CHECKING:

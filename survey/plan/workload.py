@@ -20,10 +20,9 @@ from survey.display.quantities import room, size
 from survey.errors import SurveyError
 from survey.folder.found import Found
 from survey.folder.survey import Survey
-from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area
+from survey.plan.area import AREA_MARGIN_M, flattened, grown, limits, local_area
 from survey.plan.choices import Choices
-from survey.plan.flattened import flattened
-from survey.plan.ground import dry_ground
+from survey.plan.heights import dry_ground
 from survey.plan.plan import Plan
 from survey.plan.rates import FIRST_HYPOTHESES, SFM_PARTS, Amounts, parts_s, run_s, sfm_s
 from survey.plan.recipe import RECIPES, image_scale

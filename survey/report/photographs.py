@@ -12,7 +12,7 @@ import numpy as np
 from fields.sweep.photo_consistency import Consistency
 from survey.display.quantities import named, share
 from survey.photos.exif import Exif
-from survey.photos.sharpness import MOSTLY_WHITE
+from survey.photos.texture import MOSTLY_WHITE
 from survey.report.blocks import Block, Folded, Rows, Table
 from survey.settings.config import ReportConfig
 

@@ -21,8 +21,8 @@ from survey.display.quantities import (
     number,
     share,
 )
+from survey.plan.decisions import Decision
 from survey.plan.plan import Plan
-from survey.plan.skipped import Decision
 from survey.report.blocks import Block, Rows, Sentences, Table, Text
 from survey.report.checkpoints import CheckpointFigures
 from survey.report.figures import Baselines, CloudFigures, CrsFigures, Extent, LightFigures, SurveyFigures, WaterFigures

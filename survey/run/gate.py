@@ -21,7 +21,7 @@ from survey.plan.recipe import MAX_STD_GSD, max_height_std
 from survey.report.collect import height_std
 from survey.report.facts import Gate, RunVerdict
 from survey.report.seen_cells import SeenCells, cells_of
-from survey.run.cell_std import std_cells
+from survey.run.aimed_run import std_cells
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey

@@ -18,15 +18,14 @@ from survey import machine
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.files.outputs import ReadFiles, require_folder
-from survey.folder.found import Found, process_config
-from survey.folder.inputs import survey_inputs
+from survey.folder.found import Found, process_config, survey_inputs
 from survey.folder.survey import Survey, load_survey
 from survey.forecast import Forecast
 from survey.plan.aim import aim_and_choices
 from survey.plan.check import Checked, require_processable
 from survey.plan.choices import Choices, Device
+from survey.plan.decisions import require_placeable
 from survey.plan.plan import device_decision, make_plan
-from survey.plan.poses import require_placeable
 from survey.plan.rates import parts_in_tiles, parts_s
 from survey.plan.tile_choice import SHARED, TileChoice, choose_tiles, require_dask
 from survey.plan.tiling import tile_doubts
@@ -266,7 +265,7 @@ def _import_products(job: Job) -> None:
 
 def _to_the_end(run: RunDir, job: Job, resume: bool, truth: Truth) -> int:
     """Stages, result and verdict; the exit code."""
-    from survey.run.rounds import run_stages
+    from survey.run.execution import run_stages
 
     # The report takes half a second to import, beside the kernels of the sweep; if it fails, it does so below.
     Thread(target=_import_products, args=(job,), daemon=True).start()

@@ -16,7 +16,7 @@ from fields.sweep.photo_consistency import Consistency
 from geo.e57 import write_e57
 from geo.las import write_cloud
 from geo.ply import write_ply
-from geo.verified import write_verified
+from geo.reading import write_verified
 from survey.adjust.applied import CAMERAS, MODEL_FOLDER
 from survey.adjust.result.adjustment import ARRAYS, JSON, Adjustment, read_adjustment
 from survey.compare.figures import Comparison

@@ -17,7 +17,7 @@ from fields.solver.solver import SolvedMap
 from fields.sweep.bed import unique_pixels
 from fields.sweep.maps import HeightMap
 from survey.files.json_values import write_json
-from survey.run.cell_std import CellStd, std_cells
+from survey.run.aimed_run import CellStd, std_cells
 from survey.run.folder import seconds_of
 from survey.run.points import adjustment_of, bed_points, is_placed, with_std_of_block
 from survey.run.stage_solver import SOLVED

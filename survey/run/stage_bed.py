@@ -1,24 +1,25 @@
-"""The stage of the bed: height maps become points, every piece of the bed once."""
+"""The stage of the bed: height maps become points, every piece of the bed once, and points beside edges are added."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fields.occluded.occluded import find_occluded
 from fields.solver.solver import SolvedMap
-from fields.sweep.bed import unique_pixels
-from fields.sweep.ghosts import without_ghosts
+from fields.sweep.bed import BedPoints, unique_pixels
 from fields.sweep.maps import HeightMap
+from fields.sweep.overhangs import without_ghosts
 from survey.adjust.result.std_common import BASIS_ADJUSTED, BASIS_STATED, std_common
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.plan.sweep_block import backend
+from survey.progress import shares
 from survey.run.curved_water import through_surface
-from survey.run.occluded import SolvedHeights, with_occluded
 from survey.run.points import adjustment_of, bed_points, is_placed, with_std_of_block
 from survey.run.stage_solver import SOLVED
 from survey.run.stage_sweep import MAPS, look_at_bed
@@ -28,12 +29,60 @@ from survey.run.water_colour import colour_of
 
 if TYPE_CHECKING:
     from fields.slab.tensor_field import TensorField
-    from fields.sweep.bed import BedPoints
     from survey.run.job import Job
 
 FILES = (BED_FILE, SURVEY_FILE)
 # Points whose coordinates are worked out at a time, of 200 bytes each.
 _PORTION = 200_000
+
+
+class SolvedHeights(Sequence[HeightMap]):
+    """Height maps with the heights of the solver, each made when it is asked for."""
+
+    def __init__(self, maps: Sequence[HeightMap], solved: Sequence[SolvedMap]):
+        self._maps, self._solved = maps, solved
+
+    def __len__(self) -> int:
+        return len(self._maps)
+
+    def __getitem__(self, number):
+        """The map at a place in the order."""
+        return self._solved[number].over(self._maps[number])[0]
+
+    def __iter__(self) -> Iterator[HeightMap]:
+        return (self[number] for number in range(len(self)))
+
+
+def with_occluded(
+    job: Job, maps: Sequence[HeightMap], solved: Sequence[SolvedMap], bed: BedPoints, tide: np.ndarray
+) -> tuple[BedPoints, np.ndarray]:
+    """Points of the bed and their tides (N,) [m], and those that only boxes beside depth steps find."""
+    views, scale = job.survey.views, job.plan.image_scale
+    with job.progress.stage("Boxes beside edges", 1.0) as stage:
+        found = find_occluded(
+            job.block,
+            SolvedHeights(maps, solved),
+            lambda view: job.photographs.load(views[view], scale=scale),
+            bed.xyz,
+            job.plan.gsd_m,
+            job.own_ground,
+            shares(stage),
+        )
+    if not found.num_boxes:
+        job.progress.note("boxes: none, the cloud has no holes beside depth steps")
+        return bed, tide
+    if found.is_no_bed:
+        job.progress.note(
+            f"boxes: of {found.num_boxes} beside depth steps hardly any show a bed in the holes of the cloud; none used"
+        )
+        return bed, tide
+    left_out = f" ({found.num_left_out} with fewer left out)" if found.num_left_out else ""
+    job.progress.note(
+        f"boxes: {found.num_boxes} beside depth steps, where the cloud has holes{left_out}; {len(found.points):,} more "
+        "points, on which three photographs or more agree"
+    )
+    tides = np.array([camera.tide for camera in job.block.cameras])
+    return BedPoints.concatenate([bed, found.points]), np.concatenate([tide, tides[found.view]])
 
 
 def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:

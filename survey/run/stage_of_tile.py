@@ -1,4 +1,4 @@
-"""Sweep, solver and bed of one tile of a survey, for `survey.run.tiled`."""
+"""Sweep, solver and bed of one tile of a survey, for `survey.run.execution`."""
 
 from __future__ import annotations
 

@@ -15,8 +15,7 @@ from fields.image_store import GreyImages, Masks
 from fields.sweep.block import Block
 from fields.sweep.views import ground_points
 from survey.errors import SurveyError
-from survey.plan.area import grown, limits
-from survey.plan.flattened import flattened
+from survey.plan.area import flattened, grown, limits
 from survey.plan.rates import part_name
 from survey.plan.sweep_block import backend
 from survey.plan.tiling import Area, places_of

@@ -259,7 +259,7 @@ def _seen(token: Path, photograph: Path) -> tuple[str, bool, bool]:
 @cache
 def loaded_code() -> str:
     """Hash of the code of this process: taken once, before stages are loaded, as files may change later."""
-    return code_hash("survey.run.tiled")
+    return code_hash("survey.run.execution")
 
 
 def _cores_plugin(distributed: Any, number: int) -> Any:

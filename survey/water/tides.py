@@ -29,7 +29,7 @@ from survey.water.level_observation import LevelObservation, moment_of, std_of
 # The level of a photograph without a time is the mean of the others, if these differ by no more than this [m]: it moves
 # the bed by less than 2 mm.
 _MOST_UNKNOWN_M = 0.005
-# Levels that move images by less than this count as one: as for errors of poses (`survey.plan.poses`), larger ones
+# Levels that move images by less than this count as one: as for errors of poses (`survey.plan.decisions`), larger ones
 # exceed the noise of matching.
 MOST_SHIFT_PX = 0.1
 # Rays nearer to the horizon are not used for the bed.

@@ -25,10 +25,10 @@ from survey.adjust.result.std_common import std_common
 from survey.adjust.result.verdicts import MOST_STD_FOCAL, MOST_STD_INDEX, MOST_STD_LEVEL_M
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
+from survey.plan.area import in_the_middle, places_of
 from survey.plan.check import CheckSection
 from survey.plan.check_inputs import Verdict, by_limits, judged
 from survey.plan.choices import USUAL, Choices
-from survey.plan.places import in_the_middle, places_of
 from survey.plan.plan import Plan, make_plan
 from survey.water.index import ASSUMED_INDEX_STD
 

@@ -17,12 +17,12 @@ from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import Observations, Survey
 from survey.photos.cameras import View
 from survey.photos.poses import TiePoints
+from survey.plan.area import in_the_middle
 from survey.plan.check import CheckSection
 from survey.plan.check_inputs import Verdict, by_limits, judged
 from survey.plan.check_light import LOST_GOOD, glitter_text, lost_share, motion_text, sun_text
 from survey.plan.choices import Choices
 from survey.plan.glitter import GlitterOfFlight
-from survey.plan.places import in_the_middle
 from survey.plan.plan import make_plan
 from survey.plan.workload import room_doubts, workload_of
 from survey.settings.config import AreaConfig, SurveyConfig, WaterConfig

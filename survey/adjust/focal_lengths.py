@@ -1,4 +1,4 @@
-"""Focal lengths that differ between the photographs of one camera: autofocus, heat.
+"""Focal lengths: those that differ between the photographs of one camera (autofocus, heat), and square pixels.
 
 Image-variant interior orientation (H.-G. Maas, ISPRS Archives 32(5), 1998): each photograph has a focal length of its
 own, that of its lens times 1 + c, c of a common standard deviation s. Whether they differ, and by how much, is what the
@@ -11,6 +11,12 @@ hypotheses are compared by their marginal likelihoods, in the linear model at th
     -2 ln p = v' W v - b' N^-1 b + ln |N| - ln |W|
 
 v are the deviations from the priors, W their weights; N, b the normal equations with these.
+
+Square pixels in place of a ratio of focal lengths that a program found with straight rays through water.
+
+The adjustment holds the ratio of both focal lengths. A program that adjusts its lens with straight rays takes some of
+the bend at the water into that ratio: on the block of examples/exports.py, 20 m over 2 m of water, 0.1 %, which moved
+the focal length that was found by 0.5 % and the bed by 15 cm.
 """
 
 from __future__ import annotations
@@ -21,6 +27,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from refract.lens import MODELS, Lens
 from survey.adjust.block.bundle import NotConvergedError, system_with
 from survey.adjust.block.lenses import FEWEST, is_held
 from survey.adjust.block.observed import original_rows
@@ -29,6 +36,7 @@ from survey.adjust.block.priors import PriorKnowledge, priors_for
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import POSE
 from survey.adjust.rounds import Adjusted
+from survey.folder.survey import Survey
 
 # Standard deviations of focal lengths that are tried, as shares.
 _STDS = np.geomspace(1e-4, 2e-2, 24)
@@ -36,6 +44,8 @@ _STDS = np.geomspace(1e-4, 2e-2, 24)
 _SIGNIFICANT = 6.0
 # The standard deviation follows from the focal lengths that were found, until it changes by less than this share.
 _STEADY, _MOST_ROUNDS = 0.1, 4
+# Photographs that were scaled differently along their sides are further from square than any bend makes them.
+_MOST_BEND = 0.01
 
 
 @dataclass(frozen=True)
@@ -169,3 +179,35 @@ def with_focal_std(known: PriorKnowledge, done: Adjusted, std: float) -> PriorKn
         mean=replace(known.mean, focals=np.zeros(count)),
         std=values,
     )
+
+
+def with_square_pixels(survey: Survey) -> tuple[Survey, str | None]:
+    """The survey with one focal length for both axes, with a note, where straight rays gave two; else unchanged."""
+    tool = survey.provenance.tool
+    if tool is None or survey.water is None:
+        return survey, None
+    square = {view.lens: _square(view.lens) for view in survey.views}
+    changed = [lens for lens, other in square.items() if other != lens]
+    if not changed:
+        return survey, None
+    views = []
+    for view in survey.views:
+        fx, fy = square[view.lens].focal
+        views.append(replace(view, lens=square[view.lens], camera=replace(view.camera, fx=fx, fy=fy)))
+    fx, fy = changed[0].focal
+    note = (
+        f"pixels are taken as square: {tool} found focal lengths of {fx:.2f} and {fy:.2f} px with straight "
+        "rays, which water bends"
+    )
+    return replace(survey, views=tuple(views)), note
+
+
+def _square(lens: Lens) -> Lens:
+    fx, fy = lens.focal
+    if fx == fy or abs(fy / fx - 1.0) > _MOST_BEND:
+        return lens
+    at = [MODELS[lens.model][1].index(name) for name in ("fx", "fy")]
+    params = list(lens.params)
+    for place in at:
+        params[place] = 0.5 * (fx + fy)
+    return replace(lens, params=tuple(params))

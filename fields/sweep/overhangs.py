@@ -1,0 +1,170 @@
+"""Points beneath overhangs: bed that agreement of heights alone takes for duplicates, and ghosts over a flat surface.
+
+Heights are compared along the rays of pixels. Beside a depth step a ray may pass near two surfaces of one height, of
+which only one becomes points; there the points that are kept are told apart in space.
+
+Ghost points beneath overhangs: few maps hold them, and they stand off a flat surface that many maps hold.
+
+Windows of the sweep that cover an edge and what lies behind it leave heights between both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+from fields.image_store import LazyImages, Masks
+from fields.sweep.block import Block
+from fields.sweep.kernels.stack import ViewStack, largest
+from fields.sweep.map_points import MapPoints, far_from, points_of_pixels, thin_out
+from fields.sweep.maps import HeightMap, trusted
+
+# A pixel is beside a step where its map rises by more than this, in ground sampling distances, within so many pixels.
+_STEP_GSD, _REACH_PX = 12.0, 6
+# Side of the cells of the ground, and how much higher a kept point of the same cell is: in ground sampling distances.
+_CELL_GSD, _OVER_GSD = 3.0, 8.0
+# Least distance of points from each other, in ground sampling distances: those of neighbouring pixels of two maps of
+# the same surface lie 0.7 from each other at most.
+_APART_GSD = 0.75
+# Of the maps that contain a point so many, and this share, hold it in a pixel: windows over an edge leave heights
+# between both surfaces, which maps contain where they jump. At most this share of them see through it.
+_LEAST_HOLDING, _SHARE_HOLDING, _MOST_AGAINST = 2, 0.7, 0.25
+# Farther than this from all points, in ground sampling distances, one map that holds a point is enough, if at most as
+# many see through it as hold it.
+_ALONE_GSD = 1.5
+# How much higher a kept point of the same cell of the ground, or of one beside it, is: in ground sampling distances.
+_GHOST_OVER_GSD = 6.0
+# A point of a surface is held by so many other maps. A piece of the surface has so many of them at least, and at most,
+# within so many ground sampling distances.
+_WELL_HELD, _LEAST_POINTS, _MOST_POINTS, _REACH_GSD = 4, 8, 30, 6.0
+# The piece is flat where its standard deviation from its plane is less than this, and a surface, not a line, where that
+# along its shorter side is more: in ground sampling distances.
+_FLAT_GSD, _WIDE_GSD = 0.8, 0.8
+# A ghost stands off the plane by more than the first, and lies beside the middle of the piece by less than the second.
+_OFF_GSD, _BESIDE_GSD = 1.5, 2.5
+# It is held by less than this share of the maps that hold the points of the piece, in the mean.
+_SHARE_HELD = 0.25
+
+
+def beside_steps(height: np.ndarray, gsd: float) -> np.ndarray:
+    """Pixels (height, width) bool of a map [m] beside which it rises steeply."""
+    side = 2 * _REACH_PX + 1
+    return cv2.dilate(height, np.ones((side, side), np.uint8)) - height > _STEP_GSD * gsd
+
+
+def add_beneath(stack: ViewStack, fit: Masks, sure: Masks, kept: Masks, gsd: float) -> None:
+    """Update the ``kept`` pixels: add those of ``fit`` that lie beneath kept points and apart from all of them.
+
+    ``stack`` has the height maps, ``sure`` are all pixels whose heights count against a point.
+    """
+    new = MapPoints.of(stack, (each & ~old for each, old in zip(fit, kept, strict=True)))
+    new = new[far_from(stack, kept, new.xyz, _APART_GSD * gsd)]
+    new = new[are_beneath(stack, kept, new.xyz, gsd, _OVER_GSD)]
+    having, through, holding = new.votes(stack, sure, gsd)
+    held = (holding >= _LEAST_HOLDING) & (holding >= _SHARE_HOLDING * having)
+    _mark_thinned(new[held & (through <= _MOST_AGAINST * having)], kept, _APART_GSD * gsd)
+    alone = new[(holding >= 1) & (holding >= through)]
+    alone = alone[far_from(stack, kept, alone.xyz, _ALONE_GSD * gsd)]
+    _mark_thinned(alone, kept, _ALONE_GSD * gsd)
+
+
+def _mark_thinned(points: MapPoints, kept: Masks, distance: float) -> None:
+    points[thin_out(points.xyz.T, distance)].mark(kept, True)
+
+
+def are_beneath(
+    stack: ViewStack, kept: Masks, xyz: np.ndarray, gsd: float, over_gsd: float, around: int = 0
+) -> np.ndarray:
+    """Points (3, N) with a kept point more than ``over_gsd`` over them: (N,) bool.
+
+    It is in the same cell of the ground, or in one of those ``around`` it.
+    """
+    if not xyz.size:
+        return np.zeros(0, dtype=bool)
+    steps = range(-around, around + 1)
+    column, row = _columns_and_rows(xyz, gsd)
+    wanted = np.stack([_number(column + x, row + y) for x in steps for y in steps])
+    cells, cell_of = np.unique(wanted, return_inverse=True)
+    top = np.full(len(cells), -np.inf, dtype=np.float32)
+    for number, mask in enumerate(kept):
+        points = points_of_pixels(stack, number, np.flatnonzero(mask))
+        key = _number(*_columns_and_rows(points, gsd))
+        place = np.minimum(np.searchsorted(cells, key), len(cells) - 1)
+        same = cells[place] == key
+        np.maximum.at(top, place[same], points[2][same])
+    return top[cell_of.reshape(wanted.shape)].max(axis=0) > xyz[2] + over_gsd * gsd
+
+
+def _columns_and_rows(xyz: np.ndarray, gsd: float) -> np.ndarray:
+    """Cells (2, N) of the ground of points (3, N)."""
+    return np.floor(xyz[:2] / np.float32(_CELL_GSD * gsd)).astype(np.int64)
+
+
+def _number(column: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """Number of cells of the ground."""
+    return (row << 32) + column
+
+
+def without_ghosts(block: Block, maps: Sequence[HeightMap], kept: Masks, gsd: float) -> Masks:
+    """Pixels ``kept`` of each map less those beneath others that are ghosts.
+
+    Parameters
+    ----------
+    block : Block
+    maps : sequence of HeightMap
+        With the heights of the solver: they tell ghosts apart better than those of the sweep.
+    kept : Masks (height, width), in the order of `maps`
+    gsd : [m]
+        Ground sampling distance.
+    """
+    cameras = [block.cameras[m.view] for m in maps]
+    shapes = [(camera.height, camera.width) for camera in cameras]
+    sure, beside, left = (Masks(list(shapes)) for _ in range(3))
+    for index, m in enumerate(maps):
+        sure[index], left[index] = trusted(m), kept[index]
+        beside[index] = left[index] & beside_steps(m.height, gsd)
+    images = LazyImages(lambda index: maps[index].height, len(cameras), largest(cameras), 1)
+    stack = ViewStack.build(block.device, cameras, images, block.water)
+    points = MapPoints.of(stack, beside)
+    points = points[are_beneath(stack, kept, points.xyz, gsd, _GHOST_OVER_GSD, around=1)]
+    holding = points.votes(stack, sure, gsd)[2]
+    points, holding = points[holding < _WELL_HELD], holding[holding < _WELL_HELD]
+    if len(holding):
+        about = MapPoints.about(stack, kept, points.xyz, _REACH_GSD * gsd)
+        held = about.votes(stack, sure, gsd)[2]
+        points[stand_off(points.xyz.T / gsd, holding, about.xyz.T / gsd, held)].mark(left, False)
+    return left
+
+
+def stand_off(points: np.ndarray, holding: np.ndarray, about: np.ndarray, held: np.ndarray) -> np.ndarray:
+    """Points (N, 3) that stand off a flat piece of those about them, which far more maps hold: (N,) bool.
+
+    Parameters
+    ----------
+    points, about : (N, 3), (M, 3)
+        In ground sampling distances.
+    holding, held : (N,), (M,)
+        Number of other maps that hold them.
+    """
+    surface, held = about[held >= _WELL_HELD].astype(np.float64), held[held >= _WELL_HELD]
+    if len(surface) < _LEAST_POINTS:
+        return np.zeros(len(points), dtype=bool)
+    most = min(_MOST_POINTS, len(surface))
+    distance, near = cKDTree(surface).query(points, k=most, distance_upper_bound=_REACH_GSD)
+    known = np.isfinite(distance)
+    near[~known] = 0
+    weight = known * np.exp(-((np.where(known, distance, 0.0) / (0.5 * _REACH_GSD)) ** 2))
+    weight /= np.maximum(weight.sum(axis=1, keepdims=True), np.finfo(float).tiny)
+    middle = np.einsum("nk,nka->na", weight, surface[near])
+    spread = surface[near] - middle[:, None]
+    variances, axes = np.linalg.eigh(np.einsum("nk,nka,nkb->nab", weight, spread, spread))
+    thick, wide = np.sqrt(np.maximum(variances[:, :2], 0.0)).T
+    aside, normal = points - middle, axes[:, :, 0]
+    off = np.einsum("na,na->n", aside, normal)
+    beside = np.linalg.norm(aside - off[:, None] * normal, axis=1)
+    is_piece = (known.sum(axis=1) >= _LEAST_POINTS) & (thick < _FLAT_GSD) & (wide > _WIDE_GSD)
+    few = holding < _SHARE_HELD * np.einsum("nk,nk->n", weight, held[near])
+    return is_piece & few & (np.abs(off) > _OFF_GSD) & (beside < _BESIDE_GSD)

@@ -1,0 +1,242 @@
+"""Execution of the stages of a run: in one piece, in rounds where it has an aim, or in tiles.
+
+In tiles:
+
+    pose_check, adjust -> tiles -> sweep of each tile -> sweep -> figures -> solver of each tile -> solver
+    -> water_colour -> bed of each tile -> bed
+
+The block is adjusted as a whole; the bound, the views with a height map and the figures of the solver are found once
+for all tiles. What tiles find is put together in the form that a run in one piece leaves: all that follows is the same.
+Worker processes compute what is missing, and it is moved into the run folder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, closing
+from dataclasses import replace
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from survey.plan.rates import part_name
+from survey.plan.tile_choice import SHARED
+from survey.run.folder import RunDir
+from survey.run.job import Job
+from survey.run.merged import merge_points, merge_solved, merge_sweeps
+from survey.run.pipeline import ASSESSMENT, BED_OF_SWEEP, STAGES
+from survey.run.stage import Stage, finish, finished, run_stage
+from survey.run.stage_of_tile import FIGURES, POINTS, find_points, learn_figures, solve_tile, sweep_tile
+from survey.run.stage_sweep import EARLIER_ASSESSMENT, EARLIER_SOLVER, EARLIER_SWEEP, MAPS
+from survey.run.stage_tiles import find_shared, read_shared
+from survey.run.tile_job import MASKS, TileJob
+from survey.run.workers import Task, Workers, loaded_code, save_job, workers_for
+
+if TYPE_CHECKING:
+    from survey.run.tile_job import TilePlan
+
+# Gets the job, the folder to write to, the tiles, the folders of their stages by name, and those of other stages.
+Merge = Callable[[Job, Path, Sequence[TileJob], Mapping[str, list[Path]], Mapping[str, Path]], None]
+
+_OF = {stage.name: stage for stage in STAGES}
+_TILES = Stage("tiles", (), (*_OF["sweep"].depends_on, "tiles"), (SHARED,), find_shared)
+# Of one tile, by the name of what they are a part of.
+_SWEEP = replace(_OF["sweep"], needs=(), files=(MAPS, MASKS), compute=sweep_tile, apply=None)
+_SOLVER = replace(_OF["solver"], needs=("sweep", "figures"), compute=solve_tile)
+_BED = replace(_OF["bed"], needs=("sweep", "solver"), files=(POINTS,), compute=find_points)
+# Of a round, and the names under which the next one finds them.
+_EARLIER = {"sweep": EARLIER_SWEEP, "solver": EARLIER_SOLVER, ASSESSMENT: EARLIER_ASSESSMENT}
+
+
+class TileWorkers:
+    """Workers of a run, which are started when there is something to compute.
+
+    Parameters
+    ----------
+    job : Job
+        Of the whole survey.
+    run : RunDir
+    stack : ExitStack
+        At whose end the workers end.
+    """
+
+    def __init__(self, job: Job, run: RunDir, stack: ExitStack):
+        self._job, self._run, self._stack = job, run, stack
+        self._workers: Workers | None = None
+        loaded_code()
+
+    def run(
+        self,
+        whole: Stage,
+        parts: Sequence[tuple[Stage, TileJob]],
+        done: Mapping[str, Path],
+        shared: TilePlan,
+        *,
+        resume: bool,
+    ) -> dict[str, Path]:
+        """Run the stages of tiles that a stage of the survey consists of; their folders by name.
+
+        Results are stored as tasks end; messages follow in the order of the tiles.
+        """
+        found: dict[str, Path] = {}
+        left, keys, tasks = [], [], []
+        for stage, tile in parts:
+            if not stage.is_on(tile):
+                continue
+            key = stage.key(tile, done)
+            folder = finished(stage, key, tile, self._run, resume=resume)
+            if folder is not None:
+                found[stage.name] = folder
+                continue
+            needs = {name: done[name].absolute() for name in stage.needs if name in done}
+            left.append((stage, tile))
+            keys.append(key)
+            tasks.append(Task(stage.name, tile.number, stage.compute, needs))
+        if not tasks:
+            return found
+        workers = self._started()
+        saved = save_job(self._job, shared, self._run.scratch_path, whole.name)
+        said: dict[int, list[tuple[str, str]]] = {}
+        title = whole.name.capitalize()
+        names = [part_name(title, tile.number, len(parts)) for _, tile in parts]
+        title = f"{title} of {len(tasks)} tiles"
+        if (forecast := self._job.progress.forecast) is not None:
+            forecast.join(names, title, len(tasks) / len(parts))
+        with (
+            self._job.progress.stage(title, len(tasks)) as step,
+            closing(workers.computed(saved, tasks)) as computed,
+        ):
+            for number, place, seconds, lines in computed:
+                stage, _ = left[number]
+                found[stage.name] = finish(stage, keys[number], self._run, place, seconds)
+                said[number] = lines
+                step.advance()
+        for number in sorted(said):
+            for kind, text in said[number]:
+                getattr(self._job.progress, kind)(text)
+        return found
+
+    def _started(self) -> Workers:
+        if self._workers is None:
+            chosen, tiles = self._job.chosen, self._job.tiles
+            number = 1 if tiles is None else tiles.workers
+            number = (chosen.workers or 1) if chosen.scheduler is not None else number
+            photograph = self._job.survey.views[0].path
+            with self._job.progress.stage("Workers"):
+                self._workers = self._stack.enter_context(
+                    workers_for(number, chosen.scheduler, self._run.stages_path, photograph, self._job.progress.note)
+                )
+        return self._workers
+
+
+def run_tiled(job: Job, run: RunDir, *, resume: bool) -> dict[str, Path]:
+    """Run the stages of a job with a tiling; the folders of the stages by name."""
+    if job.tiling is None or job.tiles is None:
+        raise ValueError("expected a job with tiles")
+    done: dict[str, Path] = {}
+    tiles: list[TileJob] = []
+
+    def step(stage: Stage, of: Job = job) -> None:
+        if stage.is_on(of):
+            done[stage.name] = run_stage(stage, of, run, done, resume=resume)
+
+    with ExitStack() as stack:
+        workers = TileWorkers(job, run, stack) if job.tiles.workers > 1 or job.chosen.scheduler is not None else None
+
+        def step_of_tiles(stage: Stage) -> None:
+            if workers is not None:
+                parts = [(_of_tile(stage, tile), tile) for tile in tiles]
+                done.update(workers.run(stage, parts, done, shared, resume=resume))
+                return
+            for tile in tiles:
+                step(_of_tile(stage, tile), tile)
+                tile.drop()
+
+        for stage in STAGES:
+            if stage.name == "sweep":
+                step(_TILES)
+                shared = read_shared(done["tiles"])
+                tiles += [TileJob(job, number, shared) for number in range(len(job.tiling))]
+                step_of_tiles(_SWEEP)
+                step(_over(stage, merge_sweeps, tiles, ("sweep",)))
+            elif stage.name == "solver" and stage.is_on(job):
+                step(_over(replace(stage, name="figures", files=(FIGURES,)), learn_figures, tiles, ("sweep",)))
+                step_of_tiles(_SOLVER)
+                step(_over(stage, merge_solved, tiles, ("sweep", "solver")))
+            elif stage.name == "bed":
+                step_of_tiles(_BED)
+                step(_over(stage, merge_points, tiles, ("bed",)))
+            elif stage.name != "solver":
+                step(stage)
+    return done
+
+
+def _name(stage: str, tile: TileJob) -> str:
+    return f"{stage}_tile{tile.number + 1}"
+
+
+def _of_tile(stage: Stage, tile: TileJob) -> Stage:
+    """The stage of one tile, which needs those of the same tile and what all share."""
+    own = {_name(name, tile): name for name in stage.needs if name in ("sweep", "solver")}
+    shared = tuple(name for name in stage.needs if name not in own.values())
+
+    @wraps(stage.compute)
+    def compute(of: Job, folder: Path, needs: Mapping[str, Path]) -> None:
+        stage.compute(of, folder, {own.get(name, name): place for name, place in needs.items()})
+
+    return replace(stage, name=_name(stage.name, tile), needs=(*own, *shared), compute=compute)
+
+
+def _over(stage: Stage, merge: Merge, tiles: Sequence[TileJob], of_tiles: tuple[str, ...]) -> Stage:
+    """A stage of the whole survey that puts stages of tiles together."""
+    names = {name: [_name(name, tile) for tile in tiles] for name in of_tiles}
+    own = tuple(each for of_name in names.values() for each in of_name)
+
+    @wraps(merge)
+    def compute(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
+        found = {name: [needs[each] for each in of_name] for name, of_name in names.items()}
+        merge(job, folder, tiles, found, {name: place for name, place in needs.items() if name not in own})
+
+    shared = ("adjust",) if "adjust" in stage.needs else ()
+    return replace(stage, needs=(*own, *shared), compute=compute)
+
+
+def run_stages(job: Job, run: RunDir, *, resume: bool, compares_sweep: bool) -> dict[str, Path]:
+    """Run the stages of the job; returns their folders by name.
+
+    ``compares_sweep`` adds the cloud that the sweep alone would give, where the run is in one piece.
+    """
+    if job.tiling is not None:
+        return run_tiled(job, run, resume=resume)
+    done: dict[str, Path] = {}
+    stages: Sequence[Stage] = [*STAGES, BED_OF_SWEEP] if compares_sweep else STAGES
+    of_round = [stage for stage in stages if stage.name in _EARLIER]
+    for stage in stages:
+        if stage.name == "sweep":
+            _begin(job)
+        if stage.is_on(job):
+            done[stage.name] = run_stage(stage, job, run, done, resume=resume)
+        number = 1
+        while stage.name == ASSESSMENT and job.aimed is not None and job.aimed.following is not None:
+            _set_aside(done, number)
+            for again in of_round:
+                if again.is_on(job):
+                    done[again.name] = run_stage(again, job, run, done, resume=resume, explains=False)
+            number += 1
+    return done
+
+
+def _begin(job: Job) -> None:
+    """Set the recipe of the first round."""
+    if job.aimed is not None:
+        job.aimed.has_begun = True
+        job.plan_again()
+
+
+def _set_aside(done: dict[str, Path], number: int) -> None:
+    """Keep the stages of a round for the next one and in the record of the run."""
+    for name, earlier in _EARLIER.items():
+        if earlier in done:
+            done[f"{name} of round {number - 1}"] = done.pop(earlier)
+        if name in done:
+            done[earlier] = done.pop(name)

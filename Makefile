@@ -26,6 +26,8 @@ DEMO := .demo/survey
 RUN := $(DEMO)/bathynerf
 # Those that need neither survey data nor hours; each file says at its head how it is run.
 BENCHMARKS := optics surfaces lookup sweep slab compare
+# Of these the small sizes: models of a minute each, levels of detail, on a scene that they draw themselves.
+FIELDS := error_time levels
 TRUTH := $(DEMO)/truth
 BOUNDS = $$($(BIN)/python -c 'import tomllib; print(*tomllib.load(open("$(DEMO)/survey.toml", "rb"))["area"]["bounds"])')
 
@@ -74,6 +76,8 @@ format: $(READY)
 
 bench: $(READY)
 	@for name in $(BENCHMARKS); do echo "benchmarks/bench_$$name.py"; $(BIN)/python "benchmarks/bench_$$name.py"; done
+	@for name in $(FIELDS); do echo "benchmarks/bench_$$name.py"; \
+	    $(BIN)/python "benchmarks/bench_$$name.py" "build/bench/$$name"; done
 
 tables: $(READY)
 	@$(BIN)/python benchmarks/tables.py

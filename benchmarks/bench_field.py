@@ -47,7 +47,7 @@ from fields.water_column import WaterColumn
 
 ABLATION = ("vm", "dw", "m", "mdw")
 # Beside them. The second hash grid is one for processors, where a step of Nerfacto's own takes 5.6 s.
-BASELINES = ("mdw-printed", "tensorf", "nerf", "tinynerf", "nerfacto", "hash", "neus")
+BASELINES = ("mdw-printed", "tensorf", "nerf", "tinynerf", "nerfacto", "hash", "octree", "ground", "neus")
 # Steps of each model in turn, to compare their times: (rounds, steps of a round). After the switch from coarse to fine
 # density, where a model has one: most steps of a training are such.
 TIMED = (4, POOL_STEPS)

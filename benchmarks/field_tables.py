@@ -18,6 +18,7 @@ LABELS = {
     "vm": "VM", "dw": "DW", "m": "M", "mdw": "MDW",
     "mdw-printed": "MDW as printed", "tensorf": "TensoRF", "nerf": "NeRF", "tinynerf": "TinyNeRF",
     "nerfacto": "Nerfacto", "hash": "hash grid, proposals", "neus": "signed distance",
+    "octree": "octree of fields", "ground": "ground planes",
 }  # fmt: skip
 # What the object fills of its held-out photograph, in shares of its sides: left, right, top, bottom.
 PARTS = {"wreck": (0.28, 0.74, 0.24, 0.74), "ship": (0.38, 0.66, 0.05, 0.92), "hull": (0.15, 0.85, 0.24, 0.70)}

@@ -35,7 +35,15 @@ class SwitchScene:
     length: list[np.ndarray]
 
 
-def build(*, exposed: bool = False, wide: bool = False, priors: bool = False, seed: int = 0) -> SwitchScene:
+def build(
+    *,
+    exposed: bool = False,
+    wide: bool = False,
+    priors: bool = False,
+    seed: int = 0,
+    water: FlatWater | None = WATER,
+    enlarged: float = 1.0,
+) -> SwitchScene:
     """The scene.
 
     Parameters
@@ -46,27 +54,34 @@ def build(*, exposed: bool = False, wide: bool = False, priors: bool = False, se
         Photographs take in the bed beyond the box, which is endless; else they are cut to what lies inside.
     priors : bool
         The photographs carry rough lengths, monocular depths and normals.
+    water : FlatWater or None
+        None for a dry scene.
+    enlarged : float
+        Size of the photographs that are compared with, which then have no noise.
     """
     rng = np.random.default_rng(seed)
     cameras = [_camera(k, wide, rng) for k in range(VIEWS)]
     pictures, shown, lengths, known = [], [], [], []
-    for camera in cameras:
-        points, normals, length = surface(camera)
+    held = [k for k in range(VIEWS) if k % HELD_EVERY == HELD_EVERY // 2]
+    if enlarged != 1.0:
+        cameras = [each.scaled(enlarged) if k in held else each for k, each in enumerate(cameras)]
+    for number, camera in enumerate(cameras):
+        points, normals, length = surface(camera, water)
         light = colour(points)
         if exposed:
             light = light * np.exp(rng.normal(0.0, 0.3) + rng.normal(0.0, 0.08, 3))
-        stored = 255.0 * np.clip(light, 0.0, 1.0) ** (1.0 / GAMMA) + rng.normal(0.0, NOISE, light.shape)
+        noise = 0.0 if enlarged != 1.0 and number in held else NOISE
+        stored = 255.0 * np.clip(light, 0.0, 1.0) ** (1.0 / GAMMA) + rng.normal(0.0, noise, light.shape)
         pictures.append(np.clip(np.round(stored), 0, 255).astype(np.uint8))
         inside = ((points > BOX.low) & (points < BOX.high)).all(axis=-1)
         shown.append(np.arange(inside.size) if wide else np.flatnonzero(inside))
         lengths.append(np.where(inside, length, np.nan))
         known.append(rough_priors(camera, normals, length, rng))
-    held = [k for k in range(VIEWS) if k % HELD_EVERY == HELD_EVERY // 2]
     rest = [k for k in range(VIEWS) if k not in held]
 
     def some(which: list[int]) -> Photographs:
         lists = ([values[k] for k in which] for values in (cameras, pictures, shown))
-        return Photographs(*lists, WATER, [known[k] for k in which] if priors else None)
+        return Photographs(*lists, water, [known[k] for k in which] if priors else None)
 
     return SwitchScene(some(rest), some(held), [lengths[k] for k in held])
 
@@ -95,10 +110,13 @@ def _camera(index: int, wide: bool, rng: np.random.Generator) -> PinholeCamera:
     return PinholeCamera(centre, np.stack([right, np.cross(ahead, right), ahead]), focal, focal, 48.0, 36.0, 96, 72)
 
 
-def surface(camera: PinholeCamera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points (72, 96, 3) [m] that the pixels show, their normals, and path lengths (72, 96) [m] to them."""
-    paths = camera.paths(camera.pixel_centres(), WATER)
-    start, d = paths.crossing, paths.water_direction
+def surface(camera: PinholeCamera, water: FlatWater | None = WATER) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points (height, width, 3) [m] that the pixels show, normals, and path lengths (height, width) [m] to them."""
+    paths = camera.paths(camera.pixel_centres(), water)
+    if water is None:
+        start, d, before = np.broadcast_to(camera.centre, paths.air_direction.shape), paths.air_direction, 0.0
+    else:
+        start, d, before = paths.crossing, paths.water_direction, paths.air_length
     best = (BED - start[..., 2]) / d[..., 2]
     normal = np.broadcast_to([0.0, 0.0, 1.0], d.shape).copy()
     with np.errstate(divide="ignore"):
@@ -115,7 +133,7 @@ def surface(camera: PinholeCamera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     ramp = (x > RAMP_X[0]) & (x < RAMP_X[1]) & (y > RAMP_Y[0]) & (y < RAMP_Y[1]) & (t < best)
     best = np.where(ramp, t, best)
     normal[ramp] = np.array([-RAMP_SLOPE, 0.0, 1.0]) / np.hypot(1.0, RAMP_SLOPE)
-    return start + best[..., None] * d, normal, paths.air_length + best
+    return start + best[..., None] * d, normal, before + best
 
 
 def colour(points: np.ndarray) -> np.ndarray:

@@ -9,6 +9,8 @@
 | nerf, tinynerf | a multilayer perceptron of sines of the position | Mildenhall et al. 2020 |
 | nerfacto | a hash grid with two rounds of proposals | Tancik et al. 2023; Müller et al. 2022 |
 | hash | the same at a size for processors, with one round | |
+| octree | grids of an octree's nodes, which grows where density has detail | Inf-NeRF |
+| ground | planes over the ground, and a perceptron beside them | Grid-NeRF |
 | neus | a signed distance, narrower networks, a level surface at first | Wang et al. 2021 |
 """
 
@@ -20,9 +22,11 @@ from dataclasses import dataclass
 import torch
 
 from fields.device import Device
+from fields.volume.ground_plane import GroundPlaneSettings, GroundPlaneVolume
 from fields.volume.hash_grid import HashSettings, HashVolume
 from fields.volume.mlp import MlpSettings, MlpVolume
 from fields.volume.model import VolumeModel
+from fields.volume.octree import OctreeSettings, OctreeVolume
 from fields.volume.paths import Box
 from fields.volume.proposal import Proposal, ProposalSettings
 from fields.volume.sdf import SdfSettings, SdfVolume
@@ -66,6 +70,16 @@ def _tensorf(of: Setup) -> VolumeModel:
     return TensorfVolume(of.box, settings, of.device, appearance=of.appearance)
 
 
+def _octree(of: Setup) -> VolumeModel:
+    settings = OctreeSettings(cells=max(of.cells // 4, 2), steps=of.steps)
+    return OctreeVolume(of.box, settings, appearance=of.appearance)
+
+
+def _ground(of: Setup) -> VolumeModel:
+    settings = GroundPlaneSettings(n_min=max(of.cells // 4, 2), n_max=of.cells, steps=of.steps)
+    return GroundPlaneVolume(of.box, settings, of.device, appearance=of.appearance)
+
+
 def _hash(of: Setup, **sizes: int) -> VolumeModel:
     return HashVolume(of.box, HashSettings(n_max=4 * of.cells, **sizes), appearance=of.appearance)
 
@@ -81,6 +95,8 @@ MODELS: dict[str, Make] = {
     "tinynerf": lambda of: MlpVolume(of.box, MlpSettings.tiny_nerf(), appearance=of.appearance),
     "nerfacto": _hash,
     "hash": lambda of: _hash(of, levels=8, log2_table=15),
+    "octree": _octree,
+    "ground": _ground,
     # A bed is open, with water above.
     "neus": lambda of: SdfVolume(of.box, SdfSettings.small(start="plane", start_at=0.0), appearance=of.appearance),
 }

@@ -37,6 +37,8 @@ class Model(StrEnum):
     nerfacto = "nerfacto"
     neus = "neus"
     hash = "hash"
+    octree = "octree"
+    ground = "ground"
 
 
 class Rule(StrEnum):

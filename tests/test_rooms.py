@@ -93,7 +93,9 @@ SEARCHES = {"fields/device.py", "bathynerf/_rooms.py"}
 # The files that import a module by a name that they put together, which no other test here can follow.
 IMPORT_BY_NAME_FILES = {"bathynerf/__init__.py", "geo/files.py"}
 IMPORT_BY_NAME = {"import_module", ".import_module", "__import__"}
-NETWORK = {"socket", "urllib", "http", "requests", "ftplib"}
+NETWORK = {"socket", "urllib", "http", "requests", "ftplib", "fsspec"}
+# Where a user names a URL.
+REMOTE = "survey/files/remote.py"
 # These listen, and call nobody.
 SERVERS = {"survey/marking/server.py", "survey/viewer/page.py"}
 FILES_OF = {room: sorted((ROOT / room).rglob("*.py")) for room in MAY_IMPORT}
@@ -372,7 +374,9 @@ def test_only_commands_and_progress_touch_the_console(room):
 
 @pytest.mark.parametrize("room", MAY_IMPORT)
 def test_nothing_reaches_for_the_network(room):
-    found = {name_of(path): imported(tree_of(path)) for path in FILES_OF[room] if name_of(path) not in SERVERS}
+    found = {
+        name_of(path): imported(tree_of(path)) for path in FILES_OF[room] if name_of(path) not in {REMOTE, *SERVERS}
+    }
     wrong = [f"{name} imports {other}" for name, others in found.items() for other in others
              if other.split(".")[0] in NETWORK]  # fmt: skip
     assert wrong == [], "a survey is processed without a network"

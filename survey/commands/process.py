@@ -27,7 +27,8 @@ EXAMPLES = """
 def run(
     survey: SurveyFolder,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="RUN", help=f"Run folder; default: SURVEY/{RUN_FOLDER}.")
+        str | None,
+        typer.Option("-o", "--output", metavar="RUN", help=f"Run folder, or a URL; default: SURVEY/{RUN_FOLDER}."),
     ] = None,
     asked: ProcessOptions = ProcessOptions(),
     resume: Annotated[bool, typer.Option(help="Reuse finished stages of an earlier run.")] = True,
@@ -43,7 +44,9 @@ def run(
     What no option says is what a variable of the environment says, e.g. BATHYNERF_PROCESS_QUALITY=fine, then [process]
     in survey.toml, then the default.
     """
-    folder = output or survey / RUN_FOLDER
+    from survey.files.remote import is_url, local_run
+
+    folder = local_run(survey, output)
     with command(verbose, quiet, folder, stopped=KEPT, reads=survey) as results:
         require_address_space()
         from survey.machine import process_age_s
@@ -59,6 +62,6 @@ def run(
             reference=reference,
             visible=visible,
         )
-        results.line(folder / "cloud.las")
-        results.line(folder / "report.html")
+        for name in ("cloud.las", "report.html"):
+            results.line(f"{output.rstrip('/')}/{name}" if output and is_url(output) else folder / name)
         raise typer.Exit(code)

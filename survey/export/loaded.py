@@ -242,7 +242,7 @@ def flight_of(run: LoadedRun, folder: str | None) -> Flight:
     flight = run.flight
     views = flight.views
     if folder is not None:
-        views = tuple(_elsewhere(view, Path(folder), run.config.images.dir) for view in views)
+        views = tuple(_elsewhere(view, Path(folder), run.config.images.local_dir) for view in views)
     owner = run.folder.owner()
     for view in views:
         if not view.path.is_file():
@@ -264,7 +264,7 @@ def survey_folder(run: LoadedRun, folder: str | None) -> Path:
     """
     if folder is not None:
         return Path(folder)
-    images = run.config.images.dir
+    images = run.config.images.local_dir
     if Path(images).is_absolute():
         raise SurveyError(f"the photographs lie in {images}, apart from the survey; name its folder with --survey DIR")
     return _folder_of(run.flight.views[0], images)

@@ -18,11 +18,13 @@ from geo.operations import use_grids
 from survey.display.quantities import named
 from survey.errors import FILE_NAME, ConfigError, PosesError, SurveyError
 from survey.files.outputs import ReadFiles
+from survey.files.remote import is_url
 from survey.folder import infer
 from survey.folder.control import FoundControl, find_control
 from survey.folder.geo_txt import find_geo_txt, with_positions
 from survey.folder.positions import position_doubts
 from survey.photos.exif import SUFFIXES, Exif, position_sources, read_exif, without_void
+from survey.photos.fetched import fetch_images
 from survey.photos.images import list_images, same_files
 from survey.pose_files import find_poses, find_unread, pose_files
 from survey.settings.config import SurveyConfig, read_config
@@ -96,10 +98,13 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
         config = read_config(toml) if toml.is_file() else infer.config_of_folder(folder)
     poses_path, assumption = _poses_path(folder, config)
     assumptions = [] if assumption is None else [assumption]
-    images = list_images(folder / config.images.dir, deep=config.images.dir != ".")
+    place = folder / config.images.local_dir
+    if is_url(config.images.dir):
+        fetch_images(config.images.dir, place)
+    images = list_images(place, deep=config.images.dir != ".")
     warnings: list[str] = []
     heads = {name: read_exif(path) for name, path in images.items()}
-    table = find_geo_txt(folder, folder / config.images.dir)
+    table = find_geo_txt(folder, place)
     if table is not None:
         heads, said = with_positions(table, heads)
         assumptions += said.assumptions
@@ -224,13 +229,13 @@ def survey_inputs(folder: Path) -> ReadFiles:
         named += [folder / path for path in config.water.sources.named.values()]
     named += [folder / name for name in config.control.files]
     poses = find_poses(folder) if config.cameras.poses is None else [folder / config.cameras.poses]
-    table = find_geo_txt(folder, folder / config.images.dir)
+    table = find_geo_txt(folder, folder / config.images.local_dir)
     named += [] if table is None else [table]
     folders = [] if config.images.masks is None else [folder / config.images.masks]
     if config.images.dir == ".":
         named += [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES]
     else:
-        folders.append(folder / config.images.dir)
+        folders.append(folder / config.images.local_dir)
     return sum((poses_inputs(path) for path in poses), ReadFiles.of(*named, *folders))
 
 

@@ -78,7 +78,7 @@ def with_masks(found: Found, views: Sequence[View], own: Path | None) -> tuple[l
 
 def _masked(found: Found, views: Sequence[View], folder: Path | None) -> list[View]:
     """The views with the masks in a folder, or beside the images; without one where there is none."""
-    root = found.folder / found.config.images.dir if folder is None else folder
+    root = found.folder / found.config.images.local_dir if folder is None else folder
     names, masks = ImageNames(found.images), dict[str, tuple[int, Path]]()
     for path in _files(found, root, is_beside=folder is None):
         called = _called(path.relative_to(root), is_beside=folder is None)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from survey.files.remote import local_run
 from survey.folder import survey as folder_survey
 from survey.folder.found import Found, find_survey
 from survey.handles.run import Run, table_html
 from survey.plan.check import CheckSection, check_survey
 from survey.plan.choices import Choices
-from survey.words import RUN_FOLDER
 
 
 class Survey:
@@ -72,16 +72,15 @@ class Survey:
         """
         from survey.run.process import process
 
-        place = self._run_folder(run)
-        process(self.folder, place, **options)
-        return Run(place)
+        process(self.folder, run, **options)
+        return Run(self._run_folder(run))
 
     def run(self, run: str | Path | None = None) -> Run:
         """A run that was made before."""
         return Run(self._run_folder(run))
 
     def _run_folder(self, run: str | Path | None) -> Path:
-        return self.folder / RUN_FOLDER if run is None else Path(run)
+        return local_run(self.folder, run)
 
     def _repr_html_(self) -> str:
         """HTML for notebooks: contents of the folder."""

@@ -187,7 +187,7 @@ def height_std(std: np.ndarray, std_common: np.ndarray | None) -> HeightStd:
 def _left_out(survey: Survey) -> tuple[str, ...]:
     """Names of the photographs in the folder that are no views."""
     config, used = survey.config, {view.name for view in survey.views}
-    images = list_images(survey.folder / config.images.dir, deep=config.images.dir != ".")
+    images = list_images(survey.folder / config.images.local_dir, deep=config.images.dir != ".")
     return tuple(name for name in images if name not in used)
 
 

@@ -31,7 +31,7 @@ from survey.run.result import Owner
 from survey.stage_key import code_hash
 from survey.words import RUN_FOLDER, SFM_FOLDER
 
-_MARKER, _RECORD, _PART = ".bathynerf-run.json", "stage.json", ".part"
+MARKER, STAGE_RECORD, _PART = ".bathynerf-run.json", "stage.json", ".part"
 _NAMED_VERSIONS = (
     "numpy",
     "scipy",
@@ -91,7 +91,7 @@ class RunDir:
         with ExitStack() as stack, disk_refusals(self.path):
             self._require_ours_or_empty()
             self.stages_path.mkdir(parents=True, exist_ok=True)
-            if not (self.path / _MARKER).exists():
+            if not (self.path / MARKER).exists():
                 self._mark({})
             busy = (
                 f"the run {self.path} is being written by another process (number {{pid}}); wait until it ends, "
@@ -119,7 +119,7 @@ class RunDir:
         SurveyError
             If the run is that of another survey.
         """
-        before = Owner.from_record(read_json_object(self.path / _MARKER))
+        before = Owner.from_record(read_json_object(self.path / MARKER))
         if before is not None and not is_inside:
             before.require_same(owner, self.path)
         if before != owner:
@@ -127,20 +127,20 @@ class RunDir:
 
     def owner(self) -> Owner | None:
         """The survey whose run this is; None in a run of a version that did not keep it."""
-        return Owner.from_record(read_json_object(self.path / _MARKER))
+        return Owner.from_record(read_json_object(self.path / MARKER))
 
     def _mark(self, owner: dict) -> None:
         made_by = {"made_by": f"bathynerf {importlib.metadata.version('bathynerf')}"}
-        self.write_text(self.path / _MARKER, json.dumps(made_by | owner))
+        self.write_text(self.path / MARKER, json.dumps(made_by | owner))
 
     def require_run(self) -> None:
         """Raise SurveyError where the folder is not one that `bathynerf process` made."""
         if not self.path.is_dir():
             what = "is a file" if self.path.exists() else "does not exist"
             raise SurveyError(f"the run folder {self.path} {what}; name the folder that process wrote")
-        if not (self.path / _MARKER).is_file():
+        if not (self.path / MARKER).is_file():
             default = self.path / RUN_FOLDER
-            mend = f"name {default}" if (default / _MARKER).is_file() else "name the folder that process wrote"
+            mend = f"name {default}" if (default / MARKER).is_file() else "name the folder that process wrote"
             raise SurveyError(f"{self.path} is no run folder; {mend}")
         if not result.is_in_place(self.path):
             raise SurveyError(
@@ -185,7 +185,7 @@ class RunDir:
 
     def finished_stage(self, name: str, key: Key, leaves: Iterable[str] = ()) -> Path | None:
         """The folder of a stage that was finished with this key and has these files; None if there is none."""
-        folder = self._place(name, key)
+        folder = self.place(name, key)
         is_whole = _record(folder).get("key") == key.digest and all((folder / leaf).is_file() for leaf in leaves)
         return folder if is_whole else None
 
@@ -222,8 +222,8 @@ class RunDir:
         """
         seconds = time.monotonic() - self._started.pop(temp) if seconds is None else seconds
         record = {"key": key.digest, "parts": key.parts, "seconds": round(seconds, 3), "versions": versions()}
-        self.write_text(temp / _RECORD, json.dumps(record, indent=2))
-        place = self._place(name, key)
+        self.write_text(temp / STAGE_RECORD, json.dumps(record, indent=2))
+        place = self.place(name, key)
         with disk_refusals(place):
             # Computed again on demand, or with a record that cannot be read.
             shutil.rmtree(place, ignore_errors=True)
@@ -248,7 +248,8 @@ class RunDir:
             )
         return folder
 
-    def _place(self, name: str, key: Key) -> Path:
+    def place(self, name: str, key: Key) -> Path:
+        """Folder of a stage with a key, whether it is there or not."""
         return self.stages_path / f"{name}-{key.digest[:12]}"
 
     def write_text(self, path: Path, text: str) -> None:
@@ -259,7 +260,7 @@ class RunDir:
     def _require_ours_or_empty(self) -> None:
         if self.path.exists() and not self.path.is_dir():
             raise SurveyError(f"the run folder {self.path} is a file; name a folder with -o")
-        if not self.path.is_dir() or (self.path / _MARKER).is_file():
+        if not self.path.is_dir() or (self.path / MARKER).is_file():
             return
         # Hidden files are left by file managers and by a first start that was killed.
         others = sorted(p.name for p in self.path.iterdir() if p.name[0] != "." and p.name != SFM_FOLDER)
@@ -282,7 +283,7 @@ class RunDir:
 
 def _record(folder: Path) -> dict:
     """The record of a finished stage; empty if there is none, or none that can be read."""
-    return read_json_object(folder / _RECORD)
+    return read_json_object(folder / STAGE_RECORD)
 
 
 def seconds_of(folder: Path) -> float:

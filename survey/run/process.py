@@ -18,6 +18,7 @@ from survey import machine
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.files.outputs import ReadFiles, require_folder
+from survey.files.remote import Remote, is_url, local_run
 from survey.folder.found import Found, process_config, survey_inputs
 from survey.folder.survey import Survey, load_survey
 from survey.forecast import Forecast
@@ -38,7 +39,6 @@ from survey.run.folder import RunDir
 from survey.run.repeat import Truth
 from survey.run.result import Owner
 from survey.settings.process import ProcessConfig
-from survey.words import RUN_FOLDER
 
 if TYPE_CHECKING:
     from survey.run.job import Job
@@ -80,7 +80,8 @@ def process(
     ----------
     survey_folder : str or Path
     run_folder : str or Path, optional
-        Default ``survey_folder/bathynerf``.
+        Default ``survey_folder/bathynerf``. A URL, as "s3://bucket/run": results are put there, what is finished there
+        is taken up, and the run works in a hidden folder of the survey.
     quality : "draft", "standard" or "fine", optional
         Default "standard", unless an aim is set by one of the next two.
     device : "auto", "cpu" or "cuda", optional
@@ -131,7 +132,8 @@ def process(
         Where the input is at fault.
     """
     survey_folder = Path(survey_folder)
-    run_folder = survey_folder / RUN_FOLDER if run_folder is None else Path(run_folder)
+    url = str(run_folder) if is_url(run_folder) else None
+    run_folder = local_run(survey_folder, run_folder)
     truth = Truth(*(None if path is None else Path(path) for path in (reference, visible)))
     _require_inputs(survey_folder, run_folder, truth)
     given = ProcessConfig(
@@ -154,7 +156,7 @@ def process(
     require_some_time(aim)
     clock = None if aim is None or aim.seconds is None else Clock(aim.seconds, time_gone_s)
     checked = _require_possible(survey_folder, chosen)
-    with opened() as progress, RunDir(run_folder) as run:
+    with opened() as progress, _run_in(run_folder, url) as run:
         _claim(run, checked.found)
         progress.log_to(run.log_path)
         if checked.level_doubt is not None:
@@ -182,6 +184,14 @@ def _require_inputs(survey_folder: Path, run_folder: Path, truth: Truth) -> None
         if path is not None and not path.exists():
             raise SurveyError(f"{name} {path} does not exist; give the path of a PLY, OBJ, LAS or LAZ file")
     require_folder("-o", run_folder, survey_inputs(survey_folder) + ReadFiles.of(truth.reference, truth.visible))
+
+
+def _run_in(folder: Path, url: str | None) -> RunDir:
+    if url is None:
+        return RunDir(folder)
+    from survey.run.remote_run import RemoteRun
+
+    return RemoteRun(folder, Remote(url))
 
 
 def _claim(run: RunDir, found: Found) -> None:

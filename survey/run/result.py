@@ -21,7 +21,7 @@ NAMES = (
     "settings.toml", "plan.json", "cloud.las", "flight.json", "adjustment.json", "adjustment.npz", "cameras.csv",
     "sparse", "report.json", "report.html", "pictures", "result.json",
 )  # fmt: skip
-_RECORD = "result.json"
+RECORD = "result.json"
 _WHOLE = ".result.whole"
 _UNFINISHED = ".unfinished.json"
 
@@ -31,7 +31,7 @@ def read_record(run: Path) -> dict:
 
     ``others`` has the stages of the latest result of each other quality, by quality. Empty without a result.
     """
-    return read_json_object(run / _RECORD)
+    return read_json_object(run / RECORD)
 
 
 def begin(run: Path, part: Path, quality: str) -> None:
@@ -74,24 +74,29 @@ def publish(run: Path, part: Path, *, quality: str, finished: str, stages: dict[
     stages : dict
         Folder below ``stages/`` of each stage that it was made from.
     """
-    before = read_record(run)
-    others = {**before.get("others", {})}
-    if before:
-        others[before["quality"]] = before["stages"]
-    others.pop(quality, None)
-    files = [name for name in NAMES if (part / name).exists()] + [_RECORD]
+    others = others_of(read_record(run), quality)
+    files = [name for name in NAMES if (part / name).exists()] + [RECORD]
     record = {"quality": quality, "finished": finished, "stages": stages, "others": others, "files": files}
-    write_json(part / _RECORD, record)
+    write_json(part / RECORD, record)
     part.rename(run / _WHOLE)
     put_in_place(run)
+
+
+def others_of(record: Mapping, quality: str) -> dict[str, dict[str, str]]:
+    """Stages of the latest result of each quality but one, by quality, by the record of the result before."""
+    others = {**record.get("others", {})}
+    if record:
+        others[record["quality"]] = record["stages"]
+    others.pop(quality, None)
+    return others
 
 
 def put_in_place(run: Path) -> None:
     """Move a complete result to its place, replacing the old one; does nothing without one."""
     whole = run / _WHOLE
     # The record is moved last: where it is gone, everything else has been moved.
-    if (whole / _RECORD).exists():
-        new = json.loads((whole / _RECORD).read_text(encoding="utf-8"))
+    if (whole / RECORD).exists():
+        new = json.loads((whole / RECORD).read_text(encoding="utf-8"))
         _forget_unfinished(run, new["quality"])
         for name in NAMES:
             if (whole / name).exists() or name not in new["files"]:

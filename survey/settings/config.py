@@ -9,6 +9,7 @@ from pathlib import Path
 import tomli_w
 
 from survey.errors import ConfigError
+from survey.files.remote import is_url, local_name
 from survey.files.toml_table import key, parse_toml, read_toml, require_one_of, require_positive, table_of
 from survey.settings.control import ControlConfig
 from survey.settings.field import FieldConfig
@@ -43,10 +44,22 @@ METRES, FEET = "metres", "feet"
 
 @dataclass(frozen=True)
 class ImagesConfig:
-    """[images]: where the photographs are, relative to the survey folder."""
+    """[images]: where the photographs are, relative to the survey folder, or a URL."""
 
     dir: str = "images"
     masks: str | None = None  # folder of masks named like the images; black is left out
+
+    def __post_init__(self):
+        if is_url(self.masks):
+            raise ConfigError(
+                f'[images] masks is "{self.masks}", expected a folder; put masks beside the images, named like them '
+                "with _mask behind, or in a folder of the survey"
+            )
+
+    @property
+    def local_dir(self) -> str:
+        """Where they are on this machine: for a URL a hidden folder of the survey that they are fetched into."""
+        return local_name(self.dir, "photographs") if is_url(self.dir) else self.dir
 
 
 @dataclass(frozen=True)

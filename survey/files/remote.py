@@ -1,0 +1,177 @@
+"""Folders at a URL, as s3://bucket/run, by fsspec: files are fetched and put whole.
+
+Nothing here is reached unless a user names a URL.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from geo.errors import GeoError
+from geo.files import disk_refusals, write_whole_at
+from survey.errors import SurveyError
+from survey.words import RUN_FOLDER
+
+_URL = re.compile(r"[a-z][a-z0-9+.-]+://.", re.IGNORECASE)
+# Stores that have folders, which are to be made; in the others a name with slashes is enough.
+_WITH_FOLDERS = {"file", "local", "sftp", "ssh", "smb", "hdfs", "webdav", "webhdfs", "ftp"}
+# What tells one content of a file from another, as stores have it; the first that there is.
+_TAGS = ("ETag", "etag", "md5Hash", "mtime", "LastModified", "last_modified", "modified", "created")
+_AT_ONCE = 8
+
+
+def is_url(text: object) -> bool:
+    """Whether a text is a URL, and no path."""
+    return isinstance(text, str) and _URL.match(text) is not None
+
+
+def local_name(url: str, kind: str) -> str:
+    """Name of the hidden folder that holds what a URL does, e.g. .run-1f2e3d4c5b6a."""
+    return f".{kind}-{hashlib.sha256(url.rstrip('/').encode()).hexdigest()[:12]}"
+
+
+def local_run(survey: Path, run: str | Path | None) -> Path:
+    """Folder of this machine that a run works in: for one at a URL a hidden folder of the survey."""
+    if run is None:
+        return survey / RUN_FOLDER
+    return survey / local_name(run, "run") if isinstance(run, str) and is_url(run) else Path(run)
+
+
+class Remote:
+    """A folder at a URL; names are relative to it, with forward slashes.
+
+    Parameters
+    ----------
+    url : str
+        Keys and addresses of the store are those of its environment, as AWS_ACCESS_KEY_ID and AWS_ENDPOINT_URL.
+
+    Raises
+    ------
+    SurveyError
+        Here and in all methods, if a library is missing, or the store is not there, not reached or refuses.
+    """
+
+    def __init__(self, url: str):
+        self.url = url.rstrip("/")
+        try:
+            import fsspec
+        except ModuleNotFoundError as error:
+            raise SurveyError(f"{url} takes fsspec, which is not installed: pip install 'bathynerf[remote]'") from error
+        with _refusals(self.url):
+            self._store, self._root = fsspec.core.url_to_fs(self.url)
+        kinds = self._store.protocol
+        self._has_folders = bool({kinds} & _WITH_FOLDERS if isinstance(kinds, str) else {*kinds} & _WITH_FOLDERS)
+
+    def files(self, name: str = "") -> dict[str, str]:
+        """Files below a name, with what tells their content from another; empty where there are none."""
+        place = self._place(name)
+        with _refusals(self.url):
+            # Another machine may have written.
+            self._store.invalidate_cache()
+            found: Mapping[str, Mapping[str, Any]] = self._store.find(place, detail=True)
+        start = len(place.strip("/")) + 1
+        return {path.strip("/")[start:]: _tag(info) for path, info in sorted(found.items())}
+
+    def read(self, name: str) -> bytes | None:
+        """Contents of a file; None where it is not there."""
+        with _refusals(self.url):
+            try:
+                return self._store.cat_file(self._place(name))
+            except (FileNotFoundError, NotADirectoryError):
+                return None
+
+    def fetch(self, names: Mapping[str, Path]) -> None:
+        """Fetch files, each whole or not at all, to paths."""
+        self._at_once(self._fetch, names.items())
+
+    def put(self, paths: Mapping[str, Path]) -> None:
+        """Put files at paths, by the names that they get."""
+        self._at_once(self._put, paths.items())
+
+    def fetch_folder(self, name: str, folder: Path) -> None:
+        """Fetch all files below a name."""
+        self.fetch({f"{name}/{each}": folder / each for each in self.files(name)})
+
+    def put_folder(self, folder: Path, name: str, *, last: str | None = None) -> None:
+        """Put all files of a folder; that which says that it is whole as the last, where there is one."""
+        files = {f"{name}/{path.relative_to(folder).as_posix()}": path for path in files_below(folder)}
+        end = files.pop(f"{name}/{last}", None)
+        self.put(files)
+        if end is not None:
+            self.put({f"{name}/{last}": end})
+
+    def remove(self, names: Iterable[str]) -> None:
+        """Remove files, and folders with all in them; those that are not there, too."""
+        with _refusals(self.url):
+            self._store.invalidate_cache()
+            for name in names:
+                with suppress(FileNotFoundError):
+                    self._store.rm(self._place(name), recursive=True)
+
+    def _place(self, name: str) -> str:
+        return f"{self._root.rstrip('/')}/{name}" if name else self._root
+
+    def _at_once(self, move: Any, files: Iterable[tuple[str, Path]]) -> None:
+        with ThreadPoolExecutor(_AT_ONCE) as pool:
+            for _ in pool.map(move, files):
+                pass
+
+    def _fetch(self, file: tuple[str, Path]) -> None:
+        name, path = file
+        with disk_refusals(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+        with write_whole_at(path) as part, _refusals(f"{self.url}/{name}"):
+            self._store.get_file(self._place(name), str(part))
+
+    def _put(self, file: tuple[str, Path]) -> None:
+        name, path = file
+        place = self._place(name)
+        with _refusals(f"{self.url}/{name}"):
+            if self._has_folders:
+                self._store.makedirs(place.rpartition("/")[0], exist_ok=True)
+            self._store.put_file(str(path), place)
+
+
+def files_below(folder: Path) -> list[Path]:
+    """Files in a folder and below it, hidden ones of the top left out."""
+    return sorted(path for path in folder.rglob("*") if path.is_file() and path.relative_to(folder).parts[0][0] != ".")
+
+
+def _tag(info: Mapping[str, Any]) -> str:
+    tag = next((info[name] for name in _TAGS if info.get(name) is not None), "")
+    return f"{info.get('size')} {tag}"
+
+
+@contextmanager
+def _refusals(url: str) -> Iterator[None]:
+    """Turn what libraries of stores raise into a sentence; each has exceptions of its own."""
+    try:
+        yield
+    except (SurveyError, GeoError):
+        raise
+    except ImportError as error:
+        raise SurveyError(
+            f"{url} takes a library that is not installed ({error}); for s3:// pip install 'bathynerf[remote]'"
+        ) from error
+    except FileNotFoundError as error:
+        raise SurveyError(f"{url} is not there ({error}); make the bucket or folder, or correct the URL") from error
+    except PermissionError as error:
+        raise SurveyError(f"{url} refuses access ({error}); ask for the right to list, read and write it") from error
+    except Exception as error:
+        if "Credentials" in type(error).__name__:
+            mend = "set its keys, for s3:// AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY or a profile"
+            raise SurveyError(f"{url} asks for keys, and there are none ({error}); {mend}") from error
+        if isinstance(error, ValueError) and "rotocol" in str(error):
+            raise SurveyError(
+                f"{url} is of a kind that is not known ({error}); name e.g. s3://bucket/folder"
+            ) from error
+        raise SurveyError(
+            f"{url} was not reached ({type(error).__name__}: {error}); check the URL, the network and the settings of "
+            "the store, for s3:// AWS_ENDPOINT_URL, and give the same command again"
+        ) from error

@@ -1,0 +1,165 @@
+"""A run at a URL: it works in a folder of this machine, and finished stages and the result are put to the URL whole.
+
+At the URL lie the files of a run folder; a copy of it is one. A stage is whole where its record is, which is put last,
+and the result where result.json is. What is finished there is taken up, whatever machine it comes from.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path, PurePosixPath
+
+from geo.files import disk_refusals
+from survey.errors import SurveyError
+from survey.files.json_values import json_text, read_json_object
+from survey.files.remote import Remote, files_below
+from survey.run import result
+from survey.run.folder import MARKER, STAGE_RECORD, RunDir
+from survey.run.keys import Key
+from survey.run.result import Owner
+from survey.words import SFM_FOLDER
+
+_STAGES, _LOG = "stages", "log.txt"
+# That of structure from motion, put last.
+_SOLVED = "solved.json"
+
+
+class RemoteRun(RunDir):
+    """A run folder whose results are put to a URL, too.
+
+    Parameters
+    ----------
+    path : Path
+        Where the run works on this machine.
+    remote : Remote
+    """
+
+    def __init__(self, path: str | Path, remote: Remote):
+        super().__init__(path)
+        self.remote = remote
+        self._has_put_poses = False
+        # Names of stages whose files a worker has put already, all but their records.
+        self.put_by_workers: set[str] = set()
+
+    def __enter__(self) -> RemoteRun:
+        super().__enter__()
+        try:
+            self._take_up()
+        except BaseException:
+            super().__exit__(None, None, None)
+            raise
+        return self
+
+    def __exit__(self, *exception) -> None:
+        # What ended the run counts more than that its log is not there.
+        with suppress(SurveyError):
+            if (self.path / _LOG).is_file():
+                self.remote.put({_LOG: self.path / _LOG})
+        super().__exit__(*exception)
+
+    def claim(self, owner: Owner, *, is_inside: bool) -> None:
+        """Note the survey that the run is of, at the URL too; `RunDir.claim`."""
+        try:
+            super().claim(owner, is_inside=False)
+        except SurveyError as error:
+            raise SurveyError(str(error).replace(str(self.path), self.remote.url)) from error
+        self.remote.put({MARKER: self.path / MARKER})
+
+    def _take_up(self) -> None:
+        """Fetch the mark of the run and the poses that structure from motion found."""
+        marker = self.remote.read(MARKER)
+        if marker is None:
+            others = [name for name in self.remote.files() if name[0] != "."]
+            if others:
+                raise SurveyError(
+                    f"{self.remote.url} is not empty and is no run (it has {others[0]}); name a new or empty place "
+                    "with -o"
+                )
+            return
+        self.write_text(self.path / MARKER, marker.decode())
+        if not (self.sfm_path / _SOLVED).is_file() and self.remote.read(f"{SFM_FOLDER}/{_SOLVED}") is not None:
+            self.remote.fetch_folder(SFM_FOLDER, self.sfm_path)
+
+    def found_before(self, name: str) -> dict:
+        """As `RunDir.found_before`; where no stage here has the file, of one at the URL."""
+        found = super().found_before(name)
+        if found:
+            return found
+        there = [each for each in self.remote.files(_STAGES) if PurePosixPath(each).name == name]
+        return json.loads(self.remote.read(f"{_STAGES}/{there[-1]}") or b"{}") if there else {}
+
+    def finished_stage(self, name: str, key: Key, leaves: Iterable[str] = ()) -> Path | None:
+        """As `RunDir.finished_stage`; one that is only here is put to the URL, one that is only there fetched."""
+        leaves, place = tuple(leaves), self.place(name, key)
+        folder = super().finished_stage(name, key, leaves)
+        record = self.remote.read(f"{_STAGES}/{place.name}/{STAGE_RECORD}")
+        if folder is not None:
+            if record is None:
+                self._put_stage(folder)
+            return folder
+        if record is None:
+            return None
+        temp = super().open_stage(name)
+        self.remote.fetch_folder(f"{_STAGES}/{place.name}", temp)
+        with disk_refusals(place):
+            temp.rename(place)
+        return super().finished_stage(name, key, leaves)
+
+    def open_stage(self, name: str) -> Path:
+        """As `RunDir.open_stage`; poses of structure from motion are there by then, and put to the URL."""
+        if not self._has_put_poses:
+            self._put_poses()
+            self._has_put_poses = True
+        return super().open_stage(name)
+
+    def _put_poses(self) -> None:
+        solved, name = self.sfm_path / _SOLVED, f"{SFM_FOLDER}/{_SOLVED}"
+        if solved.is_file() and self.remote.read(name) != solved.read_bytes():
+            self.remote.remove([SFM_FOLDER])
+            self.remote.put_folder(self.sfm_path, SFM_FOLDER, last=_SOLVED)
+
+    def finish_stage(self, name: str, key: Key, temp: Path, seconds: float | None = None) -> Path:
+        """As `RunDir.finish_stage`, at the URL too."""
+        folder = super().finish_stage(name, key, temp, seconds)
+        self._put_stage(folder)
+        return folder
+
+    def _put_stage(self, folder: Path) -> None:
+        place = f"{_STAGES}/{folder.name}"
+        if folder.name in self.put_by_workers:
+            self.remote.put({f"{place}/{STAGE_RECORD}": folder / STAGE_RECORD})
+        else:
+            self.remote.put_folder(folder, place, last=STAGE_RECORD)
+
+    def publish(self, folder: Path, *, quality: str, stages: dict[str, Path]) -> None:
+        """As `RunDir.publish`, at the URL too."""
+        before = json.loads(self.remote.read(result.RECORD) or b"{}")
+        super().publish(folder, quality=quality, stages=stages)
+        record = read_json_object(self.path / result.RECORD)
+        # Results of other qualities may be from another machine.
+        record["others"] = result.others_of(before, quality) | record["others"]
+        self.write_text(self.path / result.RECORD, json_text(record))
+        self.remote.remove([result.RECORD])
+        names = [name for name in record["files"] if name != result.RECORD]
+        for name in names:
+            place = self.path / name
+            if place.is_dir():
+                self.remote.put_folder(place, name)
+        self.remote.put({name: self.path / name for name in names if (self.path / name).is_file()})
+        self._remove_from_url(record)
+        self.remote.put({result.RECORD: self.path / result.RECORD})
+
+    def _remove_from_url(self, record: dict) -> None:
+        """Remove files of an earlier result, and stages that belong to no result."""
+        kept = {each for stages in (record["stages"], *record["others"].values()) for each in stages.values()}
+        here = {path.relative_to(self.path).as_posix() for path in files_below(self.path)}
+        gone = set()
+        for name in self.remote.files():
+            first, *rest = PurePosixPath(name).parts
+            if first == _STAGES:
+                gone |= {f"{_STAGES}/{rest[0]}"} if rest[0] not in kept else set()
+            elif first in result.NAMES and name not in here:
+                gone.add(name)
+        self.remote.remove(sorted(gone))

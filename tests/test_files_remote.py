@@ -1,0 +1,98 @@
+"""Folders at URLs: what is put is fetched as it was, and what does not go ends in a sentence."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+from s3_server import served
+
+from survey.errors import SurveyError
+from survey.files.remote import Remote, is_url, local_name, local_run
+
+fsspec = pytest.importorskip("fsspec", reason="fsspec, of the extra `remote`, is not installed")
+
+
+@pytest.fixture(params=["file", "memory", "s3"])
+def url(request, tmp_path, monkeypatch):
+    if request.param == "s3":
+        with served(monkeypatch) as bucket:
+            yield f"{bucket}/run"
+        return
+    yield f"file://{tmp_path}/there/run" if request.param == "file" else f"memory://{tmp_path.name}/run"
+
+
+def test_a_folder_is_fetched_as_it_was_put_and_its_mark_is_put_last(url, tmp_path, monkeypatch):
+    here, back = tmp_path / "here", tmp_path / "back"
+    for name, text in (("a.txt", "first"), ("deep/b.bin", "second"), ("stage.json", "{}")):
+        (here / name).parent.mkdir(parents=True, exist_ok=True)
+        (here / name).write_text(text)
+    remote, order = Remote(url), []
+    assert remote.files() == {}
+    assert remote.read("stages/a/stage.json") is None
+    put = remote._put
+    monkeypatch.setattr(remote, "_put", lambda file: (order.append(file[0]), put(file)))
+    remote.put_folder(here, "stages/a", last="stage.json")
+    assert order[-1] == "stages/a/stage.json"
+    # A folder beside it whose name begins alike is another one.
+    Remote(f"{url}2").put({"else.txt": here / "a.txt"})
+    assert set(remote.files()) == {"stages/a/a.txt", "stages/a/deep/b.bin", "stages/a/stage.json"}
+    assert set(remote.files("stages/a/deep")) == {"b.bin"}
+    remote.fetch_folder("stages/a", back)
+    assert [(back / name).read_text() for name in ("a.txt", "deep/b.bin", "stage.json")] == ["first", "second", "{}"]
+    before = remote.files()
+    (here / "a.txt").write_text("changed")
+    remote.put({"stages/a/a.txt": here / "a.txt"})
+    assert {name for name, tag in remote.files().items() if before[name] != tag} == {"stages/a/a.txt"}
+    remote.remove(["stages/a/deep", "stages/a/a.txt", "not/there"])
+    assert set(remote.files()) == {"stages/a/stage.json"}
+
+
+def test_a_bucket_that_is_not_there_is_named(monkeypatch, tmp_path):
+    with served(monkeypatch) as bucket:
+        (tmp_path / "a").touch()
+        said = r"s3://survey-.*/run/a is not there \(.*bucket.*\); make the bucket or folder, or correct the URL"
+        with pytest.raises(SurveyError, match=said):
+            Remote(f"{bucket}-other/run").put({"a": tmp_path / "a"})
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (PermissionError("Access Denied"), r"refuses access \(Access Denied\); ask for the right to list, read and"),
+        (type("NoCredentialsError", (Exception,), {})("none found"), "asks for keys, .* AWS_ACCESS_KEY_ID"),
+        (OSError("no route"), r"was not reached \(OSError: no route\); check the URL, the network"),
+    ],
+)
+def test_what_a_store_refuses_is_said_in_a_sentence(monkeypatch, tmp_path, error, said):
+    remote = Remote(f"memory://{tmp_path.name}")
+
+    def refuse(*_given, **_named):
+        raise error
+
+    for name in ("find", "cat_file", "put_file", "rm"):
+        monkeypatch.setattr(remote._store, name, refuse)
+    (tmp_path / "a").touch()
+    for ask in (remote.files, lambda: remote.read("a"), lambda: remote.put({"a": tmp_path / "a"})):
+        with pytest.raises(SurveyError, match=said):
+            ask()
+
+
+def test_what_is_missing_or_unknown_is_named(monkeypatch):
+    with pytest.raises(SurveyError, match=r"nope://x is of a kind that is not known .*name e\.g\. s3://"):
+        Remote("nope://x")
+    monkeypatch.setitem(sys.modules, "fsspec", None)
+    with pytest.raises(SurveyError, match=r"pip install 'bathynerf\[remote\]'"):
+        Remote("s3://bucket/run")
+
+
+def test_urls_are_told_from_paths_and_have_a_folder_of_their_own(tmp_path):
+    assert [is_url(text) for text in ("s3://b/c", "file:///tmp/x", "images", "C:\\x", "s3:/b", "://", None)] == [
+        True, True, False, False, False, False, False,
+    ]  # fmt: skip
+    names = {local_name(url, "run") for url in ("s3://b/c", "s3://b/c/", "s3://b/d")}
+    assert len(names) == 2
+    assert all(name.startswith(".run-") for name in names)
+    assert local_run(tmp_path, None) == tmp_path / "bathynerf"
+    assert local_run(tmp_path, "other") == local_run(tmp_path, tmp_path.__class__("other"))
+    assert local_run(tmp_path, "s3://b/c").parent == tmp_path

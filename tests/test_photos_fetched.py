@@ -1,0 +1,79 @@
+"""Photographs at a URL: the survey is read as with them beside it, and each is fetched once."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+
+import pytest
+from s3_server import served
+from small_survey import TOML, small_survey
+
+from survey.errors import ConfigError, ImageError
+from survey.files.remote import Remote, local_name
+from survey.folder.survey import load_survey
+from survey.photos.fetched import fetch_images
+from survey.settings.config import parse_config
+
+
+@pytest.fixture
+def survey(tmp_path):
+    """A survey of four photographs, which lie at a URL."""
+    folder, there = small_survey(tmp_path / "survey"), tmp_path / "there"
+    before = load_survey(folder)
+    shutil.move(folder / "images", there)
+    url = there.as_uri()
+    (folder / "survey.toml").write_text(f'{TOML}[images]\ndir = "{url}"\n')
+    return folder, there, url, before
+
+
+def test_a_survey_of_photographs_at_a_url_is_that_of_photographs_beside_it(survey):
+    pytest.importorskip("fsspec", reason="fsspec, of the extra `remote`, is not installed")
+    folder, _, url, before = survey
+    found, place = load_survey(folder), folder / local_name(url, "photographs")
+    assert [view.name for view in found.views] == [view.name for view in before.views]
+    assert {view.path.parent for view in found.views} == {place}
+    assert found.frame.origin == before.frame.origin
+    assert replace(found.config, images=before.config.images) == before.config
+
+
+def test_only_what_is_new_or_changed_is_fetched_and_what_is_gone_removed(survey, monkeypatch):
+    pytest.importorskip("fsspec", reason="fsspec, of the extra `remote`, is not installed")
+    folder, there, url, _ = survey
+    place, fetched = folder / local_name(url, "photographs"), []
+    fetch = Remote.fetch
+    monkeypatch.setattr(Remote, "fetch", lambda self, names: (fetched.extend(names), fetch(self, names)))
+    (there / "notes.txt").touch()
+    (there / ".hidden").mkdir()
+    shutil.copy(there / "0000.jpg", there / ".hidden" / "0000.jpg")
+    fetch_images(url, place)
+    assert sorted(fetched) == ["0000.jpg", "0001.jpg", "0002.jpg", "0003.jpg"]
+    fetched.clear()
+    fetch_images(url, place)
+    assert fetched == []
+    (there / "0001.jpg").write_bytes((there / "0002.jpg").read_bytes() + b" ")
+    (there / "0003.jpg").unlink()
+    (place / "0000.jpg").unlink()
+    fetch_images(url, place)
+    assert sorted(fetched) == ["0000.jpg", "0001.jpg"]
+    assert sorted(path.name for path in place.glob("*.jpg")) == ["0000.jpg", "0001.jpg", "0002.jpg"]
+    assert (place / "0001.jpg").read_bytes() == (there / "0001.jpg").read_bytes()
+
+
+def test_photographs_come_from_s3(survey, monkeypatch):
+    folder, there, _, before = survey
+    with served(monkeypatch) as bucket:
+        Remote(bucket).put_folder(there, "flight")
+        (folder / "survey.toml").write_text(f'{TOML}[images]\ndir = "{bucket}/flight"\n')
+        found = load_survey(folder)
+    assert [view.path.read_bytes() for view in found.views] == [
+        (there / view.name).read_bytes() for view in before.views
+    ]
+
+
+def test_a_url_without_images_and_masks_at_a_url_are_named(tmp_path):
+    pytest.importorskip("fsspec", reason="fsspec, of the extra `remote`, is not installed")
+    with pytest.raises(ImageError, match=r"no images at .*; expected files ending in \.jpg.*put them there"):
+        fetch_images(tmp_path.as_uri(), tmp_path / "here")
+    with pytest.raises(ConfigError, match=r'masks is "s3://b/m", expected a folder; put masks beside the images'):
+        parse_config('[images]\nmasks = "s3://b/m"\n')

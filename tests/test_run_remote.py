@@ -1,0 +1,161 @@
+"""A run at a URL: what one machine has finished another takes up, and a result is there whole or not at all."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+from drawn_runs import drawn
+from s3_server import served
+from test_run_folder import A, B, contents, finish, publish
+
+from survey.errors import SurveyError
+from survey.files.json_values import write_json
+from survey.files.remote import Remote, local_run
+from survey.progress import Progress
+from survey.run.folder import RunDir
+from survey.run.process import process
+from survey.run.remote_run import RemoteRun
+from survey.run.result import Owner
+
+pytest.importorskip("fsspec", reason="fsspec, of the extra `remote`, is not installed")
+
+
+@pytest.fixture
+def url(tmp_path):
+    return f"memory://{tmp_path.name}/run"
+
+
+def test_what_one_machine_has_finished_another_takes_up(url, tmp_path):
+    with RemoteRun(tmp_path / "laptop", Remote(url)) as run:
+        run.claim(Owner("quick", {"a.jpg": 1}), is_inside=True)
+        folder = finish(run, "sweep", A, heights=[1.0, 2.0])
+    with RemoteRun(tmp_path / "cluster", Remote(url)) as run:
+        assert run.finished_stage("sweep", B, ["data.npz"]) is None
+        found = run.finished_stage("sweep", A, ["data.npz"])
+        assert found == run.path / "stages" / folder.name
+        assert (found / "data.npz").read_bytes() == (folder / "data.npz").read_bytes()
+        assert run.owner() == Owner("quick", {"a.jpg": 1})
+
+
+def test_poses_of_structure_from_motion_go_along(url, tmp_path):
+    with RemoteRun(tmp_path / "laptop", Remote(url)) as run:
+        run.claim(Owner("quick", {"a.jpg": 1}), is_inside=True)
+        (run.sfm_path / "model").mkdir(parents=True)
+        (run.sfm_path / "model" / "0.bin").write_text("poses")
+        (run.sfm_path / "solved.json").write_text('{"key": "k"}')
+        finish(run, "sweep", A, heights=[1.0])
+    with RemoteRun(tmp_path / "cluster", Remote(url)) as run:
+        assert (run.sfm_path / "model" / "0.bin").read_text() == "poses"
+        assert (run.sfm_path / "solved.json").read_text() == '{"key": "k"}'
+
+
+def test_a_stage_without_its_record_is_not_taken_up(url, tmp_path):
+    with RemoteRun(tmp_path / "laptop", Remote(url)) as run:
+        run.claim(Owner("quick", {"a.jpg": 1}), is_inside=True)
+        folder = finish(run, "sweep", A, heights=[1.0])
+        # The connection was lost before the record was put.
+        run.remote.remove([f"stages/{folder.name}/stage.json"])
+    with RemoteRun(tmp_path / "cluster", Remote(url)) as run:
+        assert run.finished_stage("sweep", A) is None
+    with RemoteRun(tmp_path / "laptop", Remote(url)) as run:
+        assert run.finished_stage("sweep", A) == folder
+        assert f"stages/{folder.name}/stage.json" in run.remote.files()
+
+
+def test_the_number_of_tiles_that_a_run_began_with_is_known_elsewhere(url, tmp_path):
+    with RemoteRun(tmp_path / "laptop", Remote(url)) as run:
+        run.claim(Owner("quick", {"a.jpg": 1}), is_inside=True)
+        temp = run.open_stage("tiles")
+        write_json(temp / "shared.json", {"tiles": 6})
+        run.finish_stage("tiles", A, temp)
+    with RemoteRun(tmp_path / "cluster", Remote(url)) as run:
+        assert run.found_before("shared.json") == {"tiles": 6}
+        assert run.found_before("other.json") == {}
+
+
+def test_a_result_replaces_the_one_before_and_a_copy_of_the_url_is_a_run(url, tmp_path):
+    remote = Remote(url)
+    with RemoteRun(tmp_path / "laptop", remote) as run:
+        run.claim(Owner("quick", {"a.jpg": 1}), is_inside=True)
+        first = finish(run, "sweep", A, heights=[1.0])
+        publish(run, "draft", quality="draft", sweep=first)
+    with RemoteRun(tmp_path / "cluster", remote) as run:
+        second = finish(run, "sweep", B, heights=[2.0])
+        finish(run, "adjust", B, heights=[2.0])
+        publish(run, "fine", quality="fine", sweep=second)
+    remote.fetch({name: tmp_path / "copy" / name for name in remote.files()})
+    copy = RunDir(tmp_path / "copy")
+    copy.require_run()
+    assert contents(copy) == {"fine"}
+    # That of the other quality, which another machine made, is kept; what belongs to no result is not.
+    assert {path.name for path in copy.stages_path.iterdir()} == {first.name, second.name}
+    assert copy.result()["others"] == {"draft": {"sweep": first.name}}
+
+
+def test_a_result_that_is_being_put_does_not_count(url, tmp_path, monkeypatch):
+    remote = Remote(url)
+    with RemoteRun(tmp_path / "laptop", remote) as run:
+        publish(run, "draft", quality="draft")
+        assert remote.read("result.json") is not None
+        put = remote._put
+
+        def lost(file):
+            if file[0] == "cloud.las":
+                raise SurveyError("was not reached")
+            put(file)
+
+        monkeypatch.setattr(remote, "_put", lost)
+        with pytest.raises(SurveyError, match="not reached"):
+            publish(run, "draft again", quality="draft")
+    assert remote.read("result.json") is None
+
+
+def test_a_place_that_holds_something_else_is_left_alone(url, tmp_path):
+    remote = Remote(url)
+    (tmp_path / "thesis.txt").touch()
+    remote.put({"thesis.txt": tmp_path / "thesis.txt"})
+    with pytest.raises(SurveyError, match=r"is not empty and is no run \(it has thesis\.txt\); name a new or empty"):
+        RemoteRun(tmp_path / "laptop", remote).__enter__()
+    other = Remote(f"{url}2")
+    with RemoteRun(tmp_path / "laptop2", other) as run:
+        run.claim(Owner("quick", {"a.jpg": 1}), is_inside=True)
+    with (
+        RemoteRun(tmp_path / "cluster2", other) as run,
+        pytest.raises(SurveyError, match=rf"the run folder {url}2 belongs to another survey, quick"),
+    ):
+        run.claim(Owner("shore", {"b.jpg": 2}), is_inside=True)
+
+
+@pytest.mark.slow
+def test_a_run_that_was_interrupted_goes_on_from_s3_on_another_machine(tmp_path, monkeypatch):
+    """Photographs and run lie in a bucket; the second machine has the settings and poses alone."""
+    laptop, cluster = tmp_path / "laptop", tmp_path / "cluster"
+    drawn(laptop)
+    with Progress(verbosity=-1):
+        assert process(laptop, tmp_path / "alone", quality="draft", tiles=2) == 0
+    with served(monkeypatch) as bucket:
+        Remote(bucket).put_folder(laptop / "images", "flight")
+        shutil.rmtree(laptop / "images")
+        toml = (laptop / "survey.toml").read_text()
+        (laptop / "survey.toml").write_text(f'{toml}\n[images]\ndir = "{bucket}/flight"\n')
+        shutil.copytree(laptop, cluster)
+        url, finish_stage = f"{bucket}/run", RemoteRun.finish_stage
+
+        def stopped(run, name, *given):
+            place = finish_stage(run, name, *given)
+            if name == "solver_tile1":
+                raise KeyboardInterrupt
+            return place
+
+        with pytest.MonkeyPatch.context() as patch, Progress(verbosity=-1):
+            patch.setattr(RemoteRun, "finish_stage", stopped)
+            with pytest.raises(KeyboardInterrupt):
+                process(laptop, url, quality="draft", tiles=2)
+        with Progress(verbosity=-1):
+            assert process(cluster, url, quality="draft", tiles=2) == 0
+        there = Remote(url)
+        assert there.read("cloud.las") == (tmp_path / "alone" / "cloud.las").read_bytes()
+        log = there.read("log.txt").decode()
+    assert all(f"{name}: used again" in log for name in ("sweep_tile1", "sweep_tile2", "solver_tile1"))
+    assert (local_run(cluster, url) / "result.json").is_file()

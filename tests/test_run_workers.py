@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import sys
 import time
@@ -152,14 +153,67 @@ def test_a_worker_that_is_as_it_should_be_passes(run_and_photograph):
             {"answer": Exception("ModuleNotFoundError(\"No module named 'survey'\")")},
             "cannot load bathynerf .*No module named",
         ),
-        ({"answer": ("0" * 64, True, True)}, "has another version of bathynerf.*install the same"),
-        ({"answer": (loaded_code(), False, True)}, "does not see .*name a run folder with -o"),
-        ({"answer": (loaded_code(), True, False)}, r"does not see .*a\.jpg; put the survey where"),
+        ({"answer": ("0" * 64, True, True, {})}, "has another version of bathynerf.*install the same"),
+        ({"answer": (loaded_code(), False, True, {})}, "does not see .*name a run folder with -o"),
+        ({"answer": (loaded_code(), True, False, {})}, r"does not see .*a\.jpg; put the survey where"),
     ],
 )
 def test_a_worker_that_is_not_as_it_should_be_is_named(run_and_photograph, worker, said):
     with pytest.raises(SurveyError, match=f"the worker {PLACE} {said}"):
         of_workers._check(ClientOfOne(**worker), *run_and_photograph)
+
+
+def test_on_cuda_a_worker_with_the_resource_of_a_gpu_is_asked_for(run_and_photograph):
+    of_workers._check(ClientOfOne(answer=(loaded_code(), True, True, {"GPU": 1})), *run_and_photograph, takes_gpu=True)
+    with pytest.raises(SurveyError, match=r'no worker has the resource GPU; start one .* --resources "GPU=1", or give'):
+        of_workers._check(ClientOfOne(), *run_and_photograph, takes_gpu=True)
+
+
+def test_tasks_on_cuda_go_to_workers_with_the_resource_of_a_gpu(tmp_path, monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(of_workers, "_compute", where_computed)
+    workers = {0: {"cls": distributed.Worker, "options": {"nthreads": 1, "resources": {"GPU": 1}, "name": "gpu"}}}
+    workers |= {1: {"cls": distributed.Worker, "options": {"nthreads": 1, "name": "plain"}}}
+    scheduler = {"cls": distributed.Scheduler, "options": {"dashboard": False, "protocol": "inproc://", "port": 0}}
+    with (
+        distributed.SpecCluster(workers=workers, scheduler=scheduler, silence_logs="ERROR") as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        of_workers._check(client, tmp_path, Path(__file__), takes_gpu=True)
+        tasks = [Task(f"sweep_tile{number}", number, print, {}) for number in range(4)]
+        on_gpu = list(Workers(client, tmp_path, are_started=False, takes_gpu=True).computed(tmp_path, tasks))
+        with pytest.raises(SurveyError, match="no worker has the resource GPU"):
+            client.retire_workers(names=["gpu"]) and of_workers._check(client, tmp_path, Path(__file__), takes_gpu=True)
+    assert [str(each[1]) for each in on_gpu] == ["gpu"] * 4
+
+
+def where_computed(_job, _stages, _task, _code):
+    from distributed import get_worker
+
+    return Path(str(get_worker().name)), 0.0, []
+
+
+def test_where_the_dashboard_is_to_be_seen_is_said(monkeypatch):
+    client = SimpleNamespace(
+        dashboard_link="http://10.0.0.7:8787/status", scheduler_info=lambda: {"services": {"dashboard": 4181}}
+    )
+    assert "at http://10.0.0.7:8787/status, where" in of_workers._watched(client, PLACE)
+    monkeypatch.setattr(of_workers, "find_spec", lambda _name: object())
+    assert of_workers._watched(client, None) == "to be watched at http://127.0.0.1:4181/status"
+    monkeypatch.setattr(of_workers, "find_spec", lambda _name: None)
+    assert "pip install bokeh" in of_workers._watched(client, None)
+
+
+def test_workers_of_this_machine_share_its_gpus(monkeypatch):
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "2, GPU-8f")
+    assert of_workers.gpus() == ["2", "GPU-8f"]
+    distributed = SimpleNamespace(WorkerPlugin=object)
+    monkeypatch.setattr("os.sched_setaffinity", lambda *_given: None, raising=False)
+    found = []
+    for name in ("0", "1", "2"):
+        of_workers._cores_plugin(distributed, 3, ["2", "GPU-8f"]).setup(SimpleNamespace(name=name))
+        found.append(os.environ["CUDA_VISIBLE_DEVICES"])
+    assert found == ["2", "GPU-8f", "2"]
 
 
 def test_a_scheduler_that_is_lost_is_named(tmp_path, monkeypatch):

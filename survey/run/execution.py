@@ -124,7 +124,14 @@ class TileWorkers:
             photograph = self._job.survey.views[0].path
             with self._job.progress.stage("Workers"):
                 self._workers = self._stack.enter_context(
-                    workers_for(number, chosen.scheduler, self._run.stages_path, photograph, self._job.progress.note)
+                    workers_for(
+                        number,
+                        chosen.scheduler,
+                        self._run.stages_path,
+                        photograph,
+                        self._job.progress.note,
+                        takes_gpu=self._job.plan.device == "cuda",
+                    )
                 )
         return self._workers
 

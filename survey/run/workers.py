@@ -18,6 +18,7 @@ from concurrent.futures import CancelledError
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -36,6 +37,8 @@ Computed = tuple[int, Path, float, list[tuple[str, str]]]
 
 # A task whose workers end so often is given up: most likely it takes more memory than there is.
 _ALLOWED_FAILURES = 3
+# Resource of Dask that a worker with a GPU of its own has, and a task on one takes.
+GPU = "GPU"
 _ANOTHER_VERSION = "another version of bathynerf than the run; install the same on all, and start the workers again"
 # How long workers of a cluster may take to come [s].
 _WORKER_TIMEOUT_S = 60.0
@@ -64,10 +67,13 @@ class Workers:
         Of the stages of the run.
     are_started : bool
         Whether the run has started them, on this machine.
+    takes_gpu : bool
+        Whether only workers with the resource GPU compute.
     """
 
-    def __init__(self, client: Any, folder: Path, *, are_started: bool):
+    def __init__(self, client: Any, folder: Path, *, are_started: bool, takes_gpu: bool = False):
         self._client, self._folder, self._are_started = client, folder.absolute(), are_started
+        self._resources = {GPU: 1} if takes_gpu else None
 
     def computed(self, job: Path, tasks: Sequence[Task]) -> Generator[Computed, None, None]:
         """Compute tasks; as each ends its number, the folder of its result, its seconds, and what it had to say.
@@ -81,7 +87,14 @@ class Workers:
 
         futures = {
             self._client.submit(
-                _compute, job, self._folder, task, loaded_code(), pure=False, key=f"{task.name}-{uuid.uuid4().hex}"
+                _compute,
+                job,
+                self._folder,
+                task,
+                loaded_code(),
+                pure=False,
+                key=f"{task.name}-{uuid.uuid4().hex}",
+                resources=self._resources,
             ): number
             for number, task in enumerate(tasks)
         }
@@ -129,15 +142,23 @@ class Workers:
 
 @contextmanager
 def workers_for(
-    number: int, scheduler: str | None, stages: Path, photograph: Path, note: Callable[[str], None]
+    number: int,
+    scheduler: str | None,
+    stages: Path,
+    photograph: Path,
+    note: Callable[[str], None],
+    *,
+    takes_gpu: bool = False,
 ) -> Iterator[Workers]:
     """So many workers of this machine, or all of a scheduler that has so many, for the stages in a folder of a run.
+
+    ``takes_gpu``: of a scheduler only workers with the resource GPU compute; those of this machine share its GPUs.
 
     Raises
     ------
     SurveyError
         If Dask is not installed, no worker comes, or one has no or another version of the program, several threads, or
-        does not see the folder or a photograph.
+        does not see the folder or a photograph; or if none has the resource GPU.
     """
     try:
         import distributed
@@ -162,11 +183,12 @@ def workers_for(
             cluster = _local_cluster(distributed, number)
         with cluster as place, _client_of(distributed, place, scheduler, number) as client:
             if scheduler is None:
-                client.register_plugin(_cores_plugin(distributed, number))
-            else:
-                note(f"workers: {len(client.nthreads())} of {scheduler}, to be watched at {client.dashboard_link}")
-            _check(client, stages, photograph)
-            yield Workers(client, stages, are_started=scheduler is None)
+                client.register_plugin(_cores_plugin(distributed, number, gpus() if takes_gpu else []))
+            of = "this machine" if scheduler is None else scheduler
+            note(f"workers: {len(client.nthreads())} of {of}, {_watched(client, scheduler)}")
+            takes_gpu = takes_gpu and scheduler is not None
+            _check(client, stages, photograph, takes_gpu=takes_gpu)
+            yield Workers(client, stages, are_started=scheduler is None, takes_gpu=takes_gpu)
 
 
 def _local_cluster(distributed: Any, number: int) -> Any:
@@ -205,8 +227,21 @@ def _client_of(distributed: Any, place: Any, scheduler: str | None, number: int)
     return client
 
 
-def _check(client: Any, stages: Path, photograph: Path) -> None:
-    """Raise where a worker has several threads, another program, or does not see the run or a photograph."""
+def _watched(client: Any, scheduler: str | None) -> str:
+    """Where Dask shows its tasks in a browser, in words."""
+    if scheduler is not None:
+        return f"to be watched at {client.dashboard_link}, where its scheduler has bokeh"
+    if find_spec("bokeh") is None:
+        return "to be watched in a browser with bokeh (pip install bokeh)"
+    # Of this machine alone, whatever address others know it by.
+    return f"to be watched at http://127.0.0.1:{client.scheduler_info()['services']['dashboard']}/status"
+
+
+def _check(client: Any, stages: Path, photograph: Path, *, takes_gpu: bool = False) -> None:
+    """Raise where a worker has several threads, another program, or does not see the run or a photograph.
+
+    ``takes_gpu``: also where none has the resource GPU.
+    """
     for place, threads in client.nthreads().items():
         if threads != 1:
             raise SurveyError(
@@ -216,7 +251,7 @@ def _check(client: Any, stages: Path, photograph: Path) -> None:
     photograph = photograph.absolute()
     with _token(stages) as token:
         found = client.run(_seen, token, photograph, on_error="return")
-    left = client.nthreads()
+    left, has_gpu = client.nthreads(), False
     for place, each in found.items():
         if isinstance(each, Exception):
             if place not in left:
@@ -226,7 +261,8 @@ def _check(client: Any, stages: Path, photograph: Path) -> None:
             raise SurveyError(
                 f"the worker {place} cannot load bathynerf ({each}); install the same version on all"
             ) from each
-        code, sees_run, sees_photograph = each
+        code, sees_run, sees_photograph, resources = each
+        has_gpu |= resources.get(GPU, 0) >= 1
         if code != loaded_code():
             raise SurveyError(f"the worker {place} has {_ANOTHER_VERSION}")
         if not sees_run:
@@ -239,6 +275,11 @@ def _check(client: Any, stages: Path, photograph: Path) -> None:
                 f"the worker {place} does not see {photograph}; put the survey where all workers reach it by the same "
                 "path"
             )
+    if takes_gpu and not has_gpu:
+        raise SurveyError(
+            "the run computes on CUDA, and no worker has the resource GPU; start one for each GPU, with its number in "
+            f'CUDA_VISIBLE_DEVICES and --resources "{GPU}=1", or give --device cpu'
+        )
 
 
 @contextmanager
@@ -252,8 +293,9 @@ def _token(stages: Path) -> Iterator[Path]:
         shutil.rmtree(path, ignore_errors=True)
 
 
-def _seen(token: Path, photograph: Path) -> tuple[str, bool, bool]:
-    return loaded_code(), token.is_dir(), photograph.is_file()
+def _seen(token: Path, photograph: Path, dask_worker: Any = None) -> tuple[str, bool, bool, dict[str, float]]:
+    resources = {} if dask_worker is None else dict(dask_worker.state.total_resources)
+    return loaded_code(), token.is_dir(), photograph.is_file(), resources
 
 
 @cache
@@ -262,8 +304,18 @@ def loaded_code() -> str:
     return code_hash("survey.run.execution")
 
 
-def _cores_plugin(distributed: Any, number: int) -> Any:
-    """Gives each worker of this machine its share of the cores, before it loads anything that starts threads."""
+def gpus() -> list[str]:
+    """The GPUs that this process sees, as CUDA_VISIBLE_DEVICES names them."""
+    named = os.environ.get("CUDA_VISIBLE_DEVICES")
+    if named is not None:
+        return [each.strip() for each in named.split(",") if each.strip()]
+    import torch
+
+    return [str(each) for each in range(torch.cuda.device_count())]
+
+
+def _cores_plugin(distributed: Any, number: int, gpus_here: Sequence[str]) -> Any:
+    """Gives each worker of this machine its share of cores and GPUs, before it loads anything that starts threads."""
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
 
     class Cores(distributed.WorkerPlugin):
@@ -274,6 +326,8 @@ def _cores_plugin(distributed: Any, number: int) -> Any:
             own = [core for index, core in enumerate(cores) if index % number == place % max(len(cores), 1)]
             if own:
                 os.sched_setaffinity(0, own)
+            if gpus_here:
+                os.environ["CUDA_VISIBLE_DEVICES"] = gpus_here[place % len(gpus_here)]
 
     return Cores()
 

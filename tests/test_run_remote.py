@@ -144,7 +144,7 @@ def test_a_run_that_was_interrupted_goes_on_from_s3_on_another_machine(tmp_path,
 
         def stopped(run, name, *given):
             place = finish_stage(run, name, *given)
-            if name == "solver_tile1":
+            if name == "sweep_tile1":
                 raise KeyboardInterrupt
             return place
 
@@ -157,5 +157,5 @@ def test_a_run_that_was_interrupted_goes_on_from_s3_on_another_machine(tmp_path,
         there = Remote(url)
         assert there.read("cloud.las") == (tmp_path / "alone" / "cloud.las").read_bytes()
         log = there.read("log.txt").decode()
-    assert all(f"{name}: used again" in log for name in ("sweep_tile1", "sweep_tile2", "solver_tile1"))
+    assert "sweep_tile1: used again" in log
     assert (local_run(cluster, url) / "result.json").is_file()

@@ -19,10 +19,12 @@ from drawn_runs import drawn
 
 from survey.errors import SurveyError
 from survey.progress import Progress
+from survey.run import worker_task
 from survey.run import workers as of_workers
 from survey.run.folder import RunDir
 from survey.run.process import process
-from survey.run.workers import Task, Workers, loaded_code, save_job, workers_for
+from survey.run.worker_task import Task, compute_task, loaded_code, save_job
+from survey.run.workers import Workers, workers_for
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +173,7 @@ def test_on_cuda_a_worker_with_the_resource_of_a_gpu_is_asked_for(run_and_photog
 
 def test_tasks_on_cuda_go_to_workers_with_the_resource_of_a_gpu(tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr(of_workers, "_compute", where_computed)
+    monkeypatch.setattr(of_workers, "compute_task", where_computed)
     workers = {0: {"cls": distributed.Worker, "options": {"nthreads": 1, "resources": {"GPU": 1}, "name": "gpu"}}}
     workers |= {1: {"cls": distributed.Worker, "options": {"nthreads": 1, "name": "plain"}}}
     scheduler = {"cls": distributed.Scheduler, "options": {"dashboard": False, "protocol": "inproc://", "port": 0}}
@@ -243,10 +245,10 @@ def test_a_worker_that_ends_while_it_is_looked_at_is_left_out(run_and_photograph
 def test_the_code_of_a_process_is_that_of_its_start_and_a_task_of_other_code_is_refused(tmp_path, monkeypatch):
     loaded_code.cache_clear()
     hashes = iter(["first", "of files that changed"])
-    monkeypatch.setattr(of_workers, "code_hash", lambda _name: next(hashes))
+    monkeypatch.setattr(worker_task, "code_hash", lambda _name: next(hashes))
     assert [loaded_code(), loaded_code()] == ["first", "first"]
     with pytest.raises(SurveyError, match="has another version of bathynerf than the run"):
-        of_workers._compute(tmp_path / "job.pickle", tmp_path, Task("sweep_tile1", 0, print, {}), "of the run")
+        compute_task(tmp_path / "job.pickle", tmp_path, Task("sweep_tile1", 0, print, {}), "of the run")
     loaded_code.cache_clear()
 
 

@@ -106,6 +106,10 @@ class Remote:
         if end is not None:
             self.put({f"{name}/{last}": end})
 
+    def copy_folder(self, name: str, other: str) -> None:
+        """Copy all files below a name to another one, at the URL itself."""
+        self._at_once(self._copy, [(f"{name}/{each}", Path(f"{other}/{each}")) for each in self.files(name)])
+
     def remove(self, names: Iterable[str]) -> None:
         """Remove files, and folders with all in them; those that are not there, too."""
         with _refusals(self.url):
@@ -129,12 +133,22 @@ class Remote:
         with write_whole_at(path) as part, _refusals(f"{self.url}/{name}"):
             self._store.get_file(self._place(name), str(part))
 
+    def _copy(self, names: tuple[str, Path]) -> None:
+        name, other = names
+        place = self._place(other.as_posix())
+        with _refusals(f"{self.url}/{name}"):
+            self._make_folder(place)
+            self._store.cp_file(self._place(name), place)
+
+    def _make_folder(self, place: str) -> None:
+        if self._has_folders:
+            self._store.makedirs(place.rpartition("/")[0], exist_ok=True)
+
     def _put(self, file: tuple[str, Path]) -> None:
         name, path = file
         place = self._place(name)
         with _refusals(f"{self.url}/{name}"):
-            if self._has_folders:
-                self._store.makedirs(place.rpartition("/")[0], exist_ok=True)
+            self._make_folder(place)
             self._store.put_file(str(path), place)
 
 

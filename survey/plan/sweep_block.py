@@ -40,15 +40,9 @@ def load_block(
 
     def images() -> Iterator[np.ndarray]:
         for view in survey.views:
-            grey = kept.grey(view, scale=plan.image_scale)
-            white = saturated(grey)
-            whites.append(float(white.mean()))
-            grey = np.where(white, np.float32(np.nan), grey - np.float32(128.0))
-            mask = load_mask(view, scale=plan.image_scale)
-            if mask is not None:
-                grey[~mask] = np.nan
-            rows, columns = height - grey.shape[0], width - grey.shape[1]
-            yield np.pad(grey, ((0, rows), (0, columns)), constant_values=np.nan) if rows or columns else grey
+            grey, white = grey_image(view, plan.image_scale, (width, height), kept)
+            whites.append(white)
+            yield grey
             advance(1.0)
 
     bed = 0.0 if survey.water is not None else dry_ground(survey).height
@@ -56,6 +50,22 @@ def load_block(
         return Block(backend(plan), cameras, GreyImages(images(), keep), survey.water, bed, whites, plan.skips)
     except ValueError as error:
         raise SurveyError(str(error)) from error
+
+
+def grey_image(view: View, scale: float, size: tuple[int, int], store: ImageStore) -> tuple[np.ndarray, float]:
+    """Grey levels (height, width) float32 about zero of a photograph, padded to a size, and the share that is white.
+
+    Padding, masked and saturated pixels are NaN.
+    """
+    grey = store.grey(view, scale=scale)
+    white = saturated(grey)
+    grey = np.where(white, np.float32(np.nan), grey - np.float32(128.0))
+    mask = load_mask(view, scale=scale)
+    if mask is not None:
+        grey[~mask] = np.nan
+    rows, columns = size[1] - grey.shape[0], size[0] - grey.shape[1]
+    padded = np.pad(grey, ((0, rows), (0, columns)), constant_values=np.nan) if rows or columns else grey
+    return padded, float(white.mean())
 
 
 def cameras_of_block(survey: Survey, plan: Plan) -> list[PinholeCamera]:

@@ -25,14 +25,18 @@ from survey.run.folder import RunDir
 from survey.run.job import Job
 from survey.run.merged import merge_points, merge_solved, merge_sweeps
 from survey.run.pipeline import ASSESSMENT, BED_OF_SWEEP, STAGES
+from survey.run.remote_run import RemoteRun
 from survey.run.stage import Stage, finish, finished, run_stage
 from survey.run.stage_of_tile import FIGURES, POINTS, find_points, learn_figures, solve_tile, sweep_tile
 from survey.run.stage_sweep import EARLIER_ASSESSMENT, EARLIER_SOLVER, EARLIER_SWEEP, MAPS
 from survey.run.stage_tiles import find_shared, read_shared
+from survey.run.task_at_url import put_job
 from survey.run.tile_job import MASKS, TileJob
-from survey.run.workers import Task, Workers, loaded_code, save_job, workers_for
+from survey.run.worker_task import Task, loaded_code, save_job
+from survey.run.workers import Workers, workers_for
 
 if TYPE_CHECKING:
+    from survey.run.keys import Key
     from survey.run.tile_job import TilePlan
 
 # Gets the job, the folder to write to, the tiles, the folders of their stages by name, and those of other stages.
@@ -95,7 +99,7 @@ class TileWorkers:
         if not tasks:
             return found
         workers = self._started()
-        saved = save_job(self._job, shared, self._run.scratch_path, whole.name)
+        saved = self._saved(shared, whole.name)
         said: dict[int, list[tuple[str, str]]] = {}
         title = whole.name.capitalize()
         names = [part_name(title, tile.number, len(parts)) for _, tile in parts]
@@ -108,13 +112,33 @@ class TileWorkers:
         ):
             for number, place, seconds, lines in computed:
                 stage, _ = left[number]
-                found[stage.name] = finish(stage, keys[number], self._run, place, seconds)
+                folder = self._brought(stage, keys[number], place)
+                found[stage.name] = finish(stage, keys[number], self._run, folder, seconds)
                 said[number] = lines
                 step.advance()
         for number in sorted(said):
             for kind, text in said[number]:
                 getattr(self._job.progress, kind)(text)
         return found
+
+    @property
+    def _remote(self) -> RemoteRun | None:
+        """The run where workers see it by its URL alone."""
+        return self._run if isinstance(self._run, RemoteRun) and self._job.chosen.scheduler is not None else None
+
+    def _saved(self, shared: TilePlan, stage: str) -> Path | str:
+        if (run := self._remote) is not None:
+            return put_job(self._job, shared, run.remote, run.scratch_path, stage)
+        return save_job(self._job, shared, self._run.scratch_path, stage)
+
+    def _brought(self, stage: Stage, key: Key, place: Path | str) -> Path:
+        """The folder of a result here."""
+        if (run := self._remote) is None:
+            return Path(place)
+        folder = run.open_stage(stage.name)
+        run.remote.fetch_folder(str(place), folder)
+        run.left_by_workers[run.place(stage.name, key).name] = str(place)
+        return folder
 
     def _started(self) -> Workers:
         if self._workers is None:
@@ -131,6 +155,7 @@ class TileWorkers:
                         photograph,
                         self._job.progress.note,
                         takes_gpu=self._job.plan.device == "cuda",
+                        url=None if (run := self._remote) is None else run.remote.url,
                     )
                 )
         return self._workers

@@ -22,6 +22,8 @@ from survey.run.result import Owner
 from survey.words import SFM_FOLDER
 
 _STAGES, _LOG = "stages", "log.txt"
+# What a run and its workers leave at the URL until the result is there: jobs, stages of tiles, photographs.
+JOBS, PARTS, PHOTOGRAPHS = ".jobs", ".parts", ".photographs"
 # That of structure from motion, put last.
 _SOLVED = "solved.json"
 
@@ -40,8 +42,8 @@ class RemoteRun(RunDir):
         super().__init__(path)
         self.remote = remote
         self._has_put_poses = False
-        # Names of stages whose files a worker has put already, all but their records.
-        self.put_by_workers: set[str] = set()
+        # Folders at the URL where workers have left stages, by the names of these with their keys.
+        self.left_by_workers: dict[str, str] = {}
 
     def __enter__(self) -> RemoteRun:
         super().__enter__()
@@ -128,10 +130,13 @@ class RemoteRun(RunDir):
 
     def _put_stage(self, folder: Path) -> None:
         place = f"{_STAGES}/{folder.name}"
-        if folder.name in self.put_by_workers:
-            self.remote.put({f"{place}/{STAGE_RECORD}": folder / STAGE_RECORD})
-        else:
+        left = self.left_by_workers.pop(folder.name, None)
+        if left is None:
             self.remote.put_folder(folder, place, last=STAGE_RECORD)
+            return
+        self.remote.copy_folder(left, place)
+        self.remote.put({f"{place}/{STAGE_RECORD}": folder / STAGE_RECORD})
+        self.remote.remove([left])
 
     def publish(self, folder: Path, *, quality: str, stages: dict[str, Path]) -> None:
         """As `RunDir.publish`, at the URL too."""
@@ -149,6 +154,7 @@ class RemoteRun(RunDir):
                 self.remote.put_folder(place, name)
         self.remote.put({name: self.path / name for name in names if (self.path / name).is_file()})
         self._remove_from_url(record)
+        self.remote.remove([JOBS, PARTS, PHOTOGRAPHS])
         self.remote.put({result.RECORD: self.path / result.RECORD})
 
     def _remove_from_url(self, record: dict) -> None:

@@ -1,60 +1,40 @@
 """Worker processes that compute stages of tiles: on this machine, or on a cluster that stands, by Dask distributed.
 
-A task is one stage of one tile. A worker reads what it needs from the run folder, which all workers reach by the same
-path, and leaves its result whole in a folder of its own there; the process of the run gives it its place. So a task
-may be computed twice, and a worker may end at any time.
+A worker reads what it needs from the run folder, which all workers reach by the same path, and leaves its result whole
+in a folder of its own there; the process of the run gives it its place. Workers of a scheduler do the same at the URL
+of a run that has one, and need no common disk.
 """
 
 from __future__ import annotations
 
 import os
-import pickle
-import platform
 import shutil
 import time
 import uuid
-from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, nullcontext, suppress
-from dataclasses import dataclass, replace
-from functools import cache, lru_cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any
 
-from geo.files import disk_refusals, write_whole
+from geo.files import disk_refusals
 from survey.errors import SurveyError
 from survey.plan.tile_choice import NO_DASK
-from survey.stage_key import code_hash
+from survey.run.task_at_url import compute_at_url, sees_url
+from survey.run.worker_task import ANOTHER_VERSION, Task, compute_task, loaded_code
 
-if TYPE_CHECKING:
-    from survey.folder.survey import Survey
-    from survey.run.job import Job
-    from survey.run.tile_job import TileJob, TilePlan
-
-# Number of a task, folder of its result, seconds, and kinds and texts of its messages.
-Computed = tuple[int, Path, float, list[tuple[str, str]]]
+# Number of a task, folder of its result (or its name at the URL), seconds, and kinds and texts of its messages.
+Computed = tuple[int, Path | str, float, list[tuple[str, str]]]
 
 # A task whose workers end so often is given up: most likely it takes more memory than there is.
 _ALLOWED_FAILURES = 3
 # Resource of Dask that a worker with a GPU of its own has, and a task on one takes.
 GPU = "GPU"
-_ANOTHER_VERSION = "another version of bathynerf than the run; install the same on all, and start the workers again"
 # How long workers of a cluster may take to come [s].
 _WORKER_TIMEOUT_S = 60.0
 # Interval at which the number of workers is checked [s].
 _LOOK_EVERY_S = 5.0
-
-
-@dataclass(frozen=True)
-class Task:
-    """Task of a worker: a stage of a tile."""
-
-    name: str  # Of the stage
-    tile: int
-    # callable: as `survey.run.stage.Stage.compute`; cloudpickle carries it
-    compute: Callable[[Job, Path, Mapping[str, Path]], None]
-    needs: Mapping[str, Path]  # mapping: folders of the stages that it needs, by the names that ``compute`` knows
 
 
 class Workers:
@@ -69,14 +49,23 @@ class Workers:
         Whether the run has started them, on this machine.
     takes_gpu : bool
         Whether only workers with the resource GPU compute.
+    url : str, optional
+        Of the run, where all goes by this.
     """
 
-    def __init__(self, client: Any, folder: Path, *, are_started: bool, takes_gpu: bool = False):
-        self._client, self._folder, self._are_started = client, folder.absolute(), are_started
+    def __init__(
+        self, client: Any, folder: Path, *, are_started: bool, takes_gpu: bool = False, url: str | None = None
+    ):
+        self._client, self._are_started = client, are_started
+        self._place: tuple[Callable[..., Any], Path | str] = (compute_task, folder.absolute())
+        if url is not None:
+            self._place = compute_at_url, url
         self._resources = {GPU: 1} if takes_gpu else None
 
-    def computed(self, job: Path, tasks: Sequence[Task]) -> Generator[Computed, None, None]:
+    def computed(self, job: Path | str, tasks: Sequence[Task]) -> Generator[Computed, None, None]:
         """Compute tasks; as each ends its number, the folder of its result, its seconds, and what it had to say.
+
+        With a URL job and folders are names there.
 
         Raises
         ------
@@ -85,11 +74,12 @@ class Workers:
         """
         from distributed import KilledWorker
 
+        compute, place = self._place
         futures = {
             self._client.submit(
-                _compute,
+                compute,
                 job,
-                self._folder,
+                place,
                 task,
                 loaded_code(),
                 pure=False,
@@ -149,10 +139,12 @@ def workers_for(
     note: Callable[[str], None],
     *,
     takes_gpu: bool = False,
+    url: str | None = None,
 ) -> Iterator[Workers]:
     """So many workers of this machine, or all of a scheduler that has so many, for the stages in a folder of a run.
 
     ``takes_gpu``: of a scheduler only workers with the resource GPU compute; those of this machine share its GPUs.
+    ``url``: of the run, by which workers of a scheduler work.
 
     Raises
     ------
@@ -186,9 +178,10 @@ def workers_for(
                 client.register_plugin(_cores_plugin(distributed, number, gpus() if takes_gpu else []))
             of = "this machine" if scheduler is None else scheduler
             note(f"workers: {len(client.nthreads())} of {of}, {_watched(client, scheduler)}")
-            takes_gpu = takes_gpu and scheduler is not None
-            _check(client, stages, photograph, takes_gpu=takes_gpu)
-            yield Workers(client, stages, are_started=scheduler is None, takes_gpu=takes_gpu)
+            are_started = scheduler is None
+            takes_gpu, url = takes_gpu and not are_started, None if are_started else url
+            _check(client, stages, photograph, takes_gpu=takes_gpu, url=url)
+            yield Workers(client, stages, are_started=are_started, takes_gpu=takes_gpu, url=url)
 
 
 def _local_cluster(distributed: Any, number: int) -> Any:
@@ -237,10 +230,10 @@ def _watched(client: Any, scheduler: str | None) -> str:
     return f"to be watched at http://127.0.0.1:{client.scheduler_info()['services']['dashboard']}/status"
 
 
-def _check(client: Any, stages: Path, photograph: Path, *, takes_gpu: bool = False) -> None:
+def _check(client: Any, stages: Path, photograph: Path, *, takes_gpu: bool = False, url: str | None = None) -> None:
     """Raise where a worker has several threads, another program, or does not see the run or a photograph.
 
-    ``takes_gpu``: also where none has the resource GPU.
+    ``takes_gpu``: also where none has the resource GPU; ``url``: of the run, which is to be seen in their place.
     """
     for place, threads in client.nthreads().items():
         if threads != 1:
@@ -250,13 +243,18 @@ def _check(client: Any, stages: Path, photograph: Path, *, takes_gpu: bool = Fal
             )
     photograph = photograph.absolute()
     with _token(stages) as token:
-        found = client.run(_seen, token, photograph, on_error="return")
+        if url is None:
+            found = client.run(_seen, token, photograph, on_error="return")
+        else:
+            found = client.run(_seen_at, url, on_error="return")
     left, has_gpu = client.nthreads(), False
     for place, each in found.items():
         if isinstance(each, Exception):
             if place not in left:
                 # It has ended meanwhile; another may have taken its place.
                 continue
+            if isinstance(each, SurveyError):
+                raise SurveyError(f"the worker {place} finds that {each}") from each
             # Dask passes on an error of loading as text.
             raise SurveyError(
                 f"the worker {place} cannot load bathynerf ({each}); install the same version on all"
@@ -264,7 +262,7 @@ def _check(client: Any, stages: Path, photograph: Path, *, takes_gpu: bool = Fal
         code, sees_run, sees_photograph, resources = each
         has_gpu |= resources.get(GPU, 0) >= 1
         if code != loaded_code():
-            raise SurveyError(f"the worker {place} has {_ANOTHER_VERSION}")
+            raise SurveyError(f"the worker {place} has {ANOTHER_VERSION}")
         if not sees_run:
             raise SurveyError(
                 f"the worker {place} does not see {stages}; name a run folder with -o that all workers reach by the "
@@ -294,14 +292,16 @@ def _token(stages: Path) -> Iterator[Path]:
 
 
 def _seen(token: Path, photograph: Path, dask_worker: Any = None) -> tuple[str, bool, bool, dict[str, float]]:
-    resources = {} if dask_worker is None else dict(dask_worker.state.total_resources)
-    return loaded_code(), token.is_dir(), photograph.is_file(), resources
+    return loaded_code(), token.is_dir(), photograph.is_file(), _resources(dask_worker)
 
 
-@cache
-def loaded_code() -> str:
-    """Hash of the code of this process: taken once, before stages are loaded, as files may change later."""
-    return code_hash("survey.run.execution")
+def _resources(dask_worker: Any) -> dict[str, float]:
+    return {} if dask_worker is None else dict(dask_worker.state.total_resources)
+
+
+def _seen_at(url: str, dask_worker: Any = None) -> tuple[str, bool, bool, dict[str, float]]:
+    sees_url(url)
+    return loaded_code(), True, True, _resources(dask_worker)
 
 
 def gpus() -> list[str]:
@@ -330,111 +330,3 @@ def _cores_plugin(distributed: Any, number: int, gpus_here: Sequence[str]) -> An
                 os.environ["CUDA_VISIBLE_DEVICES"] = gpus_here[place % len(gpus_here)]
 
     return Cores()
-
-
-def save_job(job: Job, found: TilePlan, folder: Path, stage: str) -> Path:
-    """Write what workers have to know of a job for a stage; its grey images lie in files already.
-
-    Each file has a name of its own: workers of a cluster outlive a run, and keep the job by this name.
-    """
-    block = job.block
-    path = folder / f"{stage}-{uuid.uuid4().hex}.pickle"
-    parts = _with_absolute_paths(job.survey), job.chosen, job.tiles, found, block.images, block.saturated
-    with write_whole(path) as stream:
-        stream.write(pickle.dumps(parts))
-    return path.absolute()
-
-
-def _with_absolute_paths(survey: Survey) -> Survey:
-    views = [
-        replace(
-            view,
-            path=view.path.absolute(),
-            mask_path=None if view.mask_path is None else view.mask_path.absolute(),
-        )
-        for view in survey.views
-    ]
-    return replace(survey, folder=survey.folder.absolute(), views=tuple(views))
-
-
-@lru_cache(maxsize=1)
-def _tiles_of(path: Path) -> dict[int, TileJob]:
-    """The tiles of a job that `save_job` wrote."""
-    from fields.sweep.block import Block
-    from survey.plan.sweep_block import backend, cameras_of_block
-    from survey.run.job import Job
-    from survey.run.tile_job import TileJob
-
-    survey, chosen, tiles, found, images, saturated = pickle.loads(path.read_bytes())
-    job = Job(survey, chosen, cast(Any, _RecordedProgress()))
-    job.take_tiles(tiles)
-    cameras, plan = cameras_of_block(survey, job.plan), job.plan
-    job.__dict__["block"] = Block(
-        backend(plan), cameras, images, survey.water, 0.5 * sum(found.bound), saturated, plan.skips
-    )
-    return {number: TileJob(job, number, found) for number in range(len(tiles.tiling))}
-
-
-def _compute(job: Path, stages: Path, task: Task, code: str) -> tuple[Path, float, list[tuple[str, str]]]:
-    """Compute a task on a worker: the folder of its result, its seconds, and what it had to say.
-
-    Raises
-    ------
-    SurveyError
-        If the hash of the worker's code is another than ``code``, that of the run: it may have come after the check.
-    """
-    if loaded_code() != code:
-        raise SurveyError(f"a worker on {platform.node()} has {_ANOTHER_VERSION}")
-    start = time.monotonic()
-    tile = _tiles_of(job)[task.tile]
-    folder = stages / f".{task.name}-{uuid.uuid4().hex[:8]}.part"
-    with disk_refusals(folder):
-        folder.mkdir()
-    said = cast(_RecordedProgress, tile.whole.progress)
-    said.lines.clear()
-    try:
-        task.compute(tile, folder, task.needs)
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
-    finally:
-        tile.release()
-        tile.drop()
-    return folder, time.monotonic() - start, list(said.lines)
-
-
-class _RecordedProgress:
-    """Progress of a worker: it keeps what is said, for the process of the run."""
-
-    forecast = None
-
-    def __init__(self) -> None:
-        self.lines: list[tuple[str, str]] = []
-
-    @contextmanager
-    def stage(self, _name: str, total: float | None = None) -> Iterator[_Step]:
-        """Silent `Progress.stage`."""
-        yield _Step(total)
-
-    def detail(self, text: str) -> None:
-        """Record a `Progress.detail`."""
-        self.lines.append(("detail", text))
-
-    def note(self, text: str) -> None:
-        """Record a `Progress.note`."""
-        self.lines.append(("note", text))
-
-    def warn(self, text: str) -> None:
-        """Record a `Progress.warn`."""
-        self.lines.append(("warn", text))
-
-
-class _Step:
-    """Stand-in for `survey.progress.Step` that shows nothing."""
-
-    def __init__(self, total: float | None):
-        self.total, self.done = total, 0.0
-
-    def advance(self, amount: float = 1.0, *, detail: str = "") -> None:
-        """Count."""
-        self.done += amount

@@ -1,0 +1,188 @@
+"""A task of a worker that shares no disk with the run: what it needs comes from the URL of the run, and goes there.
+
+Photographs come from where the survey has them, if that is a URL, else from the URL of the run, where the run has put
+them. A worker keeps those of one tile, and decodes them itself.
+"""
+
+from __future__ import annotations
+
+import pickle
+import shutil
+import time
+import uuid
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fields.image_store import GreyImages
+from survey.errors import SurveyError
+from survey.files.remote import Remote, is_url
+from survey.photos.images import ImageStore
+from survey.plan.sweep_block import grey_image
+from survey.run.remote_run import JOBS, PARTS, PHOTOGRAPHS
+from survey.run.stored import ArrayFiles
+from survey.run.worker_task import Task, compute_into, require_code, tiles_of
+from survey.stage_key import content_hash
+
+if TYPE_CHECKING:
+    from survey.folder.survey import Survey
+    from survey.photos.cameras import View
+    from survey.run.job import Job
+    from survey.run.tile_job import TileJob, TilePlan
+
+# URL and name of a file.
+Source = tuple[str, str]
+
+
+def put_job(job: Job, found: TilePlan, remote: Remote, scratch: Path, stage: str) -> str:
+    """Put what workers have to know of a job for a stage, and photographs that lie at no URL; its name there."""
+    sources = _sources(job.survey, remote)
+    views = [
+        replace(view, path=Path(_here(sources[view.path])), mask_path=_masked(view, sources))
+        for view in job.survey.views
+    ]
+    survey = replace(job.survey, views=tuple(views))
+    parts = survey, job.chosen, job.tiles, found, job.block.saturated
+    of_names = {_here(source): source for source in sources.values()}
+    name = f"{JOBS}/{stage}-{uuid.uuid4().hex}.pickle"
+    path = scratch / f"{stage}-{uuid.uuid4().hex}.pickle"
+    path.write_bytes(pickle.dumps((parts, of_names)))
+    remote.put({name: path})
+    path.unlink()
+    return name
+
+
+def _masked(view: View, sources: Mapping[Path, Source]) -> Path | None:
+    return None if view.mask_path is None else Path(_here(sources[view.mask_path]))
+
+
+def _here(source: Source) -> str:
+    """Name of a file on a worker; its suffix tells the format."""
+    return f"{uuid.uuid5(uuid.NAMESPACE_URL, '/'.join(source)).hex}{Path(source[1]).suffix}"
+
+
+def _sources(survey: Survey, remote: Remote) -> dict[Path, Source]:
+    """Where workers find photographs and masks; those that lie on this machine alone are put to the URL of the run."""
+    images, root = survey.config.images, (survey.folder / survey.config.images.local_dir).absolute()
+    paths = {path for view in survey.views for path in (view.path, view.mask_path) if path is not None}
+    found, to_put = {}, {}
+    for path in sorted(paths):
+        if is_url(images.dir) and path.absolute().is_relative_to(root):
+            found[path] = images.dir, path.absolute().relative_to(root).as_posix()
+        else:
+            name = f"{PHOTOGRAPHS}/{content_hash(path)[:32]}{path.suffix}"
+            found[path], to_put[name] = (remote.url, name), path
+    there = {f"{PHOTOGRAPHS}/{name}" for name in remote.files(PHOTOGRAPHS)} if to_put else set()
+    remote.put({name: path for name, path in to_put.items() if name not in there})
+    return found
+
+
+def sees_url(url: str) -> None:
+    """Raise SurveyError where this process does not reach a URL."""
+    Remote(url).files(JOBS)
+
+
+def compute_at_url(name: str, url: str, task: Task, code: str) -> tuple[str, float, list[tuple[str, str]]]:
+    """Compute a task on a worker: the folder of its result at the URL, its seconds, and what it had to say.
+
+    Parameters
+    ----------
+    name : str
+        Of the job at the URL, by `put_job`.
+    url : str
+        Of the run.
+    task : Task
+        Of the folders that it needs only the names count.
+    code : str
+        As `survey.run.worker_task.compute_task`.
+    """
+    require_code(code)
+    start, remote = time.monotonic(), Remote(url)
+    job = _job_of(url, name)
+    tile = job.tiles[task.tile]
+    place = f"{PARTS}/{task.name}-{uuid.uuid4().hex}"
+    with TemporaryDirectory(prefix="bathynerf-") as scratch:
+        folder, needs = Path(scratch) / "result", {}
+        folder.mkdir()
+        for stage, path in task.needs.items():
+            needs[stage] = Path(scratch) / path.name
+            remote.fetch_folder(f"stages/{path.name}", needs[stage])
+        job.fetch_photographs(tile)
+        said = compute_into(tile, task, folder, needs)
+        remote.put_folder(folder, place)
+    return place, time.monotonic() - start, said
+
+
+@lru_cache(maxsize=1)
+def _job_of(url: str, name: str) -> _JobHere:
+    """The job that a worker saw last."""
+    found = Remote(url).read(name)
+    if found is None:
+        raise SurveyError(f"{url}/{name} is not there any more; give the same `bathynerf process` again")
+    return _JobHere(*pickle.loads(found))
+
+
+class _JobHere:
+    """A job on a worker, with photographs of one tile."""
+
+    def __init__(self, parts: tuple, sources: Mapping[str, Source]):
+        self._sources, self._scratch = sources, TemporaryDirectory(prefix="bathynerf-")
+        self._folder = Path(self._scratch.name)
+        survey, chosen, tiles, found, saturated = parts
+        views = tuple(
+            replace(
+                view,
+                path=self._folder / view.path,
+                mask_path=None if view.mask_path is None else self._folder / view.mask_path,
+            )
+            for view in survey.views
+        )
+        self._images = _Decoded(views, self._folder / "grey")
+        self.tiles = tiles_of(replace(survey, views=views), chosen, tiles, found, self._images, saturated)
+        whole = next(iter(self.tiles.values())).whole
+        self._images.scale, camera = whole.plan.image_scale, whole.cameras[0]
+        self._images.size = camera.width, camera.height
+
+    def fetch_photographs(self, tile: TileJob) -> None:
+        """Fetch those that show a tile, and their masks; remove those of others."""
+        views = [tile.whole.survey.views[window.view] for window in tile.windows]
+        wanted = {path.name: path for view in views for path in (view.path, view.mask_path) if path is not None}
+        for path in self._folder.iterdir():
+            if path.is_file() and path.name not in wanted:
+                path.unlink()
+        self._images.keep([window.view for window in tile.windows])
+        missing = [name for name, path in wanted.items() if not path.is_file()]
+        for url in {self._sources[name][0] for name in missing}:
+            here = [name for name in missing if self._sources[name][0] == url]
+            Remote(url).fetch({self._sources[name][1]: wanted[name] for name in here})
+
+
+class _Decoded(GreyImages):
+    """Grey images of photographs, decoded when a window of them is asked for, and kept in files; windows alone."""
+
+    def __init__(self, views: Sequence[View], folder: Path):
+        self._views, self._folder = views, folder
+        self.scale, self.size = 1.0, (0, 0)
+        self._decoded: dict[int, GreyImages] = {}
+
+    def __len__(self) -> int:
+        return len(self._views)
+
+    def window(self, view: int, rows: slice, columns: slice) -> np.ndarray:
+        """`GreyImages.window`."""
+        if view not in self._decoded:
+            grey, _ = grey_image(self._views[view], self.scale, self.size, ImageStore(0))
+            self._folder.mkdir(exist_ok=True)
+            self._decoded[view] = GreyImages([grey], ArrayFiles(self._folder / str(view)))
+        return self._decoded[view].window(0, rows, columns)
+
+    def keep(self, views: Sequence[int]) -> None:
+        """Remove the images of all other views."""
+        for view in set(self._decoded) - set(views):
+            del self._decoded[view]
+            shutil.rmtree(self._folder / str(view), ignore_errors=True)

@@ -1,0 +1,173 @@
+"""A task of a worker process: one stage of one tile, computed from what the run has saved of its job.
+
+A worker keeps the tiles of the job that it saw last. What it leaves is whole, in a folder of its own; so a task may be
+computed twice, and a worker may end at any time.
+"""
+
+from __future__ import annotations
+
+import pickle
+import platform
+import shutil
+import time
+import uuid
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from geo.files import disk_refusals, write_whole
+from survey.errors import SurveyError
+from survey.stage_key import code_hash
+
+if TYPE_CHECKING:
+    from survey.folder.survey import Survey
+    from survey.run.job import Job
+    from survey.run.tile_job import TileJob, TilePlan
+
+ANOTHER_VERSION = "another version of bathynerf than the run; install the same on all, and start the workers again"
+
+
+@dataclass(frozen=True)
+class Task:
+    """Task of a worker: a stage of a tile."""
+
+    name: str  # Of the stage
+    tile: int
+    # callable: as `survey.run.stage.Stage.compute`; cloudpickle carries it
+    compute: Callable[[Job, Path, Mapping[str, Path]], None]
+    needs: Mapping[str, Path]  # mapping: folders of the stages that it needs, by the names that ``compute`` knows
+
+
+@cache
+def loaded_code() -> str:
+    """Hash of the code of this process: taken once, before stages are loaded, as files may change later."""
+    return code_hash("survey.run.execution")
+
+
+def save_job(job: Job, found: TilePlan, folder: Path, stage: str) -> Path:
+    """Write what workers have to know of a job for a stage; its grey images lie in files already.
+
+    Each file has a name of its own: workers of a cluster outlive a run, and keep the job by this name.
+    """
+    block = job.block
+    path = folder / f"{stage}-{uuid.uuid4().hex}.pickle"
+    parts = _with_absolute_paths(job.survey), job.chosen, job.tiles, found, block.images, block.saturated
+    with write_whole(path) as stream:
+        stream.write(pickle.dumps(parts))
+    return path.absolute()
+
+
+def _with_absolute_paths(survey: Survey) -> Survey:
+    views = [
+        replace(
+            view,
+            path=view.path.absolute(),
+            mask_path=None if view.mask_path is None else view.mask_path.absolute(),
+        )
+        for view in survey.views
+    ]
+    return replace(survey, folder=survey.folder.absolute(), views=tuple(views))
+
+
+@lru_cache(maxsize=1)
+def _tiles_of(path: Path) -> dict[int, TileJob]:
+    """The tiles of a job that `save_job` wrote."""
+    return tiles_of(*pickle.loads(path.read_bytes()))
+
+
+def tiles_of(
+    survey: Survey, chosen: Any, tiles: Any, found: TilePlan, images: Any, saturated: Sequence[float]
+) -> dict[int, TileJob]:
+    """Tiles of a job by number, from its parts; ``images`` are `GreyImages` of the whole photographs."""
+    from fields.sweep.block import Block
+    from survey.plan.sweep_block import backend, cameras_of_block
+    from survey.run.job import Job
+    from survey.run.tile_job import TileJob
+
+    job = Job(survey, chosen, cast(Any, _RecordedProgress()))
+    job.take_tiles(tiles)
+    cameras, plan = cameras_of_block(survey, job.plan), job.plan
+    job.__dict__["block"] = Block(
+        backend(plan), cameras, images, survey.water, 0.5 * sum(found.bound), saturated, plan.skips
+    )
+    return {number: TileJob(job, number, found) for number in range(len(tiles.tiling))}
+
+
+def compute_task(job: Path, stages: Path, task: Task, code: str) -> tuple[Path, float, list[tuple[str, str]]]:
+    """Compute a task on a worker: the folder of its result, its seconds, and what it had to say.
+
+    Raises
+    ------
+    SurveyError
+        If the hash of the worker's code is another than ``code``, that of the run: it may have come after the check.
+    """
+    require_code(code)
+    start = time.monotonic()
+    tile = _tiles_of(job)[task.tile]
+    folder = stages / f".{task.name}-{uuid.uuid4().hex[:8]}.part"
+    with disk_refusals(folder):
+        folder.mkdir()
+    try:
+        said = compute_into(tile, task, folder, task.needs)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    return folder, time.monotonic() - start, said
+
+
+def require_code(code: str) -> None:
+    """Raise where the code of this process is another than that of the run, by its hash."""
+    if loaded_code() != code:
+        raise SurveyError(f"a worker on {platform.node()} has {ANOTHER_VERSION}")
+
+
+def compute_into(tile: TileJob, task: Task, folder: Path, needs: Mapping[str, Path]) -> list[tuple[str, str]]:
+    """Compute a task into a folder, from folders of stages; what it had to say."""
+    said = cast(_RecordedProgress, tile.whole.progress)
+    said.lines.clear()
+    try:
+        task.compute(tile, folder, needs)
+    finally:
+        tile.release()
+        tile.drop()
+    return list(said.lines)
+
+
+class _RecordedProgress:
+    """Progress of a worker: it keeps what is said, for the process of the run."""
+
+    forecast = None
+
+    def __init__(self) -> None:
+        self.lines: list[tuple[str, str]] = []
+
+    @contextmanager
+    def stage(self, _name: str, total: float | None = None) -> Iterator[_Step]:
+        """Silent `Progress.stage`."""
+        yield _Step(total)
+
+    def detail(self, text: str) -> None:
+        """Record a `Progress.detail`."""
+        self.lines.append(("detail", text))
+
+    def note(self, text: str) -> None:
+        """Record a `Progress.note`."""
+        self.lines.append(("note", text))
+
+    def warn(self, text: str) -> None:
+        """Record a `Progress.warn`."""
+        self.lines.append(("warn", text))
+
+
+class _Step:
+    """Stand-in for `survey.progress.Step` that shows nothing."""
+
+    def __init__(self, total: float | None):
+        self.total, self.done = total, 0.0
+
+    def advance(self, amount: float = 1.0, *, detail: str = "") -> None:
+        """Count."""
+        self.done += amount

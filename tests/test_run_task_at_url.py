@@ -1,0 +1,105 @@
+"""Workers that share no disk with the run: all that a tile needs comes by its URL, and the cloud is the same."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from drawn_runs import drawn
+from s3_server import served
+from small_survey import small_survey
+
+from survey.errors import SurveyError
+from survey.files.remote import Remote, local_run
+from survey.folder.survey import load_survey
+from survey.photos.images import ImageStore
+from survey.plan.sweep_block import grey_image
+from survey.progress import Progress
+from survey.run import task_at_url
+from survey.run.process import process
+from survey.run.remote_run import JOBS, PARTS, PHOTOGRAPHS
+from survey.run.task_at_url import compute_at_url, put_job
+from survey.run.worker_task import Task, loaded_code
+
+pytest.importorskip("fsspec", reason="fsspec, of the extra `remote`, is not installed")
+
+
+def test_a_task_fetches_what_it_needs_and_leaves_its_result_at_the_url(tmp_path, monkeypatch):
+    survey = load_survey(small_survey(tmp_path / "survey"))
+    remote = Remote(f"memory://{tmp_path.name}/run")
+    (tmp_path / "adjust-1a").mkdir()
+    (tmp_path / "adjust-1a" / "a.txt").write_text("needed")
+    remote.put_folder(tmp_path / "adjust-1a", "stages/adjust-1a")
+    job = SimpleNamespace(survey=survey, chosen=None, tiles=None, block=SimpleNamespace(saturated=[0.0] * 4))
+    name = put_job(job, None, remote, tmp_path, "sweep")
+    assert len(remote.files(PHOTOGRAPHS)) == 4
+    seen = {}
+
+    def tiles_of(survey, _chosen, _tiles, _found, images, _saturated):
+        plan, camera = SimpleNamespace(image_scale=1.0), survey.views[0].camera
+        whole = SimpleNamespace(survey=survey, plan=plan, cameras=[camera], progress=SimpleNamespace(lines=[]))
+        windows = ([SimpleNamespace(view=1)], [SimpleNamespace(view=1), SimpleNamespace(view=2)])
+        idle = {"release": lambda: None, "drop": lambda: None, "whole": whole, "images": images}
+        return {number: SimpleNamespace(windows=each, **idle) for number, each in enumerate(windows)}
+
+    def compute(tile, folder, needs):
+        (folder / "b.txt").write_text((needs["adjust"] / "a.txt").read_text())
+        views = tile.whole.survey.views
+        seen["here"] = [view.name for view in views if view.path.is_file()]
+        seen["window"] = tile.images.window(1, slice(3, 9), slice(0, 64))
+
+    monkeypatch.setattr(task_at_url, "tiles_of", tiles_of)
+    for tile in (1, 0):
+        task = Task(f"sweep_tile{tile}", tile, compute, {"adjust": Path("/not/here/adjust-1a")})
+        place, _, _ = compute_at_url(name, remote.url, task, loaded_code())
+        assert remote.read(f"{place}/b.txt") == b"needed"
+        # Those of the tile before are removed.
+        assert seen["here"] == [survey.views[number].name for number in ((1,), (1, 2))[tile]]
+    whole, _ = grey_image(survey.views[1], 1.0, (64, 48), ImageStore(0))
+    np.testing.assert_array_equal(seen["window"], whole[3:9])
+    # Photographs that are there are not put again.
+    monkeypatch.setattr(Remote, "put", lambda _self, paths: seen.update(put=[*seen.get("put", []), *paths]))
+    put_job(job, None, remote, tmp_path, "solver")
+    assert [each.partition("/")[0] for each in seen["put"]] == [JOBS]
+    with pytest.raises(SurveyError, match="is not there any more"):
+        compute_at_url(f"{JOBS}/none", remote.url, task, loaded_code())
+    with pytest.raises(SurveyError, match="another version of bathynerf"):
+        compute_at_url(name, remote.url, task, "0")
+
+
+def test_photographs_at_a_url_are_fetched_from_there(tmp_path):
+    survey, remote = load_survey(small_survey(tmp_path / "survey")), Remote(f"memory://{tmp_path.name}/run")
+    config = replace(survey.config, images=replace(survey.config.images, dir="s3://bucket/flight"))
+    place = survey.folder / config.images.local_dir
+    shutil.copytree(survey.folder / "images", place)
+    views = tuple(replace(view, path=place / view.name) for view in survey.views)
+    found = task_at_url._sources(replace(survey, config=config, views=views), remote)
+    assert found == {view.path: ("s3://bucket/flight", view.name) for view in views}
+    assert remote.files() == {}
+
+
+@pytest.mark.slow
+def test_workers_that_see_only_the_url_leave_the_bytes_of_one_process(tmp_path, monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    folder = tmp_path / "survey"
+    drawn(folder, num_views=12)
+    with Progress(verbosity=-1):
+        assert process(folder, tmp_path / "alone", tiles=3, quality="draft") == 0
+    with (
+        served(monkeypatch) as bucket,
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, memory_limit=0, dashboard_address=None, silence_logs="ERROR"
+        ) as cluster,
+        Progress(verbosity=-1),
+    ):
+        url, address = f"{bucket}/run", cluster.scheduler_address
+        assert process(folder, url, tiles=3, quality="draft", scheduler=address, workers=2) == 0
+        there = Remote(url)
+        assert there.read("cloud.las") == (tmp_path / "alone" / "cloud.las").read_bytes()
+        assert [each for each in (JOBS, PARTS, PHOTOGRAPHS) if there.files(each)] == []
+    assert os.path.lexists(local_run(folder, url) / "result.json")

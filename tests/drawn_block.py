@@ -102,6 +102,8 @@ class Wanted:
         Of the cameras over the water, and of the deepest water.
     strip : bool
         All strips lie on one line.
+    spacing : [-]
+        From photograph to photograph along and across the strips, as a share of the width on the ground.
     speed, readout : [m/s], [s]
         Of the cameras, each in a direction of its own, and of their rolling shutter.
     """
@@ -118,6 +120,7 @@ class Wanted:
     height: float | None = None
     depth: float | None = None
     strip: bool = False
+    spacing: float | None = None
     speed: float = 0.0
     readout: float = 0.0
 
@@ -148,6 +151,8 @@ def draw_block(seed: int, *, bed: Callable[..., np.ndarray] | None = None, **set
     half = 0.5 * height / lens.focal[0] * np.array([lens.width, lens.height]) * rng.uniform(0.9, 1.4)
     if wanted.strip:
         half = height / lens.focal[0] * np.array([0.1 * lens.width * num_views, 0.45 * lens.height])
+    if wanted.spacing is not None:
+        half = 0.5 * height / lens.focal[0] * wanted.spacing * lens.width * np.sqrt([num_views, num_views])
     strips = half * [1.0, 0.0 if wanted.strip else 1.0]
     cameras = _fly(rng, lens, water[0], height, strips, num_views, nadir_only)
     points = (bed or _bed)(rng, plane, half, depth, wanted.num_points, dry_share)

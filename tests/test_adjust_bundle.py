@@ -12,7 +12,6 @@ from survey.adjust.block.bundle import (
     Solution,
     _system,
     cost,
-    inverse,
     solve,
     std_of_kinds,
     system_with,
@@ -179,7 +178,9 @@ def test_the_eliminated_system_has_the_step_of_the_whole_one(solved):
     system = _system(problem, solution.state, solution.std_px, np.ones(len(problem.kind)))
     scale = 1.0 / np.sqrt(np.diag(schur))
     # Points that are damped by 1e-13 of their own matrices.
-    np.testing.assert_allclose(system.normal * np.outer(scale, scale), schur * np.outer(scale, scale), atol=1e-5)
+    np.testing.assert_allclose(
+        system.normal.dense() * np.outer(scale, scale), schur * np.outer(scale, scale), atol=1e-5
+    )
     reduced = right[:size] - mixed @ np.linalg.solve(own, right[size:])
     np.testing.assert_allclose(system.right_side * scale, reduced * scale, atol=1e-3)
     step = 1e-3 * np.sqrt(np.diag(solution.covariance))
@@ -189,7 +190,7 @@ def test_the_eliminated_system_has_the_step_of_the_whole_one(solved):
 
 def test_at_the_solution_no_parameter_moves_by_more_than_a_fifth_of_its_standard_deviation(solved):
     _, solution = solved
-    step = np.linalg.solve(solution.system.normal, solution.system.right_side)
+    step = np.linalg.solve(solution.system.normal.dense(), solution.system.right_side)
     assert np.abs(step / np.sqrt(np.diag(solution.covariance))).max() < 0.2
 
 
@@ -224,7 +225,7 @@ def test_factors_on_variances_widen_the_covariance():
     np.testing.assert_allclose(np.median(wider.weights), 0.25 * np.median(alone.weights), rtol=0.05)
     assert np.sqrt(wider.covariance[7, 7] / alone.covariance[7, 7]) > 1.2
     # Priors and control points stay as good as they were; at one state, since the level is a non-linear unknown.
-    same = inverse(system_with(problem, alone.state, 0.25 * alone.weights).normal)
+    same = system_with(problem, alone.state, 0.25 * alone.weights).normal.inverse()
     assert np.sqrt(np.diag(same) / np.diag(alone.covariance)).max() < 2.0 + 1e-6
 
 

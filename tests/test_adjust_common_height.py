@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 from slow_cases import slow
 
-from survey.adjust.block.normal_matrix import inverse
+from survey.adjust.block.normal_matrix import NormalMatrix
 from survey.adjust.block.observed import MATCH, observed
 from survey.adjust.block.priors import known_of
 from survey.adjust.block.state import POSE
@@ -88,6 +89,11 @@ def test_positions_that_share_nothing_hold_the_block_against_the_level():
     block = bank_block(1)
     found = adjust_survey(lifted(block, (0.0, 0.0, 1.5), common_up_std=0.0), use_windows=False)
     assert height_error(block, found) > 0.7
+
+
+def inverse(matrix: np.ndarray) -> np.ndarray:
+    """The inverse of a symmetric matrix whose rows have different units."""
+    return NormalMatrix.of(csr_array(matrix)).inverse()
 
 
 def adjusted(survey: Survey) -> Adjusted:

@@ -9,7 +9,6 @@ import pytest
 
 from survey.adjust import rounds
 from survey.adjust.block.bundle import Solution, system_at
-from survey.adjust.block.normal_matrix import inverse
 from survey.adjust.block.prediction import relief_sides
 from survey.adjust.block.problem import Priors, Problem
 from survey.adjust.block.state import POSE, RELIEF, with_parameters
@@ -149,7 +148,7 @@ def solved_at(level: float, **settings) -> tuple[Problem, Solution]:
     problem = Problem(layout, ties, kind, priors, std_px, relief_sides(state, ties))
     system = system_at(problem, state, std_px)
     weights = np.full(len(kind), PIXEL_STD**-2.0)
-    return problem, Solution(state, inverse(system.normal), problem.residuals(state), weights, std_px, system)
+    return problem, Solution(state, system.normal.inverse(), problem.residuals(state), weights, std_px, system)
 
 
 def level_std(covariance: np.ndarray) -> float:

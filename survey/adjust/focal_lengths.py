@@ -112,7 +112,7 @@ def focal_drift(known: PriorKnowledge, done: Adjusted) -> FocalDrift | None:
         problem = Problem(layout, seen.ties, seen.kind, priors, given, sides, rows)
         system = system_with(problem, state, solution.weights)
         weights = mine.std[np.isfinite(mine.std)] ** -2.0
-        return system.normal, system.right_side, priors.squares(layout, state) - float(np.log(weights).sum())
+        return system.normal.dense(), system.right_side, priors.squares(layout, state) - float(np.log(weights).sum())
 
     own = np.r_[: layout.first_focal, layout.first_pose : len(layout)]
     # One focal length for each lens, positions as good as the block has them.

@@ -26,7 +26,6 @@ import numpy as np
 from refract import FlatWater
 from survey.adjust.block.bundle import NotConvergedError, System, solve, std_of_kinds, system_at
 from survey.adjust.block.lenses import is_held
-from survey.adjust.block.normal_matrix import inverse
 from survey.adjust.block.observed import Observed
 from survey.adjust.block.priors import HELD, PriorKnowledge, known_of, priors_for
 from survey.adjust.block.problem import Problem
@@ -90,15 +89,18 @@ class _Linearised:
         std[others] = [given[each] for each in others]
         strength = np.zeros(len(std))
         strength[others] = std[others] ** -2.0
-        covariance = inverse(system.normal + np.diag(strength))
-        step = covariance @ system.right_side
+        factor = system.normal.with_strength(strength).factor()
+        step, unit = factor.solve(system.right_side), np.zeros(len(std))
+        unit[number] = 1.0
         # Scatter about the estimate, since a wrong level is no noise.
         left = problem.residuals(self.state.moved(problem.layout, step, system.point_steps(step)))
-        taken = float(np.sum(1.0 - np.diag(covariance) / std**2))
+        taken = float(np.sum(1.0 - factor.inverse_diagonal() / std**2))
         after = std_of_kinds(problem, left, taken)
         shared = inflation(problem.ties, left, after, problem.kind, self.sizes)
-        factor = float(np.max(shared * (after / self.std_px)[problem.kind] ** 2))
-        variance = factor * float(covariance[number, number]) + (_ROUGH_INDEX**2 if number == _INDEX else 0.0)
+        scale = float(np.max(shared * (after / self.std_px)[problem.kind] ** 2))
+        variance = scale * float(factor.solve(unit.astype(np.float64))[number]) + (
+            _ROUGH_INDEX**2 if number == _INDEX else 0.0
+        )
         return float(step[number]), float(np.sqrt(variance))
 
 

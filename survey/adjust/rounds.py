@@ -8,7 +8,6 @@ import numpy as np
 
 from survey.adjust.block.bundle import NotConvergedError, Solution, System, solve, system_with
 from survey.adjust.block.control_check import checked_points, stated_points
-from survey.adjust.block.normal_matrix import inverse
 from survey.adjust.block.observed import KINDS, MARK, Observed, original_rows
 from survey.adjust.block.on_ground import GroundAlignment, OnGround, alignment_on, planes_under
 from survey.adjust.block.pose_std import reestimate_pose_std
@@ -51,26 +50,29 @@ def covariance_over_shore(problem: Problem, solution: Solution) -> np.ndarray:
     solution : Solution
         Of the problem; its weights are kept.
     """
-    system, covariance, state = solution.system, solution.covariance, solution.state
-    std = std_over_points(system, covariance)
+    state, widest = solution.state, solution.system
+    std = std_over_points(widest, solution.covariance)
     for _ in range(_MOST_STEPS):
         parameters = state.water_parameters()
         parameters[0] += _RAISED * std
         raised = replace(state, water=with_parameters(state.water, parameters))
         system = system_with(problem, raised, solution.weights)
-        again = inverse(system.normal)
-        before, std = std, std_over_points(system, again)
+        before, std = std, std_over_points(system)
         if std <= (1.0 + _STEADY) * before:
             break
-        covariance = again
-    return covariance
+        widest = system
+    return solution.covariance if widest is solution.system else widest.normal.inverse()
 
 
-def std_over_points(system: System, covariance: np.ndarray) -> float:
-    """Standard deviation [m] of the height of the water over the points, in the mean."""
+def std_over_points(system: System, covariance: np.ndarray | None = None) -> float:
+    """Standard deviation [m] of the height of the water over the points, in the mean.
+
+    ``covariance`` (P, P) is that of the parameters, by default the inverse of the normal matrix.
+    """
     depth = -system.heights_by_parameters()
     depth[0] += 1.0
-    return float(np.sqrt(depth @ covariance @ depth))
+    following = system.normal.factor().solve(depth) if covariance is None else covariance @ depth
+    return float(np.sqrt(depth @ following))
 
 
 @dataclass(frozen=True)

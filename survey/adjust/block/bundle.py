@@ -17,9 +17,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import bsr_array, csr_array
+from scipy.sparse import bsr_array, csr_array, diags_array, lil_array
 
-from survey.adjust.block.normal_matrix import damped_step, inverse
+from survey.adjust.block.normal_matrix import NormalMatrix
 from survey.adjust.block.prediction import linearise
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import SHIFT, State
@@ -95,7 +95,7 @@ class System:
     """The normal equations at one state, points eliminated."""
 
     # normal, right_side (P, P), (P,): with the priors
-    normal: np.ndarray
+    normal: NormalMatrix
     right_side: np.ndarray
     root: np.ndarray
     free: np.ndarray
@@ -107,7 +107,7 @@ class System:
 
     def decrement(self) -> float:
         """Predicted decrease of the sum of squares by the undamped step: the Newton decrement."""
-        return self.predicted_decrease(damped_step(self.normal, 0.0, self.right_side))
+        return self.predicted_decrease(self.normal.factor().solve(self.right_side))
 
     def heights_by_parameters(self) -> np.ndarray:
         """Derivative (P,) of the mean height of the points by the parameters, without those of uncertain height."""
@@ -164,19 +164,19 @@ def _solved(problem: Problem, start: State, inflation: np.ndarray | None) -> Sol
     state, system = levenberg_marquardt(problem, start, std_px, inflation)
     for _ in range(_MOST_ROUNDS):
         # Each parameter takes one coordinate, less the share that its prior determines.
-        taken = float(np.sum(1.0 - np.diag(inverse(system.normal)) / problem.priors.std**2))
+        taken = float(np.sum(1.0 - system.normal.factor().inverse_diagonal() / problem.priors.std**2))
         before, std_px = std_px, std_of_kinds(problem, problem.residuals(state), taken)
         if (np.abs(std_px / before - 1.0) < _STEADY).all():
             break
         state, system = levenberg_marquardt(problem, state, std_px, inflation)
     residuals = problem.residuals(state)
     weights = huber_weights(problem, residuals, std_px) / inflation
-    return Solution(state, inverse(system.normal), residuals, weights, std_px, system)
+    return Solution(state, system.normal.inverse(), residuals, weights, std_px, system)
 
 
 def covariance_at(problem: Problem, state: State, std_px: np.ndarray) -> np.ndarray:
     """Covariance (P, P) of the parameters at a state, for standard deviations (kinds,) [px] of the observations."""
-    return inverse(system_at(problem, state, std_px).normal)
+    return system_at(problem, state, std_px).normal.inverse()
 
 
 def system_at(problem: Problem, state: State, std_px: np.ndarray) -> System:
@@ -201,7 +201,7 @@ def levenberg_marquardt(problem: Problem, state: State, std_px, inflation) -> tu
     for _ in range(_MOST_STEPS):
         system = _system(problem, state, std_px, inflation)
         while True:
-            step = damped_step(system.normal, damping, system.right_side)
+            step = system.normal.factor(damping).solve(system.right_side)
             moved = state.moved(problem.layout, step, system.point_steps(step))
             costs, predicted = cost(problem, moved, std_px, inflation), system.predicted_decrease(step)
             if predicted >= _DONE and not costs < least - _AS_PREDICTED * predicted:
@@ -312,7 +312,8 @@ def _weighted_system(problem: Problem, state: State, weights_of: Callable[[np.nd
     free = np.einsum("mij,mj->mi", root, right)
     strength = np.where(np.isfinite(priors.std), priors.std, np.inf) ** -2.0
     if problem.holds_parameters:
-        return System(np.diag(strength), np.zeros(len(strength)), root, free, csr_array((free.size, len(strength))))
+        fixed = csr_array((free.size, len(strength)))
+        return System(NormalMatrix.of(diags_array(strength)), np.zeros(len(strength)), root, free, fixed)
     # With the root of the points' own matrices as left factor, the elimination is one product.
     rooted = np.einsum("nij,naj->nia", root[ties.point], weighted)
     starts = np.searchsorted(ties.point, np.arange(len(ties) + 1))
@@ -321,18 +322,18 @@ def _weighted_system(problem: Problem, state: State, weights_of: Callable[[np.nd
     if priors.planes is not None:
         mixed = mixed + _in_columns(-(root @ on_plane).reshape(-1, SHIFT), problem.layout.shift, mixed.shape)
     whole = csr_array(design.multiply(np.repeat(weights, 2)[:, None]))
-    normal = (design.T @ whole - mixed.T @ mixed).toarray()
-    normal[np.diag_indices_from(normal)] += strength
+    normal = design.T @ whole - mixed.T @ mixed + diags_array(strength)
     deviation = priors.deviation(problem.layout, state)
     gradient = whole.T @ residuals.ravel() - mixed.T @ free.ravel() - strength * deviation
     if priors.planes is not None:
         shift = problem.layout.shift
-        normal[shift, shift] += on_plane.sum(axis=0)
+        normal = normal + _in_block(on_plane.sum(axis=0), shift, len(strength))
         gradient[shift] -= to_plane.sum(axis=0)
+    found = NormalMatrix.of(normal, problem.order)
     if priors.rows is not None and priors.signs is not None:
-        normal += (priors.rows * priors.signs[:, None]).T @ priors.rows
+        found = found.with_rows(priors.rows, priors.signs)
         gradient -= priors.rows.T @ (priors.signs * (priors.rows @ deviation))
-    return System(normal, gradient, root, free, mixed)
+    return System(found, gradient, root, free, mixed)
 
 
 def _only_rows(design: csr_array, keep: np.ndarray) -> csr_array:
@@ -347,6 +348,13 @@ def _in_columns(values: np.ndarray, columns: slice, shape: tuple[int, int]) -> c
     rows, count = values.shape
     where = np.tile(np.arange(columns.start, columns.stop), rows)
     return csr_array((values.ravel(), where, count * np.arange(rows + 1)), shape=shape)
+
+
+def _in_block(values: np.ndarray, at: slice, size: int) -> csr_array:
+    """Values (K, K) on the diagonal of a sparse matrix of zeros, (size, size)."""
+    found = lil_array((size, size))
+    found[at, at] = values
+    return csr_array(found)
 
 
 def _sum(ties: TiePoints, values: np.ndarray) -> np.ndarray:

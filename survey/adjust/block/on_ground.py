@@ -24,7 +24,6 @@ from scipy.spatial.transform import Rotation
 
 from evaluation.local_surface import local_surface
 from survey.adjust.block.bundle import Solution, System, system_with
-from survey.adjust.block.normal_matrix import inverse
 from survey.adjust.block.problem import Planes, Problem
 from survey.adjust.block.state import State
 from survey.control.points import Ground
@@ -258,7 +257,7 @@ def alignment_on(on_ground: OnGround, problem: Problem, solution: Solution) -> G
     alone = replace(problem, priors=replace(problem.priors, planes=None))
     system = system_with(alone, solution.state, solution.weights)
     try:
-        without = _std_of_block(system, points, middle, inverse(system.normal))
+        without = _std_of_block(system, points, middle, system.normal.inverse())
     except np.linalg.LinAlgError:
         without = None
     return GroundAlignment(

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from survey.adjust.block.bundle import Solution
-from survey.adjust.block.normal_matrix import inverse
+from survey.adjust.block.normal_matrix import BlockFactor, DenseFactor
 from survey.adjust.block.priors import ROTATION_STD, PriorKnowledge, without_shift
 from survey.adjust.block.problem import Priors
 from survey.adjust.block.state import POSE
@@ -103,24 +103,25 @@ def _components(known: PriorKnowledge, solution: Solution, estimated: np.ndarray
     first, std = known.std**-2.0, _of_poses(known, known.std).copy()
     kinds = [estimated & np.isin(np.arange(POSE), kind) for kind in _KINDS]
     kinds = [kind for kind in kinds if kind.any()]
-    miss, covariance = deviation, solution.covariance
+    miss, factor = deviation, solution.system.normal.factor()
     for step in range(_MOST_STEPS + 1):
-        residual, variance = _beside_shift(known, std, _of_poses(known, miss), covariance)
+        residual, variance = _beside_shift(known, std, _of_poses(known, miss), factor)
         redundancy = np.clip(1.0 - variance / std**2, _LEAST_REDUNDANCY, 1.0)
         scaled = np.abs(residual) / (std * np.sqrt(redundancy))
         factors = [_scale_of(scaled[kind], redundancy[kind]) for kind in kinds]
         if step == _MOST_STEPS or all(abs(factor - 1.0) < _STEADY for factor in factors):
             break
-        for kind, factor in zip(kinds, factors, strict=True):
-            std[kind] = np.maximum(factor * std[kind], _LEAST)
+        for kind, scale in zip(kinds, factors, strict=True):
+            std[kind] = np.maximum(scale * std[kind], _LEAST)
         strength = first.copy()
         strength[known.layout.first_pose :] = std.ravel() ** -2.0
-        change = np.diag(strength - first)
+        normal, change = solution.system.normal.with_strength(strength - first), (strength - first) * deviation
         if known.shared_std is not None:
             before, after = (without_shift(known, known.shared_std, each) for each in (first, strength))
-            change += before.T @ before - after.T @ after
-        covariance = inverse(solution.system.normal + change)
-        miss = deviation - covariance @ (change @ deviation)
+            normal = normal.with_rows(np.vstack([before, after]), np.repeat([1.0, -1.0], 3))
+            change += before.T @ (before @ deviation) - after.T @ (after @ deviation)
+        factor = normal.factor()
+        miss = deviation - factor.solve(change)
     for kind in kinds:
         freedom = float(redundancy[kind].sum())
         std[kind] *= np.sqrt((freedom + 2.0) / freedom)
@@ -128,14 +129,14 @@ def _components(known: PriorKnowledge, solution: Solution, estimated: np.ndarray
 
 
 def _beside_shift(
-    known: PriorKnowledge, std: np.ndarray, residual: np.ndarray, covariance: np.ndarray
+    known: PriorKnowledge, std: np.ndarray, residual: np.ndarray, factor: DenseFactor | BlockFactor
 ) -> tuple[np.ndarray, np.ndarray]:
     """Residuals (V, 6) of poses and their variances after the adjustment, without the shift that positions share.
 
     That shift is the mean of the residuals d by weights w, ``v'd`` with ``v = w / (sum w + 1 / s^2)``; of ``d - v'd``
     the variances are ``C_ii - 2 (C v)_i + v' C v``.
     """
-    variance = _of_poses(known, np.diag(covariance)).copy()
+    variance = _of_poses(known, factor.inverse_diagonal()).copy()
     # Of unknown standard deviations the iteration ends near zero where the shift is all that positions are off by.
     if known.shared_std is None or known.unknown_positions.any():
         return residual, variance
@@ -144,7 +145,9 @@ def _beside_shift(
         at = known.layout.first_pose + axis + POSE * np.arange(len(std))
         weight = std[:, axis] ** -2.0
         weight = weight / (weight.sum() + known.shared_std[axis] ** -2.0)
-        of_shift = covariance[np.ix_(at, at)] @ weight
+        whole = np.zeros(len(known.std))
+        whole[at] = weight
+        of_shift = factor.solve(whole)[at]
         residual[:, axis] -= weight @ residual[:, axis]
         variance[:, axis] += weight @ of_shift - 2.0 * of_shift
     return residual, variance

@@ -7,10 +7,12 @@ With e the shift of the earlier survey, n the normal of a plane, h its height an
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from survey.adjust.block.normal_matrix import EliminationOrder, elimination_order
 from survey.adjust.block.prediction import predict
 from survey.adjust.block.state import Layout, State
 from survey.photos.poses import TiePoints
@@ -90,6 +92,11 @@ class Problem:
     # Nothing but points moves: parameters stay as they are in the state that the adjustment starts from, which saves
     # their part of the normal equations
     holds_parameters: bool = False
+
+    @cached_property
+    def order(self) -> EliminationOrder | None:
+        """In which the parameters are eliminated; None where the normal matrix is best taken as dense."""
+        return elimination_order(self.ties.point, self.ties.view, self.layout.photograph_of_parameters())
 
     def residuals(self, state: State) -> np.ndarray:
         """Measured less predicted pixels (N, 2)."""

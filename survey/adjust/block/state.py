@@ -121,6 +121,15 @@ class Layout:
     def __len__(self) -> int:
         return self.first_pose + POSE * len(self.lens_of)
 
+    def photograph_of_parameters(self) -> np.ndarray:
+        """Number (P,) of the photograph whose focal length or pose each parameter is; -1 of those that all share."""
+        found = np.full(len(self), -1)
+        views = np.arange(len(self.lens_of))
+        if self.finds_focals:
+            found[self.first_focal : self.first_pose] = views
+        found[self.first_pose :] = np.repeat(views, POSE)
+        return found
+
     def lens(self, number: int) -> slice:
         """Parameters of a lens."""
         return slice(self.first_lens + LENS * number, self.first_lens + LENS * (number + 1))

@@ -1,12 +1,13 @@
 """What does the field bring to a survey, and how well does it predict photographs that were held out?
 
     python benchmarks/bench_survey_field.py SURVEY -o WORK [--quality draft] [--rows sweep field held held_field]
-        [--reference F --visible F] [--lpips F] [--dists F]
+        [--reference F --visible F] [--lpips F] [--dists F] [--steps]
 
 Rows: `sweep`, the cloud of `bathynerf process --field off`; `field`, the same with the field, whose run goes on from
 that sweep; `held`, a survey without every eighth photograph, processed with the field, and what `bathynerf render`
 makes of the cameras that were left out from the other photographs, over water pixels; `held_field`, the same from the
-field. One JSON for each row in WORK, and markers for commands that
+field; with --steps also over pixels within 5 px of a step of depth, away from steps, and of places that three
+photographs see at most. One JSON for each row in WORK, and markers for commands that
 have finished: the same command again does what is missing. SURVEY is only read. Reference and visible points default to
 reference.ply and visible.ply of the survey; weights of LPIPS and DISTS are state dicts of torch.
 """
@@ -24,7 +25,7 @@ import time
 from pathlib import Path
 
 import torch
-from survey_field_measures import cloud_figures, summary, view_figures
+from survey_field_measures import cloud_figures, summary, view_figures, with_steps
 
 from survey.folder.survey import load_survey
 from survey.run.folder import RunDir
@@ -101,6 +102,8 @@ def held_row(name: str, options: argparse.Namespace) -> dict:
     weights = {f"{k}_weights": load(getattr(options, k)) for k in ("lpips", "dists") if getattr(options, k)}
     rendered = [(view, (views / view.name).with_suffix(".png")) for view in survey.views]
     each = [view_figures(survey, view, path, deepest, weights) for view, path in rendered if path.exists()]
+    if options.steps:
+        with_steps(each, survey, load_survey(folder).views, options.reference, views, deepest)
     return {"row": name, **record, **summary(each), "views": each}
 
 
@@ -139,6 +142,7 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--quality", default="draft")
     parser.add_argument("--rows", nargs="+", default=["sweep", "field", *HELD], choices=["sweep", "field", *HELD])
+    parser.add_argument("--steps", action="store_true")
     for name in ("reference", "visible", "lpips", "dists"):
         parser.add_argument(f"--{name}", type=Path)
     options = parser.parse_args()

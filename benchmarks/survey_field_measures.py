@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from depth_steps import FEW, near_steps, sightings, true_points
 from PIL import Image
 from point_clouds import tops
 from scipy.ndimage import distance_transform_edt, percentile_filter
@@ -15,6 +16,7 @@ from evaluation.images.inputs import largest_rectangle
 from geo import read_cloud, read_reference
 from survey.folder.survey import Survey, View, load_image, load_mask
 from survey.plan.area import local_area, within
+from survey.simulate.ground.shapes import TriangleMesh
 
 TOLERANCES_M = (0.05, 0.2)
 # A point belongs to a mast if it rises this far above what covers a quarter of the disc of this diameter around it, in
@@ -84,6 +86,28 @@ def view_figures(survey: Survey, view: View, picture: Path, deepest_m: float, we
         return figures | {"psnr_db": psnr(photograph, found, mask)}
     figures["rectangle_px"] = [columns.stop - columns.start, rows.stop - rows.start]
     return figures | image_quality(photograph, found, mask=mask, **weights)
+
+
+def with_steps(
+    figures: list[dict], survey: Survey, kept: list[View], reference: Path, pictures: Path, deepest_m: float
+) -> None:
+    """Add the PSNR [dB] beside steps of depth, away from them, and where few of the kept photographs see a place."""
+    mesh = read_reference(reference)
+    surface = TriangleMesh(survey.frame.local_from_crs(mesh.vertices), mesh.faces)
+    by_name, cameras = {view.name: view for view in survey.views}, [view.camera for view in kept]
+    for each in (f for f in figures if f["pixels"]):
+        view = by_name[each["image"]]
+        with Image.open((pictures / view.name).with_suffix(".png")) as image:
+            found = np.asarray(image)[..., :3] / 255.0
+        photograph, mask = load_image(view) / 255.0, water_pixels(survey, view, deepest_m)
+        distance, points = true_points(view.camera, survey.water, surface)
+        beside = near_steps(distance, view.camera.fx)
+        few = sightings(np.where(mask[..., None], points, np.nan), cameras, survey.water, surface) <= FEW
+        known = mask & np.isfinite(distance)
+        for name, part in (("steps", known & beside), ("away", known & ~beside), ("few", known & few)):
+            each[f"{name}_share"] = float(part.sum() / max(known.sum(), 1))
+            if part.any():
+                each[f"psnr_{name}_db"] = psnr(photograph, found, part)
 
 
 def summary(views: list[dict]) -> dict:

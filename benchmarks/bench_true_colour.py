@@ -1,0 +1,128 @@
+"""How far are colours of the bed without its water from those in air? Drawn shores, absorption on both ways of light.
+
+    python benchmarks/bench_true_colour.py WORK [--seeds N ...] [--depth M]
+
+Light of these photographs is absorbed on its way down to the bed and up to the camera, and scattered into the way up
+(`survey.simulate.water`). Each survey is processed in draft quality as it is, with `--true-colour` (the absorption
+is estimated from the photographs), and with that of the scene given. The colours of points on the true bed are compared
+with the bed in dry air: difference in a* and b* of CIELAB after one factor common to all points and channels, since
+absolute brightness cannot be observed; median over points, by depth. Prints Markdown.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from fields.image_store import GAMMA
+from survey.progress import Progress
+from survey.run.folder import RunDir
+from survey.run.process import process
+from survey.run.stored import StoredBed, load_bed
+from survey.simulate.drawn import DrawnScene, stage_drawing
+from survey.simulate.output.writing import write_survey
+from survey.simulate.water import WaterColour
+
+# Points further from the true bed than this [m] may have the colour of something else.
+ON_THE_BED_M = 0.03
+BINS_M = (0.5, 1.0, 2.0, 3.0, 4.0)
+RAYS = 8
+ROWS = ("as photographed", "absorption estimated", "absorption given")
+
+
+def scene_of(seed: int, depth_m: float) -> DrawnScene:
+    """A shore that falls to a depth."""
+    return DrawnScene(
+        size_m=(6.0, 6.0), depth_m=depth_m, num_views=14, nadir_share=0.5, image_px=(288, 216), focal_px=420.0,
+        flying_m=14.0, shore=True, objects=False, seed=seed, noise=1.0,
+    )  # fmt: skip
+
+
+def in_air(scene: DrawnScene, points_crs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Linear radiance (N, 3) of the bed in dry air over a pixel about points, and which points lie on it."""
+    staged = stage_drawing(replace(scene, water=False))
+    above = staged.frame.local_from_crs(points_crs) + np.array([0.0, 0.0, 0.15])
+    down, pixel = np.tile([0.0, 0.0, -1.0], (len(above), 1)), (scene.flying_m + scene.depth_m) / scene.focal_px
+    rng, light = np.random.default_rng(0), np.zeros((len(above), 3))
+    for _ in range(RAYS):
+        aside = np.column_stack([pixel * rng.uniform(-0.5, 0.5, (len(above), 2)), np.zeros(len(above))])
+        light += staged.renderer.radiance_of_rays(above + aside, down) / RAYS
+    found = staged.renderer.trace_rays(above, down).points[:, 2]
+    return light, np.abs(found - above[:, 2] + 0.15) < ON_THE_BED_M
+
+
+def chroma(linear: np.ndarray) -> np.ndarray:
+    """a* and b* (N, 2) of linear radiance (N, 3) of sRGB's primaries, white at 1."""
+    c = np.clip(linear, 0.0, 1.0)
+    stored = np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1.0 / 2.4) - 0.055)
+    return cv2.cvtColor(stored[None].astype(np.float32), cv2.COLOR_RGB2LAB)[0, :, 1:]
+
+
+def differences(found: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """Distances (N,) in a* and b* of linear radiance (N, 3) after a factor common to all."""
+    return np.linalg.norm(chroma(found * (true.sum() / found.sum())) - chroma(true), axis=1)
+
+
+def processed(folder: Path, *, true_colour: bool) -> StoredBed:
+    with Progress(verbosity=-1):
+        if process(folder, quality="draft", field="off", true_colour=true_colour) not in (0, 3):
+            raise SystemExit(f"{folder} could not be processed")
+    return load_bed(RunDir(folder / "bathynerf").load_stage("bed"))
+
+
+def measure(work: Path, seed: int, depth_m: float) -> dict[str, dict[str, list[np.ndarray]]]:
+    """Depths and differences of each row."""
+    scene, folder = scene_of(seed, depth_m), work / f"shore {seed}"
+    shutil.rmtree(folder, ignore_errors=True)
+    write_survey(folder, asdict(scene), lambda: stage_drawing(scene))
+    found = {}
+    toml = folder / "survey.toml"
+    text = toml.read_text(encoding="utf-8")
+    absorption = list(WaterColour().absorption)
+    given = f"[water]\nabsorption_per_m = {absorption}\nveiling_light = [0.0, 0.0, 0.0]"
+    for row in ROWS:
+        toml.write_text(text.replace("[water]", given) if row == ROWS[2] else text, encoding="utf-8")
+        stored = processed(folder, true_colour=row != ROWS[0])
+        light, on_bed = in_air(scene, stored.points_crs)
+        keep = on_bed & stored.bed.wet & (light > 1e-3).all(axis=1)
+        seen = (stored.bed.rgb[keep] / 255.0) ** GAMMA
+        found[row] = {"depth": stored.bed.depth[keep], "difference": differences(seen, light[keep])}
+    return found
+
+
+def table(found: dict[str, dict[str, np.ndarray]]) -> list[str]:
+    """Markdown: medians by depth, and the share of all points within 4 units."""
+    heads = [f"{low:g} to {high:g} m" for low, high in zip((0.0, *BINS_M[:-1]), BINS_M, strict=True)]
+    lines = [f"| | {' | '.join(heads)} | all | within 4 |", "|---" * (len(heads) + 3) + "|"]
+    for row, each in found.items():
+        depth, difference = each["depth"], each["difference"]
+        inside = [(depth > low) & (depth <= high) for low, high in zip((0.0, *BINS_M[:-1]), BINS_M, strict=True)]
+        cells = [f"{np.median(difference[part]):.1f}" if part.any() else "-" for part in inside]
+        cells += [f"{np.median(difference):.1f}", f"{100.0 * (difference <= 4.0).mean():.0f} %"]
+        lines.append(f"| {row} | {' | '.join(cells)} |")
+    return lines
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("work", type=Path)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--depth", type=float, default=4.0)
+    options = parser.parse_args()
+    options.work.mkdir(parents=True, exist_ok=True)
+    parts = [measure(options.work, seed, options.depth) for seed in options.seeds]
+    joined = {
+        row: {key: np.concatenate([part[row][key] for part in parts]) for key in ("depth", "difference")}
+        for row in ROWS
+    }
+    sys.stdout.write("\n".join(table(joined)) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -6,7 +6,7 @@ Light of these photographs is absorbed on its way down to the bed and up to the 
 (`survey.simulate.water`). Each survey is processed in draft quality as it is, with `--true-colour` (the absorption
 is estimated from the photographs), and with that of the scene given. The colours of points on the true bed are compared
 with the bed in dry air: difference in a* and b* of CIELAB after one factor common to all points and channels, since
-absolute brightness cannot be observed; median over points, by depth. Prints Markdown.
+absolute brightness cannot be observed; median over points, and over means of cells of 0.25 m, by depth.
 """
 
 from __future__ import annotations
@@ -34,6 +34,8 @@ ON_THE_BED_M = 0.03
 BINS_M = (0.5, 1.0, 2.0, 3.0, 4.0)
 RAYS = 8
 ROWS = ("as photographed", "absorption estimated", "absorption given")
+# Side of the cells over which colours are averaged, too: what is left there is not noise [m].
+CELL_M = 0.25
 
 
 def scene_of(seed: int, depth_m: float) -> DrawnScene:
@@ -76,7 +78,7 @@ def processed(folder: Path, *, true_colour: bool) -> StoredBed:
     return load_bed(RunDir(folder / "bathynerf").load_stage("bed"))
 
 
-def measure(work: Path, seed: int, depth_m: float) -> dict[str, dict[str, list[np.ndarray]]]:
+def measure(work: Path, seed: int, depth_m: float) -> dict[str, dict[str, np.ndarray]]:
     """Depths and differences of each row."""
     scene, folder = scene_of(seed, depth_m), work / f"shore {seed}"
     shutil.rmtree(folder, ignore_errors=True)
@@ -93,7 +95,17 @@ def measure(work: Path, seed: int, depth_m: float) -> dict[str, dict[str, list[n
         keep = on_bed & stored.bed.wet & (light > 1e-3).all(axis=1)
         seen = (stored.bed.rgb[keep] / 255.0) ** GAMMA
         found[row] = {"depth": stored.bed.depth[keep], "difference": differences(seen, light[keep])}
+        columns = np.column_stack([stored.bed.depth, (stored.bed.rgb / 255.0) ** GAMMA, light])[keep]
+        depth, seen, true = np.split(cell_means(stored.bed.xyz[keep], columns), [1, 4], axis=1)
+        found[f"{row}, means"] = {"depth": depth[:, 0], "difference": differences(seen, true)}
     return found
+
+
+def cell_means(xyz: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Means of columns (N, C) over square cells in plan, of those with ten points or more."""
+    _, cell, count = np.unique(np.floor(xyz[:, :2] / CELL_M), axis=0, return_inverse=True, return_counts=True)
+    means = np.stack([np.bincount(cell.ravel(), column) / count for column in columns.T], axis=-1)
+    return means[count >= 10]
 
 
 def table(found: dict[str, dict[str, np.ndarray]]) -> list[str]:

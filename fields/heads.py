@@ -169,7 +169,7 @@ class ColourHead(nn.Module):
 
 
 def spherical_harmonics(d: Tensor, degree: int) -> Tensor:
-    """Real spherical harmonics of unit vectors (N, 3), degrees 1 and 2, without the constant: (N, (degree+1)^2 - 1)."""
+    """Real spherical harmonics of unit vectors (N, 3), degrees 1 to 3, without the constant: (N, (degree+1)^2 - 1)."""
     x, y, z = d.unbind(-1)
     terms = [0.4886025 * y, 0.4886025 * z, 0.4886025 * x]
     if degree > 1:
@@ -179,5 +179,15 @@ def spherical_harmonics(d: Tensor, degree: int) -> Tensor:
             0.3153916 * (3.0 * z * z - 1.0),
             1.0925484 * x * z,
             0.5462742 * (x * x - y * y),
+        ]
+    if degree > 2:
+        terms += [
+            0.5900436 * y * (3.0 * x * x - y * y),
+            2.8906114 * x * y * z,
+            0.4570458 * y * (5.0 * z * z - 1.0),
+            0.3731763 * z * (5.0 * z * z - 3.0),
+            0.4570458 * x * (5.0 * z * z - 1.0),
+            1.4453057 * z * (x * x - y * y),
+            0.5900436 * x * (x * x - 3.0 * y * y),
         ]
     return torch.stack(terms, dim=-1)

@@ -225,7 +225,7 @@ def test_a_matt_bed_looks_the_same_from_everywhere(rng):
 
 
 def test_spherical_harmonics_are_orthonormal_over_the_sphere():
-    # Gauss-Legendre in z and even steps about it integrate polynomials of degree 4 exactly.
+    # Gauss-Legendre in z and even steps about it integrate polynomials of degree 6 exactly.
     z, weight = np.polynomial.legendre.leggauss(8)
     phi = 2.0 * np.pi * np.arange(12) / 12
     z, phi = (v.ravel() for v in np.meshgrid(z, phi, indexing="ij"))
@@ -233,7 +233,7 @@ def test_spherical_harmonics_are_orthonormal_over_the_sphere():
     directions = np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=-1)
     area = np.repeat(weight, 12) * 2.0 * np.pi / 12
     assert area.sum() == pytest.approx(4.0 * np.pi, rel=1e-12)
-    for degree in (1, 2):
+    for degree in (1, 2, 3):
         found = spherical_harmonics(torch.from_numpy(directions), degree).numpy()
         assert found.shape == (len(z), (degree + 1) ** 2 - 1)
         with_constant = np.column_stack([np.full(len(z), 0.5 / math.sqrt(math.pi)), found])

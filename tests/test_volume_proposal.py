@@ -57,6 +57,24 @@ def slow_bounds(proposed: Histogram, edges: torch.Tensor) -> np.ndarray:
     return np.reshape(found, (len(edges), -1))
 
 
+def test_samples_are_drawn_evenly_at_first_and_by_the_weights_after_the_annealing():
+    torch.manual_seed(0)
+    annealed = Proposal(BOX, ProposalSettings((40, 24), (12, 24), 6, 3, 10, 8, annealed=20))
+    found = []
+    for step in (0, 2, 10, 20, 30):
+        annealed.step.fill_(step)
+        found.append(annealed.power())
+    # 10 t / (9 t + 1).
+    assert found == pytest.approx([0.0, 1.0 / 1.9, 5.0 / 5.5, 1.0, 1.0])
+    assert proposal().power() == 1.0
+    annealed.step.fill_(0)
+    paths = falling(2)
+    even = annealed.samples(paths, 8, jitter=False)
+    torch.testing.assert_close(even.length[0], torch.full((8,), 1.5 / 8.0), rtol=1e-3, atol=0.0)
+    annealed.loss(even, torch.full((2, 8), 0.1))
+    assert int(annealed.step) == 1
+
+
 def test_bounds_are_sums_over_the_pieces_that_overlap(rng):
     own, proposed = histograms(rng)
     found = bound_of(proposed, own.edges).numpy()

@@ -213,3 +213,19 @@ def test_it_is_a_volume_model(skip):
 def test_it_learns_a_bed_under_water(start, at, share):
     settings = SdfSettings.small(layers=3, width=32, frequencies=4, start=start, start_at=at)
     check_learning(lambda appearance: SdfVolume(BOX, settings), steps=40, share=share)
+
+
+def test_the_cosine_is_annealed_from_half_of_it_and_a_half_to_itself():
+    model = volume_of(Plane(), 20.0)
+    model.settings = SdfSettings.small(layers=3, width=32, annealed=0.5, steps=10)
+    cos = torch.tensor([-1.0, -0.5, 0.5], dtype=torch.float64)
+    torch.testing.assert_close(model._annealed(cos), torch.tensor([-1.0, -0.75, -0.25], dtype=torch.float64))
+    model.observe([0.1])
+    torch.testing.assert_close(model._annealed(cos), torch.tensor([-1.0, -0.8 * 0.75 - 0.1, -0.2], dtype=torch.float64))
+    model.observe([0.1] * 5)
+    assert torch.equal(model._annealed(cos), cos)
+    # Head-on both are the same: from any step on, a level surface is where it was.
+    edges = torch.linspace(-0.4, 0.4, 28, dtype=torch.float64)
+    after = model.thickness(*slanted(edges, 0.0))[0]
+    model.observe([])
+    torch.testing.assert_close(model.thickness(*slanted(edges, 0.0))[0], after)

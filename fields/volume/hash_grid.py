@@ -39,7 +39,7 @@ class HashSettings:
     # hidden, geometry: Width of both heads, and length of the features that density hands on to colour
     hidden: int = 64
     geometry: int = 15
-    degree: int = 2  # Of the spherical harmonics of the direction, at most 2 (Nerfacto has 3); 0 for a matt scene
+    degree: int = 3  # Of the spherical harmonics of the direction, at most 3; 0 for a matt scene
 
 
 class HashGrid(nn.Module):

@@ -39,6 +39,8 @@ APPEARANCE = 16
 # they hardly change in some thousands.
 FINE_RATE = 0.02
 
+# Share of the steps over which NeuS anneals: 50,000 of 300,000 in its configurations.
+ANNEALED = 1 / 6
 # Cells of TensoRF at first, of those at last.
 _COARSEST = 128 / 300
 
@@ -80,6 +82,11 @@ def _ground(of: Setup) -> VolumeModel:
     return GroundPlaneVolume(of.box, settings, of.device, appearance=of.appearance)
 
 
+def _neus(of: Setup) -> VolumeModel:
+    settings = SdfSettings.small(start="plane", start_at=0.0, annealed=ANNEALED, steps=of.steps)
+    return SdfVolume(of.box, settings, appearance=of.appearance)
+
+
 def _hash(of: Setup, **sizes: int) -> VolumeModel:
     return HashVolume(of.box, HashSettings(n_max=4 * of.cells, **sizes), appearance=of.appearance)
 
@@ -94,11 +101,11 @@ MODELS: dict[str, Make] = {
     "nerf": lambda of: MlpVolume(of.box, MlpSettings.nerf(), appearance=of.appearance),
     "tinynerf": lambda of: MlpVolume(of.box, MlpSettings.tiny_nerf(), appearance=of.appearance),
     "nerfacto": _hash,
-    "hash": lambda of: _hash(of, levels=8, log2_table=15),
+    "hash": lambda of: _hash(of, levels=8, log2_table=15, degree=2),
     "octree": _octree,
     "ground": _ground,
     # A bed is open, with water above.
-    "neus": lambda of: SdfVolume(of.box, SdfSettings.small(start="plane", start_at=0.0), appearance=of.appearance),
+    "neus": _neus,
 }
 
 
@@ -113,5 +120,5 @@ def build_model(
 def proposal_for(name: str, box: Box, cells: int) -> Proposal | None:
     """Proposal that draws the samples of a model in place of the occupied cells; None for all but the hash grids."""
     if name == "nerfacto":
-        return Proposal(box, ProposalSettings(n_max=(max(cells // 2, 2), cells)))
+        return Proposal(box, ProposalSettings(n_max=(max(cells // 2, 2), cells), annealed=1000))
     return Proposal(box, ProposalSettings((48,), (cells,))) if name == "hash" else None

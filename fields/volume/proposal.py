@@ -6,7 +6,8 @@ weights w over pieces T teach each histogram (t', w') of the proposal:
     bound(T) = sum of w'_j over the pieces T'_j that overlap T                                    (their eq. 12)
     loss     = sum over i of max(0, w_i - bound(T_i))^2 / w_i                                     (their eq. 13)
 
-so that a proposal may be wider than the volume's own histogram, never lower.
+so that a proposal may be wider than the volume's own histogram, never lower. At first samples are drawn by weights to
+the power b t / ((b - 1) t + 1), b = 10, t the share of the annealing that is done (their eq. 18).
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ from fields.volume.sampling import Samples, samples_by_mass
 
 # Share of the samples spread evenly whatever the weights, so that space a proposal calls empty is still sampled.
 EVEN_SHARE = 0.1
+# b of the annealing.
+SLOPE = 10.0
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,7 @@ class ProposalSettings:
     levels: int = 5
     log2_table: int = 17
     hidden: int = 16  # Width of the perceptrons
+    annealed: int = 0  # Steps of the annealing (Nerfacto: 1000)
 
     def __post_init__(self):
         if not self.samples or len(self.samples) != len(self.n_max):
@@ -65,7 +69,7 @@ class Proposed(Samples):
 
 
 class Proposal(nn.Module):
-    """Densities that draw samples, coarse first. There is no annealing: a share of the samples is always even.
+    """Densities that draw samples, coarse first; a share of the samples is always even.
 
     Parameters
     ----------
@@ -75,9 +79,12 @@ class Proposal(nn.Module):
 
     RATE = 0.01
 
+    step: Tensor
+
     def __init__(self, box: Box, settings: ProposalSettings):
         super().__init__()
         self.box, self.settings = box, settings
+        self.register_buffer("step", torch.zeros((), dtype=torch.int64))
         grids = [HashGrid(box, settings.levels, settings.log2_table, settings.n_min, n) for n in settings.n_max]
         width, hidden = PER_LEVEL * settings.levels, settings.hidden
         self.rounds = nn.ModuleList(
@@ -95,12 +102,21 @@ class Proposal(nn.Module):
             drawn = samples_by_mass(edges, mass, count, jitter, dense=True)
             density = self.density(index, paths.at(drawn.s).view(-1, 3)).view(len(paths), count)
             rounds.append(Histogram(drawn.edges, render_weights(density * drawn.length)))
-            edges, mass = drawn.edges, _with_an_even_share(rounds[-1].weights.detach(), drawn.length)
+            weights = rounds[-1].weights.detach() ** self.power()
+            edges, mass = drawn.edges, _with_an_even_share(weights, drawn.length)
         drawn = samples_by_mass(edges, mass, num, jitter, dense=True)
         return Proposed(drawn.s, drawn.length, drawn.edges, rounds)
 
+    def power(self) -> float:
+        """To which weights are raised that draw samples; 1 once the annealing is over."""
+        if int(self.step) >= self.settings.annealed:
+            return 1.0
+        done = int(self.step) / self.settings.annealed
+        return SLOPE * done / ((SLOPE - 1.0) * done + 1.0)
+
     def loss(self, samples: Proposed, weights: Tensor) -> Tensor:
-        """Sum of all rounds' interlevel losses, a scalar, for a volume's weights (N, K) at the samples."""
+        """Sum of all rounds' interlevel losses, a scalar, for a volume's weights (N, K) at the samples of a step."""
+        self.step += 1
         own = Histogram(samples.edges, weights.detach())
         return torch.stack([interlevel_loss(own, proposed) for proposed in samples.rounds]).sum()
 

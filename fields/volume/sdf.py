@@ -6,7 +6,11 @@
     eikonal = mean of (|grad f| - 1)^2                                                                              (16)
 
 f [m] is positive outside, s in 1/m. The weights of a path that meets a surface have their middle on it, for any s.
-Left out: the anneal of cos towards 1 early in training, and the second, finer round of samples.
+Early in training cos is annealed, so that surfaces that face away are not lost: with a share r of the annealing done
+
+    cos' = -((1 - r) max((1 - cos) / 2, 0) + r max(-cos, 0))        (the authors' code; r = 1: equation 13 as it stands)
+
+Left out: the second, finer round of samples.
 """
 
 from __future__ import annotations
@@ -49,6 +53,8 @@ class SdfSettings:
     start_at: float = 0.5  # Radius of the sphere or height of the plane over the middle, in halves of the longest edge
     sharpness: float = 0.3  # The untrained ``s`` is ``exp(10 sharpness)`` per half of the longest edge
     eikonal: float = 0.1  # Weight of the eikonal term in training
+    annealed: float = 0.0  # Share of the steps over which cos is annealed
+    steps: int = 2000  # Of the training
 
     def __post_init__(self):
         if self.start not in ("sphere", "plane"):
@@ -126,7 +132,7 @@ class SdfVolume(VolumeModel):
 
     def __init__(self, box: Box, settings: SdfSettings, *, appearance: int = 0):
         super().__init__(box)
-        self.settings = settings
+        self.settings, self._step = settings, 0
         self.network = DistanceNetwork(settings)
         self.raw_sharpness = nn.Parameter(torch.tensor(settings.sharpness))
         width = settings.width
@@ -157,9 +163,27 @@ class SdfVolume(VolumeModel):
 
     def thickness(self, x: Tensor, direction: Tensor, length: Tensor) -> tuple[Tensor, Tensor]:
         f, gradient, features = self.distance(x)
-        half = 0.5 * length * (gradient * direction).sum(dim=1)
+        half = 0.5 * length * self._annealed((gradient * direction).sum(dim=1))
         before, after = (nn.functional.logsigmoid(self.sharpness * end) for end in (f - half, f + half))
         return (before - after).clamp(min=0.0), features
+
+    def _annealed(self, cos: Tensor) -> Tensor:
+        """cos' of cos (S,); cos itself once the annealing is over."""
+        over = self.settings.annealed * self.settings.steps
+        if self._step >= over:
+            return cos
+        done = self._step / over
+        return -((1.0 - done) * (0.5 - 0.5 * cos).clamp(min=0.0) + done * (-cos).clamp(min=0.0))
+
+    def observe(self, losses: list[float]) -> bool:
+        self._step = len(losses)
+        return False
+
+    def get_extra_state(self) -> dict:
+        return {"step": self._step}
+
+    def set_extra_state(self, state: dict) -> None:
+        self._step = state["step"]
 
     def radiance(self, features: Tensor, direction: Tensor, appearance: Tensor | None) -> Tensor:
         seen = [features, frequency_encoding(direction, self.settings.direction_frequencies)]

@@ -48,6 +48,13 @@ def test_a_folder_is_fetched_as_it_was_put_and_its_mark_is_put_last(url, tmp_pat
     assert set(remote.files()) == {"stages/a/stage.json"}
 
 
+def test_no_name_leads_out_of_the_folder(monkeypatch, tmp_path):
+    remote = Remote(f"memory://{tmp_path.name}")
+    found = {f"/{tmp_path.name}/{name}": {"size": 1} for name in ("a", "b/../../c", "..")}
+    monkeypatch.setattr(remote._store, "find", lambda *_given, **_named: found)
+    assert set(remote.files()) == {"a"}
+
+
 def test_a_bucket_that_is_not_there_is_named(monkeypatch, tmp_path):
     with served(monkeypatch) as bucket:
         (tmp_path / "a").touch()

@@ -63,6 +63,15 @@ def test_a_stage_without_its_record_is_not_taken_up(url, tmp_path):
         assert f"stages/{folder.name}/stage.json" in run.remote.files()
 
 
+def test_a_stage_here_that_is_not_whole_is_fetched_again(url, tmp_path):
+    with RemoteRun(tmp_path / "laptop", Remote(url)) as run:
+        run.claim(Owner("quick", {"a.jpg": 1}), is_inside=True)
+        folder = finish(run, "sweep", A, heights=[1.0])
+        (folder / "data.npz").unlink()
+        assert run.finished_stage("sweep", A, ["data.npz"]) == folder
+        assert (folder / "data.npz").is_file()
+
+
 def test_the_number_of_tiles_that_a_run_began_with_is_known_elsewhere(url, tmp_path):
     with RemoteRun(tmp_path / "laptop", Remote(url)) as run:
         run.claim(Owner("quick", {"a.jpg": 1}), is_inside=True)
@@ -85,6 +94,8 @@ def test_a_result_replaces_the_one_before_and_a_copy_of_the_url_is_a_run(url, tm
         finish(run, "adjust", B, heights=[2.0])
         publish(run, "fine", quality="fine", sweep=second)
     remote.fetch({name: tmp_path / "copy" / name for name in remote.files()})
+    with pytest.raises(SurveyError, match=r"s3:/bucket/run is a URL; copy the run to this machine, and name the copy"):
+        RunDir("s3://bucket/run").require_run()
     copy = RunDir(tmp_path / "copy")
     copy.require_run()
     assert contents(copy) == {"fine"}

@@ -76,7 +76,9 @@ class Remote:
             self._store.invalidate_cache()
             found: Mapping[str, Mapping[str, Any]] = self._store.find(place, detail=True)
         start = len(place.strip("/")) + 1
-        return {path.strip("/")[start:]: _tag(info) for path, info in sorted(found.items())}
+        names = {path.strip("/")[start:]: _tag(info) for path, info in sorted(found.items())}
+        # No name leads out of the folder that it is fetched into.
+        return {each: tag for each, tag in names.items() if each and ".." not in each.split("/")}
 
     def read(self, name: str) -> bytes | None:
         """Contents of a file; None where it is not there."""

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
+import re
 import shutil
 import sys
 import time
@@ -32,6 +33,8 @@ from survey.stage_key import code_hash
 from survey.words import RUN_FOLDER, SFM_FOLDER
 
 MARKER, STAGE_RECORD, _PART = ".bathynerf-run.json", "stage.json", ".part"
+# As a path has it, with one slash.
+_URL = re.compile(r"[a-z][a-z0-9+.-]+:/")
 _NAMED_VERSIONS = (
     "numpy",
     "scipy",
@@ -136,6 +139,8 @@ class RunDir:
     def require_run(self) -> None:
         """Raise SurveyError where the folder is not one that `bathynerf process` made."""
         if not self.path.is_dir():
+            if _URL.match(str(self.path)):
+                raise SurveyError(f"{self.path} is a URL; copy the run to this machine, and name the copy")
             what = "is a file" if self.path.exists() else "does not exist"
             raise SurveyError(f"the run folder {self.path} {what}; name the folder that process wrote")
         if not (self.path / MARKER).is_file():

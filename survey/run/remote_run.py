@@ -7,6 +7,7 @@ and the result where result.json is. What is finished there is taken up, whateve
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
@@ -106,6 +107,8 @@ class RemoteRun(RunDir):
         temp = super().open_stage(name)
         self.remote.fetch_folder(f"{_STAGES}/{place.name}", temp)
         with disk_refusals(place):
+            # One that is not whole.
+            shutil.rmtree(place, ignore_errors=True)
             temp.rename(place)
         return super().finished_stage(name, key, leaves)
 

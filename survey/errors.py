@@ -1,6 +1,9 @@
-"""Errors of a survey; each message says what was found, what was expected and how to fix it."""
+"""Errors and findings of a survey; each message says what was found, what was expected and how to fix it."""
 
 from __future__ import annotations
+
+import math
+from dataclasses import dataclass
 
 # The settings of a survey, as messages name them.
 FILE_NAME = "survey.toml"
@@ -28,3 +31,50 @@ class OutputError(SurveyError):
 
 class ControlError(SurveyError):
     """A file of control points, marks or check points cannot be read, or cannot be true."""
+
+
+@dataclass(frozen=True)
+class Findings:
+    """Sentences that a reader returns with its result."""
+
+    assumptions: tuple[str, ...] = ()  # What nobody said and was assumed
+    warnings: tuple[str, ...] = ()  # What is left out, or more likely a mistake
+
+    def __add__(self, other: Findings) -> Findings:
+        return Findings(self.assumptions + other.assumptions, self.warnings + other.warnings)
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """Test of a given parameter of water or lens against its estimate from the photographs."""
+
+    name: str  # "level_m", "refractive_index", or of a lens as "camera0.f"
+    # given, given_std: As survey.toml and the poses file say, or the defaults
+    given: float
+    given_std: float
+    # difference, std: Of what photographs say less given; of what they say
+    difference: float
+    std: float
+
+    @property
+    def found(self) -> float:
+        """Estimate from the photographs."""
+        return self.given + self.difference
+
+    @property
+    def sigmas(self) -> float:
+        """Difference in standard deviations."""
+        return abs(self.difference) / math.hypot(self.std, self.given_std)
+
+    @property
+    def is_of_lens(self) -> bool:
+        """Whether it is the lens that is wrong, not the water."""
+        return self.name.startswith("camera")
+
+    def __str__(self) -> str:
+        """Both numbers in words."""
+        unit, digits = {"level_m": (" m", 3), "f": (" px", 2)}.get(self.name.split(".")[-1], ("", 4))
+        return (
+            f"{self.name} is given as {self.given:.{digits}f} +- {self.given_std:.2g}{unit}, and a sample of "
+            f"photographs says {self.found:.{digits}f} +- {self.std:.2g}{unit}"
+        )

@@ -15,8 +15,7 @@ from survey.adjust.block.observed import WINDOW
 from survey.adjust.given_values import worst_contradiction
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.verdicts import MOST_SIGMAS_OF_FOUR
-from survey.errors import SurveyError
-from survey.findings import Contradiction
+from survey.errors import Contradiction, SurveyError
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
 from survey.plan.decisions import pose_choice

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from survey.run.stage import LOADING
+from survey.run.pipeline import LOADING
 from survey.stage_key import code_hash, modules_imported, without_prose
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -21,9 +21,8 @@ from survey.display.quantities import (
     volume,
 )
 from survey.errors import ConfigError
-from survey.report import pdf
 from survey.report.collect import figures_of
-from survey.report.page import render_page
+from survey.report.page import is_our_pdf, render_page, write_pdf
 from survey.report.seen_cells import coverage_of
 from survey.settings.config import ReportConfig
 
@@ -100,22 +99,22 @@ def test_limits_are_those_of_the_run(plane_report):
 def test_the_report_as_pdf_is_whole_and_known_again(plane_report, tmp_path):
     html, path = tmp_path / "report.html", tmp_path / "report.pdf"
     html.write_text(render_page(plane_report.figures, []), encoding="utf-8")
-    pdf.write_pdf(html, path)
+    write_pdf(html, path)
     assert path.stat().st_size > 10_000
-    assert pdf.is_our_pdf(path)
+    assert is_our_pdf(path)
 
 
 def test_a_pdf_of_somebody_else_is_not_ours(tmp_path):
     other = tmp_path / "other.pdf"
     other.write_bytes(b"%PDF-1.7 not ours\n%%EOF\n")
-    assert not pdf.is_our_pdf(other)
+    assert not is_our_pdf(other)
 
 
 def test_without_a_browser_the_page_says_what_to_do(tmp_path):
     with pytest.raises(UnwritableFile, match="Chromium, Chrome or Edge"):
-        pdf.write_pdf(tmp_path / "report.html", tmp_path / "report.pdf", browsers=(str(tmp_path / "none"),))
+        write_pdf(tmp_path / "report.html", tmp_path / "report.pdf", browsers=(str(tmp_path / "none"),))
     broken = tmp_path / "chromium"
     broken.write_text("#!/bin/sh\necho no display >&2\nexit 1\n")
     broken.chmod(0o755)
     with pytest.raises(UnwritableFile, match="no display"):
-        pdf.write_pdf(tmp_path / "report.html", tmp_path / "report.pdf", browsers=(str(broken),))
+        write_pdf(tmp_path / "report.html", tmp_path / "report.pdf", browsers=(str(broken),))

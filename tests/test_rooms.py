@@ -23,11 +23,12 @@ MAY_IMPORT = {
 # Folders by layer, the lowest first: a folder imports only folders of the layers below its own, within what its room
 # may import at all.
 LAYERS = (
-    {"refract", "geo", "evaluation/images", "fields"},
+    {"refract", "geo", "evaluation/images"},
+    {"fields"},
     {"fields/sweep/kernels", "refract/curved"},
-    {"evaluation", "fields/sweep", "fields/views", "fields/volume", "survey"},
+    {"evaluation", "fields/sweep", "fields/volume", "survey"},
     {"fields/colour", "fields/occluded", "fields/slab", "fields/solver", "survey/files", "survey/display"},
-    {"survey/photos", "survey/compare", "survey/mesh", "survey/settings"},
+    {"survey/photos", "survey/compare", "survey/settings"},
     {"survey/control", "survey/pose_files", "survey/simulate/flight", "survey/water"},
     {"survey/sfm"},
     {"survey/folder", "survey/simulate"},
@@ -55,7 +56,6 @@ LAYERS = (
 SURVEY_SHARED = {
     "__init__.py",
     "errors.py",
-    "findings.py",
     "forecast.py",
     "lines.py",
     "machine.py",

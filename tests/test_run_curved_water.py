@@ -11,7 +11,7 @@ import pytest
 from fields.sweep.bed import BedPoints
 from refract import FlatWater, PinholeCamera
 from refract.curved import WavyWater
-from survey.run.curved_water import by_level, through_surface
+from survey.run.stage_bed import by_level, through_surface
 from survey.run.tile_job import heights_over
 from survey.water.surface import Departure
 

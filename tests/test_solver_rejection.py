@@ -9,8 +9,8 @@ import pytest
 from solved_tiles import level, residuals, white
 
 from fields.solver.appearance import brightness_of, log_likelihood_ratio
-from fields.solver.correlation import NoiseShares
 from fields.solver.gauss_newton import Start
+from fields.solver.noise import NoiseShares
 from fields.solver.solver import rejects_update, sweep_slope_noise
 from fields.solver.uncertainty import expected_variances
 

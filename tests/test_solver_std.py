@@ -9,9 +9,8 @@ import pytest
 from scipy import ndimage
 from solved_tiles import level, plain_tile, residuals, white
 
-from fields.solver.correlation import NoiseShares, median_response, noise_shares, null_solutions_of
 from fields.solver.gauss_newton import CG_RESIDUAL, TileSolution, conjugate_gradients, gradient_response, normal_matrix
-from fields.solver.shifts import Shifts, shifts_of
+from fields.solver.noise import NoiseShares, Shifts, median_response, noise_shares, null_solutions_of, shifts_of
 from fields.solver.tile import Tile
 from fields.solver.uncertainty import (
     ExpectedVariances,

@@ -10,8 +10,7 @@ from plane_survey import TILTED, PlaneBed, ring
 
 from fields.sweep.block import Block
 from fields.sweep.fusion import num_comparable, remove_free_space_violations
-from fields.sweep.height_std import height_std
-from fields.sweep.maps import HeightMap, trusted
+from fields.sweep.maps import HeightMap, height_std, trusted
 from refract import FlatWater
 
 BED = PlaneBed(TILTED, -2.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fields.sweep.height_std import height_std, small_sample_factor
+from fields.sweep.maps import height_std, small_sample_factor
 
 SHAPE = (48, 56)
 PLANE = (0.02 * np.arange(SHAPE[0])[:, None] - 0.05 * np.arange(SHAPE[1])).astype(np.float32)

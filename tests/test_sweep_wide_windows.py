@@ -9,8 +9,7 @@ import pytest
 from rippled_pair import SIZE, rippled_pair
 
 from fields.sweep.bed import is_supported
-from fields.sweep.height_std import height_std
-from fields.sweep.maps import HeightMap, OrderedMaps, trusted
+from fields.sweep.maps import HeightMap, OrderedMaps, height_std, trusted
 from fields.sweep.sweep import sweep
 from fields.sweep.view_pass import Search
 from fields.sweep.wide_windows import averaged, wet_pairs, window_std, with_wide_windows

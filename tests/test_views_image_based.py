@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from plane_survey import TILTED, PlaneBed, look, ring
 
-from fields.views.image_based import ImageBasedField, Source
+from fields.image_based import ImageBasedField, Source
 from refract import FlatWater, PinholeCamera
 
 BED = {"wet": PlaneBed(TILTED, -2.0, 0.1), "dry": PlaneBed(None, -2.0, 0.1)}

@@ -18,7 +18,7 @@ from refract.curved import SphericalWater, curvature_drop, gaussian_radius
 from survey.folder.placed_views import PlacedViews, lifted_over_water
 from survey.photos.cameras import View
 from survey.photos.poses import TiePoints
-from survey.run.curved_water import through_surface
+from survey.run.stage_bed import through_surface
 from survey.water.surface import EARTH, still_water
 
 N, LATITUDE = 1.333, math.radians(46.9)

@@ -10,8 +10,7 @@ from geo.crs import parse_crs
 from survey.errors import ConfigError
 from survey.folder.survey import load_survey
 from survey.settings.config import WaterConfig
-from survey.water.level_observation import LevelObservation
-from survey.water.position_check import DOUBTFUL_M, FARTHEST_M, doubts_of_water_places
+from survey.water.level_observation import DOUBTFUL_M, FARTHEST_M, LevelObservation, doubts_of_water_places
 from tests.small_survey import E0, LEVEL, N0, replaced, small_survey
 
 SYSTEMS = {

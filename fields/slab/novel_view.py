@@ -10,10 +10,10 @@ from scipy.ndimage import binary_closing, maximum_filter
 from torch import Tensor
 
 from fields.device import half_the_threads
+from fields.image_based import NovelView
 from fields.slab.rays import Rays, Slab, rays_of, slab_rays
 from fields.slab.tensor_field import TensorField
 from fields.sweep.maps import HeightMap
-from fields.views.image_based import NovelView
 from refract import FlatWater, PinholeCamera
 
 CHUNK = 65536

@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fields.solver.correlation import null_solution_of
 from fields.solver.gauss_newton import (
     CG_RESIDUAL,
     CG_RESIDUAL_BEFORE,
@@ -26,6 +25,7 @@ from fields.solver.gauss_newton import (
     normal_matrix,
     stiffness_of,
 )
+from fields.solver.noise import null_solution_of
 from fields.solver.tile import Tile
 from fields.solver.uncertainty import (
     ONE_STD,
@@ -178,7 +178,7 @@ def spectral_slope_of(samples: list[tuple[Tile, TileSolution]], roughness: float
     roughness : [m]
         With which the survey is solved.
     response : float
-        Median gradient response, `fields.solver.correlation.median_response`.
+        Median gradient response, `fields.solver.noise.median_response`.
     """
     parts = [_changes_of(tile, solved, roughness, response) for tile, solved in samples]
     squares, log_ratio = (np.concatenate(each, axis=-1) for each in zip(*parts, strict=True))

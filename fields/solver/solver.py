@@ -10,10 +10,17 @@ from itertools import groupby, islice, takewhile
 import cv2
 import numpy as np
 
-from fields.solver.correlation import NoiseShares, median_response, noise_shares, null_solutions_of
 from fields.solver.gauss_newton import TileSolution, shift_information, stiffness_of
+from fields.solver.noise import (
+    NoiseShares,
+    Shifts,
+    depth_of,
+    median_response,
+    noise_shares,
+    null_solutions_of,
+    shifts_of,
+)
 from fields.solver.roughness import START_GSD, roughness_of, spectral_slope_of
-from fields.solver.shifts import Shifts, depth_of, shifts_of
 from fields.solver.tile import Tile, requested_in_squares
 from fields.solver.uncertainty import (
     expected_variances,
@@ -25,9 +32,8 @@ from fields.solver.uncertainty import (
 from fields.solver.views import WORKERS, TileTask, Views
 from fields.solver.visibility import Sightings
 from fields.sweep.block import Block
-from fields.sweep.height_std import small_sample_factor
 from fields.sweep.kernels.arrays import sharing_cores
-from fields.sweep.maps import HeightMap, OrderedMaps
+from fields.sweep.maps import HeightMap, OrderedMaps, small_sample_factor
 from fields.sweep.slopes import gradient_of
 
 # What a survey is like is learned from so many tiles of this side, spread over those that are nearly as full as the
@@ -70,8 +76,8 @@ class SolverFigures:
     """Parameters that the solver estimates from samples of a survey."""
 
     roughness_m: float  # Of the bed, from pixel to pixel: `fields.solver.roughness.roughness_of`
-    shifts: Shifts  # Between photographs: `fields.solver.shifts.shifts_of`
-    noise: NoiseShares  # Variances by noise: `fields.solver.correlation.noise_shares`
+    shifts: Shifts  # Between photographs: `fields.solver.noise.shifts_of`
+    noise: NoiseShares  # Variances by noise: `fields.solver.noise.noise_shares`
     spectral_slope: float  # Of the bed: `fields.solver.roughness.spectral_slope_of`
     slopes: float  # Of the noise of the sweep: `fields.solver.solver.sweep_slope_noise`
     # Of all points in all photographs; None where nothing was solved

@@ -101,7 +101,7 @@ def smoothed_relief(
     """Variance (N,) [m^2] of heights by the relief that the prior smooths away.
 
     The change by smoothing once more is relief where it is more than noise (``noise`` and ``changed_noise`` are the
-    shares of `fields.solver.correlation.NoiseShares`). About a pixel that is known from a few independent values only:
+    shares of `fields.solver.noise.NoiseShares`). About a pixel that is known from a few independent values only:
     they count together with what the whole tile says.
     """
     square, by_noise = change * change, changed_noise * expected.changed_noise
@@ -142,7 +142,7 @@ def subpixel_relief(
 
     The share of noise in the second differences is subtracted as far as the photographs show no more relief of the
     pixels than what the prior should take from the bed (``noise`` and ``excess_relief`` of
-    `fields.solver.correlation.NoiseShares`): a bed that has none has none below the pixel.
+    `fields.solver.noise.NoiseShares`): a bed that has none has none below the pixel.
     """
     differences = solved.differences.matrix @ solved.height
     by_noise = (1.0 - excess_relief) * noise * expected.differences_noise

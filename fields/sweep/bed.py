@@ -12,11 +12,10 @@ from scipy.spatial import cKDTree
 from fields.image_store import LazyImages, Masks
 from fields.median import median
 from fields.sweep.block import Block
-from fields.sweep.height_std import height_std
 from fields.sweep.kernels.arrays import free_unused
 from fields.sweep.kernels.backend import kernels
 from fields.sweep.kernels.stack import ViewStack, largest
-from fields.sweep.maps import HeightMap, confirmed, trusted
+from fields.sweep.maps import HeightMap, confirmed, height_std, trusted
 from fields.sweep.overhangs import add_beneath, beside_steps
 from fields.sweep.slopes import SteepPixels, filter_steep_pixels, half_range, steep_and_wall_pixels
 from fields.sweep.views import Footprint

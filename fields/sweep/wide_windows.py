@@ -16,8 +16,7 @@ import numpy as np
 
 from fields.sweep.block import Block
 from fields.sweep.fusion import PEERS
-from fields.sweep.height_std import small_sample_factor
-from fields.sweep.maps import HeightMap, Keep, OrderedMaps, trusted, upsample_map
+from fields.sweep.maps import HeightMap, Keep, OrderedMaps, small_sample_factor, trusted, upsample_map
 from fields.sweep.passes import Pass
 from fields.sweep.sweep import sweep
 from fields.sweep.view_pass import Area, Search
@@ -112,7 +111,7 @@ def averaged(m: HeightMap, alike_m: float = 0.0) -> HeightMap:
         weight = (sure & (np.abs(m.height - mean) < _OUTLYING * std)).astype(np.float32)
     # Windows share pixels: a mean over an area of 4 pi s^2 has 1 + 4 pi s^2 / side^2 independent values.
     std = np.hypot(std / np.sqrt(1.0 + 4.0 * np.pi * _MEAN_PX**2 / _SIDE**2), alike_m)
-    # The spread of which `fields.sweep.height_std.height_std` makes this standard deviation again.
+    # The spread of which `fields.sweep.maps.height_std` makes this standard deviation again.
     spread = std / np.sqrt(small_sample_factor(np.array(2.0)))
     return replace(m, height=mean.astype(np.float32), spread=spread.astype(np.float16))
 

@@ -35,8 +35,7 @@ from survey.adjust.common_height import water_start
 from survey.adjust.observability import FEWEST_WET
 from survey.adjust.result.verdicts import MOST_SIGMAS, MOST_SIGMAS_OF_FOUR, MOST_STD_INDEX
 from survey.adjust.rounds import Adjusted, adjust, std_over_points
-from survey.errors import SurveyError
-from survey.findings import Contradiction
+from survey.errors import Contradiction, SurveyError
 from survey.folder.pose_priors import BAROMETER_STD_M
 from survey.folder.survey import Survey
 from survey.plan.decisions import MOST_MISFIT_PX

@@ -25,8 +25,7 @@ from survey.adjust.block.windows import loaded, windows_of_block
 from survey.adjust.given_values import check_dry_bed, check_given_values, dry_bed_error, misfit, most_contradicted
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import Adjustment
-from survey.errors import SurveyError
-from survey.findings import Contradiction
+from survey.errors import Contradiction, SurveyError
 from survey.folder.survey import Survey, load_survey
 from survey.photos.poses import TiePoints
 from survey.plan.check import CheckSection

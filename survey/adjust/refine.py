@@ -44,8 +44,7 @@ from survey.adjust.rounds import Adjusted, adjust
 from survey.adjust.second_start import of_two_starts
 from survey.adjust.unnamed_water import water_seen
 from survey.control.points import Ground
-from survey.errors import SurveyError
-from survey.findings import Contradiction
+from survey.errors import Contradiction, SurveyError
 from survey.folder.pose_priors import GPS_STD_M
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints

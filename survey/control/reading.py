@@ -16,10 +16,9 @@ from geo.transformation import Transformation, height_scale
 from survey.control import gcp_list, metashape_xml, opensfm_json, tables
 from survey.control.points import Content, GivenMark, GivenPoint, Mark
 from survey.display.quantities import named
-from survey.errors import ControlError
+from survey.errors import ControlError, Findings
 from survey.files.column_units import Units
 from survey.files.csv_table import text_lines
-from survey.findings import Findings
 from survey.photos.names import ImageNames
 
 # Asked in this order which of them a file is of; COORDINATES takes every .csv that MARKS does not.

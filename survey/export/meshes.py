@@ -51,7 +51,7 @@ def _mesh(path: Path, run: LoadedRun, options: ExportOptions) -> Mesh:
     """The surface in crs; it is made in the local frame, whose axes are equal."""
     from dataclasses import replace
 
-    from survey.mesh.surface import bed_surface
+    from survey.export.bed_surface import bed_surface
 
     bed, frame = run.bed.bed, run.flight.frame
     mesh = bed_surface(

@@ -8,9 +8,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from fields.image_based import ImageBasedField, Source, heights_over
 from fields.solver.solver import SolvedMap
 from fields.sweep.maps import HeightMap, trusted
-from fields.views.image_based import ImageBasedField, Source, heights_over
 from refract import PinholeCamera
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun, flight_of

@@ -34,7 +34,7 @@ class ExportOptions:
     fill_m : [m]
         Gaps up to this width are filled.
     mesh_method : "delaunay" or "poisson"
-        See `survey.mesh.surface`.
+        See `survey.export.bed_surface`.
     watertight : bool
         Close the mesh with walls and a bottom.
     interval_m : [m] or None

@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
 
 def _is_our_pdf(path: Path) -> bool:
-    from survey.report.pdf import is_our_pdf
+    from survey.report.page import is_our_pdf
 
     return is_our_pdf(path)
 
 
 def _write(path: Path, run: LoadedRun, _options: ExportOptions) -> None:
-    from survey.report.pdf import write_pdf
+    from survey.report.page import write_pdf
 
     write_pdf(run.folder.report_html_path, path)
 

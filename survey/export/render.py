@@ -13,8 +13,8 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from fields.device import choose_device
+from fields.image_based import NovelView
 from fields.slab.novel_view import render_view
-from fields.views.image_based import NovelView
 from geo.files import disk_refusals, write_whole
 from geo.frames import LocalFrame
 from refract import PinholeCamera
@@ -53,7 +53,7 @@ def render(
 ) -> list[Path]:
     """Write what cameras would see of the bed of a run.
 
-    The run's photographs are warped along bent rays onto its height maps, and blended (`fields.views.image_based`);
+    The run's photographs are warped along bent rays onto its height maps, and blended (`fields.image_based`);
     or its `trained` field is rendered.
 
     Of each camera NAME.png (transparent where it sees no bed), NAME_height.tif (of the bed over the water plane [m],

@@ -16,8 +16,7 @@ from geo.similarity import Similarity
 from survey.control.placing import control_in_local, require_metres
 from survey.control.points import Control, ControlPoint
 from survey.display.quantities import named
-from survey.errors import FILE_NAME, ControlError, PosesError
-from survey.findings import Findings
+from survey.errors import FILE_NAME, ControlError, Findings, PosesError
 from survey.folder.found import Found
 from survey.folder.pose_priors import PosePrior
 from survey.photos.cameras import View

@@ -21,8 +21,8 @@ from survey.control.points import Checkpoint, Content, Control, GivenPoint
 from survey.control.reading import Gathered, gather, in_crs, read_control
 from survey.control.tables import read_checkpoints
 from survey.display.quantities import named
+from survey.errors import Findings
 from survey.files.point_table import several_heights
-from survey.findings import Findings
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.settings.control import DEFAULT_MARKS_STD_PX, DEFAULT_STD_M, ControlConfig, per_direction

@@ -32,8 +32,7 @@ from survey.settings.process import ProcessConfig
 from survey.sfm.datum import EXACT, DatumStd, least, plan_std
 from survey.sfm.gps import datum_doubts, ways_into_crs
 from survey.water.level import with_level
-from survey.water.level_observation import LevelObservation
-from survey.water.position_check import doubts_of_water_places
+from survey.water.level_observation import LevelObservation, doubts_of_water_places
 from survey.water.tides import Tide
 from survey.words import GCP_LIST
 

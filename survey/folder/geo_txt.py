@@ -18,10 +18,9 @@ from geo.area_of_use import require_in_area
 from geo.crs import has_height, height_unit_m, horizontal_crs, horizontal_unit, is_geographic
 from geo.transformation import lon_lat
 from survey.display.quantities import named
-from survey.errors import PosesError
+from survey.errors import Findings, PosesError
 from survey.files.column_units import odm_crs
 from survey.files.csv_table import shortened, text_lines
-from survey.findings import Findings
 from survey.photos.exif import SUFFIXES, Exif, TablePlace
 from survey.photos.names import ImageNames
 from survey.settings.std import require_std

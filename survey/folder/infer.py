@@ -11,8 +11,7 @@ from pyproj import CRS
 
 from geo.crs import crs_code, has_height, horizontal_crs, utm_code
 from survey.control.gcp_list import read_gcp_list
-from survey.errors import FILE_NAME, ConfigError, ControlError
-from survey.findings import Findings
+from survey.errors import FILE_NAME, ConfigError, ControlError, Findings
 from survey.folder.plausible import distances_to_exif
 from survey.folder.posed import middle_of_geocentric, points_in_crs
 from survey.photos.exif import SUFFIXES, Exif, position_sources, utm_code_of

@@ -13,8 +13,7 @@ import numpy as np
 
 from refract import FlatWater
 from survey.display.quantities import named
-from survey.errors import FILE_NAME
-from survey.findings import Findings
+from survey.errors import FILE_NAME, Findings
 from survey.photos.cameras import View, metres_per_px
 from survey.photos.exif import Exif
 from survey.settings.config import CamerasConfig

@@ -16,9 +16,8 @@ from geo.frames import LocalFrame
 from refract.lens import MODELS, Lens, LensError, coefficients_of
 from survey.control.placing import require_near
 from survey.display.quantities import named
-from survey.errors import FILE_NAME, ConfigError, ImageError, PosesError
+from survey.errors import FILE_NAME, ConfigError, Findings, ImageError, PosesError
 from survey.files.csv_table import shortened
-from survey.findings import Findings
 from survey.folder import place
 from survey.folder.camera_faults import angle_doubts
 from survey.folder.found import MIN_VIEWS, Found

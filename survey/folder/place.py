@@ -10,8 +10,7 @@ import numpy as np
 from geo.crs import height_unit_m, is_geographic
 from geo.frames import LocalFrame
 from refract import FlatWater
-from survey.errors import FILE_NAME, ConfigError, PosesError
-from survey.findings import Findings
+from survey.errors import FILE_NAME, ConfigError, Findings, PosesError
 from survey.folder.found import Found
 from survey.folder.posed import cams_from_local, points_in_crs
 from survey.photos.cameras import View

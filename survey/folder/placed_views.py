@@ -15,8 +15,7 @@ from geo.frames import LocalFrame
 from refract import FlatWater
 from survey.control.points import Checkpoint, Control
 from survey.display.quantities import named
-from survey.errors import ImageError
-from survey.findings import Findings
+from survey.errors import Findings, ImageError
 from survey.folder.checked_control import checked_parts
 from survey.folder.control import place_control
 from survey.folder.found import Found

@@ -20,8 +20,7 @@ from geo.reproject import Reprojection
 from geo.shapes import Cloud, Mesh, in_height_unit, left_out, part_of, vertices_of
 from geo.transformation import Transformation
 from survey.control.points import Ground
-from survey.errors import ControlError
-from survey.findings import Findings
+from survey.errors import ControlError, Findings
 from survey.settings.config import SurveyConfig
 
 # Of a reference that does not say it: airborne lidar, or photogrammetry on control.

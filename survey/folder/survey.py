@@ -14,8 +14,7 @@ from geo.frames import LocalFrame
 from geo.transformation import lon_lat
 from refract import FlatWater
 from survey.control.points import Checkpoint, Control, Ground
-from survey.errors import FILE_NAME, SurveyError
-from survey.findings import Contradiction, Findings
+from survey.errors import FILE_NAME, Contradiction, Findings, SurveyError
 from survey.folder import place
 from survey.folder.camera_faults import require_apart, require_focal_lengths
 from survey.folder.control import checkpoint_doubts, mark_doubts
@@ -33,8 +32,7 @@ from survey.photos.images import load_image, load_mask
 from survey.photos.poses import TiePoints
 from survey.settings.config import SurveyConfig, WaterConfig
 from survey.water.level import with_level_of_clicks, with_plane_of_surface
-from survey.water.level_observation import LevelObservation
-from survey.water.position_check import doubts_of_water_places
+from survey.water.level_observation import LevelObservation, doubts_of_water_places
 from survey.water.surface import Departure, height_above, still_water
 from survey.water.tides import Tide, with_tides
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from geo.files import write_whole
-from survey.errors import FILE_NAME, ConfigError, OutputError, SurveyError
+from survey.errors import FILE_NAME, ConfigError, Findings, OutputError, SurveyError
 from survey.files.json_values import write_json
 from survey.files.toml_table import schema_of
-from survey.findings import Findings
 from survey.folder import infer
 from survey.folder.geo_txt import find_geo_txt, with_positions
 from survey.init.place import Answers, FolderPhotographs, SettingsTable, require_in_place, write_crs, write_origin

@@ -1,7 +1,7 @@
 """Tiles of a survey: rectangles of the ground that are worked on one after the other, so that memory is bounded.
 
 Of water that is no plane each tile has a plane of its own. Rays that are bent at a plane which lies d beside the water
-meet (n - 1) d off, which is put right where points are made (`survey.run.curved_water`). But oblique rays shift by
+meet (n - 1) d off, which is put right where points are made (`survey.run.stage_bed`). But oblique rays shift by
 more than steep ones: by ``d (tan a - n tan b)`` aside, with ``sin a = n sin b``. Where that exceeds a share of a pixel,
 photographs no longer match.
 """

@@ -24,9 +24,8 @@ from survey.plan.tile_choice import SHARED
 from survey.run.folder import RunDir
 from survey.run.job import Job
 from survey.run.merged import merge_points, merge_solved, merge_sweeps
-from survey.run.pipeline import ASSESSMENT, BED_OF_SWEEP, STAGES
+from survey.run.pipeline import ASSESSMENT, BED_OF_SWEEP, STAGES, Stage, finish, finished, run_stage
 from survey.run.remote_run import RemoteRun
-from survey.run.stage import Stage, finish, finished, run_stage
 from survey.run.stage_of_tile import FIGURES, POINTS, find_points, learn_figures, solve_tile, sweep_tile
 from survey.run.stage_sweep import EARLIER_ASSESSMENT, EARLIER_SOLVER, EARLIER_SWEEP, MAPS
 from survey.run.stage_tiles import find_shared, read_shared

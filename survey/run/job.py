@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cached_property, partial
@@ -11,6 +11,7 @@ from threading import Event
 from typing import TYPE_CHECKING
 
 from fields.sweep.kernels.arrays import release
+from fields.sweep.maps import Sources
 from survey.adjust.far_poses import PoseRecovery, find_anew
 from survey.errors import SurveyError
 from survey.files.toml_table import table_of
@@ -18,7 +19,7 @@ from survey.photos.images import ImageStore
 from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area
 from survey.plan.plan import make_plan
 from survey.plan.recipe import required_views
-from survey.plan.sweep_block import cameras_of_block, load_block
+from survey.plan.sweep_block import camera_of, cameras_of_block, load_block
 from survey.run.stored import ArrayFiles
 from survey.run.water_colour import colour_of
 from survey.run.windows import Outlines
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
     from fields.image_store import Masks
     from fields.sweep.block import Block
+    from fields.sweep.maps import HeightMap
     from refract import PinholeCamera
     from survey.folder.survey import Survey
     from survey.plan.choices import Choices
@@ -198,6 +200,19 @@ class Job:
         """Views that get a height map."""
         times = required_views(self.block.saturated, self.plan.recipe.times_seen)
         return self.block.cover(*times, local_area(self.survey))
+
+    def sources(self, maps: Sequence[HeightMap]) -> Sources:
+        """Photographs with their height maps and the water, at the plan's scale: training data of field and colour."""
+        survey, plan = self.survey, self.plan
+        given = survey.config.water
+        return Sources(
+            [camera_of(survey.views[m.view], plan) for m in maps],
+            maps,
+            [self.photographs.load(survey.views[m.view], scale=plan.image_scale) for m in maps],
+            survey.water,
+            None if given is None else given.colour.absorption_per_m,
+            None if given is None else given.colour.veiling_light,
+        )
 
     def unique_masks(self, folder: Path, find: Callable[[], Masks]) -> Masks:
         """Pixels of the maps of a sweep that become points, found once for the stages that ask.

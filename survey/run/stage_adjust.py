@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from survey.adjust import refine
 from survey.adjust.applied import CAMERAS, MODEL, apply_adjustment, write_cameras
 from survey.adjust.result.adjustment import ARRAYS, JSON, read_adjustment, write_adjustment
-from survey.findings import Findings
+from survey.errors import Findings
 
 if TYPE_CHECKING:
     from survey.run.job import Job

@@ -10,7 +10,6 @@ from fields.sweep.maps import HeightMap
 from survey.plan.area import AREA_MARGIN_M, grown, local_area
 from survey.plan.sweep_block import backend
 from survey.progress import shares
-from survey.run.sources import sources_of
 from survey.run.stage_sweep import MAPS
 from survey.run.stored_maps import Stored
 
@@ -40,6 +39,6 @@ def trained(job: Job, maps: Sequence[HeightMap], progress: Callable[[float], Non
     from fields.slab.train import Schedule, train
 
     plan, area = job.plan, local_area(job.survey)
-    sources = sources_of(job, maps)
+    sources = job.sources(maps)
     slab = slab_of(sources, plan.gsd_m, None if area is None else grown(area, AREA_MARGIN_M))
     return train(sources, slab, FieldSettings(), Schedule(plan.recipe.rays_per_cell), backend(plan), progress)

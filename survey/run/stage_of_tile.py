@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from fields.solver.correlation import NoiseShares
-from fields.solver.shifts import Shifts
+from fields.solver.noise import NoiseShares, Shifts
 from fields.solver.solver import SolvedMap, SolverFigures, count_in_squares, figures_of, solve_sample, spread
 from fields.sweep.bed import BedPoints, unique_pixels
 from fields.sweep.map_points import places_in_plan

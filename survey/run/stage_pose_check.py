@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING
 
 from survey.adjust import pose_check
 from survey.adjust.pose_check import PoseCheck
-from survey.errors import SurveyError
+from survey.errors import Contradiction, SurveyError
 from survey.files.json_values import write_json
-from survey.findings import Contradiction
 
 if TYPE_CHECKING:
     from survey.run.job import Job

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fields.sweep.maps import HeightMap
-from survey.run.sources import sources_of
 from survey.run.stage_sweep import MAPS
 from survey.run.stored_maps import Stored
 from survey.run.water_colour import save_colour, with_colour
@@ -20,7 +19,7 @@ def estimate_colour(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """Estimate the absorption of the water from the photographs that have a height map."""
     maps = Stored(needs["sweep"] / MAPS, HeightMap)
     with job.progress.stage("Water colour"):
-        save_colour(folder, sources_of(job, maps))
+        save_colour(folder, job.sources(maps))
 
 
 def use_colour(job: Job, folder: Path) -> None:

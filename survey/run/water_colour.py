@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geo.files import write_whole
-from survey.errors import SurveyError
-from survey.findings import Findings
+from survey.errors import Findings, SurveyError
 from survey.settings.water import WaterColour
 
 if TYPE_CHECKING:

@@ -36,7 +36,7 @@ class Task:
 
     name: str  # Of the stage
     tile: int
-    # callable: as `survey.run.stage.Stage.compute`; cloudpickle carries it
+    # callable: as `survey.run.pipeline.Stage.compute`; cloudpickle carries it
     compute: Callable[[Job, Path, Mapping[str, Path]], None]
     needs: Mapping[str, Path]  # mapping: folders of the stages that it needs, by the names that ``compute`` knows
 

@@ -23,7 +23,7 @@ from survey.viewer.slices import ReferenceSlice, load_reference
 from survey.viewer.tree import CloudTree, Viewpoint, build_tree
 
 if TYPE_CHECKING:
-    from fields.views.image_based import NovelView
+    from fields.image_based import NovelView
 
 # Rows of a picture: a second or two of one core.
 _ROWS = 200

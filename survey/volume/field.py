@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from evaluation import distance_statistics, psnr
-from fields.views.image_based import NovelView, heights_over
+from fields.image_based import NovelView, heights_over
 from fields.volume.losses import Losses, PatchWeights, PriorWeights
 from fields.volume.models import MODELS
 from fields.volume.renderer import VolumeRenderer

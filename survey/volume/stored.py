@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fields.device import choose_device, tensor_place
-from fields.views.image_based import NovelView, heights_over, normals_of
+from fields.image_based import NovelView, heights_over, normals_of
 from fields.volume.appearance import appearance_vectors
 from fields.volume.models import APPEARANCE, build_model, proposal_for
 from fields.volume.normal_head import NormalHead

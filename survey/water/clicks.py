@@ -15,9 +15,8 @@ import numpy as np
 
 from geo.crs import height_unit_m
 from geo.frames import LocalFrame
-from survey.errors import ConfigError
+from survey.errors import ConfigError, Findings
 from survey.files.csv_table import read_table
-from survey.findings import Findings
 from survey.photos.cameras import View
 from survey.photos.intersection import intersect
 from survey.photos.names import ImageNames

@@ -12,8 +12,7 @@ import warnings
 from collections.abc import Callable
 
 from refract.media import converted_index
-from survey.errors import FILE_NAME, ConfigError
-from survey.findings import Findings
+from survey.errors import FILE_NAME, ConfigError, Findings
 from survey.photos.texture import MatchedLight
 from survey.settings.config import WaterConfig
 

@@ -24,8 +24,7 @@ from pyproj import CRS
 from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from geo.projection import metres_per_unit
-from survey.errors import ConfigError
-from survey.findings import Findings
+from survey.errors import ConfigError, Findings
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.settings.config import SurveyConfig
@@ -187,7 +186,7 @@ def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS)
     # Slopes are metres of height in metres of ground, whatever the unit of crs.
     unit_m = metres_per_unit(crs, coordinates) if len(coordinates) else np.ones(2)
     if not np.isfinite(unit_m).all():
-        # On no map: `survey.water.position_check` refuses them beside the cameras.
+        # On no map: `survey.water.level_observation` refuses them beside the cameras.
         unit_m = np.ones(2)
     coordinates[:, :2] *= unit_m
     free = water.slope_east == 0.0 == water.slope_north

@@ -1,4 +1,4 @@
-"""Measurements of the water level on site, with std, place and time: points, readings, clicks.
+"""Measurements of the water level on site, with std, place and time, and whether they lie near the cameras.
 
 survey.toml              level_m, level_std_m
 shoreline, gnss_points   CSV with easting, northing, height in crs (and std), or GeoJSON
@@ -10,6 +10,7 @@ clicks                   CSV with image, x, y, name: `survey.water.clicks`
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import pairwise
@@ -17,15 +18,17 @@ from pathlib import Path
 
 import numpy as np
 from pyproj import CRS
+from scipy.spatial import KDTree
 
-from geo.crs import height_unit_m, horizontal_crs
+from geo.crs import EARTH_RADIUS_M, height_unit_m, horizontal_crs
 from geo.reading import read_reference
 from geo.shapes import in_height_unit, vertices_of
-from geo.transformation import height_scale, transformed
+from geo.transformation import height_scale, lon_lat, transformed
 from survey.errors import ConfigError
 from survey.files.column_units import Units
 from survey.files.csv_table import Row, read_table
 from survey.files.point_table import read_points
+from survey.settings.config import WaterConfig
 from survey.water.geojson import points_of_geojson
 
 # Standard deviation of a measurement whose file gives none [m]: GNSS with corrections on the surface, and at the
@@ -42,6 +45,9 @@ _MOST_CELLS, _FINER = 40_000, 0.8
 # Std of a cell relative to its neighbours; the error that they share is common.
 _CELL_STD_M = 0.002
 _MOST_STD_M = 10.0
+# From the nearest camera: beyond the first, places are not of this survey, as cameras would not be; beyond the second
+# they may be of another water.
+FARTHEST_M, DOUBTFUL_M = 20e3, 2e3
 
 
 @dataclass(frozen=True)
@@ -144,3 +150,74 @@ def moment_of(text: str, where: str) -> datetime:
     except (ValueError, OverflowError) as error:
         raise ConfigError(f"{where}: {text[:40]!r} is not a time, expected e.g. 2024-06-01T10:30:00Z") from error
     raise ConfigError(f"{where}: {text} has no time zone; write Z for UTC or e.g. +02:00 after it")
+
+
+def doubts_of_water_places(
+    crs: CRS, cameras: np.ndarray, water: WaterConfig | None, levels: Iterable[LevelObservation]
+) -> list[str]:
+    """Warnings where places on the water lie far from the cameras.
+
+    Parameters
+    ----------
+    cameras : (N, 2)
+        Longitude and latitude of WGS 84 [deg].
+    levels : of the survey, whose places are in crs
+
+    Raises
+    ------
+    ConfigError
+        If one lies too far away to be of this survey, or on no map.
+    """
+    cameras = cameras[np.isfinite(cameras).all(axis=1)]
+    if water is None or not len(cameras):
+        return []
+    places: dict[str, list[tuple[float, float]]] = {}
+    for level in levels:
+        # Clicks are where their rays meet.
+        if level.place is not None and level.source != "clicks":
+            places.setdefault("level_at" if level.source == "level_m" else level.source, []).append(level.place)
+    if water.level_at is not None and not places:
+        places["level_at"] = [water.level_at]
+    warnings = []
+    for source, found in places.items():
+        away = _distances_m(crs, cameras, np.array(found))
+        worst, num_far = int(np.argmax(away)), int((away > FARTHEST_M).sum())
+        said = f"[water] {source}: {int((away > DOUBTFUL_M).sum())} of {len(away)} places"
+        if num_far:
+            raise ConfigError(_too_far(crs, cameras, source, np.array(found), away))
+        if away[worst] > DOUBTFUL_M:
+            warnings.append(
+                f"{said} lie more than {DOUBTFUL_M / 1e3:g} km from all cameras, the farthest {away[worst] / 1e3:.1f} "
+                "km: check that they are on the water that the photographs show"
+            )
+    return warnings
+
+
+def _too_far(crs: CRS, cameras: np.ndarray, source: str, places: np.ndarray, away: np.ndarray) -> str:
+    worst = int(np.argmax(away))
+    e, n = places[worst]
+    said = f"[water] {source} has a place at {e:.10g}, {n:.10g}, which "
+    if np.isfinite(away[worst]):
+        said += f"lies {away[worst] / 1e3:.0f} km from the nearest camera in {crs.name}"
+    else:
+        said += f"is not on the map of {crs.name}"
+    if (_distances_m(crs, cameras, places[:, ::-1]) <= FARTHEST_M).all():
+        return f"{said}, and near the cameras as {n:.10g}, {e:.10g}: give easting (or longitude) first"
+    return f"{said}; give places on the water of this survey in crs"
+
+
+def _distances_m(crs: CRS, cameras: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Distances of places (K, 2) in crs to the nearest camera [m], as on a sphere; infinite off the map."""
+    degrees = lon_lat(crs, places)
+    middle = np.median(cameras, axis=0)
+    metres = EARTH_RADIUS_M * np.radians([np.cos(np.radians(middle[1])), 1.0])
+
+    def flat(at: np.ndarray) -> np.ndarray:
+        turned = at - middle
+        turned[:, 0] = (turned[:, 0] + 180.0) % 360.0 - 180.0
+        return turned * metres
+
+    away = np.full(len(places), np.inf)
+    known = np.isfinite(degrees).all(axis=1)
+    away[known] = KDTree(flat(cameras)).query(flat(degrees[known]))[0]
+    return away

@@ -1,1 +1,0 @@
-"""Novel views of photographs with height maps."""

@@ -165,6 +165,14 @@ def test_a_worker_that_is_not_as_it_should_be_is_named(run_and_photograph, worke
         of_workers._check(ClientOfOne(**worker), *run_and_photograph)
 
 
+def test_a_worker_that_does_not_reach_the_url_of_the_run_is_named(run_and_photograph):
+    url = f"memory://{run_and_photograph[0].name}"
+    of_workers._check(ClientOfOne(), *run_and_photograph, url=url)
+    client = ClientOfOne(answer=SurveyError("s3://bucket/run asks for keys, and there are none"))
+    with pytest.raises(SurveyError, match=f"the worker {PLACE} finds that s3://bucket/run asks for keys"):
+        of_workers._check(client, *run_and_photograph, url="s3://bucket/run")
+
+
 def test_on_cuda_a_worker_with_the_resource_of_a_gpu_is_asked_for(run_and_photograph):
     of_workers._check(ClientOfOne(answer=(loaded_code(), True, True, {"GPU": 1})), *run_and_photograph, takes_gpu=True)
     with pytest.raises(SurveyError, match=r'no worker has the resource GPU; start one .* --resources "GPU=1", or give'):

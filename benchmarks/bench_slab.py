@@ -21,6 +21,7 @@ from unittest.mock import patch
 
 from bench_sweep import Case, parser_of, surveys_and_results
 
+from fields.sweep.bed import unique_pixels
 from fields.sweep.maps import HeightMap
 from survey.plan.recipe import RECIPES
 from survey.progress import current, shares
@@ -36,7 +37,8 @@ def trained(case: Case, maps: list[HeightMap], rays_per_cell: float) -> dict:
     with patch.dict(RECIPES, {case.plan.quality: recipe}), current().stage("field", 1.0) as stage:
         field, figures = stage_field.trained(case.job, maps, shares(stage))
     spent = {"seconds": time.monotonic() - start, "processor_s": time.process_time() - used}
-    bed, _, moved = points.bed_points(case.job, maps, field, lambda done: None)
+    kept = unique_pixels(case.block, maps, case.plan.gsd_m)
+    bed, _, moved = points.bed_points(case.job, points.RefinedMaps(maps, kept, field=field), lambda done: None)
     return asdict(figures) | spent | case.figures(bed) | {"share_of_field": moved / len(bed)}
 
 

@@ -95,7 +95,8 @@ class Case:
         return maps, time.monotonic() - start
 
     def points(self, maps: list[HeightMap]) -> BedPoints:
-        return points.bed_points(self.job, maps, None, lambda done: None)[0]
+        kept = bed_module.unique_pixels(self.block, maps, self.job.plan.gsd_m)
+        return points.bed_points(self.job, points.RefinedMaps(maps, kept), lambda done: None)[0]
 
     def figures(self, bed: BedPoints) -> dict:
         """Distances of the points from the truth, and their completeness."""

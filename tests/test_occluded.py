@@ -8,7 +8,7 @@ import pytest
 
 from fields.device import choose_device
 from fields.occluded.agreement import FoundPoints, explained_above, surface_heights
-from fields.occluded.holes import BedLayer, Box, Holes, boxes_about, smooth
+from fields.occluded.holes import BedLayer, Box, Holes, KnownBed, boxes_about, smooth
 from fields.occluded.occluded import find_occluded, show_bed
 from fields.occluded.sightings import Colours, consensus
 from fields.sweep.block import Block
@@ -58,8 +58,8 @@ def test_where_the_bed_is_lower_than_the_layer_is_no_hole(half_gsd, depth_gsd):
     box = Box(0.0, 0.0, GSD)
     middle = np.array([50 * GSD])
     assert BedLayer.of(box, cloud).at(middle, middle) == pytest.approx(0.0, abs=0.5 * GSD)
-    assert Holes.of(box, cloud, None) is None
-    assert Holes.of(box, cloud[~pit], None) is not None
+    assert Holes.of(box, KnownBed(cloud, GSD)) is None
+    assert Holes.of(box, KnownBed(cloud[~pit], GSD)) is not None
 
 
 def test_boxes_are_where_enough_steps_are():
@@ -159,7 +159,7 @@ def _map(view: int, height: np.ndarray, fat: np.ndarray) -> HeightMap:
 
 def test_the_bed_beside_and_under_an_edge_is_found_where_it_is_seen(plate):
     block, maps, photographs, cloud = plate
-    found = find_occluded(block, maps, photographs.__getitem__, cloud, GSD)
+    found = find_occluded(block, maps, photographs.__getitem__, KnownBed(cloud, GSD))
     xyz = found.points.xyz
     aside = np.abs(xyz[:, :2] - MIDDLE)
     assert len(xyz) > 300
@@ -177,7 +177,7 @@ def test_the_bed_beside_and_under_an_edge_is_found_where_it_is_seen(plate):
 def test_nothing_is_looked_for_on_a_bed_without_steps(plate):
     block, maps, photographs, cloud = plate
     level = [_map(m.view, np.full_like(m.height, BED), np.zeros(m.height.shape, bool)) for m in maps]
-    assert find_occluded(block, level, photographs.__getitem__, cloud, GSD).num_boxes == 0
+    assert find_occluded(block, level, photographs.__getitem__, KnownBed(cloud, GSD)).num_boxes == 0
 
 
 @pytest.mark.parametrize(("num", "shows"), [(0, False), (20, False), (40, True)])

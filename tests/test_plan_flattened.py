@@ -39,7 +39,7 @@ def test_low_flights_over_water_that_falls_away_are_not_under_it(shallow_survey)
     survey, plane = shallow_survey, shallow_survey.water
     x, y, z = plane.point
     above = replace(plane, point=(x, y, z + 500.0))
-    given = survey.frame, list(survey.views), above, survey.config, {}
+    centres = np.array([view.camera.centre for view in survey.views])
     with pytest.raises((ConfigError, PosesError)):
-        require_true(*given)
-    require_true(*given, above_water=lambda places: -plane.depth(places))
+        require_true(survey.frame, list(survey.views), -above.depth(centres), survey.config, {})
+    require_true(survey.frame, list(survey.views), -plane.depth(centres), survey.config, {})

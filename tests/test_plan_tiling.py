@@ -13,7 +13,7 @@ from survey.errors import SurveyError
 from survey.plan import tile_choice
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
-from survey.plan.tile_choice import choose_tiles
+from survey.plan.tile_choice import choose_tiles, with_free_cores
 from survey.plan.tiling import Tiling, aside_px, ground_of, inside, tile_doubts
 from survey.plan.workload import workload_of
 from survey.water.surface import Departure
@@ -136,7 +136,7 @@ def test_processes_are_chosen_only_where_the_caller_may_start_them(planned, monk
     monkeypatch.setattr(tile_choice.machine, "num_cores", lambda: 8)
     chosen = Choices(tiles=3, memory="64GB")
     assert choose_tiles(*planned[:2], chosen, planned[2], is_aimed=False).workers == 1
-    assert choose_tiles(*planned[:2], chosen, planned[2], is_aimed=False, chooses_workers=True).workers == 2
+    assert with_free_cores(choose_tiles(*planned[:2], chosen, planned[2], is_aimed=False), chosen).workers == 2
 
 
 AT = "tcp://one:8786"

@@ -24,7 +24,7 @@ from survey.run import workers as of_workers
 from survey.run.folder import RunDir
 from survey.run.process import process
 from survey.run.worker_task import Task, compute_task, loaded_code, save_job
-from survey.run.workers import Workers, workers_for
+from survey.run.workers import WorkerNeeds, Workers, workers_for
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_without_dask_the_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with (
         pytest.raises(SurveyError, match=r"pip install 'bathynerf\[cluster\]'"),
-        workers_for(2, None, tmp_path, tmp_path, print),
+        workers_for(2, None, WorkerNeeds(tmp_path, tmp_path), print),
     ):
         pass
 
@@ -101,7 +101,7 @@ def test_a_scheduler_that_does_not_answer_is_named(tmp_path, monkeypatch):
     nowhere = "tcp://127.0.0.1:9"
     with (
         pytest.raises(SurveyError, match=rf"--scheduler {nowhere} gave no 1 workers within 0 s"),
-        workers_for(1, nowhere, tmp_path, tmp_path, print),
+        workers_for(1, nowhere, WorkerNeeds(tmp_path, tmp_path), print),
     ):
         pass
 
@@ -143,7 +143,7 @@ def run_and_photograph(tmp_path):
 
 
 def test_a_worker_that_is_as_it_should_be_passes(run_and_photograph):
-    of_workers._check(ClientOfOne(), *run_and_photograph)
+    of_workers._check(ClientOfOne(), WorkerNeeds(*run_and_photograph))
     assert list(run_and_photograph[0].iterdir()) == [run_and_photograph[1]]
 
 
@@ -162,7 +162,7 @@ def test_a_worker_that_is_as_it_should_be_passes(run_and_photograph):
 )
 def test_a_worker_that_is_not_as_it_should_be_is_named(run_and_photograph, worker, said):
     with pytest.raises(SurveyError, match=f"the worker {PLACE} {said}"):
-        of_workers._check(ClientOfOne(**worker), *run_and_photograph)
+        of_workers._check(ClientOfOne(**worker), WorkerNeeds(*run_and_photograph))
 
 
 def test_a_worker_that_does_not_reach_the_url_of_the_run_is_named(run_and_photograph):
@@ -174,9 +174,11 @@ def test_a_worker_that_does_not_reach_the_url_of_the_run_is_named(run_and_photog
 
 
 def test_on_cuda_a_worker_with_the_resource_of_a_gpu_is_asked_for(run_and_photograph):
-    of_workers._check(ClientOfOne(answer=(loaded_code(), True, True, {"GPU": 1})), *run_and_photograph, takes_gpu=True)
+    of_workers._check(
+        ClientOfOne(answer=(loaded_code(), True, True, {"GPU": 1})), WorkerNeeds(*run_and_photograph, takes_gpu=True)
+    )
     with pytest.raises(SurveyError, match=r'no worker has the resource GPU; start one .* --resources "GPU=1", or give'):
-        of_workers._check(ClientOfOne(), *run_and_photograph, takes_gpu=True)
+        of_workers._check(ClientOfOne(), WorkerNeeds(*run_and_photograph, takes_gpu=True))
 
 
 def test_tasks_on_cuda_go_to_workers_with_the_resource_of_a_gpu(tmp_path, monkeypatch):
@@ -189,11 +191,13 @@ def test_tasks_on_cuda_go_to_workers_with_the_resource_of_a_gpu(tmp_path, monkey
         distributed.SpecCluster(workers=workers, scheduler=scheduler, silence_logs="ERROR") as cluster,
         distributed.Client(cluster) as client,
     ):
-        of_workers._check(client, tmp_path, Path(__file__), takes_gpu=True)
+        of_workers._check(client, WorkerNeeds(tmp_path, Path(__file__), takes_gpu=True))
         tasks = [Task(f"sweep_tile{number}", number, print, {}) for number in range(4)]
         on_gpu = list(Workers(client, tmp_path, are_started=False, takes_gpu=True).computed(tmp_path, tasks))
         with pytest.raises(SurveyError, match="no worker has the resource GPU"):
-            client.retire_workers(names=["gpu"]) and of_workers._check(client, tmp_path, Path(__file__), takes_gpu=True)
+            client.retire_workers(names=["gpu"]) and of_workers._check(
+                client, WorkerNeeds(tmp_path, Path(__file__), takes_gpu=True)
+            )
     assert [str(each[1]) for each in on_gpu] == ["gpu"] * 4
 
 
@@ -247,7 +251,7 @@ def test_a_worker_that_ends_while_it_is_looked_at_is_left_out(run_and_photograph
             self.nthreads = dict
             return {PLACE: OSError("Stream is closed")}
 
-    of_workers._check(Leaving(), *run_and_photograph)
+    of_workers._check(Leaving(), WorkerNeeds(*run_and_photograph))
 
 
 def test_the_code_of_a_process_is_that_of_its_start_and_a_task_of_other_code_is_refused(tmp_path, monkeypatch):

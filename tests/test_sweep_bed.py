@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from plane_survey import SIZE, TILTED, PlaneBed, ring
 
-from fields.sweep.bed import BedPoints, has_neighbours, points_of, unique_pixels, with_slope_std
+from fields.sweep.bed import BedPoints, has_neighbours, points_of, std_of_kept, unique_pixels, with_slope_std
 from fields.sweep.block import Block
 from fields.sweep.maps import HeightMap, trusted
 from refract import FlatWater
@@ -115,7 +115,7 @@ def half_kept(rng):
 
 def test_points_appear_at_the_pixels_they_were_taken_from(half_kept):
     camera, m, keep, rgb = half_kept
-    points = points_of(camera, TILTED, m, keep, rgb, 0.1)
+    points = points_of(camera, TILTED, m, keep, rgb, std_of_kept(m, keep, 0.1))
     assert len(points) == keep.sum()
     assert points.xyz.dtype == np.float64
     np.testing.assert_allclose(camera.project(points.xyz, TILTED), camera.pixel_centres()[keep], atol=1e-7)
@@ -131,7 +131,7 @@ def test_points_appear_at_the_pixels_they_were_taken_from(half_kept):
 
 def test_a_dry_survey_has_no_depth_and_counts_heights_from_local_zero(half_kept):
     camera, m, keep, rgb = half_kept
-    points = points_of(camera, None, m, keep, rgb, 0.1)
+    points = points_of(camera, None, m, keep, rgb, std_of_kept(m, keep, 0.1))
     assert np.isnan(points.depth).all()
     assert not points.wet.any()
     np.testing.assert_allclose(points.xyz[:, 2], m.height[keep], atol=1e-12)
@@ -140,24 +140,24 @@ def test_a_dry_survey_has_no_depth_and_counts_heights_from_local_zero(half_kept)
 def test_a_padded_map_gives_the_points_of_the_image_in_it(half_kept):
     camera, m, keep, rgb = half_kept
     padded = HeightMap(1, *(np.pad(a, ((0, 8), (0, 16))) for a in (m.height, m.score, m.agreeing, m.spread)))
-    found, expected = points_of(camera, TILTED, padded, keep, rgb, 0.1), points_of(camera, TILTED, m, keep, rgb, 0.1)
+    found, expected = (points_of(camera, TILTED, of, keep, rgb, std_of_kept(of, keep, 0.1)) for of in (padded, m))
     np.testing.assert_array_equal(found.xyz, expected.xyz)
     np.testing.assert_array_equal(found.std, expected.std)
 
 
 def test_points_have_the_std_of_the_solver_where_it_has_one(half_kept):
     camera, m, keep, rgb = half_kept
-    of_map = points_of(camera, TILTED, m, keep, rgb, 0.1).std
+    of_map = std_of_kept(m, keep, 0.1)[keep]
     solved = np.full(m.height.shape, 0.25, dtype=np.float32)
-    np.testing.assert_array_equal(points_of(camera, TILTED, m, keep, rgb, 0.1, solved).std, 0.25)
+    np.testing.assert_array_equal(std_of_kept(m, keep, 0.1, solved)[keep], 0.25)
     solved[:, ::2] = np.nan
-    found = points_of(camera, TILTED, m, keep, rgb, 0.1, solved).std
+    found = points_of(camera, TILTED, m, keep, rgb, std_of_kept(m, keep, 0.1, solved)).std
     np.testing.assert_array_equal(found, np.where(np.isnan(solved)[keep], of_map, 0.25))
 
 
 def test_points_of_several_views_join_and_can_be_chosen_from(half_kept):
     camera, m, keep, rgb = half_kept
-    one = points_of(camera, FlatWater((0.0, 0.0, 0.0), n_water=1.0), m, keep, rgb, 0.1)
+    one = points_of(camera, FlatWater((0.0, 0.0, 0.0), n_water=1.0), m, keep, rgb, std_of_kept(m, keep, 0.1))
     both = BedPoints.concatenate([one, one[one.wet]])
     assert len(both) == len(one) + one.wet.sum()
     np.testing.assert_array_equal(both[len(one) :].xyz, one.xyz[one.wet])

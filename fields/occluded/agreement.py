@@ -24,7 +24,7 @@ _AGREE, _MOST = 1.5, 30.0
 _BY_CHANCE = 0.3
 # Heights over the layer: steps of the search, how far it goes, and how far the layer may be off, beyond the roughness
 # of the bed (standard deviation): in ground sampling distances.
-_STEP_GSD, REACH_GSD, _PRIOR_GSD = 1.0, 4.0, 2.0
+_STEP_GSD, _PRIOR_GSD = 1.0, 2.0
 _ROUNDS = 3
 # Windows of heights, of so many cells on each side, and which share of them counts: neighbours see the same errors.
 _WINDOW, _INDEPENDENT = 15, 0.012

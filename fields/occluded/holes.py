@@ -171,6 +171,15 @@ def _bending(shape: tuple[int, int]) -> sparse.csr_matrix:
 
 
 @dataclass(frozen=True)
+class KnownBed:
+    """The points of a cloud, in whose holes more are looked for."""
+
+    xyz: np.ndarray  # (N, 3) [m], local
+    gsd: float  # [m]: ground sampling distance
+    area: tuple[float, float, float, float] | None = None  # (x0, y0, x1, y1) [m], local: where points are wanted
+
+
+@dataclass(frozen=True)
 class Holes:
     """Cells of a layer without a point of the cloud, and the cells about them."""
 
@@ -192,8 +201,9 @@ class Holes:
         return known[[east.argmin(), east.argmax(), north.argmin(), north.argmax(), len(known) // 2]]
 
     @staticmethod
-    def of(box: Box, cloud: np.ndarray, area: tuple[float, float, float, float] | None) -> Holes | None:
-        """Holes of a cloud (N, 3) [m] in a box and an area (x0, y0, x1, y1); None where few, or no bed is known."""
+    def of(box: Box, known: KnownBed) -> Holes | None:
+        """Holes of a cloud in a box and in its area; None where few, or no bed is known."""
+        cloud, area = known.xyz, known.area
         x, y = box.places
         inside = np.zeros(x.shape, dtype=bool)
         inside[MARGIN_GSD:-MARGIN_GSD, MARGIN_GSD:-MARGIN_GSD] = True

@@ -8,8 +8,8 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from fields.occluded.agreement import REACH_GSD, FoundPoints, points_of_holes
-from fields.occluded.holes import Box, Holes, boxes_about, step_places
+from fields.occluded.agreement import FoundPoints, points_of_holes
+from fields.occluded.holes import Box, Holes, KnownBed, boxes_about, step_places
 from fields.occluded.sightings import Sighting, sighting_of
 from fields.sweep.bed import BedPoints
 from fields.sweep.block import Block
@@ -45,9 +45,7 @@ def find_occluded(
     block: Block,
     maps: Sequence[HeightMap],
     photograph: Callable[[int], np.ndarray],
-    cloud: np.ndarray,
-    gsd: float,
-    area: tuple[float, float, float, float] | None = None,
+    known: KnownBed,
     advance: Callable[[float], None] = lambda _share: None,
 ) -> OccludedBed:
     """Points of the bed in holes of a cloud beside depth steps.
@@ -62,23 +60,18 @@ def find_occluded(
         With the heights of the solver.
     photograph : callable
         RGB (height, width, 3) uint8 of a view by its number.
-    cloud : (N, 3) [m], local
-    gsd : [m]
-        Ground sampling distance.
-    area : (x0, y0, x1, y1) [m], local, optional
-        Where points are wanted.
     advance : callable
         Gets the share of the work that is done since the last call.
     """
     views, places = [], []
     for m in maps:
         views.append(m.view)
-        places.append(step_places(block.cameras[m.view], block.water, m, gsd))
-    sample, others = _sample(boxes_about(places, gsd))
+        places.append(step_places(block.cameras[m.view], block.water, m, known.gsd))
+    sample, others = _sample(boxes_about(places, known.gsd))
     with ThreadPoolExecutor(_THREADS) as pool:
 
         def holes_in(boxes: list[Box]) -> list[Holes]:
-            return [holes for holes in pool.map(lambda box: Holes.of(box, cloud, area), boxes) if holes is not None]
+            return [holes for holes in pool.map(lambda box: Holes.of(box, known), boxes) if holes is not None]
 
         def most_first(found: list[Holes]) -> list[Holes]:
             return sorted(found, key=lambda holes: -int(holes.are_holes.sum()))
@@ -135,8 +128,7 @@ def _sightings(
         rgb, known, height_map = photograph(view), np.isfinite(block.images[view]), maps[number]
         for target, holes, is_shown in zip(seen, found, shown, strict=True):
             if is_shown:
-                reach = REACH_GSD * holes.gsd
-                sighting = sighting_of(view, camera, block.water, rgb, known, height_map, holes, reach)
+                sighting = sighting_of(block, height_map, rgb, known, holes)
                 target += [] if sighting is None else [sighting]
     return seen
 

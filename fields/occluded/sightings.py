@@ -9,13 +9,16 @@ import cv2
 import numpy as np
 
 from fields.occluded.holes import Holes
+from fields.sweep.block import Block
 from fields.sweep.maps import HeightMap, trusted
-from refract import FlatWater, PinholeCamera
+from refract import FlatWater
 
 # Pixels at the border of a photograph that are not used.
 _RIM_PX = 1.5
 # Least share of the cells that a photograph shows.
 _LEAST_SHARE = 0.05
+# How far over and under the layer colours are asked for, in ground sampling distances.
+_REACH_GSD = 4.0
 # Heights over the layer, in ground sampling distances: what stands on it, and what is the layer itself.
 _ABOVE_GSD, _ON_GSD = 7.0, 3.0
 # A height that so many other photographs and this correlation confirm is no error of the windows beside an edge.
@@ -65,24 +68,18 @@ class Sighting:
 
 
 def sighting_of(
-    view: int,
-    camera: PinholeCamera,
-    water: FlatWater | None,
-    rgb: np.ndarray,
-    known: np.ndarray,
-    height_map: HeightMap,
-    holes: Holes,
-    reach: float,
+    block: Block, height_map: HeightMap, rgb: np.ndarray, known: np.ndarray, holes: Holes
 ) -> Sighting | None:
     """Sighting of holes and the layer about them in a photograph; None where too little of them is seen.
 
     Parameters
     ----------
+    height_map : HeightMap
+        Of the photograph.
     rgb, known : (height, width, 3) uint8, (height, width) bool
         The photograph, and its pixels that are not masked.
-    reach : [m]
-        How far over and under the layer colours are asked for.
     """
+    camera, water, reach = block.cameras[height_map.view], block.water, _REACH_GSD * holes.gsd
     points = holes.points.reshape(-1, 3)
     up = np.array([0.0, 0.0, reach])
     low, high = (camera.project(each, water) for each in (points - up, points + up))
@@ -113,7 +110,7 @@ def sighting_of(
     below, above = (path.at_height(np.array([height]), water)[0] for height in (at - reach, at + reach))
     normal = np.array(water.up if water else (0.0, 0.0, 1.0))
     return Sighting(
-        view,
+        height_map.view,
         rgb[y0:y1, x0:x1],
         (pixel - (x0 + 0.5, y0 + 0.5)).reshape(*shape, 2).astype(np.float32),
         (np.where(inside[:, None], high - low, 0.0) / (2.0 * reach)).reshape(*shape, 2).astype(np.float32),

@@ -189,33 +189,40 @@ def has_neighbours(xyz: np.ndarray, gsd: float) -> np.ndarray:
     return found
 
 
+def std_of_kept(
+    height_map: HeightMap,
+    keep: np.ndarray,
+    tolerance: float,
+    solved_std: np.ndarray | None = None,
+    num_comparable: np.ndarray | None = None,
+) -> np.ndarray:
+    """Standard deviation (height, width) [m] of the heights of the kept pixels: that of the solver, else of the map.
+
+    ``tolerance`` [m] is that of views that agree, ``solved_std`` (height, width) [m] is NaN where it is not known;
+    ``num_comparable`` is as `height_std` has it. The map may be larger than ``keep``, the size of the image.
+    """
+    part = np.s_[: keep.shape[0], : keep.shape[1]]
+    comparable = None if num_comparable is None else num_comparable[part]
+    if solved_std is not None and not np.isnan(solved_std[part][keep]).any():
+        return solved_std[part]
+    std = height_std(height_map.height[part], height_map.agreeing[part], height_map.spread[part], tolerance, comparable)
+    return std if solved_std is None else np.where(np.isnan(solved_std[part]), std, solved_std[part])
+
+
 def points_of(
     camera: PinholeCamera,
     water: FlatWater | None,
     height_map: HeightMap,
     keep: np.ndarray,
     rgb: np.ndarray,
-    tolerance: float,
-    solved_std: np.ndarray | None = None,
-    num_comparable: np.ndarray | None = None,
+    std: np.ndarray,
 ) -> BedPoints:
     """Points of the kept pixels (height, width) bool of one view, in float64 from the ray to the point.
 
-    ``tolerance`` [m] is that of views that agree, ``solved_std`` (height, width) [m] the standard deviation where it is
-    known, and NaN elsewhere; ``num_comparable`` is as `height_std` has it. The map may be larger than the camera's
-    image (padded at its right and bottom).
+    ``std`` (height, width) [m] is that of the heights. The map may be larger than the camera's image (padded at its
+    right and bottom).
     """
-    height, agreeing, spread = (
-        array[: camera.height, : camera.width] for array in (height_map.height, height_map.agreeing, height_map.spread)
-    )
-    if num_comparable is not None:
-        num_comparable = num_comparable[: camera.height, : camera.width]
-    if solved_std is None:
-        std = height_std(height, agreeing, spread, tolerance, num_comparable)
-    else:
-        std = solved_std[: camera.height, : camera.width]
-        if np.isnan(std[keep]).any():
-            std = np.where(np.isnan(std), height_std(height, agreeing, spread, tolerance, num_comparable), std)
+    height, agreeing = (array[: camera.height, : camera.width] for array in (height_map.height, height_map.agreeing))
     parts = []
     for first in range(0, camera.height, rows := max(_POINTS_AT_ONCE // camera.width, 1)):
         part = np.s_[first : first + rows]

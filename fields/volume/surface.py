@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from fields.device import half_the_threads
-from fields.volume.paths import Box, paths_of
+from fields.volume.paths import Box, Paths, paths_of
 from fields.volume.photographs import Photographs
 from fields.volume.renderer import Rendered, VolumeRenderer
 from fields.volume.sampling import Cells
@@ -95,8 +95,13 @@ def surface_of(
         Called after each photograph.
     """
     parts, cells = [], cells.to(renderer.model.place)
+
+    def distances(paths: Paths) -> Tensor:
+        rendered = renderer.render(paths, renderer.samples(paths, cells, samples, jitter=False))
+        return distance_of(rendered, rule, density)
+
     for view in range(len(photographs.cameras)):
-        parts.append(_of_view(renderer, photographs, view, cells, samples, rule, density))
+        parts.append(_of_view(renderer, photographs, view, chunk_of(renderer, samples), distances))
         advance()
     return _agreed(parts, renderer.model.box, side)
 
@@ -105,24 +110,23 @@ def _of_view(
     renderer: VolumeRenderer,
     photographs: Photographs,
     view: int,
-    cells: Cells,
-    samples: int,
-    rule: Rule,
-    density: float,
+    chunk: int,
+    distances: Callable[[Paths], Tensor],
 ) -> np.ndarray:
-    """Points of a photograph, rows of x, y, z, red, green, blue, incidence and the number of the photograph."""
+    """Points of a photograph, rows of x, y, z, red, green, blue, incidence and the number of the photograph.
+
+    ``distances`` gives those of the surface [m] along paths, NaN where there is none, for a chunk of pixels at a time.
+    """
     camera, box = photographs.cameras[view], renderer.model.box
     water = photographs.water
     up = np.asarray(water.up if isinstance(water, FlatWater) else (0.0, 0.0, 1.0))
     parts = [np.zeros((0, 8))]
-    for flat in _pieces(photographs.pixels[view], chunk_of(renderer, samples)):
+    for flat in _pieces(photographs.pixels[view], chunk):
         rows, columns = np.divmod(flat, camera.width)
         rgb = photographs.images[view][rows, columns]
         paths = paths_of(camera, water, np.stack([columns + 0.5, rows + 0.5], axis=-1), rgb, box, view)
         paths = paths.to(renderer.model.place)
-        distance = distance_of(
-            renderer.render(paths, renderer.samples(paths, cells, samples, jitter=False)), rule, density
-        )
+        distance = distances(paths)
         met = torch.isfinite(distance).cpu().numpy()
         points = paths.at(torch.nan_to_num(distance)[:, None])[:, 0].cpu().numpy()[met].astype(np.float64)
         incidence = np.arccos(np.clip(-(paths.air.cpu().numpy()[met] @ up), -1.0, 1.0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,7 @@ from geo.compatibility import bounds_in_other_order
 from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from geo.transformation import lon_lat
-from refract import FlatWater, PinholeCamera
+from refract import PinholeCamera
 from survey.display.quantities import named
 from survey.errors import FILE_NAME, ConfigError, PosesError
 from survey.folder.datum_mixups import above_start_of, explanation, place_of
@@ -78,16 +78,15 @@ def ground_below(cameras: Sequence[PinholeCamera]) -> GroundHeight:
 def require_true(
     frame: LocalFrame,
     views: list[View],
-    water: FlatWater | None,
+    over_water: np.ndarray | None,
     config: SurveyConfig,
     heads: Mapping[str, Exif],
     *,
-    above_water: Callable[[np.ndarray], np.ndarray] | None = None,
     see_points: bool = False,
 ) -> None:
     """Raise where cameras lie under the water, far above it, look at the sky, or far from the bounds.
 
-    ``above_water`` takes places (N, 3), local, to their heights [m] over water that is no plane.
+    ``over_water`` are the heights (V,) [m] of the cameras over the water, None in a dry survey.
 
     Cameras of a dry survey may look up where they see tie points of their poses file (`see_points`), at a cliff or a
     house.
@@ -98,15 +97,14 @@ def require_true(
         With the heights that were found.
     """
     rises = np.array([view.camera.cam_from_local[2, 2] for view in views])
-    if (rises > 0.0).mean() > 0.5 and not (see_points and water is None):
+    if (rises > 0.0).mean() > 0.5 and not (see_points and over_water is None):
         raise PosesError(
             f"{int((rises > 0.0).sum())} of {len(views)} cameras look up at the sky, expected down at the bed; check "
             "the convention of the angles (omega, phi, kappa about the grid axes; camera x right, y up, z back)"
         )
     centres = np.array([view.camera.centre for view in views])
     _require_together(frame, views, centres)
-    if water is not None and config.water is not None:
-        over_water = -water.depth(centres) if above_water is None else above_water(centres)
+    if over_water is not None and config.water is not None:
         _require_above_water(frame, views, over_water, config.water, heads)
     if config.area.bounds is not None:
         _require_bounds_near(frame, centres, config.area.bounds)

@@ -211,10 +211,9 @@ def load_survey(
     require_true(
         frame,
         views,
-        water,
+        None if above_water is None else above_water(np.array([view.camera.centre for view in views])),
         config,
         found.heads,
-        above_water=above_water,
         see_points=placed.reprojection is not None,
     )
     warnings += _doubts(replace(found, config=config), frame, views, water, above_water, placed.control)

@@ -24,7 +24,7 @@ from survey.plan.check_inputs import control_rows, level_doubt, mark_rows, water
 from survey.plan.choices import USUAL, Choices
 from survey.plan.decisions import Decision, require_placeable
 from survey.plan.plan import Plan, device_decision, make_plan
-from survey.plan.tile_choice import choose_tiles
+from survey.plan.tile_choice import choose_tiles, with_free_cores
 from survey.plan.tiling import tile_doubts
 from survey.plan.workload import Workload, room_doubts, workload_of, workload_of_images
 from survey.settings.config import SurveyConfig
@@ -129,7 +129,8 @@ def check_survey(
     try:
         workload = workload_of(survey, plan)
         workload = workload if slowness is None else workload.on_busy(slowness)
-        tiles = choose_tiles(survey, plan, chosen, workload, is_aimed=False, chooses_workers=chooses_workers)
+        tiles = choose_tiles(survey, plan, chosen, workload, is_aimed=False)
+        tiles = with_free_cores(tiles, chosen) if chooses_workers else tiles
         workload = replace(workload, memory_bytes=int(tiles.memory_bytes))
         plan = replace(plan, decisions=(*plan.decisions, *tiles.decisions))
         of_water = tile_doubts(survey, plan, tiles.tiling)

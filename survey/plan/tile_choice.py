@@ -64,12 +64,10 @@ def choose_tiles(
     *,
     is_aimed: bool,
     earlier: int | None = None,
-    chooses_workers: bool = False,
 ) -> TileChoice:
-    """Tiles of a survey by its memory, and processes for them.
+    """Tiles of a survey by its memory, and as many processes for them as are asked for.
 
-    ``earlier`` is the number of tiles of an unfinished run that goes on; ``chooses_workers`` takes as many processes as
-    the machine has room for where no number is chosen, else one.
+    ``earlier`` is the number of tiles of an unfinished run that goes on.
 
     Raises
     ------
@@ -92,7 +90,7 @@ def choose_tiles(
         tiling = Tiling.of(ground_of(survey, plan), chosen.tiles, rim)
         reason = f"set by --tiles, {_size_of(tiling)} each"
         choice = TileChoice(tiling, Decision("tiles", str(chosen.tiles), reason), _memory(survey, plan, tiling))
-        return _with_workers(choice, chosen, chooses_workers)
+        return _with_workers(choice, chosen)
     least = 1 if chosen.scheduler is None else 2
     least = max(least, chosen.workers or 1)
     for_water, why = _for_water(survey, plan)
@@ -125,7 +123,7 @@ def choose_tiles(
             best = TileChoice(tiling, Decision("tiles", str(count), reason), memory)
         if memory <= budget:
             break
-    return _with_workers(best, chosen, chooses_workers)
+    return _with_workers(best, chosen)
 
 
 def _most_tiles(ground: Area, plan: Plan) -> int:
@@ -173,26 +171,37 @@ def _asks_for_workers(chosen: Choices) -> str | None:
     return None if chosen.workers in (None, 1) else f"--workers {chosen.workers}"
 
 
-def _with_workers(choice: TileChoice, chosen: Choices, chooses_workers: bool) -> TileChoice:
-    """The choice of tiles with the processes that compute them."""
+def _with_workers(choice: TileChoice, chosen: Choices) -> TileChoice:
+    """The choice of tiles with the processes that are asked for."""
     if choice.tiling is None:
         return choice
     if chosen.scheduler is not None:
         return replace(
             choice, of_workers=Decision("workers", "of a scheduler", f"set by --scheduler {chosen.scheduler}")
         )
-    if chosen.workers is not None:
-        number, reason = min(chosen.workers, len(choice.tiling)), "set by --workers"
-        if number < chosen.workers:
-            reason = f"--workers {chosen.workers}, but there are no more tiles"
-    elif not chooses_workers:
+    if chosen.workers is None:
         return choice
-    else:
-        cores = machine.num_cores()
-        number = min(cores // _CORES_OF_WORKER, len(choice.tiling), int(_budget(chosen)[0] // choice.memory_bytes))
-        reason = f"{cores} cores, of which a process uses {_CORES_OF_WORKER}, and {size(choice.memory_bytes)} for each"
-        if number < 2 or find_spec("distributed") is None:
-            return choice
+    number, reason = min(chosen.workers, len(choice.tiling)), "set by --workers"
+    if number < chosen.workers:
+        reason = f"--workers {chosen.workers}, but there are no more tiles"
+    return _of_processes(choice, number, reason)
+
+
+def with_free_cores(choice: TileChoice, chosen: Choices) -> TileChoice:
+    """The choice of tiles with as many processes as the machine has room for, where no number is asked for."""
+    if choice.tiling is None or chosen.scheduler is not None or chosen.workers is not None:
+        return choice
+    cores = machine.num_cores()
+    number = min(cores // _CORES_OF_WORKER, len(choice.tiling), int(_budget(chosen)[0] // choice.memory_bytes))
+    if number < 2 or find_spec("distributed") is None:
+        return choice
+    each = size(choice.memory_bytes)
+    return _of_processes(
+        choice, number, f"{cores} cores, of which a process uses {_CORES_OF_WORKER}, and {each} for each"
+    )
+
+
+def _of_processes(choice: TileChoice, number: int, reason: str) -> TileChoice:
     found = Decision("workers", str(number), reason)
     return replace(choice, workers=number, of_workers=found, memory_bytes=number * choice.memory_bytes)
 

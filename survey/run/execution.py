@@ -32,7 +32,7 @@ from survey.run.stage_tiles import find_shared, read_shared
 from survey.run.task_at_url import put_job
 from survey.run.tile_job import MASKS, TileJob
 from survey.run.worker_task import Task, loaded_code, save_job
-from survey.run.workers import Workers, workers_for
+from survey.run.workers import WorkerNeeds, Workers, workers_for
 
 if TYPE_CHECKING:
     from survey.run.keys import Key
@@ -144,18 +144,15 @@ class TileWorkers:
             chosen, tiles = self._job.chosen, self._job.tiles
             number = 1 if tiles is None else tiles.workers
             number = (chosen.workers or 1) if chosen.scheduler is not None else number
-            photograph = self._job.survey.views[0].path
+            needs = WorkerNeeds(
+                self._run.stages_path,
+                self._job.survey.views[0].path,
+                takes_gpu=self._job.plan.device == "cuda",
+                url=None if (run := self._remote) is None else run.remote.url,
+            )
             with self._job.progress.stage("Workers"):
                 self._workers = self._stack.enter_context(
-                    workers_for(
-                        number,
-                        chosen.scheduler,
-                        self._run.stages_path,
-                        photograph,
-                        self._job.progress.note,
-                        takes_gpu=self._job.plan.device == "cuda",
-                        url=None if (run := self._remote) is None else run.remote.url,
-                    )
+                    workers_for(number, chosen.scheduler, needs, self._job.progress.note)
                 )
         return self._workers
 

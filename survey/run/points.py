@@ -6,7 +6,7 @@ The bed of a run and the assessment of a round use the same points.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from fields.median import median
 from fields.solver.solver import SolvedMap
-from fields.sweep.bed import BedPoints, has_neighbours, is_supported, points_of, unique_pixels, with_slope_std
+from fields.sweep.bed import BedPoints, has_neighbours, is_supported, points_of, std_of_kept, with_slope_std
 from fields.sweep.block import AGREEMENT_PX
 from fields.sweep.fusion import PEERS, num_comparable
 from fields.sweep.maps import HeightMap, trusted
@@ -53,27 +53,27 @@ def with_std_of_block(
     return replace(bed, std=np.hypot(bed.std, of_block)), of_block
 
 
+@dataclass(frozen=True)
+class RefinedMaps:
+    """Height maps of the sweep, the pixels that become points, and what refined their heights."""
+
+    maps: Sequence[HeightMap]
+    kept: Sequence[np.ndarray]  # (height, width) bool each, as `fields.sweep.bed.unique_pixels` finds them
+    solved: Sequence[SolvedMap] | None = None
+    field: TensorField | None = None
+
+
 def bed_points(
-    job: Job,
-    maps: Sequence[HeightMap],
-    field: TensorField | None,
-    advance: Callable[[float], None],
-    solved: Sequence[SolvedMap] | None = None,
-    kept: Sequence[np.ndarray] | None = None,
-    *,
-    coloured: bool = True,
+    job: Job, found: RefinedMaps, advance: Callable[[float], None], *, coloured: bool = True
 ) -> tuple[BedPoints, np.ndarray, int]:
     """Points of the bed without duplicates, coloured from the photograph that shows each steepest, or black.
-
-    ``kept`` is what `fields.sweep.bed.unique_pixels` finds, where it is known.
 
     Returns the points, the tides (N,) [m] of their photographs, and how many took their height from the field.
     """
     survey, plan, block = job.survey, job.plan, job.block
     parts, sources, tides, moved, area = [], [], [], 0, job.ground
-    if kept is None:
-        kept = unique_pixels(block, maps, plan.gsd_m)
-    for number, (height_map, keep, comparable) in enumerate(zip(maps, kept, num_comparable(block, maps), strict=True)):
+    comparable_of = num_comparable(block, found.maps)
+    for number, (height_map, keep, comparable) in enumerate(zip(found.maps, found.kept, comparable_of, strict=True)):
         view = survey.views[height_map.view]
         camera = camera_of(view, plan)
         rgb = job.photographs.load(view, scale=plan.image_scale) if coloured else _black(camera)
@@ -82,13 +82,14 @@ def bed_points(
         if len(block.neighbours(height_map.view, PEERS)) == 1:
             keep = keep & is_supported(height_map.height, trusted(height_map), tolerance)
         keep = keep[: camera.height, : camera.width]
-        if field is not None:
+        if found.field is not None:
             from fields.slab.novel_view import refine
 
-            height, taken = refine(field, camera, height_map, rgb, survey.water, keep)
+            height, taken = refine(found.field, camera, height_map, rgb, survey.water, keep)
             height_map, moved = replace(height_map, height=height), moved + taken
-        final, std = (height_map, None) if solved is None else solved[number].over(height_map)
-        points = points_of(camera, survey.water, final, keep, rgb, tolerance, std, comparable)
+        final, std = (height_map, None) if found.solved is None else found.solved[number].over(height_map)
+        std = std_of_kept(final, keep, tolerance, std, comparable)
+        points = points_of(camera, survey.water, final, keep, rgb, std)
         points = with_slope_std(points, final.height, keep, plan.gsd_m, survey.water)
         # Floor of std at 0.01 px of parallax: heights that agree exactly do so by chance.
         points = replace(points, std=np.maximum(points.std, np.float32(LEAST_STD_PX / parallax)))

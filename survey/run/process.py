@@ -28,7 +28,7 @@ from survey.plan.choices import Choices, Device
 from survey.plan.decisions import require_placeable
 from survey.plan.plan import device_decision, make_plan
 from survey.plan.rates import parts_in_tiles, parts_s
-from survey.plan.tile_choice import SHARED, TileChoice, choose_tiles, require_dask
+from survey.plan.tile_choice import SHARED, TileChoice, choose_tiles, require_dask, with_free_cores
 from survey.plan.tiling import tile_doubts
 from survey.plan.workload import amounts_of_run, parts_of_found, require_room, workload_of, workload_of_found
 from survey.progress import Progress, opened
@@ -244,9 +244,8 @@ def _announce(
     earlier = run.found_before(SHARED).get("tiles")
     in_one = workload_of(survey, plan)
     is_aimed = aimed is not None
-    tiles = choose_tiles(
-        survey, plan, chosen, in_one, is_aimed=is_aimed, earlier=earlier, chooses_workers=chooses_workers
-    )
+    tiles = choose_tiles(survey, plan, chosen, in_one, is_aimed=is_aimed, earlier=earlier)
+    tiles = with_free_cores(tiles, chosen) if chooses_workers else tiles
     for decision in (*plan.decisions, *tiles.decisions):
         progress.note(f"plan: {decision.name}: {decision.choice} ({decision.reason})")
     if aimed is not None:

@@ -19,7 +19,7 @@ from fields.sweep.maps import HeightMap
 from survey.files.json_values import write_json
 from survey.run.aimed_run import CellStd, std_cells
 from survey.run.folder import seconds_of
-from survey.run.points import adjustment_of, bed_points, is_placed, with_std_of_block
+from survey.run.points import RefinedMaps, adjustment_of, bed_points, is_placed, with_std_of_block
 from survey.run.stage_solver import SOLVED
 from survey.run.stage_sweep import CELLS, MAPS, look_at_bed
 from survey.run.stored import save_arrays
@@ -72,7 +72,7 @@ def _cells(job: Job, needs: Mapping[str, Path], solved: Sequence[SolvedMap]) -> 
     maps = Stored(needs["sweep"] / MAPS, HeightMap)
     look_at_bed(job, needs["sweep"])
     kept = job.unique_masks(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m))
-    bed, _, _ = bed_points(job, maps, None, lambda _done: None, solved, kept, coloured=False)
+    bed, _, _ = bed_points(job, RefinedMaps(maps, kept, solved), lambda _done: None, coloured=False)
     if not is_placed(job.survey):
         # As in the gate: no round reduces the std of the datum by GPS or control.
         bed, _ = with_std_of_block(bed, job.survey, adjustment_of(needs), job.plan.gsd_m)

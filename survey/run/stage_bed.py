@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fields.occluded.holes import KnownBed
 from fields.occluded.occluded import find_occluded
 from fields.solver.solver import SolvedMap
 from fields.sweep.bed import BedPoints, unique_pixels
@@ -28,7 +29,7 @@ from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.plan.sweep_block import backend
 from survey.progress import shares
-from survey.run.points import adjustment_of, bed_points, is_placed, with_std_of_block
+from survey.run.points import RefinedMaps, adjustment_of, bed_points, is_placed, with_std_of_block
 from survey.run.stage_solver import SOLVED
 from survey.run.stage_sweep import MAPS, look_at_bed
 from survey.run.stored import BED_FILE, SURVEY_FILE, Column, StoredBed, save_bed
@@ -169,9 +170,7 @@ def with_occluded(
             job.block,
             SolvedHeights(maps, solved),
             lambda view: job.photographs.load(views[view], scale=scale),
-            bed.xyz,
-            job.plan.gsd_m,
-            job.own_ground,
+            KnownBed(bed.xyz, job.plan.gsd_m, job.own_ground),
             shares(stage),
         )
     if not found.num_boxes:
@@ -214,7 +213,7 @@ def points_of_bed(job: Job, needs: Mapping[str, Path]) -> BedPoints:
         kept = job.unique_masks(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m))
         if solved is not None:
             kept = without_ghosts(job.block, SolvedHeights(maps, solved), kept, job.plan.gsd_m)
-        bed, tide, moved = bed_points(job, maps, field, stage.advance, solved, kept)
+        bed, tide, moved = bed_points(job, RefinedMaps(maps, kept, solved, field), stage.advance)
     if solved is not None and job.plan.boxes and len(bed):
         bed, tide = with_occluded(job, maps, solved, bed, tide)
     if survey.water is not None and survey.observations.departure is not None:

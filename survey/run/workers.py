@@ -14,6 +14,7 @@ import uuid
 from collections.abc import Callable, Collection, Generator, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -130,21 +131,22 @@ class Workers:
                 )
 
 
+@dataclass(frozen=True)
+class WorkerNeeds:
+    """Folders and devices that each worker of a run needs."""
+
+    stages: Path  # Folder of the stages of the run
+    photograph: Path  # One of the survey
+    # Of a scheduler only workers with the resource GPU compute; those of this machine share its GPUs
+    takes_gpu: bool = False
+    url: str | None = None  # Of the run, by which workers of a scheduler work
+
+
 @contextmanager
 def workers_for(
-    number: int,
-    scheduler: str | None,
-    stages: Path,
-    photograph: Path,
-    note: Callable[[str], None],
-    *,
-    takes_gpu: bool = False,
-    url: str | None = None,
+    number: int, scheduler: str | None, needs: WorkerNeeds, note: Callable[[str], None]
 ) -> Iterator[Workers]:
     """So many workers of this machine, or all of a scheduler that has so many, for the stages in a folder of a run.
-
-    ``takes_gpu``: of a scheduler only workers with the resource GPU compute; those of this machine share its GPUs.
-    ``url``: of the run, by which workers of a scheduler work.
 
     Raises
     ------
@@ -175,13 +177,13 @@ def workers_for(
             cluster = _local_cluster(distributed, number)
         with cluster as place, _client_of(distributed, place, scheduler, number) as client:
             if scheduler is None:
-                client.register_plugin(_cores_plugin(distributed, number, gpus() if takes_gpu else []))
+                client.register_plugin(_cores_plugin(distributed, number, gpus() if needs.takes_gpu else []))
             of = "this machine" if scheduler is None else scheduler
             note(f"workers: {len(client.nthreads())} of {of}, {_watched(client, scheduler)}")
             are_started = scheduler is None
-            takes_gpu, url = takes_gpu and not are_started, None if are_started else url
-            _check(client, stages, photograph, takes_gpu=takes_gpu, url=url)
-            yield Workers(client, stages, are_started=are_started, takes_gpu=takes_gpu, url=url)
+            needs = replace(needs, takes_gpu=False, url=None) if are_started else needs
+            _check(client, needs)
+            yield Workers(client, needs.stages, are_started=are_started, takes_gpu=needs.takes_gpu, url=needs.url)
 
 
 def _local_cluster(distributed: Any, number: int) -> Any:
@@ -230,10 +232,10 @@ def _watched(client: Any, scheduler: str | None) -> str:
     return f"to be watched at http://127.0.0.1:{client.scheduler_info()['services']['dashboard']}/status"
 
 
-def _check(client: Any, stages: Path, photograph: Path, *, takes_gpu: bool = False, url: str | None = None) -> None:
-    """Raise where a worker has several threads, another program, or does not see the run or a photograph.
+def _check(client: Any, needs: WorkerNeeds) -> None:
+    """Raise where a worker has several threads, another program, or lacks what it needs.
 
-    ``takes_gpu``: also where none has the resource GPU; ``url``: of the run, which is to be seen in their place.
+    By the URL of a run neither its folder nor a photograph is to be seen.
     """
     for place, threads in client.nthreads().items():
         if threads != 1:
@@ -241,12 +243,12 @@ def _check(client: Any, stages: Path, photograph: Path, *, takes_gpu: bool = Fal
                 f"the worker {place} has {threads} threads, expected one, which computes one tile at a time; start it "
                 "with --nthreads 1"
             )
-    photograph = photograph.absolute()
-    with _token(stages) as token:
-        if url is None:
+    photograph = needs.photograph.absolute()
+    with _token(needs.stages) as token:
+        if needs.url is None:
             found = client.run(_seen, token, photograph, on_error="return")
         else:
-            found = client.run(_seen_at, url, on_error="return")
+            found = client.run(_seen_at, needs.url, on_error="return")
     left, has_gpu = client.nthreads(), False
     for place, each in found.items():
         if isinstance(each, Exception):
@@ -265,15 +267,15 @@ def _check(client: Any, stages: Path, photograph: Path, *, takes_gpu: bool = Fal
             raise SurveyError(f"the worker {place} has {ANOTHER_VERSION}")
         if not sees_run:
             raise SurveyError(
-                f"the worker {place} does not see {stages}; name a run folder with -o that all workers reach by the "
-                "same path"
+                f"the worker {place} does not see {needs.stages}; name a run folder with -o that all workers reach by "
+                "the same path"
             )
         if not sees_photograph:
             raise SurveyError(
                 f"the worker {place} does not see {photograph}; put the survey where all workers reach it by the same "
                 "path"
             )
-    if takes_gpu and not has_gpu:
+    if needs.takes_gpu and not has_gpu:
         raise SurveyError(
             "the run computes on CUDA, and no worker has the resource GPU; start one for each GPU, with its number in "
             f'CUDA_VISIBLE_DEVICES and --resources "{GPU}=1", or give --device cpu'

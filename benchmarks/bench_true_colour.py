@@ -131,7 +131,7 @@ def main() -> None:
     parts = [measure(options.work, seed, options.depth) for seed in options.seeds]
     joined = {
         row: {key: np.concatenate([part[row][key] for part in parts]) for key in ("depth", "difference")}
-        for row in ROWS
+        for row in parts[0]
     }
     sys.stdout.write("\n".join(table(joined)) + "\n")
 

@@ -1,0 +1,72 @@
+"""Levels of detail, errors over time and colours without water, as their benchmarks measure them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from fields.device import choose_device
+from fields.volume.models import build_model
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(autouse=True)
+def benchmarks(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+
+
+def test_a_dry_scene_and_an_enlarged_one_show_the_same_surface(monkeypatch):
+    from switch_scene import BED, BLOCK, build
+
+    monkeypatch.setattr("switch_scene.VIEWS", 4)
+    dry, wet = build(water=None), build(enlarged=2.0)
+    assert dry.held.cameras[0].width == 96
+    assert wet.held.cameras[0].width == 192
+    assert wet.train.cameras[0].width == 96
+    camera, length = dry.held.cameras[0], dry.length[0]
+    known = np.isfinite(length)
+    points = camera.centre + length[..., None] * camera.directions(camera.pixel_centres())
+    assert points[known][:, 2].min() == pytest.approx(BED)
+    assert points[known][:, 2].max() == pytest.approx(BLOCK[1][2])
+
+
+@pytest.mark.parametrize("name", ["octree", "ground"])
+def test_finer_levels_have_smaller_cells_and_read_more(name):
+    from bench_levels import LEVELS, at_level
+    from switch_scene import BOX
+
+    model = build_model(name, BOX, 16, choose_device("torch"))
+    if name == "octree":
+        model.split(torch.tensor([0]))
+        model.split(torch.tensor([1]))
+    costs = [at_level(model, level) for level in range(LEVELS)]
+    assert [round(BOX.edge / cost["cell_m"]) for cost in costs] == [4, 8, 16]
+    assert costs[0]["read"] < costs[1]["read"] < costs[2]["read"]
+    assert costs[0]["products"] <= costs[2]["products"]
+
+
+def test_a_table_of_errors_has_each_model_once_with_what_it_reached():
+    from bench_error_time import table
+
+    looks = [{"seconds": 1.0, "steps": 5, "psnr_db": 20.0, "depth_m": 0.3},
+             {"seconds": 2.0, "steps": 9, "psnr_db": 25.04, "depth_m": 0.0504}]  # fmt: skip
+    rows = [{"model": "mdw", "scene": "wet", "steps": 9, "looks": looks}]
+    assert table(rows)[2:] == ["| MDW | - | - | - | 9 | 25.0 dB | 50 mm |"]
+
+
+def test_colours_differ_by_their_chroma_alone():
+    from bench_true_colour import cell_means, chroma, differences
+
+    grey = np.full((1, 3), 0.4)
+    np.testing.assert_allclose(chroma(grey), 0.0, atol=0.02)  # OpenCV's table
+    # Red of sRGB in CIELAB under D65.
+    np.testing.assert_allclose(chroma(np.array([[1.0, 0.0, 0.0]])), [[80.1, 67.2]], atol=0.2)
+    bed = np.random.default_rng(0).uniform(0.1, 0.5, (50, 3))
+    np.testing.assert_allclose(differences(0.6 * bed, bed), 0.0, atol=0.02)
+    assert differences(bed * (0.5, 1.0, 1.0), bed).min() > 1.0
+    xyz = np.repeat([[0.1, 0.1, 0.0], [0.4, 0.1, 0.0], [0.9, 0.9, 0.0]], [12, 10, 3], axis=0)
+    assert cell_means(xyz, np.arange(25.0)[:, None]).ravel().tolist() == [5.5, 16.5]

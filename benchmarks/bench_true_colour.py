@@ -27,7 +27,7 @@ from survey.run.process import process
 from survey.run.stored import StoredBed, load_bed
 from survey.simulate.drawn import DrawnScene, stage_drawing
 from survey.simulate.output.writing import write_survey
-from survey.simulate.water import WaterColour
+from survey.simulate.water import WaterOptics
 
 # Points further from the true bed than this [m] may have the colour of something else.
 ON_THE_BED_M = 0.03
@@ -86,7 +86,7 @@ def measure(work: Path, seed: int, depth_m: float) -> dict[str, dict[str, np.nda
     found = {}
     toml = folder / "survey.toml"
     text = toml.read_text(encoding="utf-8")
-    absorption = list(WaterColour().absorption)
+    absorption = list(WaterOptics().absorption)
     given = f"[water]\nabsorption_per_m = {absorption}\nveiling_light = [0.0, 0.0, 0.0]"
     for row in ROWS:
         toml.write_text(text.replace("[water]", given) if row == ROWS[2] else text, encoding="utf-8")

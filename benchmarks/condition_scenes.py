@@ -21,12 +21,12 @@ from survey.simulate.ground.shapes import Solid
 from survey.simulate.light import Light
 from survey.simulate.output.sidecars import StagedScene
 from survey.simulate.sensor import Eye
-from survey.simulate.water import WaterColour
+from survey.simulate.water import WaterOptics
 
 # Between two photographs [s], and the acceleration of gravity [m/s2].
 BETWEEN_S, _GRAVITY = 2.0, 9.81
 # Water of a brown stream: yellow substance takes blue first, and what is suspended veils the bed.
-BROWN = WaterColour(absorption=(0.9, 1.3, 2.4), veil=(0.07, 0.05, 0.02), veiling=1.2)
+BROWN = WaterOptics(absorption=(0.9, 1.3, 2.4), veil=(0.07, 0.05, 0.02), veiling=1.2)
 
 # The scene as one photograph of it shows it.
 OfPhotograph = Callable[[StagedScene, int], StagedScene]

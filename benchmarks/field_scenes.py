@@ -26,7 +26,7 @@ from survey.simulate.ground.paint import in_texels, light_of_bed, noise, sand, s
 from survey.simulate.ground.shapes import BedGrid
 from survey.simulate.light import Light
 from survey.simulate.render.direct import DirectRenderer, depth_below
-from survey.simulate.water import WaterColour, WaterLevel
+from survey.simulate.water import WaterLevel, WaterOptics
 
 # Between vertices of the bed [m].
 _CELL_M = 0.03
@@ -96,8 +96,8 @@ def stage(settings: FieldSettings) -> FieldScene:
     plane, lens = level.plane(frame), settings.lens
     cameras = tuple(_fly(settings, lens))
     rng = np.random.default_rng([settings.seed, 22])
-    usual = WaterColour()
-    colour = WaterColour(
+    usual = WaterOptics()
+    colour = WaterOptics(
         absorption=tuple(settings.murk * a for a in usual.absorption), veiling=settings.murk * usual.veiling
     )
     return FieldScene(

@@ -22,7 +22,7 @@ from survey.simulate.ground.shapes import TriangleMesh
 from survey.simulate.light import Light
 from survey.simulate.render.direct import DirectRenderer
 from survey.simulate.scene_file import ObjectSettings, TextureSettings
-from survey.simulate.water import WaterColour
+from survey.simulate.water import WaterOptics
 
 GAMMA = 2.2
 # One photograph in so many is held out.
@@ -152,7 +152,7 @@ def _orbit(
         lambda points, face: np.ones(len(points)),
     )
     floor = TriangleMesh(corners, np.array([[0, 1, 2], [0, 2, 3]]))
-    renderer = DirectRenderer(Ground(floor, (body,), (sand, look)), water, WaterColour())
+    renderer = DirectRenderer(Ground(floor, (body,), (sand, look)), water, WaterOptics())
     cameras = _rings(box, scale, lift, above=None if water is None else 2.5 * box.edge)
     pictures, pixels, surface = [], [], []
     for camera in cameras:

@@ -28,7 +28,7 @@ from survey.simulate.light import Light
 from survey.simulate.output.sidecars import cameras_csv, gps_exif
 from survey.simulate.render.direct import DirectRenderer
 from survey.simulate.sensor import Sensor
-from survey.simulate.water import WaterColour
+from survey.simulate.water import WaterOptics
 
 GROUNDS = ("wet", "dry", "shore")
 # Of each of the two lines of a flight, and between two photographs and two lines [m]: 78 and 60 % overlap.
@@ -283,7 +283,7 @@ def draw_flights(folder: Path) -> None:
         bed = drawn.bed
         assert isinstance(bed, BedGrid)
         np.savez(own / _BED, heights=bed.heights, corner=np.array([bed.west, bed.south, bed.cell]))
-        renderer, sensor = DirectRenderer(drawn, flight.water, WaterColour()), Sensor(noise=1.5)
+        renderer, sensor = DirectRenderer(drawn, flight.water, WaterOptics()), Sensor(noise=1.5)
         for k, path in enumerate(names):
             if not path.is_file():
                 light = sensor.photograph(renderer.radiance_of_rays, flight.cameras[k], LENS, (flight.scene.seed, k))

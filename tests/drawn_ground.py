@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from survey.control.points import Ground
+from survey.control.points import StableGround
 from survey.folder.survey import Survey
 from survey.settings.control import ControlConfig
 from tests.block_survey import survey_of, with_shift
@@ -67,7 +67,7 @@ def drawn_on_ground(
     horizontal, vertical = std_m
     ground += rng.standard_normal(3) * [horizontal, horizontal, vertical]
     control = ControlConfig(reference="earlier.las", reference_std_m=std_m)
-    return block, changed(survey, ground=Ground(ground, std_m), config=replace(survey.config, control=control))
+    return block, changed(survey, ground=StableGround(ground, std_m), config=replace(survey.config, control=control))
 
 
 def with_stated_positions(block: DrawnBlock, survey: Survey) -> Survey:

@@ -11,7 +11,7 @@ from small_survey import E0, LEVEL, N0
 from geo.frames import LocalFrame
 from refract.lens import Lens
 from survey.photos.poses import TiePoints
-from survey.sfm.poses import Photographs, image_names
+from survey.sfm.poses import UnposedPhotographs, image_names
 
 
 def solved(monkeypatch, names):
@@ -29,6 +29,6 @@ def solved(monkeypatch, names):
         residuals = np.zeros((len(views), 3))
         return SimpleNamespace(frame=frame, views=views, notes=["placed by GPS"], ties=ties, gps_residual_m=residuals)
 
-    there = SimpleNamespace(solve_poses=solve_poses, image_names=image_names, Photographs=Photographs)
+    there = SimpleNamespace(solve_poses=solve_poses, image_names=image_names, UnposedPhotographs=UnposedPhotographs)
     monkeypatch.setitem(sys.modules, "survey.sfm.poses", there)
     return calls

@@ -8,7 +8,7 @@ from plane_survey import PlaneBed, texture
 
 from fields.device import Device
 from fields.image_store import GAMMA
-from fields.slab.rays import Rays, Slab, rays_of
+from fields.slab.rays import Slab, SlabRays, rays_of
 from fields.slab.tensor_field import FieldSettings, TensorField
 from fields.sweep.maps import HeightMap, Sources
 from fields.water_column import WaterColumn
@@ -46,7 +46,7 @@ def level_slab(height: float, *, half: float = 0.1, slope_x: float = 0.0) -> Sla
     return Slab(np.array([-4.0, -4.0]), 0.1, proxy, np.ones(proxy.shape, dtype=bool), half)
 
 
-def rays_at(bed: PlaneBed, camera: PinholeCamera, height, *, step: int = 7) -> Rays:
+def rays_at(bed: PlaneBed, camera: PinholeCamera, height, *, step: int = 7) -> SlabRays:
     """Rays through every ``step``-th pixel of a camera, standing at a height [m], grey."""
     pixels = camera.pixel_centres()[::step, ::step].reshape(-1, 2)
     heights = np.zeros(len(pixels), dtype=np.float32) + np.asarray(height, dtype=np.float32)

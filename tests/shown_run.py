@@ -15,7 +15,7 @@ from survey.run.folder import RunDir
 from survey.run.keys import Key
 from survey.run.stored import StoredBed, save_bed
 from survey.viewer.page import close_server, open_server
-from survey.viewer.session import Session
+from survey.viewer.session import ViewSession
 from survey.viewer.shown import Shown
 from survey.viewer.tree import build_tree
 
@@ -30,10 +30,10 @@ def shown_of(folder: Path, num: int = 300) -> Shown:
 
 
 @contextmanager
-def served(shown: Shown) -> Iterator[Session]:
+def served(shown: Shown) -> Iterator[ViewSession]:
     """A session on a server of its own."""
     server = open_server("localhost", 0, "test")
-    session = Session(shown, server)
+    session = ViewSession(shown, server)
     try:
         yield session
     finally:

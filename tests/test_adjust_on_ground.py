@@ -13,7 +13,7 @@ from survey.adjust.block.on_ground import planes_under, shift_onto
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import read_adjustment, write_adjustment
 from survey.adjust.result.ground_fit import GroundFit
-from survey.control.points import Ground
+from survey.control.points import StableGround
 from survey.errors import ControlError
 from tests.block_survey import height_error, pose_errors
 from tests.changed_survey import changed
@@ -34,7 +34,7 @@ def test_a_shift_is_found_from_points_of_which_a_fifth_is_wrong(seed, shift):
     rng = np.random.default_rng(seed)
     points = rough(rng, 300, half=8.0)
     points[:60, 2] += rng.uniform(-2.0, 3.0, 60)
-    found = shift_onto(Ground(rough(rng, 6000), (0.1, 0.1)), points - shift)
+    found = shift_onto(StableGround(rough(rng, 6000), (0.1, 0.1)), points - shift)
     assert np.abs(found - shift).max() < 0.05
 
 
@@ -43,7 +43,7 @@ def test_planes_hold_points_of_the_ground_and_leave_out_what_changed():
     points = np.concatenate([rough(rng, 400, half=14.0), rough(rng, 5)])
     points[:40, 2] += 0.7
     points[40:60, 0] += 100.0
-    on_ground = planes_under(Ground(rough(rng, 8000), (0.1, 0.1)), points, 400)
+    on_ground = planes_under(StableGround(rough(rng, 8000), (0.1, 0.1)), points, 400)
     used = on_ground.planes.strength > 0.0
     assert not used[:60].any()
     assert not used[400:].any()
@@ -52,7 +52,7 @@ def test_planes_hold_points_of_the_ground_and_leave_out_what_changed():
     assert on_ground.changed[60:400].mean() < 0.05
     assert np.abs(on_ground.planes.distances(points, np.zeros(3))[used]).max() < 0.06
     with pytest.raises(ControlError, match="tie points lie over the dry ground"):
-        planes_under(Ground(rough(rng, 8000) + np.array([100.0, 0.0, 0.0]), (0.1, 0.1)), points[:40], 40)
+        planes_under(StableGround(rough(rng, 8000) + np.array([100.0, 0.0, 0.0]), (0.1, 0.1)), points[:40], 40)
 
 
 def test_a_block_off_by_half_a_metre_comes_to_where_the_bank_is(tmp_path):

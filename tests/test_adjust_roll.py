@@ -18,7 +18,7 @@ from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import Adjustment
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
-from survey.sfm.gps_fit import Across, Line, roll_by_attitudes, roll_by_control, roll_by_ground
+from survey.sfm.gps_fit import Across, PositionLine, roll_by_attitudes, roll_by_control, roll_by_ground
 from tests.changed_survey import changed
 
 POSITION_STD_M = (0.5, 0.5, 0.8)
@@ -141,7 +141,7 @@ def test_level_water_alone_holds_the_roll_as_well_as_it_is_said(monkeypatch):
 @pytest.mark.parametrize("angle", [-2.5, -0.3, 0.0, 0.1, 3.0])
 def test_attitudes_control_and_ground_find_an_angle(rng, angle):
     direction = np.array([1.0, 0.4, 0.05]) / np.linalg.norm([1.0, 0.4, 0.05])
-    across = Across.of(Line(np.array([3.0, 2.0, 30.0]), direction, 50.0, 0.1, 0.1))
+    across = Across.of(PositionLine(np.array([3.0, 2.0, 30.0]), direction, 50.0, 0.1, 0.1))
     down = Rotation.from_euler("x", 180.0, degrees=True).as_matrix()
     true = np.array([_turned(down, rng.normal(0.0, 0.01, 3)) for _ in range(40)])
     points = np.column_stack([rng.uniform(-30.0, 30.0, (50, 2)), rng.normal(0.0, 0.2, 50)])

@@ -25,7 +25,7 @@ from survey.folder.found import find_survey
 from survey.folder.survey import load_survey
 from survey.marking.book import Book, PointKey
 from survey.marking.server import TILE_PX, TOKEN_HEADER, MarkingServer, PhotographTiles, pyramid
-from survey.marking.session import Session
+from survey.marking.session import MarkingSession
 from survey.run.flight import save_flight
 
 CONTROL = '[control]\ngcps = "gcp_list.txt"\n'
@@ -40,7 +40,7 @@ def folder(tmp_path):
 
 @pytest.fixture
 def server(folder):
-    with MarkingServer(Session(folder)) as running:
+    with MarkingServer(MarkingSession(folder)) as running:
         threading.Thread(target=running.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
         yield running
         running.shutdown()
@@ -154,7 +154,7 @@ def seen(folder) -> dict[str, tuple[float, float]]:
 
 
 def test_spots_of_the_waterline_tell_its_level(server, folder):
-    survey = Session(folder)
+    survey = MarkingSession(folder)
     views = survey._posed.views
     spot = survey._posed.frame.local_from_crs(np.array([E0 + 3.0, N0 - 2.0, LEVEL]))
     state(server, "/add", {"kind": "water", "name": "w1"})
@@ -178,7 +178,7 @@ def test_spots_of_the_waterline_tell_its_level(server, folder):
 def test_without_poses_photographs_are_proposed_by_their_positions(tmp_path):
     folder = unposed(tmp_path / "s")
     (folder / "gcp_list.txt").write_text(odm(images=("0000.jpg",)))
-    session = Session(folder)
+    session = MarkingSession(folder)
     found = session.state()
     assert found["poses"] is None
     assert "no poses are known yet" in " ".join(found["notes"])
@@ -194,7 +194,7 @@ def test_the_poses_of_a_finished_run_count_before_those_of_the_file(tmp_path):
     raised = replace(survey, views=tuple(_raised(view) for view in survey.views))
     (folder / "bathynerf").mkdir()
     save_flight(folder / "bathynerf", raised)
-    session = Session(folder)
+    session = MarkingSession(folder)
     assert session.state()["poses"] == f"the run {folder / 'bathynerf'}"
     session.book.add("ground", "p", PLACE)
     local = survey.frame.local_from_crs(np.array(PLACE))
@@ -209,7 +209,7 @@ def _raised(view):
 
 def test_poses_of_a_run_are_asked_for_by_name(folder, tmp_path):
     with pytest.raises(SurveyError, match="made before runs kept their cameras"):
-        Session(folder, run=tmp_path / "none")
+        MarkingSession(folder, run=tmp_path / "none")
 
 
 def test_tiles_join_to_the_photograph_and_halves_keep_their_place(tmp_path):

@@ -8,7 +8,7 @@ import pytest
 
 from fields.device import choose_device
 from fields.occluded.agreement import FoundPoints, explained_above, surface_heights
-from fields.occluded.holes import BedLayer, Box, Holes, KnownBed, boxes_about, smooth
+from fields.occluded.holes import BedLayer, Holes, KnownBed, StepBox, boxes_about, smooth
 from fields.occluded.occluded import find_occluded, show_bed
 from fields.occluded.sightings import Colours, consensus
 from fields.sweep.block import Block
@@ -36,7 +36,7 @@ def test_the_layer_is_the_bed_below_what_stands_over_it():
     over = (np.abs(xy - 1.0) < 0.4).all(axis=1)
     bed = -2.0 + 0.1 * xy[:, 0]
     z = np.where(over, -1.2, bed) + rng.normal(0.0, 0.003, len(xy))
-    layer = BedLayer.of(Box(0.0, 0.0, GSD), np.column_stack([xy, z]))
+    layer = BedLayer.of(StepBox(0.0, 0.0, GSD), np.column_stack([xy, z]))
     x, y = np.meshgrid(np.linspace(0.7, 1.3, 7), np.linspace(0.7, 1.3, 7))
     # Of 3 mm of noise in each point: the lowest of a cell lie lower, by three times that at most.
     np.testing.assert_allclose(layer.at(x, y), -2.0 + 0.1 * x, atol=0.009)
@@ -44,7 +44,7 @@ def test_the_layer_is_the_bed_below_what_stands_over_it():
 
 def test_the_layer_ends_far_from_the_bed():
     xy = np.random.default_rng(0).uniform((-1.6, -1.6), (0.5, 3.6), (20_000, 2))
-    layer = BedLayer.of(Box(0.0, 0.0, GSD), np.column_stack([xy, np.full(len(xy), -2.0)]))
+    layer = BedLayer.of(StepBox(0.0, 0.0, GSD), np.column_stack([xy, np.full(len(xy), -2.0)]))
     assert np.isfinite(layer.at(np.array([0.4]), np.array([0.4]))).all()
     assert np.isnan(layer.at(np.array([1.6]), np.array([0.4]))).all()
 
@@ -55,7 +55,7 @@ def test_where_the_bed_is_lower_than_the_layer_is_no_hole(half_gsd, depth_gsd):
     x, y = (each.ravel() * GSD for each in np.meshgrid(np.arange(-30, 130), np.arange(-30, 130)))
     pit = (np.abs(x / GSD - 50) < half_gsd) & (np.abs(y / GSD - 50) < half_gsd)
     cloud = np.column_stack([x, y, np.where(pit, -depth_gsd * GSD, 0.0)])
-    box = Box(0.0, 0.0, GSD)
+    box = StepBox(0.0, 0.0, GSD)
     middle = np.array([50 * GSD])
     assert BedLayer.of(box, cloud).at(middle, middle) == pytest.approx(0.0, abs=0.5 * GSD)
     assert Holes.of(box, KnownBed(cloud, GSD)) is None
@@ -64,7 +64,7 @@ def test_where_the_bed_is_lower_than_the_layer_is_no_hole(half_gsd, depth_gsd):
 
 def test_boxes_are_where_enough_steps_are():
     places = np.concatenate([np.full((40, 2), 0.5), np.full((3, 2), 9.0)])
-    assert boxes_about([places, np.empty((0, 2))], GSD) == [Box(0.0, 0.0, GSD)]
+    assert boxes_about([places, np.empty((0, 2))], GSD) == [StepBox(0.0, 0.0, GSD)]
     assert boxes_about([], GSD) == []
 
 

@@ -11,7 +11,7 @@ from survey.adjust.result.adjustment import ControlResidual
 from survey.control.points import Checkpoint, Control, ControlPoint
 from survey.folder.survey import load_survey
 from survey.report.adjustment_pictures import Residual, clipped, draw_residuals, residuals_of
-from survey.report.checkpoints import CheckpointFigures, CheckpointRow
+from survey.report.checkpoints import CheckpointAccuracy, CheckpointRow
 from tests.changed_survey import changed
 
 
@@ -30,7 +30,7 @@ def test_adjusted_points_and_the_cloud_at_rods_are_put_together(survey):
         CheckpointRow("far", LEVEL, 1.0, None),
     )
     adjusted = [ControlResidual(name, name == "c2", False, (0.01, 0.02, 0.03), 3, 0.4) for name in ("c1", "c2")]
-    found = residuals_of(survey, _Adjusted(adjusted), CheckpointFigures(rows, (), 0.25))
+    found = residuals_of(survey, _Adjusted(adjusted), CheckpointAccuracy(rows, (), 0.25))
     assert [(each.name, each.is_check) for each in found] == [("c1", False), ("c2", True), ("rod", True)]
     assert found[1].off_m == (0.01, 0.02, 0.03)
     assert found[2].off_m[2] == -0.03

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from survey.report import column
-from survey.report.column import Column
+from survey.report.column import ColumnStatistics
 
 KINDS = [np.float16, np.float32, np.float64, np.uint8, np.int64]
 
@@ -25,7 +25,7 @@ def test_statistics_are_those_of_the_whole(rng, kind, count):
     if not is_whole and count > 36:
         values[::7], values[3], values[5], values[10] = np.nan, -np.inf, 0.0, -0.0
     finite = values[np.isfinite(values)].astype(np.float64)
-    found = Column(values)
+    found = ColumnStatistics(values)
     assert found.size == len(finite)
     assert (found.least, found.greatest) == (finite.min(), finite.max())
     assert found.mean == pytest.approx(finite.mean(), rel=1e-12, abs=1e-12)
@@ -38,7 +38,7 @@ def test_statistics_are_those_of_the_whole(rng, kind, count):
 
 def test_some_of_the_values_may_count_and_all_may_be_scaled(rng):
     values, among = rng.normal(size=200).astype(np.float32), rng.random(200) < 0.3
-    found, some = Column(values, among, 1e3), 1e3 * values[among].astype(np.float64)
+    found, some = ColumnStatistics(values, among, 1e3), 1e3 * values[among].astype(np.float64)
     assert found.size == among.sum()
     assert found.median == pytest.approx(np.median(some))
     assert found.mean == pytest.approx(some.mean())
@@ -48,5 +48,5 @@ def test_some_of_the_values_may_count_and_all_may_be_scaled(rng):
 
 
 def test_a_column_may_hold_nothing_that_counts():
-    assert Column(np.array([np.nan, np.inf], dtype=np.float32)).size == 0
-    assert Column(np.zeros(0, dtype=np.float32)).size == 0
+    assert ColumnStatistics(np.array([np.nan, np.inf], dtype=np.float32)).size == 0
+    assert ColumnStatistics(np.zeros(0, dtype=np.float32)).size == 0

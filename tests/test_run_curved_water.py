@@ -11,7 +11,7 @@ import pytest
 from fields.sweep.bed import BedPoints
 from refract import FlatWater, PinholeCamera
 from refract.curved import WavyWater
-from survey.run.stage_bed import by_level, through_surface
+from survey.run.stage_bed import bed_per_level, through_surface
 from survey.run.tile_job import heights_over
 from survey.water.surface import Departure
 
@@ -92,7 +92,7 @@ def test_what_the_surface_does_not_know_is_in_the_std(rng):
     _, of_surface = vague.at(bed.xyz[:, :2])
     moved = through_surface(bed, cameras(), PLANE, vague)
     # Interpolated between nodes, where points lie: a quarter less than in between.
-    np.testing.assert_allclose(moved.std, np.hypot(0.005, by_level(0.2, N) * of_surface), rtol=0.3)
+    np.testing.assert_allclose(moved.std, np.hypot(0.005, bed_per_level(0.2, N) * of_surface), rtol=0.3)
     assert moved.std.min() > 1.3 * 0.005
 
 
@@ -112,8 +112,8 @@ def test_a_level_moves_the_bed_by_what_rays_say():
     for incidence in (1e-6, math.radians(20.0), math.radians(35.0)):
         in_water = math.asin(math.sin(incidence) / N)
         aside = level * (math.tan(incidence) - math.tan(in_water))
-        assert level * by_level(np.array(incidence), N) == pytest.approx(aside / math.tan(in_water), rel=1e-6)
-    assert by_level(np.array(0.0), N) == pytest.approx(N - 1.0)
+        assert level * bed_per_level(np.array(incidence), N) == pytest.approx(aside / math.tan(in_water), rel=1e-6)
+    assert bed_per_level(np.array(0.0), N) == pytest.approx(N - 1.0)
 
 
 def test_heights_over_the_plane_of_a_tile_become_those_over_that_of_the_survey(rng):

@@ -29,7 +29,7 @@ from survey.sfm import placing as sfm_placing
 from survey.sfm import solve as sfm_solve
 from survey.sfm.gps import gps_positions
 from survey.sfm.gps_fit import MIN_STD_M, gps_std, line_of
-from survey.sfm.poses import Photographs, seconds_of_solve, solve_poses
+from survey.sfm.poses import UnposedPhotographs, seconds_of_solve, solve_poses
 
 # Some hundred roundings of coordinates of 1e3.
 EXACT = 1e-10
@@ -275,7 +275,7 @@ def test_nadir_photographs_get_their_true_poses_and_keep_them(data_dir, tmp_path
         shutil.copy(data_dir / "quick" / "images" / path.name, path)
     shutil.copy(data_dir / "river" / "images" / "0000.jpg", stranger)
     crs, work = parse_crs("EPSG:25832+5778"), tmp_path / "work"
-    result = solve_poses(Photographs([*paths, stranger], focal_px=900.0), crs, work, report=told.append)
+    result = solve_poses(UnposedPhotographs([*paths, stranger], focal_px=900.0), crs, work, report=told.append)
     with (data_dir / "quick" / "cameras.csv").open(newline="") as file:
         truth = {row["image"]: row for row in csv.DictReader(file)}
     assert [view.name for view in result.views] == [path.name for path in paths]
@@ -297,7 +297,7 @@ def test_nadir_photographs_get_their_true_poses_and_keep_them(data_dir, tmp_path
     seconds = seconds_of_solve(work)
     assert seconds > 0.0
 
-    again = solve_poses(Photographs([*paths, stranger], focal_px=900.0), crs, work, report=told.append)
+    again = solve_poses(UnposedPhotographs([*paths, stranger], focal_px=900.0), crs, work, report=told.append)
     assert "poses of 9 images from" in told[-2]
     assert seconds_of_solve(work) == seconds
     assert seconds_of_solve(tmp_path / "elsewhere") is None
@@ -327,7 +327,7 @@ def noise_images(folder: Path, rng: np.random.Generator) -> list[Path]:
 def test_photographs_that_do_not_match_are_refused_with_a_mend(tmp_path, rng):
     paths = noise_images(tmp_path, rng)
     with pytest.raises(PosesError, match=r"placed 0 of 3 images, expected at least 3.*\[cameras\] poses"):
-        solve_poses(Photographs(paths), None, tmp_path / "work")
+        solve_poses(UnposedPhotographs(paths), None, tmp_path / "work")
     assert list((tmp_path / "work").iterdir()) == []
 
 
@@ -337,25 +337,25 @@ def test_stored_poses_that_do_not_belong_to_the_photographs_are_not_used_without
     work.mkdir()
     (work / "solved.json").write_text('{"key": "of other photographs"}')
     with pytest.raises(PosesError):
-        solve_poses(Photographs(paths), None, work, report=told.append)
+        solve_poses(UnposedPhotographs(paths), None, work, report=told.append)
     assert "has poses of other photographs or settings" in told[0]
 
 
 def test_settings_that_cannot_be_are_named(tmp_path, rng):
     paths = noise_images(tmp_path, rng)
     with pytest.raises(ImageError, match=r"0\.jpg has 160 x 120 pixels, expected 800 x 600"):
-        solve_poses(Photographs(paths, size_px=(800, 600)), None, tmp_path)
+        solve_poses(UnposedPhotographs(paths, size_px=(800, 600)), None, tmp_path)
     with pytest.raises(SurveyError, match="square pixels; give one number"):
-        solve_poses(Photographs(paths, focal_px=(900.0, 910.0)), None, tmp_path)
+        solve_poses(UnposedPhotographs(paths, focal_px=(900.0, 910.0)), None, tmp_path)
     with pytest.raises(ImageError, match="no images"):
-        solve_poses(Photographs([]), None, tmp_path)
+        solve_poses(UnposedPhotographs([]), None, tmp_path)
 
 
 def test_a_workspace_that_cannot_be_written_is_named(tmp_path, rng):
     paths = noise_images(tmp_path, rng)
     (tmp_path / "file").write_text("no folder")
     with pytest.raises(UnwritableFile, match=r"cannot write .*file"):
-        solve_poses(Photographs(paths), None, tmp_path / "file" / "work")
+        solve_poses(UnposedPhotographs(paths), None, tmp_path / "file" / "work")
 
 
 def test_pictures_can_be_written_after_pycolmap_was_loaded(tmp_path):
@@ -373,7 +373,7 @@ def test_pictures_can_be_written_after_pycolmap_was_loaded(tmp_path):
 def test_a_real_beach_is_placed_by_its_positions_with_the_focal_length_of_its_exif(data_dir, tmp_path):
     """brighton_beach: 18 nadir photographs; focal length put back. A bent block, where the adjustment starts."""
     folder = data_dir / "real" / "brighton_beach" / "images"
-    result = solve_poses(Photographs(sorted(folder.iterdir())), parse_crs("EPSG:32615+5773"), tmp_path)
+    result = solve_poses(UnposedPhotographs(sorted(folder.iterdir())), parse_crs("EPSG:32615+5773"), tmp_path)
     assert len(result.views) == 18
     assert np.average(result.error_px, weights=result.num_views) < 0.6
     assert any("is kept instead of the solved" in note for note in result.notes)

@@ -15,7 +15,7 @@ from geo.similarity import Similarity
 from survey.control.points import ControlPoint, Mark
 from survey.errors import ControlError
 from survey.sfm import block as sfm_block
-from survey.sfm.block import Sensor
+from survey.sfm.block import CameraBody
 from survey.sfm.control_fit import fit_control
 from survey.sfm.marked import BlockControl, Posed, meet
 from survey.sfm.placing import place_by_control, posed_of
@@ -77,7 +77,7 @@ def test_a_block_without_positions_is_placed_by_its_control(rng, num):
     names = {f"flight {name}": name for name in centres}
     control = block_control(posed_of(block, names), num)
     sfm_block.transform(block, Similarity(0.05, Rotation.random(rng=rng).as_matrix(), np.array([7.0, 1.0, -4.0])))
-    sensor = Sensor(tuple(names.values()), (800, 600), 900.0)
+    sensor = CameraBody(tuple(names.values()), (800, 600), 900.0)
     placed = place_by_control(Free((block,), ()), control, names, [sensor])
     origin = np.array(placed.frame.origin) - FRAME.origin
     for alias, (centre, _) in sfm_block.poses_of(placed.blocks[0]).items():

@@ -13,7 +13,7 @@ from test_sfm_control import FRAME, PLACES, block_control
 from geo.similarity import Similarity
 from survey.errors import PosesError
 from survey.sfm import block as sfm_block
-from survey.sfm.block import Sensor
+from survey.sfm.block import CameraBody
 from survey.sfm.gps import GpsPositions
 from survey.sfm.marked import BlockControl
 from survey.sfm.placing import place_by_control, place_by_gps, posed_of
@@ -37,7 +37,7 @@ class Apart:
             self.blocks.append(block)
             self.centres |= centres
         self.names = {name: name for name in self.centres}
-        self.sensors = [Sensor(tuple(self.names), (800, 600), 900.0)]
+        self.sensors = [CameraBody(tuple(self.names), (800, 600), 900.0)]
         self.free = Free(tuple(self.blocks), ("some are left out",))
 
     def gps(self, rng: np.random.Generator, std: float, names=None) -> GpsPositions:

@@ -19,7 +19,7 @@ from survey.simulate.output.writing import depth_map
 from survey.simulate.render.direct import DirectRenderer
 from survey.simulate.scene_file import read_scene
 from survey.simulate.staging.planning import plan_scene
-from survey.simulate.water import WaterColour
+from survey.simulate.water import WaterOptics
 
 
 def test_rays_meet_any_mesh_where_they_meet_the_same_bed_as_a_grid(rng):
@@ -45,7 +45,7 @@ def test_a_ray_beside_a_bed_of_limited_extent_meets_nothing_and_is_black():
     mesh = TriangleMesh(np.array([[0.0, 0, -1], [1, 0, -1], [0, 1, -1]]), np.array([[0, 1, 2]]))
     look = Material(VertexSkin(np.ones((3, 3)), mesh.vertices, mesh.faces), shade_of_normals(mesh.normals, Light()))
     for water in (None, FlatWater((0.0, 0.0, 0.0))):
-        renderer = DirectRenderer(Ground(mesh, (), (look,)), water, WaterColour(veil=(0.0, 0.0, 0.0), sky=0.0))
+        renderer = DirectRenderer(Ground(mesh, (), (look,)), water, WaterOptics(veil=(0.0, 0.0, 0.0), sky=0.0))
         origin = np.array([[0.2, 0.2, 3.0], [5.0, 5.0, 3.0]])
         down = np.tile([0.0, 0.0, -1.0], (2, 1))
         hits = renderer.trace_rays(origin, down)

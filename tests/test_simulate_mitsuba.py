@@ -20,7 +20,7 @@ from survey.simulate.light import Light
 from survey.simulate.render.direct import DirectRenderer
 from survey.simulate.scene_file import TextureSettings
 from survey.simulate.sensor import Sensor
-from survey.simulate.water import WaterColour
+from survey.simulate.water import WaterOptics
 
 pytest.importorskip("mitsuba", reason="the physical mode needs the extra [simulate]: pip install 'bathynerf[simulate]'")
 
@@ -34,7 +34,7 @@ SAME_PX = 0.02
 SAME_M = {"plane": 3e-4, "waves": 5e-4, "measured": 3e-4}
 WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.333, slope_x=0.01, slope_y=-0.02)
 DEPTH = 2.0
-CLEAR = WaterColour(absorption=(0.0, 0.0, 0.0), scattering=0.0)
+CLEAR = WaterOptics(absorption=(0.0, 0.0, 0.0), scattering=0.0)
 NO_SUN = Light(sun_share=0.0)
 # A sun that a path tracer hits by chance: 20 degrees across.
 WIDE_SUN = Light(sun_share=0.5, sun_radius=math.radians(10.0))
@@ -199,14 +199,14 @@ def test_a_white_bed_under_clear_water_and_a_sky_alike_everywhere_is_as_bright_a
 
 
 def test_light_of_the_sky_is_that_of_mitsubas_volumetric_path_tracer(mi):
-    colour = WaterColour(absorption=(0.2, 0.05, 0.02), scattering=0.25, asymmetry=0.5)
+    colour = WaterOptics(absorption=(0.2, 0.05, 0.02), scattering=0.25, asymmetry=0.5)
     ground = checkered(albedo=0.5)
     ours = tracer(mi, ground, WATER, colour=colour)(*rays_down(60_000, 0.3), 2)
     theirs = of_volpath(mi, ground, colour, rays_down(60_000, 0.3))
     assert_mean(ours, None, theirs)
 
 
-def of_volpath(mi, ground: Ground, colour: WaterColour, rays) -> np.ndarray:
+def of_volpath(mi, ground: Ground, colour: WaterOptics, rays) -> np.ndarray:
     """Radiance (N, 3) by Mitsuba's integrator, in a box of the same water with the same bed as its floor."""
     scattering, asymmetry = colour.similar
     extinction = [a + scattering for a in colour.absorption]
@@ -248,7 +248,7 @@ def of_volpath(mi, ground: Ground, colour: WaterColour, rays) -> np.ndarray:
 def test_the_sun_through_still_water_is_what_fresnel_and_beer_leave_of_it(mi, n_water):
     # One reflection at the bed; the light of the sky, which the same seed follows the same way, is taken off.
     water = FlatWater((0.0, 0.0, 0.0), n_water=n_water)
-    colour = WaterColour(absorption=(0.3, 0.1, 0.0), scattering=0.0)
+    colour = WaterOptics(absorption=(0.3, 0.1, 0.0), scattering=0.0)
     light = Light(to_sun=(1.0, 0.0, 1.0), sun_share=0.6, sun_radius=1e-3)
     albedo = 0.4
     eye = tracer(mi, checkered(albedo=albedo), water, colour=colour, light=light, bounces=3)
@@ -356,7 +356,7 @@ class ByChance(PathTracer):
 def test_light_of_a_wide_sun_that_is_met_by_chance_is_that_of_direct_connections(mi, water, slant):
     # 46 degrees across, mirrored into the second of the rays.
     light = Light(to_sun=(0.5, 0.1, 0.8), sun_share=0.7, sun_radius=0.4)
-    colour = WaterColour(absorption=(0.2, 0.05, 0.0), scattering=0.5, asymmetry=0.5)
+    colour = WaterOptics(absorption=(0.2, 0.05, 0.0), scattering=0.5, asymmetry=0.5)
     rays = rays_down(200_000, slant)
     direct, by_chance = (
         tracer(mi, checkered(albedo=0.6), water, colour=colour, light=light, bounces=200, kind=kind)(*rays, seed)
@@ -366,7 +366,7 @@ def test_light_of_a_wide_sun_that_is_met_by_chance_is_that_of_direct_connections
 
 
 def test_the_same_seed_gives_the_same_light_and_another_seed_another(mi):
-    eye = tracer(mi, checkered(), WATER, colour=WaterColour(), light=WIDE_SUN)
+    eye = tracer(mi, checkered(), WATER, colour=WaterOptics(), light=WIDE_SUN)
     first, again, other = (eye(*rays_down(500), seed) for seed in (1, 1, 2))
     np.testing.assert_array_equal(first, again)
     assert np.abs(first - other).max() > 0.0
@@ -381,7 +381,7 @@ def test_the_scalar_variant_has_the_light_of_the_closed_form(scalar_mi):
 
 
 def test_the_scalar_variant_sees_the_same_light(mi, scalar_mi):
-    water = WaterColour(absorption=(0.2, 0.05, 0.02), scattering=0.5)
+    water = WaterOptics(absorption=(0.2, 0.05, 0.02), scattering=0.5)
 
     def light(count: int) -> np.ndarray:
         eye = tracer(mi, checkered(albedo=0.5), WATER, colour=water, light=WIDE_SUN)

@@ -11,7 +11,7 @@ from plane_field import field_over, level_slab
 from plane_survey import TILTED, PlaneBed, look
 
 from fields.device import choose_device
-from fields.slab.novel_view import Surface, rays_on, render_view
+from fields.slab.novel_view import SlabSurface, rays_on, render_view
 from fields.slab.rays import rays_of
 
 DRY = PlaneBed(None, -2.0, 0.1)
@@ -104,7 +104,7 @@ def test_strides_end_where_single_steps_would(rng):
     pixels = camera.pixel_centres().reshape(-1, 2)
     none = np.zeros(len(pixels))
     rays = rays_of(camera, None, pixels, none, np.zeros((len(pixels), 3)))
-    surface = Surface.of_slab(field.slab)
+    surface = SlabSurface.of_slab(field.slab)
     found = [rays_on(s, rays) for s in (surface, replace(surface, ceiling=np.full_like(surface.ceiling, 9.0)))]
     np.testing.assert_array_equal(found[0][1], found[1][1])
     assert len(found[0][1]) > 1000

@@ -11,7 +11,7 @@ import torch
 from plane_field import level_slab, plane_sources, rays_at
 from plane_survey import TILTED, PlaneBed, look, ring
 
-from fields.slab.rays import MEETING_STEPS, Rays, draw_rays, rays_of, slab_of
+from fields.slab.rays import MEETING_STEPS, SlabRays, draw_rays, rays_of, slab_of
 from refract import FlatWater
 
 N = 1.333
@@ -111,7 +111,7 @@ def reflectance_in_angles(angle: float, n: float) -> float:
 def test_rays_are_taken_apart_and_put_together():
     rays = rays_at(PlaneBed(TILTED, -2.0), ring(2)[1], -1.0)
     even, odd = rays[0 : len(rays) : 2], rays[torch.arange(1, len(rays), 2)]
-    both = Rays.concatenate([even, odd])
+    both = SlabRays.concatenate([even, odd])
     assert len(both) == len(rays)
     assert torch.equal(both.foot[: len(even)], rays.foot[::2])
     assert torch.equal(both.reflectance[len(even) :], rays.reflectance[1::2])

@@ -19,7 +19,7 @@ from fields.solver.gauss_newton import Start, TileSolution, second_differences_o
 from fields.solver.roughness import roughness_of
 from fields.solver.solver import SolvedMap, SolverFigures, solve_maps
 from fields.solver.tile import Tile, tiles_of
-from fields.solver.visibility import Projector, Surface, lookup, lookup_window, project_tiles
+from fields.solver.visibility import Occluder, Projector, lookup, lookup_window, project_tiles
 from fields.sweep.block import Block
 from fields.sweep.maps import HeightMap
 from refract import FlatWater, PinholeCamera
@@ -245,7 +245,7 @@ def test_tiles_seen_together_are_seen_as_each_alone(device):
     """Also where only some of them are in another photograph."""
     cameras = {0: camera(0.0, 0.0), 1: camera(0.4 * SIZE * GSD, 0.0), 2: camera(0.0, 0.3)}
     heights = np.full((SIZE, SIZE), -DEPTH, dtype=np.float32) + np.linspace(0.0, 0.1, SIZE, dtype=np.float32)
-    maps = dict.fromkeys(cameras, Surface(heights, heights < -1.95))
+    maps = dict.fromkeys(cameras, Occluder(heights, heights < -1.95))
     wanted = np.random.default_rng(4).random((SIZE, SIZE)) < 0.7
     tiles = list(tiles_of(wanted, np.ones_like(wanted), 30))
     projector = Projector(device, cameras, WATER)

@@ -15,7 +15,7 @@ from fields.solver.solver import rejects_update, sweep_slope_noise
 from fields.solver.uncertainty import expected_variances
 
 TOLERANCE = 0.05
-NOISE = NoiseShares(response=1.0, heights=1.0, changes=1.0, excess_relief=0.0)
+NOISE = NoiseShares(response=1.0, heights=1.0, smoothing_changes=1.0, excess_relief=0.0)
 
 
 def kept(slope: float = 0.0, gain: float = 0.0, by_noise: float = 1e-8, noise: NoiseShares = NOISE) -> np.ndarray:

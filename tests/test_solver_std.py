@@ -116,7 +116,7 @@ def test_noise_of_its_own_in_each_pixel_counts_once_and_noise_that_neighbours_sh
         for noise in (white(8), shared / shared.std())
     )
     assert alone.heights == pytest.approx(1.0, abs=0.25)
-    assert alone.changes == pytest.approx(1.0, abs=0.25)
+    assert alone.smoothing_changes == pytest.approx(1.0, abs=0.25)
     # Over long waves the signs of the texture take a part of it back.
     assert more.heights > 1.25 * alone.heights
 

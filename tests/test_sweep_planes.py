@@ -7,7 +7,7 @@ import pytest
 from plane_survey import TILTED, PlaneBed, ring
 
 from fields.sweep import fusion
-from fields.sweep.images import images
+from fields.sweep.images import image_backend
 from fields.sweep.maps import HeightMap
 from fields.sweep.planes import SIDE_PX, extrapolate_planes
 
@@ -73,10 +73,10 @@ def test_heights_that_are_not_trusted_begin_the_next_pass_on_the_plane_of_those_
             if view == 0:
                 height[off] += 1.0
             m = HeightMap(view, height, np.ones(height.shape, np.float16), nobody, nobody.astype(np.float16))
-            maps[view] = images(device).upload(device, m)
+            maps[view] = image_backend(device).upload(device, m)
         peers = {view: fusion.Compared([other for other in maps if other != view]) for view in maps}
         fused = fusion.fuse(block, maps, 1.0, peers, goes_on=goes_on)[0]
-        return images(device).download(fused).height[off]
+        return image_backend(device).download(fused).height[off]
 
     truth = bed.true_height(cameras[0])[off]
     # True heights of a tilted plane are those of one in the image but for perspective.

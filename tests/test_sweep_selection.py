@@ -9,7 +9,7 @@ from plane_survey import SIZE, TILTED, PlaneBed, found_by, ring
 from fields.sweep.bed import unique_pixels
 from fields.sweep.block import Block
 from fields.sweep.fusion import agreement
-from fields.sweep.images import images
+from fields.sweep.images import image_backend
 from fields.sweep.kernels.arrays import indices
 from fields.sweep.kernels.queue import run_job
 from fields.sweep.kernels.stack import ViewStack
@@ -46,7 +46,7 @@ def map_of(block: Block, view: int, off: float = 0.0) -> HeightMap:
 
 def on_device(block: Block, maps: dict[int, HeightMap]) -> dict[int, HeightMap]:
     """Maps as the passes take them."""
-    return {view: images(block.device).upload(block.device, m) for view, m in maps.items()}
+    return {view: image_backend(block.device).upload(block.device, m) for view, m in maps.items()}
 
 
 def larger(part: np.ndarray) -> np.ndarray:
@@ -85,7 +85,7 @@ def test_what_nothing_confirms_becomes_no_point(block):
 
 
 def test_a_part_is_refined_as_the_whole_view_is_and_the_rest_stays(block):
-    backend, before = images(block.device), map_of(block, 0, OFF_M)
+    backend, before = image_backend(block.device), map_of(block, 0, OFF_M)
     (of_view,) = view_passes(block, [0], REFINING, None)
     placed = backend.upload(block.device, before)
     whole, _ = run_job(block.device, match_pass(block, REFINING, of_view, Search((-3.0, -1.0)), placed, 0))
@@ -104,7 +104,7 @@ def test_a_part_is_refined_as_the_whole_view_is_and_the_rest_stays(block):
 
 
 def test_what_is_left_out_of_a_photograph_scores_nothing_in_a_part_of_it_either(device):
-    hole, backend = np.s_[44:50, 60:66], images(device)
+    hole, backend = np.s_[44:50, 60:66], image_backend(device)
     photographs = [BED.photograph(camera) for camera in ring(6)]
     photographs[0][hole] = np.nan
     block = BED.block(device, ring(6), photographs)

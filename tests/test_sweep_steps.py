@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from plane_survey import PlaneBed, found_by, look, ring, texture
 
-from fields.sweep.images import images
+from fields.sweep.images import image_backend
 from fields.sweep.kernels.backend import kernels
 from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.matching import Reference
@@ -41,7 +41,7 @@ class Terrace:
 
 def searched_by(stack, neighbours, found, parallax, search, among=None):
     """What the search makes of height, score and curvature, all on the host."""
-    placed = tuple(images(stack.device).to_device(stack.device, each) for each in found)
+    placed = tuple(image_backend(stack.device).to_device(stack.device, each) for each in found)
     return found_by(stack.device, search_steps(Reference(stack, 0, neighbours, 2), placed, parallax, search, among))
 
 

@@ -8,7 +8,7 @@ import plane_survey
 import pytest
 from plane_survey import TILTED, PlaneBed, ring
 
-from fields.sweep.images import images as images_of
+from fields.sweep.images import image_backend
 from fields.sweep.kernels.queue import run_job
 from fields.sweep.kernels.stack import Hypotheses
 from fields.sweep.matching import RADII, Reference, match_view, match_with_adaptive_windows, radius_for
@@ -29,7 +29,7 @@ def matched(device, images, match):
     truth = BED.true_height(cameras[0]).astype(np.float32)
     start = np.full_like(truth, truth.mean() - 0.5 * STEP * (NUM_HYPOTHESES - 1))
     stack = BED.block(device, cameras, images).stack(1.0)
-    backend = images_of(device)
+    backend = image_backend(device)
     hypotheses = Hypotheses(backend.to_device(device, start), STEP, NUM_HYPOTHESES)
     found = run_job(device, match(Reference(stack, 0, OTHERS, 2), hypotheses))
     images, radius = found if match is match_with_adaptive_windows else (found, 2)

@@ -44,7 +44,7 @@ _LEAST_CELLS = 10
 
 
 @dataclass(frozen=True)
-class Box:
+class StepBox:
     """A square of the ground, of cells of one ground sampling distance, with a margin."""
 
     # x, y [m], local: its lower corner, without the margin
@@ -76,12 +76,12 @@ def step_places(camera: PinholeCamera, water: FlatWater | None, height_map: Heig
     return path.at_height(height[row, column].astype(np.float64), water)[:, :2]
 
 
-def boxes_about(places: Iterable[np.ndarray], gsd: float) -> list[Box]:
+def boxes_about(places: Iterable[np.ndarray], gsd: float) -> list[StepBox]:
     """Boxes that hold enough of such places, each part of the ground in one of them at most."""
     side = SIDE_GSD * gsd
     found = [np.floor(each / side).astype(np.int64) for each in places]
     corners, count = np.unique(np.concatenate([np.empty((0, 2), dtype=np.int64), *found]), axis=0, return_counts=True)
-    return [Box(float(x * side), float(y * side), gsd) for x, y in corners[count >= _LEAST_PIXELS].tolist()]
+    return [StepBox(float(x * side), float(y * side), gsd) for x, y in corners[count >= _LEAST_PIXELS].tolist()]
 
 
 class BedLayer:
@@ -93,7 +93,7 @@ class BedLayer:
         Standard deviation of the bed from it.
     """
 
-    def __init__(self, box: Box, low: np.ndarray, is_bed: np.ndarray):
+    def __init__(self, box: StepBox, low: np.ndarray, is_bed: np.ndarray):
         z = smooth(low, is_bed, _SOFT)
         far = _CELL_GSD * distance_transform_edt(~is_bed) > _BEYOND_GSD
         self._box, self._z = box, np.where(far, np.nan, z)
@@ -101,7 +101,7 @@ class BedLayer:
         self.roughness = 1.4826 * float(np.median(np.abs(left)))
 
     @staticmethod
-    def of(box: Box, points: np.ndarray) -> BedLayer | None:
+    def of(box: StepBox, points: np.ndarray) -> BedLayer | None:
         """Layer of points (N, 3) [m], local; None where too little of the bed is known."""
         low = _lowest(box, points)
         known = np.isfinite(low)
@@ -128,7 +128,7 @@ class BedLayer:
         return map_coordinates(self._z, [row, column], order=1, mode="nearest")
 
 
-def _lowest(box: Box, points: np.ndarray) -> np.ndarray:
+def _lowest(box: StepBox, points: np.ndarray) -> np.ndarray:
     """Mean height of the lowest points of each cell about a box; NaN where none is."""
     size = (SIDE_GSD + 2 * CONTEXT_GSD) // _CELL_GSD
     cell = _CELL_GSD * box.gsd
@@ -201,7 +201,7 @@ class Holes:
         return known[[east.argmin(), east.argmax(), north.argmin(), north.argmax(), len(known) // 2]]
 
     @staticmethod
-    def of(box: Box, known: KnownBed) -> Holes | None:
+    def of(box: StepBox, known: KnownBed) -> Holes | None:
         """Holes of a cloud in a box and in its area; None where few, or no bed is known."""
         cloud, area = known.xyz, known.area
         x, y = box.places

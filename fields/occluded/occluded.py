@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from fields.occluded.agreement import FoundPoints, points_of_holes
-from fields.occluded.holes import Box, Holes, KnownBed, boxes_about, step_places
+from fields.occluded.holes import Holes, KnownBed, StepBox, boxes_about, step_places
 from fields.occluded.sightings import Sighting, sighting_of
 from fields.sweep.bed import BedPoints
 from fields.sweep.block import Block
@@ -70,7 +70,7 @@ def find_occluded(
     sample, others = _sample(boxes_about(places, known.gsd))
     with ThreadPoolExecutor(_THREADS) as pool:
 
-        def holes_in(boxes: list[Box]) -> list[Holes]:
+        def holes_in(boxes: list[StepBox]) -> list[Holes]:
             return [holes for holes in pool.map(lambda box: Holes.of(box, known), boxes) if holes is not None]
 
         def most_first(found: list[Holes]) -> list[Holes]:
@@ -105,7 +105,7 @@ def show_bed(found: Sequence[Holes], points: Sequence[FoundPoints]) -> bool:
     return sum(len(each.xyz) for each in points) >= _LEAST_FOUND * num_cells
 
 
-def _sample(boxes: list[Box]) -> tuple[list[Box], list[Box]]:
+def _sample(boxes: list[StepBox]) -> tuple[list[StepBox], list[StepBox]]:
     """Boxes from all over the ground, and the others."""
     chosen = set(np.linspace(0, len(boxes) - 1, min(_SAMPLE, len(boxes))).astype(int).tolist())
     return [boxes[k] for k in sorted(chosen)], [each for k, each in enumerate(boxes) if k not in chosen]

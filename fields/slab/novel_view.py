@@ -11,7 +11,7 @@ from torch import Tensor
 
 from fields.device import half_the_threads
 from fields.image_based import NovelView
-from fields.slab.rays import Rays, Slab, rays_of, slab_rays
+from fields.slab.rays import Slab, SlabRays, rays_of, slab_rays
 from fields.slab.tensor_field import TensorField
 from fields.sweep.maps import HeightMap
 from refract import FlatWater, PinholeCamera
@@ -43,7 +43,7 @@ def render_view(field: TensorField, camera: PinholeCamera, water: FlatWater | No
     rgb = np.zeros((len(pixels), 3), dtype=np.uint8)
     height, distance = (np.full(len(pixels), np.nan, dtype=np.float32) for _ in range(2))
     normals = np.full((len(pixels), 3), np.nan, dtype=np.float32)
-    surface = Surface.of_slab(field.slab)
+    surface = SlabSurface.of_slab(field.slab)
     for first in range(0, len(falling), CHUNK):
         part = falling[first : first + CHUNK]
         none = np.zeros(len(part), dtype=np.float32)
@@ -59,7 +59,7 @@ def render_view(field: TensorField, camera: PinholeCamera, water: FlatWater | No
     return NovelView(rgb.reshape(*shape, 3), height.reshape(shape), distance.reshape(shape), normals.reshape(*shape, 3))
 
 
-def _distance(rays: Rays, height: Tensor, centre: np.ndarray) -> np.ndarray:
+def _distance(rays: SlabRays, height: Tensor, centre: np.ndarray) -> np.ndarray:
     """Length of the paths down to heights, [m]: in water from the foot, in air from the camera's centre."""
     wet = (-height).clamp(min=0.0) * rays.wet.norm(dim=1)
     crossing = rays.at(height.clamp(min=0.0)) - torch.as_tensor(centre, dtype=torch.float32)
@@ -67,7 +67,7 @@ def _distance(rays: Rays, height: Tensor, centre: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Surface:
+class SlabSurface:
     """The proxy of a slab, made ready for rays to come down on."""
 
     slab: Slab  # Its gaps are known
@@ -75,7 +75,7 @@ class Surface:
     ceiling: np.ndarray
 
     @staticmethod
-    def of_slab(slab: Slab) -> Surface:
+    def of_slab(slab: Slab) -> SlabSurface:
         """The surface of a slab, without gaps up to twice `GAP_CELLS` wide.
 
         The field knows gaps from its coarser scales, and they would be black specks in a view.
@@ -85,7 +85,7 @@ class Surface:
         known = slab.known | binary_closing(np.pad(slab.known, GAP_CELLS), disc)[(slice(GAP_CELLS, -GAP_CELLS),) * 2]
         # One cell more: heights between cells take from both.
         ceiling = maximum_filter(slab.proxy, size=2 * (STRIDE + 1) + 1, mode="nearest")
-        return Surface(replace(slab, known=known), ceiling)
+        return SlabSurface(replace(slab, known=known), ceiling)
 
     def clear_of(self, position: Tensor) -> Tensor:
         """Height (N,) [m] over which no proxy is met within a stride of positions (N, 2) [m]."""
@@ -95,7 +95,7 @@ class Surface:
         return torch.from_numpy(self.ceiling).view(-1)[flat]
 
 
-def rays_on(surface: Surface, rays: Rays) -> tuple[Rays, np.ndarray]:
+def rays_on(surface: SlabSurface, rays: SlabRays) -> tuple[SlabRays, np.ndarray]:
     """The rays that come down on a known cell of the slab, at the height where they first do; and which they are.
 
     Each is followed down from above the highest cell in steps that pass one cell, so that it finds the first of several
@@ -125,7 +125,7 @@ def rays_on(surface: Surface, rays: Rays) -> tuple[Rays, np.ndarray]:
     return rays, found.numpy().nonzero()[0]
 
 
-def _strides(surface: Surface, rays: Rays, top: float, step: float, count: int) -> Tensor:
+def _strides(surface: SlabSurface, rays: SlabRays, top: float, step: float, count: int) -> Tensor:
     """Heights (N,) [m] down to which rays pass nothing, in strides of many steps from the top."""
     above = torch.full((len(rays),), top)
     clear = torch.ones(len(rays), dtype=torch.bool)

@@ -83,7 +83,7 @@ class Slab:
 
 
 @dataclass
-class Rays:
+class SlabRays:
     """Rays (N) through the slab, torch float32, local frame.
 
     A path is at ``foot + (z - tide) * slope`` at height z over the water plane, with one slope above and one below the
@@ -102,13 +102,13 @@ class Rays:
     def __len__(self) -> int:
         return len(self.height)
 
-    def __getitem__(self, index) -> Rays:
-        return Rays(*(getattr(self, field.name)[index] for field in fields(Rays)))
+    def __getitem__(self, index) -> SlabRays:
+        return SlabRays(*(getattr(self, field.name)[index] for field in fields(SlabRays)))
 
     @staticmethod
-    def concatenate(parts: list[Rays]) -> Rays:
+    def concatenate(parts: list[SlabRays]) -> SlabRays:
         """Rays of several views in one."""
-        return Rays(*(torch.cat([getattr(p, field.name) for p in parts]) for field in fields(Rays)))
+        return SlabRays(*(torch.cat([getattr(p, field.name) for p in parts]) for field in fields(SlabRays)))
 
     def slope(self, z: Tensor) -> Tensor:
         """Change of position per metre of height (..., 3), for heights z (N, ...) [m]."""
@@ -137,7 +137,7 @@ class Rays:
 
 def rays_of(
     camera: PinholeCamera, water: FlatWater | None, pixels: np.ndarray, height: np.ndarray, rgb: np.ndarray
-) -> Rays:
+) -> SlabRays:
     """Rays through pixel positions (N, 2) [px], starting at heights (N,) [m], with colours (N, 3) uint8."""
     path = camera.paths(pixels, water)
     normal = np.array(water.up if water else (0.0, 0.0, 1.0))
@@ -154,7 +154,7 @@ def rays_of(
         reflectance = fresnel_coefficients(-fall, n_from=1.0, n_to=water.n_water).reflectance
     tide = np.full(len(pixels), camera.tide * normal[2])
     columns = (foot, air, wet, height, rgb / 255.0, reflectance, tide)
-    return Rays(*(torch.as_tensor(np.ascontiguousarray(c), dtype=torch.float32) for c in columns))
+    return SlabRays(*(torch.as_tensor(np.ascontiguousarray(c), dtype=torch.float32) for c in columns))
 
 
 def slab_of(sources: Sources, gsd: float, area: tuple[float, float, float, float] | None) -> Slab:
@@ -186,7 +186,7 @@ def slab_of(sources: Sources, gsd: float, area: tuple[float, float, float, float
     return Slab.of_points(np.concatenate(xy), np.concatenate(heights), gsd, max(2.0 * gsd, 3.0 * spread))
 
 
-def draw_rays(sources: Sources, slab: Slab, count: int, rng: np.random.Generator) -> Rays:
+def draw_rays(sources: Sources, slab: Slab, count: int, rng: np.random.Generator) -> SlabRays:
     """Rays through ``count`` pixels with a trusted height, drawn evenly over the views; those that the slab holds.
 
     Raises
@@ -206,7 +206,7 @@ def draw_rays(sources: Sources, slab: Slab, count: int, rng: np.random.Generator
         parts.append(slab_rays(camera, height_map, image, sources.water, slab, (rows, columns))[0])
     if not sum(len(p) for p in parts):
         raise ValueError("no pixel with a confirmed height looks into the slab: a field has nothing to train on")
-    return Rays.concatenate(parts)
+    return SlabRays.concatenate(parts)
 
 
 def slab_rays(
@@ -216,7 +216,7 @@ def slab_rays(
     water: FlatWater | None,
     slab: Slab,
     places: tuple[np.ndarray, np.ndarray],
-) -> tuple[Rays, np.ndarray]:
+) -> tuple[SlabRays, np.ndarray]:
     """Rays through pixels whose own height lies inside the slab, set on the proxy; and which of the pixels they are.
 
     ``places`` are rows and columns of the pixels.

@@ -20,7 +20,7 @@ from fields.device import Device
 from fields.factors import Factors, anisotropic_grids
 from fields.heads import ColourHead, DensityHead
 from fields.image_store import as_stored
-from fields.slab.rays import Rays, Slab
+from fields.slab.rays import Slab, SlabRays
 from fields.water_column import WaterColumn
 
 
@@ -81,7 +81,7 @@ class TensorField(nn.Module):
         start = torch.cat([torch.zeros_like(start[:, :1]), start[:, 1:]], dim=1)
         return (start - end).clamp(min=0.0)
 
-    def intervals(self, rays: Rays, jitter: bool) -> Tensor:
+    def intervals(self, rays: SlabRays, jitter: bool) -> Tensor:
         """Heights (rays, samples + 1) [m] of the intervals' ends, downwards through the slab about each ray's proxy."""
         n = self.settings.samples
         step = 2.0 * self.slab.half / n
@@ -89,7 +89,7 @@ class TensorField(nn.Module):
         shift = (torch.rand(len(rays), 1) - 0.5) * step if jitter else torch.zeros(len(rays), 1)
         return rays.height[:, None] + ends + shift
 
-    def weigh(self, rays: Rays, *, jitter: bool) -> tuple[Tensor, Tensor, Tensor]:
+    def weigh(self, rays: SlabRays, *, jitter: bool) -> tuple[Tensor, Tensor, Tensor]:
         """Weights (rays, samples), interval ends (rays, samples + 1) [m] and features (rays * samples, ...)."""
         ends = self.intervals(rays, jitter)
         z = _middles(ends)
@@ -99,7 +99,7 @@ class TensorField(nn.Module):
         # The bed is opaque: light that passed the slab's lower end met it there.
         return with_opaque_end(weights), ends, features
 
-    def render(self, rays: Rays, *, jitter: bool, dry: bool = False) -> tuple[Tensor, Tensor, Tensor]:
+    def render(self, rays: SlabRays, *, jitter: bool, dry: bool = False) -> tuple[Tensor, Tensor, Tensor]:
         """Colours (rays, 3) as stored in photographs, weights (rays, samples) and interval ends (rays, samples + 1).
 
         ``dry`` leaves out what the water does to the light.
@@ -116,14 +116,14 @@ class TensorField(nn.Module):
         return as_stored(radiance), weights, ends
 
     @torch.no_grad()
-    def heights(self, rays: Rays) -> tuple[Tensor, Tensor]:
+    def heights(self, rays: SlabRays) -> tuple[Tensor, Tensor]:
         """Median height [m] of each ray's weights, and half the distance between their 16 and 84 % heights [m]."""
         weights, ends, _ = self.weigh(rays, jitter=False)
         low, high = quantile_height(weights, ends, 0.84), quantile_height(weights, ends, 0.16)
         return quantile_height(weights, ends), 0.5 * (high - low).abs()
 
     @torch.no_grad()
-    def look(self, rays: Rays, up: Tensor, *, dry: bool) -> tuple[Tensor, Tensor, Tensor]:
+    def look(self, rays: SlabRays, up: Tensor, *, dry: bool) -> tuple[Tensor, Tensor, Tensor]:
         """Colours (rays, 3) as stored in photographs, median heights (rays,) [m] and upward unit normals (rays, 3).
 
         ``up`` (3,) is the normal of the water plane, along which heights count.

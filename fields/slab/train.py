@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from fields.device import Device, half_the_threads
-from fields.slab.rays import Rays, Slab, draw_rays
+from fields.slab.rays import Slab, SlabRays, draw_rays
 from fields.slab.tensor_field import FieldSettings, TensorField
 from fields.sweep.maps import Sources
 from fields.training import Rates, adam, descend, has_converged, psnr_db, set_rates
@@ -122,7 +122,7 @@ def _rate_at(done: float) -> float:
     return FINAL_RATE ** max(0.0, (done - COLOUR_FIRST) / (1.0 - COLOUR_FIRST))
 
 
-def _batches(sources: Sources, slab: Slab, batch: int, steps: int) -> Iterator[Rays]:
+def _batches(sources: Sources, slab: Slab, batch: int, steps: int) -> Iterator[SlabRays]:
     """Rays of each step."""
     rng = np.random.default_rng(0)
     drawn = 0

@@ -122,9 +122,9 @@ class NoiseShares:
     """Variances by noise, relative to independent noise of the pixels."""
 
     response: float  # Median of the response of `TileSolution`
-    # heights, changes: Of the variance of heights by noise, and of their change by smoothing them once more
+    # heights, smoothing_changes: Of the variance of heights by noise, and of their change by smoothing them once more
     heights: float
-    changes: float
+    smoothing_changes: float
     # Excess of the relief that the residuals show and the heights do not follow, over the relief that the prior should
     # smooth away, 0 to 1
     excess_relief: float
@@ -195,7 +195,7 @@ def noise_shares(null_solutions: NullSolutions, response: float, shifts: Shifts,
         return NoiseShares(response, 1.0, 1.0, 1.0)
     by_shift = shifts.variance(depth_of(null_solutions.height, is_wet)) * null_solutions.shift
     heights = np.quantile((null_solutions.square / _WITHIN**2 - by_shift) / null_solutions.expected, _MOST)
-    changes = np.quantile(null_solutions.changed / null_solutions.expected_change, ONE_STD)
+    smoothing_changes = np.quantile(null_solutions.changed / null_solutions.expected_change, ONE_STD)
     left, residual = (float(np.quantile(each, ONE_STD)) for each in (null_solutions.left, null_solutions.residual))
     # What the prior should take is counted as that; more than it goes on below the pixel.
     excess_relief = float(np.quantile((null_solutions.residual - left) / null_solutions.relief, ONE_STD)) - 1.0
@@ -203,7 +203,7 @@ def noise_shares(null_solutions: NullSolutions, response: float, shifts: Shifts,
     return NoiseShares(
         response,
         max(float(heights), _LEAST_NOISE),
-        max(float(changes), _LEAST_NOISE),
+        max(float(smoothing_changes), _LEAST_NOISE),
         min(max(excess_relief, 0.0), 1.0),
     )
 

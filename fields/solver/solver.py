@@ -246,7 +246,7 @@ def _solve_part(job: TileTask, width: int, found: TileSolution, figures: SolverF
     of_shift = 1.0 / shift_information(found.brightness.weight, found.motion)
     expected = expected_variances(tile, found, noise.response, figures.spectral_slope)
     change = smoothing_change(found, found.height, noise.response)
-    relief = smoothed_relief(tile, change, expected, noise.heights, noise.changes)
+    relief = smoothed_relief(tile, change, expected, noise.heights, noise.smoothing_changes)
     relief += subpixel_relief(found, expected, noise.heights, noise.excess_relief)
     by_noise = noise.heights * expected.noise
     values = (found.height, by_noise, relief, of_shift, local_slope(tile, found.height))

@@ -16,7 +16,7 @@ from fields.device import Device
 from fields.image_store import GreyImages, LruCache, num_cached
 from fields.solver.gauss_newton import Start, TileSolution, solve
 from fields.solver.tile import MOST_PX, Tile, tiles_of
-from fields.solver.visibility import Projector, Surface, TileProjection, project_tiles
+from fields.solver.visibility import Occluder, Projector, TileProjection, project_tiles
 from fields.sweep.block import Block
 from fields.sweep.maps import ByView, HeightMap
 from refract import FlatWater, PinholeCamera
@@ -43,11 +43,11 @@ class TileTask:
     tolerance: float  # [m]: heights of the map that differ by less agree
 
 
-def surfaces_of(maps: Sequence[HeightMap], views: list[int]) -> ByView[Surface]:
+def surfaces_of(maps: Sequence[HeightMap], views: list[int]) -> ByView[Occluder]:
     """Surfaces of maps by view; the last few are cached, so that each is read from its map a few times only."""
     size = maps[0].height.size if len(maps) else 0
     most = num_cached(_SURFACE_BYTES * size, _KEPT_BYTES, MOST_VIEWS + 1)
-    return ByView(LruCache(lambda number: Surface.of(maps[number]), most), views)
+    return ByView(LruCache(lambda number: Occluder.of(maps[number]), most), views)
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Views:
         return Views(cameras, block.images, block.water, block.device, maps, views, others, tolerance)
 
     @cached_property
-    def _surfaces(self) -> ByView[Surface]:
+    def _surfaces(self) -> ByView[Occluder]:
         return surfaces_of(self.maps, self.views)
 
     @cached_property

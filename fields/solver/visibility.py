@@ -34,16 +34,16 @@ _STEPS = 2
 
 
 @dataclass(frozen=True)
-class Surface:
+class Occluder:
     """Height map as an occluder: heights (height, width) float32 [m], and which of them any view confirms."""
 
     height: np.ndarray
     confirmed: np.ndarray
 
     @staticmethod
-    def of(m: HeightMap) -> Surface:
+    def of(m: HeightMap) -> Occluder:
         """Surface of a height map."""
-        return Surface(m.height, m.agreeing > 0)
+        return Occluder(m.height, m.agreeing > 0)
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ def project_tiles(
     tiles: Sequence[Tile],
     view: int,
     others: Sequence[int],
-    maps: Mapping[int, Surface],
+    maps: Mapping[int, Occluder],
     projector: Projector,
     tolerance: float,
 ) -> list[TileProjection]:
@@ -167,7 +167,7 @@ def _solve_2x2(right: np.ndarray, down: np.ndarray, change: np.ndarray) -> np.nd
     return np.stack([down[1] * change[0] - down[0] * change[1], right[0] * change[1] - right[1] * change[0]]) / size
 
 
-def _is_occluded(surface: Surface, at: np.ndarray, height: np.ndarray) -> np.ndarray:
+def _is_occluded(surface: Occluder, at: np.ndarray, height: np.ndarray) -> np.ndarray:
     """Occlusion mask: a surface at positions (2, N) [px] is above heights (N,) [m] and confirmed."""
     x, y = at
     rows, columns = lookup_window(x, y)

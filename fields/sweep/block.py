@@ -71,7 +71,7 @@ class Overlap:
 
     @property
     def seen(self) -> np.ndarray:
-        """Which view sees which cell of the ground, (views, cells) bool; `fields.sweep.views.coverage`."""
+        """Visibility of cells of the ground in views, (views, cells) bool; `fields.sweep.views.coverage`."""
         return self._coverage[0]
 
     @property

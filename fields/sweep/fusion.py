@@ -12,7 +12,7 @@ import numpy as np
 from fields.image_store import LazyImages
 from fields.median import median
 from fields.sweep.block import Block
-from fields.sweep.images import images
+from fields.sweep.images import image_backend
 from fields.sweep.kernels.arrays import host
 from fields.sweep.kernels.backend import kernels
 from fields.sweep.kernels.queue import Job, Launch, run_jobs
@@ -20,7 +20,7 @@ from fields.sweep.kernels.stack import ViewStack, largest
 from fields.sweep.maps import HeightMap, Keep, Maps, OrderedMaps, trusted
 from fields.sweep.passes import MATCHED_NCC
 
-# What `fields.sweep.fusion.agreement` gives: images of `fields.sweep.images.images`.
+# What `fields.sweep.fusion.agreement` gives: images of `fields.sweep.images.image_backend`.
 _Agreement = tuple[Any, Any, Any]
 # Height maps that each is compared with.
 PEERS = 12
@@ -51,7 +51,7 @@ def fuse(
     whose height is not trusted that of the plane through the trusted ones around it, where these lie in one: a better
     start. A pixel that matched nothing confirms nothing either. Maps that are not compared keep what they have.
     """
-    fused, backend = keep(), images(block.device)
+    fused, backend = keep(), image_backend(block.device)
     for m, tolerance, (agreeing, height, spread) in _agreement(block, maps, scale, compared):
         height = backend.where(agreeing > 0, height, backend.median_blur(m.height, _SURROUNDINGS_PX))
         found = HeightMap(m.view, height, m.score, agreeing, backend.to_half(spread))
@@ -71,7 +71,7 @@ def _agreement(
 
     Where only some pixels of a view are compared, the others keep the values of its map.
     """
-    chosen, backend = sorted(maps), images(block.device)
+    chosen, backend = sorted(maps), image_backend(block.device)
     cameras = [block.cameras[v].scaled(scale) if scale != 1.0 else block.cameras[v] for v in chosen]
 
     def matched(number: int) -> Any:
@@ -100,7 +100,7 @@ def confirm(block: Block, maps: Maps, peers: Mapping[int, list[int]]) -> None:
     if peers:
         compared = {view: Compared(others) for view, others in peers.items()}
         for m, _, (agreeing, _, _) in _agreement(block, maps, 1.0, compared):
-            maps[m.view] = replace(m, agreeing=images(block.device).pixelwise_max(m.agreeing, agreeing))
+            maps[m.view] = replace(m, agreeing=image_backend(block.device).pixelwise_max(m.agreeing, agreeing))
 
 
 def agreement(
@@ -128,7 +128,7 @@ def agreement(
     spread : float32 [m]
         Standard deviation (population) of the same.
     """
-    backend = images(heights.device)
+    backend = image_backend(heights.device)
     shape = (heights.height_of(view), heights.width_of(view)) if pixels is None else (len(pixels),)
 
     def launch() -> Launch:
@@ -139,7 +139,7 @@ def agreement(
 
 
 def num_comparable(block: Block, maps: Sequence[HeightMap]) -> Iterator[np.ndarray | None]:
-    """Of each map, the number (height, width) of peers that show the point of a pixel neither masked nor white.
+    """Number of peers (height, width), for each map, that show the point of a pixel neither masked nor white.
 
     It is infinite where no peer shows the point masked or white, and None where no photograph of a peer is so anywhere.
     """

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import ndimage
 
 from fields.sweep.block import Block
-from fields.sweep.images import images
+from fields.sweep.images import image_backend
 from fields.sweep.kernels.queue import run_job
 from fields.sweep.kernels.stack import Hypotheses
 from fields.sweep.matching import Reference, match_with_adaptive_windows
@@ -54,7 +54,7 @@ def find_range(block: Block, limits: tuple[float, float]) -> tuple[float, float]
     # Of a tile perhaps none: its windows hold heights at which no view shows it.
     chosen = [chosen[i] for i in np.unique(np.linspace(0, len(chosen) - 1, NUM_VIEWS).astype(int))] if chosen else []
     heights, steps, radius = [np.empty(0)], [0.0], WINDOW_RADIUS
-    backend = images(block.device)
+    backend = image_backend(block.device)
     for view in chosen:
         others = block.neighbours(view, NUM_NEIGHBOURS)
         if not others:

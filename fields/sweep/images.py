@@ -105,7 +105,7 @@ class Images(Protocol):
     def tile_gradients(self, height: Any, wanted: Any, size: int) -> np.ndarray: ...
 
 
-def images(device: Device) -> Images:
+def image_backend(device: Device) -> Images:
     """Functions on the images of a device: in a memory of its own, or on the host."""
     if device.apart:
         from fields.sweep import images_device

@@ -38,7 +38,7 @@ class MapPoints:
 
     @staticmethod
     def about(stack: ViewStack, masks: Iterable[np.ndarray], xyz: np.ndarray, distance: float) -> MapPoints:
-        """Those of the True pixels that are within a distance of points (3, N), N at least 1, and more."""
+        """True pixels within a distance of points (3, N), N at least 1, and some beyond it."""
         # Few of all points are near any.
         corners = np.stack(np.meshgrid(*[(-distance, distance)] * 3)).reshape(3, 8, 1).astype(np.float32)
         reached = np.zeros(_TABLE_SIZE, dtype=bool)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fields.sweep.images import images
+from fields.sweep.images import image_backend
 from fields.sweep.kernels.arrays import floats
 from fields.sweep.kernels.backend import kernels
 from fields.sweep.kernels.queue import Job, Launch
@@ -18,7 +18,7 @@ from fields.sweep.kernels.stack import Hypotheses, ViewStack
 from fields.sweep.passes import MATCHED_NCC
 from fields.sweep.tiles import Tiles
 
-# Height [m], score and curvature [1/m^2] of each pixel: images of `fields.sweep.images.images`.
+# Height [m], score and curvature [1/m^2] of each pixel: images of `fields.sweep.images.image_backend`.
 Found = tuple[Any, Any, Any]
 # Lanes of the widest vectors.
 _VECTOR = 16
@@ -67,7 +67,7 @@ def match_view(reference: Reference, hypotheses: Hypotheses, columns: np.ndarray
         pixel.
     """
     stack, view, radius, start = reference.stack, reference.view, reference.radius, hypotheses.start
-    backend = images(stack.device)
+    backend = image_backend(stack.device)
     width, height = stack.width_of(view), stack.height_of(view)
     per_row = len(reference.neighbours) * hypotheses.count * width
     rows = max(4 * radius + 4, min(height, kernels(stack.device).SAMPLES_PER_LAUNCH // per_row))
@@ -113,7 +113,7 @@ def match_tiles(
     height [m], score [-], curvature [1/m^2] : list of float32
     """
     stack, view, side = reference.stack, reference.view, tiles.side
-    backend, device, num = images(stack.device), stack.device, len(reference.neighbours)
+    backend, device, num = image_backend(stack.device), stack.device, len(reference.neighbours)
     most, launch = kernels(device).SAMPLES_PER_LAUNCH // num, _LAUNCH_SAMPLES // num
     # The first window begins so many pixels into the first tile.
     lost = tiles.radius * (side + 1)
@@ -158,7 +158,7 @@ def _rays_of_strip(stack: ViewStack, view: int, strip: tuple[slice, slice]) -> A
     if columns.stop - columns.start == stack.width_of(view):
         return kernels(stack.device).rays_of_rows(stack, view, rows.start, rows.stop - rows.start)
     return kernels(stack.device).rays_of_pixels(
-        stack, view, images(stack.device).strip_indices(stack.device, strip, stack.width_of(view))
+        stack, view, image_backend(stack.device).strip_indices(stack.device, strip, stack.width_of(view))
     )
 
 
@@ -186,7 +186,7 @@ def match_with_adaptive_windows(
 
 def _wider(stack: ViewStack, score: Any, radius: int, count: int) -> int:
     """`radius_for` the scores (height, width) of a view."""
-    matched = images(stack.device).median_above(score, -1.0)
+    matched = image_backend(stack.device).median_above(score, -1.0)
     return radius if matched is None else radius_for(matched, score.shape, radius, count)
 
 

@@ -86,10 +86,10 @@ def before_solver(passes: tuple[Pass, ...]) -> tuple[Pass, ...]:
 
     Without the solver the heights of points are means over views, which all have to be refined.
     """
-    first = next(number for number, p in enumerate(passes) if p.scale == 1.0)
-    return (*passes[: first + 1], *(replace(p, points_only=True) for p in passes[first + 1 :]))
+    first = next(number for number, pass_ in enumerate(passes) if pass_.scale == 1.0)
+    return (*passes[: first + 1], *(replace(pass_, points_only=True) for pass_ in passes[first + 1 :]))
 
 
 def in_area(passes: tuple[Pass, ...]) -> tuple[Pass, ...]:
     """The same passes for a tile: the first looks for its heights, the others follow what the one before found."""
-    return (passes[0], *(replace(p, in_area=True) for p in passes[1:]))
+    return (passes[0], *(replace(pass_, in_area=True) for pass_ in passes[1:]))

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from fields.sweep.images import images
+from fields.sweep.images import image_backend
 from fields.sweep.kernels.queue import Job
 from fields.sweep.matching import Found, Reference, match_tiles
 from fields.sweep.passes import MATCHED_NCC, StepSearch
@@ -42,7 +42,7 @@ def search_steps(
         Pixels that are searched: those that were matched, of a view of which parts were not.
     """
     stack, height, score = reference.stack, found[0], found[1]
-    backend = images(stack.device)
+    backend = image_backend(stack.device)
     typical = backend.median(score) if among is None else backend.median_above(score, -1.0)
     if typical is None or typical < search.least_score or min(height.shape) < search.tile_px + 2 * search.radius:
         return found
@@ -68,7 +68,7 @@ def search_steps(
 
 def _best_of_tiles(reference: Reference, found: Found, tiles: Tiles, step: float, least: Any) -> Job[Found]:
     """Heights replaced by those of tiles, with hypotheses a step [m] apart, where these score over ``least``."""
-    stack, backend = reference.stack, images(reference.stack.device)
+    stack, backend = reference.stack, image_backend(reference.stack.device)
     better, worse = [backend.flat_copy(each) for each in found], backend.flat_view(least)
 
     def take(own: Any, pixels: Any, matched: list[Any]) -> None:

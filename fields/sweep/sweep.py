@@ -18,7 +18,7 @@ from fields.device import Device, memory_bytes
 from fields.image_store import LazyImages
 from fields.sweep.block import Block
 from fields.sweep.fusion import PEERS, Compared, confirm, fuse
-from fields.sweep.images import images
+from fields.sweep.images import image_backend
 from fields.sweep.kernels.backend import kernels
 from fields.sweep.kernels.queue import Job, run_jobs
 from fields.sweep.kernels.stack import ViewStack, largest
@@ -53,7 +53,7 @@ def to_host_maps(device: Device, maps: Maps, keep: Keep) -> Maps:
         return maps
     found = keep()
     for view in list(maps):
-        found[view] = images(device).download(maps.pop(view))
+        found[view] = image_backend(device).download(maps.pop(view))
     return found
 
 
@@ -81,7 +81,7 @@ class DeviceMaps(MutableMapping[int, HeightMap]):
     def __getitem__(self, view: int) -> HeightMap:
         if view in self._held:
             return self._held[view]
-        return images(self._device).upload(self._device, self._on_host[view])
+        return image_backend(self._device).upload(self._device, self._on_host[view])
 
     def __setitem__(self, view: int, m: HeightMap) -> None:
         self.pop(view, None)
@@ -89,7 +89,7 @@ class DeviceMaps(MutableMapping[int, HeightMap]):
             self._budget.left -= _bytes_of(m)
             self._held[view] = m
         else:
-            self._on_host[view] = images(self._device).download(m)
+            self._on_host[view] = image_backend(self._device).download(m)
 
     def __delitem__(self, view: int) -> None:
         if view in self._held:
@@ -153,44 +153,44 @@ def sweep(
     for view, m in earlier.maps.items():
         if view in chosen:
             known = m if view in again else upsample_map(m, size)
-            maps[view], widths[view] = images(block.device).upload(block.device, known), m.height.shape[1]
+            maps[view], widths[view] = image_backend(block.device).upload(block.device, known), m.height.shape[1]
     work = [
         view_passes(
             block,
-            [v for v in chosen if _takes_part(size, p, widths.get(v), v in again)],
-            p,
+            [v for v in chosen if _takes_part(size, pass_, widths.get(v), v in again)],
+            pass_,
             None if n else search.bound,
         )
-        for n, p in enumerate(passes)
+        for n, pass_ in enumerate(passes)
     ]
     views = sorted({each.view for of_pass in work for each in of_pass} | set(widths))
     peers = {view: block.neighbours(view, PEERS, among=views) for view in views}
     taking_part = [{each.view for each in of_pass} for of_pass in work]
     fused = [
-        sum(pixels_of(block, p, v) * len(peers[v]) for v in mine) if p.fuse else 0
-        for p, mine in zip(passes, taking_part, strict=True)
+        sum(pixels_of(block, pass_, v) * len(peers[v]) for v in mine) if pass_.fuse else 0
+        for pass_, mine in zip(passes, taking_part, strict=True)
     ]
     done, reported = 0.0, 0.0
     # Radius of the windows of each view less that of its pass [px].
     wider = dict.fromkeys(views, 0)
     wanted: dict[int, np.ndarray] = {}
-    for number, p in enumerate(passes):
-        if p.points_only and not wanted:
+    for number, pass_ in enumerate(passes):
+        if pass_.points_only and not wanted:
             wanted = predict_selected_pixels(block, maps)
         taken: dict[int, Any] = {}
         parts = {each.view for each in work[number] if each.view in wanted and not wider[each.view]}
         total = done + sum(fused[number:]) + _samples(passes[number:], work[number:], wider)
         # A generator: each job holds a map.
         jobs: Iterator[Job[tuple[HeightMap, Any]]] = (
-            refine_part(block, p, each, maps[each.view], wanted[each.view])
+            refine_part(block, pass_, each, maps[each.view], wanted[each.view])
             if each.view in parts
-            else match_pass(block, p, each, search, maps.get(each.view), wider[each.view])
+            else match_pass(block, pass_, each, search, maps.get(each.view), wider[each.view])
             for each in work[number]
         )
-        found = run_jobs(block.device, jobs, _at_once(block, p))
+        found = run_jobs(block.device, jobs, _at_once(block, pass_))
         for each, (m, of_view) in zip(work[number], found, strict=True):
             maps[each.view] = m
-            samples = _samples([p], [[each]], wider)
+            samples = _samples([pass_], [[each]], wider)
             if each.view in parts:
                 taken[each.view] = of_view
             else:
@@ -202,22 +202,22 @@ def sweep(
             reported = max(reported, done / total)
             progress(reported)
         if fused[number]:
-            block.release(p.scale)
-            if p.in_area:
+            block.release(pass_.scale)
+            if pass_.in_area:
                 # The others neither confirm nor are confirmed.
                 for view in taking_part[number] - set(taken):
-                    taken[view] = images(block.device).indices_of(maps[view].score > MATCHED_NCC)
+                    taken[view] = image_backend(block.device).indices_of(maps[view].score > MATCHED_NCC)
             compared = {
                 view: Compared(peers[view], taken.get(view))
                 for view in taking_part[number]
                 if view not in taken or len(taken[view])
             }
-            maps = fuse(block, maps, p.scale, compared, store, goes_on=number + 1 < len(passes))
+            maps = fuse(block, maps, pass_.scale, compared, store, goes_on=number + 1 < len(passes))
             done += fused[number]
             reported = max(reported, done / total)
             progress(reported)
-        if number + 1 == len(passes) or passes[number + 1].scale != p.scale:
-            block.release(p.scale)
+        if number + 1 == len(passes) or passes[number + 1].scale != pass_.scale:
+            block.release(pass_.scale)
     confirm(block, maps, {view: peers[view] for view in set(maps) - taking_part[-1]})
     swept = to_host_maps(block.device, maps, keep)
     return OrderedMaps(swept, [view for view in chosen if view in swept])
@@ -229,20 +229,20 @@ def _samples(passes: Sequence[Pass], work: Sequence[Sequence[ViewPass]], wider: 
     Views whose windows had to be ``wider`` are matched as a whole where others are in tiles about their points.
     """
     return sum(
-        each.samples * (POINTS_SHARE if p.points_only and not wider[each.view] else 1.0)
-        for p, of_pass in zip(passes, work, strict=True)
+        each.samples * (POINTS_SHARE if pass_.points_only and not wider[each.view] else 1.0)
+        for pass_, of_pass in zip(passes, work, strict=True)
         for each in of_pass
     )
 
 
-def _at_once(block: Block, p: Pass) -> int:
+def _at_once(block: Block, pass_: Pass) -> int:
     """Number of views in the queue: two where the images that both need stay in the cache."""
-    return 2 if block.stack(p.scale).packed.values.most >= 2 * (p.neighbours + 1) else 1
+    return 2 if block.stack(pass_.scale).packed.values.most >= 2 * (pass_.neighbours + 1) else 1
 
 
-def _takes_part(size: tuple[int, int], p: Pass, width: int | None, again: bool) -> bool:
+def _takes_part(size: tuple[int, int], pass_: Pass, width: int | None, again: bool) -> bool:
     """Whether a view takes part in a pass: one that has a map of some width only if it goes on, in finer passes."""
-    return width is None or (again and p.scale * size[0] > _FINER * width)
+    return width is None or (again and pass_.scale * size[0] > _FINER * width)
 
 
 def predict_selected_pixels(block: Block, maps: Mapping[int, HeightMap]) -> dict[int, np.ndarray]:
@@ -255,7 +255,7 @@ def predict_selected_pixels(block: Block, maps: Mapping[int, HeightMap]) -> dict
         return {}
     order = sorted(maps, key=lambda view: block.cameras[view].cam_from_local[2][2])
     cameras = [block.cameras[view].scaled(_SCALE) for view in order]
-    backend, shapes = images(block.device), [(camera.height, camera.width) for camera in cameras]
+    backend, shapes = image_backend(block.device), [(camera.height, camera.width) for camera in cameras]
 
     def trusted_heights(m: HeightMap, shape: tuple[int, int]) -> Any:
         """Mean of the trusted heights in each part of a map [m]; NaN without any."""

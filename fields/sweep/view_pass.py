@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from fields.sweep.block import Block
-from fields.sweep.images import images
+from fields.sweep.images import image_backend
 from fields.sweep.kernels.queue import Job
 from fields.sweep.kernels.stack import Hypotheses
 from fields.sweep.maps import HeightMap
@@ -49,41 +49,41 @@ class ViewPass:
     samples: int  # pixels x hypotheses x neighbours
 
 
-def view_passes(block: Block, chosen: list[int], p: Pass, bound: tuple[float, float] | None) -> list[ViewPass]:
+def view_passes(block: Block, chosen: list[int], pass_: Pass, bound: tuple[float, float] | None) -> list[ViewPass]:
     """Work of a pass for each of the chosen views; those that overlap with no other are left out.
 
     The hypotheses span the bound (low, high) [m], or are as many as the pass has where that is None.
     """
     found = []
     for view in chosen:
-        neighbours = block.neighbours(view, p.neighbours)
+        neighbours = block.neighbours(view, pass_.neighbours)
         if not neighbours:
             continue
         if bound is not None:
-            step = _step(block, p, view, neighbours, 0.5 * (bound[0] + bound[1]))
+            step = _step(block, pass_, view, neighbours, 0.5 * (bound[0] + bound[1]))
             count = int(np.ceil((bound[1] - bound[0]) / step)) + 1
-        elif p.hypotheses is not None:
-            count = p.hypotheses
+        elif pass_.hypotheses is not None:
+            count = pass_.hypotheses
         else:
             raise ValueError("a pass after the first expects its own number of hypotheses, got None")
-        found.append(ViewPass(view, neighbours, count, pixels_of(block, p, view) * count * len(neighbours)))
+        found.append(ViewPass(view, neighbours, count, pixels_of(block, pass_, view) * count * len(neighbours)))
     return found
 
 
-def pixels_of(block: Block, p: Pass, view: int) -> int:
+def pixels_of(block: Block, pass_: Pass, view: int) -> int:
     """Number of pixels of the image of a view at the scale of a pass."""
-    camera = block.cameras[view].scaled(p.scale)
+    camera = block.cameras[view].scaled(pass_.scale)
     return camera.width * camera.height
 
 
-def _step(block: Block, p: Pass, view: int, neighbours: list[int], height: float) -> float:
+def _step(block: Block, pass_: Pass, view: int, neighbours: list[int], height: float) -> float:
     """Distance [m] between two hypotheses of a pass about a height [m]."""
-    return p.step_px / (p.scale * block.parallax(view, neighbours, height))
+    return pass_.step_px / (pass_.scale * block.parallax(view, neighbours, height))
 
 
 def match_pass(
     block: Block,
-    p: Pass,
+    pass_: Pass,
     of_view: ViewPass,
     search: Search,
     before: HeightMap | None,
@@ -94,11 +94,11 @@ def match_pass(
     The radius of the windows is that of the pass and ``wider`` [px], or more where the scores ask for it. Returns the
     map and the pixels by which its windows were wider.
     """
-    stack, view, backend = block.stack(p.scale), of_view.view, images(block.device)
+    stack, view, backend = block.stack(pass_.scale), of_view.view, image_backend(block.device)
     bound, area = search.bound, search.area
     shape = (stack.height_of(view), stack.width_of(view))
     middle = 0.5 * (bound[0] + bound[1]) if before is None else backend.median(before.height)
-    step = _step(block, p, view, of_view.neighbours, middle)
+    step = _step(block, pass_, view, of_view.neighbours, middle)
     if before is None:
         start = backend.full(block.device, shape, bound[0])
     else:
@@ -107,36 +107,36 @@ def match_pass(
     def columns(radius: int) -> np.ndarray | None:
         if area is None:
             return None
-        if p.in_area and before is not None:
+        if pass_.in_area and before is not None:
             return columns_over_area(stack.cameras[view], block.water, area, backend.to_host(before.height))
         return columns_seeing_area(stack.cameras[view], block.water, area, bound, radius)
 
-    radius = p.radius + wider
+    radius = pass_.radius + wider
     reference = Reference(stack, view, of_view.neighbours, radius, _least_known(block))
     hypotheses = Hypotheses(start, step, of_view.count)
-    if p.refines:
+    if pass_.refines:
         found = yield from match_view(reference, hypotheses, columns(radius))
     else:
         found, radius = yield from match_with_adaptive_windows(reference, hypotheses, columns)
     # The search has windows of its own, narrower than those that were too narrow here.
-    if p.search is not None and radius == p.radius:
-        among = _mask_of(columns(radius), shape[1]) if p.in_area else None
-        found = yield from search_steps(reference, found, p.step_px / step, p.search, among)
+    if pass_.search is not None and radius == pass_.radius:
+        among = _mask_of(columns(radius), shape[1]) if pass_.in_area else None
+        found = yield from search_steps(reference, found, pass_.step_px / step, pass_.search, among)
     height, score, _ = found
-    return backend.new_map(view, height, _of_shown(block, p, view, score)), radius - p.radius
+    return backend.new_map(view, height, _of_shown(block, pass_, view, score)), radius - pass_.radius
 
 
 def refine_part(
-    block: Block, p: Pass, of_view: ViewPass, before: HeightMap, part: np.ndarray
+    block: Block, pass_: Pass, of_view: ViewPass, before: HeightMap, part: np.ndarray
 ) -> Job[tuple[HeightMap, Any]]:
     """Match a part of a view in a pass, in tiles; returns the map and the flat indices of the matched pixels.
 
     ``part`` (height, width) bool is at a share of the size. All tiles that hold some of it are matched; other pixels
     stay as they were ``before``.
     """
-    stack, view, backend = block.stack(p.scale), of_view.view, images(block.device)
-    step = _step(block, p, view, of_view.neighbours, backend.median(before.height))
-    tiles = Tiles.over(part, before.height.shape, PART_SIDE_PX - 2 * p.radius, p.radius, of_view.count)
+    stack, view, backend = block.stack(pass_.scale), of_view.view, image_backend(block.device)
+    step = _step(block, pass_, view, of_view.neighbours, backend.median(before.height))
+    tiles = Tiles.over(part, before.height.shape, PART_SIDE_PX - 2 * pass_.radius, pass_.radius, of_view.count)
     tiles = replace(tiles, wanted=backend.to_device(block.device, tiles.wanted))
     height, score = backend.flat_copy(before.height), backend.flat_copy(before.score)
     lowest = backend.flat_view(backend.subtract(before.height, step * (of_view.count // 2)))
@@ -146,17 +146,17 @@ def refine_part(
         backend.put(height, pixels, best, own & (best_score > MATCHED_NCC))
         backend.put(score, pixels, best_score, own)
 
-    reference = Reference(stack, view, of_view.neighbours, p.radius, _least_known(block))
+    reference = Reference(stack, view, of_view.neighbours, pass_.radius, _least_known(block))
     yield from match_tiles(reference, tiles, lambda _, pixels: backend.values_at(lowest, pixels), step, take)
     height, score = (backend.reshaped(each, before.height.shape) for each in (height, score))
-    return replace(before, height=height, score=_of_shown(block, p, view, score)), backend.indices_of(tiles.wanted)
+    return replace(before, height=height, score=_of_shown(block, pass_, view, score)), backend.indices_of(tiles.wanted)
 
 
-def _of_shown(block: Block, p: Pass, view: int, score: Any) -> Any:
+def _of_shown(block: Block, pass_: Pass, view: int, score: Any) -> Any:
     """Scores, -1 at masked pixels of the photograph, however much around them is known."""
-    if p.scale < 1.0 or block.images.are_unmasked:
+    if pass_.scale < 1.0 or block.images.are_unmasked:
         return score
-    return images(block.device).mask_scores(block.device, block.images[view], score)
+    return image_backend(block.device).mask_scores(block.device, block.images[view], score)
 
 
 def _least_known(block: Block) -> float:

@@ -43,7 +43,7 @@ from survey.adjust.result.verdicts import MOST_SIGMAS, MOST_SIGMAS_OF_FOUR, MOST
 from survey.adjust.rounds import Adjusted, adjust
 from survey.adjust.second_start import of_two_starts
 from survey.adjust.unnamed_water import water_seen
-from survey.control.points import Ground
+from survey.control.points import StableGround
 from survey.errors import Contradiction, SurveyError
 from survey.folder.pose_priors import GPS_STD_M
 from survey.folder.survey import Survey
@@ -240,7 +240,7 @@ class _BlockAdjustment:
         return done
 
     def _put_onto(
-        self, ground: Ground, kind: int, ties: TiePoints, start: PriorKnowledge
+        self, ground: StableGround, kind: int, ties: TiePoints, start: PriorKnowledge
     ) -> tuple[PriorKnowledge, TiePoints]:
         """Start and tie points shifted onto the ground, after an adjustment without it; positions too, where it shows.
 

@@ -42,7 +42,7 @@ class Model(StrEnum):
 
 
 class Rule(StrEnum):
-    """As `fields.volume.surface.Rule`, which takes torch to import."""
+    """Twin of `fields.volume.surface.Rule`, which takes torch to import."""
 
     median = "median"
     mode = "mode"

@@ -44,9 +44,9 @@ def run(
     with command(verbose, quiet, survey) as results:
         from survey.errors import SurveyError
         from survey.marking.server import MarkingServer
-        from survey.marking.session import Session
+        from survey.marking.session import MarkingSession
 
-        session = Session(survey, run=poses_of, points=points)
+        session = MarkingSession(survey, run=poses_of, points=points)
         try:
             server = MarkingServer(session, host, port)
         except OSError as error:

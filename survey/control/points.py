@@ -56,7 +56,7 @@ class Checkpoint:
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class StableGround:
     """Points of ground that did not change since they were surveyed."""
 
     points: np.ndarray  # (N, 3) float64 [m], local

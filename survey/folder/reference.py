@@ -19,7 +19,7 @@ from geo.reading import read_reference
 from geo.reproject import Reprojection
 from geo.shapes import Cloud, Mesh, in_height_unit, left_out, part_of, vertices_of
 from geo.transformation import Transformation
-from survey.control.points import Ground
+from survey.control.points import StableGround
 from survey.errors import ControlError, Findings
 from survey.settings.config import SurveyConfig
 
@@ -42,7 +42,7 @@ def read_ground(
     above_water: Callable[[np.ndarray], np.ndarray] | None,
     *,
     is_level_known: bool,
-) -> tuple[Ground | None, Findings]:
+) -> tuple[StableGround | None, Findings]:
     """The stable dry ground of the reference; None without a reference.
 
     Parameters
@@ -94,7 +94,7 @@ def read_ground(
             "over the water, in the vertical datum of crs"
         )
     std, said = _shared_std(given.reference_std_m, part_of(cloud, dry), given.reference)
-    return Ground(local[dry], (math.hypot(std[0], way_std[0]), math.hypot(std[1], way_std[1]))), of_file + said
+    return StableGround(local[dry], (math.hypot(std[0], way_std[0]), math.hypot(std[1], way_std[1]))), of_file + said
 
 
 def _box(places: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from geo.transformation import lon_lat
 from refract import FlatWater
-from survey.control.points import Checkpoint, Control, Ground
+from survey.control.points import Checkpoint, Control, StableGround
 from survey.errors import FILE_NAME, Contradiction, Findings, SurveyError
 from survey.folder import place
 from survey.folder.camera_faults import require_apart, require_focal_lengths
@@ -71,7 +71,7 @@ class Observations:
     # None where nothing is said of it
     tide: Tide | None = field(default=None, compare=False, repr=False)
     # Dry ground of an earlier survey, on which the block is placed
-    ground: Ground | None = field(default=None, compare=False, repr=False)
+    ground: StableGround | None = field(default=None, compare=False, repr=False)
     # Of the water from its plane; None where nothing is said of it
     departure: Departure | None = field(default=None, compare=False, repr=False)
 

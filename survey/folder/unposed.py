@@ -197,7 +197,7 @@ def solve_views(found: Found, workspace: Path | None, report: Callable[[str], No
     """
     warnings = require_solvable(found)
     # Slow to import, and needed only without poses.
-    from survey.sfm.poses import Photographs, image_names, solve_poses
+    from survey.sfm.poses import UnposedPhotographs, image_names, solve_poses
 
     names = {path.absolute(): name for name, path in found.images.items()}
     name_of = {called: names[path] for called, path in image_names(list(found.images.values())).items()}
@@ -206,7 +206,7 @@ def solve_views(found: Found, workspace: Path | None, report: Callable[[str], No
     spare = control_of_block(found) if control is None else None
     views_of = {name: called for called, name in name_of.items()}
     cameras = found.config.cameras
-    photographs = Photographs(
+    photographs = UnposedPhotographs(
         list(found.images.values()),
         {path: found.heads[name] for name, path in found.images.items()},
         cameras.gps_height,

@@ -113,7 +113,7 @@ def _information(view: View, place: np.ndarray, water: FlatWater | None, std_px:
 
 
 @dataclass(frozen=True)
-class Posed:
+class PosedSurvey:
     """Photographs with poses."""
 
     source: str  # Where the poses come from, for a sentence
@@ -142,7 +142,7 @@ def survey_to_mark(folder: Path) -> tuple[SurveyConfig, Found]:
     return config, find_survey(folder, config=bare)
 
 
-def poses_to_mark(found: Found, run: Path | None) -> tuple[Posed | None, str | None]:
+def poses_to_mark(found: Found, run: Path | None) -> tuple[PosedSurvey | None, str | None]:
     """The best poses that there are, None where there are none, and then a note of what lacks.
 
     Parameters
@@ -158,7 +158,9 @@ def poses_to_mark(found: Found, run: Path | None) -> tuple[Posed | None, str | N
     folder = found.folder / RUN_FOLDER if run is None else run
     if run is not None or (folder / FLIGHT).is_file():
         flight = load_flight(folder)
-        return Posed(f"the run {folder}", flight.frame, {view.name: view for view in flight.views}, flight.water), None
+        return PosedSurvey(
+            f"the run {folder}", flight.frame, {view.name: view for view in flight.views}, flight.water
+        ), None
     if found.poses_path is None:
         return None, (
             "no poses are known yet, so no places are predicted; after `bathynerf process --quality draft` they are"
@@ -169,7 +171,7 @@ def poses_to_mark(found: Found, run: Path | None) -> tuple[Posed | None, str | N
         return None, f"no places are predicted, the poses cannot be used: {error}"
 
 
-def _of_file(found: Found, path: Path) -> Posed:
+def _of_file(found: Found, path: Path) -> PosedSurvey:
     """The photographs as the poses file of a survey places them, without the checks that `check` makes."""
     try:
         file, _ = read_file_poses(found, path)
@@ -185,7 +187,7 @@ def _of_file(found: Found, path: Path) -> Posed:
     views, _ = with_motion(views, velocities, found.config.cameras)
     water = _water(found, frame, views)
     views, _ = with_tides(views, found.tide, water)
-    return Posed(path.name, frame, {view.name: view for view in views}, water)
+    return PosedSurvey(path.name, frame, {view.name: view for view in views}, water)
 
 
 def _water(found: Found, frame: LocalFrame, views: list[View]) -> FlatWater | None:

@@ -26,7 +26,7 @@ import numpy as np
 from geo.errors import GeoError
 from survey.errors import ImageError, SurveyError
 from survey.marking.book import PointKey
-from survey.marking.session import Session
+from survey.marking.session import MarkingSession
 from survey.photos.images import eight_bits
 from survey.photos.pixels import read_rgb
 
@@ -129,7 +129,7 @@ class MarkingServer(ThreadingHTTPServer):
 
     daemon_threads = True
 
-    def __init__(self, session: Session, host: str = "localhost", port: int = 0):
+    def __init__(self, session: MarkingSession, host: str = "localhost", port: int = 0):
         self.session, self.tiles = session, PhotographTiles(session.images)
         self.token = secrets.token_urlsafe(16)
         self.lock = threading.Lock()
@@ -235,19 +235,19 @@ def _key(said: dict) -> PointKey:
     return PointKey(str(said["kind"]), str(said["name"]))
 
 
-def _mark(session: Session, said: dict) -> dict:
+def _mark(session: MarkingSession, said: dict) -> dict:
     pixel = None if said["pixel"] is None else _numbers(said["pixel"], 2)
     session.book.set(_key(said), str(said["image"]), pixel)
     return session.state()
 
 
-def _add(session: Session, said: dict) -> dict:
+def _add(session: MarkingSession, said: dict) -> dict:
     place = said.get("place")
     session.book.add(*_key(said), None if place is None else _numbers(place, 3))
     return session.state()
 
 
-def _undo(session: Session, said: dict) -> dict:
+def _undo(session: MarkingSession, said: dict) -> dict:
     edit = session.book.undo()
     return session.state() | {"undone": {"kind": edit.key.kind, "name": edit.key.name, "image": edit.image}}
 

@@ -29,7 +29,7 @@ _MOST_CURVES = 6
 _MOST_NEXT = 30
 
 
-class Session:
+class MarkingSession:
     """A survey whose photographs are marked.
 
     Parameters

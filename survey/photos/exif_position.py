@@ -199,7 +199,7 @@ def focal_px(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -> flo
 
 
 def focal_doubt(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -> str:
-    """Why the focal length may be that of another image than the stored one; empty where nothing says so."""
+    """Reason why the focal length may be that of another image than the stored one; empty where nothing says so."""
     zoom = number(details.get(ExifTags.Base.DigitalZoomRatio))
     # Cameras differ in whether the 35 mm equivalent has it.
     said = f"a digital zoom of {zoom:g} by EXIF, which its focal length may leave out" if zoom > 1.0 else ""

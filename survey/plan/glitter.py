@@ -85,7 +85,7 @@ class GlitterOfFlight:
 
     @classmethod
     def of(cls, survey: Survey) -> GlitterOfFlight:
-        """That of a survey with water, for a bed two metres deep."""
+        """Glitter on a survey with water, for a bed two metres deep."""
         water, _ = survey.require_water()
         cameras = [view.camera for view in survey.views]
         return cls(cameras, np.array(water.up), places_of(survey, _DEPTH_M), water)

@@ -174,7 +174,7 @@ def has_boxes(field: str, asked: str, *, aimed: bool) -> bool:
 
 
 def _boxes(field: str, *, asked: str, aimed: bool) -> tuple[Decision, ...]:
-    """Where photographs are compared pixel by pixel; nothing to say where that was neither asked for nor is usual."""
+    """Decision on boxes, where photographs are compared pixel by pixel; none where neither asked for nor usual."""
     if has_boxes(field, asked, aimed=aimed):
         reason = (
             "windows cover both an edge and the bed beside it, single pixels do not; a box of some metres takes about "

@@ -51,7 +51,7 @@ class Tiling:
 
     @staticmethod
     def of(ground: Area, count: int, rim: float) -> Tiling:
-        """So many equal tiles of a ground (x0, y0, x1, y1), as square as their number allows."""
+        """Equal tiles of a ground (x0, y0, x1, y1), as square as their number allows."""
         width, height = ground[2] - ground[0], ground[3] - ground[1]
         pairs = [(n, count // n) for n in range(1, count + 1) if count % n == 0]
         columns, rows = min(pairs, key=lambda pair: abs(math.log(width / pair[0] * pair[1] / height)))

@@ -24,7 +24,7 @@ from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, length, number
 from survey.folder.survey import Survey
 from survey.report.adjustment_figures import correlations, shown_lenses
-from survey.report.checkpoints import CheckpointFigures
+from survey.report.checkpoints import CheckpointAccuracy
 from survey.report.raster import Picture
 
 # Cells along the longer side of a photograph, and the fewest residuals in one that is shown.
@@ -196,7 +196,7 @@ class Residual:
 
 
 def residuals_of(
-    survey: Survey, adjustment: Adjustment | None, checkpoints: CheckpointFigures | None
+    survey: Survey, adjustment: Adjustment | None, checkpoints: CheckpointAccuracy | None
 ) -> list[Residual]:
     """Control points by the adjustment, and check points by it, else by the height of the cloud."""
     given = survey.observations.control

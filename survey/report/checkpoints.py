@@ -116,7 +116,7 @@ class CheckpointGroup:
 
 
 @dataclass(frozen=True)
-class CheckpointFigures:
+class CheckpointAccuracy:
     """The cloud at all check points."""
 
     rows: tuple[CheckpointRow, ...]
@@ -144,7 +144,7 @@ def checkpoint_heights(points: np.ndarray, places: np.ndarray, gsd_m: float) -> 
 
 def checkpoints_of(
     survey: Survey, points: np.ndarray, gsd_m: float, stated: np.ndarray | None = None
-) -> CheckpointFigures | None:
+) -> CheckpointAccuracy | None:
     """The figures of a cloud (N, 3) [m], local, with the standard deviations (N,) [m] of its heights, where known.
 
     None for a survey without check points: those of [control] checkpoints, and the control points that their file calls
@@ -171,10 +171,10 @@ def checkpoints_of(
         )
         for i, point in enumerate(given)
     )
-    return CheckpointFigures(rows, tuple(_groups(rows)), WITHIN_GSD * gsd_m)
+    return CheckpointAccuracy(rows, tuple(_groups(rows)), WITHIN_GSD * gsd_m)
 
 
-def checkpoint_doubts(found: CheckpointFigures | None) -> list[str]:
+def checkpoint_doubts(found: CheckpointAccuracy | None) -> list[str]:
     """A warning that names the check points whose difference is not explained by what the cloud states."""
     if found is None:
         return []

@@ -22,7 +22,7 @@ from survey.photos.images import list_images
 from survey.photos.texture import MatchedLight
 from survey.report.adjustment_figures import adjustment_of
 from survey.report.checkpoints import checkpoint_doubts, checkpoints_of, stated_of
-from survey.report.column import Column
+from survey.report.column import ColumnStatistics
 from survey.report.facts import ReportFacts, dry_doubts
 from survey.report.figures import (
     BaselineRow,
@@ -179,9 +179,9 @@ def stated_std(std: np.ndarray, std_common: np.ndarray | None) -> np.ndarray:
 
 def height_std(std: np.ndarray, std_common: np.ndarray | None) -> HeightStd:
     """Std of the height of a point, all included: medians over points (N,), one at least."""
-    told = None if std_common is None else Column(std_common)
+    told = None if std_common is None else ColumnStatistics(std_common)
     shared = told.median if told is not None and told.size else None
-    return HeightStd(Column(stated_std(std, std_common)).median, shared, Column(std).median)
+    return HeightStd(ColumnStatistics(stated_std(std, std_common)).median, shared, ColumnStatistics(std).median)
 
 
 def _left_out(survey: Survey) -> tuple[str, ...]:
@@ -257,11 +257,11 @@ def _cloud(facts: ReportFacts) -> CloudFigures:
         points_wet=int(bed.wet.sum()),
         extent=_extent(facts.points_crs) if len(bed) else None,
         covered_area_m2=area,
-        depth_m=_spread(Column(bed.depth, bed.wet)),
-        std_m=_spread(Column(bed.std)),
-        std_common_m=None if facts.std_common is None else _spread(Column(facts.std_common)),
-        views_per_point=_spread(Column(bed.num_views)),
-        incidence_deg=_spread(Column(bed.incidence, scale=math.degrees(1.0))),
+        depth_m=_spread(ColumnStatistics(bed.depth, bed.wet)),
+        std_m=_spread(ColumnStatistics(bed.std)),
+        std_common_m=None if facts.std_common is None else _spread(ColumnStatistics(facts.std_common)),
+        views_per_point=_spread(ColumnStatistics(bed.num_views)),
+        incidence_deg=_spread(ColumnStatistics(bed.incidence, scale=math.degrees(1.0))),
         plan_std_common_m=facts.survey.plan_std_m,
     )
 
@@ -271,7 +271,7 @@ def _extent(points: np.ndarray) -> Extent:
     return Extent((low[0], low[1], low[2]), (high[0], high[1], high[2]))
 
 
-def _spread(values: Column) -> Spread | None:
+def _spread(values: ColumnStatistics) -> Spread | None:
     """Statistics over what is finite; None where nothing is."""
     if not values.size:
         return None

@@ -17,7 +17,7 @@ import numpy as np
 _PORTION, _BITS = 1_000_000, 16
 
 
-class Column:
+class ColumnStatistics:
     """The finite values of a column (N,), of numbers or whole ones.
 
     Parameters

@@ -8,7 +8,7 @@ from survey.compare.figures import Figures, numbers_of
 from survey.files.json_values import plain
 from survey.plan.plan import Plan
 from survey.report.adjustment_figures import AdjustmentFigures
-from survey.report.checkpoints import CheckpointFigures, StatedFigures
+from survey.report.checkpoints import CheckpointAccuracy, StatedFigures
 from survey.report.facts import RunVerdict
 from survey.report.photographs import PhotographFigures, TakenFigures
 from survey.report.seen_cells import CoverageFigures
@@ -175,7 +175,7 @@ class ReportFigures:
     assumptions: tuple[str, ...]
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
-    checkpoints: CheckpointFigures | None = None  # None without check points
+    checkpoints: CheckpointAccuracy | None = None  # None without check points
     adjustment: AdjustmentFigures | None = None  # None where poses and water were used as they came
     photographs: tuple[PhotographFigures, ...] = ()  # What of each was left out of matching
     height_std: HeightStd | None = None

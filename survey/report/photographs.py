@@ -53,7 +53,7 @@ def photographs_of(
 
 
 def _useless(consistency: Mapping[str, Consistency]) -> dict[str, str]:
-    """Why photographs give nothing to the cloud, by their names."""
+    """Reasons why photographs give nothing to the cloud, by their names."""
     known = [each for each in consistency.values() if each.correlation is not None]
     if not known:
         return {}
@@ -199,7 +199,7 @@ def head_lines(found: TakenFigures | None) -> list[str]:
 
 
 def taken_table(found: TakenFigures | None) -> list[Block]:
-    """Who, when and with what."""
+    """Table of authors, times and cameras."""
     if found is None:
         return []
     rows = [("project", found.project), ("operator", found.operator), ("flown", flown(found))]

@@ -22,8 +22,8 @@ from survey.display.palette import BLUE, INK, RED, SERIES, SOFT
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, number, with_unit
 from survey.report import adjustment_pictures, flight, maps, profile
-from survey.report.checkpoints import CheckpointFigures
-from survey.report.column import Column
+from survey.report.checkpoints import CheckpointAccuracy
+from survey.report.column import ColumnStatistics
 from survey.report.facts import ReportFacts, distances_of
 from survey.report.maps import draw_unseen
 from survey.report.profile import choose_cut
@@ -45,7 +45,7 @@ def draw_pictures(
     facts: ReportFacts,
     advance: Callable[[], None] = lambda: None,
     *,
-    checkpoints: CheckpointFigures | None = None,
+    checkpoints: CheckpointAccuracy | None = None,
 ) -> list[Picture]:
     """Draw all pictures that the facts allow, as PNG files, each whole or not at all.
 
@@ -158,18 +158,18 @@ def draw_histograms(path: Path, facts: ReportFacts) -> Picture:
     """Distributions of depth, spread, views and incidence over the points."""
     bed = facts.bed
     is_dry = facts.survey.water is None
-    of_std = Column(bed.std)
+    of_std = ColumnStatistics(bed.std)
     std = LengthUnit.of([of_std.median] if of_std.size else [])
     tall = LengthUnit.of_heights()
     up = tall.per_metre * height_unit_m(facts.survey.frame.crs)
     angle = "angle off nadir" if is_dry else "incidence at the water"
     graphs = (
-        ("height", tall.name, tall.decimals, Column(facts.points_crs[:, 2], scale=up))
+        ("height", tall.name, tall.decimals, ColumnStatistics(facts.points_crs[:, 2], scale=up))
         if is_dry
-        else ("true depth", tall.name, tall.decimals, Column(bed.depth, bed.wet, tall.per_metre)),
-        (_STD, std.name, std.decimals, Column(bed.std, scale=std.per_metre)),
-        ("views that agree", "", 0, Column(bed.num_views)),
-        (angle, "°", 1, Column(bed.incidence, scale=math.degrees(1.0))),
+        else ("true depth", tall.name, tall.decimals, ColumnStatistics(bed.depth, bed.wet, tall.per_metre)),
+        (_STD, std.name, std.decimals, ColumnStatistics(bed.std, scale=std.per_metre)),
+        ("views that agree", "", 0, ColumnStatistics(bed.num_views)),
+        (angle, "°", 1, ColumnStatistics(bed.incidence, scale=math.degrees(1.0))),
     )
     # Two by two: four in a row cannot be read on a phone.
     figure = Figure(figsize=(7.2, 4.6), layout="constrained")
@@ -187,7 +187,7 @@ def draw_histograms(path: Path, facts: ReportFacts) -> Picture:
     return Picture(path, "Distributions", "Over all points; the dark lines mark the medians.")
 
 
-def _histogram(axes: Axes, values: Column, colour: str, *, is_count: bool, is_log: bool) -> None:
+def _histogram(axes: Axes, values: ColumnStatistics, colour: str, *, is_count: bool, is_log: bool) -> None:
     """Shares of values in bins of equal width or ratio, or one for each whole number if they count; and the median."""
     axes.xaxis.set_major_locator(MaxNLocator(4, integer=is_count))
     low, high, top = values.quantiles(0.002, 0.998, 0.995)

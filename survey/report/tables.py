@@ -24,7 +24,7 @@ from survey.display.quantities import (
 from survey.plan.decisions import Decision
 from survey.plan.plan import Plan
 from survey.report.blocks import Block, Rows, Sentences, Table, Text
-from survey.report.checkpoints import CheckpointFigures
+from survey.report.checkpoints import CheckpointAccuracy
 from survey.report.figures import Baselines, CloudFigures, CrsFigures, Extent, LightFigures, SurveyFigures, WaterFigures
 
 # Digits of coordinates by their unit: to the centimetre in metres, to about as much in degrees.
@@ -79,7 +79,7 @@ def _extent(extent: Extent | None, crs: CrsFigures) -> list[Table]:
 
 
 def survey(taken: SurveyFigures, water: WaterFigures | None, plan: Plan) -> list[Block]:
-    """Where, with what, from how high, and through which water."""
+    """Section of the survey: place, cameras, flying height and water."""
     crs, decimals = taken.crs, _DECIMALS.get(taken.crs.unit, 2)
     columns, lines = taken.image_size_px
     size = " x ".join(distance(side) for side in plan.footprint_m)
@@ -251,7 +251,7 @@ def iho_s44(found: VerticalUncertainty | None) -> list[Block]:
     return [Text(said), Table(titles, rows, num_texts=2), Text(iho.note, is_soft=True)]
 
 
-def checkpoints(found: CheckpointFigures | None) -> list[Block]:
+def checkpoints(found: CheckpointAccuracy | None) -> list[Block]:
     """The cloud at the check points, all together and each; nothing without check points."""
     if found is None:
         return []

@@ -200,7 +200,7 @@ class RunDir:
         return read_json_object(max(found, key=lambda path: path.stat().st_mtime)) if found else {}
 
     def why_again(self, name: str, key: Key) -> str | None:
-        """Why a stage has to be computed although it was before, in words; None if it never was.
+        """Reason why a stage is computed again, in words; None if it never was.
 
         The finished result of this stage that has most in common with the key shows what changed.
         """

@@ -82,13 +82,13 @@ def through_surface(
     xyz = np.concatenate(parts)
     depth = surface.height(xyz[:, 0], xyz[:, 1]) - xyz[:, 2]
     wet = depth > 0.0
-    added = np.where(wet, by_level(bed.incidence, float(plane.n_water)) * of_surface(bed.xyz[:, :2]), 0.0)
+    added = np.where(wet, bed_per_level(bed.incidence, float(plane.n_water)) * of_surface(bed.xyz[:, :2]), 0.0)
     return replace(
         bed, xyz=xyz, depth=depth.astype(np.float32), wet=wet, std=np.hypot(bed.std, added).astype(np.float32)
     )
 
 
-def by_level(incidence: np.ndarray, n_water: float) -> np.ndarray:
+def bed_per_level(incidence: np.ndarray, n_water: float) -> np.ndarray:
     """Change of a bed point's height per metre of the water over it [-].
 
     A ray that enters the water a metre earlier comes out ``tan a - tan b`` aside at the bed, with ``sin a = n sin b``,

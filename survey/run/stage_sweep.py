@@ -39,7 +39,7 @@ MAPS, BOUND, SWEPT = "maps.npz", "bound.json", "swept.json"
 # Of each photograph by its name: the share of white pixels, and whether it shows the bed that was found.
 SATURATED, CONSISTENCY = "saturated.json", "consistency.json"
 # Results of the round before, for the stages of the next; and the cells that need work by its assessment.
-EARLIER_SWEEP, EARLIER_SOLVER, EARLIER_ASSESSMENT = "earlier sweep", "earlier solver", "earlier look"
+EARLIER_SWEEP, EARLIER_SOLVER, EARLIER_ASSESSMENT = "earlier sweep", "earlier solver", "earlier assessment"
 CELLS = "cells.npz"
 # In the folder of the stage, while it lasts: maps that are worked on.
 SCRATCH = "scratch"

@@ -67,7 +67,7 @@ def _here(source: Source) -> str:
 
 
 def _sources(survey: Survey, remote: Remote) -> dict[Path, Source]:
-    """Where workers find photographs and masks; those that lie on this machine alone are put to the URL of the run."""
+    """Places of photographs and masks for workers; those on this machine alone are put to the URL of the run."""
     images, root = survey.config.images, (survey.folder / survey.config.images.local_dir).absolute()
     paths = {path for view in survey.views for path in (view.path, view.mask_path) if path is not None}
     found, to_put = {}, {}

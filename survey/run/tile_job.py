@@ -45,7 +45,7 @@ class TilePlan:
 
     @staticmethod
     def of_search(job: Job) -> TilePlan:
-        """That of tiles of which nothing is known: the search limits, and all views."""
+        """Plan of tiles of which nothing is known: the search limits, and all views."""
         return TilePlan(job.limits, list(range(len(job.survey.views))))
 
 

@@ -146,7 +146,7 @@ class WorkerNeeds:
 def workers_for(
     number: int, scheduler: str | None, needs: WorkerNeeds, note: Callable[[str], None]
 ) -> Iterator[Workers]:
-    """So many workers of this machine, or all of a scheduler that has so many, for the stages in a folder of a run.
+    """Start a number of workers on this machine, or take all of a scheduler that has as many, for the stages of a run.
 
     Raises
     ------
@@ -223,7 +223,7 @@ def _client_of(distributed: Any, place: Any, scheduler: str | None, number: int)
 
 
 def _watched(client: Any, scheduler: str | None) -> str:
-    """Where Dask shows its tasks in a browser, in words."""
+    """Address at which Dask shows its tasks in a browser, in words."""
     if scheduler is not None:
         return f"to be watched at {client.dashboard_link}, where its scheduler has bokeh"
     if find_spec("bokeh") is None:

@@ -58,7 +58,7 @@ class ImagesConfig:
 
     @property
     def local_dir(self) -> str:
-        """Where they are on this machine: for a URL a hidden folder of the survey that they are fetched into."""
+        """Folder of these on this machine: for a URL a hidden folder of the survey that they are fetched into."""
         return local_name(self.dir, "photographs") if is_url(self.dir) else self.dir
 
 

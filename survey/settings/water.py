@@ -60,7 +60,7 @@ class LevelRate:
 
 @dataclass(frozen=True)
 class Medium:
-    """What [water] says of the light or the water that its index is of; nothing in a loaded survey."""
+    """Light or water that the index in [water] belongs to; nothing in a loaded survey."""
 
     index_wavelength_nm: float | None = None  # 589.3 for an index from a handbook; docs/light.md
     temperature_c: float | None = None

@@ -94,7 +94,7 @@ def features_of(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @dataclass(frozen=True)
-class Sensor:
+class CameraBody:
     """A camera body with one lens at one zoom, and its photographs."""
 
     names: tuple[str, ...]  # of its images in the folder; without spaces
@@ -104,7 +104,7 @@ class Sensor:
 
 def solve_block(
     folder: Path,
-    sensors: Sequence[Sensor],
+    sensors: Sequence[CameraBody],
     positions: Mapping[str, np.ndarray],
     work: Path,
     *,
@@ -162,7 +162,7 @@ def _pycolmap():
     return pycolmap
 
 
-def _reader(sensor: Sensor) -> pycolmap.ImageReaderOptions:
+def _reader(sensor: CameraBody) -> pycolmap.ImageReaderOptions:
     options = _pycolmap().ImageReaderOptions()
     options.camera_model = MODEL
     if sensor.focal_px is not None:

@@ -16,7 +16,7 @@ import numpy as np
 from geo.similarity import Similarity, fit_similarity, robust_similarity
 from survey.control.points import ControlPoint
 from survey.errors import ControlError
-from survey.sfm.gps_fit import Line
+from survey.sfm.gps_fit import PositionLine
 from survey.sfm.marked import BlockControl, Met, Posed, meet, turned_marks
 
 MIN_POINTS = 3
@@ -38,7 +38,7 @@ class ControlFit:
     # dict of name to float [m]: points that the others contradict, and how far they lie from where the photographs show
     # them
     wrong: dict[str, float]
-    line: Line | None = None  # That they lie on, which leaves the roll of the block about it open
+    line: PositionLine | None = None  # That they lie on, which leaves the roll of the block about it open
 
     @property
     def used(self) -> tuple[str, ...]:
@@ -70,14 +70,14 @@ def fit_control(control: BlockControl, views: Mapping[str, Posed]) -> ControlFit
     return replace(fit, line=_line(theirs[good], std[good]))
 
 
-def _line(places: np.ndarray, std: np.ndarray) -> Line | None:
+def _line(places: np.ndarray, std: np.ndarray) -> PositionLine | None:
     """The line that control points (K, 3) [m] lie on, given how good they are (K, 3) [m]."""
     along, across, least = spread_of(places, std)
     if across >= least:
         return None
     centre = places.mean(axis=0)
     direction = np.linalg.svd(places - centre, full_matrices=False)[2][0]
-    return Line(centre, direction, along, across, float(np.median(std)), "control points")
+    return PositionLine(centre, direction, along, across, float(np.median(std)), "control points")
 
 
 def _along_line(met: Met) -> ControlFit:
@@ -155,7 +155,7 @@ def spread_of(places: np.ndarray, std: np.ndarray) -> tuple[float, float, float]
     return float(along), float(across), float(least)
 
 
-def line_of_control(points: Sequence[ControlPoint]) -> Line | None:
+def line_of_control(points: Sequence[ControlPoint]) -> PositionLine | None:
     """The line that control points lie on, given how good they are; None where they span an area."""
     return _line(np.array([point.local for point in points]), np.array([point.std for point in points]))
 
@@ -236,7 +236,7 @@ def _too_few(control: BlockControl, views: Mapping[str, Posed], met: Met) -> str
 
 
 def _contradiction(met: Met, theirs: np.ndarray, std: np.ndarray) -> str:
-    """Why no similarity fits most of the points."""
+    """Reason why no similarity fits most of the points."""
     if _agreements(met, theirs[:, [1, 0, 2]], std):
         return (
             "control points fit the photographs with easting and northing (or longitude and latitude) swapped, and not "

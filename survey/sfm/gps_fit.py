@@ -51,7 +51,7 @@ def gps_std(residuals) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Line:
+class PositionLine:
     """A line that positions lie on, given how good they are: they leave the roll of a block about it open."""
 
     # centre, direction: (3,) [m], local; (3,)
@@ -71,7 +71,7 @@ class Line:
         )
 
 
-def line_of(positions, std_m: float) -> Line | None:
+def line_of(positions, std_m: float) -> PositionLine | None:
     """The line that positions (N, 3) [m], local, lie on; None where they span an area."""
     positions = np.asarray(positions, dtype=np.float64)
     num = len(positions)
@@ -82,7 +82,11 @@ def line_of(positions, std_m: float) -> Line | None:
     centre = kept.mean(axis=0)
     _, lengths, axes = np.linalg.svd(kept - centre, full_matrices=False)
     along, across = (float(length) for length in lengths[:2] / math.sqrt(len(kept)))
-    return Line(centre, axes[0], along, across, std_m) if across < max(_LINE_STD * std_m, _LINE_SHARE * along) else None
+    return (
+        PositionLine(centre, axes[0], along, across, std_m)
+        if across < max(_LINE_STD * std_m, _LINE_SHARE * along)
+        else None
+    )
 
 
 def contradicted(residuals) -> np.ndarray:
@@ -117,7 +121,7 @@ class Across:
     up: np.ndarray
 
     @classmethod
-    def of(cls, line: Line) -> Across:
+    def of(cls, line: PositionLine) -> Across:
         """Directions along and across a line."""
         along = line.direction
         up = np.array([0.0, 0.0, 1.0]) - along[2] * along

@@ -19,10 +19,18 @@ from geo.similarity import Similarity, fit_similarity, robust_similarity
 from survey.errors import ControlError, PosesError, SurveyError
 from survey.photos.poses import least_track
 from survey.sfm import block as sfm_block
-from survey.sfm.block import Sensor
+from survey.sfm.block import CameraBody
 from survey.sfm.control_fit import ControlFit, fit_control
 from survey.sfm.gps import GpsPositions
-from survey.sfm.gps_fit import Across, Line, gps_std, line_of, roll_by_attitudes, roll_by_control, roll_by_ground
+from survey.sfm.gps_fit import (
+    Across,
+    PositionLine,
+    gps_std,
+    line_of,
+    roll_by_attitudes,
+    roll_by_control,
+    roll_by_ground,
+)
 from survey.sfm.marked import BlockControl, Met, Posed, meet
 from survey.sfm.solve import GIVE_POSES, Free, listed
 
@@ -52,7 +60,7 @@ def place_by_gps(
     free: Free,
     gps: GpsPositions,
     alias_of: Mapping[str, str],
-    sensors: list[Sensor],
+    sensors: list[CameraBody],
     spare: BlockControl | None = None,
     attitudes: Mapping[str, np.ndarray] | None = None,
 ) -> PlacedBlocks:
@@ -104,7 +112,7 @@ def place_by_control(
     free: Free,
     control: BlockControl,
     alias_of: Mapping[str, str],
-    sensors: list[Sensor],
+    sensors: list[CameraBody],
     attitudes: Mapping[str, np.ndarray] | None = None,
 ) -> PlacedBlocks:
     """Place blocks by control points; the blocks are changed.
@@ -165,7 +173,7 @@ def _onto_control(block: pycolmap.Reconstruction, fit: ControlFit) -> str:
 
 
 def _place(
-    free: Free, ways: Sequence[Placement], frame: LocalFrame, alias_of: Mapping[str, str], sensors: list[Sensor]
+    free: Free, ways: Sequence[Placement], frame: LocalFrame, alias_of: Mapping[str, str], sensors: list[CameraBody]
 ) -> PlacedBlocks:
     """Place each block by the first way that can; where none of the blocks can be placed, raise for the largest."""
     notes, placed, found = list(free.notes), [], []
@@ -210,7 +218,7 @@ def _by_first(ways: Sequence[Placement], block: pycolmap.Reconstruction) -> str:
     raise type(refusals[0])(f"{refusals[0]}{others}") from refusals[0]
 
 
-def _share_lenses(blocks: Sequence[pycolmap.Reconstruction], sensors: Sequence[Sensor]) -> None:
+def _share_lenses(blocks: Sequence[pycolmap.Reconstruction], sensors: Sequence[CameraBody]) -> None:
     """Give all images of a sensor the lens that the largest block with one of them has found: it is one lens."""
     for sensor in sensors:
         lens = None
@@ -251,7 +259,9 @@ def _to_positions(block: pycolmap.Reconstruction, positions: Mapping[str, np.nda
     return trusted
 
 
-def _roll(block: pycolmap.Reconstruction, line: Line, attitudes: Mapping[str, np.ndarray], met: Met | None) -> str:
+def _roll(
+    block: pycolmap.Reconstruction, line: PositionLine, attitudes: Mapping[str, np.ndarray], met: Met | None
+) -> str:
     """Roll a block about the line of its positions by what tells it, which is returned in words."""
     poses, across = sfm_block.poses_of(block), Across.of(line)
     with_attitude = [alias for alias in poses if alias in attitudes]
@@ -270,7 +280,7 @@ def _roll(block: pycolmap.Reconstruction, line: Line, attitudes: Mapping[str, np
     return "with photographs that look straight down across it"
 
 
-def _reset(block: pycolmap.Reconstruction, sensors: list[Sensor]) -> list[str]:
+def _reset(block: pycolmap.Reconstruction, sensors: list[CameraBody]) -> list[str]:
     return reset_focals(block, {alias: sensor.focal_px for sensor in sensors for alias in sensor.names})[1]
 
 

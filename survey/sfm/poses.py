@@ -70,7 +70,7 @@ class SfmResult:
 
 
 @dataclass(frozen=True)
-class Photographs:
+class UnposedPhotographs:
     """Photographs without poses, with their metadata."""
 
     paths: Sequence[Path]
@@ -83,7 +83,7 @@ class Photographs:
 
 
 def solve_poses(
-    photographs: Photographs,
+    photographs: UnposedPhotographs,
     crs: CRS | None,
     workspace: Path,
     *,

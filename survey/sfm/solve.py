@@ -16,7 +16,7 @@ from survey.errors import FILE_NAME, PosesError
 from survey.photos.exif import Exif
 from survey.photos.poses import least_track
 from survey.sfm import block as sfm_block
-from survey.sfm.block import Sensor
+from survey.sfm.block import CameraBody
 
 if TYPE_CHECKING:
     import pycolmap
@@ -77,21 +77,21 @@ def solve(
     return Free(apart, tuple(left_out(apart, alias_of)))
 
 
-def sensors_of(heads: Mapping[str, Exif], alias_of: Mapping[str, str], focal_px: float | None) -> list[Sensor]:
+def sensors_of(heads: Mapping[str, Exif], alias_of: Mapping[str, str], focal_px: float | None) -> list[CameraBody]:
     """The cameras that took the images: bodies with one lens at one zoom."""
     groups: dict[tuple, list[str]] = {}
     for name, head in heads.items():
         lens = (head.camera, head.serial, head.size_px, head.focal_px, head.focal_doubt)
         groups.setdefault(lens, []).append(alias_of[name])
     return [
-        Sensor(tuple(names), size, focal_px if focal_px is not None else exif_focal)
+        CameraBody(tuple(names), size, focal_px if focal_px is not None else exif_focal)
         for (_camera, _serial, size, exif_focal, _doubt), names in groups.items()
     ]
 
 
 def _blocks(
     images: Mapping[str, Path],
-    sensors: Sequence[Sensor],
+    sensors: Sequence[CameraBody],
     positions: Mapping[str, np.ndarray],
     work: Path,
     say: Callable[[str], None],

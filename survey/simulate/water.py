@@ -77,7 +77,7 @@ def measured(path: Path, frame: LocalFrame, n_water: float) -> HeightFieldWater:
 
 
 @dataclass(frozen=True)
-class WaterColour:
+class WaterOptics:
     """Water as light sees it."""
 
     # (3,) [1/m]: of red, green and blue; the default is a lake with a little yellow substance

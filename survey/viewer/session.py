@@ -135,7 +135,7 @@ class ViewOptions:
     port: int = PORT
 
 
-class Session:
+class ViewSession:
     """A run on a server, and the browsers that look at it.
 
     Attributes
@@ -230,9 +230,9 @@ def serve(run: str | Path, options: ViewOptions, say: Callable[[str], None]) -> 
         if not folder.result():
             say(address(server, options.host))
             _watch(folder, server)
-            session = Session(_load(run, options), server)
+            session = ViewSession(_load(run, options), server)
         else:
-            session = Session(_load(run, options), server)
+            session = ViewSession(_load(run, options), server)
             say(address(server, options.host))
         _wait_for_ever()
     except KeyboardInterrupt:

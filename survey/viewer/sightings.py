@@ -48,7 +48,7 @@ _BLANK = np.full((1, 1, 3), 255, dtype=np.uint8)
 
 
 @dataclass(frozen=True)
-class Sighting:
+class PointSighting:
     """Sighting of a point in a photograph whose frame holds it; see `unhidden` for what occludes it."""
 
     view: View
@@ -66,20 +66,20 @@ class Sighting:
         return bool((self.crossing != self.point).any())
 
 
-def sightings_of(views: Sequence[View], point: np.ndarray, water: FlatWater | None) -> list[Sighting]:
+def sightings_of(views: Sequence[View], point: np.ndarray, water: FlatWater | None) -> list[PointSighting]:
     """The photographs whose frames hold a point (3,) [m], local, as seen through the water; the steepest first."""
     found = [sighting for view in views if (sighting := _sighting(view, point, water)) is not None]
     return sorted(found, key=lambda sighting: sighting.incidence)
 
 
-def unhidden(seen: Sequence[Sighting], tree: CloudTree, gsd_m: float) -> list[Sighting]:
+def unhidden(seen: Sequence[PointSighting], tree: CloudTree, gsd_m: float) -> list[PointSighting]:
     """The sightings whose rays no point of the cloud blocks, in the water and in the air.
 
     Within some ground sampling distances of the point the bed that it lies on is not told from what blocks it.
     """
     width, free = _BLOCKS_GSD * gsd_m, _FREE_GSD * gsd_m
 
-    def is_free(sighting: Sighting) -> bool:
+    def is_free(sighting: PointSighting) -> bool:
         legs = [(sighting.point, sighting.crossing, free), (sighting.crossing, sighting.camera, 0.0)]
         if not sighting.is_bent:
             legs = [(sighting.point, sighting.camera, free)]
@@ -88,7 +88,7 @@ def unhidden(seen: Sequence[Sighting], tree: CloudTree, gsd_m: float) -> list[Si
     return [sighting for sighting in seen if is_free(sighting)]
 
 
-def _sighting(view: View, point: np.ndarray, water: FlatWater | None) -> Sighting | None:
+def _sighting(view: View, point: np.ndarray, water: FlatWater | None) -> PointSighting | None:
     camera = view.camera
     pixel = camera.project(point, water)
     if not camera.sees(pixel):
@@ -97,7 +97,7 @@ def _sighting(view: View, point: np.ndarray, water: FlatWater | None) -> Sightin
     # A dry point lies before the place where its ray would meet the water.
     is_bent = bool(path.wet) and float(path.air_length) < float(np.linalg.norm(point - path.origin))
     incidence = float(np.arccos(np.clip(-path.air_direction[2], -1.0, 1.0)))
-    return Sighting(view, pixel, path.origin, path.crossing if is_bent else point, point, incidence)
+    return PointSighting(view, pixel, path.origin, path.crossing if is_bent else point, point, incidence)
 
 
 def thumbnail(view: View, longer_px: int = THUMBNAIL_PX) -> np.ndarray:
@@ -123,7 +123,7 @@ class PhotographCache:
             lambda name: load_image(by_name[name])
         )
 
-    def window(self, sighting: Sighting, side_px: int = WINDOW_PX) -> np.ndarray:
+    def window(self, sighting: PointSighting, side_px: int = WINDOW_PX) -> np.ndarray:
         """The photograph (side, side, 3) uint8 about the place where it shows the point, its middle on the point."""
         # OpenCV counts from the centre of the first pixel.
         u, v = (sighting.pixel - 0.5).astype(np.float64)
@@ -149,7 +149,7 @@ def mosaic(windows: Sequence[np.ndarray], names: Sequence[str]) -> np.ndarray:
 
 
 def facts_of(
-    shown: Shown, row: int, seen: Sequence[Sighting] | None = None, num_hidden: int = 0
+    shown: Shown, row: int, seen: Sequence[PointSighting] | None = None, num_hidden: int = 0
 ) -> list[tuple[str, str]]:
     """A point of the cloud, as labels and texts; with the photographs that show it, and how many it is hidden from."""
     frame = shown.new_frame()
@@ -246,7 +246,7 @@ class Clicks:
         if seen and self._shown.has_photographs:
             self._show_windows(seen)
 
-    def _show_windows(self, seen: list[Sighting]) -> None:
+    def _show_windows(self, seen: list[PointSighting]) -> None:
         try:
             windows = [self._photographs.window(sighting) for sighting in seen]
         except (SurveyError, OSError) as error:

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from refract.lens import Lens, affine_from_brown, brown_from_affine, distorted, is_affine, undistorted
 from survey.adjust.block.lenses import is_held
 from survey.adjust.block.priors import PriorKnowledge
-from survey.control.points import Control, Ground
+from survey.control.points import Control, StableGround
 from survey.photos.poses import TiePoints
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ class Observed:
     # (M, 3) [m]: of the points that are known beforehand, at `TiePoints.start`; infinite for all others
     point_std: np.ndarray
     control: tuple[str, ...]  # Names of the control points, which come last
-    ground: Ground | None = None  # On which dry tie points lie
+    ground: StableGround | None = None  # On which dry tie points lie
 
     def only(self, keep: np.ndarray) -> Observed:
         """The kept observations (N,) bool, without points that then have too few."""

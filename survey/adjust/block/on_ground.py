@@ -26,7 +26,7 @@ from evaluation.local_surface import local_surface
 from survey.adjust.block.bundle import Solution, System, system_with
 from survey.adjust.block.problem import Planes, Problem
 from survey.adjust.block.state import State
-from survey.control.points import Ground
+from survey.control.points import StableGround
 from survey.errors import ControlError
 from survey.photos.cameras import View
 
@@ -59,7 +59,7 @@ class OnGround:
     scatter: float  # By how much more than the ground's own points they scatter about it; 1 at least
 
 
-def planes_under(ground: Ground, points: np.ndarray, num_ties: int) -> OnGround:
+def planes_under(ground: StableGround, points: np.ndarray, num_ties: int) -> OnGround:
     """Planes of the ground under points (M, 3) [m], less the shift of the ground.
 
     The first ``num_ties`` are tie points, the others control.
@@ -90,7 +90,7 @@ def planes_under(ground: Ground, points: np.ndarray, num_ties: int) -> OnGround:
     return OnGround(planes, known, known & ~good, scatter)
 
 
-def _planes_at(ground: Ground, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+def _planes_at(ground: StableGround, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Normals (N, 3), heights along them (N,), their std (N,) at places (N, 2), and the spacing of the ground [m]."""
     here = local_surface(ground.points, places)
     if not np.isfinite(here.spacing_m):
@@ -115,7 +115,7 @@ def _one_of_each_square(points: np.ndarray, good: np.ndarray, std: np.ndarray, s
     return used
 
 
-def shift_onto(ground: Ground, points: np.ndarray) -> np.ndarray:
+def shift_onto(ground: StableGround, points: np.ndarray) -> np.ndarray:
     """Shift (3,) [m] that puts tie points (M, 3) [m] onto the ground.
 
     Raises
@@ -157,7 +157,7 @@ class _PlanesOnGrid:
     std: np.ndarray
 
     @staticmethod
-    def around(ground: Ground, points: np.ndarray) -> _PlanesOnGrid:
+    def around(ground: StableGround, points: np.ndarray) -> _PlanesOnGrid:
         """Around points (M, 3), as far as starts and their descents lead."""
         reach = float(_STARTS_M.max()) + _PLAN_STD_M
         low, high = points[:, :2].min(axis=0) - reach, points[:, :2].max(axis=0) + reach

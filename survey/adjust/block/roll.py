@@ -25,7 +25,7 @@ import numpy as np
 from survey.adjust.block.state import POSE, Layout
 from survey.photos.poses import least_track, parts_of
 from survey.sfm.control_fit import line_of_control
-from survey.sfm.gps_fit import Across, Line, gps_std, line_of, roll_by_attitudes
+from survey.sfm.gps_fit import Across, PositionLine, gps_std, line_of, roll_by_attitudes
 
 if TYPE_CHECKING:
     from survey.control.points import ControlPoint
@@ -129,7 +129,7 @@ def _roll_of(survey: Survey, views: np.ndarray) -> Roll | None:
     return Roll(views, across, rotations @ across.along, start, std, len(known))
 
 
-def _line_of_positions(placed: Sequence[tuple[np.ndarray, PosePrior]]) -> Line | None:
+def _line_of_positions(placed: Sequence[tuple[np.ndarray, PosePrior]]) -> PositionLine | None:
     """The line of the positions of photographs with these centres (3,) [m], local, and priors."""
     positions = np.array([prior.position for _, prior in placed])
     stated = [float(prior.position_std.max()) for _, prior in placed if prior.position_std is not None]
@@ -145,7 +145,7 @@ def spans_area(survey: Survey, roll: Roll) -> bool:
     return len(given) >= _FEWEST and line_of_control(given) is None
 
 
-def _line_of_control(survey: Survey, views: Sequence[View]) -> Line | None:
+def _line_of_control(survey: Survey, views: Sequence[View]) -> PositionLine | None:
     """The line of the control points that some views show."""
     given = _shown(survey, views, 1)
     return line_of_control(given) if len(given) >= _FEWEST else None

@@ -31,7 +31,7 @@ from survey.simulate.output.sidecars import StagedScene
 from survey.simulate.render.direct import DirectRenderer
 from survey.simulate.render.sun_on_waves import SunOnWaves, suns_of
 from survey.simulate.sensor import Sensor
-from survey.simulate.water import WaterColour, WaterLevel
+from survey.simulate.water import WaterLevel, WaterOptics
 
 # A body, its colour, and the direction of its grain.
 Body = tuple[Solid, tuple[float, float, float], np.ndarray | None]
@@ -188,7 +188,7 @@ def stage_drawing(scene: DrawnScene) -> StagedScene:
         cameras=cameras,
         lens=Lens("PINHOLE", (scene.focal_px, scene.focal_px, width / 2, height / 2), width, height),
         level=level,
-        renderer=DirectRenderer(ground, water, WaterColour(), indices),
+        renderer=DirectRenderer(ground, water, WaterOptics(), indices),
         sensor=Sensor(noise=scene.noise),
         bounds=(e - 0.5 * wide, n - 0.5 * deep, e + 0.5 * wide, n + 0.5 * deep),
         seed=scene.seed,

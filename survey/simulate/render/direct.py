@@ -14,7 +14,7 @@ from refract import FlatWater, PinholeCamera, trace
 from refract.surfaces import WaterSurface
 from survey.simulate.ground.ground import Ground
 from survey.simulate.render.sun_on_waves import SunOnWaves
-from survey.simulate.water import WaterColour
+from survey.simulate.water import WaterOptics
 
 # Rays at a time, so that they and derived arrays stay in the cache.
 _RAYS_AT_A_TIME = 1 << 15
@@ -50,7 +50,7 @@ class DirectRenderer:
 
     ground: Ground
     water: WaterSurface | None
-    colour: WaterColour
+    colour: WaterOptics
     indices: tuple[float, float, float] | None = None
     sun: SunOnWaves | None = None
 

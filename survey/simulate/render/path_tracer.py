@@ -33,7 +33,7 @@ import drjit as dr
 import numpy as np
 
 from survey.simulate.light import Light
-from survey.simulate.water import WaterColour
+from survey.simulate.water import WaterOptics
 
 # Russian roulette starts after as many bounces.
 _SURE_BOUNCES = 4
@@ -58,7 +58,7 @@ class Sunlight:
         irradiance, because the few rays of a pixel would hit or miss a smaller one by chance.
     """
 
-    def __init__(self, mi: ModuleType, solids, plane, *, colour: WaterColour, light: Light, pixel: float):
+    def __init__(self, mi: ModuleType, solids, plane, *, colour: WaterOptics, light: Light, pixel: float):
         self.mi, self.solids, self.plane, self.colour, self.light = mi, solids, plane, colour, light
         self.seen_radius = max(light.sun_radius, pixel / math.sqrt(math.pi))
         self.seen_radiance = light.sun_irradiance / (math.pi * math.sin(self.seen_radius) ** 2)
@@ -112,7 +112,7 @@ class Sunlight:
         return self.mi.Vector3f(sine * dr.cos(angle), sine * dr.sin(angle), 1.0 - 2.0 * half * half)
 
 
-def absorbed(mi: ModuleType, colour: WaterColour, way):
+def absorbed(mi: ModuleType, colour: WaterOptics, way):
     """Share of light, per channel, that is left after a way [m] through water; nothing after one without end."""
     left = mi.Color3f(*(dr.exp(-a * way) for a in colour.absorption))
     return dr.select(dr.isfinite(way), left, mi.Color3f(0.0))

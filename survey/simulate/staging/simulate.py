@@ -32,7 +32,7 @@ from survey.simulate.render.mitsuba_scene import load_mitsuba, solid_scene, wate
 from survey.simulate.scene_file import LightSettings, SceneSettings, read_scene
 from survey.simulate.sensor import Sensor
 from survey.simulate.staging.planning import ScenePlan, files_of, marks_of, plan_scene, sun_of
-from survey.simulate.water import WaterColour, measured, with_waves
+from survey.simulate.water import WaterOptics, measured, with_waves
 
 if TYPE_CHECKING:
     from survey.simulate.render.path_tracer import PathTracer
@@ -139,9 +139,9 @@ def stage_scene(plan: ScenePlan) -> StagedScene:
     light = light_of(settings.light, plan.frame)
     ground = _ground(plan, light)
     direct = settings.render.mode == "direct"
-    colour = WaterColour()
+    colour = WaterOptics()
     if settings.water is not None:
-        colour = WaterColour(settings.water.absorption, settings.water.scattering, settings.water.asymmetry)
+        colour = WaterOptics(settings.water.absorption, settings.water.scattering, settings.water.asymmetry)
     sensor = settings.sensor
     e, n = settings.origin[:2]
     wide, deep = settings.area.size_m

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shutil
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from survey.simulate.output.writing import write_survey
 
 # Of a leaf: widths at its foot and its tip, and thickness [m].
 WIDE, TIP, THICK = 0.07, 0.03, 0.012
-PATCHES, LEAVES = 5, 22
+PATCHES, LEAVES, SHADES = 5, 22, 6
 GREEN = (0.10, 0.22, 0.06)
 
 
@@ -96,11 +95,9 @@ class PlantSurvey:
         return found
 
     def draw(self, folder: Path) -> list[Leaf]:
-        """Write the survey, with its truth, into a folder; what was there goes."""
-        shutil.rmtree(folder, ignore_errors=True)
-        staged = self.staged()
-        write_survey(folder, asdict(self.scene) | {"sway": self.sway, "plants": True}, lambda: staged)
-        bed = staged.renderer.ground.bed
+        """Write the survey, with its truth, into a folder, unless it is there."""
+        write_survey(folder, asdict(self.scene) | {"sway": self.sway, "plants": True}, self.staged)
+        bed = stage_drawing(self.scene).renderer.ground.bed
         assert isinstance(bed, BedGrid)
         return self.leaves(bed)
 
@@ -110,14 +107,12 @@ class PlantSurvey:
         bed, look = staged.renderer.ground.bed, staged.renderer.ground.looks[0]
         assert isinstance(bed, BedGrid)
         leaves, rng = self.leaves(bed), np.random.default_rng([self.seed, 63])
-        tiles = [
-            np.exp(sum(0.2 * periodic(rng, spacing) for spacing in (2, 4, 8))).astype(np.float32) for _ in range(4)
-        ]
-        colours = [np.array(GREEN) * rng.uniform(0.6, 1.5) for _ in leaves]
+        tile = np.exp(sum(0.2 * periodic(rng, spacing) for spacing in (2, 4, 8)))[..., None]
+        paints = [(tile * np.array(GREEN) * shade).astype(np.float32) for shade in np.linspace(0.6, 1.5, SHADES)]
         # The shadow on the bed is that of upright leaves in all photographs.
         solids = tuple(leaf.solid(np.zeros(2)) for leaf in leaves)
         look = replace(look, shade=shade_of_map(bed, light_of_bed(bed, solids, Light())))
-        upright = self._ground(bed, look, leaves, tiles, colours, np.zeros((len(leaves), 2)))
+        upright = _ground(bed, look, leaves, paints, np.zeros((len(leaves), 2)))
         renderer = replace(staged.renderer, ground=upright)
         if not self.sway:
             return replace(staged, renderer=renderer)
@@ -125,22 +120,22 @@ class PlantSurvey:
         for number, _ in enumerate(staged.cameras):
             phase = np.array([leaf.phase for leaf in leaves]) + 2.0 * math.pi * 0.37 * number
             lean = self.sway * np.stack([np.sin(phase), 0.4 * np.cos(phase)], axis=-1)
-            grounds.append(self._ground(bed, look, leaves, tiles, colours, lean))
+            grounds.append(_ground(bed, look, leaves, paints, lean))
         return Swaying(**{**vars(staged), "renderer": renderer}, grounds=tuple(grounds))
 
-    @staticmethod
-    def _ground(bed: BedGrid, look: Material, leaves: list[Leaf], tiles, colours, lean: np.ndarray) -> Ground:
-        solids, light = tuple(leaf.solid(aside) for leaf, aside in zip(leaves, lean, strict=True)), Light()
-        looks = [look]
-        for number, (solid, colour) in enumerate(zip(solids, colours, strict=True)):
-            skin = _skin(solid, tiles[number % len(tiles)], colour)
-            looks.append(Material(skin, shade_of_normals(solid.normals, light)))
-        return Ground(bed, solids, tuple(looks))
+
+def _ground(bed: BedGrid, look: Material, leaves: list[Leaf], paints: list[np.ndarray], lean: np.ndarray) -> Ground:
+    """The bed and leaves that lean by ``lean`` (leaves, 2), painted in turn."""
+    light, looks = Light(), [look]
+    solids = tuple(leaf.solid(aside) for leaf, aside in zip(leaves, lean, strict=True))
+    for number, solid in enumerate(solids):
+        skin = _skin(solid, paints[number % len(paints)])
+        looks.append(Material(skin, shade_of_normals(solid.normals, light)))
+    return Ground(bed, solids, tuple(looks))
 
 
-def _skin(solid: Solid, tile: np.ndarray, colour: np.ndarray, texel_m: float = 0.008) -> ImageSkin:
+def _skin(solid: Solid, image: np.ndarray, texel_m: float = 0.008) -> ImageSkin:
     """A periodic speckle along the axes of local, as `survey.simulate.ground.objects` lays one."""
     axes = np.eye(3)[[[1, 2], [2, 0], [0, 1]]] / texel_m
     texel_from_point = np.concatenate([axes, np.zeros((3, 2, 1))], axis=-1)
-    image = (tile[..., None] * colour).astype(np.float32)
     return ImageSkin(image, texel_from_point, np.abs(solid.normals).argmax(axis=1), repeats=True)

@@ -38,8 +38,8 @@ def test_what_rises_over_the_bed_is_plant_and_the_bed_beneath_it_is_where_it_was
     points = true + np.array([0.0, 0.0, 1.0]) * rng.normal(0.0, 0.005, (6000, 1))
     plant, low = bench.classes(points)
     np.testing.assert_array_equal(plant, tall)
-    # The low of a slope of 5 % within 0.6 m lies 3 cm apart from side to side.
-    assert np.abs(low - bed)[np.abs(xy).max(axis=1) < 1.4].max() < 0.03
+    # The low of a cell of a slope of 5 %, and noise.
+    assert np.abs(low - bed)[np.abs(xy).max(axis=1) < 1.4].max() < 0.02
     leaves = [scenes.Leaf(np.array([0.0, 0.0, -2.0]), 0.4, 0.0, 0.0)]
 
     class Level:

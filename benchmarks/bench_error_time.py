@@ -25,7 +25,7 @@ from switch_scene import BOX, WATER, SwitchScene, build
 from fields.device import choose_device
 from fields.volume.models import MODELS, build_model, proposal_for
 from fields.volume.paths import Paths
-from fields.volume.priors import PriorImages
+from fields.volume.photographs import PriorImages
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
 from fields.volume.train import Training, proxy_of, train_volume

@@ -37,12 +37,11 @@ from point_clouds import thinned
 from fields.device import choose_device, tensor_place
 from fields.volume.model import VolumeModel
 from fields.volume.models import build_model, proposal_for
-from fields.volume.renderer import Backdrop, VolumeRenderer
+from fields.volume.renderer import Backdrop, VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
 from fields.volume.sdf import SdfSettings, SdfVolume
 from fields.volume.tensor import TensorVolume
 from fields.volume.train import POOL_STEPS, Training, train_volume
-from fields.volume.view import render_volume
 from fields.water_column import WaterColumn
 
 ABLATION = ("vm", "dw", "m", "mdw")

@@ -22,10 +22,9 @@ from evaluation.images.quality import image_quality
 from fields.device import choose_device
 from fields.volume.model import VolumeModel
 from fields.volume.models import build_model
-from fields.volume.renderer import VolumeRenderer
+from fields.volume.renderer import VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
 from fields.volume.train import Training, train_volume
-from fields.volume.view import render_volume
 
 CELLS, LEVELS, ENLARGED = 64, 3, 4.0
 TRAINING = {"rays": 768, "samples": 24, "cells": 48}

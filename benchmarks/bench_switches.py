@@ -25,14 +25,12 @@ from torch import nn
 from fields.device import choose_device
 from fields.volume.appearance import appearance_vectors, match_appearance
 from fields.volume.losses import Losses, PatchWeights, PriorWeights
-from fields.volume.normal_head import NormalHead
 from fields.volume.photographs import Photographs
-from fields.volume.renderer import Backdrop, VolumeRenderer
+from fields.volume.renderer import Backdrop, NormalHead, VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
 from fields.volume.shell import Shell
 from fields.volume.tensor import TensorSettings, TensorVolume
 from fields.volume.train import Training, train_volume
-from fields.volume.view import render_volume
 
 SETTINGS = TensorSettings.mdw(scales=3, n_min=16, n_max=64, degree=0)
 TRAINING = Training(steps=400, rays=768, samples=24, cells=48)

@@ -12,8 +12,7 @@ import numpy as np
 
 from fields.image_store import GAMMA
 from fields.volume.paths import Box
-from fields.volume.photographs import Photographs
-from fields.volume.priors import PriorImages
+from fields.volume.photographs import Photographs, PriorImages
 from refract import FlatWater, PinholeCamera
 
 BOX = Box(np.array([-2.0, -2.0, -2.3]), np.array([2.0, 2.0, -0.9]))

@@ -11,7 +11,7 @@ from geo.frames import LocalFrame
 from survey.errors import ConfigError, PosesError
 from survey.folder.plausible import require_true
 from survey.plan.area import flattened
-from survey.run.tile_frame import survey_in_frame
+from survey.run.windows import survey_in_frame
 
 
 def test_a_survey_within_a_kilometre_stays_as_it_is(shallow_survey):

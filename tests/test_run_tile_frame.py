@@ -20,8 +20,8 @@ from survey.plan.tiling import Tiling, inside
 from survey.progress import Progress
 from survey.run import stage_tiles
 from survey.run.job import Job
-from survey.run.tile_frame import area_in_frame, frame_of_tile, has_frames, survey_in_frame
 from survey.run.tile_job import TileJob, TilePlan, over_own_plane
+from survey.run.windows import area_in_frame, frame_of_tile, has_frames, survey_in_frame
 from survey.water.surface import still_water
 
 TILING = Tiling((-500.0, 3000.0, 6500.0, 10_000.0), (-200.0, 200.0), 0.2)

@@ -14,12 +14,11 @@ from fields.volume.hash_grid import HashVolume
 from fields.volume.losses import Losses, PatchWeights
 from fields.volume.model import VolumeModel
 from fields.volume.models import MODELS, build_model, proposal_for
-from fields.volume.renderer import VolumeRenderer
+from fields.volume.renderer import VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
 from fields.volume.surface import surface_of
 from fields.volume.tensor import TensorVolume
 from fields.volume.train import Training, train_volume
-from fields.volume.view import render_volume
 from fields.water_column import WaterColumn
 
 pytestmark = pytest.mark.gpu

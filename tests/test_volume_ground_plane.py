@@ -9,8 +9,8 @@ from volume_scenes import BOX
 
 from fields.device import choose_device
 from fields.heads import spherical_harmonics
-from fields.volume.encoding import frequency_encoding
 from fields.volume.ground_plane import GRID_EVERY, GroundPlaneSettings, GroundPlaneVolume
+from fields.volume.mlp import frequency_encoding
 
 SMALL = {"scales": 2, "channels": 4, "n_min": 4, "n_max": 8, "hidden": 6, "steps": 10}
 

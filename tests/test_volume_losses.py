@@ -33,10 +33,8 @@ from fields.volume.losses import (
     orientation_loss,
     transparency_loss,
 )
-from fields.volume.normal_head import NormalHead
-from fields.volume.photographs import Photographs
-from fields.volume.priors import COLUMNS
-from fields.volume.renderer import Backdrop, Rendered, VolumeRenderer
+from fields.volume.photographs import COLUMNS, Photographs
+from fields.volume.renderer import Backdrop, NormalHead, Rendered, VolumeRenderer
 from fields.volume.sampling import Cells, Samples
 from fields.volume.train import Training, train_volume
 

@@ -13,8 +13,7 @@ from volume_scenes import BOX
 from fields.device import choose_device
 from fields.factors import Grid
 from fields.heads import spherical_harmonics
-from fields.volume.mdw_colour import PrintedColour, ScaleWeights
-from fields.volume.tensor import TensorSettings, TensorVolume
+from fields.volume.tensor import PrintedColour, ScaleWeights, TensorSettings, TensorVolume
 
 GRIDS, DIRECTIONS, CHANNELS = [Grid(3, 4, 2), Grid(6, 8, 4)], "xyz", 4
 

@@ -10,8 +10,7 @@ import torch
 from volume_models import check_interface, check_learning, directions, positions
 from volume_scenes import BOX
 
-from fields.volume.encoding import encoded_length, frequency_encoding
-from fields.volume.mlp import MlpSettings, MlpVolume
+from fields.volume.mlp import MlpSettings, MlpVolume, encoded_length, frequency_encoding
 from fields.volume.model import density_of
 
 SMALL = MlpSettings.nerf(layers=3, width=48, skip=1, frequencies=5, direction_frequencies=2)

@@ -7,9 +7,8 @@ import pytest
 import torch
 from analytic_volume import BOX, floor_at, looking_down, seen_by
 
-from fields.volume.normal_head import NormalHead
 from fields.volume.prior_losses import predicted_normals
-from fields.volume.renderer import VolumeRenderer
+from fields.volume.renderer import NormalHead, VolumeRenderer
 from fields.volume.sampling import Cells
 from fields.volume.train import _of_colours
 

@@ -10,9 +10,8 @@ import torch
 from analytic_volume import BOX, WATER, floor_at, looking_down, seen_by
 
 from fields.volume.paths import Paths
-from fields.volume.photographs import Photographs
+from fields.volume.photographs import COLUMNS, Photographs, PriorImages, Priors
 from fields.volume.prior_losses import fit_views, length_loss, mean_length, normal_prior_loss, relative_depth_loss
-from fields.volume.priors import COLUMNS, PriorImages, Priors
 from fields.volume.renderer import Rendered, VolumeRenderer
 from fields.volume.sampling import Cells, Samples
 from refract import PinholeCamera

@@ -10,9 +10,8 @@ from torch import nn
 from volume_scenes import BOX, WATER, Slab, looking_down
 
 from fields.image_store import GAMMA
-from fields.volume.renderer import Backdrop, VolumeRenderer
+from fields.volume.renderer import Backdrop, VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
-from fields.volume.view import render_volume
 from fields.water_column import WaterColumn
 
 # Colours are looked up above a weight of 1 %, and the rest takes their mean: of one colour nothing is lost.

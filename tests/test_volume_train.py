@@ -13,11 +13,10 @@ from volume_scenes import BOX, WATER, Slab, bed_photographs, looking_down
 
 from fields.device import choose_device
 from fields.volume.photographs import Photographs
-from fields.volume.renderer import VolumeRenderer
+from fields.volume.renderer import VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
 from fields.volume.tensor import TensorSettings, TensorVolume
 from fields.volume.train import POOL_STEPS, Training, _restore_generators, proxy_of, train_volume
-from fields.volume.view import render_volume
 
 BED_M = -1.5
 SMALL = {"n_min": 8, "n_max": 32, "channels": 4, "degree": 0, "hidden": 16, "switch_window": 20}

@@ -24,7 +24,7 @@ from fields.device import Device
 from fields.factors import Factors, geometric_scales
 from fields.heads import spherical_harmonics
 from fields.training import Rates
-from fields.volume.encoding import encoded_length, frequency_encoding
+from fields.volume.mlp import encoded_length, frequency_encoding
 from fields.volume.model import VolumeModel, density_of
 from fields.volume.paths import Box
 from fields.volume.tensor import grid_of

@@ -6,6 +6,12 @@
 Mildenhall et al. 2020, figure 7; gamma is `frequency_encoding`. Different here: softplus instead of relu, which can die
 over a whole box (mip-NeRF); radiance is linear light and may exceed 1; there is one network, and the sampler decides
 where it is evaluated.
+
+Sines of coordinates let a perceptron resolve fine detail (Mildenhall et al. 2020, section 5.1):
+
+    gamma_L(p) = (p, sin(2^0 pi p), cos(2^0 pi p), ..., sin(2^(L-1) pi p), cos(2^(L-1) pi p)), p in [-1, 1]      (3)
+
+p itself goes along, as in the authors' code: sines alone read the same at both ends of the box.
 """
 
 from __future__ import annotations
@@ -16,9 +22,20 @@ import torch
 from torch import Tensor, nn
 
 from fields.training import Rates
-from fields.volume.encoding import encoded_length, frequency_encoding
 from fields.volume.model import VolumeModel, density_of
 from fields.volume.paths import Box
+
+
+def encoded_length(frequencies: int) -> int:
+    """Length of gamma_L of three coordinates."""
+    return 3 + 6 * frequencies
+
+
+def frequency_encoding(p: Tensor, frequencies: int) -> Tensor:
+    """Equation (3) of coordinates (S, 3): (S, 3 + 6 L), the coordinates, all their sines, all their cosines."""
+    waves = torch.pi * 2.0 ** torch.arange(frequencies, dtype=p.dtype, device=p.device)
+    angle = (p[:, None, :] * waves[:, None]).flatten(1)
+    return torch.cat([p, torch.sin(angle), torch.cos(angle)], dim=1)
 
 
 @dataclass(frozen=True)

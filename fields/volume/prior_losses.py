@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from fields.volume.paths import Box, Paths, paths_along
-from fields.volume.priors import Priors
+from fields.volume.photographs import Priors
 from fields.volume.renderer import Rendered, VolumeRenderer
 from fields.volume.sampling import Cells, Samples
 from refract import WaterSurface, crossing_point

@@ -1,21 +1,54 @@
-"""Volume rendering of paths: a model with the water, appearance vectors, and a background."""
+"""Volume rendering of paths: a model with the water, appearance vectors and a background, as a camera sees it.
+
+A small perceptron may say normals from a field's features (MonoPatchNeRF, Wu et al. 2024; Verbin et al. 2022):
+
+    n_i = normalised MLP(features_i), one hidden layer;  n = normalised sum_i w_i n_i of a path
+
+A normal so rendered is as smooth as the features, where the gradient of density is noise. It is held to monocular
+normals, as those of density are (`fields.volume.prior_losses.normal_prior_loss`), and through the weights and features
+it teaches the density.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from fields.compositing import composite, quantile_height, render_weights, with_opaque_end
+from fields.device import half_the_threads
 from fields.image_store import GAMMA, as_stored
 from fields.training import Rates
 from fields.volume.model import VolumeModel
-from fields.volume.normal_head import NormalHead
-from fields.volume.paths import Paths
+from fields.volume.paths import Paths, paths_of
 from fields.volume.proposal import Proposal, Proposed
 from fields.volume.sampling import Cells, Samples
 from fields.water_column import WaterColumn
+from refract import PinholeCamera, WaterSurface
+
+HIDDEN = 16
+# Memory for the samples of paths rendered together: more is no faster, since it exceeds the cache; on a GPU less is
+# slower, since it is not filled.
+WORKING_BYTES = {"cpu": 16 << 20, "cuda": 1 << 30}
+BYTES_PER_NUMBER = 4
+
+
+class NormalHead(nn.Module):
+    """Unit normals (S, 3) from features (S, F)."""
+
+    def __init__(self, features: int, hidden: int = HIDDEN):
+        super().__init__()
+        self.hidden, self.last = nn.Linear(features, hidden), nn.Linear(hidden, 3)
+
+    def forward(self, features: Tensor) -> Tensor:
+        return nn.functional.normalize(self.last(torch.relu(self.hidden(features))), dim=1)
+
+    def along(self, weights: Tensor, features: Tensor) -> Tensor:
+        """Normals (N, 3) of paths with weights (N, K) of samples with features (N K, F)."""
+        each = self(features).view(*weights.shape, 3)
+        return nn.functional.normalize((weights[..., None] * each).sum(dim=1), dim=1)
 
 
 @dataclass
@@ -141,3 +174,69 @@ class Backdrop(nn.Module):
 
     def forward(self, paths: Paths) -> Tensor:
         return self.linear.expand(len(paths), 3)
+
+
+@dataclass(frozen=True)
+class View:
+    """View of a volume by a camera; where a path misses the box, the background, and NaN for distance and point.
+
+    Attributes
+    ----------
+    rgb : (height, width, 3) float32
+        As a photograph stores it, 0 to 1.
+    distance : (height, width) float32 [m]
+        Along the path to the median of the weights.
+    opacity : (height, width) float32
+    points : (height, width, 3) float32 [m]
+        Position of the path at `distance`.
+    """
+
+    rgb: np.ndarray
+    distance: np.ndarray
+    opacity: np.ndarray
+    points: np.ndarray
+
+
+@half_the_threads()
+@torch.no_grad()
+def render_volume(
+    renderer: VolumeRenderer,
+    camera: PinholeCamera,
+    water: WaterSurface | None,
+    cells: Cells,
+    *,
+    samples: int = 48,
+    view: int = 0,
+    dry: bool = False,
+    chunk: int | None = None,
+) -> View:
+    """A volume as a camera sees it, with the appearance of photograph ``view``.
+
+    Paths are rendered ``chunk`` at a time; by default as many as keep their samples within `WORKING_BYTES`, so that a
+    model with wider features takes more chunks, not more memory.
+    """
+    chunk = chunk or chunk_of(renderer, samples)
+    pixels = camera.pixel_centres().reshape(-1, 2)
+    none = np.zeros((len(pixels), 3))
+    place = renderer.model.place
+    parts, cells = [], cells.to(place)
+    for first in range(0, len(pixels), chunk):
+        rows = slice(first, first + chunk)
+        paths = paths_of(camera, water, pixels[rows], none[rows], renderer.model.box, view).to(place)
+        seen = renderer.render(paths, renderer.samples(paths, cells, samples, jitter=False), dry=dry)
+        depth = torch.where(paths.far > paths.near, seen.depth, torch.nan)
+        parts.append((seen.rgb.clamp(max=1.0), depth, seen.opacity, paths.at(depth[:, None])[:, 0]))
+    shape = (camera.height, camera.width)
+    columns = [torch.cat(column).cpu().numpy() for column in zip(*parts, strict=True)]
+    return View(*(c.reshape(*shape, *c.shape[1:]) for c in columns))
+
+
+def chunk_of(renderer: VolumeRenderer, samples: int) -> int:
+    """Number of paths that are rendered together, so that their samples take `WORKING_BYTES`."""
+    working = WORKING_BYTES[renderer.model.place.type]
+    return max(working // (BYTES_PER_NUMBER * samples * _numbers_per_sample(renderer)), 64)
+
+
+def _numbers_per_sample(renderer: VolumeRenderer) -> int:
+    """Features, as they are, weighted, picked and joined to the direction; and some 60 others."""
+    return 4 * renderer.model.num_features + 60

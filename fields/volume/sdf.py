@@ -23,7 +23,7 @@ from torch import Tensor, nn
 from torch.nn.utils.parametrizations import weight_norm
 
 from fields.training import Rates
-from fields.volume.encoding import encoded_length, frequency_encoding
+from fields.volume.mlp import encoded_length, frequency_encoding
 from fields.volume.model import VolumeModel
 from fields.volume.paths import Box
 

@@ -13,9 +13,8 @@ from torch import Tensor
 from fields.device import half_the_threads
 from fields.volume.paths import Box, Paths, paths_of
 from fields.volume.photographs import Photographs
-from fields.volume.renderer import Rendered, VolumeRenderer
+from fields.volume.renderer import Rendered, VolumeRenderer, chunk_of
 from fields.volume.sampling import Cells
-from fields.volume.view import chunk_of
 from refract import FlatWater
 
 # Less of the light of a path than this meets no surface.

@@ -4,6 +4,15 @@ The loss of MDW-NeRF has a regulariser on the density features, for which the te
 of TensoRF (Chen et al. 2022) for factors, on the features themselves:
 
     L_features = mean |A_f| at a sample of each path                                                              (1)
+
+Its colour as the paper prints it (`PrintedColour`):
+
+    f_c = [G_n W_n], n = 1..L: products by element, W_n (D F numbers) of the position                             (2)
+    c   = CRN(f_c, SH(d)): linear to N_c numbers, three times linear and GELU, linear to the three colours          (3)
+
+The text does not say how W_n depends on the position; here it is a vector along each direction, as v_n of the factors,
+in cells of the same size and linear between their middles. `fields.heads.ColourHead` has W_n constant and two hidden
+maps, with which the field learns faster.
 """
 
 from __future__ import annotations
@@ -11,15 +20,53 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 from torch import Tensor, nn
 
 from fields.device import Device
-from fields.factors import Factors, Grid, geometric_scales
-from fields.heads import ColourHead, DensityHead
+from fields.factors import Factors, Grid, geometric_scales, nodes_of
+from fields.heads import ColourHead, DensityHead, spherical_harmonics
+from fields.lookup import axes_of
 from fields.training import Rates, has_converged
-from fields.volume.mdw_colour import PrintedColour, ScaleWeights
 from fields.volume.model import VolumeModel, density_of
 from fields.volume.paths import Box
+
+
+class ScaleWeights(nn.Module):
+    """W_n of all scales: (samples, L D F) at box coordinates (samples, 3), one until it has learned."""
+
+    def __init__(self, grids: list[Grid], directions: str, channels: int):
+        super().__init__()
+        self.axes = [(grid.along(axis), axis) for grid in grids for axis in (axes_of(m)[0] for m in directions)]
+        self.vectors = nn.Parameter(torch.ones(sum(cells for cells, _ in self.axes), channels))
+
+    def forward(self, u: Tensor) -> Tensor:
+        found, first = [], 0
+        for cells, axis in self.axes:
+            left, right, share = nodes_of(u[:, axis], cells)
+            found.append(torch.lerp(self.vectors[first + left], self.vectors[first + right], share))
+            first += cells
+        return torch.cat(found, dim=1)
+
+
+class PrintedColour(nn.Module):
+    """Equation (3): linear radiance (samples, 3), at least 0, of features (2), seen along unit directions."""
+
+    def __init__(self, width: int, *, hidden: int, degree: int, extra: int):
+        super().__init__()
+        self.degree = degree
+        layers: list[nn.Module] = [nn.Linear(width + (degree + 1) ** 2 - 1 + extra, hidden)]
+        for _ in range(3):
+            layers += [nn.Linear(hidden, hidden), nn.GELU()]
+        self.network = nn.Sequential(*layers, nn.Linear(hidden, 3))
+
+    def forward(self, features: Tensor, directions: Tensor | None, appearance: Tensor | None = None) -> Tensor:
+        known = [features]
+        if directions is not None:
+            known.append(spherical_harmonics(directions, self.degree))
+        if appearance is not None:
+            known.append(appearance)
+        return nn.functional.softplus(self.network(torch.cat(known, dim=1)), beta=4.0)
 
 
 @dataclass(frozen=True)
@@ -39,7 +86,7 @@ class TensorSettings:
     reduction: int = 4  # r of the weighting network
     degree: int = 2  # Of the spherical harmonics in the colour head; 0 for a matt scene
     hidden: int = 32  # Width of the colour head
-    printed_colour: bool = False  # Colour weights of the position and five maps, as in `fields.volume.mdw_colour`
+    printed_colour: bool = False  # Colour weights of the position and five maps, as in `fields.volume.tensor`
     features_l1: float = 0.0  # Weight of (1)
     # Learning rate of the factors after the switch. The paper's 0.001 is for 150,000 steps; in a thousand they hardly
     # change.

@@ -10,8 +10,8 @@ from survey.errors import SurveyError
 from survey.files.json_values import read_json_object, write_json
 from survey.plan.recipe import required_views
 from survey.plan.tile_choice import SHARED
-from survey.run.tile_frame import has_frames
 from survey.run.tile_job import TileJob, TilePlan
+from survey.run.windows import has_frames
 
 if TYPE_CHECKING:
     from survey.run.job import Job

@@ -21,8 +21,7 @@ from survey.plan.sweep_block import backend
 from survey.plan.tiling import Area, places_of
 from survey.run.job import Job
 from survey.run.stored import load_arrays
-from survey.run.tile_frame import area_in_frame, frame_of_tile, has_frames, survey_in_frame
-from survey.run.windows import WindowStore, windows_of
+from survey.run.windows import WindowStore, area_in_frame, frame_of_tile, has_frames, survey_in_frame, windows_of
 
 if TYPE_CHECKING:
     from refract import FlatWater, PinholeCamera
@@ -54,7 +53,7 @@ class TileJob(Job):
 
     Its survey has the views that show the tile, cut to their windows at the size that is worked on, and where the water
     is no plane the one that fits it there; settings and what else belongs to the survey are those of the whole. A
-    survey larger than a kilometre has a local frame for each tile: `survey.run.tile_frame`.
+    survey larger than a kilometre has a local frame for each tile: `survey.run.windows`.
 
     Attributes
     ----------

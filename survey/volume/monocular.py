@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from fields.volume.priors import PriorImages
+from fields.volume.photographs import PriorImages
 from refract import PinholeCamera
 from survey.errors import SurveyError
 from survey.stage_key import content_hash

@@ -13,12 +13,10 @@ from fields.device import choose_device, tensor_place
 from fields.image_based import NovelView, heights_over, normals_of
 from fields.volume.appearance import appearance_vectors
 from fields.volume.models import APPEARANCE, build_model, proposal_for
-from fields.volume.normal_head import NormalHead
 from fields.volume.paths import Box
-from fields.volume.renderer import VolumeRenderer
+from fields.volume.renderer import NormalHead, VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
 from fields.volume.surface import LEAST_OPACITY
-from fields.volume.view import render_volume
 from fields.water_column import WaterColumn
 from refract import FlatWater, PinholeCamera
 from survey.errors import SurveyError

@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 from slow_cases import slow
 
 from survey.adjust.block.bundle import Solution, solve
 from survey.adjust.block.prediction import predict, relief_sides
 from survey.adjust.block.priors import known_of, priors_for
 from survey.adjust.block.problem import Problem
-from survey.adjust.clusters import inflation, terrain_design_effect
+from survey.adjust.clusters import _Changed, inflation, terrain_design_effect
 from survey.photos.poses import TiePoints
 from tests.block_survey import survey_of
 from tests.drawn_block import draw_block
@@ -105,6 +106,24 @@ def test_independent_errors_are_counted_once(seed):
 def test_what_ground_shares_is_found_where_it_exceeds_the_noise_of_single_observations(seed):
     # Points follow most of what a slope does; what is left is a part of the noise.
     assert factor_of(seed, 0.2) > 3.0
+
+
+def test_what_parameters_take_of_a_square_is_counted(rng):
+    count, num_parameters = 60, 12
+    design = csr_array(rng.normal(size=(2 * count, num_parameters)) * (rng.random((2 * count, num_parameters)) < 0.3))
+    root = rng.normal(size=(num_parameters, num_parameters))
+    weights, residuals = rng.uniform(1.0, 2.0, count), rng.normal(size=(count, 2))
+    changes, square = rng.normal(size=(count, 2, 3)), rng.integers(0, 7, count)
+    covariance = 1e-3 * root @ root.T
+    found = _Changed(weights, residuals, changes, design).ratios(square, covariance)
+    for change, ratio in zip(np.moveaxis(changes, 2, 0), found, strict=True):
+        squares = independent = 0.0
+        for number in range(7):
+            weighted = (weights[:, None] * change * (square == number)[:, None]).ravel()
+            squares += float(weighted @ residuals.ravel()) ** 2
+            taken = design.T @ weighted
+            independent += float(weighted @ change.ravel()) - float(taken @ covariance @ taken)
+        assert ratio == pytest.approx(squares / independent)
 
 
 def test_too_little_ground_tells_nothing():

@@ -107,6 +107,26 @@ def test_a_block_factor_says_what_a_dense_one_does(two_strips, damping, joint):
     assert np.abs(by_blocks.inverse_diagonal() / scale**2 - np.diag(whole)).max() < bound * np.abs(whole).max()
 
 
+@pytest.mark.parametrize("joint", [False, True], ids=["alone", "with joint priors"])
+def test_parts_and_determinants_are_those_of_the_dense_matrix(two_strips, joint):
+    normal = with_joint_priors(two_strips, 6) if joint else two_strips
+    matrix, rng = normal.dense(), np.random.default_rng(8)
+    some = np.sort(rng.permutation(len(normal))[: len(normal) // 2])
+    others = np.setdiff1d(np.arange(len(normal)), some)
+    roundings = 1e-12 * np.sqrt(np.outer(normal.diagonal(), normal.diagonal()))
+    assert (
+        np.abs(normal.between(some, others) - matrix[np.ix_(some, others)]) <= roundings[np.ix_(some, others)]
+    ).all()
+    part = normal.only(some)
+    np.testing.assert_allclose(part.dense(), matrix[np.ix_(some, some)], rtol=0.0, atol=roundings.max())
+    for each in (normal, part):
+        assert isinstance(each.factor(), BlockFactor)
+        assert each.factor().log_determinant() == pytest.approx(np.linalg.slogdet(each.dense())[1], abs=1e-6)
+        assert replace(each, order=None).factor().log_determinant() == pytest.approx(
+            np.linalg.slogdet(each.dense())[1], abs=1e-6
+        )
+
+
 @pytest.mark.parametrize("views", [range(2), range(260)], ids=["a small block", "photographs that all overlap"])
 def test_blocks_that_gain_nothing_are_dense(views):
     photograph = np.repeat(np.arange(len(views)), OF_VIEW)

@@ -17,7 +17,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -39,6 +39,8 @@ _SIDES_ON_GROUND = (0.08, 0.16, 0.32)
 _FEWEST = 20
 # Places along the longer side of the block, at each of which one point says what a change of the parameters does.
 _PLACES = 8
+# Squares whose covariances are gathered at a time: 200 kB each.
+_AT_A_TIME = 64
 
 
 def inflation(ties: TiePoints, residuals: np.ndarray, std_px: np.ndarray, kind: np.ndarray, sizes) -> np.ndarray:
@@ -111,8 +113,8 @@ def terrain_design_effect(problem: Problem, solution: Solution, sizes, kinds: np
         _, square = np.unique(np.floor(state.points[:, :2] / side), axis=0, return_inverse=True)
         square = square.ravel()[ties.point]
         if len(np.unique(square[used])) >= _FEWEST:
-            parts = (weights, residuals, design, solution.covariance)
-            found.append(float(np.mean([_ratio(square, change, *parts) for change in changes])))
+            changed = _Changed(weights, residuals, np.stack(changes, axis=-1), design)
+            found.append(float(np.mean(changed.ratios(square, solution.covariance))))
     return max(found, default=1.0)
 
 
@@ -158,11 +160,51 @@ def _footprint(problem: Problem, state: State, sizes) -> float:
     return float(np.median(away * (longer / state.lenses[layout.lens_of, 0])[ties.view]))
 
 
-def _ratio(square: np.ndarray, change: np.ndarray, weights, residuals, design, covariance) -> float:
-    """Squares of the sums of squares of ground, over what they would be on average if errors were independent."""
-    weighted = weights[:, None] * change
-    sums = np.bincount(square, np.sum(weighted * residuals, axis=1))
-    rows = np.repeat(square, 2)
-    taken = csr_array((weighted.ravel(), (rows, np.arange(len(rows)))), shape=(len(sums), len(rows))) @ design
-    left = np.sum(weighted * change) - float((taken.T @ taken).multiply(covariance).sum())
-    return float(np.sum(sums**2)) / max(left, 1e-12 * float(np.sum(weighted * change)) + 1e-300)
+def _padded(starts: np.ndarray, indices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Column indices of a sparse matrix, its rows filled up with zeros, and which are those of the matrix."""
+    count = np.diff(starts)
+    inside = np.arange(count.max(initial=0)) < count[:, None]
+    found = np.zeros(inside.shape, dtype=np.int64)
+    found[inside] = indices
+    return found, inside
+
+
+@dataclass(frozen=True)
+class _Changed:
+    """What K changes of the parameters do to the predictions of observations."""
+
+    weights: np.ndarray  # (N,) [1/px^2]
+    residuals: np.ndarray  # (N, 2) [px]
+    changes: np.ndarray  # (N, 2, K) [px]
+    design: csr_array  # (2 N, P)
+
+    def ratios(self, square: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+        """Squares (K,) of the sums over squares of ground, over what independent errors would give on average.
+
+        Parameters
+        ----------
+        square : (N,) int64
+            Number of the square of each observation.
+        covariance : (P, P)
+            Of the parameters; of it, what belongs to the photographs of one square.
+        """
+        weighted = self.weights[:, None, None] * self.changes
+        products = np.einsum("nak,na->nk", weighted, self.residuals)
+        total = np.einsum("nak,nak->k", weighted, self.changes)
+        rows = np.repeat(square, 2)
+        of_squares = (square.max() + 1, len(rows))
+        sums, left = np.zeros((of_squares[0], len(total))), total.copy()
+        np.add.at(sums, square, products)
+        taken = [csr_array((each, (rows, np.arange(len(rows)))), of_squares) @ self.design for each in
+                 weighted.reshape(len(rows), -1).T]  # fmt: skip
+        columns, inside = _padded(taken[0].indptr, taken[0].indices)
+        values = np.zeros((len(taken), *columns.shape))
+        for padded, each in zip(values, taken, strict=True):
+            padded[inside] = each.data
+        for first in range(0, len(columns), _AT_A_TIME):
+            part = slice(first, first + _AT_A_TIME)
+            mine, at = values[:, part], columns[part]
+            left -= np.einsum(
+                "ksi,ksi->k", np.einsum("ksi,sij->ksj", mine, covariance[at[:, :, None], at[:, None]]), mine
+            )
+        return np.sum(sums**2, axis=0) / np.maximum(left, 1e-12 * total + 1e-300)

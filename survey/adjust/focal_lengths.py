@@ -25,11 +25,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from refract.lens import MODELS, Lens
 from survey.adjust.block.bundle import NotConvergedError, system_with
 from survey.adjust.block.lenses import FEWEST, is_held
+from survey.adjust.block.normal_matrix import NormalMatrix
 from survey.adjust.block.observed import original_rows
 from survey.adjust.block.prediction import relief_sides
 from survey.adjust.block.priors import PriorKnowledge, priors_for
@@ -105,14 +105,14 @@ def focal_drift(known: PriorKnowledge, done: Adjusted) -> FocalDrift | None:
     seen = done.used
     sides, rows = relief_sides(state, seen.ties), original_rows(seen.ties, known.lenses, layout.lens_of)
 
-    def normals(mine: PriorKnowledge) -> tuple[np.ndarray, np.ndarray, float]:
+    def normals(mine: PriorKnowledge) -> tuple[NormalMatrix, np.ndarray, float]:
         """N, b, and ``v' W v - ln |W|``."""
         priors = priors_for(mine, seen.ties, seen.point_std)
         given = np.full(int(seen.kind.max()) + 1, np.nan)
         problem = Problem(layout, seen.ties, seen.kind, priors, given, sides, rows)
         system = system_with(problem, state, solution.weights)
         weights = mine.std[np.isfinite(mine.std)] ** -2.0
-        return system.normal.dense(), system.right_side, priors.squares(layout, state) - float(np.log(weights).sum())
+        return system.normal, system.right_side, priors.squares(layout, state) - float(np.log(weights).sum())
 
     own = np.r_[: layout.first_focal, layout.first_pose : len(layout)]
     # One focal length for each lens, positions as good as the block has them.
@@ -143,17 +143,13 @@ class _Eliminated:
     bayes: float
 
     @classmethod
-    def of(cls, normal: np.ndarray, right: np.ndarray, others: np.ndarray) -> _Eliminated:
+    def of(cls, normal: NormalMatrix, right: np.ndarray, others: np.ndarray) -> _Eliminated:
         kept = np.setdiff1d(np.arange(len(right)), others)
-        scale = 1.0 / np.sqrt(np.diag(normal)[others])
-        factor = cho_factor(normal[np.ix_(others, others)] * np.outer(scale, scale))
-        mixed = scale[:, None] * normal[np.ix_(others, kept)]
-        mine = scale * right[others]
-        step = cho_solve(factor, np.column_stack([mixed, mine]))
-        log = 2.0 * float(np.log(np.diag(factor[0])).sum() - np.log(scale).sum())
+        factor, mixed = normal.only(others).factor(), normal.between(others, kept)
+        step = factor.solve(np.column_stack([mixed, right[others]]))
         return cls(
-            normal[np.ix_(kept, kept)] - mixed.T @ step[:, :-1], right[kept] - mixed.T @ step[:, -1],
-            log - float(mine @ step[:, -1]),
+            normal.between(kept, kept) - mixed.T @ step[:, :-1], right[kept] - mixed.T @ step[:, -1],
+            factor.log_determinant() - float(right[others] @ step[:, -1]),
         )  # fmt: skip
 
 

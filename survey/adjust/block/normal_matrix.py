@@ -124,6 +124,21 @@ class NormalMatrix:
         """The matrix with further rows (K, P) and signs (K,)."""
         return replace(self, rows=np.vstack([self.rows, rows]), signs=np.append(self.signs, signs))
 
+    def only(self, parameters: np.ndarray) -> NormalMatrix:
+        """The normal matrix of some parameters (K,), sorted numbers, with the others held."""
+        number = np.full(len(self), -1)
+        number[parameters] = np.arange(len(parameters))
+        order = None
+        if self.order is not None:
+            *blocks, shared = (number[each][number[each] >= 0] for each in (*self.order.blocks, self.order.shared))
+            order = EliminationOrder(tuple(block for block in blocks if len(block)), shared)
+        return NormalMatrix(self.sparse[parameters][:, parameters], self.rows[:, parameters], self.signs, order)
+
+    def between(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """The part (R, C) of the matrix in some rows (R,) and columns (C,)."""
+        joint = (self.rows[:, rows] * self.signs[:, None]).T @ self.rows[:, columns]
+        return self.sparse[rows][:, columns].toarray() + joint
+
     def dense(self) -> np.ndarray:
         """The matrix as an array (P, P)."""
         # LAPACK takes columns; a conversion of the whole would copy it.
@@ -181,6 +196,10 @@ class DenseFactor:
         """Solution of right sides (P,) or (P, R)."""
         scale = self.scale if right.ndim == 1 else self.scale[:, None]
         return scale * cho_solve(self.factor, scale * right)
+
+    def log_determinant(self) -> float:
+        """Natural logarithm of the determinant of the matrix."""
+        return 2.0 * float(np.log(np.diag(self.factor[0])).sum() - np.log(self.scale).sum())
 
     def inverse_diagonal(self) -> np.ndarray:
         """Diagonal (P,) of the inverse."""
@@ -265,6 +284,11 @@ class BlockFactor:
         found *= self.scale[:, None]
         return found
 
+    def log_determinant(self) -> float:
+        """Natural logarithm of the determinant of the matrix."""
+        alone = sum(float(np.log(np.diag(corner)).sum()) for corner in self.corners) - float(np.log(self.scale).sum())
+        return 2.0 * alone + (0.0 if self.joint is None else self.joint.log_determinant)
+
     def inverse_diagonal(self) -> np.ndarray:
         """Diagonal (P,) of the inverse, by those of its blocks that the factor has (Takahashi)."""
         found = np.empty(len(self.scale))
@@ -300,12 +324,17 @@ class JointPriors:
     rows: np.ndarray  # (K, P): R
     moves: np.ndarray  # (P, K): W
     follow: np.ndarray  # (P, K): W (S^-1 + R W)^-1
+    log_determinant: float  # of A + R' S R, less that of A: of S (S^-1 + R W)
 
     @staticmethod
     def of(alone: BlockFactor, normal: NormalMatrix) -> JointPriors:
         """Of a normal matrix whose sparse part is factored."""
         moves = alone.solve(normal.rows.T)
-        return JointPriors(normal.rows, moves, moves @ np.linalg.inv(np.diag(1.0 / normal.signs) + normal.rows @ moves))
+        of_joint = np.diag(1.0 / normal.signs) + normal.rows @ moves
+        sign, log = np.linalg.slogdet(normal.signs[:, None] * of_joint)
+        if sign <= 0.0:
+            raise np.linalg.LinAlgError("the matrix with its joint priors is not positive definite")
+        return JointPriors(normal.rows, moves, moves @ np.linalg.inv(of_joint), float(log))
 
 
 def _by_transposed(matrix: np.ndarray, corner: np.ndarray) -> np.ndarray:

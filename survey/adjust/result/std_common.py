@@ -125,12 +125,12 @@ def moves_of(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray) ->
     """
     linear = linearise(layout, state, ties, np.zeros((len(ties.view), RELIEF)), rows)
     kept = np.r_[:WATER, layout.first_lens : len(layout)]
-    by_parameters = linear.by_parameters.toarray()[:, kept].reshape(len(ties.view), 2, len(kept))
     moves = np.empty((len(ties), 3, len(kept)))
     for number in range(len(ties)):
         mine = ties.point == number
         by_point = linear.by_point[mine].reshape(-1, 3)
-        moves[number] = -(np.linalg.pinv(by_point) @ by_parameters[mine].reshape(len(by_point), -1))
+        by_parameters = linear.by_parameters[np.repeat(mine, 2)].toarray()[:, kept]
+        moves[number] = -(np.linalg.pinv(by_point) @ by_parameters)
     return moves
 
 

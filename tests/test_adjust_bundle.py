@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from survey.adjust.block.bundle import (
+    HUBER,
     NotConvergedError,
     Solution,
     _system,
@@ -192,6 +193,31 @@ def test_at_the_solution_no_parameter_moves_by_more_than_a_fifth_of_its_standard
     _, solution = solved
     step = np.linalg.solve(solution.system.normal.dense(), solution.system.right_side)
     assert np.abs(step / np.sqrt(np.diag(solution.covariance))).max() < 0.2
+
+
+def test_where_the_loss_is_nearly_linear_an_outlier_keeps_its_gradient_and_hardly_any_curvature_along_its_residual():
+    block = draw_block(3, pixel_std=0.3, **SMALL)
+    problem = problem_of(block)
+    # Points are known, so that none of the parameters' equations is theirs.
+    problem = replace(problem, priors=replace(problem.priors, point_std=np.full(block.points.shape, 1e-9)))
+    state, std_px, number = truth_of(block), np.array([0.3]), 17
+    ties = problem.ties
+    off = np.zeros_like(ties.pixel)
+    off[number] = 30.0, -40.0
+    problem = replace(problem, ties=replace(ties, pixel=predict(problem.layout, state, ties, problem.sides) + off))
+    one = np.ones(len(problem.kind))
+    square, linear = (_system(problem, state, std_px, one, is_linear=each) for each in (False, True))
+    scale = 1.0 / np.sqrt(np.diag(square.normal.dense()))
+    np.testing.assert_allclose(linear.right_side * scale, square.right_side * scale, rtol=1e-6, atol=1e-9)
+    design = linearise(problem.layout, state, problem.ties, problem.sides).by_parameters.toarray()
+    weight = HUBER * std_px[0] / 50.0 / std_px[0] ** 2
+    along = np.array([0.6, -0.8]) @ design[2 * number : 2 * number + 2]
+    taken = weight * (1.0 - 0.1**2) * np.outer(along, along)
+    np.testing.assert_allclose(
+        (square.normal.dense() - linear.normal.dense()) * np.outer(scale, scale),
+        taken * np.outer(scale, scale),
+        atol=1e-9,
+    )
 
 
 def test_the_standard_deviation_of_pixels_is_that_of_the_noise():

@@ -39,6 +39,10 @@ _DONE = 0.03
 _SLACK = 1e-6
 # Where a step gains less than this share of what the linear model predicts, points are adjusted, in so many steps.
 _AS_PREDICTED, _POINT_STEPS = 0.5, 4
+# Weights give an outlier the curvature of a square, which Huber's loss has not along its residual: where a step gains
+# more than so many times what they predict, steps are taken with a share of that curvature alone (B. Triggs et al.,
+# Bundle adjustment - a modern synthesis, 2000, section 4.3; the square of the share).
+_AS_LINEAR, _CURVATURE = 1.5, 0.1
 # Points whose height has more than so many times the median standard deviation are of uncertain height.
 _WEAK = 3.0
 # Weights are renewed from the residuals until the standard deviations of all kinds change by less than this share.
@@ -197,9 +201,9 @@ def levenberg_marquardt(problem: Problem, state: State, std_px, inflation) -> tu
     NotConvergedError
         If it is not reached.
     """
-    damping, least = _DAMPING_START, cost(problem, state, std_px, inflation)
+    damping, least, is_linear = _DAMPING_START, cost(problem, state, std_px, inflation), False
     for _ in range(_MOST_STEPS):
-        system = _system(problem, state, std_px, inflation)
+        system = _system(problem, state, std_px, inflation, is_linear=is_linear)
         while True:
             step = system.normal.factor(damping).solve(system.right_side)
             moved = state.moved(problem.layout, step, system.point_steps(step))
@@ -211,18 +215,20 @@ def levenberg_marquardt(problem: Problem, state: State, std_px, inflation) -> tu
                 break
             damping *= 10.0
             if damping > _DAMPING_MOST:
-                return state, system
+                return state, _system(problem, state, std_px, inflation)
         gain = least - costs if costs < least else 0.0
+        if gain > max(_AS_LINEAR * predicted, _DONE) or gain < _AS_PREDICTED * predicted:
+            is_linear = gain > predicted
         if gain > 0.0:
             state, least = moved, costs
         damping = max(damping * 0.1, _DAMPING_LEAST)
         if gain < _DONE:
-            system = _system(problem, state, std_px, inflation)
+            system = _system(problem, state, std_px, inflation, is_linear=is_linear)
             # A damped step that gains little may still be far from the minimum, along a direction of small curvature.
             if gain == 0.0 or system.decrement() < _DONE:
-                return state, system
+                break
     if gain < _DONE:
-        return state, system
+        return state, _system(problem, state, std_px, inflation) if is_linear else system
     raise NotConvergedError(
         f"the adjustment did not converge in {_MOST_STEPS} steps: poses and photographs do not belong together, or "
         "the photographs hardly overlap"
@@ -283,12 +289,35 @@ def _costs_of_points(
     return huber + np.sum(known**2, axis=1)
 
 
-def _system(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarray) -> System:
-    return _weighted_system(problem, state, lambda residuals: huber_weights(problem, residuals, std_px) / inflation)
+def _system(
+    problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarray, *, is_linear: bool = False
+) -> System:
+    """The normal equations with Huber weights; ``is_linear``: for steps where the loss is nearly linear."""
+
+    def weights_of(residuals: np.ndarray) -> np.ndarray:
+        return huber_weights(problem, residuals, std_px) / inflation
+
+    def outliers(residuals: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(residuals, axis=1) > HUBER * std_px[problem.kind]
+
+    return _weighted_system(problem, state, weights_of, outliers if is_linear else None)
 
 
-def _weighted_system(problem: Problem, state: State, weights_of: Callable[[np.ndarray], np.ndarray]) -> System:
-    """The normal equations; ``weights_of`` takes residuals (N, 2) [px] to weights (N,) [1/px^2]."""
+def _weighted_system(
+    problem: Problem,
+    state: State,
+    weights_of: Callable[[np.ndarray], np.ndarray],
+    outliers: Callable[[np.ndarray], np.ndarray] | None = None,
+) -> System:
+    """The normal equations.
+
+    Parameters
+    ----------
+    weights_of : callable
+        Takes residuals (N, 2) [px] to weights (N,) [1/px^2].
+    outliers : callable, optional
+        Takes them to those whose curvature along the residual is reduced, (N,) bool.
+    """
     ties, priors = problem.ties, problem.priors
     linear = linearise(problem.layout, state, ties, problem.sides, problem.rows)
     residuals = ties.pixel - linear.pixels
@@ -299,6 +328,15 @@ def _weighted_system(problem: Problem, state: State, weights_of: Callable[[np.nd
     design = linear.by_parameters
     if not usable.all():
         design = _only_rows(design, usable)
+    if outliers is not None:
+        is_outlier = usable & outliers(residuals)
+        along = residuals / np.maximum(np.linalg.norm(residuals, axis=1, keepdims=True), 1e-300)
+        reduced = np.eye(2) - (1.0 - _CURVATURE) * is_outlier[:, None, None] * along[:, :, None] * along[:, None, :]
+        # The gradient stays as it is.
+        residuals = np.where(is_outlier[:, None], residuals / _CURVATURE, residuals)
+        by_point = reduced @ by_point
+        values = reduced @ design.data.reshape(len(residuals), 2, -1)
+        design = csr_array((values.ravel(), design.indices, design.indptr), shape=design.shape)
     weighted = by_point * weights[:, None, None]
     precision = priors.point_std**-2.0
     own = _sum(ties, np.einsum("nai,naj->nij", weighted, by_point))

@@ -11,15 +11,18 @@ import torch
 from volume_models import check_interface, check_learning, positions
 from volume_scenes import BOX
 
-from fields.volume.octree import PAIRS, OctreeSettings, OctreeVolume
+from fields.volume.octree import OctreeSettings, OctreeVolume
+from fields.volume.paths import Box
 
 SMALL = OctreeSettings(cells=4, features=4, hidden=8)
+# Nodes of 4 x 4 cells and one or two layers.
+FLAT = [Box(BOX.low, BOX.low + BOX.edge * np.array([1.0, 1.0, height])) for height in (0.2, 0.5)]
 
 
-def grown(seed: int = 0, depth: int = 3) -> OctreeVolume:
+def grown(box: Box = BOX, depth: int = 3) -> OctreeVolume:
     """The root, its eight children, and the children of the first two."""
-    torch.manual_seed(seed)
-    model = OctreeVolume(BOX, OctreeSettings(cells=4, depth=depth, features=4, hidden=8), appearance=3)
+    torch.manual_seed(0)
+    model = OctreeVolume(box, OctreeSettings(cells=4, depth=depth, features=4, hidden=8), appearance=3)
     model.split(torch.tensor([0]))
     model.split(torch.tensor([1, 2]))
     torch.nn.init.normal_(model.table)
@@ -88,8 +91,9 @@ def number(value: torch.Tensor) -> float:
     return value.detach().item()
 
 
-def test_consistency_is_the_difference_of_what_a_parent_lets_pass_and_the_mean_about_it_in_its_child(monkeypatch):
-    model = grown().double()
+@pytest.mark.parametrize("box", [BOX, *FLAT])
+def test_consistency_is_the_difference_of_what_a_parent_lets_pass_and_the_mean_about_it_in_its_child(monkeypatch, box):
+    model = grown(box).double()
     drawn = torch.rand(1, 32, 3)
     monkeypatch.setattr(torch, "rand", lambda *shape, **_: drawn)
     found = number(model.inconsistency(torch.tensor([1]), torch.tensor([int(model.child[1, 3])])))
@@ -99,14 +103,46 @@ def test_consistency_is_the_difference_of_what_a_parent_lets_pass_and_the_mean_a
     def kept(u: np.ndarray, node: int) -> float:
         f = model.features(torch.from_numpy(u)[None], torch.tensor([node])).detach().numpy()[0]
         raw = float(model.density.weight.detach().numpy()[0] @ f) + math.log(math.expm1(1.0 / finest))
-        return math.exp(-math.log1p(math.exp(raw)) * finest / BOX.edge * BOX.edge / 4 / 2)
+        return math.exp(-math.log1p(math.exp(raw)) * finest / box.edge * box.edge / 4 / 2)
 
-    cell = 1.0 / np.array(model.counts)
+    cell, inner = 1.0 / np.array(model.counts), np.array(model.counts) >= 3
+    margin, axes = np.where(inner, cell, 0.0), np.flatnonzero(inner)
     for share in drawn[0].numpy().astype(float):
-        at = model.low[child].numpy() + 0.25 * (cell + (1.0 - 2.0 * cell) * share)
-        places = [at, *(at + side * 0.25 * cell[k] * np.eye(3)[k] for side in (1, -1) for k in range(3))]
+        at = model.low[child].numpy() + 0.25 * (margin + (1.0 - 2.0 * margin) * share)
+        places = [at, *(at + side * 0.25 * cell[k] * np.eye(3)[k] for side in (1, -1) for k in axes)]
         total += (np.mean([kept(p, child) for p in places]) - kept(at, 1)) ** 2
     assert found == pytest.approx(total / 32, rel=1e-5)
+
+
+def test_neighbours_of_a_flat_node_lie_in_it(monkeypatch):
+    for layers, box in enumerate(FLAT, 1):
+        model, seen = grown(box), []
+        assert model.counts == (4, 4, layers)
+        features = model.features
+
+        def watched(u, node, features=features, seen=seen, model=model):
+            seen.append((u - model.low[node]) * 2.0 ** model.level[node][:, None])
+            return features(u, node)
+
+        monkeypatch.setattr(model, "features", watched)
+        child = model.child[1, 3]
+        model.inconsistency(torch.tensor([1]), child[None])
+        model._look()
+        inside, _, scored = seen
+        assert float(inside.min()) >= -1e-5
+        assert float(inside.max()) <= 1.0 + 1e-5
+        assert float(scored[:, 2].min()) >= -1e-5
+        assert float(scored[:, 2].max()) <= 1.0 + 1e-5
+
+
+def test_the_score_of_a_flat_node_is_the_change_of_opacity_from_face_to_face():
+    model = OctreeVolume(FLAT[0], SMALL)
+    torch.nn.init.zeros_(model.table)
+    model.table.data[0, model._rows // 2 :] = 0.5  # the upper of the two layers of nodes
+    model._look()
+    density = model._density(model.features(torch.tensor([[0.5, 0.5, 0.0], [0.5, 0.5, 1.0]]), torch.zeros(2).long()))
+    a = -torch.expm1(-density * FLAT[0].edge / 4)
+    assert number(model.score[0]) == pytest.approx(0.2 * number(a[1] - a[0]), rel=1e-4)
 
 
 def test_leaves_with_more_detail_than_the_mean_are_split_when_it_is_time():
@@ -134,7 +170,6 @@ def test_a_grown_tree_comes_back_bit_for_bit():
     other.load_state_dict(torch.load(stored))
     x = positions(40)
     assert all(torch.equal(a, b) for a, b in zip(other.evaluate(x), model.evaluate(x), strict=True))
-    assert PAIRS == 4
 
 
 def test_it_learns_a_bed_and_grows():

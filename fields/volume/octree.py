@@ -7,12 +7,13 @@
     score  = decay score + (1 - decay) (|mean g grad a| + var a), a the opacity of a piece of length g             (5)
 
 (4) keeps a parent what its children are when they are blurred, so that levels may be left out; Inf-NeRF's code has the
-density in the unit of its scene for a. It builds its tree from tie points before training; here the tree grows where
-density has detail: leaves whose score (5) is at least the mean of all leaves are split, `refined_at` shares of the
-training, and children begin as their parent, exactly: their cells halve its own. Different here: dense grids in place
-of hashed ones, and one pair of heads for all nodes; the footprint is the same for all samples of a step, drawn among
-the levels in training, since photographs of a survey have one scale (Inf-NeRF takes that of each pixel, and trains on
-pictures of several sizes).
+density in the unit of its scene for a. Axes of fewer than three cells, as those of a flat box, have no cell with a
+neighbour to each side: (4) leaves them out. It builds its tree from tie points before training; here the tree grows
+where density has detail: leaves whose score (5) is at least the mean of all leaves are split, `refined_at` shares of
+the training, and children begin as their parent, exactly: their cells halve its own. Different here: dense grids in
+place of hashed ones, and one pair of heads for all nodes; the footprint is the same for all samples of a step, drawn
+among the levels in training, since photographs of a survey have one scale (Inf-NeRF takes that of each pixel, and
+trains on pictures of several sizes).
 """
 
 from __future__ import annotations
@@ -167,15 +168,17 @@ class OctreeVolume(VolumeModel):
         """Equation (4) of parents (P,) and their children (P,), at points drawn a cell inside the children."""
         counts = torch.tensor(self.counts, device=self.place)
         edge = 2.0 ** -self.level[child].to(torch.float32)[:, None, None]
-        margin = 1.0 / counts
+        cell, inner = 1.0 / counts, counts >= 3
+        margin = torch.where(inner, cell, 0.0)
         u = self.low[child][:, None] + edge * (
             margin + (1.0 - 2.0 * margin) * torch.rand(1, POINTS, 3, device=self.place)
         )
-        axes = torch.eye(3, device=self.place) * margin
-        aside = torch.cat([torch.zeros_like(axes[:1]), axes, -axes])
+        axes = (torch.eye(3, device=self.place) * cell)[inner]
+        aside = torch.cat([axes.new_zeros(1, 3), axes, -axes])
         near = (u[:, :, None] + edge[..., None] * aside).reshape(-1, 3)
         length = (self.box.edge / self.settings.cells) * 2.0 ** -self.level[parent].to(torch.float32)
-        fine = self._density(self.features(near, child.repeat_interleave(7 * POINTS))).view(len(child), POINTS, 7)
+        fine = self._density(self.features(near, child.repeat_interleave(len(aside) * POINTS)))
+        fine = fine.view(len(child), POINTS, len(aside))
         coarse = self._density(self.features(u.reshape(-1, 3), parent.repeat_interleave(POINTS))).view(
             len(child), POINTS
         )
@@ -208,8 +211,11 @@ class OctreeVolume(VolumeModel):
             return
         node = leaves[torch.randperm(len(leaves), device=leaves.device)[:SCORED]]
         edge = 2.0 ** -self.level[node].to(torch.float32)
-        u = self.low[node][:, None] + edge[:, None, None] * torch.rand(len(node), POINTS, 3, device=self.place)
         counts = torch.tensor(self.counts, device=self.place)
+        # Along axes of one or two cells half a cell to each side of a point has to lie in the node.
+        margin = torch.where(counts < 3, 0.5 / counts, 0.0)
+        share = margin + (1.0 - 2.0 * margin) * torch.rand(len(node), POINTS, 3, device=self.place)
+        u = self.low[node][:, None] + edge[:, None, None] * share
         axes = torch.eye(3, device=self.place) / counts
         aside = 0.5 * torch.cat([torch.zeros_like(axes[:1]), axes, -axes])
         near = (u[:, :, None] + edge[:, None, None, None] * aside).reshape(-1, 3)

@@ -49,7 +49,7 @@ def renderer_of(name: str, water: FlatWater | None, steps: int, seed: int) -> Vo
     """An untrained model of a name."""
     model = build_model(name, BOX, CELLS, choose_device("cpu"), seed=seed, steps=steps)
     column = None if water is None else WaterColumn()
-    return VolumeRenderer(model, column=column, proposal=proposal_for(name, BOX, CELLS))
+    return VolumeRenderer(model, column=column, proposal=proposal_for(name, BOX, CELLS, steps))
 
 
 def steps_for(name: str, scene: SwitchScene, seconds: float) -> int:

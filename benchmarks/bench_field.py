@@ -67,7 +67,7 @@ def build(model: str, scene: ObjectScene, options, *, steps: int, seed: int = 0)
         volume: VolumeModel = SdfVolume(scene.box, SdfSettings.small())
     else:
         volume = build_model(model, scene.box, options.cells, device, seed=seed, steps=steps)
-    proposal = proposal_for(model, scene.box, options.cells)
+    proposal = proposal_for(model, scene.box, options.cells, steps)
     renderer = VolumeRenderer(volume, column=column, background=background, proposal=proposal)
     return renderer.to(tensor_place(device))
 

@@ -57,7 +57,7 @@ def test_every_model_is_built_for_a_box(name):
     density, features = model.evaluate(torch.rand(5, 3))
     assert density.shape == (5,)
     assert model.radiance(features, torch.nn.functional.normalize(torch.ones(5, 3)), torch.zeros(5, 4)).shape == (5, 3)
-    assert (proposal_for(name, box, 16) is None) == (name not in ("hash", "nerfacto"))
+    assert (proposal_for(name, box, 16, steps=60) is None) == (name not in ("hash", "nerfacto"))
 
 
 def test_a_field_is_trained_extracted_rendered_and_compared(folder, run):

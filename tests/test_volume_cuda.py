@@ -74,7 +74,8 @@ def test_training_learns_what_it_learns_on_the_processor(name):
     found, photographs = [], bed_photographs(views=5)
     for wanted in ("cpu", "cuda"):
         model = build_model(name, BOX, CELLS, choose_device(wanted), steps=100)
-        renderer = VolumeRenderer(model, column=WaterColumn(), proposal=proposal_for(name, BOX, CELLS)).to(wanted)
+        proposal = proposal_for(name, BOX, CELLS, steps=100)
+        renderer = VolumeRenderer(model, column=WaterColumn(), proposal=proposal).to(wanted)
         training = Training(steps=100, rays=256, samples=24, cells=CELLS)
         cells, figures = train_volume(renderer, photographs, training, lambda share: None)
         found.append((figures.psnr_db, psnr_of(renderer, cells, photographs)))

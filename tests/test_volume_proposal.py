@@ -13,6 +13,7 @@ from volume_models import check_learning, positions
 from volume_scenes import BOX
 
 from fields.volume.hash_grid import HashSettings, HashVolume
+from fields.volume.models import proposal_for
 from fields.volume.paths import Paths, paths_of
 from fields.volume.photographs import Photographs
 from fields.volume.proposal import EVEN_SHARE, Histogram, Proposal, ProposalSettings, bound_of, interlevel_loss
@@ -71,8 +72,20 @@ def test_samples_are_drawn_evenly_at_first_and_by_the_weights_after_the_annealin
     paths = falling(2)
     even = annealed.samples(paths, 8, jitter=False)
     torch.testing.assert_close(even.length[0], torch.full((8,), 1.5 / 8.0), rtol=1e-3, atol=0.0)
+    with torch.no_grad():  # a view that is rendered meanwhile
+        drawn = annealed.samples(paths, 8, jitter=False)
+    annealed.step.fill_(20)
+    over = annealed.samples(paths, 8, jitter=False)
+    assert torch.equal(drawn.length, over.length)
+    assert not torch.allclose(drawn.length, even.length, rtol=1e-2)
+    annealed.step.fill_(0)
     annealed.loss(even, torch.full((2, 8), 0.1))
     assert int(annealed.step) == 1
+
+
+def test_nerfacto_anneals_over_a_thirtieth_of_its_training():
+    assert [proposal_for("nerfacto", BOX, 16, steps).settings.annealed for steps in (30_000, 2000, 14)] == [1000, 67, 0]
+    assert proposal_for("hash", BOX, 16, 2000).settings.annealed == 0
 
 
 def test_bounds_are_sums_over_the_pieces_that_overlap(rng):

@@ -39,8 +39,8 @@ APPEARANCE = 16
 # they hardly change in some thousands.
 FINE_RATE = 0.02
 
-# Share of the steps over which NeuS anneals: 50,000 of 300,000 in its configurations.
-ANNEALED = 1 / 6
+# Shares of the steps over which NeuS and Nerfacto anneal: 50,000 of 300,000 and 1000 of 30,000 as published.
+NEUS_ANNEALED, NERFACTO_ANNEALED = 1 / 6, 1 / 30
 # Cells of TensoRF at first, of those at last.
 _COARSEST = 128 / 300
 
@@ -83,7 +83,7 @@ def _ground(of: Setup) -> VolumeModel:
 
 
 def _neus(of: Setup) -> VolumeModel:
-    settings = SdfSettings.small(start="plane", start_at=0.0, annealed=ANNEALED, steps=of.steps)
+    settings = SdfSettings.small(start="plane", start_at=0.0, annealed=NEUS_ANNEALED, steps=of.steps)
     return SdfVolume(of.box, settings, appearance=of.appearance)
 
 
@@ -117,8 +117,12 @@ def build_model(
     return MODELS[name](Setup(box, cells, device, appearance, steps))
 
 
-def proposal_for(name: str, box: Box, cells: int) -> Proposal | None:
-    """Proposal that draws the samples of a model in place of the occupied cells; None for all but the hash grids."""
+def proposal_for(name: str, box: Box, cells: int, steps: int) -> Proposal | None:
+    """Proposal that draws the samples of a model in place of the occupied cells, for a training of so many steps.
+
+    None for all but the hash grids.
+    """
     if name == "nerfacto":
-        return Proposal(box, ProposalSettings(n_max=(max(cells // 2, 2), cells), annealed=1000))
+        annealed = round(NERFACTO_ANNEALED * steps)
+        return Proposal(box, ProposalSettings(n_max=(max(cells // 2, 2), cells), annealed=annealed))
     return Proposal(box, ProposalSettings((48,), (cells,))) if name == "hash" else None

@@ -7,7 +7,8 @@ weights w over pieces T teach each histogram (t', w') of the proposal:
     loss     = sum over i of max(0, w_i - bound(T_i))^2 / w_i                                     (their eq. 13)
 
 so that a proposal may be wider than the volume's own histogram, never lower. At first samples are drawn by weights to
-the power b t / ((b - 1) t + 1), b = 10, t the share of the annealing that is done (their eq. 18).
+the power b t / ((b - 1) t + 1), b = 10, t the share of the annealing that is done (their eq. 18); by the weights
+themselves outside of the training, where no gradient is taken.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ class ProposalSettings:
     levels: int = 5
     log2_table: int = 17
     hidden: int = 16  # Width of the perceptrons
-    annealed: int = 0  # Steps of the annealing (Nerfacto: 1000)
+    annealed: int = 0  # Steps of the annealing (Nerfacto: 1000 of 30,000)
 
     def __post_init__(self):
         if not self.samples or len(self.samples) != len(self.n_max):
@@ -102,13 +103,14 @@ class Proposal(nn.Module):
             drawn = samples_by_mass(edges, mass, count, jitter, dense=True)
             density = self.density(index, paths.at(drawn.s).view(-1, 3)).view(len(paths), count)
             rounds.append(Histogram(drawn.edges, render_weights(density * drawn.length)))
-            weights = rounds[-1].weights.detach() ** self.power()
+            power = self.power() if torch.is_grad_enabled() else 1.0
+            weights = rounds[-1].weights.detach() ** power
             edges, mass = drawn.edges, _with_an_even_share(weights, drawn.length)
         drawn = samples_by_mass(edges, mass, num, jitter, dense=True)
         return Proposed(drawn.s, drawn.length, drawn.edges, rounds)
 
     def power(self) -> float:
-        """To which weights are raised that draw samples; 1 once the annealing is over."""
+        """Power of the weights that draw samples in training; 1 once the annealing is over."""
         if int(self.step) >= self.settings.annealed:
             return 1.0
         done = int(self.step) / self.settings.annealed

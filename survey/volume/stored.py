@@ -49,7 +49,7 @@ class VolumeRecipe:
             model,
             column=WaterColumn() if self.bends(water) is not None else None,
             appearance=appearance_vectors(photographs, length) if length else None,
-            proposal=proposal_for(self.model, box, self.cells),
+            proposal=proposal_for(self.model, box, self.cells, self.steps),
             normals=NormalHead(model.num_features) if normal_head else None,
         ).to(tensor_place(place))
 

@@ -48,9 +48,22 @@ def test_a_folder_is_fetched_as_it_was_put_and_its_mark_is_put_last(url, tmp_pat
     assert set(remote.files()) == {"stages/a/stage.json"}
 
 
+def test_a_name_is_no_pattern_where_it_is_removed(url, tmp_path):
+    (tmp_path / "a").touch()
+    patterns, neighbours = [Remote(f"{url}{end}") for end in ("[2]", "*")], [Remote(f"{url}{end}") for end in ("2", "7")]
+    for remote in (*patterns, *neighbours):
+        remote.put({"a": tmp_path / "a", "deep/[b]": tmp_path / "a", "deep/b": tmp_path / "a"})
+    for remote in patterns:
+        remote.remove(["a", "deep/[b]"])
+    assert [set(remote.files()) for remote in patterns] == [{"deep/b"}] * 2
+    assert [len(remote.files()) for remote in neighbours] == [3, 3]
+    patterns[0].remove(["deep"])
+    assert patterns[0].files() == {}
+
+
 def test_no_name_leads_out_of_the_folder(monkeypatch, tmp_path):
     remote = Remote(f"memory://{tmp_path.name}")
-    found = {f"/{tmp_path.name}/{name}": {"size": 1} for name in ("a", "b/../../c", "..")}
+    found = {f"/{tmp_path.name}/{name}": {"size": 1} for name in ("a", "b/../../c", "..", "/c", "a//b", "./d")}
     monkeypatch.setattr(remote._store, "find", lambda *_given, **_named: found)
     assert set(remote.files()) == {"a"}
 
@@ -77,7 +90,7 @@ def test_what_a_store_refuses_is_said_in_a_sentence(monkeypatch, tmp_path, error
     def refuse(*_given, **_named):
         raise error
 
-    for name in ("find", "cat_file", "put_file", "rm"):
+    for name in ("find", "cat_file", "put_file", "rm_file"):
         monkeypatch.setattr(remote._store, name, refuse)
     (tmp_path / "a").touch()
     for ask in (remote.files, lambda: remote.read("a"), lambda: remote.put({"a": tmp_path / "a"})):

@@ -77,8 +77,8 @@ class Remote:
             found: Mapping[str, Mapping[str, Any]] = self._store.find(place, detail=True)
         start = len(place.strip("/")) + 1
         names = {path.strip("/")[start:]: _tag(info) for path, info in sorted(found.items())}
-        # No name leads out of the folder that it is fetched into.
-        return {each: tag for each, tag in names.items() if each and ".." not in each.split("/")}
+        # No name leads out of the folder that it is fetched into: `folder / "/etc/x"` is /etc/x.
+        return {each: tag for each, tag in names.items() if not {"", ".", ".."} & {*each.split("/")}}
 
     def read(self, name: str) -> bytes | None:
         """Contents of a file; None where it is not there."""
@@ -110,20 +110,25 @@ class Remote:
 
     def copy_folder(self, name: str, other: str) -> None:
         """Copy all files below a name to another one, at the URL itself."""
-        self._at_once(self._copy, [(f"{name}/{each}", Path(f"{other}/{each}")) for each in self.files(name)])
+        self._at_once(self._copy, [(f"{name}/{each}", f"{other}/{each}") for each in self.files(name)])
 
     def remove(self, names: Iterable[str]) -> None:
-        """Remove files, and folders with all in them; those that are not there, too."""
-        with _refusals(self.url):
-            self._store.invalidate_cache()
-            for name in names:
-                with suppress(FileNotFoundError):
-                    self._store.rm(self._place(name), recursive=True)
+        """Remove files, and folders with all in them, in this order; those that are not there, too."""
+        for name in names:
+            with _refusals(self.url):
+                self._store.invalidate_cache()
+                found = self._store.find(self._place(name), withdirs=self._has_folders, detail=True)
+            is_folder = {path: info.get("type") == "directory" for path, info in found.items()}
+            self._at_once(self._remove_file, [(path, None) for path in found if not is_folder[path]])
+            with _refusals(self.url):
+                # The deepest first.
+                for path in sorted((path for path in found if is_folder[path]), reverse=True):
+                    self._store.rmdir(path)
 
     def _place(self, name: str) -> str:
         return f"{self._root.rstrip('/')}/{name}" if name else self._root
 
-    def _at_once(self, move: Any, files: Iterable[tuple[str, Path]]) -> None:
+    def _at_once(self, move: Any, files: Iterable[tuple[str, Any]]) -> None:
         with ThreadPoolExecutor(_AT_ONCE) as pool:
             for _ in pool.map(move, files):
                 pass
@@ -135,9 +140,14 @@ class Remote:
         with write_whole_at(path) as part, _refusals(f"{self.url}/{name}"):
             self._store.get_file(self._place(name), str(part))
 
-    def _copy(self, names: tuple[str, Path]) -> None:
+    def _remove_file(self, file: tuple[str, None]) -> None:
+        # `rm` would take a name with [, * or ? as a pattern.
+        with _refusals(self.url), suppress(FileNotFoundError):
+            self._store.rm_file(file[0])
+
+    def _copy(self, names: tuple[str, str]) -> None:
         name, other = names
-        place = self._place(other.as_posix())
+        place = self._place(other)
         with _refusals(f"{self.url}/{name}"):
             self._make_folder(place)
             self._store.cp_file(self._place(name), place)

@@ -104,6 +104,50 @@ def test_a_result_replaces_the_one_before_and_a_copy_of_the_url_is_a_run(url, tm
     assert copy.result()["others"] == {"draft": {"sweep": first.name}}
 
 
+def test_a_result_leaves_what_another_run_has_begun(url, tmp_path):
+    remote = Remote(url)
+    (tmp_path / "a.pickle").touch()
+    with RemoteRun(tmp_path / "laptop", remote) as run:
+        run.claim(Owner("quick", {"a.jpg": 1}), is_inside=True)
+        run.open_result("draft")
+        begun = finish(run, "sweep", A, heights=[1.0])
+        remote.put({".jobs/a.pickle": tmp_path / "a.pickle"})
+    with RemoteRun(tmp_path / "cluster", remote) as run:
+        publish(run, "fine", quality="fine", sweep=finish(run, "sweep", B, heights=[2.0]))
+    assert f"stages/{begun.name}/stage.json" in remote.files()
+    assert ".jobs/a.pickle" in remote.files()
+    # One of the same quality stands in for it.
+    with RemoteRun(tmp_path / "other", remote) as run:
+        publish(run, "draft", quality="draft")
+    assert not {name for name in remote.files() if name.startswith((f"stages/{begun.name}", ".jobs", ".unfinished"))}
+
+
+def test_stages_that_another_machine_has_removed_are_put_again(url, tmp_path):
+    remote = Remote(url)
+    with RemoteRun(tmp_path / "laptop", remote) as laptop, RemoteRun(tmp_path / "cluster", remote) as cluster:
+        laptop.claim(Owner("quick", {"a.jpg": 1}), is_inside=True)
+        laptop.open_result("draft")
+        first = finish(laptop, "sweep", A, heights=[1.0])
+        publish(cluster, "other", quality="draft", sweep=finish(cluster, "sweep", B, heights=[2.0]))
+        assert f"stages/{first.name}/stage.json" not in remote.files()
+        publish(laptop, "draft", quality="draft", sweep=first)
+    assert {name.split("/")[1] for name in remote.files() if name.startswith("stages")} == {first.name}
+
+
+def test_of_two_results_of_another_quality_that_at_the_url_is_kept(url, tmp_path):
+    remote = Remote(url)
+    with RemoteRun(tmp_path / "laptop", remote) as run:
+        run.claim(Owner("quick", {"a.jpg": 1}), is_inside=True)
+        publish(run, "early", quality="draft", sweep=finish(run, "sweep", A, heights=[1.0]))
+    with RemoteRun(tmp_path / "cluster", remote) as run:
+        late = finish(run, "sweep", B, heights=[2.0])
+        publish(run, "late", quality="draft", sweep=late)
+    with RemoteRun(tmp_path / "laptop", remote) as run:
+        publish(run, "fine", quality="fine")
+    assert f"stages/{late.name}/stage.json" in remote.files()
+    assert run.result()["others"] == {"draft": {"sweep": late.name}}
+
+
 def test_a_result_that_is_being_put_does_not_count(url, tmp_path, monkeypatch):
     remote = Remote(url)
     with RemoteRun(tmp_path / "laptop", remote) as run:

@@ -88,6 +88,13 @@ class Remote:
             except (FileNotFoundError, NotADirectoryError):
                 return None
 
+    def write(self, name: str, content: bytes) -> None:
+        """Write a file."""
+        place = self._place(name)
+        with _refusals(f"{self.url}/{name}"):
+            self._make_folder(place)
+            self._store.pipe_file(place, content)
+
     def fetch(self, names: Mapping[str, Path]) -> None:
         """Fetch files, each whole or not at all, to paths."""
         self._at_once(self._fetch, names.items())
@@ -119,11 +126,15 @@ class Remote:
                 self._store.invalidate_cache()
                 found = self._store.find(self._place(name), withdirs=self._has_folders, detail=True)
             is_folder = {path: info.get("type") == "directory" for path, info in found.items()}
-            self._at_once(self._remove_file, [(path, None) for path in found if not is_folder[path]])
+            self._at_once(self._remove_file, ((path, None) for path in found if not is_folder[path]))
             with _refusals(self.url):
                 # The deepest first.
                 for path in sorted((path for path in found if is_folder[path]), reverse=True):
                     self._store.rmdir(path)
+
+    def remove_files(self, names: Iterable[str]) -> None:
+        """Remove files side by side; those that are not there, too."""
+        self._at_once(self._remove_file, ((self._place(name), None) for name in names))
 
     def _place(self, name: str) -> str:
         return f"{self._root.rstrip('/')}/{name}" if name else self._root

@@ -1,13 +1,17 @@
 """A run at a URL: it works in a folder of this machine, and finished stages and the result are put to the URL whole.
 
 At the URL lie the files of a run folder; a copy of it is one. A stage is whole where its record is, which is put last,
-and the result where result.json is. What is finished there is taken up, whatever machine it comes from.
+and removed first, and the result where result.json is. What is finished there is taken up, whatever machine it comes
+from. Marks in .unfinished/<quality>/ name the runs that have begun and the stages that they have finished: a result of
+another run leaves these. A result removes the marks of its quality that were there when its run began: as in a folder,
+it stands in for the runs that were interrupted.
 """
 
 from __future__ import annotations
 
 import json
 import shutil
+import uuid
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
@@ -25,6 +29,7 @@ from survey.words import SFM_FOLDER
 _STAGES, _LOG = "stages", "log.txt"
 # What a run and its workers leave at the URL until the result is there: jobs, stages of tiles, photographs.
 JOBS, PARTS, PHOTOGRAPHS = ".jobs", ".parts", ".photographs"
+_UNFINISHED = ".unfinished"
 # That of structure from motion, put last.
 _SOLVED = "solved.json"
 
@@ -45,6 +50,8 @@ class RemoteRun(RunDir):
         self._has_put_poses = False
         # Folders at the URL where workers have left stages, by the names of these with their keys.
         self.left_by_workers: dict[str, str] = {}
+        # Marks at the URL that the result of this run removes.
+        self._marks: set[str] = set()
 
     def __enter__(self) -> RemoteRun:
         super().__enter__()
@@ -96,6 +103,7 @@ class RemoteRun(RunDir):
     def finished_stage(self, name: str, key: Key, leaves: Iterable[str] = ()) -> Path | None:
         """As `RunDir.finished_stage`; one that is only here is put to the URL, one that is only there fetched."""
         leaves, place = tuple(leaves), self.place(name, key)
+        self._mark_at_url(place.name)
         folder = super().finished_stage(name, key, leaves)
         record = self.remote.read(f"{_STAGES}/{place.name}/{STAGE_RECORD}")
         if folder is not None:
@@ -131,7 +139,22 @@ class RemoteRun(RunDir):
         self._put_stage(folder)
         return folder
 
+    def open_result(self, quality: str) -> Path:
+        """As `RunDir.open_result`; that a run has begun is marked at the URL."""
+        folder = super().open_result(quality)
+        self._marks = {f"{_UNFINISHED}/{quality}/{name}" for name in self.remote.files(f"{_UNFINISHED}/{quality}")}
+        self._mark_at_url(f"run-{uuid.uuid4().hex}")
+        return folder
+
+    def _mark_at_url(self, name: str) -> None:
+        """Let results that other machines put leave a stage of this run, and what its workers need."""
+        mark = f"{_UNFINISHED}/{self._quality}/{name}"
+        if self._quality is not None and mark not in self._marks:
+            self.remote.write(mark, b"")
+            self._marks.add(mark)
+
     def _put_stage(self, folder: Path) -> None:
+        self._mark_at_url(folder.name)
         place = f"{_STAGES}/{folder.name}"
         left = self.left_by_workers.pop(folder.name, None)
         if left is None:
@@ -143,11 +166,12 @@ class RemoteRun(RunDir):
 
     def publish(self, folder: Path, *, quality: str, stages: dict[str, Path]) -> None:
         """As `RunDir.publish`, at the URL too."""
-        before = json.loads(self.remote.read(result.RECORD) or b"{}")
+        before = self._read_json(result.RECORD)
         super().publish(folder, quality=quality, stages=stages)
         record = read_json_object(self.path / result.RECORD)
-        # Results of other qualities may be from another machine.
-        record["others"] = result.others_of(before, quality) | record["others"]
+        # Results of other qualities may be from another machine, and later than those here.
+        record["others"] |= result.others_of(before, quality)
+        self._put_missing_stages(record)
         self.write_text(self.path / result.RECORD, json_text(record))
         self.remote.remove([result.RECORD])
         names = [name for name in record["files"] if name != result.RECORD]
@@ -157,18 +181,40 @@ class RemoteRun(RunDir):
                 self.remote.put_folder(place, name)
         self.remote.put({name: self.path / name for name in names if (self.path / name).is_file()})
         self._remove_from_url(record)
-        self.remote.remove([JOBS, PARTS, PHOTOGRAPHS])
         self.remote.put({result.RECORD: self.path / result.RECORD})
 
+    def _read_json(self, name: str) -> dict:
+        """An object at the URL; empty where it is not there or not whole."""
+        with suppress(ValueError):
+            found = json.loads(self.remote.read(name) or b"{}")
+            return found if isinstance(found, dict) else {}
+        return {}
+
+    def _put_missing_stages(self, record: dict) -> None:
+        """Put stages of a record that another machine has removed meanwhile; leave out results that lack one."""
+        there = self.remote.files(_STAGES)
+        for quality, stages in [(None, record["stages"]), *record["others"].items()]:
+            for name in {name for name in stages.values() if f"{name}/{STAGE_RECORD}" not in there}:
+                if (self.stages_path / name / STAGE_RECORD).is_file():
+                    self._put_stage(self.stages_path / name)
+                elif quality is not None:
+                    record["others"] = {each: found for each, found in record["others"].items() if each != quality}
+
     def _remove_from_url(self, record: dict) -> None:
-        """Remove files of an earlier result, and stages that belong to no result."""
-        kept = {each for stages in (record["stages"], *record["others"].values()) for each in stages.values()}
+        """Remove files of an earlier result, stages that belong to no result, and what this run and its workers left.
+
+        Where another run has begun, its stages stay, and what is to be worked on.
+        """
+        self.remote.remove_files(self._marks)
+        marks = [PurePosixPath(name).name for name in self.remote.files(_UNFINISHED)]
+        kept = {each for stages in (record["stages"], *record["others"].values()) for each in stages.values()} | {*marks}
         here = {path.relative_to(self.path).as_posix() for path in files_below(self.path)}
-        gone = set()
+        gone = {} if marks else dict.fromkeys((JOBS, PARTS, PHOTOGRAPHS, _UNFINISHED))
         for name in self.remote.files():
             first, *rest = PurePosixPath(name).parts
-            if first == _STAGES:
-                gone |= {f"{_STAGES}/{rest[0]}"} if rest[0] not in kept else set()
+            if first == _STAGES and rest[0] not in kept:
+                # The record first: half a stage is none.
+                gone |= dict.fromkeys((f"{_STAGES}/{rest[0]}/{STAGE_RECORD}", f"{_STAGES}/{rest[0]}"))
             elif first in result.NAMES and name not in here:
-                gone.add(name)
-        self.remote.remove(sorted(gone))
+                gone[name] = None
+        self.remote.remove(gone)

@@ -50,7 +50,7 @@ def test_a_folder_is_fetched_as_it_was_put_and_its_mark_is_put_last(url, tmp_pat
 
 def test_a_name_is_no_pattern_where_it_is_removed(url, tmp_path):
     (tmp_path / "a").touch()
-    patterns, neighbours = [Remote(f"{url}{end}") for end in ("[2]", "*")], [Remote(f"{url}{end}") for end in ("2", "7")]
+    patterns, neighbours = ([Remote(f"{url}{end}") for end in ends] for ends in (("[2]", "*"), ("2", "7")))
     for remote in (*patterns, *neighbours):
         remote.put({"a": tmp_path / "a", "deep/[b]": tmp_path / "a", "deep/b": tmp_path / "a"})
     for remote in patterns:

@@ -207,7 +207,8 @@ class RemoteRun(RunDir):
         """
         self.remote.remove_files(self._marks)
         marks = [PurePosixPath(name).name for name in self.remote.files(_UNFINISHED)]
-        kept = {each for stages in (record["stages"], *record["others"].values()) for each in stages.values()} | {*marks}
+        kept = {each for stages in (record["stages"], *record["others"].values()) for each in stages.values()}
+        kept |= {*marks}
         here = {path.relative_to(self.path).as_posix() for path in files_below(self.path)}
         gone = {} if marks else dict.fromkeys((JOBS, PARTS, PHOTOGRAPHS, _UNFINISHED))
         for name in self.remote.files():

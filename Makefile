@@ -26,7 +26,7 @@ DEMO := .demo/survey
 RUN := $(DEMO)/bathynerf
 # Those that need neither survey data nor hours; each file says at its head how it is run.
 BENCHMARKS := optics surfaces lookup sweep slab compare
-# Of these the small sizes: models of a minute each, levels of detail, on a scene that they draw themselves.
+# Of these the small sizes, some ten minutes of an idle core: errors of all models over time, levels of detail.
 FIELDS := error_time levels
 TRUTH := $(DEMO)/truth
 BOUNDS = $$($(BIN)/python -c 'import tomllib; print(*tomllib.load(open("$(DEMO)/survey.toml", "rb"))["area"]["bounds"])')

@@ -4,22 +4,23 @@
 
 Every model trains on the scene of `bench_switches`, dry and under 2 m of water, for as many steps as take S seconds of
 processor time here, measured on some steps before. After 1, 2, 4, ... s and at the end pixels of the photographs that
-were held out are rendered: PSNR, and median error of the distance to the surface. One JSON for each training in WORK;
-prints Markdown; --draw writes docs/img/field_error_time.png.
+were held out are rendered: PSNR, and median error of the distance to the surface. Trainings are kept in WORK
+for the same settings and code; prints Markdown; --draw writes docs/img/field_error_time.png.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 from field_tables import DOCS, LABELS
+from kept_results import kept_result
 from switch_scene import BOX, WATER, SwitchScene, build
 
 from fields.device import choose_device
@@ -149,10 +150,9 @@ def main() -> None:
     rows = []
     for where in SCENES:
         for name in options.models:
-            path = options.work / f"{name}_{where}_{options.seconds:g}_{options.seed}.json"
-            if not path.is_file():
-                path.write_text(json.dumps(measure(name, where, options.seconds, options.seed), indent=2))
-            rows.append(json.loads(path.read_text()))
+            of = (name, where, options.seconds, options.seed)
+            settings = dict(zip(("model", "scene", "seconds", "seed"), of, strict=True))
+            rows.append(kept_result(options.work, f"{name}_{where}", settings, __file__, partial(measure, *of)))
             sys.stderr.write(f"{rows[-1]['model']} {where} {rows[-1]['looks'][-1]}\n")
     sys.stdout.write("\n".join(table(rows)) + "\n")
     if options.draw:

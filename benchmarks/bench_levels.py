@@ -3,19 +3,20 @@
     python benchmarks/bench_levels.py WORK [--models octree ground] [--steps N] [--views N] [--dists F]
 
 An octree of fields (as Inf-NeRF) and ground planes (as Grid-NeRF) of three levels, 64 cells at the finest, learn the
-scene of `bench_switches`; then held-out views of four times its size are rendered at each level. One JSON for each
-model in WORK. DISTS needs its weights, a state dict of torch. Prints Markdown.
+scene of `bench_switches`; then held-out views of four times its size are rendered at each level. Results are
+kept in WORK for the same settings and code. DISTS needs its weights, a state dict of torch. Prints Markdown.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
+from kept_results import kept_result
 from switch_scene import BOX, WATER, SwitchScene, build
 
 from evaluation.images.quality import image_quality
@@ -100,10 +101,9 @@ def main() -> None:
     options.work.mkdir(parents=True, exist_ok=True)
     scene, lines = build(enlarged=ENLARGED), [*HEAD]
     for name in options.models:
-        path = options.work / f"{name}_{options.steps}.json"
-        if not path.is_file():
-            path.write_text(json.dumps(measure(name, scene, options), indent=2))
-        lines += [line(row) for row in json.loads(path.read_text())]
+        settings = {"steps": options.steps, "views": options.views, "dists": options.dists and str(options.dists)}
+        rows = kept_result(options.work, name, settings, __file__, partial(measure, name, scene, options))
+        lines += [line(row) for row in rows]
     sys.stdout.write("\n".join(lines) + "\n")
 
 

@@ -29,6 +29,20 @@ def test_a_leaf_keeps_its_length_however_it_leans(benches):
         np.testing.assert_allclose(tip[:2] - leaf.foot[:2], 0.5 * np.array(lean), atol=1e-12)
 
 
+def test_a_survey_that_other_code_drew_is_drawn_again(benches, monkeypatch, tmp_path):
+    _, scenes = benches
+    settings, changed = [], tmp_path / "plant_scenes.py"
+    monkeypatch.setattr(scenes, "write_survey", lambda folder, of, stage: settings.append(of))
+    monkeypatch.setattr(scenes.PlantSurvey, "leaves", lambda self, bed: [])
+    staged = scenes.stage_drawing(scenes.PlantSurvey(0).scene)
+    monkeypatch.setattr(scenes, "stage_drawing", lambda scene: staged)
+    changed.write_text("LEAVES = 23")
+    for file in (scenes.__file__, scenes.__file__, str(changed)):
+        monkeypatch.setattr(scenes, "__file__", file)
+        scenes.PlantSurvey(0).draw(tmp_path / "survey")
+    assert settings[0] == settings[1] != settings[2]
+
+
 def test_what_rises_over_the_bed_is_plant_and_the_bed_beneath_it_is_where_it_was(benches, rng):
     bench, scenes = benches
     xy = rng.uniform(-2.0, 2.0, (6000, 2))

@@ -58,6 +58,53 @@ def test_a_table_of_errors_has_each_model_once_with_what_it_reached():
     assert table(rows)[2:] == ["| MDW | - | - | - | 9 | 25.0 dB | 50 mm |"]
 
 
+def test_levels_are_measured_again_with_other_views_or_other_code(tmp_path, monkeypatch, capsys):
+    import bench_levels
+
+    measured = []
+
+    def measure(name, scene, options):
+        measured.append((name, options.views))
+        return [{"model": name, "level": 0, "cell_m": 0.1, "read": 250, "products": 8, "depth_m": 0.01}]
+
+    monkeypatch.setattr(bench_levels, "measure", measure)
+    monkeypatch.setattr(bench_levels, "build", lambda enlarged: None)
+
+    def run(*words: str) -> None:
+        monkeypatch.setattr("sys.argv", ["bench_levels.py", str(tmp_path), "--models", "octree", *words])
+        bench_levels.main()
+
+    for words in ((), (), ("--views", "4")):
+        run(*words)
+    assert measured == [("octree", 2), ("octree", 4)]
+    # Words of the page, which is printed each time.
+    assert capsys.readouterr().out.count("| octree | 0 | 10.0 cm | 1 kB | 8 |") == 3
+    changed = tmp_path / "bench_levels.py"
+    changed.write_text("")
+    monkeypatch.setattr(bench_levels, "__file__", str(changed))
+    run()
+    assert measured[2:] == [("octree", 2)]
+
+
+def test_errors_over_time_are_measured_again_for_each_model_scene_and_time(tmp_path, monkeypatch, capsys):
+    import bench_error_time
+
+    measured = []
+
+    def measure(name, where, seconds, seed):
+        measured.append((name, where, seconds, seed))
+        looks = [{"seconds": seconds, "steps": 5, "psnr_db": 20.0, "depth_m": 0.3}]
+        return {"model": name, "scene": where, "steps": 9, "looks": looks}
+
+    monkeypatch.setattr(bench_error_time, "measure", measure)
+    for seconds in ("2", "2", "3"):
+        words = ["bench_error_time.py", str(tmp_path), "--models", "mdw", "--seconds", seconds]
+        monkeypatch.setattr("sys.argv", words)
+        bench_error_time.main()
+    assert measured == [("mdw", where, seconds, 0) for seconds in (2.0, 3.0) for where in ("dry", "wet")]
+    assert "| MDW | 9 | 20.0 dB | 300 mm | 9 | 20.0 dB | 300 mm |" in capsys.readouterr().out
+
+
 def test_colours_differ_by_their_chroma_alone():
     from bench_true_colour import cell_means, chroma, differences
 

@@ -4,7 +4,8 @@
 
 Light of these photographs is absorbed on its way down to the bed and up to the camera, and scattered into the way up
 (`survey.simulate.water`). Each survey is processed in draft quality as it is, with `--true-colour` (the absorption
-is estimated from the photographs), and with that of the scene given. The colours of points on the true bed are compared
+is estimated from the photographs), with that of the scene given but no veil, and with both given, which bounds what an
+estimate can reach. The colours of points on the true bed are compared
 with the bed in dry air: difference in a* and b* of CIELAB after one factor common to all points and channels, since
 absolute brightness cannot be observed; median over points, and over means of cells of 0.25 m, by depth.
 """
@@ -33,7 +34,12 @@ from survey.simulate.water import WaterOptics
 ON_THE_BED_M = 0.03
 BINS_M = (0.5, 1.0, 2.0, 3.0, 4.0)
 RAYS = 8
-ROWS = ("as photographed", "absorption estimated", "absorption given")
+ROWS = (
+    "as photographed",
+    "absorption estimated",
+    "absorption of the scene given, no veil",
+    "absorption and veil of the scene given",
+)
 # Side of the cells over which colours are averaged, too: what is left there is not noise [m].
 CELL_M = 0.25
 
@@ -78,6 +84,17 @@ def processed(folder: Path, *, true_colour: bool) -> StoredBed:
     return load_bed(RunDir(folder / "bathynerf").load_stage("bed"))
 
 
+def veiling_light(optics: WaterOptics, depth_m: float) -> list[float]:
+    """Veiling light of `WaterColumn` with the veil that is nearest to a drawn one, over level ground down to a depth.
+
+    A drawn veil builds up at a rate of its own along the way up, that of the column as light is absorbed, on both ways.
+    """
+    depth = np.linspace(0.0, depth_m, 81)[1:]
+    drawn = optics.through(np.zeros((len(depth), 3)), depth, depth)
+    share = 1.0 - np.exp(-2.0 * depth[:, None] * optics.absorption)
+    return ((share * drawn).sum(axis=0) / (share**2).sum(axis=0)).tolist()
+
+
 def measure(work: Path, seed: int, depth_m: float) -> dict[str, dict[str, np.ndarray]]:
     """Depths and differences of each row."""
     scene, folder = scene_of(seed, depth_m), work / f"shore {seed}"
@@ -86,10 +103,13 @@ def measure(work: Path, seed: int, depth_m: float) -> dict[str, dict[str, np.nda
     found = {}
     toml = folder / "survey.toml"
     text = toml.read_text(encoding="utf-8")
-    absorption = list(WaterOptics().absorption)
-    given = f"[water]\nabsorption_per_m = {absorption}\nveiling_light = [0.0, 0.0, 0.0]"
+    optics = WaterOptics()
+    veils = dict(zip(ROWS[2:], ([0.0, 0.0, 0.0], veiling_light(optics, depth_m)), strict=True))
     for row in ROWS:
-        toml.write_text(text.replace("[water]", given) if row == ROWS[2] else text, encoding="utf-8")
+        given = "[water]"
+        if row in veils:
+            given += f"\nabsorption_per_m = {list(optics.absorption)}\nveiling_light = {veils[row]}"
+        toml.write_text(text.replace("[water]", given), encoding="utf-8")
         stored = processed(folder, true_colour=row != ROWS[0])
         light, on_bed = in_air(scene, stored.points_crs)
         keep = on_bed & stored.bed.wet & (light > 1e-3).all(axis=1)

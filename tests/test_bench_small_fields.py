@@ -117,3 +117,23 @@ def test_colours_differ_by_their_chroma_alone():
     assert differences(bed * (0.5, 1.0, 1.0), bed).min() > 1.0
     xyz = np.repeat([[0.1, 0.1, 0.0], [0.4, 0.1, 0.0], [0.9, 0.9, 0.0]], [12, 10, 3], axis=0)
     assert cell_means(xyz, np.arange(25.0)[:, None]).ravel().tolist() == [5.5, 16.5]
+
+
+def test_absorption_and_veil_of_a_drawn_scene_give_its_bed_back():
+    from bench_true_colour import veiling_light
+
+    from fields.water_column import WaterColumn
+    from survey.simulate.water import WaterOptics
+
+    optics, depth = WaterOptics(), np.linspace(0.1, 4.0, 40)
+    bed = np.random.default_rng(0).uniform(0.1, 0.5, (40, 3))
+    seen = torch.from_numpy(optics.through(bed, depth, depth)).float()
+    way, none = torch.from_numpy(2.0 * depth).float(), torch.zeros(40)
+
+    def error(veil) -> float:
+        column = WaterColumn(absorption=optics.absorption, veil=veil)
+        return float(np.abs(column.bed_of(seen, way, none).detach().numpy() - bed).max())
+
+    # The two veils build up differently with depth: 0.0008 in red, which 8 m of water divide by 0.26.
+    assert error(veiling_light(optics, 4.0)) < 0.004
+    assert error((0.0, 0.0, 0.0)) > 0.04

@@ -54,7 +54,7 @@ class PriorWeights:
     Attributes
     ----------
     length, depth, normal, predicted_normal : float
-        The last of the normals that the renderer's head says, `normal` of those of density.
+        The last of predicted normals, those of the renderer's head; `normal` of those of density.
     """
 
     length: float = 0.0

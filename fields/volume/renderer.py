@@ -88,7 +88,7 @@ class VolumeRenderer(nn.Module):
     proposal : Proposal or None
         What draws the samples, in place of the occupied cells.
     normals : NormalHead or None
-        What says normals from the features of the model.
+        Head that predicts normals from the features of the model.
     """
 
     RATE = 0.001

@@ -33,7 +33,7 @@ class LossesConfig:
     # depth, normal: departures from monocular depth and normals (MonoSDF); need `monocular`
     depth: float = 0.0
     normal: float = 0.0
-    predicted_normal: float = 0.0  # of normals that a head of the field says (MonoPatchNeRF); needs `monocular`
+    predicted_normal: float = 0.0  # of normals that a head predicts (MonoPatchNeRF); needs `monocular`
     patch_px: int = 8  # side of the patches
 
     def __post_init__(self):

@@ -9,7 +9,7 @@ import pytest
 from s3_server import served
 from small_survey import TOML, small_survey
 
-from survey.errors import ConfigError, ImageError
+from survey.errors import ConfigError, ImageError, SurveyError
 from survey.files.remote import Remote, local_name
 from survey.folder.survey import load_survey
 from survey.photos.fetched import fetch_images
@@ -58,6 +58,30 @@ def test_only_what_is_new_or_changed_is_fetched_and_what_is_gone_removed(survey,
     assert sorted(fetched) == ["0000.jpg", "0001.jpg"]
     assert sorted(path.name for path in place.glob("*.jpg")) == ["0000.jpg", "0001.jpg", "0002.jpg"]
     assert (place / "0001.jpg").read_bytes() == (there / "0001.jpg").read_bytes()
+
+
+@pytest.mark.parametrize("is_there", [False, True])
+def test_what_is_gone_is_removed_also_after_an_interrupted_fetch(survey, monkeypatch, is_there):
+    pytest.importorskip("fsspec", reason="fsspec, of the extra `remote`, is not installed")
+    folder, there, url, _ = survey
+    place = folder / local_name(url, "photographs")
+    fetch_images(url, place)
+    shutil.copy(there / "0000.jpg", there / "0004.jpg")
+    (there / "0003.jpg").unlink()
+
+    def lost(_remote, names):
+        # One of those that are fetched side by side has come.
+        if is_there:
+            shutil.copy(there / "0004.jpg", names["0004.jpg"])
+        raise SurveyError("was not reached")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Remote, "fetch", lost)
+        with pytest.raises(SurveyError, match="not reached"):
+            fetch_images(url, place)
+    (there / "0004.jpg").unlink()
+    fetch_images(url, place)
+    assert sorted(path.name for path in place.glob("*.jpg")) == ["0000.jpg", "0001.jpg", "0002.jpg"]
 
 
 def test_photographs_come_from_s3(survey, monkeypatch):

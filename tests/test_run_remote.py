@@ -50,6 +50,66 @@ def test_poses_of_structure_from_motion_go_along(url, tmp_path):
         assert (run.sfm_path / "solved.json").read_text() == '{"key": "k"}'
 
 
+def test_poses_that_came_in_part_are_fetched_again_and_replace_others(url, tmp_path, monkeypatch):
+    with RemoteRun(tmp_path / "laptop", Remote(url)) as run:
+        run.claim(Owner("quick", {"a.jpg": 1}), is_inside=True)
+        (run.sfm_path / "model").mkdir(parents=True)
+        (run.sfm_path / "model" / "z.bin").write_text("poses")
+        (run.sfm_path / "solved.json").write_text('{"key": "k"}')
+        finish(run, "sweep", A, heights=[1.0])
+    remote, other = Remote(url), tmp_path / "cluster" / "sfm"
+    fetch = remote._fetch
+
+    def lost(file):
+        if file[0].endswith("z.bin"):
+            raise SurveyError("was not reached")
+        fetch(file)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(remote, "_fetch", lost)
+        with pytest.raises(SurveyError, match="not reached"):
+            RemoteRun(tmp_path / "cluster", remote).__enter__()
+    assert not (other / "solved.json").exists()
+    # Of other photographs.
+    (other / "model").mkdir(parents=True)
+    for name in ("solved.json", "model/1.bin"):
+        (other / name).write_text("other")
+    with RemoteRun(tmp_path / "cluster", remote) as run:
+        finish(run, "sweep", B, heights=[2.0])
+    names = ["model/z.bin", "solved.json"]
+    assert sorted(path.relative_to(other).as_posix() for path in other.rglob("*") if path.is_file()) == names
+    assert list(remote.files("sfm")) == names
+
+
+def test_a_stage_that_is_put_again_is_not_whole_until_it_is_there(url, tmp_path, monkeypatch):
+    def computed(run, **texts):
+        temp = run.open_stage("sweep")
+        for name, text in texts.items():
+            (temp / f"{name}.txt").write_text(text)
+        return run.finish_stage("sweep", A, temp)
+
+    remote = Remote(url)
+    with RemoteRun(tmp_path / "laptop", remote) as run:
+        run.claim(Owner("quick", {"a.jpg": 1}), is_inside=True)
+        folder = computed(run, a="old", b="old", c="old")
+        put = remote._put
+
+        def lost(file):
+            if file[0].endswith("b.txt"):
+                raise SurveyError("was not reached")
+            put(file)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(remote, "_put", lost)
+            with pytest.raises(SurveyError, match="not reached"):
+                computed(run, a="new", b="new")
+    with RemoteRun(tmp_path / "cluster", remote) as run:
+        assert run.finished_stage("sweep", A) is None
+    with RemoteRun(tmp_path / "laptop", remote) as run:
+        assert run.finished_stage("sweep", A) == folder
+    assert set(remote.files(f"stages/{folder.name}")) == {"a.txt", "b.txt", "stage.json"}
+
+
 def test_a_stage_without_its_record_is_not_taken_up(url, tmp_path):
     with RemoteRun(tmp_path / "laptop", Remote(url)) as run:
         run.claim(Owner("quick", {"a.jpg": 1}), is_inside=True)

@@ -83,6 +83,15 @@ def test_photographs_at_a_url_are_fetched_from_there(tmp_path):
     assert remote.files() == {}
 
 
+def test_a_photograph_that_was_put_in_part_is_put_again(tmp_path):
+    survey, remote = load_survey(small_survey(tmp_path / "survey")), Remote(f"memory://{tmp_path.name}/run")
+    of_path = task_at_url._sources(survey, remote)
+    path, (_, name) = next(iter(of_path.items()))
+    remote.write(name, path.read_bytes()[:100])
+    task_at_url._sources(survey, remote)
+    assert remote.read(name) == path.read_bytes()
+
+
 @pytest.mark.slow
 def test_workers_that_see_only_the_url_leave_the_bytes_of_one_process(tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed")

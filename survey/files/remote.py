@@ -70,15 +70,22 @@ class Remote:
 
     def files(self, name: str = "") -> dict[str, str]:
         """Files below a name, with what tells their content from another; empty where there are none."""
+        return {each: _tag(info) for each, info in self._listed(name).items()}
+
+    def sizes(self, name: str) -> dict[str, int | None]:
+        """Files below a name, with their sizes [bytes]; None where the store does not say."""
+        return {each: info.get("size") for each, info in self._listed(name).items()}
+
+    def _listed(self, name: str) -> dict[str, Mapping[str, Any]]:
         place = self._place(name)
         with _refusals(self.url):
             # Another machine may have written.
             self._store.invalidate_cache()
             found: Mapping[str, Mapping[str, Any]] = self._store.find(place, detail=True)
         start = len(place.strip("/")) + 1
-        names = {path.strip("/")[start:]: _tag(info) for path, info in sorted(found.items())}
+        names = {path.strip("/")[start:]: info for path, info in sorted(found.items())}
         # No name leads out of the folder that it is fetched into: `folder / "/etc/x"` is /etc/x.
-        return {each: tag for each, tag in names.items() if not {"", ".", ".."} & {*each.split("/")}}
+        return {each: info for each, info in names.items() if not {"", ".", ".."} & {*each.split("/")}}
 
     def read(self, name: str) -> bytes | None:
         """Contents of a file; None where it is not there."""
@@ -103,9 +110,13 @@ class Remote:
         """Put files at paths, by the names that they get."""
         self._at_once(self._put, paths.items())
 
-    def fetch_folder(self, name: str, folder: Path) -> None:
-        """Fetch all files below a name."""
-        self.fetch({f"{name}/{each}": folder / each for each in self.files(name)})
+    def fetch_folder(self, name: str, folder: Path, *, last: str | None = None) -> None:
+        """Fetch all files below a name; that which says that they are whole as the last, where there is one."""
+        files = {f"{name}/{each}": folder / each for each in self.files(name)}
+        end = files.pop(f"{name}/{last}", None)
+        self.fetch(files)
+        if end is not None:
+            self.fetch({f"{name}/{last}": end})
 
     def put_folder(self, folder: Path, name: str, *, last: str | None = None) -> None:
         """Put all files of a folder; that which says that it is whole as the last, where there is one."""

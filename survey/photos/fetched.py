@@ -39,8 +39,12 @@ def fetch_images(url: str, folder: Path) -> None:
     with disk_refusals(folder):
         folder.mkdir(exist_ok=True)
     before = read_json_object(folder / _RECORD)
+    with disk_refusals(folder):
+        for name in before.keys() - set(wanted):
+            (folder / name).unlink(missing_ok=True)
     missing = [name for name in wanted if before.get(name) != there[name] or not (folder / name).is_file()]
-    kept = {name: there[name] for name in wanted if name not in set(missing)}
+    # What may be here when the fetch is interrupted has no tag: it is fetched again, or removed if it is gone by then.
+    kept = {name: there[name] for name in wanted} | dict.fromkeys(missing, "")
     if kept != before:
         write_json(folder / _RECORD, kept)
     if missing:
@@ -52,6 +56,3 @@ def fetch_images(url: str, folder: Path) -> None:
                 kept |= {name: there[name] for name in together}
         finally:
             write_json(folder / _RECORD, kept)
-    with disk_refusals(folder):
-        for name in before.keys() - kept.keys():
-            (folder / name).unlink(missing_ok=True)

@@ -89,8 +89,12 @@ class RemoteRun(RunDir):
                 )
             return
         self.write_text(self.path / MARKER, marker.decode())
-        if not (self.sfm_path / _SOLVED).is_file() and self.remote.read(f"{SFM_FOLDER}/{_SOLVED}") is not None:
-            self.remote.fetch_folder(SFM_FOLDER, self.sfm_path)
+        solved, here = self.remote.read(f"{SFM_FOLDER}/{_SOLVED}"), self.sfm_path / _SOLVED
+        if solved is not None and not (here.is_file() and here.read_bytes() == solved):
+            # Stages at the URL are of the poses there.
+            with disk_refusals(self.sfm_path):
+                shutil.rmtree(self.sfm_path, ignore_errors=True)
+            self.remote.fetch_folder(SFM_FOLDER, self.sfm_path, last=_SOLVED)
 
     def found_before(self, name: str) -> dict:
         """As `RunDir.found_before`; where no stage here has the file, of one at the URL."""
@@ -130,7 +134,7 @@ class RemoteRun(RunDir):
     def _put_poses(self) -> None:
         solved, name = self.sfm_path / _SOLVED, f"{SFM_FOLDER}/{_SOLVED}"
         if solved.is_file() and self.remote.read(name) != solved.read_bytes():
-            self.remote.remove([SFM_FOLDER])
+            self.remote.remove([name, SFM_FOLDER])
             self.remote.put_folder(self.sfm_path, SFM_FOLDER, last=_SOLVED)
 
     def finish_stage(self, name: str, key: Key, temp: Path, seconds: float | None = None) -> Path:
@@ -157,6 +161,8 @@ class RemoteRun(RunDir):
         self._mark_at_url(folder.name)
         place = f"{_STAGES}/{folder.name}"
         left = self.left_by_workers.pop(folder.name, None)
+        # Where it is put again, or what an interrupted put has left; the record first: half a stage is none.
+        self.remote.remove([f"{place}/{STAGE_RECORD}", place])
         if left is None:
             self.remote.put_folder(folder, place, last=STAGE_RECORD)
             return
@@ -214,7 +220,7 @@ class RemoteRun(RunDir):
         for name in self.remote.files():
             first, *rest = PurePosixPath(name).parts
             if first == _STAGES and rest[0] not in kept:
-                # The record first: half a stage is none.
+                # The record first, as where a stage is put again.
                 gone |= dict.fromkeys((f"{_STAGES}/{rest[0]}/{STAGE_RECORD}", f"{_STAGES}/{rest[0]}"))
             elif first in result.NAMES and name not in here:
                 gone[name] = None

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fields.image_store import GreyImages
+from geo.files import disk_refusals
 from survey.errors import SurveyError
 from survey.files.remote import Remote, is_url
 from survey.photos.images import ImageStore
@@ -51,7 +52,8 @@ def put_job(job: Job, found: TilePlan, remote: Remote, scratch: Path, stage: str
     of_names = {_here(source): source for source in sources.values()}
     name = f"{JOBS}/{stage}-{uuid.uuid4().hex}.pickle"
     path = scratch / f"{stage}-{uuid.uuid4().hex}.pickle"
-    path.write_bytes(pickle.dumps((parts, of_names)))
+    with disk_refusals(path):
+        path.write_bytes(pickle.dumps((parts, of_names)))
     remote.put({name: path})
     path.unlink()
     return name
@@ -77,8 +79,10 @@ def _sources(survey: Survey, remote: Remote) -> dict[Path, Source]:
         else:
             name = f"{PHOTOGRAPHS}/{content_hash(path)[:32]}{path.suffix}"
             found[path], to_put[name] = (remote.url, name), path
-    there = {f"{PHOTOGRAPHS}/{name}" for name in remote.files(PHOTOGRAPHS)} if to_put else set()
-    remote.put({name: path for name, path in to_put.items() if name not in there})
+    # A put that was interrupted leaves half a file, where a store has folders.
+    there = remote.sizes(PHOTOGRAPHS) if to_put else {}
+    sizes = {name: there.get(name.removeprefix(f"{PHOTOGRAPHS}/")) for name in to_put}
+    remote.put({name: path for name, path in to_put.items() if sizes[name] != path.stat().st_size})
     return found
 
 

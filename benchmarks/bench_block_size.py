@@ -74,7 +74,7 @@ def main() -> None:
     for number in options.photographs:
         command = [sys.executable, __file__, str(number), "--positions", str(options.positions)]
         command += ["--strip"] * options.strip
-        rows.append(json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout))
+        rows.append(json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout))
         print(json.dumps(rows[-1]), flush=True)  # noqa: T201
         if options.output is not None:
             options.output.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")

@@ -15,6 +15,7 @@ import json
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import patch
@@ -94,8 +95,10 @@ class Case:
             maps = remove_free_space_violations(self.block, maps)
         return maps, time.monotonic() - start
 
-    def points(self, maps: list[HeightMap]) -> BedPoints:
-        kept = bed_module.unique_pixels(self.block, maps, self.job.plan.gsd_m)
+    def points(self, maps: list[HeightMap], kept: Sequence[np.ndarray] | None = None) -> BedPoints:
+        """Points of the pixels that are kept, (height, width) bool of each map; by default one for each place."""
+        if kept is None:
+            kept = bed_module.unique_pixels(self.block, maps, self.job.plan.gsd_m)
         return points.bed_points(self.job, points.RefinedMaps(maps, kept), lambda done: None)[0]
 
     def figures(self, bed: BedPoints) -> dict:
@@ -161,10 +164,9 @@ def once_table(case: Case) -> dict[str, dict]:
     """How duplicates and strays are left out."""
     maps, _ = case.maps()
     rows = {"a kept pixel claims those of later views (kept)": case.figures(case.points(maps))}
-    with patch.object(points, "has_company", lambda xyz, gsd: np.ones(len(xyz), dtype=bool)):
+    with patch.object(points, "has_neighbours", lambda xyz, gsd: np.ones(len(xyz), dtype=bool)):
         rows["the same, with isolated points"] = case.figures(case.points(maps))
-    with patch.object(points, "unique_pixels", lambda block, found, gsd: [trusted(m) for m in found]):
-        everything = case.points(maps)
+        everything = case.points(maps, [trusted(m) for m in maps])
     rows["nothing left out"] = case.figures(everything)
     rows["mean of the points in cubes of one GSD"] = case.figures(in_cubes(everything, case.plan.gsd_m))
     return rows

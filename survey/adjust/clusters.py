@@ -195,16 +195,16 @@ class _Changed:
         of_squares = (square.max() + 1, len(rows))
         sums, left = np.zeros((of_squares[0], len(total))), total.copy()
         np.add.at(sums, square, products)
-        taken = [csr_array((each, (rows, np.arange(len(rows)))), of_squares) @ self.design for each in
-                 weighted.reshape(len(rows), -1).T]  # fmt: skip
-        columns, inside = _padded(taken[0].indptr, taken[0].indices)
-        values = np.zeros((len(taken), *columns.shape))
-        for padded, each in zip(values, taken, strict=True):
-            padded[inside] = each.data
+        by_rows = weighted.reshape(len(rows), -1).T
+        taken = [csr_array((each, (rows, np.arange(len(rows)))), of_squares) @ self.design for each in by_rows]
+        # Products leave out sums that are zero, and so differ in what they store.
+        ones = csr_array((np.ones(self.design.nnz), self.design.indices, self.design.indptr), self.design.shape)
+        stored = csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), of_squares) @ ones
+        columns, inside = _padded(stored.indptr, stored.indices)
         for first in range(0, len(columns), _AT_A_TIME):
             part = slice(first, first + _AT_A_TIME)
-            mine, at = values[:, part], columns[part]
-            left -= np.einsum(
-                "ksi,ksi->k", np.einsum("ksi,sij->ksj", mine, covariance[at[:, :, None], at[:, None]]), mine
-            )
+            at = columns[part]
+            mine = np.stack([np.take_along_axis(each[part].toarray(), at, axis=1) for each in taken]) * inside[part]
+            followed = np.einsum("ksi,sij->ksj", mine, covariance[at[:, :, None], at[:, None]])
+            left -= np.einsum("ksi,ksi->k", followed, mine)
         return np.sum(sums**2, axis=0) / np.maximum(left, 1e-12 * total + 1e-300)

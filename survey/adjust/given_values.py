@@ -97,9 +97,7 @@ class _Linearised:
         after = std_of_kinds(problem, left, taken)
         shared = inflation(problem.ties, left, after, problem.kind, self.sizes)
         scale = float(np.max(shared * (after / self.std_px)[problem.kind] ** 2))
-        variance = scale * float(factor.solve(unit.astype(np.float64))[number]) + (
-            _ROUGH_INDEX**2 if number == _INDEX else 0.0
-        )
+        variance = scale * float(factor.solve(unit)[number]) + (_ROUGH_INDEX**2 if number == _INDEX else 0.0)
         return float(step[number]), float(np.sqrt(variance))
 
 

@@ -99,8 +99,8 @@ def bed_points(
         sources.append(np.full(len(points), number, dtype=np.int32))
         tides.append(camera.tide)
         advance(1.0)
-    bed, has_company = BedPoints.concatenate_where(parts, lambda xyz: has_neighbours(xyz, plan.gsd_m))
-    return bed, np.array(tides)[np.concatenate(sources)[has_company]], moved
+    bed, is_kept = BedPoints.concatenate_where(parts, lambda xyz: has_neighbours(xyz, plan.gsd_m))
+    return bed, np.array(tides)[np.concatenate(sources)[is_kept]], moved
 
 
 def _black(camera: PinholeCamera) -> np.ndarray:

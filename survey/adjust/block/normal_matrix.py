@@ -2,7 +2,8 @@
 
 Photographs are coupled where they show points in common, so that the matrix of a large block is sparse: breadth-first
 levels of the graph of photographs make it block tridiagonal, with a border of the parameters that all photographs share
-(water, lenses). That is factored in dense blocks, and of the inverse only what is asked for is computed:
+(water, lenses). That is factored in dense blocks, and steps and standard deviations take of the inverse only what they
+need; covariances of the whole block are dense:
 
     A. George and J. W. Liu, Computer solution of large sparse positive definite systems, 1981, chapter 4 (level
     structures);  K. Takahashi, J. Fagan, M.-S. Chin, Formation of a sparse bus impedance matrix, PICA 1973 (selected

@@ -33,6 +33,10 @@ class ControlError(SurveyError):
     """A file of control points, marks or check points cannot be read, or cannot be true."""
 
 
+class NotReached(SurveyError):
+    """A URL did not answer."""
+
+
 @dataclass(frozen=True)
 class Findings:
     """Sentences that a reader returns with its result."""

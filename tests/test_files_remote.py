@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 
 import pytest
 from s3_server import served
 
+from geo.errors import UnwritableFile
 from survey.errors import SurveyError
 from survey.files.remote import Remote, is_url, local_name, local_run
 
@@ -41,6 +43,7 @@ def test_a_folder_is_fetched_as_it_was_put_and_its_mark_is_put_last(url, tmp_pat
     remote.fetch_folder("stages/a", back)
     assert [(back / name).read_text() for name in ("a.txt", "deep/b.bin", "stage.json")] == ["first", "second", "{}"]
     before = remote.files()
+    assert {name: remote.tag(name) for name in (*before, "none")} == before | {"none": None}
     (here / "a.txt").write_text("changed")
     remote.put({"stages/a/a.txt": here / "a.txt"})
     assert {name for name, tag in remote.files().items() if before[name] != tag} == {"stages/a/a.txt"}
@@ -96,6 +99,41 @@ def test_what_a_store_refuses_is_said_in_a_sentence(monkeypatch, tmp_path, error
     for ask in (remote.files, lambda: remote.read("a"), lambda: remote.put({"a": tmp_path / "a"})):
         with pytest.raises(SurveyError, match=said):
             ask()
+
+
+def test_a_password_in_a_url_is_refused_and_not_repeated():
+    with pytest.raises(SurveyError, match=r"sftp://me:\.\.\.@host/run has a password, expected none.*FSSPEC_SFTP_PASS"):
+        Remote("sftp://me:se@cret@host/run")
+
+
+def test_a_store_of_one_connection_moves_one_file_at_a_time(tmp_path):
+    from fsspec.implementations.ftp import FTPFileSystem
+
+    assert not FTPFileSystem.async_impl
+    assert Remote(f"memory://{tmp_path.name}")._threads == 1
+    assert Remote(tmp_path.as_uri())._threads > 1
+
+
+@pytest.mark.parametrize("name", ["get_file", "put_file"])
+def test_a_full_disk_is_named_as_such(monkeypatch, tmp_path, name):
+    remote, path = Remote(f"memory://{tmp_path.name}"), tmp_path / "a"
+    path.touch()
+    remote.put({"a": path})
+
+    def full(*_given, **_named):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(remote._store, name, full)
+    move = remote.fetch if name == "get_file" else remote.put
+    with pytest.raises(UnwritableFile, match=r"cannot write .*/a: no space is left on the disk; free some or"):
+        move({"a": path})
+
+
+def test_a_file_url_is_read_as_it_is_written(tmp_path):
+    folder = tmp_path / "with space"
+    folder.mkdir()
+    (folder / "a").touch()
+    assert set(Remote(folder.as_uri()).files()) == set(Remote(f"file://{folder}").files()) == {"a"}
 
 
 def test_what_is_missing_or_unknown_is_named(monkeypatch):

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from s3_server import served
 from small_survey import TOML, small_survey
 
-from survey.errors import ConfigError, ImageError, SurveyError
+from survey.errors import ConfigError, ImageError, NotReached, SurveyError
 from survey.files.remote import Remote, local_name
 from survey.folder.survey import load_survey
+from survey.photos import fetched
 from survey.photos.fetched import fetch_images
 from survey.settings.config import parse_config
 
@@ -40,22 +42,22 @@ def test_a_survey_of_photographs_at_a_url_is_that_of_photographs_beside_it(surve
 def test_only_what_is_new_or_changed_is_fetched_and_what_is_gone_removed(survey, monkeypatch):
     pytest.importorskip("fsspec", reason="fsspec, of the extra `remote`, is not installed")
     folder, there, url, _ = survey
-    place, fetched = folder / local_name(url, "photographs"), []
+    place, names_fetched = folder / local_name(url, "photographs"), []
     fetch = Remote.fetch
-    monkeypatch.setattr(Remote, "fetch", lambda self, names: (fetched.extend(names), fetch(self, names)))
+    monkeypatch.setattr(Remote, "fetch", lambda self, names: (names_fetched.extend(names), fetch(self, names)))
     (there / "notes.txt").touch()
     (there / ".hidden").mkdir()
     shutil.copy(there / "0000.jpg", there / ".hidden" / "0000.jpg")
     fetch_images(url, place)
-    assert sorted(fetched) == ["0000.jpg", "0001.jpg", "0002.jpg", "0003.jpg"]
-    fetched.clear()
+    assert sorted(names_fetched) == ["0000.jpg", "0001.jpg", "0002.jpg", "0003.jpg"]
+    names_fetched.clear()
     fetch_images(url, place)
-    assert fetched == []
+    assert names_fetched == []
     (there / "0001.jpg").write_bytes((there / "0002.jpg").read_bytes() + b" ")
     (there / "0003.jpg").unlink()
     (place / "0000.jpg").unlink()
     fetch_images(url, place)
-    assert sorted(fetched) == ["0000.jpg", "0001.jpg"]
+    assert sorted(names_fetched) == ["0000.jpg", "0001.jpg"]
     assert sorted(path.name for path in place.glob("*.jpg")) == ["0000.jpg", "0001.jpg", "0002.jpg"]
     assert (place / "0001.jpg").read_bytes() == (there / "0001.jpg").read_bytes()
 
@@ -82,6 +84,25 @@ def test_what_is_gone_is_removed_also_after_an_interrupted_fetch(survey, monkeyp
     (there / "0004.jpg").unlink()
     fetch_images(url, place)
     assert sorted(path.name for path in place.glob("*.jpg")) == ["0000.jpg", "0001.jpg", "0002.jpg"]
+
+
+def test_without_a_network_those_that_were_fetched_are_used(survey, monkeypatch):
+    pytest.importorskip("fsspec", reason="fsspec, of the extra `remote`, is not installed")
+    folder, _, url, _ = survey
+    place = folder / local_name(url, "photographs")
+    fetch_images(url, place)
+
+    def lost(_remote):
+        raise NotReached("s3://b was not reached")
+
+    monkeypatch.setattr(Remote, "files", lost)
+    said = []
+    monkeypatch.setattr(fetched, "current", lambda: SimpleNamespace(warn=said.append))
+    fetch_images(url, place)
+    assert said == ["photographs are those that were fetched before, as s3://b was not reached"]
+    (place / "0000.jpg").unlink()
+    with pytest.raises(SurveyError, match="was not reached"):
+        fetch_images(url, place)
 
 
 def test_photographs_come_from_s3(survey, monkeypatch):

@@ -139,6 +139,8 @@ def test_the_number_of_tiles_that_a_run_began_with_is_known_elsewhere(url, tmp_p
         write_json(temp / "shared.json", {"tiles": 6})
         run.finish_stage("tiles", A, temp)
     with RemoteRun(tmp_path / "cluster", Remote(url)) as run:
+        # One that is not whole does not count.
+        run.remote.write("stages/tiles-zz/shared.json", b'{"tiles": 8}')
         assert run.found_before("shared.json") == {"tiles": 6}
         assert run.found_before("other.json") == {}
 
@@ -235,11 +237,11 @@ def test_a_place_that_holds_something_else_is_left_alone(url, tmp_path):
     other = Remote(f"{url}2")
     with RemoteRun(tmp_path / "laptop2", other) as run:
         run.claim(Owner("quick", {"a.jpg": 1}), is_inside=True)
-    with (
-        RemoteRun(tmp_path / "cluster2", other) as run,
-        pytest.raises(SurveyError, match=rf"the run folder {url}2 belongs to another survey, quick"),
-    ):
-        run.claim(Owner("shore", {"b.jpg": 2}), is_inside=True)
+    with RemoteRun(tmp_path / "cluster2", other) as run:
+        (run.path / "log.txt").write_text("of shore")
+        with pytest.raises(SurveyError, match=rf"the run folder {url}2 belongs to another survey, quick"):
+            run.claim(Owner("shore", {"b.jpg": 2}), is_inside=True)
+    assert other.read("log.txt") is None
 
 
 @pytest.mark.slow

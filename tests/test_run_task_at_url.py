@@ -79,14 +79,26 @@ def test_photographs_at_a_url_are_fetched_from_there(tmp_path):
     shutil.copytree(survey.folder / "images", place)
     views = tuple(replace(view, path=place / view.name) for view in survey.views)
     found = task_at_url._sources(replace(survey, config=config, views=views), remote)
-    assert found == {view.path: ("s3://bucket/flight", view.name) for view in views}
+    assert found == {view.path: ("s3://bucket/flight", view.name, "") for view in views}
     assert remote.files() == {}
+
+
+def test_a_photograph_that_has_changed_at_the_url_during_a_run_is_refused(tmp_path):
+    remote, path = Remote(f"memory://{tmp_path.name}/flight"), tmp_path / "a.jpg"
+    path.write_bytes(b"before")
+    remote.put({"a.jpg": path})
+    source = remote.url, "a.jpg", remote.files()["a.jpg"]
+    task_at_url._require_same(remote, source, path)
+    remote.write("a.jpg", b"after it")
+    with pytest.raises(SurveyError, match=r"flight/a\.jpg has changed since the run began .*give the same `bathynerf"):
+        task_at_url._require_same(remote, source, path)
+    assert not path.exists()
 
 
 def test_a_photograph_that_was_put_in_part_is_put_again(tmp_path):
     survey, remote = load_survey(small_survey(tmp_path / "survey")), Remote(f"memory://{tmp_path.name}/run")
     of_path = task_at_url._sources(survey, remote)
-    path, (_, name) = next(iter(of_path.items()))
+    path, (_, name, _) = next(iter(of_path.items()))
     remote.write(name, path.read_bytes()[:100])
     task_at_url._sources(survey, remote)
     assert remote.read(name) == path.read_bytes()

@@ -167,10 +167,10 @@ def test_a_worker_that_is_not_as_it_should_be_is_named(run_and_photograph, worke
 
 def test_a_worker_that_does_not_reach_the_url_of_the_run_is_named(run_and_photograph):
     url = f"memory://{run_and_photograph[0].name}"
-    of_workers._check(ClientOfOne(), *run_and_photograph, url=url)
+    of_workers._check(ClientOfOne(), WorkerNeeds(*run_and_photograph, url=url))
     client = ClientOfOne(answer=SurveyError("s3://bucket/run asks for keys, and there are none"))
     with pytest.raises(SurveyError, match=f"the worker {PLACE} finds that s3://bucket/run asks for keys"):
-        of_workers._check(client, *run_and_photograph, url="s3://bucket/run")
+        of_workers._check(client, WorkerNeeds(*run_and_photograph, url="s3://bucket/run"))
 
 
 def test_on_cuda_a_worker_with_the_resource_of_a_gpu_is_asked_for(run_and_photograph):

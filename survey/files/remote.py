@@ -5,25 +5,31 @@ Nothing here is reached unless a user names a URL.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from datetime import datetime
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 from geo.errors import GeoError
 from geo.files import disk_refusals, write_whole_at
-from survey.errors import SurveyError
+from survey.errors import NotReached, SurveyError
 from survey.words import RUN_FOLDER
 
 _URL = re.compile(r"[a-z][a-z0-9+.-]+://.", re.IGNORECASE)
+_PASSWORD = re.compile(r"(://[^/:@]*):[^/]*@")
 # Stores that have folders, which are to be made; in the others a name with slashes is enough.
 _WITH_FOLDERS = {"file", "local", "sftp", "ssh", "smb", "hdfs", "webdav", "webhdfs", "ftp"}
 # What tells one content of a file from another, as stores have it; the first that there is.
 _TAGS = ("ETag", "etag", "md5Hash", "mtime", "LastModified", "last_modified", "modified", "created")
 _AT_ONCE = 8
+# Of a disk, here or at file://; networks have other numbers.
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def is_url(text: object) -> bool:
@@ -49,7 +55,8 @@ class Remote:
     Parameters
     ----------
     url : str
-        Keys and addresses of the store are those of its environment, as AWS_ACCESS_KEY_ID and AWS_ENDPOINT_URL.
+        Keys and addresses of the store are those of its environment, as AWS_ACCESS_KEY_ID and AWS_ENDPOINT_URL; a
+        password in it would come into messages, logs and jobs, and is refused.
 
     Raises
     ------
@@ -59,18 +66,37 @@ class Remote:
 
     def __init__(self, url: str):
         self.url = url.rstrip("/")
+        if _PASSWORD.search(self.url):
+            shown = _PASSWORD.sub(r"\1:...@", self.url)
+            raise SurveyError(
+                f"{shown} has a password, expected none, as it would come into logs; leave it out and give it by the "
+                "environment, for sftp:// in FSSPEC_SFTP_PASSWORD"
+            )
         try:
             import fsspec
         except ModuleNotFoundError as error:
             raise SurveyError(f"{url} takes fsspec, which is not installed: pip install 'bathynerf[remote]'") from error
         with _refusals(self.url):
-            self._store, self._root = fsspec.core.url_to_fs(self.url)
+            # As `Path.as_uri` writes them; fsspec takes a path as it is.
+            is_path = self.url.lower().startswith(("file://", "local://"))
+            self._store, self._root = fsspec.core.url_to_fs(unquote(self.url) if is_path else self.url)
         kinds = self._store.protocol
         self._has_folders = bool({kinds} & _WITH_FOLDERS if isinstance(kinds, str) else {*kinds} & _WITH_FOLDERS)
+        # Others, as ftp, have one connection, whose answers would mix.
+        self._threads = _AT_ONCE if is_path or self._store.async_impl else 1
 
     def files(self, name: str = "") -> dict[str, str]:
         """Files below a name, with what tells their content from another; empty where there are none."""
         return {each: _tag(info) for each, info in self._listed(name).items()}
+
+    def tag(self, name: str) -> str | None:
+        """What `files` has for a file; None where it is not there."""
+        with _refusals(self.url):
+            self._store.invalidate_cache()
+            try:
+                return _tag(self._store.info(self._place(name)))
+            except FileNotFoundError:
+                return None
 
     def sizes(self, name: str) -> dict[str, int | None]:
         """Files below a name, with their sizes [bytes]; None where the store does not say."""
@@ -98,7 +124,7 @@ class Remote:
     def write(self, name: str, content: bytes) -> None:
         """Write a file."""
         place = self._place(name)
-        with _refusals(f"{self.url}/{name}"):
+        with self._refusals_of(name):
             self._make_folder(place)
             self._store.pipe_file(place, content)
 
@@ -151,7 +177,7 @@ class Remote:
         return f"{self._root.rstrip('/')}/{name}" if name else self._root
 
     def _at_once(self, move: Any, files: Iterable[tuple[str, Any]]) -> None:
-        with ThreadPoolExecutor(_AT_ONCE) as pool:
+        with ThreadPoolExecutor(self._threads) as pool:
             for _ in pool.map(move, files):
                 pass
 
@@ -159,8 +185,11 @@ class Remote:
         name, path = file
         with disk_refusals(path):
             path.parent.mkdir(parents=True, exist_ok=True)
-        with write_whole_at(path) as part, _refusals(f"{self.url}/{name}"):
-            self._store.get_file(self._place(name), str(part))
+        with write_whole_at(path) as part:
+            # What refuses this is the disk, and not the store.
+            part.touch()
+            with _refusals(f"{self.url}/{name}"):
+                self._store.get_file(self._place(name), str(part))
 
     def _remove_file(self, file: tuple[str, None]) -> None:
         # `rm` would take a name with [, * or ? as a pattern.
@@ -170,9 +199,15 @@ class Remote:
     def _copy(self, names: tuple[str, str]) -> None:
         name, other = names
         place = self._place(other)
-        with _refusals(f"{self.url}/{name}"):
+        with self._refusals_of(name):
             self._make_folder(place)
             self._store.cp_file(self._place(name), place)
+
+    @contextmanager
+    def _refusals_of(self, name: str) -> Iterator[None]:
+        """`_refusals` of a file that is written at the URL, which may be on a disk that is full."""
+        with disk_refusals(f"{self.url}/{name}"), _refusals(f"{self.url}/{name}"):
+            yield
 
     def _make_folder(self, place: str) -> None:
         if self._has_folders:
@@ -181,7 +216,7 @@ class Remote:
     def _put(self, file: tuple[str, Path]) -> None:
         name, path = file
         place = self._place(name)
-        with _refusals(f"{self.url}/{name}"):
+        with self._refusals_of(name):
             self._make_folder(place)
             self._store.put_file(str(path), place)
 
@@ -193,12 +228,14 @@ def files_below(folder: Path) -> list[Path]:
 
 def _tag(info: Mapping[str, Any]) -> str:
     tag = next((info[name] for name in _TAGS if info.get(name) is not None), "")
+    # Stores have it in one form in lists, and in another of one file.
+    tag = tag.timestamp() if isinstance(tag, datetime) else str(tag).strip('"')
     return f"{info.get('size')} {tag}"
 
 
 @contextmanager
 def _refusals(url: str) -> Iterator[None]:
-    """Turn what libraries of stores raise into a sentence; each has exceptions of its own."""
+    """Turn what libraries of stores raise into a sentence; each has exceptions of its own. A full disk goes through."""
     try:
         yield
     except (SurveyError, GeoError):
@@ -212,6 +249,8 @@ def _refusals(url: str) -> Iterator[None]:
     except PermissionError as error:
         raise SurveyError(f"{url} refuses access ({error}); ask for the right to list, read and write it") from error
     except Exception as error:
+        if isinstance(error, OSError) and error.errno in _FULL:
+            raise
         if "Credentials" in type(error).__name__:
             mend = "set its keys, for s3:// AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY or a profile"
             raise SurveyError(f"{url} asks for keys, and there are none ({error}); {mend}") from error
@@ -219,7 +258,7 @@ def _refusals(url: str) -> Iterator[None]:
             raise SurveyError(
                 f"{url} is of a kind that is not known ({error}); name e.g. s3://bucket/folder"
             ) from error
-        raise SurveyError(
+        raise NotReached(
             f"{url} was not reached ({type(error).__name__}: {error}); check the URL, the network and the settings of "
             "the store, for s3:// AWS_ENDPOINT_URL, and give the same command again"
         ) from error

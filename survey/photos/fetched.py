@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from geo.files import disk_refusals
-from survey.errors import ImageError
+from survey.errors import ImageError, NotReached
 from survey.files.json_values import read_json_object, write_json
 from survey.files.remote import Remote
 from survey.photos.exif import SUFFIXES
@@ -21,6 +21,8 @@ _TOGETHER = 16
 def fetch_images(url: str, folder: Path) -> None:
     """Let a folder hold the photographs, and their masks, that lie below a URL.
 
+    Where this is not reached and all were fetched before, these are used, with a warning.
+
     Raises
     ------
     ImageError
@@ -28,8 +30,14 @@ def fetch_images(url: str, folder: Path) -> None:
     SurveyError
         If the URL is not reached; see `survey.files.remote`.
     """
-    remote = Remote(url)
-    there = remote.files()
+    remote, before = Remote(url), fetched_tags(folder)
+    try:
+        there = remote.files()
+    except NotReached as error:
+        if not before or not all(tag and (folder / name).is_file() for name, tag in before.items()):
+            raise
+        current().warn(f"photographs are those that were fetched before, as {error}")
+        return
     wanted = [name for name in there if Path(name).suffix.lower() in SUFFIXES and not is_hidden(Path(name))]
     if not wanted:
         raise ImageError(
@@ -38,7 +46,6 @@ def fetch_images(url: str, folder: Path) -> None:
         )
     with disk_refusals(folder):
         folder.mkdir(exist_ok=True)
-    before = read_json_object(folder / _RECORD)
     with disk_refusals(folder):
         for name in before.keys() - set(wanted):
             (folder / name).unlink(missing_ok=True)
@@ -56,3 +63,8 @@ def fetch_images(url: str, folder: Path) -> None:
                 kept |= {name: there[name] for name in together}
         finally:
             write_json(folder / _RECORD, kept)
+
+
+def fetched_tags(folder: Path) -> dict[str, str]:
+    """What `Remote.files` had for the photographs that `fetch_images` brought into a folder, by name."""
+    return read_json_object(folder / _RECORD)

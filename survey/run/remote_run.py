@@ -16,6 +16,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
 
+from geo.errors import GeoError
 from geo.files import disk_refusals
 from survey.errors import SurveyError
 from survey.files.json_values import json_text, read_json_object
@@ -47,7 +48,7 @@ class RemoteRun(RunDir):
     def __init__(self, path: str | Path, remote: Remote):
         super().__init__(path)
         self.remote = remote
-        self._has_put_poses = False
+        self._is_claimed, self._has_put_poses = False, False
         # Folders at the URL where workers have left stages, by the names of these with their keys.
         self.left_by_workers: dict[str, str] = {}
         # Marks at the URL that the result of this run removes.
@@ -63,10 +64,12 @@ class RemoteRun(RunDir):
         return self
 
     def __exit__(self, *exception) -> None:
-        # What ended the run counts more than that its log is not there.
-        with suppress(SurveyError):
-            if (self.path / _LOG).is_file():
-                self.remote.put({_LOG: self.path / _LOG})
+        # What ended the run counts more than that its log is not there. One that was refused leaves that of the other.
+        with suppress(SurveyError, GeoError):
+            if self._is_claimed:
+                self._put_poses()
+                if (self.path / _LOG).is_file():
+                    self.remote.put({_LOG: self.path / _LOG})
         super().__exit__(*exception)
 
     def claim(self, owner: Owner, *, is_inside: bool) -> None:
@@ -76,6 +79,7 @@ class RemoteRun(RunDir):
         except SurveyError as error:
             raise SurveyError(str(error).replace(str(self.path), self.remote.url)) from error
         self.remote.put({MARKER: self.path / MARKER})
+        self._is_claimed = True
 
     def _take_up(self) -> None:
         """Fetch the mark of the run and the poses that structure from motion found."""
@@ -97,12 +101,15 @@ class RemoteRun(RunDir):
             self.remote.fetch_folder(SFM_FOLDER, self.sfm_path, last=_SOLVED)
 
     def found_before(self, name: str) -> dict:
-        """As `RunDir.found_before`; where no stage here has the file, of one at the URL."""
+        """As `RunDir.found_before`; where no stage here has the file, of any whole one at the URL."""
         found = super().found_before(name)
         if found:
             return found
-        there = [each for each in self.remote.files(_STAGES) if PurePosixPath(each).name == name]
-        return json.loads(self.remote.read(f"{_STAGES}/{there[-1]}") or b"{}") if there else {}
+        there = self.remote.files(_STAGES)
+        whole = [
+            each for each in there if each.endswith(f"/{name}") and f"{each.split('/')[0]}/{STAGE_RECORD}" in there
+        ]
+        return self._read_json(f"{_STAGES}/{whole[-1]}") if whole else {}
 
     def finished_stage(self, name: str, key: Key, leaves: Iterable[str] = ()) -> Path | None:
         """As `RunDir.finished_stage`; one that is only here is put to the URL, one that is only there fetched."""

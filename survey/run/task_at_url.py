@@ -23,6 +23,7 @@ from fields.image_store import GreyImages
 from geo.files import disk_refusals
 from survey.errors import SurveyError
 from survey.files.remote import Remote, is_url
+from survey.photos.fetched import fetched_tags
 from survey.photos.images import ImageStore
 from survey.plan.sweep_block import grey_image
 from survey.run.remote_run import JOBS, PARTS, PHOTOGRAPHS
@@ -36,8 +37,8 @@ if TYPE_CHECKING:
     from survey.run.job import Job
     from survey.run.tile_job import TileJob, TilePlan
 
-# URL and name of a file.
-Source = tuple[str, str]
+# URL and name of a file, and its tag where it may change there; else an empty one.
+Source = tuple[str, str, str]
 
 
 def put_job(job: Job, found: TilePlan, remote: Remote, scratch: Path, stage: str) -> str:
@@ -72,13 +73,14 @@ def _sources(survey: Survey, remote: Remote) -> dict[Path, Source]:
     """Places of photographs and masks for workers; those on this machine alone are put to the URL of the run."""
     images, root = survey.config.images, (survey.folder / survey.config.images.local_dir).absolute()
     paths = {path for view in survey.views for path in (view.path, view.mask_path) if path is not None}
-    found, to_put = {}, {}
+    found, to_put, tags = {}, {}, fetched_tags(root)
     for path in sorted(paths):
         if is_url(images.dir) and path.absolute().is_relative_to(root):
-            found[path] = images.dir, path.absolute().relative_to(root).as_posix()
+            name = path.absolute().relative_to(root).as_posix()
+            found[path] = images.dir, name, tags.get(name, "")
         else:
             name = f"{PHOTOGRAPHS}/{content_hash(path)[:32]}{path.suffix}"
-            found[path], to_put[name] = (remote.url, name), path
+            found[path], to_put[name] = (remote.url, name, ""), path
     # A put that was interrupted leaves half a file, where a store has folders.
     there = remote.sizes(PHOTOGRAPHS) if to_put else {}
     sizes = {name: there.get(name.removeprefix(f"{PHOTOGRAPHS}/")) for name in to_put}
@@ -163,7 +165,21 @@ class _JobHere:
         missing = [name for name, path in wanted.items() if not path.is_file()]
         for url in {self._sources[name][0] for name in missing}:
             here = [name for name in missing if self._sources[name][0] == url]
-            Remote(url).fetch({self._sources[name][1]: wanted[name] for name in here})
+            remote = Remote(url)
+            remote.fetch({self._sources[name][1]: wanted[name] for name in here})
+            for name in here:
+                _require_same(remote, self._sources[name], wanted[name])
+
+
+def _require_same(remote: Remote, source: Source, path: Path) -> None:
+    """Raise where a photograph that was fetched is another than the run saw."""
+    _, name, tag = source
+    if tag and (found := remote.tag(name)) != tag:
+        path.unlink()
+        raise SurveyError(
+            f"{remote.url}/{name} has changed since the run began (size and tag {found}, expected {tag}); leave "
+            "photographs as they are while a run is at work, and give the same `bathynerf process` again"
+        )
 
 
 class _Decoded(GreyImages):

@@ -67,7 +67,8 @@ class RemoteRun(RunDir):
         # What ended the run counts more than that its log is not there. One that was refused leaves that of the other.
         with suppress(SurveyError, GeoError):
             if self._is_claimed:
-                self._put_poses()
+                if not self._has_put_poses:
+                    self._put_poses()
                 if (self.path / _LOG).is_file():
                     self.remote.put({_LOG: self.path / _LOG})
         super().__exit__(*exception)

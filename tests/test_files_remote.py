@@ -145,7 +145,7 @@ def test_what_is_missing_or_unknown_is_named(monkeypatch):
 
 
 def test_urls_are_told_from_paths_and_have_a_folder_of_their_own(tmp_path):
-    assert [is_url(text) for text in ("s3://b/c", "file:///tmp/x", "images", "C:\\x", "s3:/b", "://", None)] == [
+    assert [is_url(text) for text in ("s3://b/c", "sftp://host/x", "images", "C:\\x", "s3:/b", "://", None)] == [
         True, True, False, False, False, False, False,
     ]  # fmt: skip
     names = {local_name(url, "run") for url in ("s3://b/c", "s3://b/c/", "s3://b/d")}

@@ -54,7 +54,7 @@ def run(
 
         code = process(
             survey,
-            output,
+            output if output is None or is_url(output) else Path(output),
             **asdict(asked.config()),
             time_gone_s=process_age_s(),
             chooses_workers=True,

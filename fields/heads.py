@@ -168,6 +168,21 @@ class ColourHead(nn.Module):
         return nn.functional.softplus(self.last(hidden), beta=4.0)
 
 
+def seen_radiance(
+    colour: nn.Module, features: Tensor, direction: Tensor, degree: int, appearance: Tensor | None
+) -> Tensor:
+    """Radiance (N, 3) that a network makes of features (N, C), seen along directions (N, 3), and appearance vectors.
+
+    Directions enter as harmonics up to a degree; with 0 the radiance is the same from all sides.
+    """
+    seen = [features]
+    if degree:
+        seen.append(spherical_harmonics(-direction, degree))
+    if appearance is not None:
+        seen.append(appearance)
+    return nn.functional.softplus(colour(torch.cat(seen, dim=1)), beta=4.0)
+
+
 def spherical_harmonics(d: Tensor, degree: int) -> Tensor:
     """Real spherical harmonics of unit vectors (N, 3), degrees 1 to 3, without the constant: (N, (degree+1)^2 - 1)."""
     x, y, z = d.unbind(-1)

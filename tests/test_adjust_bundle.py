@@ -8,17 +8,16 @@ import numpy as np
 import pytest
 
 from survey.adjust.block.bundle import (
-    HUBER,
     NotConvergedError,
     Solution,
     _system,
     cost,
     solve,
-    std_of_kinds,
     system_with,
 )
 from survey.adjust.block.prediction import linearise, predict
 from survey.adjust.block.problem import Planes, Priors, Problem
+from survey.adjust.block.robust import HUBER, std_of_kinds
 from survey.adjust.block.state import RELIEF, Layout, State
 from survey.adjust.rounds import std_over_points
 from survey.photos.poses import TiePoints

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from contextlib import contextmanager
 
 import pytest
 from drawn_runs import drawn
@@ -50,6 +51,21 @@ def test_poses_of_structure_from_motion_go_along(url, tmp_path):
         assert (run.sfm_path / "solved.json").read_text() == '{"key": "k"}'
 
 
+@contextmanager
+def losing(monkeypatch, remote: Remote, move: str, end: str):
+    """The connection is lost where a file whose name ends so is moved."""
+    moved = getattr(remote, move)
+
+    def lost(file):
+        if file[0].endswith(end):
+            raise SurveyError("was not reached")
+        moved(file)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(remote, move, lost)
+        yield
+
+
 def test_poses_that_came_in_part_are_fetched_again_and_replace_others(url, tmp_path, monkeypatch):
     with RemoteRun(tmp_path / "laptop", Remote(url)) as run:
         run.claim(Owner("quick", {"a.jpg": 1}), is_inside=True)
@@ -58,17 +74,8 @@ def test_poses_that_came_in_part_are_fetched_again_and_replace_others(url, tmp_p
         (run.sfm_path / "solved.json").write_text('{"key": "k"}')
         finish(run, "sweep", A, heights=[1.0])
     remote, other = Remote(url), tmp_path / "cluster" / "sfm"
-    fetch = remote._fetch
-
-    def lost(file):
-        if file[0].endswith("z.bin"):
-            raise SurveyError("was not reached")
-        fetch(file)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(remote, "_fetch", lost)
-        with pytest.raises(SurveyError, match="not reached"):
-            RemoteRun(tmp_path / "cluster", remote).__enter__()
+    with losing(monkeypatch, remote, "_fetch", "z.bin"), pytest.raises(SurveyError, match="not reached"):
+        RemoteRun(tmp_path / "cluster", remote).__enter__()
     assert not (other / "solved.json").exists()
     # Of other photographs.
     (other / "model").mkdir(parents=True)
@@ -92,17 +99,8 @@ def test_a_stage_that_is_put_again_is_not_whole_until_it_is_there(url, tmp_path,
     with RemoteRun(tmp_path / "laptop", remote) as run:
         run.claim(Owner("quick", {"a.jpg": 1}), is_inside=True)
         folder = computed(run, a="old", b="old", c="old")
-        put = remote._put
-
-        def lost(file):
-            if file[0].endswith("b.txt"):
-                raise SurveyError("was not reached")
-            put(file)
-
-        with monkeypatch.context() as patch:
-            patch.setattr(remote, "_put", lost)
-            with pytest.raises(SurveyError, match="not reached"):
-                computed(run, a="new", b="new")
+        with losing(monkeypatch, remote, "_put", "b.txt"), pytest.raises(SurveyError, match="not reached"):
+            computed(run, a="new", b="new")
     with RemoteRun(tmp_path / "cluster", remote) as run:
         assert run.finished_stage("sweep", A) is None
     with RemoteRun(tmp_path / "laptop", remote) as run:

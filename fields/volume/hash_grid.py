@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from fields.factors import geometric_scales
-from fields.heads import spherical_harmonics
+from fields.heads import seen_radiance
 from fields.training import Rates
 from fields.volume.model import VolumeModel, density_of
 from fields.volume.paths import Box
@@ -136,12 +136,7 @@ class HashVolume(VolumeModel):
         return density_of(out[:, 0], self.settings.n_max, self.box.edge), out[:, 1:]
 
     def radiance(self, features: Tensor, direction: Tensor, appearance: Tensor | None) -> Tensor:
-        seen = [features]
-        if self.settings.degree:
-            seen.append(spherical_harmonics(-direction, self.settings.degree))
-        if appearance is not None:
-            seen.append(appearance)
-        return nn.functional.softplus(self.colour(torch.cat(seen, dim=1)), beta=4.0)
+        return seen_radiance(self.colour, features, direction, self.settings.degree, appearance)
 
     def rates(self) -> list[Rates]:
         return [Rates(list(self.parameters()), self.RATE)]

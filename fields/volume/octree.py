@@ -24,7 +24,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from fields.heads import spherical_harmonics
+from fields.heads import seen_radiance
 from fields.training import Rates
 from fields.volume.model import VolumeModel, density_of
 from fields.volume.paths import Box
@@ -149,12 +149,7 @@ class OctreeVolume(VolumeModel):
         return self.cell(int(torch.randint(deepest, ())))
 
     def radiance(self, features: Tensor, direction: Tensor, appearance: Tensor | None) -> Tensor:
-        seen = [features]
-        if self.settings.degree:
-            seen.append(spherical_harmonics(-direction, self.settings.degree))
-        if appearance is not None:
-            seen.append(appearance)
-        return nn.functional.softplus(self.colour(torch.cat(seen, dim=1)), beta=4.0)
+        return seen_radiance(self.colour, features, direction, self.settings.degree, appearance)
 
     def penalty(self, x: Tensor) -> Tensor:
         """Equation (4) of some pairs, times its weight."""

@@ -111,7 +111,7 @@ class TileWorkers:
         ):
             for number, place, seconds, lines in computed:
                 stage, _ = left[number]
-                folder = self._brought(stage, keys[number], place)
+                folder = self._fetched_result(stage, keys[number], place)
                 found[stage.name] = finish(stage, keys[number], self._run, folder, seconds)
                 said[number] = lines
                 step.advance()
@@ -130,13 +130,13 @@ class TileWorkers:
             return put_job(self._job, shared, run.remote, run.scratch_path, stage)
         return save_job(self._job, shared, self._run.scratch_path, stage)
 
-    def _brought(self, stage: Stage, key: Key, place: Path | str) -> Path:
+    def _fetched_result(self, stage: Stage, key: Key, place: Path | str) -> Path:
         """The folder of a result here."""
         if (run := self._remote) is None:
             return Path(place)
         folder = run.open_stage(stage.name)
         run.remote.fetch_folder(str(place), folder)
-        run.left_by_workers[run.place(stage.name, key).name] = str(place)
+        run.results_of_workers[run.place(stage.name, key).name] = str(place)
         return folder
 
     def _started(self) -> Workers:

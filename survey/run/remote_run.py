@@ -50,7 +50,7 @@ class RemoteRun(RunDir):
         self.remote = remote
         self._is_claimed, self._has_put_poses = False, False
         # Folders at the URL where workers have left stages, by the names of these with their keys.
-        self.left_by_workers: dict[str, str] = {}
+        self.results_of_workers: dict[str, str] = {}
         # Marks at the URL that the result of this run removes.
         self._marks: set[str] = set()
 
@@ -168,7 +168,7 @@ class RemoteRun(RunDir):
     def _put_stage(self, folder: Path) -> None:
         self._mark_at_url(folder.name)
         place = f"{_STAGES}/{folder.name}"
-        left = self.left_by_workers.pop(folder.name, None)
+        left = self.results_of_workers.pop(folder.name, None)
         # Where it is put again, or what an interrupted put has left; the record first: half a stage is none.
         self.remote.remove([f"{place}/{STAGE_RECORD}", place])
         if left is None:

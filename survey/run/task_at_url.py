@@ -45,12 +45,12 @@ def put_job(job: Job, found: TilePlan, remote: Remote, scratch: Path, stage: str
     """Put what workers have to know of a job for a stage, and photographs that lie at no URL; its name there."""
     sources = _sources(job.survey, remote)
     views = [
-        replace(view, path=Path(_here(sources[view.path])), mask_path=_masked(view, sources))
+        replace(view, path=Path(_worker_name(sources[view.path])), mask_path=_masked(view, sources))
         for view in job.survey.views
     ]
     survey = replace(job.survey, views=tuple(views))
     parts = survey, job.chosen, job.tiles, found, job.block.saturated
-    of_names = {_here(source): source for source in sources.values()}
+    of_names = {_worker_name(source): source for source in sources.values()}
     name = f"{JOBS}/{stage}-{uuid.uuid4().hex}.pickle"
     path = scratch / f"{stage}-{uuid.uuid4().hex}.pickle"
     with disk_refusals(path):
@@ -61,10 +61,10 @@ def put_job(job: Job, found: TilePlan, remote: Remote, scratch: Path, stage: str
 
 
 def _masked(view: View, sources: Mapping[Path, Source]) -> Path | None:
-    return None if view.mask_path is None else Path(_here(sources[view.mask_path]))
+    return None if view.mask_path is None else Path(_worker_name(sources[view.mask_path]))
 
 
-def _here(source: Source) -> str:
+def _worker_name(source: Source) -> str:
     """Name of a file on a worker; its suffix tells the format."""
     return f"{uuid.uuid5(uuid.NAMESPACE_URL, '/'.join(source)).hex}{Path(source[1]).suffix}"
 
@@ -125,15 +125,15 @@ def compute_at_url(name: str, url: str, task: Task, code: str) -> tuple[str, flo
 
 
 @lru_cache(maxsize=1)
-def _job_of(url: str, name: str) -> _JobHere:
+def _job_of(url: str, name: str) -> _WorkerJob:
     """The job that a worker saw last."""
     found = Remote(url).read(name)
     if found is None:
         raise SurveyError(f"{url}/{name} is not there any more; give the same `bathynerf process` again")
-    return _JobHere(*pickle.loads(found))
+    return _WorkerJob(*pickle.loads(found))
 
 
-class _JobHere:
+class _WorkerJob:
     """A job on a worker, with photographs of one tile."""
 
     def __init__(self, parts: tuple, sources: Mapping[str, Source]):

@@ -3,11 +3,10 @@
 # Part of bathynerf.
 
 from refract._numbers import OutsideFit
-from refract.absorption import channel_absorption, leg_transmittance
 from refract.camera import PinholeCamera
-from refract.fresnel import fresnel_coefficients, radiance_factor
+from refract.fresnel import fresnel_coefficients
 from refract.layers import LayeredPath, ParallelLayers
-from refract.media import air_index, channel_indices, water_index, water_index_iapws, water_index_parrish
+from refract.media import channel_indices, water_index
 from refract.paths import BentPaths, trace
 from refract.projection import Projection, crossing_point, project
 from refract.snell import (
@@ -34,23 +33,17 @@ __all__ = [
     "Regime",
     "TidalWater",
     "WaterSurface",
-    "air_index",
     "apparent_depth",
     "apparent_depth_tangential",
     "bend",
     "bend_regime",
-    "channel_absorption",
     "channel_indices",
     "counts",
     "crossing_point",
     "fresnel_coefficients",
-    "leg_transmittance",
     "project",
-    "radiance_factor",
     "tangential_shift",
     "trace",
     "true_depth",
     "water_index",
-    "water_index_iapws",
-    "water_index_parrish",
 ]

@@ -78,20 +78,3 @@ def fresnel_coefficients(cos_from, *, n_from, n_to) -> Fresnel:
         shares.append(xp.where(passes, passed, zero) + nothing)
     r_s, t_s, r_p, t_p = shares
     return Fresnel(r_s, r_p, t_s, t_p)
-
-
-@of_any_size
-def radiance_factor(*, n_from, n_to):
-    """Factor of radiance, beside the transmittance, from one medium into another.
-
-    Snell's law narrows a bundle of rays on its way into the denser medium: ``n^2 cos(angle) d(solid angle)`` is
-    the same on both sides, and so is ``radiance / n^2``, but for what is reflected (C. D. Mobley, Light and Water,
-    section 4.2). Out of water, a bed of radiance L is seen with ``T L / n^2``: 56 % of T L. All pixels on water
-    share the factor, so that it is lost in the exposure unless wet and dry ground are compared.
-
-    Examples
-    --------
-    >>> round(radiance_factor(n_from=1.333, n_to=1.0), 4)
-    0.5628
-    """
-    return (n_to / n_from) * (n_to / n_from)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from refract.fresnel import fresnel_coefficients, radiance_factor
+from refract.fresnel import fresnel_coefficients
 
 N = 1.333
 BREWSTER, CRITICAL = math.atan(N), math.asin(1.0 / N)
@@ -143,17 +143,6 @@ def test_drjit_gives_the_gradient_of_torch(Float):
     fresnel_coefficients(twin, n_from=N, n_to=1.0).reflectance.sum().backward()
     # The derivative is 20 next to the critical angle and its own derivative 1e3; measured 4.5e-5.
     np.testing.assert_allclose(np.asarray(drjit.grad(ours)), twin.grad.numpy(), atol=1e-4)
-
-
-def test_radiance_over_the_squared_index_is_kept():
-    """Etendue: a bundle of rays carries n^2 cos(angle) d(solid angle) through every surface."""
-    angle, half = np.radians([5.0, 30.0, 60.0, 80.0]), 1e-4
-    inside = [np.arcsin(np.sin(angle + k * half) / N) for k in (-1, 0, 1)]
-    # Solid angles per radian of azimuth, by differences; their error is half^2 relative.
-    in_air, in_water = np.sin(angle) * 2.0 * half, np.sin(inside[1]) * (inside[2] - inside[0])
-    narrowing = (np.cos(angle) * in_air) / (np.cos(inside[1]) * in_water)
-    np.testing.assert_allclose(narrowing, radiance_factor(n_from=1.0, n_to=N), rtol=1e-6)
-    assert radiance_factor(n_from=1.0, n_to=N) * radiance_factor(n_from=N, n_to=1.0) == pytest.approx(1.0)
 
 
 def test_diffuse_light_is_reflected_as_the_squared_index_demands():

@@ -16,10 +16,10 @@ class StepSearch:
 
     radius: int  # of the NCC window [px]
     step_px: float  # parallax between two hypotheses [px at the scale of the pass]
-    # side of the tiles that share their hypotheses [px]: small ones share little, large ones hold heights that: few of
+    # side of the tiles that share their hypotheses [px]: small ones share little, large ones hold heights that few of
     # their pixels need
     tile_px: int
-    # searched are pixels around which heights differ by a parallax of more [px at the scale of the pass]
+    # searched are pixels around which heights differ by more than this parallax [px at the scale of the pass]
     reach_px: float
     around_px: int  # heights this far around a pixel bound its hypotheses [px at the scale of the pass]
     # median score of a view in the pass from which it is searched: windows of this size resolve heights
@@ -45,10 +45,10 @@ class Pass:
     neighbours: int  # number of views compared with
     fuse: bool  # after the pass, average each height with those of the views that agree
     search: StepSearch | None = None  # after the pass, how heights beyond its hypotheses are searched; None: not at all
-    # whether only pixels predicted to become points take part: others confirm with the heights that they: have
+    # whether only pixels predicted to become points take part: others confirm with the heights that they have
     points_only: bool = False
-    # whether of a sweep with an area only pixels take part whose heights of the pass before lie there, not all: that
-    # see it at some height of the bound
+    # whether only pixels take part whose heights of the pass before lie in the area, not all that see it at some height
+    # of the bound
     in_area: bool = False
 
     @property

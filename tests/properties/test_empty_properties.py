@@ -94,14 +94,9 @@ FUNCTIONS = {
     ),
     "depths": lambda none, numbers, one: (PLANE.depth(none), PLANE.height(numbers, numbers)),
     "layers": lambda none, numbers, one: (LAYERS.project(none, one), LAYERS.trace(one, none)),
-    "light": lambda none, numbers, one: (
-        refract.fresnel_coefficients(numbers, n_from=1.0, n_to=1.3),
-        refract.radiance_factor(n_from=1.0, n_to=numbers), refract.leg_transmittance(numbers, 2.0),
-    ),
+    "light": lambda none, numbers, one: refract.fresnel_coefficients(numbers, n_from=1.0, n_to=1.3),
     "indices": lambda none, numbers, one: (
-        refract.water_index(numbers, 15.0, 0.0), refract.water_index_iapws(550.0, numbers),
-        refract.water_index_parrish(550.0, 15.0, numbers), refract.channel_indices(numbers, 0.0),
-        refract.air_index(numbers), refract.air_index(550.0, numbers),
+        refract.water_index(numbers, 15.0, 0.0), refract.channel_indices(numbers, 0.0),
     ),
     "a sphere": lambda none, numbers, one: refract.curved.curvature_drop(numbers),
 }  # fmt: skip

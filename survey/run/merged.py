@@ -19,7 +19,7 @@ from survey.run.stage_of_tile import gather_points
 from survey.run.stage_solver import SIGHTINGS, SOLVED
 from survey.run.stage_sweep import BOUND, CONSISTENCY, MAPS, SATURATED, SWEPT
 from survey.run.stored_maps import Stored, save_maps
-from survey.run.tile_job import MASKS, OWN, TileJob, load_masks
+from survey.run.tile_job import MASKS, OWN, StoredMasks, TileJob
 
 if TYPE_CHECKING:
     from survey.run.job import Job
@@ -92,7 +92,7 @@ def _by_view(tiles: Sequence[TileJob], swept: Sequence[Path]) -> dict[int, list[
 def _whole_maps(job: Job, tiles: Sequence[TileJob], swept: Sequence[Path], views: list[int]) -> Iterator[HeightMap]:
     camera = cameras_of_block(job.survey, job.plan)[0]
     shape, maps = (camera.height, camera.width), [_maps(place) for place in swept]
-    own, of_view = [load_masks(place / MASKS, OWN) for place in swept], _by_view(tiles, swept)
+    own, of_view = [StoredMasks(place / MASKS, OWN) for place in swept], _by_view(tiles, swept)
     for view in views:
         height, known = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=bool)
         score, spread = np.full(shape, -1.0, dtype=np.float16), np.zeros(shape, dtype=np.float16)
@@ -114,7 +114,7 @@ def _whole_solved(
 ) -> Iterator[SolvedMap]:
     width = cameras_of_block(job.survey, job.plan)[0].width
     found, of_view = [Stored(place / SOLVED, SolvedMap) for place in solved], _by_view(tiles, swept)
-    own = [load_masks(place / MASKS, OWN) for place in swept]
+    own, maps = [StoredMasks(place / MASKS, OWN) for place in swept], [_maps(place) for place in swept]
     for view in views:
         parts = []
         for tile, number, window in of_view[view]:
@@ -122,7 +122,7 @@ def _whole_solved(
             keep = mask[each.pixels]
             row, column = np.divmod(each.pixels[keep], window.width)
             pixels = (row + window.row) * width + column + window.column
-            height = tiles[tile].over_whole(_maps(swept[tile]).views[number], row, column, each.height[keep])
+            height = tiles[tile].over_whole(maps[tile].views[number], row, column, each.height[keep])
             parts.append((pixels, height, each.std[keep]))
         pixels, height, std = (np.concatenate(column) for column in zip(*parts, strict=True))
         # A pixel whose heights in two tiles lie on either side of the line between them is in both.

@@ -22,7 +22,7 @@ from survey.run.stage_solver import SIGHTINGS, SOLVED, solve_with
 from survey.run.stage_sweep import BOUND, CONSISTENCY, MAPS, SATURATED, SWEPT, look_at_bed, sweep_views
 from survey.run.stored import Column, mapped_arrays, save_arrays, write_arrays
 from survey.run.stored_maps import Stored, save_maps
-from survey.run.tile_job import KEPT, MASKS, OWN, TileJob, load_masks, pack_masks
+from survey.run.tile_job import KEPT, MASKS, OWN, StoredMasks, TileJob, pack_masks
 
 if TYPE_CHECKING:
     from survey.run.job import Job
@@ -132,5 +132,5 @@ def read_figures(folder: Path) -> SolverFigures | None:
 
 def _own(place: Path) -> list[np.ndarray]:
     """Pixels of each map that become points of the tile itself."""
-    masks = (load_masks(place / MASKS, name) for name in (KEPT, OWN))
+    masks = (StoredMasks(place / MASKS, name) for name in (KEPT, OWN))
     return [kept & own for kept, own in zip(*masks, strict=True)]

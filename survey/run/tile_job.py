@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -253,7 +253,7 @@ class TileJob(Job):
 
 
 def pack_masks(masks: Mapping[str, list[np.ndarray]]) -> dict[str, np.ndarray]:
-    """Arrays of masks (height, width) bool by name, one bit a pixel, for `load_masks`."""
+    """Arrays of masks (height, width) bool by name, one bit a pixel, for `StoredMasks`."""
     arrays: dict[str, np.ndarray] = {}
     for name, of_name in masks.items():
         arrays[f"{name}_shapes"] = np.array([mask.shape for mask in of_name], dtype=np.int64).reshape(-1, 2)
@@ -262,13 +262,31 @@ def pack_masks(masks: Mapping[str, list[np.ndarray]]) -> dict[str, np.ndarray]:
     return arrays
 
 
+class StoredMasks(Sequence[np.ndarray]):
+    """Masks of a file of `pack_masks`, each read when it is asked for."""
+
+    def __init__(self, path: Path, name: str):
+        self._path, self._name = path, name
+        shapes = load_arrays(path, (f"{name}_shapes",))[f"{name}_shapes"]
+        self.shapes: list[tuple[int, ...]] = [tuple(shape) for shape in shapes.tolist()]
+
+    def __len__(self) -> int:
+        return len(self.shapes)
+
+    def __getitem__(self, number):
+        """The mask of a number."""
+        height, width = self.shapes[number]
+        name = f"{self._name}_{number}"
+        bits = load_arrays(self._path, (name,))[name]
+        return np.unpackbits(bits, count=height * width).reshape(height, width).view(bool)
+
+
 def load_masks(path: Path, name: str) -> Masks:
-    """Masks of a file of `pack_masks`."""
-    stored = load_arrays(path)
-    shapes = [tuple(shape) for shape in stored[f"{name}_shapes"].tolist()]
-    masks = Masks(shapes)
-    for number, (height, width) in enumerate(shapes):
-        masks[number] = np.unpackbits(stored[f"{name}_{number}"], count=height * width)
+    """Masks of a file of `pack_masks`, in memory."""
+    stored = StoredMasks(path, name)
+    masks = Masks(stored.shapes)
+    for number, mask in enumerate(stored):
+        masks[number] = mask
     return masks
 
 

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 
 import numpy as np
 from pyproj import CRS
 
-from evaluation.bootstrap import cell_counts, cell_means, cell_numbers
+from evaluation.bootstrap import cell_numbers
 from geo.projection import ground_units_m
+from survey.display.column import ComputedColumn
 
 # A few stray points must not shrink the picture of all others.
 _STRAY_SHARE = 0.001
 _MARGIN = 0.05
 # Points that suffice to find the extent of all.
 _ENOUGH = 200_000
-# Points whose cells are worked out at a time, of 60 bytes each.
+# Points whose cells are worked out at a time, of 100 bytes each: the cells of all points are never held.
 _PORTION = 500_000
 # So that the outermost point, on the edge of the last cell, does not need a further one.
 _A_LITTLE_MORE = 1.0 + 1e-6
@@ -35,7 +37,8 @@ class PlanGrid:
     cell: tuple[float, float]  # (east, north), in units of crs
     cell_m: float  # [m]
     shape: tuple[int, int]  # (rows, columns)
-    index: np.ndarray  # (N,) int64: cell of each point, row by row; -1 for strays beyond the grid
+    # (N, 2) in crs: the points, which may lie in a file
+    plan: np.ndarray = field(repr=False)
 
     @staticmethod
     def over(
@@ -79,13 +82,15 @@ class PlanGrid:
         """Cells from the north-western corner of what lies between ``low`` and ``high`` (2,) in crs."""
         columns, rows = (math.floor(side / cell_m) + 1 for side in (high - low) * unit)
         cell = cell_m / unit
-        index = np.empty(len(plan), dtype=np.int64)
-        for first in range(0, len(plan), _PORTION):
-            x, y = plan[first : first + _PORTION].T
-            at = np.column_stack([(x - low[0]) / cell[0], (high[1] - y) / cell[1]])
-            index[first : first + _PORTION] = cell_numbers(at, (rows, columns))
-        corner = (float(low[0]), float(high[1]))
-        return PlanGrid(*corner, (float(cell[0]), float(cell[1])), cell_m, (rows, columns), index)
+        return PlanGrid(float(low[0]), float(high[1]), (float(cell[0]), float(cell[1])), cell_m, (rows, columns), plan)
+
+    def _portions(self) -> Iterator[tuple[slice, np.ndarray]]:
+        """Parts of the points, and the cell (M,) int64 of each point, row by row; -1 for strays beyond the grid."""
+        for first in range(0, len(self.plan), _PORTION):
+            part = slice(first, first + _PORTION)
+            x, y = self.plan[part].T
+            at = np.column_stack([(x - self.west) / self.cell[0], (self.north - y) / self.cell[1]])
+            yield part, cell_numbers(at, self.shape)
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
@@ -101,23 +106,50 @@ class PlanGrid:
     @property
     def covered_m2(self) -> float:
         """Area of the cells that hold a point [m²]; no array of all cells is made."""
-        return len(np.unique(self.index[self.index >= 0])) * self.cell_m**2
+        covered = np.empty(0, dtype=np.int64)
+        for _, number in self._portions():
+            covered = np.union1d(covered, number[number >= 0])
+        return len(covered) * self.cell_m**2
 
     def count(self, among: np.ndarray | None = None) -> np.ndarray:
         """Points in each cell, of those ``among`` (N,) bool."""
-        return cell_counts(self.index if among is None else self.index[among], self.shape)
+        count = np.zeros(self.shape, dtype=np.int64)
+        for part, number in self._portions():
+            _add(count, number[number >= 0 if among is None else (number >= 0) & among[part]])
+        return count
 
-    def mean(self, values: np.ndarray, among: np.ndarray | None = None) -> np.ndarray:
+    def mean(self, values: np.ndarray | ComputedColumn, among: np.ndarray | None = None) -> np.ndarray:
         """Mean of values (N,) in each cell, NaN where there is none; values that are NaN do not count."""
-        if among is None:
-            return cell_means(self.index, values, self.shape)
-        return cell_means(self.index[among], values[among], self.shape)
+        count, total = np.zeros(self.shape, dtype=np.int64), np.zeros(self.shape)
+        for part, number in self._portions():
+            here = np.asarray(values[part], dtype=np.float64)
+            use = (number >= 0) & np.isfinite(here)
+            if among is not None:
+                use &= among[part]
+            _add(count, number[use])
+            _add(total, number[use], here[use])
+        return np.where(count == 0, np.nan, total / np.maximum(count, 1))
 
     def highest(self, height: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Values (N, ...) of the highest point of each cell, (rows, columns, ...) float64; NaN where none."""
-        order = np.argsort(height, kind="stable")
-        order = order[self.index[order] >= 0]
-        top = np.full((self.shape[0] * self.shape[1], *values.shape[1:]), np.nan)
-        # Of points in one cell the last one assigned stays.
-        top[self.index[order]] = values[order]
-        return top.reshape(*self.shape, *values.shape[1:])
+        cells = self.shape[0] * self.shape[1]
+        top, found = np.full(cells, -np.inf), np.full((cells, *values.shape[1:]), np.nan)
+        for part, number in self._portions():
+            here = np.asarray(height[part])
+            order = np.argsort(here, kind="stable")
+            # From the highest down, the first point of each cell.
+            cell, last = np.unique(number[order][::-1], return_index=True)
+            point = order[::-1][last]
+            higher = (cell >= 0) & ~(here[point] < top[cell])
+            cell, point = cell[higher], point[higher]
+            top[cell], found[cell] = here[point], values[part][point]
+        return found.reshape(*self.shape, *values.shape[1:])
+
+
+def _add(total: np.ndarray, number: np.ndarray, weights: np.ndarray | None = None) -> None:
+    """Add points, or their weights, to the cells (rows, columns) of these numbers (M,)."""
+    if len(number):
+        # Points that follow each other lie near each other.
+        first = int(number.min())
+        found = np.bincount(number - first, weights)
+        total.reshape(-1)[first : first + len(found)] += found

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from evaluation import height_at
 from evaluation.standards import TVU, order_by_tvu
 from survey.control.points import Checkpoint, ControlPoint
+from survey.display.column import ColumnStatistics, ComputedColumn, portions
 from survey.display.quantities import count, length, named, share
 from survey.folder.survey import Survey
 from survey.report.blocks import Block, Rows, Text
@@ -29,6 +30,8 @@ _NOTE = (
 WITHIN_GSD = 5.0
 # A difference of more standard deviations, of the cloud as it states them, is named.
 _MOST_STD = 3.0
+# Points of the cloud are looked at within so many times the distance at which they count.
+_ENOUGH = 4.0
 # Nearest points of the cloud whose standard deviations tell that at a check point.
 _NEAREST = 8
 
@@ -57,20 +60,22 @@ class StatedFigures:
         return next((order for order in self.orders if order.share_within >= _SHARE), None)
 
 
-def stated_of(std_m: np.ndarray, depth_m: np.ndarray) -> StatedFigures | None:
+def stated_of(std_m: np.ndarray | ComputedColumn, depth_m: np.ndarray | ComputedColumn) -> StatedFigures | None:
     """The figures of points with standard deviations (N,) [m] of their heights, at depths (N,) [m]; None of no points.
 
     Depths are positive under water; NaN counts for nothing.
     """
-    known = np.isfinite(std_m)
-    if not known.any():
+    of_std = ColumnStatistics(std_m)
+    if not of_std.size:
         return None
-    orders = order_by_tvu(std_m, depth_m)
-    wet = orders[orders > 0]
+    counts = np.zeros(len(TVU) + 2, dtype=np.int64)
+    for part in portions(len(std_m)):
+        counts += np.bincount(order_by_tvu(std_m[part], depth_m[part]), minlength=len(counts))
+    points_wet, within = int(counts[1:].sum()), np.cumsum(counts[1:])
     shares = [
-        StatedOrder(name, float((wet <= number).mean())) for number, (name, _, _) in enumerate(TVU, start=1) if len(wet)
+        StatedOrder(name, float(met / points_wet)) for (name, _, _), met in zip(TVU, within, strict=False) if points_wet
     ]
-    return StatedFigures(LE90 * float(np.median(std_m[known])), len(wet), tuple(shares))
+    return StatedFigures(LE90 * of_std.median, points_wet, tuple(shares))
 
 
 def table(found: StatedFigures | None) -> list[Block]:
@@ -139,11 +144,25 @@ def checkpoint_heights(points: np.ndarray, places: np.ndarray, gsd_m: float) -> 
         By the plane through the nearest points of the cloud, as `compare --checkpoints` has it; NaN where they are
         fewer than four, or do not surround the check point.
     """
-    return height_at(points, places[:, :2], within_m=WITHIN_GSD * gsd_m) - places[:, 2]
+    near = points[_near(points, places, _ENOUGH * WITHIN_GSD * gsd_m)]
+    return height_at(near, places[:, :2], within_m=WITHIN_GSD * gsd_m) - places[:, 2]
+
+
+def _near(points: np.ndarray, places: np.ndarray, reach_m: float) -> np.ndarray:
+    """Numbers of the points (N, 3) within a distance of places (K, 2 or more), in plan.
+
+    A tree of all points would take more memory than the cloud.
+    """
+    tree = cKDTree(places[:, :2])
+    found = [np.empty(0, dtype=np.int64)]
+    for part in portions(len(points)):
+        distance, _ = tree.query(points[part, :2], distance_upper_bound=reach_m)
+        found.append(part.start + np.flatnonzero(np.isfinite(distance)))
+    return np.concatenate(found)
 
 
 def checkpoints_of(
-    survey: Survey, points: np.ndarray, gsd_m: float, stated: np.ndarray | None = None
+    survey: Survey, points: np.ndarray, gsd_m: float, stated: np.ndarray | ComputedColumn | None = None
 ) -> CheckpointAccuracy | None:
     """The figures of a cloud (N, 3) [m], local, with the standard deviations (N,) [m] of its heights, where known.
 
@@ -157,7 +176,8 @@ def checkpoints_of(
         return None
     places = np.array([point.local for point in given])
     differences = checkpoint_heights(points, places, gsd_m)
-    stds, outside = _stated_at(points, stated, places), _outside(survey, np.array([point.crs for point in given]))
+    stds = _stated_at(points, stated, places, _ENOUGH * WITHIN_GSD * gsd_m)
+    outside = _outside(survey, np.array([point.crs for point in given]))
     water = survey.water
     depths = None if water is None else -height_above(water, survey.observations.departure, places)
     rows = tuple(
@@ -187,12 +207,17 @@ def checkpoint_doubts(found: CheckpointAccuracy | None) -> list[str]:
     return named(far, "check point", f"farther from the cloud than {_MOST_STD:g} standard deviations")
 
 
-def _stated_at(points: np.ndarray, stated: np.ndarray | None, places: np.ndarray) -> np.ndarray:
-    """Standard deviations (K,) [m] of the cloud at places (K, 3): the median of the nearest points."""
-    if stated is None or len(points) < _NEAREST:
+def _stated_at(
+    points: np.ndarray, stated: np.ndarray | ComputedColumn | None, places: np.ndarray, reach_m: float
+) -> np.ndarray:
+    """Standard deviations (K,) [m] of the cloud at places (K, 3): the median of the nearest points; NaN without."""
+    rows = np.empty(0, dtype=np.int64) if stated is None else _near(points, places, reach_m)
+    if stated is None or len(rows) < _NEAREST:
         return np.full(len(places), np.nan)
-    _, nearest = cKDTree(points[:, :2]).query(places[:, :2], k=_NEAREST)
-    return np.median(stated[nearest], axis=1)
+    distance, nearest = cKDTree(points[rows, :2]).query(places[:, :2], k=_NEAREST)
+    stds = np.median(stated[rows][nearest], axis=1)
+    # Those of another place are none of this one.
+    return np.where(distance[:, -1] <= reach_m, stds, np.nan)
 
 
 def _outside(survey: Survey, places_crs: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ from geo.crs import crs_code
 from refract import FlatWater, crossing_point, water_index
 from refract.media import USUAL_SALINITY_PSU, USUAL_TEMPERATURE_C
 from survey.adjust.result.adjustment import FREE
+from survey.display.column import ColumnStatistics, ComputedColumn
 from survey.display.plan_grid import PlanGrid
 from survey.files.json_values import plain
 from survey.folder.motion import shutter_text
@@ -22,7 +23,6 @@ from survey.photos.images import list_images
 from survey.photos.texture import MatchedLight
 from survey.report.adjustment_figures import adjustment_of
 from survey.report.checkpoints import checkpoint_doubts, checkpoints_of, stated_of
-from survey.report.column import ColumnStatistics
 from survey.report.facts import ReportFacts, dry_doubts
 from survey.report.figures import (
     BaselineRow,
@@ -166,15 +166,22 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
         height_std=height_std(facts.bed.std, facts.std_common) if len(facts.bed) else None,
         adjustment=adjustment,
         photographs=facts.photographs,
-        stated=stated_of(stated, np.where(facts.bed.wet, facts.bed.depth, np.nan)),
+        stated=stated_of(stated, ComputedColumn(_depth_under_water, facts.bed.depth, facts.bed.wet)),
         coverage=facts.coverage,
         taken=taken_of(survey.config.report, facts.heads, datetime.now().astimezone()) if facts.heads else None,
     )
 
 
-def stated_std(std: np.ndarray, std_common: np.ndarray | None) -> np.ndarray:
+def stated_std(std: np.ndarray, std_common: np.ndarray | None) -> ComputedColumn:
     """Standard deviations (N,) [m] of the heights of points, random and shared, from both (N,); NaN counts for none."""
-    return np.hypot(std, np.zeros(len(std)) if std_common is None else np.nan_to_num(std_common))
+    if std_common is None:
+        return ComputedColumn(np.abs, std)
+    return ComputedColumn(lambda own, shared: np.hypot(own, np.nan_to_num(shared)), std, std_common)
+
+
+def _depth_under_water(depth: np.ndarray, wet: np.ndarray) -> np.ndarray:
+    """Depths [m] of the points under water, NaN for all others."""
+    return np.where(wet, depth, np.nan)
 
 
 def height_std(std: np.ndarray, std_common: np.ndarray | None) -> HeightStd:
@@ -244,7 +251,7 @@ def _light(light: MatchedLight, n_water: float, bed: BedPoints) -> LightFigures:
     over = light.index(USUAL_TEMPERATURE_C, USUAL_SALINITY_PSU) - float(
         water_index(_SODIUM_NM, USUAL_TEMPERATURE_C, USUAL_SALINITY_PSU)
     )
-    depth = float(np.median(bed.depth[bed.wet])) if bed.wet.any() else None
+    depth = ColumnStatistics(bed.depth, bed.wet).median if bed.wet.any() else None
     moved = None if depth is None else depth * over / n_water
     return LightFigures(*light.shares, light.is_measured, light.wavelength_nm, over, moved)
 

@@ -90,7 +90,7 @@ def draw_surface(path: Path, facts: ReportFacts, grid: PlanGrid, cut: Cut | None
 
 def draw_num_views(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     """Mean number of views that agree, in plan."""
-    values = without_pinholes(grid.mean(facts.bed.num_views.astype(np.float64)))
+    values = without_pinholes(grid.mean(facts.bed.num_views))
     top = max(4, int(np.nanquantile(values, 0.99)) + 1)
     steps = np.arange(1, top + 1, max(1, top // 10))
     scale = ScalarMappable(BoundaryNorm(np.append(steps, steps[-1] + 1), 256), COUNTS)

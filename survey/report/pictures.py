@@ -18,12 +18,12 @@ from geo.crs import height_unit_m
 from survey.adjust.result.parts import part_numbers
 from survey.compare import pictures as compare_report
 from survey.compare.canvas import canvas, nice_limit, plain_log_ticks, save, write_title
+from survey.display.column import ColumnStatistics
 from survey.display.palette import BLUE, INK, RED, SERIES, SOFT
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, number, with_unit
 from survey.report import adjustment_pictures, flight, maps, profile
 from survey.report.checkpoints import CheckpointAccuracy
-from survey.report.column import ColumnStatistics
 from survey.report.facts import ReportFacts, distances_of
 from survey.report.maps import draw_unseen
 from survey.report.profile import choose_cut

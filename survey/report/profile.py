@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 
 from geo.crs import height_unit_m, is_geographic
 from survey.compare.canvas import canvas, figure_of, lay_out, save, write_title
+from survey.display.column import ComputedColumn, portions
 from survey.display.palette import BLUE, INK, LAND, RED, WATER, WATER_LINE
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import NO_BREAK, LengthUnit, cell_size, number
@@ -38,7 +39,7 @@ class _Strip:
     """The points near a cut."""
 
     width_m: float  # [m]
-    inside: np.ndarray  # (N,) bool: those of the bed that lie in it
+    rows: np.ndarray  # (K,) int64: numbers of the points of the bed that lie in it
     # along, heights (K,) [m]: from the start of the cut, and heights in crs
     along: np.ndarray
     heights: np.ndarray
@@ -54,12 +55,16 @@ def has_profile(facts: ReportFacts, cut: Cut) -> bool:
 
 
 def _strip(facts: ReportFacts, cut: Cut) -> _Strip:
-    along, across = cut.along_and_across(facts.bed.xyz)
     width_m = _STRIP_GSD * facts.plan.gsd_m
-    # Half a cell of the grid that chose the cut may lie beside it.
-    inside = (np.abs(across) <= 0.5 * width_m) & (along >= 0.0) & (along <= cut.length_m)
+    found = []
+    for part in portions(len(facts.bed)):
+        along, across = cut.along_and_across(facts.bed.xyz[part])
+        # Half a cell of the grid that chose the cut may lie beside it.
+        inside = (np.abs(across) <= 0.5 * width_m) & (along >= 0.0) & (along <= cut.length_m)
+        found.append(part.start + np.flatnonzero(inside))
+    rows = np.concatenate(found)
     step_m = max(_STEP_GSD * facts.plan.gsd_m, cut.length_m / _MOST_STEPS)
-    return _Strip(width_m, inside, along[inside], facts.points_crs[inside, 2], step_m)
+    return _Strip(width_m, rows, cut.along_and_across(facts.bed.xyz[rows])[0], facts.points_crs[rows, 2], step_m)
 
 
 def draw_profile(path: Path, facts: ReportFacts, cut: Cut) -> Picture:
@@ -84,7 +89,7 @@ def draw_profile(path: Path, facts: ReportFacts, cut: Cut) -> Picture:
     axes.plot(x, bed, color=INK, lw=1.1, label="bed", zorder=3)
     axes.plot(along, heights, ".", ms=1.8, color=BLUE, alpha=0.4, rasterized=True, label="points", zorder=2)
     if facts.comparison is not None:
-        reference = _reference_heights(facts.comparison, strip.inside) * up
+        reference = _reference_heights(facts.comparison, strip.rows) * up
         axes.plot(*_medians(along, reference, step), color=RED, lw=1.3, label="reference", zorder=4)
     axes.set(xlabel=f"along the line from A to B [{unit.name}]", ylabel=f"height [{unit.name}]")
     axes.ticklabel_format(axis="y", useOffset=False)
@@ -159,14 +164,13 @@ def _stretch(axes: Axes) -> float:
     return (box.height / (y1 - y0)) / (box.width / (x1 - x0))
 
 
-def _reference_heights(comparison: Comparison, strip: np.ndarray) -> np.ndarray:
-    """Height in crs of the reference nearest to each point of the strip, a mask (N,); NaN where none was compared."""
+def _reference_heights(comparison: Comparison, rows: np.ndarray) -> np.ndarray:
+    """Height (K,) in crs of the reference nearest to the points of some rows (K,); NaN where none was compared."""
     inside = comparison.inputs.inside
-    heights = np.full(len(strip), np.nan)
-    rows = np.flatnonzero(strip & inside)
-    nearest = comparison.nearest[np.cumsum(inside)[rows] - 1]
-    heights[rows] = comparison.inputs.frame.crs_from_local(nearest)[:, 2]
-    return heights[strip]
+    heights, is_compared = np.full(len(rows), np.nan), inside[rows]
+    nearest = comparison.nearest[np.cumsum(inside)[rows[is_compared]] - 1]
+    heights[is_compared] = comparison.inputs.frame.crs_from_local(nearest)[:, 2]
+    return heights
 
 
 def _medians(along: np.ndarray, values: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
@@ -206,9 +210,9 @@ def choose_cut(facts: ReportFacts) -> Cut:
 
     The bed has to have a point. Dry ground counts as depth zero, so that a cut meets the shore rather than a hill.
     """
-    xyz, is_dry = facts.bed.xyz.astype(np.float64, copy=False), facts.survey.water is None
+    xyz, is_dry = facts.bed.xyz, facts.survey.water is None
     grid = PlanGrid.over(xyz, None, max_cells=_CELLS)
-    relief = grid.mean(xyz[:, 2] if is_dry else np.maximum(facts.bed.depth.astype(np.float64), 0.0))
+    relief = grid.mean(xyz[:, 2] if is_dry else ComputedColumn(lambda depth: np.maximum(depth, 0.0), facts.bed.depth))
     west, east, south, north = grid.extent
     centre = np.array([0.5 * (west + east), 0.5 * (south + north)])
     half = 0.5 * float(np.hypot(east - west, north - south))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
+from survey.display.column import ColumnStatistics
 from survey.display.plan_grid import PlanGrid
 from survey.plan.area import local_area
 from survey.water.surface import plane_under
@@ -72,7 +73,7 @@ def cells_seen(
     gsd_m : [m]
         Ground sampling distance; cells are `CELL_GSD` of them wide.
     """
-    low, high = _extent(cameras, area, float(np.median(xyz[:, 2])))
+    low, high = _extent(cameras, area, ColumnStatistics(xyz[:, 2]).median)
     cell = max(CELL_GSD * gsd_m, float((high - low).max()) / _MOST_CELLS)
     grid = PlanGrid.within(xyz, low, high, cell)
     height = grid.mean(xyz[:, 2])[::-1]

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from survey.display.column import ColumnStatistics
 from survey.display.quantities import NO_BREAK, length, share
 from survey.plan.aim import SHARE
 from survey.plan.recipe import MAX_STD_GSD, max_height_std
@@ -36,7 +37,7 @@ def verdict_of(survey: Survey, stored: StoredBed, gsd_m: float, cells: SeenCells
     return RunVerdict(
         (
             _completeness(cells_of(survey, stored.bed.xyz, gsd_m) if cells is None else cells),
-            _precision(stored.std_of_photographs(), gsd_m),
+            _precision(ColumnStatistics(stored.std_of_photographs()).median, gsd_m),
             _whole(survey, stored, gsd_m),
         )
     )
@@ -45,7 +46,7 @@ def verdict_of(survey: Survey, stored: StoredBed, gsd_m: float, cells: SeenCells
 def asked_gate(stored: StoredBed, std_m: float) -> Gate:
     """Gate on the target standard deviation [m], with the dominant part where it is missed."""
     # Photographs cannot reduce the std of the datum by GPS or control.
-    bed = replace(stored.bed, std=stored.std_of_photographs())
+    bed = replace(stored.bed, std=stored.std_of_photographs()[:])
     cells = std_cells(bed, stored.gsd_m)
     reached = cells.reached(std_m)
     sentence = f"{cells.in_words(std_m)}; required: {share(SHARE)} within the std asked for"
@@ -67,8 +68,8 @@ def _completeness(cells: SeenCells) -> Gate:
     return Gate("ground with a point", 100.0 * found, 100.0 * MIN_COVERED_SHARE, "%", passed, sentence)
 
 
-def _precision(stds: np.ndarray, gsd_m: float) -> Gate:
-    std, limit = float(np.nanmedian(stds)), MAX_STD_GSD * gsd_m
+def _precision(std: float, gsd_m: float) -> Gate:
+    limit = MAX_STD_GSD * gsd_m
     sentence = (
         f"the median standard deviation of the points is {length(std)}; required: at most {length(limit)} "
         f"({MAX_STD_GSD:g}{NO_BREAK}ground sampling distances)"

@@ -20,6 +20,7 @@ from geo.reading import write_verified
 from survey.adjust.applied import CAMERAS, MODEL_FOLDER
 from survey.adjust.result.adjustment import ARRAYS, JSON, Adjustment, read_adjustment
 from survey.compare.figures import Comparison
+from survey.display.column import ColumnStatistics
 from survey.display.quantities import foot_m, length, lengths_in_feet
 from survey.files.json_values import read_json_object, write_json
 from survey.files.toml_table import table_of
@@ -174,8 +175,8 @@ def _coverage(survey: Survey, stored: StoredBed, cells: SeenCells) -> CoverageFi
     depth, departure = np.asarray(survey.water.height(x, y)) - height, survey.observations.departure
     if departure is not None:
         depth = depth + departure.at(cells.middles[..., :2].reshape(-1, 2))[0].reshape(depth.shape)
-    shared = None if stored.std_common is None else stored.std_common[np.isfinite(stored.std_common)]
-    std = float(np.median(shared)) if shared is not None and len(shared) else None
+    shared = None if stored.std_common is None else ColumnStatistics(stored.std_common)
+    std = shared.median if shared is not None and shared.size else None
     return coverage_of(depth, cells.has_point, cells.num_views, cells.cell_m, std)
 
 

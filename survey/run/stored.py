@@ -20,6 +20,7 @@ import numpy as np
 from pyproj import CRS
 
 from geo.files import disk_refusals, write_whole
+from survey.display.column import ComputedColumn
 from survey.errors import SurveyError
 
 if TYPE_CHECKING:
@@ -68,11 +69,13 @@ class StoredBed:
     # (`survey.adjust.result.std_of_block`); None where a file has
     std_placed: np.ndarray | None = None
 
-    def std_of_photographs(self) -> np.ndarray:
+    def std_of_photographs(self) -> np.ndarray | ComputedColumn:
         """Standard deviations (N,) [m] of the heights without `std_placed`: as good as the photographs are."""
         if self.std_placed is None:
             return self.bed.std
-        return np.sqrt(np.maximum(self.bed.std**2 - self.std_placed**2, 0.0))
+        return ComputedColumn(
+            lambda whole, placed: np.sqrt(np.maximum(whole**2 - placed**2, 0.0)), self.bed.std, self.std_placed
+        )
 
 
 def save_arrays(path: str | Path, **arrays: np.ndarray) -> None:

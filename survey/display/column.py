@@ -8,7 +8,7 @@ section 5.2.5).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cached_property
 
 import numpy as np
@@ -17,27 +17,54 @@ import numpy as np
 _PORTION, _BITS = 1_000_000, 16
 
 
+def portions(count: int) -> Iterator[slice]:
+    """Parts of so many rows."""
+    return (slice(first, first + _PORTION) for first in range(0, count, _PORTION))
+
+
+class ComputedColumn:
+    """A column (N,) that is a function of others, computed for the rows that are asked for.
+
+    Parameters
+    ----------
+    function : callable
+        Of the same rows of all columns.
+    columns : (N, ...), one at least
+    """
+
+    def __init__(self, function: Callable[..., np.ndarray], *columns: np.ndarray):
+        self._function, self._columns = function, columns
+
+    def __len__(self) -> int:
+        return len(self._columns[0])
+
+    def __getitem__(self, rows) -> np.ndarray:
+        """Values of some rows: a slice, or their numbers."""
+        return self._function(*(np.asarray(column[rows]) for column in self._columns))
+
+
 class ColumnStatistics:
     """The finite values of a column (N,), of numbers or whole ones.
 
     Parameters
     ----------
     values : (N,)
+        An array, or a `ComputedColumn`.
     among : (N,) bool, optional
         Those that count.
     scale : [-]
         Above zero; all results are of the values times it.
     """
 
-    def __init__(self, values: np.ndarray, among: np.ndarray | None = None, scale: float = 1.0):
+    def __init__(self, values: np.ndarray | ComputedColumn, among: np.ndarray | None = None, scale: float = 1.0):
         self._values, self._among, self._scale = values, among, scale
 
     def _portions(self) -> Iterator[np.ndarray]:
-        for first in range(0, len(self._values), _PORTION):
-            part = np.asarray(self._values[first : first + _PORTION])
+        for rows in portions(len(self._values)):
+            part = np.asarray(self._values[rows])
             keep = np.isfinite(part)
             if self._among is not None:
-                keep &= self._among[first : first + _PORTION]
+                keep &= self._among[rows]
             yield part if keep.all() else part[keep]
 
     @cached_property

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from survey.report import column
-from survey.report.column import ColumnStatistics
+from survey.display import column
+from survey.display.column import ColumnStatistics, ComputedColumn
 
 KINDS = [np.float16, np.float32, np.float64, np.uint8, np.int64]
 
@@ -50,3 +50,14 @@ def test_some_of_the_values_may_count_and_all_may_be_scaled(rng):
 def test_a_column_may_hold_nothing_that_counts():
     assert ColumnStatistics(np.array([np.nan, np.inf], dtype=np.float32)).size == 0
     assert ColumnStatistics(np.zeros(0, dtype=np.float32)).size == 0
+
+
+def test_a_computed_column_has_the_statistics_of_its_function(rng):
+    east, north = rng.normal(size=(2, 200))
+    column_of_both, both = ComputedColumn(np.hypot, east, north), np.hypot(east, north)
+    assert len(column_of_both) == 200
+    np.testing.assert_array_equal(column_of_both[[7, 150]], both[[7, 150]])
+    found = ColumnStatistics(column_of_both, east > 0.0)
+    assert found.size == (east > 0.0).sum()
+    assert found.median == np.median(both[east > 0.0])
+    assert found.greatest == both[east > 0.0].max()

@@ -1,0 +1,165 @@
+"""How do time and memory of a run grow with the number of photographs?
+
+    python benchmarks/bench_photographs.py FOLDER [130 520 2080] [--quality draft] [--workers 1] [-o FILE.json]
+
+Draws in FOLDER/<number> strips of 320 x 240 px over a bed 1.5 m deep, 12 m over the water (a pixel covers 28 mm),
+6.5 m² for each photograph whatever their number, and keeps them. Processes each with poses as given, in a tile for
+every 32.5 photographs. Prints and writes: wall time by stage and of all, processor time, peak of anonymous memory
+[bytes] of the process of the run and of the largest worker, points, mean and std of the inner 90 % of the vertical
+errors. Linux alone tells the memory.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from contextlib import suppress
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import psutil
+
+from evaluation import distance_to_mesh
+from geo import read_cloud, read_reference
+from survey.benchmark.benchmark import machine
+from survey.folder.survey import load_survey
+from survey.run.folder import RunDir
+from survey.simulate.drawn import DrawnScene, stage_drawing
+from survey.simulate.output.sidecars import StagedScene
+from survey.simulate.output.writing import write_survey
+
+_BATHYNERF = (sys.executable, "-c", "from survey.commands.app import main; main()")
+PHOTOGRAPHS_OF_TILE = 32.5
+GROUND_OF_PHOTOGRAPH_M2 = 6.5
+# Of the extent of a drawn scene, what the cameras of its strips span.
+SPAN = (0.6, 0.7)
+# Errors are those of this far around the middle [m]: the whole surface would take more memory than a run.
+MIDDLE_M = 8.0
+# Between two looks at the memory [s].
+_LOOK_S = 0.05
+
+
+def scene_of(number: int) -> DrawnScene:
+    """Strips of so many photographs that look down."""
+    side = math.sqrt(GROUND_OF_PHOTOGRAPH_M2 * number)
+    return DrawnScene(
+        size_m=(side / SPAN[0], side / SPAN[1]),
+        depth_m=1.5,
+        num_views=number,
+        nadir_share=1.0,
+        image_px=(320, 240),
+        focal_px=480.0,
+        flying_m=12.0,
+        cell_m=0.05,
+        texel_m=0.02,
+        objects=False,
+    )
+
+
+def staged(number: int) -> StagedScene:
+    """The scene with the bounds that its strips cover; of one ray per pixel, which suffices for the growth."""
+    scene, side = stage_drawing(scene_of(number)), math.sqrt(GROUND_OF_PHOTOGRAPH_M2 * number)
+    east, north = scene.frame.origin[:2]
+    bounds = (east - 0.5 * side, north - 0.5 * side, east + 0.5 * side, north + 0.5 * side)
+    return replace(scene, bounds=bounds, sensor=replace(scene.sensor, samples=1))
+
+
+class Memory:
+    """Peaks of anonymous memory of a process and of its largest child, watched in a thread."""
+
+    def __init__(self, pid: int):
+        self.own = self.child = 0
+        self._process, self._ended = psutil.Process(pid), threading.Event()
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Look no longer."""
+        self._ended.set()
+        self._thread.join()
+
+    def _watch(self) -> None:
+        while not self._ended.wait(_LOOK_S):
+            # Some may have just ended.
+            with suppress(psutil.Error, OSError):
+                self.own = max(self.own, _anonymous(self._process.pid))
+                for child in self._process.children(recursive=True):
+                    with suppress(psutil.Error, OSError):
+                        self.child = max(self.child, _anonymous(child.pid))
+
+
+def _anonymous(pid: int) -> int:
+    text = Path(f"/proc/{pid}/status").read_text(encoding="ascii")
+    return 1024 * int(text.split("RssAnon:")[1].split()[0])
+
+
+def row_of(survey: Path, number: int, quality: str, workers: int) -> dict:
+    """A run of a survey, measured."""
+    with tempfile.TemporaryDirectory() as folder:
+        run, tiles = Path(folder) / "run", round(number / PHOTOGRAPHS_OF_TILE)
+        words = [*_BATHYNERF, "process", str(survey), "-o", str(run), "--quality", quality, "--tiles", str(tiles)]
+        start, before = time.monotonic(), os.times()
+        process = subprocess.Popen([*words, "--workers", str(workers), "-q"], stdout=subprocess.DEVNULL)
+        memory = Memory(process.pid)
+        code = process.wait()
+        memory.stop()
+        wall, after = time.monotonic() - start, os.times()
+        if code not in (0, 3):
+            raise SystemExit(f"the run of {number} photographs ended with exit code {code}; see its output above")
+        cloud = read_cloud(RunDir(run).cloud_path)
+        off, count = errors_of(survey, cloud.points), len(cloud.points)
+        timings = json.loads((run / "report.json").read_text(encoding="utf-8"))["timings_s"]
+    inner = off[np.abs(off) <= np.quantile(np.abs(off), 0.9)]
+    return {
+        "photographs": number,
+        "tiles": tiles,
+        "quality": quality,
+        "workers": workers,
+        "processor_s": after.children_user - before.children_user + after.children_system - before.children_system,
+        "wall_s": wall,
+        "memory_bytes": memory.own,
+        "worker_bytes": memory.child,
+        "points": count,
+        "mean_mm": 1e3 * float(inner.mean()),
+        "std_mm": 1e3 * float(inner.std()),
+        "stages_s": timings,
+    }
+
+
+def errors_of(folder: Path, points: np.ndarray) -> np.ndarray:
+    """Signed distances [m] of the points in the middle of a survey to the true surface there."""
+    frame, mesh = load_survey(folder).frame, read_reference(folder / "reference.ply")
+    xyz, vertices = frame.local_from_crs(points), frame.local_from_crs(mesh.vertices)
+    here = xyz[(np.abs(xyz[:, :2]) < MIDDLE_M).all(axis=1)]
+    faces = mesh.faces[(np.abs(vertices[mesh.faces[:, 0], :2]) < 1.1 * MIDDLE_M).all(axis=1)]
+    return distance_to_mesh(here, vertices, faces).signed
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("photographs", type=int, nargs="*", default=[130, 520, 2080])
+    parser.add_argument("--quality", default="draft")
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("-o", "--output", type=Path)
+    asked = parser.parse_args()
+    rows = []
+    for number in asked.photographs:
+        survey = asked.folder / str(number)
+        write_survey(survey, asdict(scene_of(number)), lambda number=number: staged(number))
+        rows.append(row_of(survey, number, asked.quality, asked.workers))
+        print(json.dumps(rows[-1]), flush=True)  # noqa: T201
+    if asked.output is not None:
+        asked.output.write_text(json.dumps({"machine": machine(), "rows": rows}, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

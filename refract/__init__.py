@@ -19,8 +19,7 @@ from refract.snell import (
     tangential_shift,
     true_depth,
 )
-from refract.surfaces import FlatWater, WaterSurface
-from refract.tidal import TidalWater
+from refract.surfaces import FlatWater, TidalWater, WaterSurface
 
 __all__ = [
     "BentPaths",

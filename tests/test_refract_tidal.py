@@ -9,8 +9,7 @@ import pytest
 import torch
 
 from refract import crossing_point, project, trace
-from refract.surfaces import FlatWater
-from refract.tidal import TidalWater
+from refract.surfaces import FlatWater, TidalWater
 
 
 def test_readings_are_met_and_the_level_is_linear_between():

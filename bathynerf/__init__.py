@@ -41,8 +41,7 @@ if TYPE_CHECKING:
     from survey.photos.cameras import View
     from survey.plan.choices import Choices
     from survey.plan.plan import Plan, make_plan
-    from survey.profile.profile import Profile
-    from survey.profile.profiles import profiles_along
+    from survey.profile.profiles import Profile, profiles_along
     from survey.progress import Progress
     from survey.run.process import process
     from survey.simulate.drawn import draw_survey
@@ -121,8 +120,7 @@ _MODULES = {
     "survey.photos.cameras": ("View",),
     "survey.plan.choices": ("Choices",),
     "survey.plan.plan": ("Plan", "make_plan"),
-    "survey.profile.profile": ("Profile",),
-    "survey.profile.profiles": ("profiles_along",),
+    "survey.profile.profiles": ("Profile", "profiles_along"),
     "survey.progress": ("Progress",),
     "survey.run.process": ("process",),
     "survey.export.render": ("render",),

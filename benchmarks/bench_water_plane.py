@@ -14,7 +14,7 @@ import sys
 
 import numpy as np
 
-from survey.water.plane_doubt import plane_doubt
+from survey.water.level_observation import plane_doubt
 
 KINDS = ("normal", "wrong points", "long tails", "mixed")
 NUMBERS = (16, 24, 40, 80, 150)

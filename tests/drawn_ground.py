@@ -8,7 +8,7 @@ import numpy as np
 
 from survey.control.points import StableGround
 from survey.folder.survey import Survey
-from survey.settings.control import ControlConfig
+from survey.settings.tables import ControlConfig
 from tests.block_survey import survey_of, with_shift
 from tests.changed_survey import changed
 from tests.drawn_block import DrawnBlock, draw_block, water_plane

@@ -16,8 +16,7 @@ from survey.adjust.block.bundle import (
     system_with,
 )
 from survey.adjust.block.prediction import linearise, predict
-from survey.adjust.block.problem import Planes, Priors, Problem
-from survey.adjust.block.robust import HUBER, std_of_kinds
+from survey.adjust.block.problem import HUBER, Planes, Priors, Problem, std_of_kinds
 from survey.adjust.block.state import RELIEF, Layout, State
 from survey.adjust.rounds import std_over_points
 from survey.photos.poses import TiePoints

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from survey.adjust.far_poses import RecoveredPoses, _onto, find_anew, windows_or_search
 from survey.adjust.refine import adjust_survey
+from survey.adjust.starts import RecoveredPoses, _onto, find_anew, windows_or_search
 from survey.errors import SurveyError
 from survey.folder.survey import load_survey
 from survey.photos.poses import TiePoints

@@ -11,11 +11,10 @@ import pytest
 from refract.lens import MODELS, Lens, distorted
 from survey.adjust.applied import apply_adjustment, write_cameras
 from survey.adjust.block.bundle import NotConvergedError
-from survey.adjust.block.lenses import enlarged, lenses_of
 from survey.adjust.block.observed import MATCH, observed
 from survey.adjust.block.prediction import predict
 from survey.adjust.block.priors import known_of
-from survey.adjust.block.state import LENS, RELIEF
+from survey.adjust.block.state import LENS, RELIEF, enlarged, lenses_of
 from survey.adjust.focal_lengths import with_focals
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import read_adjustment, write_adjustment

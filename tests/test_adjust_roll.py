@@ -11,8 +11,7 @@ from block_survey import survey_of
 from drawn_block import DrawnBlock, _turned, draw_block
 from scipy.spatial.transform import Rotation
 
-from survey.adjust.block.roll import rolls_of
-from survey.adjust.block.roll_profile import std_by_profile
+from survey.adjust.block.roll import rolls_of, std_by_profile
 from survey.adjust.block.state import POSE
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import Adjustment

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from survey.adjust.block.priors import known_of
-from survey.adjust.second_start import of_two_starts
+from survey.adjust.starts import of_two_starts
 from tests.adjusted_block import drawn_adjustment
 from tests.block_survey import survey_of
 from tests.changed_survey import changed

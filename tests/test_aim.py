@@ -11,9 +11,19 @@ from fields.sweep.bed import BedPoints
 from survey.errors import SurveyError
 from survey.plan.aim import Aim, aim_of, recipes_for
 from survey.plan.plan import image_scale
-from survey.plan.round_costs import FullSizeAmounts, RoundRates, samples
-from survey.run.aimed_run import DEPTH, FEW, NOISE, AimedRun, CellStd, std_cells
-from survey.run.clock import Clock, OutOfTimeError
+from survey.run.aimed_run import (
+    DEPTH,
+    FEW,
+    NOISE,
+    AimedRun,
+    CellStd,
+    Clock,
+    FullSizeAmounts,
+    OutOfTimeError,
+    RoundRates,
+    samples,
+    std_cells,
+)
 
 GROUND = FullSizeAmounts(photographs_mpx=10.0, map_px=10e6, points=1e6, poses="fixed", num_views=10)
 # A machine on which all rates are easy to count with.

@@ -18,7 +18,7 @@ from survey.plan.aim import Aim, aim_and_choices
 from survey.plan.choices import USUAL, Choices
 from survey.run.repeat import Truth, command_of
 from survey.settings.config import dump_config, parse_config
-from survey.settings.process import ProcessConfig
+from survey.settings.tables import ProcessConfig
 
 # A value of each key, and another; none of them the default.
 VALUES = {

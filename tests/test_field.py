@@ -26,7 +26,7 @@ from survey.errors import ConfigError, OutputError, SurveyError
 from survey.export.loaded import LoadedRun
 from survey.run.products import write_bed_ply
 from survey.settings.config import parse_config
-from survey.settings.field import FieldConfig, LossesConfig
+from survey.settings.tables import FieldConfig, LossesConfig
 from survey.volume.field import VolumeOptions, train_field
 from survey.volume.monocular import monocular_priors
 from survey.volume.settings import field_config, volume_options

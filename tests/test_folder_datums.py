@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from pyproj import datadir
 
+from geo.area_of_use import rough_undulation_m
 from geo.crs import parse_crs
 from geo.operations import use_grids
-from geo.undulation import rough_undulation_m
 from survey.errors import ConfigError
-from survey.folder.datum_mixups import exif_doubts, explanation, xmp_doubts
+from survey.folder.faults import exif_doubts, explanation, xmp_doubts
 from survey.folder.found import find_survey
 from survey.folder.survey import load_survey
 from survey.photos.exif import Exif

@@ -15,10 +15,10 @@ from geo import LocalFrame, parse_crs
 from geo.crs import horizontal_crs
 from geo.transformation import lon_lat
 from survey.errors import ConfigError, ControlError
+from survey.folder.control import read_ground
 from survey.folder.place import water_plane
-from survey.folder.reference import read_ground
 from survey.settings.config import SurveyConfig, WaterConfig
-from survey.settings.control import ControlConfig
+from survey.settings.tables import ControlConfig
 from survey.water.surface import Departure, height_above
 
 CRS_OF_SURVEY, ORIGIN = "EPSG:25832+5778", (500000.0, 5200000.0, 100.0)

@@ -8,7 +8,7 @@ import pytest
 from small_survey import LEVEL, small_survey, unposed
 
 from geo.crs import parse_crs
-from survey.folder.datum_mixups import start_doubts
+from survey.folder.faults import start_doubts
 from survey.folder.found import find_survey
 from survey.folder.survey import load_survey
 from survey.folder.unposed import require_solvable

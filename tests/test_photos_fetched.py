@@ -13,8 +13,8 @@ from small_survey import TOML, small_survey
 from survey.errors import ConfigError, ImageError, NotReached, SurveyError
 from survey.files.remote import Remote, local_name
 from survey.folder.survey import load_survey
-from survey.photos import fetched
-from survey.photos.fetched import fetch_images
+from survey.photos import images
+from survey.photos.images import fetch_images
 from survey.settings.config import parse_config
 
 
@@ -97,7 +97,7 @@ def test_without_a_network_those_that_were_fetched_are_used(survey, monkeypatch)
 
     monkeypatch.setattr(Remote, "files", lost)
     said = []
-    monkeypatch.setattr(fetched, "current", lambda: SimpleNamespace(warn=said.append))
+    monkeypatch.setattr(images, "current", lambda: SimpleNamespace(warn=said.append))
     fetch_images(url, place)
     assert said == ["photographs are those that were fetched before, as s3://b was not reached"]
     (place / "0000.jpg").unlink()

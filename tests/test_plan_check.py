@@ -26,7 +26,7 @@ from small_survey import (
 )
 
 from survey.errors import ConfigError, ImageError, PosesError, SurveyError
-from survey.folder.camera_faults import angle_doubts
+from survey.folder.faults import angle_doubts
 from survey.folder.plausible import ground_below
 from survey.folder.survey import load_survey
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from survey.water.plane_doubt import departure_of, plane_doubt
+from survey.water.level_observation import departure_of, plane_doubt
 
 
 def points(rng, shape, *, count=80, std=0.02, length=40.0, width=10.0, wrong=0.0):

@@ -13,10 +13,9 @@ from geo.crs import is_geographic
 from geo.files import write_whole
 from refract.lens import Lens
 from survey.adjust.assembling import lens_with
-from survey.adjust.block.lenses import enlarged
 from survey.adjust.block.observed import original_pixels
 from survey.adjust.block.priors import PriorKnowledge
-from survey.adjust.block.state import Layout, State
+from survey.adjust.block.state import Layout, State, enlarged
 from survey.adjust.result.adjustment import Adjustment
 from survey.folder.motion import rows_between
 from survey.folder.place import water_plane

@@ -8,7 +8,6 @@ import numpy as np
 
 from refract.lens import Lens, is_affine
 from survey.adjust.block.control_check import control_warnings
-from survey.adjust.block.lenses import is_held
 from survey.adjust.block.observed import KINDS, MARK, Observed
 from survey.adjust.block.priors import PriorKnowledge
 from survey.adjust.block.state import (
@@ -20,6 +19,7 @@ from survey.adjust.block.state import (
     WATER_NAMES,
     Layout,
     State,
+    is_held,
     settings_by_local,
     settings_of,
     with_settings,

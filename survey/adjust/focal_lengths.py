@@ -28,13 +28,12 @@ import numpy as np
 
 from refract.lens import MODELS, Lens
 from survey.adjust.block.bundle import NotConvergedError, system_with
-from survey.adjust.block.lenses import FEWEST, is_held
 from survey.adjust.block.normal_matrix import NormalMatrix
 from survey.adjust.block.observed import original_rows
 from survey.adjust.block.prediction import relief_sides
 from survey.adjust.block.priors import PriorKnowledge, priors_for
 from survey.adjust.block.problem import Problem
-from survey.adjust.block.state import POSE
+from survey.adjust.block.state import FEWEST, POSE, is_held
 from survey.adjust.rounds import Adjusted
 from survey.folder.survey import Survey
 

@@ -25,12 +25,10 @@ import numpy as np
 
 from refract import FlatWater
 from survey.adjust.block.bundle import NotConvergedError, System, solve, system_at
-from survey.adjust.block.lenses import is_held
 from survey.adjust.block.observed import Observed
 from survey.adjust.block.priors import HELD, PriorKnowledge, known_of, priors_for
-from survey.adjust.block.problem import Problem
-from survey.adjust.block.robust import std_of_kinds
-from survey.adjust.block.state import LENS_NAMES, WATER, WATER_PARAMETERS, Layout, State
+from survey.adjust.block.problem import Problem, std_of_kinds
+from survey.adjust.block.state import LENS_NAMES, WATER, WATER_PARAMETERS, Layout, State, is_held
 from survey.adjust.clusters import inflation
 from survey.adjust.common_height import water_start
 from survey.adjust.observability import FEWEST_WET

@@ -1,7 +1,7 @@
 """Poses, lens and water of a survey together, from its photographs, positions, control and readings.
 
 matches of structure from motion (`Survey.ties`), where there are any -> a first adjustment, which removes the bending;
-poses of a file that are too far off for windows get such matches first (`survey.adjust.far_poses`)
+poses of a file that are too far off for windows get such matches first (`survey.adjust.starts`)
 windows matched to a fraction of a pixel on the adjusted block (`survey.adjust.block.windows`) -> the final adjustment
 """
 
@@ -23,7 +23,6 @@ from survey.adjust.block.priors import PriorKnowledge, known_of
 from survey.adjust.block.state import POSE, WATER, WATER_PARAMETERS
 from survey.adjust.block.windows import measure_windows
 from survey.adjust.common_height import apply_level_datum, height_doubts, water_start, with_common, without_common
-from survey.adjust.far_poses import PoseRecovery, windows_or_search
 from survey.adjust.focal_lengths import FocalDrift, with_focal_std, with_focals, with_square_pixels
 from survey.adjust.given_values import LEVEL, LEVEL_NAME, check_dry_block, dry_bed_error, released, worst_contradiction
 from survey.adjust.observability import (
@@ -38,10 +37,10 @@ from survey.adjust.observability import (
 )
 from survey.adjust.result.adjustment import UNKNOWN, Adjustment
 from survey.adjust.result.ground_fit import ground_fit
-from survey.adjust.result.parts import parts_warning
+from survey.adjust.result.std_of_block import parts_warning
 from survey.adjust.result.verdicts import MOST_SIGMAS, MOST_SIGMAS_OF_FOUR, MOST_STD_LEVEL_M
 from survey.adjust.rounds import Adjusted, adjust
-from survey.adjust.second_start import of_two_starts
+from survey.adjust.starts import PoseRecovery, of_two_starts, windows_or_search
 from survey.adjust.unnamed_water import water_seen
 from survey.control.points import StableGround
 from survey.errors import Contradiction, SurveyError

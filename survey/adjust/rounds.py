@@ -14,8 +14,7 @@ from survey.adjust.block.pose_std import reestimate_pose_std
 from survey.adjust.block.prediction import relief_sides
 from survey.adjust.block.priors import PriorKnowledge, priors_for
 from survey.adjust.block.problem import Problem
-from survey.adjust.block.roll import Roll
-from survey.adjust.block.roll_profile import profiled, widened
+from survey.adjust.block.roll import Roll, profiled, widened
 from survey.adjust.block.state import State, with_parameters
 from survey.adjust.clusters import inflation, terrain_design_effect
 

@@ -19,7 +19,7 @@ from survey.plan.choices import Choices
 if TYPE_CHECKING:
     from survey.plan.aim import Aim
     from survey.plan.check import CheckSection
-    from survey.settings.process import ProcessConfig
+    from survey.settings.tables import ProcessConfig
 
 EXAMPLES = """
     bathynerf check my_survey

@@ -8,7 +8,7 @@ from dataclasses import fields, replace
 
 from survey.errors import ConfigError
 from survey.files.toml_table import parse_values
-from survey.settings.process import ProcessConfig
+from survey.settings.tables import ProcessConfig
 
 PREFIX = "BATHYNERF_PROCESS_"
 

@@ -130,7 +130,7 @@ def run(
     """
     with command(verbose, quiet, output, reads=run) as results:
         from fields.volume.surface import Rule as SurfaceRule
-        from survey.settings.field import FieldConfig
+        from survey.settings.tables import FieldConfig
         from survey.volume.field import rows_of, train_field
         from survey.volume.settings import field_config, volume_options
 

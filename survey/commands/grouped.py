@@ -25,7 +25,7 @@ from survey.commands.options import (
 from survey.words import Quality
 
 if TYPE_CHECKING:
-    from survey.settings.process import ProcessConfig
+    from survey.settings.tables import ProcessConfig
 
 _WATER = "Water"
 # Options whose name leaves out the unit that the settings have.
@@ -84,7 +84,7 @@ class PlanOptions:
     def config(self) -> ProcessConfig:
         """The same as settings, over those of the environment."""
         from survey.commands.environment import asked_of_environment
-        from survey.settings.process import ProcessConfig
+        from survey.settings.tables import ProcessConfig
 
         asked = ProcessConfig(**{_SETTINGS.get(name, name): value for name, value in asdict(self).items()})
         return asked.over(asked_of_environment())

@@ -162,7 +162,7 @@ class LoadedRun:
         given = self.config.cameras.position_std_m
         if given is None:
             return 0.0
-        from survey.settings.std import per_axis
+        from survey.settings.tables import per_axis
 
         return float(max(per_axis(given)[:2]))
 

@@ -22,7 +22,7 @@ from survey.folder.pose_priors import PosePrior
 from survey.photos.cameras import View
 from survey.photos.poses import TiePoints, least_track, parts_of
 from survey.pose_files import find_unread
-from survey.settings.control import per_direction
+from survey.settings.tables import per_direction
 from survey.sfm.control_fit import MIN_POINTS, agreed, coordinates, line_of_control, require_meeting, spread_of
 from survey.sfm.gps import is_whole, what_is_missing
 from survey.sfm.gps_fit import HOLD_THE_ROLL

@@ -24,11 +24,10 @@ from survey.folder.control import FoundControl, find_control
 from survey.folder.geo_txt import find_geo_txt, with_positions
 from survey.folder.positions import position_doubts
 from survey.photos.exif import SUFFIXES, Exif, position_sources, read_exif, without_void
-from survey.photos.fetched import fetch_images
-from survey.photos.images import list_images, same_files
+from survey.photos.images import fetch_images, list_images, same_files
 from survey.pose_files import find_poses, find_unread, pose_files
 from survey.settings.config import SurveyConfig, read_config
-from survey.settings.process import ProcessConfig
+from survey.settings.tables import ProcessConfig
 from survey.sfm.datum import EXACT, DatumStd, least, plan_std
 from survey.sfm.gps import datum_doubts, ways_into_crs
 from survey.water.level import with_level

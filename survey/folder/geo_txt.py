@@ -23,7 +23,7 @@ from survey.files.column_units import odm_crs
 from survey.files.csv_table import shortened, text_lines
 from survey.photos.exif import SUFFIXES, Exif, TablePlace
 from survey.photos.names import ImageNames
-from survey.settings.std import require_std
+from survey.settings.tables import require_std
 from survey.words import GEO_TXT
 
 _FORM = "image x y [z] [omega phi kappa] [horizontal accuracy] [vertical accuracy]"

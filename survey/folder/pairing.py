@@ -19,7 +19,7 @@ from survey.display.quantities import named
 from survey.errors import FILE_NAME, ConfigError, Findings, ImageError, PosesError
 from survey.files.csv_table import shortened
 from survey.folder import place
-from survey.folder.camera_faults import angle_doubts
+from survey.folder.faults import angle_doubts
 from survey.folder.found import MIN_VIEWS, Found
 from survey.folder.pose_priors import PosePrior, priors_of_poses
 from survey.folder.posed import TiePointMisfit, given_in_local, points_in_local, reprojection, way_into_crs
@@ -29,7 +29,7 @@ from survey.photos.names import ImageNames
 from survey.photos.poses import Pose, PoseFile, SecondPose, least_track
 from survey.pose_files import read_poses, read_ties
 from survey.settings.config import CamerasConfig
-from survey.settings.std import per_axis
+from survey.settings.tables import per_axis
 from survey.sfm.datum import EXACT, DatumStd, plan_std, require_as_good
 from survey.water.level import with_level_of_clicks
 

@@ -17,7 +17,7 @@ from geo.transformation import lon_lat
 from refract import PinholeCamera
 from survey.display.quantities import named
 from survey.errors import FILE_NAME, ConfigError, PosesError
-from survey.folder.datum_mixups import above_start_of, explanation, place_of
+from survey.folder.faults import above_start_of, explanation, place_of
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.settings.config import SurveyConfig, WaterConfig

@@ -16,9 +16,15 @@ from refract import FlatWater
 from survey.control.points import Checkpoint, Control, StableGround
 from survey.errors import FILE_NAME, Contradiction, Findings, SurveyError
 from survey.folder import place
-from survey.folder.camera_faults import require_apart, require_focal_lengths
-from survey.folder.control import checkpoint_doubts, mark_doubts
-from survey.folder.datum_mixups import exif_doubts, low_flight_doubts, place_of, start_doubts
+from survey.folder.control import checkpoint_doubts, mark_doubts, read_ground
+from survey.folder.faults import (
+    exif_doubts,
+    low_flight_doubts,
+    place_of,
+    require_apart,
+    require_focal_lengths,
+    start_doubts,
+)
 from survey.folder.found import Found, find_survey
 from survey.folder.motion import Velocity, shutter_doubts, velocities_of, with_motion
 from survey.folder.placed_views import PlacedViews, lifted_over_water, views_of_file, views_of_photographs
@@ -26,7 +32,6 @@ from survey.folder.plausible import doubts_of_places, require_true
 from survey.folder.pose_priors import PosePrior, common_plan_std
 from survey.folder.posed import TiePointMisfit
 from survey.folder.positions import far_from_others
-from survey.folder.reference import read_ground
 from survey.photos.cameras import View, metres_per_px
 from survey.photos.images import load_image, load_mask
 from survey.photos.poses import TiePoints

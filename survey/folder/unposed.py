@@ -17,9 +17,8 @@ from refract.lens import Lens
 from survey.control.placing import require_near
 from survey.display.quantities import named
 from survey.errors import FILE_NAME, ControlError, ImageError, PosesError
-from survey.folder.camera_faults import require_focal_lengths
 from survey.folder.checked_control import control_of_block, may_hold_roll, of_two_marks, require_placing_control
-from survey.folder.datum_mixups import above_start_of, explanation, place_of, start_doubts, xmp_doubts
+from survey.folder.faults import above_start_of, explanation, place_of, require_focal_lengths, start_doubts, xmp_doubts
 from survey.folder.found import Found
 from survey.folder.motion import shutter_doubts
 from survey.folder.plausible import (

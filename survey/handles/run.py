@@ -23,7 +23,7 @@ from survey.export.loaded import LoadedRun
 from survey.export.product import ExportOptions
 from survey.export.registry import PRODUCTS
 from survey.files.json_values import read_json_object
-from survey.profile.profile import Bed, Profile
+from survey.profile.profiles import Bed, Profile
 from survey.run.folder import RunDir
 
 if TYPE_CHECKING:

@@ -18,11 +18,10 @@ from survey.folder.found import Found, find_survey
 from survey.folder.motion import velocities_of, with_motion
 from survey.folder.pairing import read_file_poses
 from survey.folder.place import water_plane
-from survey.photos.cameras import View
-from survey.photos.intersection import projection_and_slope
+from survey.photos.cameras import View, projection_and_slope
 from survey.run.flight import FLIGHT, load_flight
 from survey.settings.config import SurveyConfig, read_config
-from survey.settings.control import ControlConfig
+from survey.settings.tables import ControlConfig
 from survey.water.index import FRESH_WATER
 from survey.water.tides import with_tides
 from survey.words import RUN_FOLDER

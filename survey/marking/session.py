@@ -14,9 +14,8 @@ from survey.control.points import GivenPoint
 from survey.errors import SurveyError
 from survey.marking.book import GROUND, WATER, Book, Pixel, PointKey
 from survey.marking.geometry import by_gain, crossing, epipolar_curve, poses_to_mark, seen_at, survey_to_mark
-from survey.photos.cameras import View
-from survey.photos.intersection import Intersection, intersect
-from survey.settings.control import DEFAULT_MARKS_STD_PX
+from survey.photos.cameras import Intersection, View, intersect
+from survey.settings.tables import DEFAULT_MARKS_STD_PX
 from survey.water.clicks import CLICK_STD_PX
 
 _Points = Mapping[PointKey, GivenPoint | None]

@@ -15,7 +15,7 @@ from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.plan.choices import USUAL, Choices
 from survey.plan.recipe import Recipe
-from survey.settings.process import ProcessConfig
+from survey.settings.tables import ProcessConfig
 
 # The standard deviation is asked for this share of the ground that has points.
 SHARE = 0.95

@@ -11,7 +11,7 @@ import numpy as np
 from geo.crs import EARTH_RADIUS_M, height_unit_m
 from geo.sun import Sun, sun_at
 from refract import PinholeCamera
-from survey.folder.datum_mixups import above_start_of, place_of
+from survey.folder.faults import above_start_of, place_of
 from survey.folder.found import Found
 from survey.folder.motion import velocities_of
 from survey.folder.survey import Survey

@@ -9,8 +9,8 @@ import numpy as np
 from survey.adjust.block.state import RELIEF
 from survey.adjust.result.adjustment import Adjustment, ControlResidual, Parameter
 from survey.adjust.result.ground_fit import GroundFit
-from survey.adjust.result.parts import Part, parts_of_adjustment
 from survey.adjust.result.std_common import CommonError, common_error
+from survey.adjust.result.std_of_block import Part, parts_of_adjustment
 from survey.display.quantities import length
 from survey.folder.survey import Survey
 from survey.report.checkpoints import CE90, LE90

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from evaluation.bootstrap import cell_counts, cell_means, cell_numbers
 from geo.projection import ground_units_m
 from survey.adjust.result.adjustment import Adjustment
-from survey.adjust.result.parts import part_numbers
+from survey.adjust.result.std_of_block import part_numbers
 from survey.compare.canvas import canvas, colour_bar, map_canvas, nice_limit, save, show, write_title
 from survey.display.palette import BLUE, DIFFERENCES, INK, LAND, RED, SERIES, SOFT, SPREADS
 from survey.display.plan_grid import PlanGrid

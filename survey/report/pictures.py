@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from geo.crs import height_unit_m
-from survey.adjust.result.parts import part_numbers
+from survey.adjust.result.std_of_block import part_numbers
 from survey.compare import pictures as compare_report
 from survey.compare.canvas import canvas, nice_limit, plain_log_ticks, save, write_title
 from survey.display.column import ColumnStatistics

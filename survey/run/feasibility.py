@@ -15,10 +15,8 @@ from survey.plan.aim import SHARE, Aim, recipes_for
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
 from survey.plan.recipe import Recipe
-from survey.plan.round_costs import ANY_RUN_S, FullSizeAmounts, RoundRates
 from survey.progress import Progress
-from survey.run.aimed_run import AimedRun
-from survey.run.clock import Clock
+from survey.run.aimed_run import ANY_RUN_S, AimedRun, Clock, FullSizeAmounts, RoundRates
 
 # What the stated rates of another machine may be wrong by.
 _UNKNOWN_PACE = 1.2

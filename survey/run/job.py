@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from fields.sweep.kernels.arrays import release
 from fields.sweep.maps import Sources
-from survey.adjust.far_poses import PoseRecovery, find_anew
+from survey.adjust.starts import PoseRecovery, find_anew
 from survey.errors import SurveyError
 from survey.files.toml_table import table_of
 from survey.photos.images import ImageStore

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from survey.run.job import Job
 from survey.settings.config import dump_config
-from survey.settings.process import ProcessConfig
+from survey.settings.tables import ProcessConfig
 
 
 def options_of(job: Job, truth: Truth) -> dict:

@@ -23,8 +23,7 @@ from fields.image_store import GreyImages
 from geo.files import disk_refusals
 from survey.errors import SurveyError
 from survey.files.remote import Remote, is_url
-from survey.photos.fetched import fetched_tags
-from survey.photos.images import ImageStore
+from survey.photos.images import ImageStore, fetched_tags
 from survey.plan.sweep_block import grey_image
 from survey.run.remote_run import JOBS, PARTS, PHOTOGRAPHS
 from survey.run.stored import ArrayFiles

@@ -11,10 +11,7 @@ import tomli_w
 from survey.errors import ConfigError
 from survey.files.remote import is_url, local_name
 from survey.files.toml_table import key, parse_toml, read_toml, require_one_of, require_positive, table_of
-from survey.settings.control import ControlConfig
-from survey.settings.field import FieldConfig
-from survey.settings.process import ProcessConfig
-from survey.settings.std import require_std
+from survey.settings.tables import ControlConfig, FieldConfig, ProcessConfig, require_std
 from survey.settings.water import WaterConfig, require_sane
 
 # The slowest sensors of drones read a whole frame in a tenth of a second.

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from survey.errors import ConfigError
 from survey.files.toml_table import INLINE, key
-from survey.settings.std import require_std
+from survey.settings.tables import require_std
 
 MOST_LEVEL_STD_M = 10.0
 # Filling locks and the largest tidal bores rise faster, and nobody flies there for the bed.

@@ -30,7 +30,7 @@ from survey.export.render import Target, targets_of, write_views
 from survey.files.json_values import write_json
 from survey.progress import current, shares
 from survey.run.flight import Flight
-from survey.settings.field import LossesConfig
+from survey.settings.tables import LossesConfig
 from survey.volume.monocular import priors_hash
 from survey.volume.scene import Scene, SceneOptions, VolumeFolder, load_scene
 from survey.volume.stored import VolumeRecipe, view_of

@@ -9,7 +9,7 @@ from typing import Any
 from survey.errors import FILE_NAME
 from survey.export.loaded import LoadedRun, survey_folder
 from survey.settings.config import read_config
-from survey.settings.field import FieldConfig
+from survey.settings.tables import FieldConfig
 from survey.volume.field import VolumeOptions
 
 

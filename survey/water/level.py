@@ -33,10 +33,10 @@ from survey.water.clicks import levels_of_clicks
 from survey.water.level_observation import (
     COMMON_STD_M,
     LevelObservation,
+    plane_doubt,
     points_of_surface,
     readings_of_gauge,
 )
-from survey.water.plane_doubt import plane_doubt
 from survey.water.surface import SURFACE
 from survey.water.tides import Tide, tide_of_gauge, tide_of_levels, tide_of_rate
 

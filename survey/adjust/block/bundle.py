@@ -6,7 +6,7 @@ X, B   derivatives of the prediction by its point (N, 2, 3) and by the parameter
 w      weight of an observation (N,) [1/px^2]
 V      normal matrix of each point (M, 3, 3), S that of the parameters with the points following (P, P)
 
-The loss of observations is Huber's (`survey.adjust.block.robust`).
+The loss of observations is Huber's (`survey.adjust.block.problem`).
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ from scipy.sparse import bsr_array, csr_array, diags_array, lil_array
 
 from survey.adjust.block.normal_matrix import NormalMatrix
 from survey.adjust.block.prediction import linearise
-from survey.adjust.block.problem import Problem
-from survey.adjust.block.robust import HUBER, huber_loss, huber_weights, std_of_kinds
+from survey.adjust.block.problem import HUBER, Problem, huber_loss, huber_weights, std_of_kinds
 from survey.adjust.block.state import SHIFT, State
 from survey.errors import SurveyError
 from survey.photos.poses import TiePoints

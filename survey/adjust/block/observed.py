@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from refract.lens import Lens, affine_from_brown, brown_from_affine, distorted, is_affine, undistorted
-from survey.adjust.block.lenses import is_held
 from survey.adjust.block.priors import PriorKnowledge
+from survey.adjust.block.state import is_held
 from survey.control.points import Control, StableGround
 from survey.photos.poses import TiePoints
 

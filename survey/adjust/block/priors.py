@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from refract.lens import MODELS, Lens
-from survey.adjust.block.lenses import BROWN, is_held, lenses_of
 from survey.adjust.block.problem import Planes, Priors
 from survey.adjust.block.roll import Roll, rolled_to_attitudes, rolls_of, without_starts
-from survey.adjust.block.state import LENS, LENS_NAMES, POSE, RELIEF, SHIFT, Layout, State
+from survey.adjust.block.state import BROWN, LENS, LENS_NAMES, POSE, RELIEF, SHIFT, Layout, State, is_held, lenses_of
 from survey.folder.motion import rows_between
 from survey.folder.pose_priors import BY_POSES, GPS_STD_M, common_up_std
 from survey.photos.poses import TiePoints

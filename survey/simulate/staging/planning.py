@@ -15,7 +15,7 @@ from geo.sun import Sun, sun_at
 from refract import FlatWater, PinholeCamera
 from refract.lens import MODELS, Lens, LensError, coefficients_of
 from survey.errors import ConfigError, PosesError, SurveyError
-from survey.folder.datum_mixups import place_of
+from survey.folder.faults import place_of
 from survey.folder.posed import cams_from_local, points_in_crs
 from survey.photos.poses import PoseFrame
 from survey.pose_files import read_poses

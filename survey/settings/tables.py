@@ -1,0 +1,223 @@
+"""[process], [control] and [field] of survey.toml, and the standard deviations of all tables.
+
+[process] is what is asked of a run, and [field] how `bathynerf field` trains a radiance field on it: options of the
+commands and the environment ask the same, one over the other. [control] names points of known coordinates, their marks,
+check points, and an earlier survey.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+from survey.errors import ConfigError
+from survey.files.toml_table import key, require_one_of
+from survey.words import SCALES, Device, Field, Plan, Poses, Quality
+
+# Of three numbers each counts for one axis.
+Std = float | tuple[float, float, float]
+
+
+def require_std(name: str, value: Std | tuple[float, float] | None, most: float, unit: str, example: str) -> None:
+    """Raise ConfigError unless all standard deviations that are given are above zero and at most `most`.
+
+    Parameters
+    ----------
+    name : str
+        Of the key, with its table, e.g. "[water] level_std_m".
+    value : float, tuple of float or None
+    most : float
+        In `unit`.
+    unit : str
+        As in "metres"; empty for numbers without a unit.
+    example : str
+        What typical values are, as a part of a sentence.
+    """
+    for number in value if isinstance(value, tuple) else (value,):
+        if number is not None and not 0.0 < number <= most:
+            shown = list(value) if isinstance(value, tuple) else value
+            of = f" {unit}" if unit else ""
+            raise ConfigError(
+                f"{name} is {shown}, expected a standard deviation above 0 and at most {most:g}{of}; {example}"
+            )
+
+
+def per_axis(value: Std) -> tuple[float, float, float]:
+    """Standard deviations along three axes, equal where one value is given."""
+    return value if isinstance(value, tuple) else (value, value, value)
+
+
+# A quality, a field and an image scale are a recipe; an aim chooses its own.
+_RECIPE, _AIM = ("quality", "field", "image_scale"), ("target_std_m", "time_budget_s")
+_WORDS = {"quality": Quality, "device": Device, "field": Field, "poses": Poses, "plan": Plan}
+
+
+@dataclass(frozen=True)
+class ProcessConfig:
+    """[process]: options of `process` and `check`, as they are called there; None leaves one open."""
+
+    quality: str | None = key(None, "one of draft, standard, fine", one_of=Quality)
+    target_std_m: float | None = key(None, "a standard deviation in metres, in place of a quality")
+    time_budget_s: float | None = key(None, "the seconds that a run may take, in place of a quality")
+    device: str | None = key(None, "one of auto, cpu, cuda", one_of=Device)
+    field: str | None = key(None, "one of auto, solver, slab, off", one_of=Field)
+    poses: str | None = key(None, "one of auto, fixed, refine", one_of=Poses)
+    plan: str | None = key(None, "one of auto, full", one_of=Plan)
+    image_scale: float | None = key(None, "1, 0.5, 0.25, ...", one_of=SCALES)
+    calibrate_water: bool | None = None
+    true_colour: bool | None = None
+    tiles: int | None = None
+    memory: str | None = key(None, "a size such as 8GB")
+    workers: int | None = None
+    scheduler: str | None = key(None, "the address of a Dask scheduler, such as tcp://host:8786")
+
+    def over(self, lower: ProcessConfig) -> ProcessConfig:
+        """These, and what `lower` says of those that are open; an aim displaces a recipe, and a recipe an aim."""
+        displaced: tuple[str, ...] = ()
+        if self._says(_AIM):
+            displaced += _RECIPE
+        if self._says(_RECIPE):
+            displaced += _AIM
+        names = [field.name for field in dataclasses.fields(self)]
+        rest = {name: getattr(lower, name) for name in names if name not in displaced and getattr(self, name) is None}
+        return dataclasses.replace(self, **rest)
+
+    def _says(self, names: tuple[str, ...]) -> bool:
+        return any(getattr(self, name) not in (None, Field.auto) for name in names)
+
+    def require_sane(self) -> None:
+        """Raise ConfigError at a word or number that is not known, or where an aim and a recipe are asked for."""
+        for name, words in _WORDS.items():
+            if getattr(self, name) is not None:
+                require_one_of(f"[process] {name}", getattr(self, name), tuple(words))
+        if self.image_scale is not None and self.image_scale not in SCALES:
+            known = ", ".join(f"{each:g}" for each in SCALES)
+            raise ConfigError(f"[process] image_scale is {self.image_scale:g}, expected one of {known}")
+        for name in _AIM:
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value > 0.0):
+                raise ConfigError(f"[process] {name} is {value:g}, expected a number above zero")
+        if self._says(_AIM) and self._says(_RECIPE):
+            said = [name for name in (*_AIM, *_RECIPE) if getattr(self, name) not in (None, Field.auto)]
+            raise ConfigError(
+                f"[process] has {' and '.join(said)}, but {' and '.join(_AIM)} choose quality, field and image scale "
+                "themselves; keep one kind"
+            )
+
+
+# Of a point measured by GNSS with corrections or by a total station; of a mark set by hand.
+DEFAULT_STD_M, DEFAULT_MARKS_STD_PX = 0.01, 0.5
+
+
+@dataclass(frozen=True)
+class ControlConfig:
+    """[control]: files of control and check points, and how well they are known."""
+
+    gcps: str | tuple[str, ...] | None = key(None, 'a file, e.g. "gcp_list.txt", or a list of files')
+    checkpoints: str | None = None  # CSV of points that are only reported: name, easting, northing, height
+    std_m: float | tuple[float, float] | None = key(None, "one number or [horizontal, vertical] in metres")
+    marks: str | None = None  # where photographs show the points, unless gcps says it: a CSV, or Metashape's XML
+    marks_std_px: float | None = None
+    reference: str | None = None  # an earlier survey, on whose dry ground the block is placed: cloud, mesh or GeoTIFF
+    reference_std_m: float | tuple[float, float] | None = key(None, "one number or [horizontal, vertical] in metres")
+    stable: str | None = None  # GeoJSON or GeoPackage: polygons of its ground that did not change
+
+    def __post_init__(self):
+        if self.gcps == ():
+            raise ConfigError("[control] gcps is an empty list, expected one file or more; name one or remove the key")
+        if self.marks is not None and self.gcps is None:
+            raise ConfigError(
+                "[control] marks is given without gcps; name the file of the points' coordinates in gcps too"
+            )
+        require_std("[control] std_m", self.std_m, 10.0, "metres", "GNSS with corrections has about 0.01 to 0.03")
+        if self.reference is None and (self.reference_std_m is not None or self.stable is not None):
+            raise ConfigError(
+                "[control] reference_std_m and stable say more of a reference, and there is none; name its file in "
+                "reference, or remove them"
+            )
+        require_std("[control] reference_std_m", self.reference_std_m, 10.0, "metres", "airborne lidar has about 0.1")
+        require_std("[control] marks_std_px", self.marks_std_px, 50.0, "pixels", "marks set by hand have about 0.5")
+
+    @property
+    def gcp_files(self) -> tuple[str, ...]:
+        """The names in ``gcps``, none where it is missing."""
+        if self.gcps is None:
+            return ()
+        return self.gcps if isinstance(self.gcps, tuple) else (self.gcps,)
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """All files that the table names."""
+        named = (self.marks, self.checkpoints, self.reference, self.stable)
+        return (*self.gcp_files, *(name for name in named if name is not None))
+
+
+def per_direction(std_m: float | tuple[float, float] | None) -> tuple[float, float, float]:
+    """The standard deviations of control east, north and up [m].
+
+    Raises
+    ------
+    ValueError
+        If it is not known yet.
+    """
+    if std_m is None:
+        raise ValueError("[control] std_m is not filled in; expected what `find_control` returns")
+    return (std_m[0], std_m[0], std_m[1]) if isinstance(std_m, tuple) else (std_m, std_m, std_m)
+
+
+@dataclass(frozen=True)
+class LossesConfig:
+    """[field.losses]: weights of what is minimised beside the squared error of the colours; 0 leaves a term out."""
+
+    transparency: float = 0.0  # light that passes the bed
+    distortion: float = 0.0  # spread of the weights along a ray (mip-NeRF 360)
+    orientation: float = 0.0  # surfaces that face away (Ref-NeRF)
+    # density, gaussian_density: density between empty and full (Inf-NeRF), with Gaussians in place of nodes
+    density: float = 0.0
+    gaussian_density: float = 0.0
+    # printed_density, printed_gaussian_density: both as printed; empty: all that is not empty (Inf-NeRF)
+    printed_density: float = 0.0
+    printed_gaussian_density: float = 0.0
+    empty: float = 0.0
+    # virtual_views, ncc, ssim, smooth_normals: on patches and views beside the photographs' own (MonoPatchNeRF)
+    virtual_views: float = 0.0
+    ncc: float = 0.0
+    ssim: float = 0.0
+    smooth_normals: float = 0.0
+    virtual_patches: float = 0.0
+    huber: float = 0.0  # limit of Huber's loss of the colours (MonoPatchNeRF: 0.1); 0: the squared error
+    # depth, normal: departures from monocular depth and normals (MonoSDF); need `monocular`
+    depth: float = 0.0
+    normal: float = 0.0
+    predicted_normal: float = 0.0  # of normals that a head predicts (MonoPatchNeRF); needs `monocular`
+    patch_px: int = 8  # side of the patches
+
+    def __post_init__(self):
+        for name, value in dataclasses.asdict(self).items():
+            if value < 0.0:
+                raise ConfigError(f"field.losses.{name} is {value:g}, expected 0 or more")
+        if self.patch_px < 3:
+            raise ConfigError(f"field.losses.patch_px is {self.patch_px}, expected 3 pixels or more")
+
+
+@dataclass(frozen=True)
+class FieldConfig:
+    """[field]: options of `bathynerf field`, as they are called there; None leaves one open."""
+
+    model: str | None = key(None, "a model of bathynerf field")
+    steps: int | None = None
+    rays: int | None = None
+    samples: int | None = None
+    cells: int | None = None
+    image_scale: float | None = None
+    held_every: int | None = None
+    appearance: bool | None = None
+    from_scratch: bool | None = None
+    monocular: str | None = key(None, "a folder of monocular depth and normals, relative to the survey folder")
+    losses: LossesConfig | None = None
+
+    def over(self, lower: FieldConfig) -> FieldConfig:
+        """These, and what `lower` says of those that are open."""
+        names = [each.name for each in dataclasses.fields(self)]
+        return dataclasses.replace(self, **{n: getattr(lower, n) for n in names if getattr(self, n) is None})

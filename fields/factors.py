@@ -53,7 +53,6 @@ class Factors(nn.Module):
         A multiple of 4 for fused lookups.
     device : Device
         Dr.Jit device for fused lookups; "torch" for the twin.
-    seed : int
     """
 
     def __init__(self, grids: list[Grid], directions: str, channels: int, device: Device, seed: int = 0):

@@ -35,10 +35,6 @@ def require_in_area(crs: CRS, points: np.ndarray, said: str, where: str = "crs")
     """Raise PlaceMismatch where the middle of points (N, 2 or 3) lies far outside the area that their CRS is made for.
 
     ``said`` and ``where`` are what the error names, and what is to be corrected.
-
-    Raises
-    ------
-    PlaceMismatch
     """
     middle = middle_of(horizontal_crs(crs), np.asarray(points, dtype=np.float64))
     if middle is not None:

@@ -119,13 +119,7 @@ def write_whole(path: str | Path) -> Iterator[BinaryIO]:
 
 @contextmanager
 def write_whole_at(path: str | Path) -> Iterator[Path]:
-    """Path of a temporary file for libraries that write by path; otherwise as `write_whole`.
-
-    Raises
-    ------
-    UnwritableFile
-        As `write_whole`.
-    """
+    """Path of a temporary file for libraries that write by path; otherwise as `write_whole`."""
     path = Path(path)
     target = Path(os.path.realpath(path))
     part = target.with_name(f".{target.name}.{os.getpid()}.part")

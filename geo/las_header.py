@@ -126,13 +126,7 @@ def _keys_of(table: GeoKeyDirectoryVlr) -> dict[int, int]:
 
 
 def _crs_of_keys(table: GeoKeyDirectoryVlr) -> CRS:
-    """The CRS of GeoTIFF keys; laspy's own reader takes user-defined projections for geographic coordinates.
-
-    Raises
-    ------
-    CRSError
-        If the keys name no EPSG code, or a unit that is not that of the code.
-    """
+    """The CRS of GeoTIFF keys; laspy's own reader takes user-defined projections for geographic coordinates."""
     keys = _keys_of(table)
     projected = keys.get(_MODEL, _MODEL_PROJECTED if _PROJECTED in keys else 0) == _MODEL_PROJECTED
     code = keys.get(_PROJECTED if projected else _GEOGRAPHIC, 0)

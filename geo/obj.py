@@ -79,11 +79,6 @@ def write_obj(path: str | Path, mesh: Mesh, crs: CRS) -> None:
 
     Colours stand behind the coordinates of each vertex, 0 to 1, as MeshLab, Blender and CloudCompare read them. The CRS
     is in a comment; the format has no place for it.
-
-    Raises
-    ------
-    UnwritableFile
-        If the file cannot be written.
     """
     horizontal = _DECIMALS_DEG if is_geographic(crs) else _DECIMALS_M
     vertex = f"v %.{horizontal}f %.{horizontal}f %.{_DECIMALS_M}f"

@@ -67,14 +67,8 @@ def write_cog(path: str | Path, form: RasterForm, parts: Iterable[Part]) -> None
 
     Parameters
     ----------
-    path : .tif
     parts : iterable of (row, column, values)
         Windows that cover the raster, in any order; blocks that none covers are left without data.
-
-    Raises
-    ------
-    UnwritableFile
-        If the system or GDAL refuses.
     """
     with write_whole_at(path) as part, _working_folder(part, Path(path)) as work:
         # GDAL copies a plain GeoTIFF into this form.
@@ -104,17 +98,11 @@ def write_bag(path: str | Path, form: RasterForm, parts: Iterable[Part], said: d
 
     Parameters
     ----------
-    path : .bag
     form : RasterForm
         Of two bands, height and uncertainty [m].
     parts : iterable of (row, column, values)
     said : dict
         Variables of GDAL's metadata template, without the VAR\\_ before them, e.g. "ABSTRACT".
-
-    Raises
-    ------
-    UnwritableFile
-        If the system or GDAL refuses.
     """
     with write_whole_at(path) as part, _working_folder(part, Path(path)) as work:
         # GDAL knows the format by the suffix.

@@ -132,13 +132,7 @@ def _folder_beside(path: str | Path) -> TemporaryDirectory:
 
 
 def _write_verified(copy: Path, path: Path, layer: Layer, driver: str, /, **options) -> None:
-    """Write a layer in its own CRS by GDAL to ``copy``, what is to be ``path``, and read it again.
-
-    Raises
-    ------
-    UnwritableFile
-        If it cannot be written, or does not read as it was written.
-    """
+    """Write a layer in its own CRS by GDAL to ``copy``, what is to be ``path``, and read it again."""
     # Takes a while to load, and most layers are GeoJSON.
     from geo.read_back import unreadable
 

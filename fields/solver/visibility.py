@@ -184,9 +184,7 @@ class Projector:
 
     Parameters
     ----------
-    device : Device
     cameras : by number
-    water : FlatWater or None
     """
 
     def __init__(self, device: Device, cameras: Mapping[int, PinholeCamera], water: FlatWater | None):

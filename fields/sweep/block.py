@@ -29,8 +29,6 @@ class Overlap:
 
     Parameters
     ----------
-    cameras : list of PinholeCamera
-    water : FlatWater or None
     height : [m]
         Rough height of the bed over the water plane (over local z = 0 in a dry survey): overlap is judged there.
     ground : (x0, y0, x1, y1) [m], local, optional
@@ -110,7 +108,6 @@ class Block(Overlap):
 
     Parameters
     ----------
-    device : Device
     cameras : list of PinholeCamera
         All of the images' size; smaller images are padded with NaN, as are masked and saturated pixels.
     images : (height, width) float32 each
@@ -120,7 +117,6 @@ class Block(Overlap):
     saturated : tuple of float
         Share of each photograph that is masked as saturated; empty where it was not measured. Read after the images,
         so that the source of the images may fill it.
-    skips : Skips
 
     Raises
     ------

@@ -113,7 +113,6 @@ def without_ghosts(block: Block, maps: Sequence[HeightMap], kept: Masks, gsd: fl
 
     Parameters
     ----------
-    block : Block
     maps : sequence of HeightMap
         With the heights of the solver: they tell ghosts apart better than those of the sweep.
     kept : Masks (height, width), in the order of `maps`

@@ -69,9 +69,7 @@ class DeviceMaps(MutableMapping[int, HeightMap]):
 
     Parameters
     ----------
-    device : Device
     on_host : store of the maps that do not fit
-    room : _Budget
     """
 
     def __init__(self, device: Device, on_host: Maps, room: _Budget):

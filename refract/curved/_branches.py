@@ -37,7 +37,6 @@ def every_path(surface, path_slope, camera, point, disc):
 
     Parameters
     ----------
-    surface : Relief
     path_slope : callable
         `refract.curved.fermat.path_slope`, for numbers and intervals alike.
     camera, point : triples of (points,) float64

@@ -210,11 +210,6 @@ def adjusted_with(done: Adjusted, held: np.ndarray, stated_std: np.ndarray, size
         Of the given values.
     sizes, marks_std_px
         As for `survey.adjust.rounds.adjust`.
-
-    Raises
-    ------
-    NotConvergedError
-        If the adjustment does not converge.
     """
     known, covariance = done.known, done.solution.covariance
     kept = replace(
@@ -275,12 +270,7 @@ def roll_notes(survey: Survey, done: Adjusted, gsd_m: float) -> list[str]:
 
 @contextmanager
 def open_roll_named(rolls: Sequence[Roll]) -> Iterator[None]:
-    """Name the line where an adjustment of photographs whose roll positions leave open does not converge.
-
-    Raises
-    ------
-    NotConvergedError
-    """
+    """Name the line where an adjustment of photographs whose roll positions leave open does not converge."""
     try:
         yield
     except NotConvergedError as error:

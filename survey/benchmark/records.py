@@ -152,13 +152,7 @@ def _record(entry: dict) -> Record:
 
 
 def errors_of(cloud: Path, case: Case) -> Errors:
-    """The errors of a cloud.
-
-    Raises
-    ------
-    GeoError, SurveyError
-        As `survey.compare.comparison.compare_surfaces`.
-    """
+    """The errors of a cloud."""
     found = compare_surfaces(
         cloud, case.reference, CompareOptions(TOLERANCES_M, visible=case.visible, bounds=case.bounds)
     )

@@ -223,13 +223,7 @@ def _in_common_unit(shape: Mesh | Cloud, path: Path, crs: CRS | None) -> tuple[M
 
 
 def _is_ground(cloud: Cloud, path: Path) -> tuple[np.ndarray, list[str]]:
-    """Mask (N,) of the points that are compared, by the classes and flags of their file; a note counts the others.
-
-    Raises
-    ------
-    CompareError
-        If none is.
-    """
+    """Mask (N,) of the points that are compared, by the classes and flags of their file; a note counts the others."""
     out, said = left_out(cloud)
     if out.all():
         raise CompareError(f"no point of {path} is of the ground: it holds {said}; give it with the points of the bed")

@@ -142,11 +142,6 @@ def poisson_surface(points: np.ndarray, spacing_m: float, path: str | Path) -> t
     faces : (F, 3) int
         Counter-clockwise from above.
 
-    Raises
-    ------
-    UnwritableFile
-        If Open3D is not installed.
-
     Notes
     -----
     M. Kazhdan and H. Hoppe, Screened Poisson surface reconstruction, ACM Transactions on Graphics 32 (2013).

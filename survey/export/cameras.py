@@ -56,13 +56,7 @@ def _said(flight: Flight) -> dict:
 
 
 def _in_colmap(lens: Lens) -> Lens:
-    """The lens in a model of COLMAP.
-
-    Raises
-    ------
-    SurveyError
-        If it has none.
-    """
+    """The lens in a model of COLMAP."""
     if lens.model != "BROWN_AFFINE":
         return lens
     if lens["k4"] or lens["skew"]:
@@ -118,13 +112,7 @@ def _write_nerfstudio(path: Path, run: LoadedRun, _options: ExportOptions) -> No
 
 
 def _nerfstudio_lens(lens: Lens) -> dict:
-    """The lens of one photograph.
-
-    Raises
-    ------
-    SurveyError
-        If nerfstudio has none like it.
-    """
+    """The lens of one photograph."""
     rational = lens.model == "FULL_OPENCV"
     if lens["skew"] or (rational and (lens["k4"] or lens["k5"] or lens["k6"])):
         raise SurveyError(

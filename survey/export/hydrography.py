@@ -33,13 +33,7 @@ _ROWS = 100_000
 
 
 def _write_bag(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-    """Write the BAG.
-
-    Raises
-    ------
-    SurveyError
-        If the CRS is geographic, or not in metres.
-    """
+    """Write the BAG."""
     import numpy as np
 
     from geo.raster import SOFTWARE, RasterBand, RasterForm, write_bag
@@ -75,13 +69,7 @@ def _write_bag(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 
 
 def _write_s44(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-    """Write the orders.
-
-    Raises
-    ------
-    SurveyError
-        If the survey is dry.
-    """
+    """Write the orders."""
     import numpy as np
 
     from evaluation.standards import TVU, order_by_thu, order_by_tvu
@@ -156,13 +144,7 @@ HYDROGRAPHY = (
 
 
 def _write(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-    """Write the soundings.
-
-    Raises
-    ------
-    SurveyError
-        If the rule of thinning is not known, or nothing is to be thinned.
-    """
+    """Write the soundings."""
     if options.thin not in THIN:
         raise SurveyError(f"--thin is {options.thin}, expected one of {', '.join(THIN)}")
     if options.thin == "none" and options.resolution_m is not None:

@@ -64,8 +64,6 @@ class Windows:
 
     Parameters
     ----------
-    flight : Flight
-    cells : PlanCells
     heights : callable
         Heights (rows, columns) [m] of a window, NaN where there is none. Asked again for each photograph that shows it.
     """

@@ -193,7 +193,6 @@ def odm_crs(line: str, where: str, name: str, error: type[SurveyError]) -> CRS:
         Without blanks around it.
     where, name : str
         Of the line, and of the file, for errors.
-    error : type of SurveyError
 
     Raises
     ------

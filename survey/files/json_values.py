@@ -51,13 +51,7 @@ def read_json_object(path: str | Path) -> dict:
 
 
 def write_json(path: str | Path, value) -> None:
-    """Write a value as an indented JSON file in UTF-8, whole or not at all; see `plain`.
-
-    Raises
-    ------
-    UnwritableFile
-        If the system refuses.
-    """
+    """Write a value as an indented JSON file in UTF-8, whole or not at all; see `plain`."""
     with write_whole(path) as stream:
         stream.write(json_text(value).encode())
 

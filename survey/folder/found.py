@@ -63,13 +63,7 @@ class Found:
 
 
 def process_config(folder: Path) -> ProcessConfig:
-    """[process] of the survey.toml in a folder, all open where there is none.
-
-    Raises
-    ------
-    ConfigError
-        See `read_config`.
-    """
+    """[process] of the survey.toml in a folder, all open where there is none."""
     toml = folder / FILE_NAME
     return read_config(toml).process if toml.is_file() else ProcessConfig()
 
@@ -81,11 +75,6 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
     ----------
     config : SurveyConfig, optional
         What counts in place of survey.toml.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        Where something is missing, damaged or contradictory.
     """
     folder = Path(folder)
     if not folder.is_dir():

@@ -259,13 +259,7 @@ def read_file_poses(found: Found, path: Path) -> tuple[FilePoses, Findings]:
 
 
 def _datum(found: Found, file: PoseFile) -> tuple[DatumStd, Findings]:
-    """Std that the transformation of the poses into crs adds, with a warning where it does.
-
-    Raises
-    ------
-    MissingGrid
-        If a grid would make it as good as the poses, and nothing else places the block.
-    """
+    """Std that the transformation of the poses into crs adds, with a warning where it does."""
     way = way_into_crs(file, found.crs)
     if way is None:
         return EXACT, Findings()

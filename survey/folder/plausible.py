@@ -162,10 +162,6 @@ def require_level_fits(
         Who says so, and what has the datum that the level should have; for the message.
     most_m : [m]
         Over the water, from which the cameras are far above it.
-
-    Raises
-    ------
-    ConfigError
     """
     said = f"[water] level_m is {water.level_m:g} m and {who} at {heights.min():.1f} to {heights.max():.1f} m"
     mend = f"give level_m in {FILE_NAME} in the same vertical datum as {like}"

@@ -93,13 +93,7 @@ class Dem:
 
 
 def dem_of(path: Path, options: ExportOptions) -> Dem:
-    """The terrain model of a run folder, as ``export --dem`` makes it.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        See `survey.export.export.export`.
-    """
+    """The terrain model of a run folder, as ``export --dem`` makes it."""
     (product,) = (each for each in PRODUCTS if each.option == "dem")
     with LoadedRun(path) as run, TemporaryDirectory(prefix="bathynerf-dem-") as folder:
         file = Path(folder) / "dem.tif"

@@ -122,13 +122,7 @@ class PosedSurvey:
 
 
 def survey_to_mark(folder: Path) -> tuple[SurveyConfig, Found]:
-    """The settings of a survey, and what its folder holds but for control and clicks, which need not be there yet.
-
-    Raises
-    ------
-    SurveyError, GeoError
-        Where something else is missing, damaged or contradictory.
-    """
+    """The settings of a survey, and what its folder holds but for control and clicks, which need not be there yet."""
     if not folder.is_dir():
         what = "is a file" if folder.exists() else "does not exist"
         raise SurveyError(f"the survey folder {folder} {what}; expected a folder with photographs")

@@ -117,7 +117,6 @@ class MarkingServer(ThreadingHTTPServer):
 
     Parameters
     ----------
-    session : Session
     host, port
         Port 0: any that is free.
 

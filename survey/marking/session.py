@@ -45,11 +45,6 @@ class MarkingSession:
     book : Book
     images : dict of name to Path
     notes : list of sentences
-
-    Raises
-    ------
-    SurveyError, GeoError
-        Where something is missing, damaged or contradictory.
     """
 
     def __init__(self, folder: Path, *, run: Path | None = None, points: Path | None = None):

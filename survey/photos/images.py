@@ -215,25 +215,13 @@ class ImageStore:
         self._images: dict[tuple, np.ndarray] = {}
 
     def load(self, view: View, *, scale: float = 1.0) -> np.ndarray:
-        """The photograph (height, width, 3) uint8, RGB, not to be written to; see `load_image`.
-
-        Raises
-        ------
-        ImageError
-            As `load_image`.
-        """
+        """The photograph (height, width, 3) uint8, RGB, not to be written to; see `load_image`."""
         image = eight_bits(self._pixels(view, scale))
         image.flags.writeable = False
         return image
 
     def grey(self, view: View, *, scale: float = 1.0) -> np.ndarray:
-        """The brightness (height, width) float32 of the photograph, 0 to 255, with the depth of its file.
-
-        Raises
-        ------
-        ImageError
-            As `load_image`.
-        """
+        """The brightness (height, width) float32 of the photograph, 0 to 255, with the depth of its file."""
         return grey_levels(self._pixels(view, scale))
 
     def _pixels(self, view: View, scale: float) -> np.ndarray:

@@ -169,13 +169,7 @@ def read_rgb(path: Path) -> np.ndarray:
 
 
 def read_grey(path: Path) -> np.ndarray:
-    """Brightness (height, width) uint8 of a mask, as stored.
-
-    Raises
-    ------
-    ImageError
-        As `read_rgb`.
-    """
+    """Brightness (height, width) uint8 of a mask, as stored."""
 
     def grey(image: Image.Image, bits: int) -> np.ndarray:
         return _deep(path, image, bits).max(axis=2).astype(bool) * np.uint8(255) if bits > 8 else _shallow(image, "L")
@@ -187,11 +181,6 @@ def read_opaque(path: Path) -> np.ndarray | None:
     """Opaque pixels of an image with transparency, (height, width) bool; None where it has none.
 
     A band beyond the colours that is a picture, as near infrared is, is no transparency, whatever the file calls it.
-
-    Raises
-    ------
-    ImageError
-        As `read_rgb`.
     """
     with open_image(path) as image:
         if not _has_alpha(image):

@@ -65,7 +65,6 @@ class GlitterOfFlight:
 
     Parameters
     ----------
-    cameras : list of PinholeCamera
     up : (3,)
         Normal of the water, local.
     places : Places, optional

@@ -55,10 +55,6 @@ def require_understood(
         What to do instead, after the semicolon of the error.
     are_all_of_lens : bool
         Whether the object is that of a lens alone, so that each key is one of it; else names tell it.
-
-    Raises
-    ------
-    LensError
     """
     for key, value in values.items():
         is_of_lens = are_all_of_lens or is_lens_key(key)

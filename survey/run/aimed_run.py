@@ -38,7 +38,6 @@ class Clock:
 
     Parameters
     ----------
-    seconds : float
     gone_s : float
         How long ago the time began [s].
     now : callable
@@ -54,12 +53,7 @@ class Clock:
         return self._end - self._now()
 
     def require(self, seconds: float) -> None:
-        """Raise where less time is left than the required work takes.
-
-        Raises
-        ------
-        OutOfTimeError
-        """
+        """Raise where less time is left than the required work takes."""
         if self.left_s < seconds:
             raise OutOfTimeError
 

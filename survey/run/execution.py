@@ -58,7 +58,6 @@ class TileWorkers:
     ----------
     job : Job
         Of the whole survey.
-    run : RunDir
     stack : ExitStack
         At whose end the workers end.
     """

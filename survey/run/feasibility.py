@@ -115,12 +115,7 @@ def shortest_s(found: Feasibility) -> float:
 
 
 def require_some_time(aim: Aim | None) -> None:
-    """Raise for a time budget in which no survey can be processed, without reading one.
-
-    Raises
-    ------
-    SurveyError
-    """
+    """Raise for a time budget in which no survey can be processed, without reading one."""
     if aim is not None and aim.seconds is not None and aim.seconds < ANY_RUN_S:
         raise SurveyError(
             f"--time-budget {aim.seconds:g} is too short: any run takes {ANY_RUN_S:g} s and more; give more, "
@@ -129,12 +124,7 @@ def require_some_time(aim: Aim | None) -> None:
 
 
 def require_time(seconds: float, found: Feasibility) -> None:
-    """Raise for a time budget [s] in which no cloud of this survey can be made.
-
-    Raises
-    ------
-    SurveyError
-    """
+    """Raise for a time budget [s] in which no cloud of this survey can be made."""
     shortest = math.ceil(shortest_s(found))
     if seconds < shortest:
         raise SurveyError(

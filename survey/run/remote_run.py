@@ -42,7 +42,6 @@ class RemoteRun(RunDir):
     ----------
     path : Path
         Where the run works on this machine.
-    remote : Remote
     """
 
     def __init__(self, path: str | Path, remote: Remote):

@@ -42,7 +42,6 @@ class Scratch(MutableMapping[int, Kind]):
     folder : Path
         Made here, and empty.
     kind : type of the maps, HeightMap or SolvedMap
-    room : _Room
     show : callable, optional
         Called with each map that comes.
     """

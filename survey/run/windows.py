@@ -65,10 +65,6 @@ class Outlines:
     """Rays of the outlines of photographs, to leave out at once those that show nothing of a tile.
 
     Straight rays reach further than bent ones, so that no photograph is left out that shows it.
-
-    Parameters
-    ----------
-    cameras : sequence of PinholeCamera
     """
 
     def __init__(self, cameras: Sequence[PinholeCamera]):
@@ -166,7 +162,6 @@ class WindowStore:
 
     Parameters
     ----------
-    store : ImageStore
     views : mapping of name to (View, Window)
         The whole photograph, and its window.
     scale : [-]

@@ -208,10 +208,8 @@ class OnDemand:
 
     Parameters
     ----------
-    server : viser.ViserServer
     label : str
         For the message that it is being computed.
-    make : callable
     """
 
     def __init__(self, server: viser.ViserServer, label: str, make: Callable[[], Any]):

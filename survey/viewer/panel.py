@@ -26,8 +26,6 @@ class Panel:
 
     Parameters
     ----------
-    server : viser.ViserServer
-    shown : Shown
     restyle : callable
         Called with the style that has been chosen.
     """

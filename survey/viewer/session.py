@@ -50,13 +50,7 @@ _SIZE_SHARE = 0.002
 
 
 class LiveRun:
-    """The maps of a run without a result, on a server; the run is asked to show them from here on.
-
-    Parameters
-    ----------
-    run : RunDir
-    server : viser.ViserServer
-    """
+    """The maps of a run without a result, on a server; the run is asked to show them from here on."""
 
     def __init__(self, run: RunDir, server: viser.ViserServer):
         self._run, self._server, self._folder = run, server, run.path / LIVE

@@ -191,8 +191,6 @@ class Clicks:
 
     Parameters
     ----------
-    server : viser.ViserServer
-    shown : Shown
     style : callable
         Gives the style of the points, whose colours slices have.
     """

@@ -164,13 +164,7 @@ def with_level_of_clicks(
     views: Sequence[View],
     frame: LocalFrame,
 ) -> tuple[SurveyConfig, tuple[LevelObservation, ...], Findings]:
-    """Settings with the water level where rays of clicks in the photographs meet, and the heights of all places.
-
-    Raises
-    ------
-    ConfigError
-        As `survey.water.clicks.levels_of_clicks`.
-    """
+    """Settings with the water level where rays of clicks in the photographs meet, and the heights of all places."""
     water = config.water
     if water is None or water.sources.clicks is None:
         return config, (), Findings()

@@ -149,13 +149,7 @@ def system_with(problem: Problem, state: State, weights: np.ndarray) -> System:
 
 
 def levenberg_marquardt(problem: Problem, state: State, std_px, inflation) -> tuple[State, System]:
-    """The state of least cost for given standard deviations, and its normal equations.
-
-    Raises
-    ------
-    NotConvergedError
-        If it is not reached.
-    """
+    """The state of least cost for given standard deviations, and its normal equations."""
     damping, least, is_linear = _DAMPING_START, cost(problem, state, std_px, inflation), False
     for _ in range(_MOST_STEPS):
         system = _system(problem, state, std_px, inflation, is_linear=is_linear)

@@ -155,25 +155,13 @@ class NormalMatrix:
         return self.sparse.diagonal() + self.signs @ self.rows**2
 
     def factor(self, damping: float = 0.0) -> DenseFactor | BlockFactor:
-        """Its Cholesky factor, with the diagonal of the scaled matrix raised by a damping.
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If the matrix is singular.
-        """
+        """Its Cholesky factor, with the diagonal of the scaled matrix raised by a damping."""
         if self.order is None:
             return DenseFactor.of(self, damping)
         return BlockFactor.of(self, self.order, damping)
 
     def inverse(self) -> np.ndarray:
-        """Its inverse (P, P).
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If the matrix is singular.
-        """
+        """Its inverse (P, P)."""
         return self.factor().inverse()
 
 

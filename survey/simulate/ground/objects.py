@@ -76,7 +76,6 @@ def skin_of_bed(
 
     Parameters
     ----------
-    shape : BedGrid or TriangleMesh
     rgb : (V, 3) uint8 or None
         Colours of its vertices.
     area : west, south, east, north [m], local

@@ -39,9 +39,6 @@ class DirectRenderer:
 
     Parameters
     ----------
-    ground : Ground
-    water : WaterSurface or None
-    colour : WaterColour
     indices : (3,) [-] or None
         Of the water for red, green and blue; None where all have that of ``water``, which is also that of the truth.
     sun : SunOnWaves or None

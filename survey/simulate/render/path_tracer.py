@@ -51,8 +51,6 @@ class Sunlight:
         What throws shadows.
     plane : (point, normal, index) or None
         Mean plane of the water: (3,) [m], (3,), [-].
-    colour : WaterColour
-    light : Light
     pixel : [rad]
         Angle of a pixel. A sun smaller than a pixel is seen as a disc with the area of a pixel and the same
         irradiance, because the few rays of a pixel would hit or miss a smaller one by chance.
@@ -144,7 +142,6 @@ class PathTracer:
         The surface of the water.
     sun : Sunlight
         Has what is solid, the mean plane and the colour of the water, and the light.
-    max_bounces : int
     """
 
     def __init__(self, surface, sun: Sunlight, *, max_bounces: int):

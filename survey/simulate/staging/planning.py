@@ -120,13 +120,7 @@ def sun_of(light: LightSettings, frame: LocalFrame) -> Sun:
 
 
 def _cameras_of(path: Path, lens: Lens, frame: LocalFrame) -> list[PinholeCamera]:
-    """Cameras at the poses of a file, in its order.
-
-    Raises
-    ------
-    PosesError, GeoError
-        If the file, or a place in it, cannot be read.
-    """
+    """Cameras at the poses of a file, in its order."""
     if not path.is_file():
         raise ConfigError(f"flight.poses names {path}, which does not exist; correct the path")
     file = read_poses(path)

@@ -108,7 +108,7 @@ def require_apart(views: list[View], over_water: np.ndarray | None) -> list[str]
 
 
 def _overlap_doubts(views: list[View], over_water: np.ndarray) -> list[str]:
-    """Warnings about views that overlap no other at the water; circles around footprints allow for a bed far below it."""
+    """Warnings about views that overlap no other; circles around footprints allow for a bed far below the water."""
     places, radii = [], []
     for view, height in zip(views, over_water.tolist(), strict=True):
         camera = view.camera

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from refract import FlatWater, PinholeCamera
 from refract.lens import Lens
@@ -65,22 +66,7 @@ def grid_from_opk(omega: float, phi: float, kappa: float) -> np.ndarray:
 
 def rotation_from_quaternion(w: float, x: float, y: float, z: float) -> np.ndarray:
     """Rotation (3, 3) of a quaternion of any length but zero (Hamilton's convention, as COLMAP has it)."""
-    w, x, y, z = np.array([w, x, y, z]) / math.hypot(w, x, y, z)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
-def rotation_from_axis_angle(vector: np.ndarray) -> np.ndarray:
-    """Rotation (3, 3) about the direction of a vector (3,), by its length [rad] (Rodrigues)."""
-    half = 0.5 * float(np.linalg.norm(vector))
-    # sin(half) / (2 half), which has a value at 0 too.
-    x, y, z = np.asarray(vector, dtype=np.float64) * (0.5 * float(np.sinc(half / math.pi)))
-    return rotation_from_quaternion(math.cos(half), x, y, z)
+    return Rotation.from_quat((x, y, z, w)).as_matrix()
 
 
 def level_from_yaw_pitch_roll(yaw: float, pitch: float, roll: float) -> np.ndarray:

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from geo.projection import enu_from_geocentric, geocentric_from_geodetic
 from refract.lens import Lens, LensError
 from survey.errors import PosesError
 from survey.files.csv_table import shortened
 from survey.files.json_values import finite_number, finite_numbers, read_foreign_json
-from survey.photos.cameras import rotation_from_axis_angle
 from survey.photos.poses import FileTies, Pose, PoseFile, PoseFrame
 from survey.pose_files.format import Format, require_understood
 
@@ -181,7 +181,7 @@ def _pose(block: _Block, name: str, shot: dict) -> Pose:
             f"{block.path}: the pose of {shortened(name)} is no rotation and translation of three finite numbers each; "
             f"{_EXPORT}"
         )
-    cam_from_world = rotation_from_axis_angle(np.array(rotation))
+    cam_from_world = Rotation.from_rotvec(rotation).as_matrix()
     centre = -cam_from_world.T @ np.array(translation)
     if block.reference is not None:
         lat, lon, _ = block.reference

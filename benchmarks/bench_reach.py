@@ -33,7 +33,7 @@ from survey.folder.survey import Survey, load_survey
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
 from survey.plan.tile_choice import choose_tiles
-from survey.plan.tiling import aside_px, ground_of
+from survey.plan.tiling import ground_of, ray_skew_px
 from survey.plan.workload import workload_of
 from survey.water.surface import Departure
 
@@ -119,7 +119,7 @@ def kilometre(survey: Survey) -> dict:
     tiles = choose_tiles(river, plan, chosen, workload_of(river, plan), is_aimed=False)
     return {
         "photographs": len(views), "off_one_plane_m": float(np.abs(over).max()),
-        "miss_px": next(aside_px(river, plan, ground_of(river, plan), [None]))[1],
+        "miss_px": next(ray_skew_px(river, plan, ground_of(river, plan), [None]))[1],
         "tiles": tiles.decision.choice, "reason": tiles.decision.reason,
     }  # fmt: skip
 

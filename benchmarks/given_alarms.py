@@ -27,7 +27,7 @@ from stress_scenes import with_waves
 
 from survey.adjust import pose_check
 from survey.adjust.block.observed import WINDOW
-from survey.adjust.block.windows import loaded, windows_of_block
+from survey.adjust.block.windows import load_photographs, windows_of_block
 from survey.errors import SurveyError
 from survey.folder.place import water_plane
 from survey.folder.survey import Survey, load_survey
@@ -110,7 +110,7 @@ def field(source: Path, folder: Path) -> Survey:
 def sample_of(survey: Survey) -> tuple[Survey, Plan, TiePoints]:
     """What `bathynerf process` would look at, and its windows."""
     plan = make_plan(survey)
-    block, bound = loaded(survey, plan)
+    block, bound = load_photographs(survey, plan)
     chosen = pose_check._of_middle(survey, plan.height_m)
     sample = replace(pose_check.without_ties(survey), views=tuple(survey.views[i] for i in chosen))
     return sample, plan, windows_of_block(sample, plan, block.part(chosen), bound, lambda _amount: None, sparse=True)

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from survey.adjust.refine import adjust_survey
-from survey.adjust.starts import RecoveredPoses, _onto, find_anew, windows_or_search
+from survey.adjust.starts import RecoveredPoses, _align, recover_poses, windows_or_recovered_poses
 from survey.errors import SurveyError
 from survey.folder.survey import load_survey
 from survey.photos.poses import TiePoints
@@ -36,12 +36,12 @@ def raising(text):
 
 def test_windows_in_nine_of_ten_photographs_are_taken_and_nothing_is_sought():
     windows = windows_in(9)
-    assert windows_or_search(VIEWS, lambda: windows, raising("sought")) is windows
+    assert windows_or_recovered_poses(VIEWS, lambda: windows, raising("sought")) is windows
 
 
 @pytest.mark.parametrize("measure", [lambda: windows_in(8), raising("only 3 thumbnail pixels match")])
 def test_photographs_without_windows_are_sought_anew(measure):
-    found = windows_or_search(VIEWS, measure, lambda _survey: ANEW)
+    found = windows_or_recovered_poses(VIEWS, measure, lambda _survey: ANEW)
     assert isinstance(found, RecoveredPoses)
     assert "off by more than a few pixels" in found.warning
     assert "8 of 10 photographs" in found.warning or "3 thumbnail pixels" in found.warning
@@ -49,15 +49,15 @@ def test_photographs_without_windows_are_sought_anew(measure):
 
 def test_windows_in_most_photographs_do_where_the_search_fails_and_in_few_the_poses_are_refused():
     windows = windows_in(6)
-    assert windows_or_search(VIEWS, lambda: windows, raising("no overlap")) is windows
+    assert windows_or_recovered_poses(VIEWS, lambda: windows, raising("no overlap")) is windows
     refused = r"in 5 of 10 photographs only, and structure from motion.*no overlap.*--poses fixed"
     with pytest.raises(SurveyError, match=refused):
-        windows_or_search(VIEWS, lambda: windows_in(5), raising("no overlap"))
+        windows_or_recovered_poses(VIEWS, lambda: windows_in(5), raising("no overlap"))
 
 
 def test_without_a_search_windows_are_what_they_are():
     windows = windows_in(2)
-    assert windows_or_search(VIEWS, lambda: windows, None) is windows
+    assert windows_or_recovered_poses(VIEWS, lambda: windows, None) is windows
 
 
 def test_a_strip_of_poses_is_turned_scaled_and_shifted_to_given_ones(rng):
@@ -67,7 +67,7 @@ def test_a_strip_of_poses_is_turned_scaled_and_shifted_to_given_ones(rng):
     given = scale * centres @ turn.T + shift
     given[4] += (0.0, 30.0, 0.0)
     wrong = Rotation.from_rotvec(rng.normal(0.0, 0.01, (12, 3))).as_matrix()
-    found = _onto(centres, rotations, given, wrong @ rotations @ turn.T)
+    found = _align(centres, rotations, given, wrong @ rotations @ turn.T)
     # Twelve turns of 0.01 rad average to 0.003 each way; one wrong position of twelve shifts a median little.
     assert Rotation.from_matrix(found.rotation @ turn.T).magnitude() < 0.015
     assert found.scale == pytest.approx(scale, rel=0.5)
@@ -93,7 +93,9 @@ def test_poses_off_by_several_pixels_are_found_within_what_is_stated(tmp_path, r
         priors[view.name] = replace(true.observations.priors[view.name], position=centre, source="survey.toml", **stds)
     off = changed(true, views=tuple(views), priors=priors)
 
-    found = adjust_survey(off, device="cpu", search=lambda survey: find_anew(survey, tmp_path / "sfm", lambda _: None))
+    found = adjust_survey(
+        off, device="cpu", search=lambda survey: recover_poses(survey, tmp_path / "sfm", lambda _: None)
+    )
     assert "Structure from motion has estimated them again" in found.warnings[0]
     # What is left is an error of the block as a whole: by as much as twelve poses leave, three standard deviations.
     left = 3.0 * np.sqrt(3.0 / 12.0)

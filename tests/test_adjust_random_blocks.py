@@ -7,7 +7,7 @@ import pytest
 
 from survey.adjust.block.bundle import NotConvergedError
 from survey.adjust.block.roll import rolls_of
-from survey.adjust.observability import open_roll_named
+from survey.adjust.observability import name_open_roll
 from survey.adjust.refine import adjust_survey
 from survey.errors import SurveyError
 from tests.block_survey import pose_errors, rms, survey_of
@@ -60,8 +60,8 @@ def test_where_a_strip_does_not_converge_the_line_is_named():
     assert rolls
     with (
         pytest.raises(NotConvergedError, match=r"lie on one line, .* \(no step\): give a control point"),
-        open_roll_named(rolls),
+        name_open_roll(rolls),
     ):
         raise NotConvergedError("no step")
-    with pytest.raises(NotConvergedError, match=r"^no step$"), open_roll_named(()):
+    with pytest.raises(NotConvergedError, match=r"^no step$"), name_open_roll(()):
         raise NotConvergedError("no step")

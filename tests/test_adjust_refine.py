@@ -12,7 +12,7 @@ from survey.adjust.applied import apply_adjustment
 from survey.adjust.block.observed import thinned
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import FREE, HELD, UNKNOWN
-from survey.adjust.result.verdicts import Estimate, judge
+from survey.adjust.result.verdicts import Estimate, with_verdict
 from survey.photos.poses import TiePoints
 from tests.block_survey import pose_errors, rms, survey_of
 from tests.changed_survey import changed
@@ -145,7 +145,7 @@ def test_thinning_keeps_every_photograph_tied_and_long_tracks_first():
     ],
 )
 def test_a_verdict_weighs_what_is_found_what_was_given_and_what_is_of_use(std, given_std, limit, status, value):
-    row = judge("level_m", Estimate(2.0, std), Estimate(1.0, given_std), limit, " m")
+    row = with_verdict("level_m", Estimate(2.0, std), Estimate(1.0, given_std), limit, " m")
     assert (row.status, row.value) == (status, value)
     assert row.verdict.startswith({FREE: "found: 2", HELD: "held: 2", UNKNOWN: "not observable: "}[status])
     assert (" m is kept" in row.verdict) == (status == UNKNOWN)

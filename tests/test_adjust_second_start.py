@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from survey.adjust.block.priors import known_of
-from survey.adjust.starts import of_two_starts
+from survey.adjust.starts import better_of_two_starts
 from tests.adjusted_block import drawn_adjustment
 from tests.block_survey import survey_of
 from tests.changed_survey import changed
@@ -56,7 +56,7 @@ def seconds(found, ratio: float, starts: list):
 def test_the_solution_that_fits_better_is_used_and_one_that_fits_as_well_is_said(pair, ratio, is_second, is_said):
     survey, known, first = pair
     starts: list = []
-    found = of_two_starts(survey, known, first, seconds(first, ratio, starts))
+    found = better_of_two_starts(survey, known, first, seconds(first, ratio, starts))
     ((level, start),) = starts
     down = start.state.rotations[:, 2].mean(axis=0)
     np.testing.assert_allclose(down / np.linalg.norm(down), [0.0, 0.0, -1.0], atol=1e-9)
@@ -73,7 +73,7 @@ def test_the_solution_that_fits_better_is_used_and_one_that_fits_as_well_is_said
 
 def test_the_same_solution_from_both_starts_is_the_first(pair):
     survey, known, first = pair
-    assert of_two_starts(survey, known, first, lambda *_start: fits(first, 0.5)) is first
+    assert better_of_two_starts(survey, known, first, lambda *_start: fits(first, 0.5)) is first
 
 
 def test_level_photographs_and_those_without_control_have_one_start(pair):
@@ -81,4 +81,4 @@ def test_level_photographs_and_those_without_control_have_one_start(pair):
     alone = changed(survey, control=None)
     level = replace(known, state=replace(known.state, rotations=known.state.rotations @ TURN))
     for other, start in ((alone, known), (survey, level)):
-        assert of_two_starts(other, start, first, pytest.fail) is first
+        assert better_of_two_starts(other, start, first, pytest.fail) is first

@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter
 
 from refract.lens import Lens
 from survey.adjust import refine
-from survey.adjust.block.matching import RADIUS, match, prepared, window
+from survey.adjust.block.matching import RADIUS, match, prepare_image, window
 from survey.adjust.block.windows import measure_windows
 from survey.adjust.waterline import WaterEstimate, calibrate_water
 from survey.folder.survey import Survey, load_survey
@@ -128,8 +128,8 @@ def test_windows_beside_a_mask_are_found_where_they_are_without_it_and_refused_w
     slopes = np.stack([dx[at], dy[at]], axis=-1).astype(float)
     offsets = np.broadcast_to(np.stack([x, y]).astype(float), (len(middles), 2, len(x)))
     expected = middles + 0.5 + [0.7, -0.4]
-    whole, was = match(prepared(image), image[at].astype(float), slopes, expected, offsets)
-    found, is_found = match(prepared(masked), image[at].astype(float), slopes, expected, offsets)
+    whole, was = match(prepare_image(image), image[at].astype(float), slopes, expected, offsets)
+    found, is_found = match(prepare_image(masked), image[at].astype(float), slopes, expected, offsets)
     gap = np.maximum(
         np.maximum(90 - middles[:, 0], middles[:, 0] - 119), np.maximum(60 - middles[:, 1], middles[:, 1] - 79)
     )
@@ -148,4 +148,4 @@ def test_a_photograph_without_a_window_is_no_hindrance(pincushion, monkeypatch):
 
 
 def test_a_photograph_that_is_masked_whole_has_no_place_for_a_window():
-    assert not prepared(np.full((20, 30), np.nan, dtype=np.float32)).clear.any()
+    assert not prepare_image(np.full((20, 30), np.nan, dtype=np.float32)).clear.any()

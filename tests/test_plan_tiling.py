@@ -14,7 +14,7 @@ from survey.plan import tile_choice
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
 from survey.plan.tile_choice import choose_tiles, with_free_cores
-from survey.plan.tiling import Tiling, aside_px, ground_of, inside, tile_doubts
+from survey.plan.tiling import Tiling, ground_of, inside, ray_skew_px, tile_doubts
 from survey.plan.workload import workload_of
 from survey.water.surface import Departure
 from tests.changed_survey import changed
@@ -188,7 +188,7 @@ def test_water_far_from_a_plane_gets_tiles_and_the_plan_says_why(planned):
     assert len(found.tiling) > 1
     assert found.decision.reason.startswith("rays of a point bent at one plane are skew by up to ")
     ground = ground_of(survey, plan)
-    (_, in_one), (_, in_tiles) = aside_px(survey, plan, ground, [None, found.tiling])
+    (_, in_one), (_, in_tiles) = ray_skew_px(survey, plan, ground, [None, found.tiling])
     assert in_tiles < 0.5 * in_one
     assert "are skew by up to" in tile_doubts(survey, plan, None)[0]
 
@@ -200,7 +200,7 @@ def test_rays_miss_by_what_snell_says(planned):
     incidence = np.arccos(max(steep, np.cos(np.radians(70.0))))
     in_water = np.arcsin(np.sin(incidence) / survey.water.n_water)
     aside = 0.1 * (np.tan(incidence) - survey.water.n_water * np.tan(in_water)) / plan.gsd_m
-    assert list(aside_px(survey, plan, ground_of(survey, plan), [None])) == [(None, pytest.approx(aside, rel=1e-3))]
+    assert list(ray_skew_px(survey, plan, ground_of(survey, plan), [None])) == [(None, pytest.approx(aside, rel=1e-3))]
 
 
 def test_tiles_larger_than_a_local_frame_serves_for_are_warned_of(planned):

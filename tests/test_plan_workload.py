@@ -110,7 +110,7 @@ def test_the_estimate_in_words():
     assert str(replace(workload, seconds=31.0, num_cores=1)).startswith("about 40 seconds on 1 idle core, ")
     assert str(replace(workload, seconds=9000.0)).startswith("about 2.5 hours on 2 idle cores, ")
     busy = "about 6 minutes on 2 cores as busy as now (2.0 times as long as idle), "
-    assert str(workload.on_busy(2.0)).startswith(busy)
+    assert str(workload.on_loaded_cores(2.0)).startswith(busy)
 
 
 def test_too_little_disk_or_memory_is_a_warning_of_check(tmp_path, monkeypatch):
@@ -163,7 +163,9 @@ def test_without_poses_the_estimate_is_a_bound_that_refuses_nothing(tmp_path, mo
         r"about \d+ minutes on 2 idle cores, \d+ minutes of them for structure from motion, ", str(workload)
     )
     assert "; at most " in str(workload)
-    assert str(workload.on_busy(2.0)).startswith(f"about {2 * workload.seconds / 60.0:.0f} minutes on 2 cores as busy")
+    assert str(workload.on_loaded_cores(2.0)).startswith(
+        f"about {2 * workload.seconds / 60.0:.0f} minutes on 2 cores as busy"
+    )
     finer = workload_of_images([(4000, 3000)] * 100, quality="fine")
     assert finer.disk_bytes > 4 * workload.disk_bytes - 2e9
     monkeypatch.setattr(machine, "free_disk_bytes", lambda _folder: 1_000_000)

@@ -9,7 +9,7 @@ from fields.solver.solver import SolvedMap
 from fields.sweep.maps import HeightMap
 from survey.errors import SurveyError
 from survey.run.stored import load_arrays, mapped_arrays, save_arrays
-from survey.run.stored_maps import Stored, kept_aside, save_maps
+from survey.run.stored_maps import Stored, map_store, save_maps
 
 
 def test_height_maps_come_back_as_they_were_whatever_their_sizes(tmp_path, rng):
@@ -31,7 +31,7 @@ def test_height_maps_come_back_as_they_were_whatever_their_sizes(tmp_path, rng):
 def test_maps_that_are_worked_on_lie_in_a_folder_where_memory_has_no_room(tmp_path, rng, in_memory, num_files):
     maps = [SolvedMap(np.arange(3), *rng.normal(size=(2, 3)).astype(np.float32)) for _ in range(2)]
     assert maps[0].pixels.nbytes + maps[0].height.nbytes + maps[0].std.nbytes == 48
-    with kept_aside(tmp_path / "scratch", SolvedMap, in_memory) as keep:
+    with map_store(tmp_path / "scratch", SolvedMap, in_memory) as keep:
         first, second = keep(), keep()
         for place, solved in zip((first, second), maps, strict=True):
             place[4] = solved

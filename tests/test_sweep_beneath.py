@@ -8,7 +8,7 @@ from plane_survey import TILTED, ring
 from test_sweep_steep import GSD, HEIGHT, PIXEL, SHAPE, everywhere, masks
 
 from fields.sweep.kernels.stack import ViewStack
-from fields.sweep.overhangs import add_beneath, beside_steps
+from fields.sweep.overhangs import add_points_beneath, pixels_beside_steps
 
 OVER = HEIGHT + 0.4
 
@@ -20,7 +20,7 @@ def added(device, maps: list[np.ndarray], kept, near: bool = True) -> bool:
         beside[PIXEL[0] + 1, PIXEL[1] + 1] = True
         kept[0] = beside
     stack = ViewStack.build(device, ring(len(maps) - 1), maps, TILTED)
-    add_beneath(stack, masks(len(maps), m0=True), everywhere(len(maps), True), kept, GSD)
+    add_points_beneath(stack, masks(len(maps), m0=True), everywhere(len(maps), True), kept, GSD)
     return bool(kept[0][PIXEL])
 
 
@@ -82,4 +82,4 @@ def test_where_a_kept_point_is_near_nothing_is_added(device):
 def test_beside_a_step_is_what_lies_below_it_within_six_pixels():
     height = np.zeros((3, 30), np.float32)
     height[:, 20:] = 13.0 * GSD
-    assert np.flatnonzero(beside_steps(height, GSD)[1]).tolist() == list(range(14, 20))
+    assert np.flatnonzero(pixels_beside_steps(height, GSD)[1]).tolist() == list(range(14, 20))

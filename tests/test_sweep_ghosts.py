@@ -10,7 +10,7 @@ from plane_survey import TILTED, ring
 from test_sweep_steep import GSD, HEIGHT, PIXEL, SHAPE, masks
 
 from fields.sweep.maps import HeightMap
-from fields.sweep.overhangs import stand_off, without_ghosts
+from fields.sweep.overhangs import are_off_surface, without_ghosts
 
 # A level square of 13 points on each side, one ground sampling distance apart, and its middle.
 SIDE = np.arange(13.0)
@@ -19,7 +19,7 @@ MIDDLE = 6.0, 6.0
 
 
 def is_off(place, holding: int = 0, surface: np.ndarray = SURFACE, held: int = 10) -> bool:
-    return bool(stand_off(np.array([place]), np.array([holding]), surface, np.full(len(surface), held))[0])
+    return bool(are_off_surface(np.array([place]), np.array([holding]), surface, np.full(len(surface), held))[0])
 
 
 @pytest.mark.parametrize(("off", "expected"), [(1.4, False), (1.6, True), (-1.6, True), (4.0, True), (6.1, False)])

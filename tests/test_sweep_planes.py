@@ -74,7 +74,7 @@ def test_heights_that_are_not_trusted_begin_the_next_pass_on_the_plane_of_those_
                 height[off] += 1.0
             m = HeightMap(view, height, np.ones(height.shape, np.float16), nobody, nobody.astype(np.float16))
             maps[view] = image_backend(device).upload(device, m)
-        peers = {view: fusion.Compared([other for other in maps if other != view]) for view in maps}
+        peers = {view: fusion.ComparedViews([other for other in maps if other != view]) for view in maps}
         fused = fusion.fuse(block, maps, 1.0, peers, goes_on=goes_on)[0]
         return image_backend(device).download(fused).height[off]
 

@@ -138,11 +138,11 @@ def roughness_of(samples: list[tuple[Tile, TileSolution]], gsd: float, pool: Exe
         best -= 1
     between = 0.0
     if best == found and abs(found) < MOST_STEPS:
-        between = _vertex(*(_trimmed_mean(cost(found + direction) - cost(found)) for direction in (-1, 1)))
+        between = _parabola_vertex(*(_trimmed_mean(cost(found + direction) - cost(found)) for direction in (-1, 1)))
     return float(START_GSD * gsd * FACTOR ** (best + between))
 
 
-def _vertex(below: float, above: float) -> float:
+def _parabola_vertex(below: float, above: float) -> float:
     """Minimum, in steps, of the parabola through zero at the best and the values one step below and above it."""
     return 0.5 * (below - above) / (below + above) if below + above > 0.0 else 0.0
 

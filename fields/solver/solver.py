@@ -144,7 +144,7 @@ def solve_maps(
         NaN where nothing is kept.
     """
     views = Views.of(block, maps)
-    filled = _filled(views, kept)
+    filled = _occupied_squares(views, kept)
     total, done = sum(map(sum, filled)), 0
     solved = keep()
     for index in range(len(filled)):
@@ -179,7 +179,7 @@ def solve_maps(
 
 def count_in_squares(block: Block, maps: Sequence[HeightMap], kept: Sequence[np.ndarray]) -> list[list[int]]:
     """Kept pixels in each square of `SAMPLE_PX` of each map that has some; none of maps that no other view overlaps."""
-    return _filled(Views.of(block, maps), kept)
+    return _occupied_squares(Views.of(block, maps), kept)
 
 
 def solve_sample(
@@ -208,7 +208,7 @@ def spread(filled: list[list[int]]) -> list[tuple[int, int]]:
     return list(zip(of_map[chosen].tolist(), place[chosen].astype(int).tolist(), strict=True))
 
 
-def _filled(views: Views, kept: Sequence[np.ndarray]) -> list[list[int]]:
+def _occupied_squares(views: Views, kept: Sequence[np.ndarray]) -> list[list[int]]:
     return [requested_in_squares(wanted, SAMPLE_PX) if views.others[index] else [] for index, wanted in enumerate(kept)]
 
 

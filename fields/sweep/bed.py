@@ -16,7 +16,7 @@ from fields.sweep.kernels.arrays import free_unused
 from fields.sweep.kernels.backend import kernels
 from fields.sweep.kernels.stack import ViewStack, largest
 from fields.sweep.maps import HeightMap, confirmed, height_std, trusted
-from fields.sweep.overhangs import add_beneath, beside_steps
+from fields.sweep.overhangs import add_points_beneath, pixels_beside_steps
 from fields.sweep.slopes import SteepPixels, filter_steep_pixels, half_range, steep_and_wall_pixels
 from fields.sweep.views import Footprint
 from refract import FlatWater, PinholeCamera
@@ -127,7 +127,7 @@ def unique_pixels(block: Block, maps: Sequence[HeightMap], gsd: float) -> Masks:
         shown = np.isfinite(block.images[chosen[index]])
         kept[index] = keep = sure[index] & shown & ~claimed[index]
         fit[index] = walls[index] & shown & confirmed(maps[index], WALL_NCC)
-        beside[index] = shown & (maps[index].agreeing > 0) & beside_steps(maps[index].height, gsd)
+        beside[index] = shown & (maps[index].agreeing > 0) & pixels_beside_steps(maps[index].height, gsd)
         if not keep.any():
             continue
         rays, own = kernels(block.device).rays_and_heights(heights, index, np.flatnonzero(keep))
@@ -137,7 +137,7 @@ def unique_pixels(block: Block, maps: Sequence[HeightMap], gsd: float) -> Masks:
                 claimed.add(later, same & (near | ~walls[later].ravel()))
         free_unused(block.device)
     filter_steep_pixels(heights, SteepPixels(steep, fit, sure), kept, gsd)
-    add_beneath(heights, beside, sure, kept, gsd)
+    add_points_beneath(heights, beside, sure, kept, gsd)
     return kept
 
 

@@ -29,7 +29,7 @@ _SURROUNDINGS_PX = 5
 
 
 @dataclass(frozen=True)
-class Compared:
+class ComparedViews:
     """Views that the map of a view is compared with, and its compared pixels (flat indices; None for all)."""
 
     peers: list[int]
@@ -40,7 +40,7 @@ def fuse(
     block: Block,
     maps: Maps,
     scale: float,
-    compared: Mapping[int, Compared],
+    compared: Mapping[int, ComparedViews],
     keep: Keep = dict,
     *,
     goes_on: bool = True,
@@ -65,7 +65,7 @@ def fuse(
 
 
 def _agreement(
-    block: Block, maps: Maps, scale: float, compared: Mapping[int, Compared]
+    block: Block, maps: Maps, scale: float, compared: Mapping[int, ComparedViews]
 ) -> Iterator[tuple[HeightMap, float, _Agreement]]:
     """Maps that are compared, each with the tolerance [m] and its `agreement`.
 
@@ -98,7 +98,7 @@ def _agreement(
 def confirm(block: Block, maps: Maps, peers: Mapping[int, list[int]]) -> None:
     """Confirm heights that stay unchanged by the other views at full size, where more agree than before."""
     if peers:
-        compared = {view: Compared(others) for view, others in peers.items()}
+        compared = {view: ComparedViews(others) for view, others in peers.items()}
         for m, _, (agreeing, _, _) in _agreement(block, maps, 1.0, compared):
             maps[m.view] = replace(m, agreeing=image_backend(block.device).pixelwise_max(m.agreeing, agreeing))
 

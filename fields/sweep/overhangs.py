@@ -49,20 +49,20 @@ _OFF_GSD, _BESIDE_GSD = 1.5, 2.5
 _SHARE_HELD = 0.25
 
 
-def beside_steps(height: np.ndarray, gsd: float) -> np.ndarray:
+def pixels_beside_steps(height: np.ndarray, gsd: float) -> np.ndarray:
     """Pixels (height, width) bool of a map [m] beside which it rises steeply."""
     side = 2 * _REACH_PX + 1
     return cv2.dilate(height, np.ones((side, side), np.uint8)) - height > _STEP_GSD * gsd
 
 
-def add_beneath(stack: ViewStack, fit: Masks, sure: Masks, kept: Masks, gsd: float) -> None:
+def add_points_beneath(stack: ViewStack, fit: Masks, sure: Masks, kept: Masks, gsd: float) -> None:
     """Update the ``kept`` pixels: add those of ``fit`` that lie beneath kept points and apart from all of them.
 
     ``stack`` has the height maps, ``sure`` are all pixels whose heights count against a point.
     """
     new = MapPoints.of(stack, (each & ~old for each, old in zip(fit, kept, strict=True)))
     new = new[far_from(stack, kept, new.xyz, _APART_GSD * gsd)]
-    new = new[are_beneath(stack, kept, new.xyz, gsd, _OVER_GSD)]
+    new = new[lie_beneath(stack, kept, new.xyz, gsd, _OVER_GSD)]
     having, through, holding = new.votes(stack, sure, gsd)
     held = (holding >= _LEAST_HOLDING) & (holding >= _SHARE_HOLDING * having)
     _mark_thinned(new[held & (through <= _MOST_AGAINST * having)], kept, _APART_GSD * gsd)
@@ -75,7 +75,7 @@ def _mark_thinned(points: MapPoints, kept: Masks, distance: float) -> None:
     points[thin_out(points.xyz.T, distance)].mark(kept, True)
 
 
-def are_beneath(
+def lie_beneath(
     stack: ViewStack, kept: Masks, xyz: np.ndarray, gsd: float, over_gsd: float, around: int = 0
 ) -> np.ndarray:
     """Points (3, N) with a kept point more than ``over_gsd`` over them: (N,) bool.
@@ -124,21 +124,21 @@ def without_ghosts(block: Block, maps: Sequence[HeightMap], kept: Masks, gsd: fl
     sure, beside, left = (Masks(list(shapes)) for _ in range(3))
     for index, m in enumerate(maps):
         sure[index], left[index] = trusted(m), kept[index]
-        beside[index] = left[index] & beside_steps(m.height, gsd)
+        beside[index] = left[index] & pixels_beside_steps(m.height, gsd)
     images = LazyImages(lambda index: maps[index].height, len(cameras), largest(cameras), 1)
     stack = ViewStack.build(block.device, cameras, images, block.water)
     points = MapPoints.of(stack, beside)
-    points = points[are_beneath(stack, kept, points.xyz, gsd, _GHOST_OVER_GSD, around=1)]
+    points = points[lie_beneath(stack, kept, points.xyz, gsd, _GHOST_OVER_GSD, around=1)]
     holding = points.votes(stack, sure, gsd)[2]
     points, holding = points[holding < _WELL_HELD], holding[holding < _WELL_HELD]
     if len(holding):
         about = MapPoints.about(stack, kept, points.xyz, _REACH_GSD * gsd)
         held = about.votes(stack, sure, gsd)[2]
-        points[stand_off(points.xyz.T / gsd, holding, about.xyz.T / gsd, held)].mark(left, False)
+        points[are_off_surface(points.xyz.T / gsd, holding, about.xyz.T / gsd, held)].mark(left, False)
     return left
 
 
-def stand_off(points: np.ndarray, holding: np.ndarray, about: np.ndarray, held: np.ndarray) -> np.ndarray:
+def are_off_surface(points: np.ndarray, holding: np.ndarray, about: np.ndarray, held: np.ndarray) -> np.ndarray:
     """Points (N, 3) that stand off a flat piece of those about them, which far more maps hold: (N,) bool.
 
     Parameters

@@ -17,7 +17,7 @@ import numpy as np
 from fields.device import Device, memory_bytes
 from fields.image_store import LazyImages
 from fields.sweep.block import Block
-from fields.sweep.fusion import PEERS, Compared, confirm, fuse
+from fields.sweep.fusion import PEERS, ComparedViews, confirm, fuse
 from fields.sweep.images import image_backend
 from fields.sweep.kernels.backend import kernels
 from fields.sweep.kernels.queue import Job, run_jobs
@@ -185,7 +185,7 @@ def sweep(
             else match_pass(block, pass_, each, search, maps.get(each.view), wider[each.view])
             for each in work[number]
         )
-        found = run_jobs(block.device, jobs, _at_once(block, pass_))
+        found = run_jobs(block.device, jobs, _views_in_queue(block, pass_))
         for each, (m, of_view) in zip(work[number], found, strict=True):
             maps[each.view] = m
             samples = _samples([pass_], [[each]], wider)
@@ -206,7 +206,7 @@ def sweep(
                 for view in taking_part[number] - set(taken):
                     taken[view] = image_backend(block.device).indices_of(maps[view].score > MATCHED_NCC)
             compared = {
-                view: Compared(peers[view], taken.get(view))
+                view: ComparedViews(peers[view], taken.get(view))
                 for view in taking_part[number]
                 if view not in taken or len(taken[view])
             }
@@ -233,7 +233,7 @@ def _samples(passes: Sequence[Pass], work: Sequence[Sequence[ViewPass]], wider: 
     )
 
 
-def _at_once(block: Block, pass_: Pass) -> int:
+def _views_in_queue(block: Block, pass_: Pass) -> int:
     """Number of views in the queue: two where the images that both need stay in the cache."""
     return 2 if block.stack(pass_.scale).packed.values.most >= 2 * (pass_.neighbours + 1) else 1
 

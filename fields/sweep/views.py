@@ -75,7 +75,7 @@ def coverage(
     plan = (
         np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         if max(columns, rows) <= MOST_CELLS
-        else _nodes_about(cameras, height, x, y)
+        else _visible_nodes(cameras, height, x, y)
     )
     cells = np.column_stack([plan, np.full(len(plan), height)])
     seen = np.zeros((len(cameras), len(cells)), dtype=bool)
@@ -84,7 +84,7 @@ def coverage(
     return seen, cells
 
 
-def _nodes_about(cameras: list[PinholeCamera], height: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _visible_nodes(cameras: list[PinholeCamera], height: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Nodes (N, 2) of a grid that any of some cameras may see at z = height, row by row.
 
     Of the rectangle about a camera and what it sees by straight rays, between which bent ones end; every second node of

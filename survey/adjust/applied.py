@@ -131,7 +131,7 @@ def write_cameras(folder: Path, survey: Survey, found: Adjustment | None = None)
     """
     (folder / MODEL_FOLDER).mkdir(exist_ok=True)
     ties = None if found is None else _straight_ties(survey, found)
-    write_model(folder / MODEL_FOLDER, survey.views, head=_given_back(survey), points=_HEAD, ties=ties)
+    write_model(folder / MODEL_FOLDER, survey.views, head=_settings_of_model(survey), points=_HEAD, ties=ties)
     with write_whole(folder / CAMERAS) as stream:
         stream.write(_opk(survey).encode())
 
@@ -160,7 +160,7 @@ def _straight_ties(survey: Survey, found: Adjustment) -> TiePoints:
     return straight.only(sound[point] & np.isfinite(places[point]).all(axis=1))
 
 
-def _given_back(survey: Survey) -> str:
+def _settings_of_model(survey: Survey) -> str:
     origin = ", ".join(repr(float(v)) for v in survey.frame.origin)
     shutter = ""
     if any(view.camera.motion is not None for view in survey.views):
@@ -182,12 +182,12 @@ def _opk(survey: Survey) -> str:
         angles = (math.atan2(-r[1, 2], r[2, 2]), math.asin(r[0, 2]), math.atan2(-r[0, 1], r[0, 0]))
         numbers = [f"{v:.{digits}f}" for v, digits in zip(centre, places, strict=True)]
         numbers += [f"{math.degrees(v):.10f}" for v in angles]
-        numbers += [f"{v:.{_DECIMALS_M}f}" for v in _flown(view)] if rolls else []
+        numbers += [f"{v:.{_DECIMALS_M}f}" for v in _motion_over_rows(view)] if rolls else []
         lines.append(",".join([view.name, *numbers]))
     return "\n".join([*lines, ""])
 
 
-def _flown(view: View) -> np.ndarray:
+def _motion_over_rows(view: View) -> np.ndarray:
     """Motion of the camera from the first row of a photograph to the last (3,) [m], local."""
     motion = view.camera.motion
     return np.zeros(3) if motion is None else motion * rows_between(view.lens.height)

@@ -65,7 +65,7 @@ def lens_with(lens: Lens, parameters: np.ndarray) -> Lens:
     return Lens("FULL_OPENCV", (f, f * fy / fx, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0), lens.width, lens.height)
 
 
-def result(
+def assemble_result(
     survey: Survey,
     done: Adjusted,
     total: int,
@@ -90,7 +90,7 @@ def result(
     layout, first = done.known.layout, done.solution.covariance
     held = np.zeros(len(layout), dtype=bool)
     while True:
-        parameters, water = _judged(survey, done, first, held, lost, contradicted)
+        parameters, water = _parameters_with_verdicts(survey, done, first, held, lost, contradicted)
         also = held | not_observable(parameters, layout)
         if hold is None or (also == held).all():
             break
@@ -180,7 +180,7 @@ def _warnings(survey: Survey, done: Adjusted) -> list[str]:
     return warnings
 
 
-def _judged(
+def _parameters_with_verdicts(
     survey: Survey,
     done: Adjusted,
     first: np.ndarray,
@@ -238,7 +238,7 @@ def _water(
     lost: dict[str, Unobservable] | None,
     contradicted: Sequence[int],
 ) -> tuple[list[Parameter], WaterConfig]:
-    """Level, slopes and index in the terms of survey.toml, with verdicts; ``first`` see `_judged`."""
+    """Level, slopes and index in the terms of survey.toml, with verdicts; ``first`` see `_parameters_with_verdicts`."""
     _, given = survey.require_water()
     known, state = done.known, done.solution.state
     by_local = settings_by_local(survey, np.array(known.place_of_water))

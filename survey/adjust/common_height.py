@@ -54,7 +54,7 @@ def water_start(known: PriorKnowledge, seen: Observed, marks_std_px: float) -> t
     water, or some of them.
     """
     found: list[tuple[Problem, Solution]] = []
-    for height in _levels(known, seen):
+    for height in _candidate_levels(known, seen):
         parameters = known.state.water_parameters()
         parameters[0] = height
         water = with_parameters(known.state.water, parameters)
@@ -71,7 +71,7 @@ def water_start(known: PriorKnowledge, seen: Observed, marks_std_px: float) -> t
     return replace(known, state=replace(least.state, points=np.zeros((0, 3)))), least.state.points
 
 
-def _levels(known: PriorKnowledge, seen: Observed) -> tuple[float, ...]:
+def _candidate_levels(known: PriorKnowledge, seen: Observed) -> tuple[float, ...]:
     """Candidate levels: as positions have it; with most points under water; with half of them."""
     points = seen.ties.start
     over = over_points(points, known.state.centres)
@@ -109,7 +109,7 @@ def _is_corrected(done: Adjusted) -> bool:
     return len(scatter) > 0 and bool(np.median(scatter) <= WELL_KNOWN_M)
 
 
-def without_common(known: PriorKnowledge, done: Adjusted) -> PriorKnowledge | None:
+def drop_common_height(known: PriorKnowledge, done: Adjusted) -> PriorKnowledge | None:
     """Priors without a common height error, where the positions prove to be those of a receiver with corrections.
 
     None where they do not: single positions, in plan, show its accuracy, and the level of the water agrees with them.
@@ -136,7 +136,7 @@ def apply_level_datum(done: Adjusted) -> tuple[Adjusted, CommonHeight | None]:
     follow = covariance - share * np.outer(heights, covariance[0])
     follow = follow - share * np.outer(follow[:, 0], heights)
     follow = follow + share * of_level * np.outer(heights, heights)
-    state = _lowered(done.solution.state, too_high)
+    state = _shifted_down(done.solution.state, too_high)
     std = known.std.copy()
     std[0] = np.sqrt(of_level)
     mean = replace(known.mean, centres=known.mean.centres - (0.0, 0.0, too_high))
@@ -179,7 +179,7 @@ def with_common(found: Adjustment, common: CommonHeight, water: FlatWater | None
     return replace(found, warnings=(*found.warnings, loose))
 
 
-def _lowered(state: State, by: float) -> State:
+def _shifted_down(state: State, by: float) -> State:
     parameters = state.water_parameters()
     parameters[0] -= by
     down = np.array([0.0, 0.0, by])

@@ -133,7 +133,7 @@ def check_given_values(
     std = known.std.copy()
     std[:WATER] = known_of(survey, gsd).std[:WATER]
     std[known.layout.first_pose :] = _pose_std(known.layout, state, misfit_px, gsd)
-    tested = _asked(known, state, fewest_wet)
+    tested = _tested_parameters(known, state, fewest_wet)
     given = {number: float(std[number]) for number in tested}
     focals = known.layout.first_lens + np.arange(len(known.lenses)) * len(LENS_NAMES)
     least = dict(zip(focals.tolist(), _FOCAL_SHARE * state.lenses[:, 0], strict=True))
@@ -152,7 +152,7 @@ def check_given_values(
     ]
 
 
-def _asked(known: PriorKnowledge, state: State, fewest_wet: int) -> list[int]:
+def _tested_parameters(known: PriorKnowledge, state: State, fewest_wet: int) -> list[int]:
     """Numbers of the tested parameters."""
     is_wet = state.water is not None and int((state.water.depth(state.points) > 0.0).sum()) >= fewest_wet
     starts = [known.layout.lens(number).start for number, lens in enumerate(known.lenses) if not is_held(lens)]
@@ -203,7 +203,7 @@ def worst_contradiction(survey: Survey, done: Adjusted) -> Contradiction | None:
     return worst
 
 
-def released(known: PriorKnowledge, found: Contradiction) -> PriorKnowledge:
+def release(known: PriorKnowledge, found: Contradiction) -> PriorKnowledge:
     """Priors with the contradicted value as uncertain as it proved to be."""
     std = known.std.copy()
     std[WATER_PARAMETERS.index(found.name)] = max(abs(found.difference), found.given_std)

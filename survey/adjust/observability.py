@@ -72,7 +72,7 @@ def adjust_free(
     """
 
     def under_given_water(lost: dict[str, Unobservable]) -> tuple[Adjusted, dict[str, Unobservable]]:
-        return adjust(_held(known, np.arange(WATER), HELD), seen, sizes, marks_std_px), lost
+        return adjust(_held_priors(known, np.arange(WATER), HELD), seen, sizes, marks_std_px), lost
 
     few = _too_few(replace(known.state, points=seen.ties.start))
     if few is not None:
@@ -97,7 +97,7 @@ def adjust_free(
         lost[WATER_PARAMETERS[worst]] = Unobservable(
             float(first[worst]), _too_uncertain(worst, first[worst], limits[worst])
         )
-        known = _held(done.known, np.array([worst]), _HELD_STD[worst])
+        known = _held_priors(done.known, np.array([worst]), _HELD_STD[worst])
         known = replace(known, state=replace(done.solution.state, points=np.zeros((0, 3))))
         done = adjust(known, done.used, sizes, marks_std_px)
         std = water_std(survey, done)
@@ -138,7 +138,7 @@ def _inside(survey: Survey, ties: TiePoints) -> np.ndarray | None:
     return (east >= e0) & (east <= e1) & (north >= n0) & (north <= n1)
 
 
-def _held(known: PriorKnowledge, numbers: np.ndarray, std: float) -> PriorKnowledge:
+def _held_priors(known: PriorKnowledge, numbers: np.ndarray, std: float) -> PriorKnowledge:
     """The priors with parameters of the water held at their given values."""
     held = known.std.copy()
     held[numbers] = std
@@ -258,7 +258,7 @@ def roll_notes(survey: Survey, done: Adjusted, gsd_m: float) -> list[str]:
         beside, below = np.median(np.abs(roll.across.flat(state.points)), axis=0).tolist()
         said = (
             f"positions or control of {len(roll.views)} photographs lie on one line; the roll about it is known to "
-            f"{math.degrees(std):.2g} degrees by {_held_by(survey, done, roll)}, which leaves heights "
+            f"{math.degrees(std):.2g} degrees by {_sources_of_roll(survey, done, roll)}, which leaves heights "
             f"{std * beside:.2g} m uncertain (at {beside:.2g} m beside the line, the median) and the bed "
             f"{std * below:.2g} m sideways"
         )
@@ -269,7 +269,7 @@ def roll_notes(survey: Survey, done: Adjusted, gsd_m: float) -> list[str]:
 
 
 @contextmanager
-def open_roll_named(rolls: Sequence[Roll]) -> Iterator[None]:
+def name_open_roll(rolls: Sequence[Roll]) -> Iterator[None]:
     """Name the line where an adjustment of photographs whose roll positions leave open does not converge."""
     try:
         yield
@@ -283,7 +283,7 @@ def open_roll_named(rolls: Sequence[Roll]) -> Iterator[None]:
         ) from error
 
 
-def _held_by(survey: Survey, done: Adjusted, roll: Roll) -> str:
+def _sources_of_roll(survey: Survey, done: Adjusted, roll: Roll) -> str:
     """Sources that determine a roll, in words."""
     used = done.used
     is_known = np.isfinite(used.point_std).all(axis=1)[len(used.ties) - len(used.control) :]

@@ -21,7 +21,7 @@ from survey.adjust.block.prediction import relief_sides
 from survey.adjust.block.priors import FREE_WATER, HELD, known_of, priors_for
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import State
-from survey.adjust.block.windows import loaded, windows_of_block
+from survey.adjust.block.windows import load_photographs, windows_of_block
 from survey.adjust.given_values import check_dry_bed, check_given_values, dry_bed_error, misfit, most_contradicted
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import Adjustment
@@ -164,7 +164,7 @@ def deep_check(folder: Path, *, device: str = "auto") -> list[CheckSection]:
     plan, checked = make_plan(survey, Choices(device=device)), PoseCheck(None)
     if plan.poses[0] == "check":
         with progress.stage("Poses", 1.0) as stage, suppress(SurveyError):
-            checked = check_of_windows(survey, plan, *loaded(survey, plan), stage.advance)
+            checked = check_of_windows(survey, plan, *load_photographs(survey, plan), stage.advance)
         checked.require_water()
         survey = replace(survey, provenance=replace(survey.provenance, contradiction=checked.contradiction))
     with progress.stage("Adjustment", 1.0) as stage:

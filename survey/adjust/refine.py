@@ -14,7 +14,7 @@ import numpy as np
 
 from survey import machine
 from survey.adjust.applied import at_state
-from survey.adjust.assembling import result
+from survey.adjust.assembling import assemble_result
 from survey.adjust.block.bundle import NotConvergedError
 from survey.adjust.block.control_check import contradicted_points, contradiction_warning, has_unchecked_control
 from survey.adjust.block.observed import CELLS, MATCH, PER_CELL, WINDOW, Observed, observed, thinned
@@ -22,15 +22,15 @@ from survey.adjust.block.on_ground import moved_by, shift_onto
 from survey.adjust.block.priors import PriorKnowledge, known_of
 from survey.adjust.block.state import POSE, WATER, WATER_PARAMETERS
 from survey.adjust.block.windows import measure_windows
-from survey.adjust.common_height import apply_level_datum, height_doubts, water_start, with_common, without_common
+from survey.adjust.common_height import apply_level_datum, drop_common_height, height_doubts, water_start, with_common
 from survey.adjust.focal_lengths import FocalDrift, with_focal_std, with_focals, with_square_pixels
-from survey.adjust.given_values import LEVEL, LEVEL_NAME, check_dry_block, dry_bed_error, released, worst_contradiction
+from survey.adjust.given_values import LEVEL, LEVEL_NAME, check_dry_block, dry_bed_error, release, worst_contradiction
 from survey.adjust.observability import (
     Unobservable,
     adjust_free,
     adjusted_with,
     dry_or_within_bounds,
-    open_roll_named,
+    name_open_roll,
     roll_notes,
     water_std,
     within_bounds,
@@ -40,8 +40,8 @@ from survey.adjust.result.ground_fit import ground_fit
 from survey.adjust.result.std_of_block import parts_warning
 from survey.adjust.result.verdicts import MOST_SIGMAS, MOST_SIGMAS_OF_FOUR, MOST_STD_LEVEL_M
 from survey.adjust.rounds import Adjusted, adjust
-from survey.adjust.starts import PoseRecovery, of_two_starts, windows_or_search
-from survey.adjust.unnamed_water import water_seen
+from survey.adjust.starts import PoseRecovery, better_of_two_starts, windows_or_recovered_poses
+from survey.adjust.unnamed_water import find_unnamed_water
 from survey.control.points import StableGround
 from survey.errors import Contradiction, SurveyError
 from survey.folder.pose_priors import GPS_STD_M
@@ -89,12 +89,12 @@ def adjust_survey(
         If the photographs do not match, or the adjustment does not converge.
     """
     survey, note = with_square_pixels(survey)
-    found = _adjust(survey, _Asked(device, advance, use_windows, free_water), search)
+    found = _adjust(survey, _Request(device, advance, use_windows, free_water), search)
     return found if note is None else replace(found, notes=(note, *found.notes))
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _Request:
     """Parameters of `adjust_survey`."""
 
     device: str
@@ -103,15 +103,17 @@ class _Asked:
     free_water: bool
 
 
-def _adjust(survey: Survey, asked: _Asked, search: PoseRecovery | None) -> Adjustment:
+def _adjust(survey: Survey, asked: _Request, search: PoseRecovery | None) -> Adjustment:
     """See `adjust_survey`."""
     known = known_of(survey, make_plan(survey).gsd_m, free_water=asked.free_water)
     if survey.observations.ties is not None or not asked.use_windows:
-        with open_roll_named(known.rolls):
+        with name_open_roll(known.rolls):
             found = _adjusted(survey, known, None, asked)
             silent = replace(asked, advance=lambda _share: None)
-            return of_two_starts(survey, known, found, lambda other, start: _adjusted(other, start, None, silent))
-    windows = windows_or_search(
+            return better_of_two_starts(
+                survey, known, found, lambda other, start: _adjusted(other, start, None, silent)
+            )
+    windows = windows_or_recovered_poses(
         survey,
         lambda: measure_windows(survey, device=asked.device, advance=lambda part: asked.advance(0.9 * part)),
         search,
@@ -124,7 +126,7 @@ def _adjust(survey: Survey, asked: _Asked, search: PoseRecovery | None) -> Adjus
     return replace(found, warnings=(windows.warning, *found.warnings))
 
 
-def _adjusted(survey: Survey, known: PriorKnowledge, windows: TiePoints | None, asked: _Asked) -> Adjustment:
+def _adjusted(survey: Survey, known: PriorKnowledge, windows: TiePoints | None, asked: _Request) -> Adjustment:
     """See `adjust_survey`; with the windows, where they were measured already."""
     device, advance, use_windows, free_water = asked.device, asked.advance, asked.use_windows, asked.free_water
     gathered = _BlockAdjustment(survey, known, free_water)
@@ -132,7 +134,7 @@ def _adjusted(survey: Survey, known: PriorKnowledge, windows: TiePoints | None, 
     shares = [0.0, 0.9, 0.1]
     if survey.observations.ties is not None:
         shares = _shares(survey, device) if use_windows else [1.0, 0.0, 0.0]
-        done = gathered.with_more(
+        done = gathered.add_ties(
             MATCH,
             dry_or_within_bounds(survey, survey.observations.ties) if free_water else survey.observations.ties,
             known,
@@ -143,8 +145,8 @@ def _adjusted(survey: Survey, known: PriorKnowledge, windows: TiePoints | None, 
     if use_windows:
         if windows is None:
             windows = _windows_at(survey, done, device, lambda part: advance(shares[1] * part))
-        start = known if done is None else _started(gathered.known, done)
-        done = gathered.with_more(WINDOW, within_bounds(survey, windows) if free_water else windows, start)
+        start = known if done is None else _restarted(gathered.known, done)
+        done = gathered.add_ties(WINDOW, within_bounds(survey, windows) if free_water else windows, start)
         advance(shares[2])
     assert done is not None
     against: list[Contradiction] = []
@@ -152,12 +154,12 @@ def _adjusted(survey: Survey, known: PriorKnowledge, windows: TiePoints | None, 
     if not free_water:
         done, drift = gathered.with_focals(done)
         done, against = gathered.without_contradictions(done)
-    water = None if survey.water is not None else water_seen(done, gathered.marks_std)
+    water = None if survey.water is not None else find_unnamed_water(done, gathered.marks_std)
     notes = roll_notes(survey, done, make_plan(survey).gsd_m) if done.known.rolls and not free_water else []
     found = gathered.result(done, against)
     if not survey.provenance.is_level_known and found.parameter("level_m").status == UNKNOWN:
         raise _level_error(survey, found.parameter("level_m").std)
-    warnings = [*(_against(found, each) for each in against), *height_doubts(survey, done)]
+    warnings = [*(_contradiction_text(found, each) for each in against), *height_doubts(survey, done)]
     warnings += parts_warning(found, survey.water) + ([] if water is None else [str(water)])
     warnings += [] if drift is None else [str(drift)]
     if not free_water:
@@ -219,12 +221,12 @@ class _BlockAdjustment:
     def _observed(self) -> Observed:
         return observed(self._parts, self._survey.observations.control, self._survey, self.known)
 
-    def with_more(self, kind: int, ties: TiePoints, start: PriorKnowledge) -> Adjusted:
+    def add_ties(self, kind: int, ties: TiePoints, start: PriorKnowledge) -> Adjusted:
         """Take in more tie points, those that are needed, and adjust."""
         needed = ties.only(np.isin(ties.point, thinned(ties, self._sizes, CELLS, PER_CELL)))
         ground = self._survey.observations.ground
         if ground is not None and not self._parts:
-            start, needed = self._put_onto(ground, kind, needed, start)
+            start, needed = self._shift_onto_ground(ground, kind, needed, start)
         self._parts.append((kind, needed))
         if self._free_water:
             done, self._lost = adjust_free(self._survey, start, self._observed, self._sizes, self.marks_std)
@@ -238,7 +240,7 @@ class _BlockAdjustment:
                 raise dry_bed_error(level, "leave out [water] if the bed is dry")
         return done
 
-    def _put_onto(
+    def _shift_onto_ground(
         self, ground: StableGround, kind: int, ties: TiePoints, start: PriorKnowledge
     ) -> tuple[PriorKnowledge, TiePoints]:
         """Start and tie points shifted onto the ground, after an adjustment without it; positions too, where it shows.
@@ -277,14 +279,14 @@ class _BlockAdjustment:
         # Without those of check points, which come last.
         self._parts[0] = (kind, replace(ties, start=points[: len(ties)]))
         done = adjust(start, self._observed, self._sizes, self.marks_std)
-        held = None if self._are_stated else without_common(self.known, done)
+        held = None if self._has_stated_positions else drop_common_height(self.known, done)
         if held is None:
             return done
         self.known = replace(held, state=self.known.state)
         return adjust(held, self._observed, self._sizes, self.marks_std)
 
     @property
-    def _are_stated(self) -> bool:
+    def _has_stated_positions(self) -> bool:
         """Whether anything says how good positions are."""
         return any(prior.position_std is not None for prior in self._survey.observations.priors.values())
 
@@ -302,11 +304,13 @@ class _BlockAdjustment:
         """Adjust with what the photographs contradict of the water set free, the worst first; and what that was."""
         against: list[Contradiction] = []
         while len(against) < WATER:
-            each = (_of_sample(self._survey) if not against else None) or worst_contradiction(self._survey, done)
+            each = (_contradiction_of_sample(self._survey) if not against else None) or worst_contradiction(
+                self._survey, done
+            )
             if each is None:
                 break
             against.append(each)
-            start = released(_started(done.known, done), each)
+            start = release(_restarted(done.known, done), each)
             done = adjust(start, self._observed, self._sizes, self.marks_std)
         return done, against
 
@@ -322,7 +326,7 @@ class _BlockAdjustment:
             return []
         kind, ties = self._parts[0]
         try:
-            free = apply_level_datum(_BlockAdjustment(alone, known, free_water=False).with_more(kind, ties, known))[0]
+            free = apply_level_datum(_BlockAdjustment(alone, known, free_water=False).add_ties(kind, ties, known))[0]
         except NotConvergedError:
             return []
         against = contradicted_points(control, self.marks_std, self._survey.views, free.known, free.solution)
@@ -333,14 +337,16 @@ class _BlockAdjustment:
         control = self._survey.observations.control
         total = sum(len(ties.view) for _, ties in self._parts) + (0 if control is None else len(control.marks))
         if self._free_water:
-            return self._on_ground(result(self._survey, done, total, lost=self._lost), done)
+            return self._on_ground(assemble_result(self._survey, done, total, lost=self._lost), done)
         placed, common = apply_level_datum(done)
 
         def hold(held: np.ndarray) -> Adjusted:
             return apply_level_datum(adjusted_with(done, held, self.known.std, self._sizes, self.marks_std))[0]
 
         used = {WATER_PARAMETERS.index(each.name) for each in against} | (set() if common is None else {LEVEL})
-        found = self._on_ground(result(self._survey, placed, total, contradicted=sorted(used), hold=hold), done)
+        found = self._on_ground(
+            assemble_result(self._survey, placed, total, contradicted=sorted(used), hold=hold), done
+        )
         return found if common is None else with_common(found, common, placed.solution.state.water)
 
     def _on_ground(self, found: Adjustment, done: Adjusted) -> Adjustment:
@@ -353,13 +359,13 @@ class _BlockAdjustment:
         return replace(found, ground=fit, notes=(*found.notes, *fit.notes), warnings=(*found.warnings, *fit.warnings))
 
 
-def _of_sample(survey: Survey) -> Contradiction | None:
+def _contradiction_of_sample(survey: Survey) -> Contradiction | None:
     """Contradiction by a sample under the given poses; the test of a block with free poses may have less power."""
     found = survey.provenance.contradiction
     return None if found is None or found.is_of_lens else found
 
 
-def _against(found: Adjustment, each: Contradiction) -> str:
+def _contradiction_text(found: Adjustment, each: Contradiction) -> str:
     """A contradiction in words, with both numbers."""
     row, unit, digits = found.parameter(each.name), *((" m", 3) if each.name == LEVEL_NAME else ("", 4))
     return (
@@ -370,7 +376,7 @@ def _against(found: Adjustment, each: Contradiction) -> str:
     )
 
 
-def _started(known: PriorKnowledge, done: Adjusted) -> PriorKnowledge:
+def _restarted(known: PriorKnowledge, done: Adjusted) -> PriorKnowledge:
     """Priors that start from an adjusted state, with the std of positions that the adjustment estimated."""
     none = np.zeros((0, 3))
     std = np.concatenate([known.std[:WATER], done.known.std[WATER:]])

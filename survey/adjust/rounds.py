@@ -14,7 +14,7 @@ from survey.adjust.block.pose_std import reestimate_pose_std
 from survey.adjust.block.prediction import relief_sides
 from survey.adjust.block.priors import PriorKnowledge, priors_for
 from survey.adjust.block.problem import Problem
-from survey.adjust.block.roll import Roll, profiled, widened
+from survey.adjust.block.roll import Roll, inflate_roll, minimise_over_roll
 from survey.adjust.block.state import State, with_parameters
 from survey.adjust.clusters import inflation, terrain_design_effect
 
@@ -109,7 +109,7 @@ def adjust(known: PriorKnowledge, seen: Observed, sizes, marks_std_px: float) ->
     most = _ROUNDS + len(coordinates)
     while True:
         kind = _by_depth(seen, state)
-        problem, solution, on_ground = _solved(known, seen, state, kind, given, factors[kind])
+        problem, solution, on_ground = _solve_once(known, seen, state, kind, given, factors[kind])
         found = solution.std_px
         before, factors = factors, _factors(problem, solution, sizes, factors)
         poses, known_blunders = reestimate_pose_std(known, solution, blunders), blunders
@@ -138,18 +138,18 @@ def adjust(known: PriorKnowledge, seen: Observed, sizes, marks_std_px: float) ->
         del problem, solution, on_ground
     stds = []
     for roll in _open_rolls(known, seen):
-        solution, std = profiled(problem, solution, factors[kind], roll)
+        solution, std = minimise_over_roll(problem, solution, factors[kind], roll)
         stds.append((roll, std))
     if known.common_up_std > 0.0:
         solution = replace(solution, covariance=covariance_over_shore(problem, solution))
     for roll, std in stds:
-        solution = replace(solution, covariance=widened(problem, solution.covariance, roll, std))
+        solution = replace(solution, covariance=inflate_roll(problem, solution.covariance, roll, std))
     placed = None if on_ground is None else alignment_on(on_ground, problem, solution)
-    solution = replace(solution, std_px=np.sqrt(_means(found[kind] ** 2, seen.kind)))
-    return Adjusted(known, seen, solution, _means(factors[kind], seen.kind), blunders, placed)
+    solution = replace(solution, std_px=np.sqrt(_mean_by_kind(found[kind] ** 2, seen.kind)))
+    return Adjusted(known, seen, solution, _mean_by_kind(factors[kind], seen.kind), blunders, placed)
 
 
-def _solved(
+def _solve_once(
     known: PriorKnowledge, seen: Observed, state: State, kind: np.ndarray, given: np.ndarray, inflation: np.ndarray
 ) -> tuple[Problem, Solution, OnGround | None]:
     """Adjust once; on ground, until the planes under the points no longer change."""
@@ -188,7 +188,7 @@ def _factors(problem: Problem, solution: Solution, sizes, before: np.ndarray) ->
         # Errors of the ground and those of one photograph cannot be separated: the larger design effect counts.
         lacking = terrain_design_effect(problem, solution, sizes, is_tie)
         shared *= max(1.0, lacking * float(np.mean((before[kind] / shared)[is_tie])))
-    factors = np.array([_first(shared[kind == number]) for number in range(len(before))])
+    factors = np.array([_first_or_one(shared[kind == number]) for number in range(len(before))])
     factors[MARK :: len(KINDS)] = 1.0
     return factors
 
@@ -210,13 +210,13 @@ def _by_depth(seen: Observed, state: State) -> np.ndarray:
     return kind
 
 
-def _means(values: np.ndarray, kind: np.ndarray) -> np.ndarray:
+def _mean_by_kind(values: np.ndarray, kind: np.ndarray) -> np.ndarray:
     """Mean of values (N,) of each kind; NaN of those that do not occur."""
     count = np.bincount(kind, minlength=len(KINDS))
     return np.where(count > 0, np.bincount(kind, values, len(KINDS)) / np.maximum(count, 1), np.nan)
 
 
-def _first(values: np.ndarray) -> float:
+def _first_or_one(values: np.ndarray) -> float:
     return float(values[0]) if len(values) else 1.0
 
 

@@ -40,7 +40,7 @@ _SURE = 10.0
 _REJECTED = 3.0
 
 
-def of_two_starts(
+def better_of_two_starts(
     survey: Survey, known: PriorKnowledge, first: Adjustment, adjusted: Callable[[Survey, PriorKnowledge], Adjustment]
 ) -> Adjustment:
     """The adjustment as it is; of two photographs placed by control, the better of that and one from a level start.
@@ -52,7 +52,7 @@ def of_two_starts(
     adjusted : callable
         Adjusts a survey from what is known.
     """
-    turn = None if not _is_asked(survey) else _to_level(known)
+    turn = None if not _needs_second_start(survey) else _turn_to_level(known)
     if turn is None:
         return first
     ties = survey.observations.ties
@@ -92,7 +92,7 @@ def of_two_starts(
     )
 
 
-def _is_asked(survey: Survey) -> bool:
+def _needs_second_start(survey: Survey) -> bool:
     """Whether control alone decides: known attitudes would, and the start has them."""
     seen = survey.observations
     if len(survey.views) != 2 or seen.ties is None or seen.control is None:
@@ -101,7 +101,7 @@ def _is_asked(survey: Survey) -> bool:
     return not has_attitudes and any(not point.is_check for point in seen.control.points)
 
 
-def _to_level(known: PriorKnowledge) -> np.ndarray | None:
+def _turn_to_level(known: PriorKnowledge) -> np.ndarray | None:
     """The turn (3, 3) of local after which the photographs look straight down in the mean; None where they do."""
     axis = known.state.rotations[:, 2].mean(axis=0)
     axis /= np.linalg.norm(axis)
@@ -166,7 +166,7 @@ class RecoveredPoses:
 PoseRecovery = Callable[[Survey], RecoveredPoses]
 
 
-def windows_or_search(
+def windows_or_recovered_poses(
     survey: Survey, measure: Callable[[], TiePoints], search: PoseRecovery | None
 ) -> TiePoints | RecoveredPoses:
     """Windows of a survey with poses of a file, or its block by structure from motion where too few match.
@@ -210,7 +210,7 @@ def without_windows(windows: TiePoints, num_views: int) -> int:
     return int((np.bincount(windows.view, minlength=num_views) < FEW_MATCHES).sum())
 
 
-def find_anew(survey: Survey, workspace: Path, say: Callable[[str], None]) -> RecoveredPoses:
+def recover_poses(survey: Survey, workspace: Path, say: Callable[[str], None]) -> RecoveredPoses:
     """Block of a survey by structure from motion, aligned with its given poses.
 
     Raises
@@ -235,14 +235,14 @@ def find_anew(survey: Survey, workspace: Path, say: Callable[[str], None]) -> Re
     for found in blocks:
         numbers = np.array([number for number, view in enumerate(views) if view.name in found.poses])
         centres, rotations = (np.array([found.poses[views[k].name][part] for k in numbers]) for part in range(2))
-        onto = _onto(centres, rotations, given[numbers], all_rotations[numbers])
+        onto = _align(centres, rotations, given[numbers], all_rotations[numbers])
         all_centres[numbers], all_rotations[numbers] = onto(centres), rotations @ onto.rotation.T
         ties = found.ties.renumbered(numbers)
         parts.append(replace(ties, start=onto(ties.start)))
     return RecoveredPoses(TiePoints.together(parts), all_centres, all_rotations)
 
 
-def _onto(centres: np.ndarray, rotations: np.ndarray, given: np.ndarray, turned: np.ndarray) -> Similarity:
+def _align(centres: np.ndarray, rotations: np.ndarray, given: np.ndarray, turned: np.ndarray) -> Similarity:
     """Similarity transformation from poses (V, 3), (V, 3, 3) to given ones.
 
     Its rotation is the mean over the views, which a single strip determines too. Scale and shift are medians, robust

@@ -42,7 +42,7 @@ _SURE = 3.0
 
 
 @dataclass(frozen=True)
-class WaterSeen:
+class UnnamedWater:
     """Water that tie points show."""
 
     num_wet: int
@@ -62,7 +62,7 @@ class WaterSeen:
         )
 
 
-def water_seen(done: Adjusted, marks_std_px: float) -> WaterSeen | None:
+def find_unnamed_water(done: Adjusted, marks_std_px: float) -> UnnamedWater | None:
     """Water that a block shows which was adjusted without any; None where it shows none, or cannot tell.
 
     Parameters
@@ -76,17 +76,17 @@ def water_seen(done: Adjusted, marks_std_px: float) -> WaterSeen | None:
     if dry.water is not None or len(seen.ties) < FEWEST_WET:
         return None
     shared = done.factor[seen.kind]
-    for level in _levels(dry):
+    for level in _candidate_levels(dry):
         with suppress(NotConvergedError):
-            found = _over(known, seen, dry, level, shared, marks_std_px)
+            found = _gain_over(known, seen, dry, level, shared, marks_std_px)
             if found is not None and found[0] > _LEAST_GAIN:
                 return found[1]
     return None
 
 
-def _over(
+def _gain_over(
     known: PriorKnowledge, seen: Observed, dry: State, level: float, shared: np.ndarray, marks_std_px: float
-) -> tuple[float, WaterSeen] | None:
+) -> tuple[float, UnnamedWater] | None:
     """Gain of bent rays in units of variances, and the water; None where too little of it is sure."""
     x, y = dry.centres[:, :2].mean(axis=0).tolist()
     water, std = FlatWater((x, y, level), n_water=_INDEX), known.std.copy()
@@ -111,10 +111,10 @@ def _over(
     mean = float(depth[is_wet].mean())
     if mean < _SURE * of_depth or after > (1.0 - _LEAST_FALL) * before:
         return None
-    return gain, WaterSeen(int(is_wet.sum()), len(depth), mean, of_depth, before, after)
+    return gain, UnnamedWater(int(is_wet.sum()), len(depth), mean, of_depth, before, after)
 
 
-def _levels(dry: State) -> tuple[float, float]:
+def _candidate_levels(dry: State) -> tuple[float, float]:
     middle, top = (float(np.quantile(dry.points[:, 2], share)) for share in (_AMID, _TOP))
     return top + _SHARE * max(float(np.median(dry.centres[:, 2])) - top, 0.0), middle
 

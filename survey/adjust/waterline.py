@@ -159,7 +159,7 @@ def calibrate_water(
     try:
         found = adjust_survey(survey, device=device, advance=advance, free_water=True)
     except NotConvergedError as error:
-        return _nothing(survey, str(error))
+        return _not_adjusted(survey, str(error))
     assert found.water is not None
     return WaterEstimate(
         water=found.water,
@@ -203,7 +203,7 @@ def _covariance(survey: Survey, found: Adjustment) -> tuple[tuple[float, ...], .
     return _rows(by_local @ found.covariance.matrix[:WATER, :WATER] @ by_local.T)
 
 
-def _nothing(survey: Survey, reason: str) -> WaterEstimate:
+def _not_adjusted(survey: Survey, reason: str) -> WaterEstimate:
     """The estimate where nothing was adjusted."""
     _, given = survey.require_water()
     rows = zip(none_observable(reason).items(), settings_of(given).tolist(), strict=True)

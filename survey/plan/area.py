@@ -41,7 +41,7 @@ def flattened(survey: Survey) -> Survey:
     survey where it falls by less than 5 cm.
     """
     centres = _raised(survey, np.array([view.camera.centre for view in survey.views]))
-    if not np.isfinite(centres).all() or _drop(survey, centres) < _LEAST_DROP_M:
+    if not np.isfinite(centres).all() or _drop_of_ground(survey, centres) < _LEAST_DROP_M:
         return survey
     views = tuple(
         replace(view, camera=replace(view.camera, centre=centre))
@@ -70,7 +70,7 @@ def _raised(survey: Survey, points: np.ndarray) -> np.ndarray:
     return np.column_stack([points[:, :2], heights * height_unit_m(frame.crs)])
 
 
-def _drop(survey: Survey, raised: np.ndarray) -> float:
+def _drop_of_ground(survey: Survey, raised: np.ndarray) -> float:
     centres = np.array([view.camera.centre for view in survey.views])
     return float(np.abs(raised[:, 2] - centres[:, 2]).max())
 
@@ -90,7 +90,7 @@ def limits(survey: Survey) -> tuple[float, float]:
     return found.low, found.high
 
 
-class Located(Protocol):
+class Georeferenced(Protocol):
     """Protocol of what has a place on the map: a survey, or the flight of a run."""
 
     @property
@@ -100,7 +100,7 @@ class Located(Protocol):
     def bounds(self) -> tuple[float, float, float, float] | None: ...
 
 
-def local_area(survey: Located) -> tuple[float, float, float, float] | None:
+def local_area(survey: Georeferenced) -> tuple[float, float, float, float] | None:
     """The bounds of the survey as (x0, y0, x1, y1) [m], local, that hold them; None where it has none."""
     if survey.bounds is None:
         return None
@@ -110,7 +110,7 @@ def local_area(survey: Located) -> tuple[float, float, float, float] | None:
     return (*corners[:, :2].min(axis=0), *corners[:, :2].max(axis=0))
 
 
-def beyond_bounds(survey: Located) -> float:
+def beyond_bounds(survey: Georeferenced) -> float:
     """Reach of the cloud beyond the bounds [m]: the margin, and the rotation of the map against local."""
     area = local_area(survey)
     if survey.bounds is None or area is None:

@@ -128,7 +128,7 @@ def check_survey(
     of_water: tuple[str, ...] = ()
     try:
         workload = workload_of(survey, plan)
-        workload = workload if slowness is None else workload.on_busy(slowness)
+        workload = workload if slowness is None else workload.on_loaded_cores(slowness)
         tiles = choose_tiles(survey, plan, chosen, workload, is_aimed=False)
         tiles = with_free_cores(tiles, chosen) if chooses_workers else tiles
         workload = replace(workload, memory_bytes=int(tiles.memory_bytes))

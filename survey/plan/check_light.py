@@ -20,7 +20,7 @@ from survey.photos.exif import Exif
 from survey.photos.texture import MOSTLY_WHITE, bytes_per_pixel, image_detail, relative
 from survey.plan.area import in_the_middle
 from survey.plan.check import Checked, CheckSection
-from survey.plan.check_inputs import Verdict, by_limits, judged
+from survey.plan.check_inputs import Verdict, verdict_by_limits, verdict_text
 from survey.plan.glitter import USUAL_WIND_M_S, Glitter, GlitterOfFlight
 from survey.plan.plan import make_plan
 
@@ -85,8 +85,8 @@ def glitter_text(glitter: Glitter, highest_sun: float, wind_m_s: float, *, is_fl
         if limit >= 5.0
         else "with so wide a lens no sun is low enough: fly under clouds, or in less wind"
     )
-    verdict = by_limits(lost_share(glitter), LOST_GOOD, LOST_FAIR)
-    return judged(verdict, found, f"{fly}; masks ([images] masks) exclude it" if is_flown else fly)
+    verdict = verdict_by_limits(lost_share(glitter), LOST_GOOD, LOST_FAIR)
+    return verdict_text(verdict, found, f"{fly}; masks ([images] masks) exclude it" if is_flown else fly)
 
 
 def lost_share(glitter: Glitter) -> float:
@@ -115,10 +115,10 @@ def motion_text(speed: float | None, exposure: float | None, pixel: float | None
     blur = speed * exposure / pixel
     said = f"blurs by {blur:.2f} px at most ({speed:.1f} m/s, open for {1000.0 * exposure:.2g} ms{known})"
     if blur <= BLUR_GOOD_PX:
-        return judged(Verdict.good, said, "")
+        return verdict_text(Verdict.good, said, "")
     slower, shorter = BLUR_GOOD_PX * pixel / exposure, BLUR_GOOD_PX * pixel / speed
     advice = f"fly at {slower:.1f} m/s or slower, or open the shutter for {1000.0 * shorter:.2g} ms or less"
-    return judged(by_limits(blur, BLUR_GOOD_PX, BLUR_FAIR_PX), said, advice)
+    return verdict_text(verdict_by_limits(blur, BLUR_GOOD_PX, BLUR_FAIR_PX), said, advice)
 
 
 def sharpness_text(found: Found) -> str:
@@ -160,7 +160,7 @@ def sharpness_text(found: Found) -> str:
         said.append(f"none {of} is blurred against the others (the worst has {sharp.min():.2f})")
     bad = len(plain) + len(white) + len(blurred)
     verdict = Verdict.good if not bad else Verdict.fair if bad <= 0.1 * len(names) else Verdict.poor
-    return judged(verdict, "; ".join(said), "; ".join(advice))
+    return verdict_text(verdict, "; ".join(said), "; ".join(advice))
 
 
 def _named(worst: list[tuple[str, str]]) -> str:

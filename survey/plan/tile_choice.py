@@ -14,7 +14,7 @@ from survey import machine
 from survey.display.quantities import bytes_of, length, room, size
 from survey.errors import SurveyError
 from survey.plan.decisions import Decision
-from survey.plan.tiling import FRAME_M, MOST_ASIDE_PX, RIM_GSD, Area, Tiling, aside_px, ground_of
+from survey.plan.tiling import FRAME_M, MOST_ASIDE_PX, RIM_GSD, Area, Tiling, ground_of, ray_skew_px
 from survey.plan.workload import POINT_BYTES, amounts_of, memory_of
 
 if TYPE_CHECKING:
@@ -140,7 +140,7 @@ def _for_water(survey: Survey, plan: Plan) -> tuple[int, str]:
     counts = sorted({*range(2, min(most, _FEW) + 1), *_counts(ground, most)})
     tilings = (Tiling.of(ground, count, rim) for count in counts)
     tried = []
-    for tiling, px in aside_px(survey, plan, ground, chain([None], tilings)):
+    for tiling, px in ray_skew_px(survey, plan, ground, chain([None], tilings)):
         tried.append((px, 1 if tiling is None else len(tiling)))
         if px <= MOST_ASIDE_PX:
             break

@@ -108,14 +108,14 @@ def places_of(ground: Area) -> np.ndarray:
     return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
 
-def aside_px(
+def ray_skew_px(
     survey: Survey, plan: Plan, ground: Area, tilings: Iterable[Tiling | None]
 ) -> Iterator[tuple[Tiling | None, float]]:
     """Each of some tilings of a ground, and how far [px] rays of a point are skew at most in its tiles."""
     departure = survey.observations.departure
     if survey.water is None or departure is None:
         return
-    over, per_m = departure.interpolated(ground), _aside_per_m(survey)
+    over, per_m = departure.interpolated(ground), _skew_per_m(survey)
     for tiling in tilings:
         most = 0.0
         for number in range(1 if tiling is None else len(tiling)):
@@ -149,7 +149,7 @@ def _water_doubts(survey: Survey, plan: Plan, tiling: Tiling | None) -> tuple[st
     """A warning where the planes of the tiles do not serve, or none."""
     if survey.water is None or survey.observations.departure is None:
         return ()
-    _, px = next(aside_px(survey, plan, ground_of(survey, plan), [tiling]))
+    _, px = next(ray_skew_px(survey, plan, ground_of(survey, plan), [tiling]))
     if px <= MOST_ASIDE_PX:
         return ()
     return (
@@ -159,7 +159,7 @@ def _water_doubts(survey: Survey, plan: Plan, tiling: Tiling | None) -> tuple[st
     )
 
 
-def _aside_per_m(survey: Survey) -> float:
+def _skew_per_m(survey: Survey) -> float:
     """``tan a - n tan b`` of the most oblique ray of the photographs [-]."""
     water = survey.water
     if water is None:

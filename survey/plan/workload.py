@@ -78,7 +78,7 @@ class Workload:
     # Of structure from motion, where it is a part of the run; the seconds are no bound then
     sfm_seconds: float | None = None
 
-    def on_busy(self, slowness: float) -> Workload:
+    def on_loaded_cores(self, slowness: float) -> Workload:
         """The same on cores that take ``slowness`` times as long as idle ones."""
         if self.seconds is None:
             return self
@@ -99,7 +99,7 @@ class Workload:
         cores = "core" if self.num_cores == 1 else "cores"
         state = f"{self.num_cores} idle {cores}"
         if self.slowness is not None:
-            state = f"{self.num_cores} {cores} {busy_in_words(self.slowness)}"
+            state = f"{self.num_cores} {cores} {load_in_words(self.slowness)}"
         if self.sfm_seconds is not None:
             of_sfm = f"{rough(self.sfm_seconds)} of them for structure from motion"
             return (
@@ -108,7 +108,7 @@ class Workload:
         return f"{self.most}{rough(self.seconds)} on {state}, {rooms}; {maps}"
 
 
-def busy_in_words(slowness: float) -> str:
+def load_in_words(slowness: float) -> str:
     """Load that estimated times assume, in words."""
     return f"as busy as now ({slowness:.1f} times as long as idle)"
 

@@ -240,7 +240,7 @@ def run_stages(job: Job, run: RunDir, *, resume: bool, compares_sweep: bool) -> 
     of_round = [stage for stage in stages if stage.name in _EARLIER]
     for stage in stages:
         if stage.name == "sweep":
-            _begin(job)
+            _begin_first_round(job)
         if stage.is_on(job):
             done[stage.name] = run_stage(stage, job, run, done, resume=resume)
         number = 1
@@ -253,7 +253,7 @@ def run_stages(job: Job, run: RunDir, *, resume: bool, compares_sweep: bool) -> 
     return done
 
 
-def _begin(job: Job) -> None:
+def _begin_first_round(job: Job) -> None:
     """Set the recipe of the first round."""
     if job.aimed is not None:
         job.aimed.has_begun = True

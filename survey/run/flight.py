@@ -55,10 +55,10 @@ def save_flight(folder: Path, survey: Survey) -> None:
         "water": water,
         "bounds": survey.bounds,
         "departure": _said_departure(survey.observations.departure),
-        "views": [_said(view) for view in survey.views],
+        "views": [_record_of_view(view) for view in survey.views],
     }
     with write_whole(folder / FLIGHT) as stream:
-        stream.write(json.dumps(said, indent=1, ensure_ascii=False, default=_plain).encode())
+        stream.write(json.dumps(said, indent=1, ensure_ascii=False, default=_json_value).encode())
 
 
 def _said_departure(departure: Departure | None) -> dict | None:
@@ -75,7 +75,7 @@ def _departure(said: dict | None) -> Departure | None:
     return kind(np.array(said["points"]), np.array(said["stds"]))
 
 
-def _said(view: View) -> dict:
+def _record_of_view(view: View) -> dict:
     camera, lens = view.camera, view.lens
     return {
         "name": view.name,
@@ -91,7 +91,7 @@ def _said(view: View) -> dict:
     }
 
 
-def _plain(value: object) -> object:
+def _json_value(value: object) -> object:
     """Arrays, and numbers of numpy, for JSON."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()

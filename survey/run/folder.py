@@ -102,7 +102,7 @@ class RunDir:
             )
             stack.enter_context(locked(self.path, busy=busy))
             stack.callback(self._remove_parts)
-            result.put_in_place(self.path)
+            result.move_into_place(self.path)
             self._remove_parts()
             self._held = stack.pop_all()
         return self

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from fields.sweep.kernels.arrays import release
 from fields.sweep.maps import Sources
-from survey.adjust.starts import PoseRecovery, find_anew
+from survey.adjust.starts import PoseRecovery, recover_poses
 from survey.errors import SurveyError
 from survey.files.toml_table import table_of
 from survey.photos.images import ImageStore
@@ -88,22 +88,22 @@ class Job:
 
     def use_survey(self, survey: Survey) -> None:
         """Replace the survey by one of the same photographs, e.g. with adjusted water."""
-        before = self._sight()
+        before = self._hashes_of_rays()
         self.survey = survey
         self.plan = self._planned()
-        if self._sight() != before:
-            self._forget()
+        if self._hashes_of_rays() != before:
+            self._clear_cached()
 
     def take_tiles(self, tiles: TileChoice) -> None:
         """Work in tiles, or in one, and say so in the plan."""
         self.tiling, self.tiles = tiles.tiling, tiles
         self.plan = self._planned()
 
-    def _forget(self) -> None:
+    def _clear_cached(self) -> None:
         for name in ("block", "bound", "cameras", "outlines"):
             self.__dict__.pop(name, None)
 
-    def _sight(self) -> list[str]:
+    def _hashes_of_rays(self) -> list[str]:
         """Inputs that determine the rays of the photographs and the search volume."""
         return [self.hash_of_part(name) for name in ("cameras", "water", "size", "device", "heights")]
 
@@ -112,7 +112,7 @@ class Job:
         scale = self.plan.image_scale
         self.plan = self._planned()
         if self.plan.image_scale != scale:
-            self._forget()
+            self._clear_cached()
 
     def _planned(self) -> Plan:
         if self.aimed is None:
@@ -153,7 +153,7 @@ class Job:
         """Structure from motion for poses of a file that are too inaccurate; None without a workspace."""
         if self.workspace is None:
             return None
-        return partial(find_anew, workspace=self.workspace, say=self.progress.note)
+        return partial(recover_poses, workspace=self.workspace, say=self.progress.note)
 
     @cached_property
     def bound(self) -> tuple[float, float]:

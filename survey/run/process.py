@@ -221,7 +221,7 @@ def _forecast(progress: Progress, checked: Checked, chosen: Choices) -> None:
     workload = workload_of_found(checked.found, chosen)
     progress.forecast.expect(parts_of_found(checked.found, chosen))
     if (slowness := progress.forecast.slowness) >= _BUSY:
-        workload = workload.on_busy(slowness)
+        workload = workload.on_loaded_cores(slowness)
     progress.note(f"workload: {workload}")
 
 
@@ -250,14 +250,14 @@ def _announce(
     if aimed is not None:
         # An aim may come to need its largest recipe.
         top = make_plan(survey, chosen, recipe=aimed.recipes[-1])
-        workload = workload_of(survey, top).on_busy(aimed.rates.slow)
+        workload = workload_of(survey, top).on_loaded_cores(aimed.rates.slow)
     else:
         workload = replace(in_one, memory_bytes=int(tiles.memory_bytes))
         if progress.forecast is not None and plan.device == "llvm":
             parts = parts_s(amounts_of_run(survey, plan), machine.num_cores())
             progress.forecast.expect(parts if tiles.tiling is None else parts_in_tiles(parts, len(tiles.tiling)))
             slowness = progress.forecast.slowness
-            workload = workload if slowness < _BUSY else workload.on_busy(slowness)
+            workload = workload if slowness < _BUSY else workload.on_loaded_cores(slowness)
     progress.note(f"workload: {'' if aimed is None else 'with the largest recipe, '}{workload}")
     for text in (*tile_doubts(survey, plan, tiles.tiling), *require_room(workload, run.path)):
         progress.warn(text)

@@ -183,7 +183,7 @@ class RemoteRun(RunDir):
         super().publish(folder, quality=quality, stages=stages)
         record = read_json_object(self.path / result.RECORD)
         # Results of other qualities may be from another machine, and later than those here.
-        record["others"] |= result.others_of(before, quality)
+        record["others"] |= result.results_of_other_qualities(before, quality)
         self._put_missing_stages(record)
         self.write_text(self.path / result.RECORD, json_text(record))
         self.remote.remove([result.RECORD])

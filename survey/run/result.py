@@ -74,15 +74,15 @@ def publish(run: Path, part: Path, *, quality: str, finished: str, stages: dict[
     stages : dict
         Folder below ``stages/`` of each stage that it was made from.
     """
-    others = others_of(read_record(run), quality)
+    others = results_of_other_qualities(read_record(run), quality)
     files = [name for name in NAMES if (part / name).exists()] + [RECORD]
     record = {"quality": quality, "finished": finished, "stages": stages, "others": others, "files": files}
     write_json(part / RECORD, record)
     part.rename(run / _WHOLE)
-    put_in_place(run)
+    move_into_place(run)
 
 
-def others_of(record: Mapping, quality: str) -> dict[str, dict[str, str]]:
+def results_of_other_qualities(record: Mapping, quality: str) -> dict[str, dict[str, str]]:
     """Stages of the latest result of each quality but one, by quality, by the record of the result before."""
     others = {**record.get("others", {})}
     if record:
@@ -91,7 +91,7 @@ def others_of(record: Mapping, quality: str) -> dict[str, dict[str, str]]:
     return others
 
 
-def put_in_place(run: Path) -> None:
+def move_into_place(run: Path) -> None:
     """Move a complete result to its place, replacing the old one; does nothing without one."""
     whole = run / _WHOLE
     # The record is moved last: where it is gone, everything else has been moved.

@@ -40,7 +40,7 @@ def assess_round(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     solved = Stored(needs["solver"] / SOLVED, SolvedMap) if "solver" in needs else []
     num_solved = sum(len(each.pixels) for each in solved)
     summary: dict = {"solver_s": seconds_of(needs["solver"]) if num_solved else None, "solved": num_solved}
-    _take_pace(aimed, summary)
+    _update_rates(aimed, summary)
     cells = _cells(job, needs, solved) if num_solved and aimed.aim.std_m is not None else None
     if cells is None:
         save_arrays(folder / CELLS, xyz=np.empty((0, 3)), above=np.empty(0, dtype=bool))
@@ -56,13 +56,13 @@ def use_assessment(job: Job, folder: Path) -> None:
     if aimed is None:
         return
     found = json.loads((folder / REACHED).read_text(encoding="utf-8"))
-    _take_pace(aimed, found)
+    _update_rates(aimed, found)
     decision = aimed.end_round(found["following"], found["why"])
     job.progress.note(f"plan: {decision.name}: {decision.choice} ({decision.reason})")
     job.plan_again()
 
 
-def _take_pace(aimed: AimedRun, found: dict) -> None:
+def _update_rates(aimed: AimedRun, found: dict) -> None:
     if found["solver_s"] is not None:
         aimed.rates = aimed.rates.after_solver(found["solver_s"], found["solved"])
 

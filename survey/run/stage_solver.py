@@ -15,7 +15,7 @@ from fields.sweep.wide_windows import wet_pairs
 from survey.files.json_values import write_json
 from survey.progress import shares
 from survey.run.stage_sweep import EARLIER_SOLVER, EARLIER_SWEEP, MAPS, SCRATCH, look_at_bed, views_swept
-from survey.run.stored_maps import Stored, kept_aside, save_maps
+from survey.run.stored_maps import Stored, map_store, save_maps
 
 if TYPE_CHECKING:
     from fields.image_store import Masks
@@ -46,18 +46,18 @@ def solve_with(job: Job, folder: Path, needs: Mapping[str, Path], figures: Solve
         if view in pairs:
             # Single pixels of two photographs show ripples, which moved.
             kept[number] = kept[number] & (maps[number].height >= 0.0)
-    carried = _carried(maps, kept, needs)
+    carried = _reused_solutions(maps, kept, needs)
     for number, each in enumerate(carried):
         if each is not None:
             kept[number] = np.zeros_like(kept[number])
-    with job.progress.stage("Solver", 1.0) as stage, kept_aside(folder / SCRATCH, SolvedMap) as keep:
+    with job.progress.stage("Solver", 1.0) as stage, map_store(folder / SCRATCH, SolvedMap) as keep:
         solved, figures = solve_maps(
             job.block,
             maps,
             kept,
             job.plan.gsd_m,
             shares(stage),
-            goes_on=lambda: _goes_on(job),
+            goes_on=lambda: _has_time_for_more(job),
             keep=keep,
             figures=figures,
         )
@@ -82,12 +82,12 @@ def _has_time(job: Job) -> bool:
     return aimed.clock.left_s - aimed.tail_s > _LEAST_TIME * foreseen
 
 
-def _goes_on(job: Job) -> bool:
+def _has_time_for_more(job: Job) -> bool:
     aimed = job.aimed
     return aimed is None or aimed.clock is None or aimed.clock.left_s > aimed.tail_s
 
 
-def _carried(maps: Sequence[HeightMap], kept: Masks, needs: Mapping[str, Path]) -> list[SolvedMap | None]:
+def _reused_solutions(maps: Sequence[HeightMap], kept: Masks, needs: Mapping[str, Path]) -> list[SolvedMap | None]:
     """Solutions of the round before, at the size of this one, for the maps that this round left unchanged."""
     if EARLIER_SOLVER not in needs or EARLIER_SWEEP not in needs:
         return [None for _ in maps]

@@ -27,7 +27,7 @@ from survey.progress import shares
 from survey.run.aimed_run import OutOfTimeError
 from survey.run.live import LiveMaps
 from survey.run.stored import load_arrays
-from survey.run.stored_maps import Stored, kept_aside, save_maps
+from survey.run.stored_maps import Stored, map_store, save_maps
 
 if TYPE_CHECKING:
     from fields.sweep.block import Block
@@ -57,7 +57,7 @@ def sweep_views(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """
     job.waits_for_kernels.set()
     if EARLIER_SWEEP in needs:
-        _go_on(job, folder, needs)
+        _continue_round(job, folder, needs)
         return
     start = time.monotonic()
     block, images_s = job.block, time.monotonic() - start
@@ -70,13 +70,13 @@ def sweep_views(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         passes = before_solver(passes) if job.plan.refines_points_only else passes
         passes = passes if job.tiling is None else in_area(passes)
         start = time.monotonic()
-        with kept_aside(folder / SCRATCH, HeightMap, show=_live(job, folder)) as keep:
+        with map_store(folder / SCRATCH, HeightMap, show=_live(job, folder)) as keep:
             search = Search(heights, passes, job.swept_ground)
             maps = sweep(block, chosen, search, shares(stage), keep=keep)
             if not maps and job.tiling is None:
                 raise SurveyError("no two photographs overlap; check that the poses belong to the images")
             swept = with_wide_windows(block, _finished(block, maps, keep), heights, job.swept_ground, keep)
-            took = _Took(swept.views, job.plan.image_scale, time.monotonic() - start, images_s)
+            took = _SweepCost(swept.views, job.plan.image_scale, time.monotonic() - start, images_s)
             _save(job, folder, swept, took, None)
     job.progress.note(f"bound: bed between {low:.2f} and {high:.2f} m over the {plane_name(job.survey)}")
     write_json(folder / BOUND, {"low_m": low, "high_m": high})
@@ -94,23 +94,23 @@ def _finished(block: Block, maps: OrderedMaps, keep: Keep) -> OrderedMaps:
     return found
 
 
-def _go_on(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
+def _continue_round(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """Continue from the heights of the round before, at the size of this one, in the views that need it."""
     bound = json.loads((needs[EARLIER_SWEEP] / BOUND).read_text(encoding="utf-8"))
     write_json(folder / BOUND, bound)
     before = Stored(needs[EARLIER_SWEEP] / MAPS, HeightMap)
     earlier_scale = _swept(needs[EARLIER_SWEEP])["image_scale"]
     if earlier_scale == job.plan.image_scale:
-        _save(job, folder, before, _Took(before.views, earlier_scale), earlier_scale)
+        _save(job, folder, before, _SweepCost(before.views, earlier_scale), earlier_scale)
         return
     start = time.monotonic()
     block, images_s = job.block, time.monotonic() - start
     look_at_bed(job, folder)
-    again = _to_sweep_again(job, before.views, needs)
+    again = _views_to_sweep_again(job, before.views, needs)
     job.progress.note(f"sweep: {len(again)} of {len(before)} views go on at image scale {job.plan.image_scale:g}")
     start, aimed = time.monotonic(), job.aimed
     try:
-        scratch = kept_aside(folder / SCRATCH, HeightMap, show=_live(job, folder))
+        scratch = map_store(folder / SCRATCH, HeightMap, show=_live(job, folder))
         with job.progress.stage("Sweep", 1.0) as stage, scratch as keep:
             report = shares(stage)
 
@@ -128,14 +128,14 @@ def _go_on(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
                 keep=keep,
             )
             swept = _finished(block, maps, keep)
-            took = _Took(again, job.plan.image_scale, time.monotonic() - start, images_s)
+            took = _SweepCost(again, job.plan.image_scale, time.monotonic() - start, images_s)
             _save(job, folder, swept, took, earlier_scale)
     except OutOfTimeError:
         job.progress.note("sweep: no time is left for this round; the heights of the previous round are kept")
-        _save(job, folder, before, _Took([], earlier_scale, images_s=images_s), earlier_scale)
+        _save(job, folder, before, _SweepCost([], earlier_scale, images_s=images_s), earlier_scale)
 
 
-def _to_sweep_again(job: Job, views: list[int], needs: Mapping[str, Path]) -> list[int]:
+def _views_to_sweep_again(job: Job, views: list[int], needs: Mapping[str, Path]) -> list[int]:
     """Views that see much ground that needs work; all where no standard deviation is asked for."""
     cells = needs[EARLIER_ASSESSMENT] / CELLS
     if job.aimed is None or job.aimed.aim.std_m is None:
@@ -152,7 +152,7 @@ def _to_sweep_again(job: Job, views: list[int], needs: Mapping[str, Path]) -> li
 
 
 @dataclass(frozen=True)
-class _Took:
+class _SweepCost:
     """Views that were swept, the scale of all maps, and the time that it took, for the images, too."""
 
     views: list[int]
@@ -161,7 +161,7 @@ class _Took:
     images_s: float = 0.0
 
 
-def _save(job: Job, folder: Path, maps: Sequence[HeightMap], took: _Took, before: float | None) -> None:
+def _save(job: Job, folder: Path, maps: Sequence[HeightMap], took: _SweepCost, before: float | None) -> None:
     """The maps, and what they took, from those of the scale ``before``."""
     save_maps(folder / MAPS, HeightMap, maps)
     share, scale = len(took.views) / max(len(maps), 1), took.image_scale
@@ -187,7 +187,7 @@ def use_sweep(job: Job, folder: Path) -> None:
     if job.aimed is None:
         return
     found = _swept(folder)
-    _take_pace(job.aimed, found)
+    _update_rates(job.aimed, found)
     if found["image_scale"] != job.plan.image_scale:
         job.aimed.number = next(
             number for number, scale in enumerate(job.aimed.scales)
@@ -196,7 +196,7 @@ def use_sweep(job: Job, folder: Path) -> None:
         job.plan_again()
 
 
-def _take_pace(aimed: AimedRun, found: dict) -> None:
+def _update_rates(aimed: AimedRun, found: dict) -> None:
     if found["seconds"] > 0.0 and found["samples"] > 0.0:
         aimed.rates = aimed.rates.after_sweep(found["seconds"], found["samples"], found["images_s"])
 

@@ -100,7 +100,7 @@ def _bytes_of(each: Any) -> int:
 
 
 @contextmanager
-def kept_aside(
+def map_store(
     folder: Path, kind: type[Kind], in_memory: int = IN_MEMORY, show: Callable[[Kind], None] = lambda _: None
 ) -> Iterator[Callable[[], Scratch[Kind]]]:
     """Places for maps, the first bytes of them in memory, the others in a folder that is removed in the end.

@@ -150,10 +150,10 @@ def _misfit(problem: Problem, solution: Solution, seen: Observed, point: int, gi
     parts = [np.delete(every, k) for k in every] if len(marks) > 2 else [every]
     away = min(apart(part) for part in parts)
     is_used = bool(np.isfinite(seen.point_std[point]).all())
-    return max(away, _leaning(solution, point, moved, given.std)) if is_used else away
+    return max(away, _normalised_residual(solution, point, moved, given.std)) if is_used else away
 
 
-def _leaning(solution: Solution, point: int, moved: np.ndarray, stated: np.ndarray) -> float:
+def _normalised_residual(solution: Solution, point: int, moved: np.ndarray, stated: np.ndarray) -> float:
     """Normalised residual from the adjusted position of the point."""
     system = solution.system
     root, mixed = system.root[point], system.mixed[3 * point : 3 * point + 3].toarray()

@@ -33,7 +33,7 @@ class PreparedImage:
     clear: np.ndarray  # (height, width) bool: where samples of a window may lie, away from masked pixels
 
 
-def prepared(image: np.ndarray) -> PreparedImage:
+def prepare_image(image: np.ndarray) -> PreparedImage:
     """Prepare a photograph (height, width) for matching; masked pixels are NaN."""
     masked = ~np.isfinite(image)
     if masked.all():

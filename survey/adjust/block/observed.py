@@ -83,11 +83,11 @@ def observed(
             np.full(3, np.inf) if point.is_check else np.asarray(point.std) for point in control.points
         ]
     if names and known.common_up_std > 0.0:
-        ties = replace(ties, start=_as_high_as_block(ties.start, len(ties) - len(names)))
+        ties = replace(ties, start=_at_height_of_nearest(ties.start, len(ties) - len(names)))
     return Observed(ties, kind, point_std, names, survey.observations.ground)
 
 
-def _as_high_as_block(start: np.ndarray, first: int) -> np.ndarray:
+def _at_height_of_nearest(start: np.ndarray, first: int) -> np.ndarray:
     """Places (M, 3) [m], those from ``first`` on, of check points, at the height of the nearest tie point in plan.
 
     Their coordinates may be tens of metres above or below a block that positions have placed.

@@ -135,7 +135,7 @@ def shift_onto(ground: StableGround, points: np.ndarray) -> np.ndarray:
         # The best places of a wide valley would leave none for others.
         is_least = np.isfinite(costs) & (costs <= minimum_filter(costs, 3, mode="nearest"))
         least = starts[is_least][np.argsort(costs[is_least], kind="stable")[:_MOST_STARTS]]
-        found = [_descended(planes, near, start) for start in least]
+        found = [_descend(planes, near, start) for start in least]
     best = min((each for each in found if each is not None), key=lambda each: each[0], default=None)
     if best is None:
         raise ControlError(
@@ -198,7 +198,7 @@ def _cost_of(off: np.ndarray, count: int, shift: np.ndarray) -> float:
     return math.log(scale) + math.log(count / len(off)) + float(shift[:2] @ shift[:2]) / (40.0 * _PLAN_STD_M**2)
 
 
-def _descended(planes: _PlanesOnGrid, points: np.ndarray, start: np.ndarray) -> tuple[float, np.ndarray] | None:
+def _descend(planes: _PlanesOnGrid, points: np.ndarray, start: np.ndarray) -> tuple[float, np.ndarray] | None:
     """Cost and shift (3,) where a start in plan (2,) leads; None where too few points lie over the ground."""
     shift = np.array([*start, 0.0])
     best: tuple[float, np.ndarray] | None = None

@@ -105,7 +105,7 @@ def _components(known: PriorKnowledge, solution: Solution, estimated: np.ndarray
     kinds = [kind for kind in kinds if kind.any()]
     miss, factor = deviation, solution.system.normal.factor()
     for step in range(_MOST_STEPS + 1):
-        residual, variance = _beside_shift(known, std, _of_poses(known, miss), factor)
+        residual, variance = _without_common_shift(known, std, _of_poses(known, miss), factor)
         redundancy = np.clip(1.0 - variance / std**2, _LEAST_REDUNDANCY, 1.0)
         scaled = np.abs(residual) / (std * np.sqrt(redundancy))
         factors = [_scale_of(scaled[kind], redundancy[kind]) for kind in kinds]
@@ -128,7 +128,7 @@ def _components(known: PriorKnowledge, solution: Solution, estimated: np.ndarray
     return std, scaled
 
 
-def _beside_shift(
+def _without_common_shift(
     known: PriorKnowledge, std: np.ndarray, residual: np.ndarray, factor: DenseFactor | BlockFactor
 ) -> tuple[np.ndarray, np.ndarray]:
     """Residuals (V, 6) of poses and their variances after the adjustment, without the shift that positions share.

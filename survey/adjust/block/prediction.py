@@ -119,7 +119,7 @@ def predict(
         Of the photographs as they were taken, for rolling shutters; default those of the tie points.
     """
     line = lines_of_sight(*_ends(layout, state, ties, sides, rows), state.water)
-    pixels, _ = _imaged(layout, state, ties, line)
+    pixels, _ = _project(layout, state, ties, line)
     return pixels
 
 
@@ -128,14 +128,14 @@ def linearise(
 ) -> Linear:
     """Predicted pixels with their derivatives; see `predict`."""
     lines = bent_lines_of_sight(*_ends(layout, state, ties, sides, rows), state.water)
-    pixels, imaged = _imaged(layout, state, ties, lines.line)
+    pixels, imaged = _project(layout, state, ties, lines.line)
     rotations = state.rotations[ties.view]
     by_line = np.einsum("nai,nij->naj", imaged.by_cam, rotations)
     by_point = by_line @ lines.by_point
     by_centre, by_lens = by_line @ lines.by_centre, imaged.by_lens
     by_readout = np.zeros((len(pixels), 2, 0))
     if layout.flow is not None:
-        by_middle, by_readout = _by_shutter(layout, state, ties, rows, by_centre)
+        by_middle, by_readout = _shutter_derivatives(layout, state, ties, rows, by_centre)
         by_lens[:, :, 2] += by_middle
     by_water = by_line @ lines.by_water
     # A tide raises the water of its photograph as a higher level does.
@@ -159,7 +159,7 @@ def linearise(
         ],
         axis=-1,
     )
-    return Linear(pixels, by_point, _placed(layout, ties, dense), lines.wet)
+    return Linear(pixels, by_point, _assemble_derivatives(layout, ties, dense), lines.wet)
 
 
 def relief_sides(state: State, ties: TiePoints) -> np.ndarray:
@@ -181,7 +181,7 @@ def _ends(
     layout: Layout, state: State, ties: TiePoints, sides: np.ndarray, rows: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Cameras and points (N, 3) each, lowered by the tide and by what the water stands over its plane there."""
-    centres, points = _centres(layout, state, ties, rows), _seen(state, ties, sides)
+    centres, points = _centres(layout, state, ties, rows), _points_of_observations(state, ties, sides)
     tides = state.tides(layout)
     if (tides is None and layout.departure is None) or state.water is None:
         return centres, points
@@ -205,27 +205,29 @@ def _centres(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray | N
     centres = state.centres[ties.view]
     if layout.flow is None:
         return centres
-    late, readouts = _late(layout, state, ties, rows)
+    late, readouts = _rows_after_pose(layout, state, ties, rows)
     return centres + (readouts * late)[:, None] * layout.flow[ties.view]
 
 
-def _late(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+def _rows_after_pose(
+    layout: Layout, state: State, ties: TiePoints, rows: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
     """Rows (N,) after the row `cy` at which observations are exposed, and readouts (N,) of their photographs."""
     number = layout.lens_of[ties.view]
     rows = ties.pixel[:, 1] if rows is None else rows
     return rows - state.lenses[number, 2], state.readouts[number]
 
 
-def _by_shutter(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray | None, by_centre: np.ndarray):
+def _shutter_derivatives(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray | None, by_centre: np.ndarray):
     """Derivatives of a rolling shutter: by `cy` as the row of the pose (N, 2), and by the readout (N, 2, 0 or 1)."""
     assert layout.flow is not None
-    late, readouts = _late(layout, state, ties, rows)
+    late, readouts = _rows_after_pose(layout, state, ties, rows)
     by_flow = np.einsum("nai,ni->na", by_centre, layout.flow[ties.view])
     by_readout = (late[:, None] * by_flow)[:, :, None]
     return -readouts[:, None] * by_flow, by_readout if layout.finds_readouts else by_readout[:, :, :0]
 
 
-def _seen(state: State, ties: TiePoints, sides: np.ndarray) -> np.ndarray:
+def _points_of_observations(state: State, ties: TiePoints, sides: np.ndarray) -> np.ndarray:
     """Points (N, 3) of the observations."""
     points = state.points[ties.point].copy()
     points[:, 2] += sides @ state.relief
@@ -233,13 +235,13 @@ def _seen(state: State, ties: TiePoints, sides: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class _Imaged:
+class _Projected:
     in_cam: np.ndarray
     by_cam: np.ndarray
     by_lens: np.ndarray
 
 
-def _imaged(layout: Layout, state: State, ties: TiePoints, line: np.ndarray) -> tuple[np.ndarray, _Imaged]:
+def _project(layout: Layout, state: State, ties: TiePoints, line: np.ndarray) -> tuple[np.ndarray, _Projected]:
     """Pixels of lines of sight in the photographs, with derivatives by the line in cam and by the lens."""
     number = layout.lens_of[ties.view]
     lens, aspect = state.lenses[number], layout.aspect[number]
@@ -256,7 +258,7 @@ def _imaged(layout: Layout, state: State, ties: TiePoints, line: np.ndarray) -> 
     by_focal = distorted * np.column_stack([one, aspect]) * enlarged[:, None]
     by_middle = np.tile(np.eye(2), (len(z), 1, 1))
     by_lens = np.concatenate([by_focal[:, :, None], by_middle, focal[:, :, None] * by_coefficients], axis=-1)
-    return pixels, _Imaged(in_cam, by_cam, by_lens)
+    return pixels, _Projected(in_cam, by_cam, by_lens)
 
 
 def _enlarged(state: State, ties: TiePoints) -> np.ndarray:
@@ -272,7 +274,7 @@ def _cross(vectors: np.ndarray) -> np.ndarray:
     return np.stack([np.column_stack(row) for row in rows], axis=1)
 
 
-def _placed(layout: Layout, ties: TiePoints, dense: np.ndarray) -> csr_array:
+def _assemble_derivatives(layout: Layout, ties: TiePoints, dense: np.ndarray) -> csr_array:
     """Derivatives (N, 2, 4 + 3 + 8 + 6), one more each with readouts, rate and focals, at their places, (2 N, P)."""
     count = len(ties.view)
     shared = np.tile(np.arange(WATER + RELIEF), (count, 1))

@@ -11,7 +11,7 @@ import numpy as np
 
 from refract.lens import MODELS, Lens
 from survey.adjust.block.problem import Planes, Priors
-from survey.adjust.block.roll import Roll, rolled_to_attitudes, rolls_of, without_starts
+from survey.adjust.block.roll import Roll, roll_priors, rolled_by_attitudes, rolls_of
 from survey.adjust.block.state import BROWN, LENS, LENS_NAMES, POSE, RELIEF, SHIFT, Layout, State, is_held, lenses_of
 from survey.folder.motion import rows_between
 from survey.folder.pose_priors import BY_POSES, GPS_STD_M, common_up_std
@@ -105,7 +105,7 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> PriorKn
     sheet = np.array([_data_sheet(survey, lens) for lens in lenses])
     none = np.zeros((0, 3))
     state = State(
-        _under_cameras(survey, centres),
+        _with_reference_under_cameras(survey, centres),
         np.zeros(RELIEF),
         start,
         centres,
@@ -126,7 +126,7 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> PriorKn
         state,
         lenses=sheet,
         centres=positions,
-        rotations=rolled_to_attitudes(rotations, rolls),
+        rotations=rolled_by_attitudes(rotations, rolls),
         focals=np.zeros(len(focals)),
     )
     of_given = _GIVEN_LENS if len(views) == 2 and survey.config.cameras.distortion is not None else 1.0
@@ -152,7 +152,7 @@ def priors_for(
 ) -> Priors:
     """The priors of an adjustment with these points, known to (M, 3) [m] or to lie on planes where any are."""
     free = np.full((len(ties), 3), np.inf) if point_std is None else point_std
-    rows, signs = without_starts(known.rolls, known.layout, known.std) if known.rolls else (None, None)
+    rows, signs = roll_priors(known.rolls, known.layout, known.std) if known.rolls else (None, None)
     if known.shared_std is not None:
         shared = without_shift(known, known.shared_std, known.std**-2.0)
         rows = shared if rows is None else np.concatenate([rows, shared])
@@ -221,7 +221,7 @@ def _hours(survey: Survey) -> np.ndarray | None:
     return np.array([survey.observations.tide.hours[view.name] for view in survey.views])
 
 
-def _under_cameras(survey: Survey, centres: np.ndarray):
+def _with_reference_under_cameras(survey: Survey, centres: np.ndarray):
     """The water with its reference point under the middle of the cameras, where level and slopes are separate."""
     if survey.water is None:
         return None

@@ -61,17 +61,17 @@ class Roll:
     std: float  # [rad]: of the roll by attitudes
     num_attitudes: int
 
-    def mean_of(self, layout: Layout) -> np.ndarray:
+    def mean_roll(self, layout: Layout) -> np.ndarray:
         """g (P,): the mean roll of the photographs by the parameters."""
         return self._by_turns(layout, self.turns / len(self.views))
 
-    def whole_of(self, layout: Layout) -> np.ndarray:
+    def roll_of_block(self, layout: Layout) -> np.ndarray:
         """f (P,): what a roll of all photographs by one radian changes of the rotations."""
         return self._by_turns(layout, self.turns)
 
     def std_by(self, layout: Layout, covariance: np.ndarray) -> float:
         """Standard deviation [rad] of the roll after an adjustment with a covariance (P, P)."""
-        mean = self.mean_of(layout)
+        mean = self.mean_roll(layout)
         return math.sqrt(max(float(mean @ covariance @ mean), 0.0))
 
     def angle_between(self, before: np.ndarray, after: np.ndarray) -> float:
@@ -94,7 +94,7 @@ def rolls_of(survey: Survey) -> tuple[Roll, ...]:
     return tuple(roll for roll in found if roll is not None)
 
 
-def rolled_to_attitudes(rotations: np.ndarray, rolls: Sequence[Roll]) -> np.ndarray:
+def rolled_by_attitudes(rotations: np.ndarray, rolls: Sequence[Roll]) -> np.ndarray:
     """Rotations (V, 3, 3) of a survey, rolled to where attitudes have them."""
     rotations = rotations.copy()
     for roll in rolls:
@@ -102,17 +102,17 @@ def rolled_to_attitudes(rotations: np.ndarray, rolls: Sequence[Roll]) -> np.ndar
     return rotations
 
 
-def without_starts(rolls: Sequence[Roll], layout: Layout, std: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def roll_priors(rolls: Sequence[Roll], layout: Layout, std: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rows (2 K, P) and signs (2 K,) that take the start out of the priors and attitudes in; ``std`` (P,) of these.
 
     With the parameters x less their means, they add the sum of ``sign (row x)^2`` to the squares of the priors.
     """
     rows = np.zeros((2 * len(rolls), len(layout)))
     for number, roll in enumerate(rolls):
-        whole = roll.whole_of(layout)
+        whole = roll.roll_of_block(layout)
         strong = whole / std**2
         rows[2 * number] = strong / math.sqrt(float(whole @ strong))
-        rows[2 * number + 1] = roll.mean_of(layout) / roll.std
+        rows[2 * number + 1] = roll.mean_roll(layout) / roll.std
     return rows, np.tile([-1.0, 1.0], len(rolls))
 
 
@@ -151,17 +151,17 @@ def _line_of_positions(placed: Sequence[tuple[np.ndarray, PosePrior]]) -> Positi
 
 def spans_area(survey: Survey, roll: Roll) -> bool:
     """Whether the control points that two of its photographs show lie over an area."""
-    given = _shown(survey, [survey.views[k] for k in roll.views], 2)
+    given = _control_points_in(survey, [survey.views[k] for k in roll.views], 2)
     return len(given) >= _FEWEST and line_of_control(given) is None
 
 
 def _line_of_control(survey: Survey, views: Sequence[View]) -> PositionLine | None:
     """The line of the control points that some views show."""
-    given = _shown(survey, views, 1)
+    given = _control_points_in(survey, views, 1)
     return line_of_control(given) if len(given) >= _FEWEST else None
 
 
-def _shown(survey: Survey, views: Sequence[View], least: int) -> list[ControlPoint]:
+def _control_points_in(survey: Survey, views: Sequence[View], least: int) -> list[ControlPoint]:
     """The control points with so many marks in some views."""
     names = {view.name for view in views}
     control = survey.observations.control
@@ -186,7 +186,9 @@ _OPEN = math.radians(20.0)
 Held = tuple[float, float, State]
 
 
-def profiled(problem: Problem, solution: Solution, inflation: np.ndarray, roll: Roll) -> tuple[Solution, float]:
+def minimise_over_roll(
+    problem: Problem, solution: Solution, inflation: np.ndarray, roll: Roll
+) -> tuple[Solution, float]:
     """The solution of least cost over a roll, and the standard deviation [rad] of that roll by its profile.
 
     Parameters
@@ -196,7 +198,7 @@ def profiled(problem: Problem, solution: Solution, inflation: np.ndarray, roll: 
     inflation : (N,)
         As for `survey.adjust.block.bundle.solve`.
     """
-    sides = [_scanned(problem, solution, inflation, roll, sign) for sign in (1, -1)]
+    sides = [_scan_profile(problem, solution, inflation, roll, sign) for sign in (1, -1)]
     held = [each for side, _ in sides for each in side]
     least = cost(problem, solution.state, solution.std_px, inflation)
     at, moved = 0.0, 0.0
@@ -234,13 +236,13 @@ def std_by_profile(rises: list[tuple[float, float]], are_whole: tuple[bool, bool
     return max(known, default=_OPEN)
 
 
-def _scanned(
+def _scan_profile(
     problem: Problem, solution: Solution, inflation: np.ndarray, roll: Roll, sign: int
 ) -> tuple[list[Held], bool]:
     """The block with the roll held at angles to one side, each from the last; False where an adjustment failed."""
     found: list[Held] = []
     state, before = solution.state, 0.0
-    mean = roll.mean_of(problem.layout)
+    mean = roll.mean_roll(problem.layout)
     shown = np.unique(problem.ties.point[np.isin(problem.ties.view, roll.views)])
     rows, signs = problem.priors.rows, problem.priors.signs
     assert rows is not None
@@ -273,8 +275,8 @@ def _scanned(
     return found, True
 
 
-def widened(problem: Problem, covariance: np.ndarray, roll: Roll, std: float) -> np.ndarray:
+def inflate_roll(problem: Problem, covariance: np.ndarray, roll: Roll, std: float) -> np.ndarray:
     """A covariance (P, P) in which the roll has a standard deviation [rad], and all that follows it its share."""
-    along = covariance @ roll.mean_of(problem.layout)
-    variance = float(roll.mean_of(problem.layout) @ along)
+    along = covariance @ roll.mean_roll(problem.layout)
+    variance = float(roll.mean_roll(problem.layout) @ along)
     return covariance + max(std**2 / variance - 1.0, 0.0) / variance * np.outer(along, along)

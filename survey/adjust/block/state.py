@@ -67,7 +67,7 @@ def lenses_of(views: Sequence[View]) -> tuple[tuple[Lens, ...], np.ndarray, np.n
     each = [view.lens for view in views]
     focal = np.array([lens.focal[0] for lens in each])
     common, focals = list(each), np.zeros(len(each))
-    for alike in _alike(each):
+    for alike in _groups_but_for_focal(each):
         first = each[alike[0]]
         if is_held(first) or len(np.unique(focal[alike])) < FEWEST:
             continue
@@ -81,7 +81,7 @@ def lenses_of(views: Sequence[View]) -> tuple[tuple[Lens, ...], np.ndarray, np.n
     return tuple(numbers), lens_of, focals if focals.any() else np.zeros(0)
 
 
-def _alike(lenses: Sequence[Lens]) -> list[list[int]]:
+def _groups_but_for_focal(lenses: Sequence[Lens]) -> list[list[int]]:
     """Groups of the numbers of lenses that differ in nothing but their focal length."""
     groups = defaultdict(list)
     for number, lens in enumerate(lenses):
@@ -281,8 +281,8 @@ def with_parameters(water: FlatWater | None, parameters: np.ndarray) -> FlatWate
 def settings_by_local(survey: Survey, place: np.ndarray) -> np.ndarray:
     """Derivative (4, 4) of the settings by height at a place (x, y), slopes and index in local; it is constant."""
     _, given = survey.require_water()
-    start, values = _at(survey, given, place), settings_of(given)
-    moved = [_at(survey, with_settings(given, values + step), place) - start for step in np.diag(_STEPS)]
+    start, values = _plane_parameters(survey, given, place), settings_of(given)
+    moved = [_plane_parameters(survey, with_settings(given, values + step), place) - start for step in np.diag(_STEPS)]
     return np.linalg.inv(np.stack(moved, axis=-1) / _STEPS)
 
 
@@ -297,6 +297,6 @@ def with_settings(water: WaterConfig, values: np.ndarray) -> WaterConfig:
     return replace(water, level_m=level, slope_east=east, slope_north=north, refractive_index=index)
 
 
-def _at(survey: Survey, water: WaterConfig, place: np.ndarray) -> np.ndarray:
+def _plane_parameters(survey: Survey, water: WaterConfig, place: np.ndarray) -> np.ndarray:
     plane = water_plane(survey.frame, water)
     return np.array([float(plane.height(*place)), plane.slope_x, plane.slope_y, plane.n_water])

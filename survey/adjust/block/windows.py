@@ -21,7 +21,7 @@ from fields.sweep.passes import PASSES
 from fields.sweep.sweep import sweep
 from fields.sweep.view_pass import Search, view_passes
 from refract import FlatWater, PinholeCamera
-from survey.adjust.block.matching import RADIUS, match, prepared, window
+from survey.adjust.block.matching import RADIUS, match, prepare_image, window
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints, least_track
@@ -114,7 +114,7 @@ def measure(
             for i, index, pixels in found:
                 parts[i].append((index, other, pixels))
             advance((1.0 - of_sweep) / len(block.cameras))
-    return _joined(windows, parts, least_track(len(block.cameras)))
+    return _concatenate(windows, parts, least_track(len(block.cameras)))
 
 
 def _share_of_sweep(block: Block, chosen: list[int], bound: tuple[float, float]) -> float:
@@ -130,7 +130,7 @@ def _found_in(block: Block, windows: list[_Windows], other: int) -> list[tuple[i
     asking = [i for i, w in enumerate(windows) if other in w.others]
     if not asking:
         return []
-    image, parts = prepared(block.images[other]), []
+    image, parts = prepare_image(block.images[other]), []
     for i in asking:
         w = windows[i]
         offsets = _warp(block.cameras[w.view], camera, w.corners, w.height, water)
@@ -142,14 +142,14 @@ def _found_in(block: Block, windows: list[_Windows], other: int) -> list[tuple[i
 def _windows_of(block: Block, height_map: HeightMap, area: Area | None, density: Density) -> _Windows:
     view, water = height_map.view, block.water
     camera, image = block.cameras[view], block.images[view]
-    corners, height = _corners(image, camera, height_map, _able(block, height_map, area), density)
+    corners, height = _corners(image, camera, height_map, _usable_pixels(block, height_map, area), density)
     points = camera.paths(corners, water).at_height(height, water)
     templates, slopes = _templates(image, corners)
-    others = _others(block, view, points) if len(points) else []
+    others = _neighbours_of(block, view, points) if len(points) else []
     return _Windows(view, corners, height, points, templates, slopes, others)
 
 
-def _able(block: Block, height_map: HeightMap, area: Area | None) -> np.ndarray:
+def _usable_pixels(block: Block, height_map: HeightMap, area: Area | None) -> np.ndarray:
     """Pixels of a height map (height, width) bool whose height is trusted, without a step beside it, in the area."""
     camera, height = block.cameras[height_map.view], height_map.height
     parallax = block.parallax(height_map.view, block.neighbours(height_map.view, 8), float(np.median(height)))
@@ -213,7 +213,7 @@ def _powers(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.stack([x**i * y**j for j in range(3) for i in range(3)], axis=-1)
 
 
-def _others(block: Block, view: int, points: np.ndarray) -> list[int]:
+def _neighbours_of(block: Block, view: int, points: np.ndarray) -> list[int]:
     """Views whose direction to the middle of the points differs usefully, spread over the angles."""
     middle = np.nanmedian(points, axis=0)
     rays = np.array([camera.centre for camera in block.cameras]) - middle
@@ -230,7 +230,7 @@ def _others(block: Block, view: int, points: np.ndarray) -> list[int]:
     return [int(o) for o in chosen[1:]]
 
 
-def _joined(windows: list[_Windows], parts, least: int) -> TiePoints:
+def _concatenate(windows: list[_Windows], parts, least: int) -> TiePoints:
     """All windows as one, those with so many measurements or more."""
     if not windows:
         return TiePoints(np.zeros((0, 3)), np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros((0, 2)))
@@ -256,10 +256,10 @@ def measure_windows(survey: Survey, *, device: str = "auto", advance: Callable[[
         If the photographs do not match.
     """
     plan = make_plan(survey, Choices(device=device))
-    return windows_of_block(survey, plan, *loaded(survey, plan), advance)
+    return windows_of_block(survey, plan, *load_photographs(survey, plan), advance)
 
 
-def loaded(survey: Survey, plan: Plan) -> tuple[Block, tuple[float, float]]:
+def load_photographs(survey: Survey, plan: Plan) -> tuple[Block, tuple[float, float]]:
     """The photographs of a survey, and the range of heights over the water plane [m] in which its bed lies.
 
     Raises

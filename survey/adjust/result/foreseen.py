@@ -27,7 +27,7 @@ from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
 from survey.plan.area import in_the_middle, places_of
 from survey.plan.check import CheckSection
-from survey.plan.check_inputs import Verdict, by_limits, judged
+from survey.plan.check_inputs import Verdict, verdict_by_limits, verdict_text
 from survey.plan.choices import USUAL, Choices
 from survey.plan.plan import Plan, make_plan
 from survey.water.index import ASSUMED_INDEX_STD
@@ -252,16 +252,16 @@ def rows_of(found: Foreseen, by_depth: Sequence[HeightStds]) -> tuple[tuple[str,
 
 
 def _overlap_text(low: float, median: float) -> str:
-    return judged(
-        by_limits(low, *OVERLAP),
+    return verdict_text(
+        verdict_by_limits(low, *OVERLAP),
         f"a point of the ground is seen in {median:.0f} photographs (median), the worst tenth in {low:.0f} or fewer",
         "fly with 80 % forward and 70 % side overlap, or a smaller area",
     )
 
 
 def _angles_text(angle_deg: float) -> str:
-    return judged(
-        by_limits(angle_deg, *ANGLES_DEG),
+    return verdict_text(
+        verdict_by_limits(angle_deg, *ANGLES_DEG),
         f"rays to a point intersect at up to {angle_deg:.0f} degrees (median)",
         "add crossing views tilted by 25 to 35 degrees",
     )
@@ -269,8 +269,10 @@ def _angles_text(angle_deg: float) -> str:
 
 def _use(words: str, std: float, limit: float) -> str:
     if std <= limit:
-        return judged(Verdict.good, f"the photographs determine it {words}", "")
-    return judged(Verdict.poor, f"not observable by this flight: {words}", "give it, or add crossing oblique views")
+        return verdict_text(Verdict.good, f"the photographs determine it {words}", "")
+    return verdict_text(
+        Verdict.poor, f"not observable by this flight: {words}", "give it, or add crossing oblique views"
+    )
 
 
 def _heights_text(main: HeightStds, by_depth: Sequence[HeightStds]) -> str:
@@ -281,8 +283,8 @@ def _heights_text(main: HeightStds, by_depth: Sequence[HeightStds]) -> str:
     allowed = [(name, math.hypot(a, b * main.depth_m)) for name, a, b in TVU]
     orders = [name for name, most in allowed if total <= most]
     order = f"; enough for S-44 {orders[0]} at {main.depth_m:.2g} m" if orders and by_depth else ""
-    return judged(
-        by_limits(total, allowed[0][1], allowed[1][1]),
+    return verdict_text(
+        verdict_by_limits(total, allowed[0][1], allowed[1][1]),
         f"one sigma, of a point by matching / of all in common by water, lens and poses: {said}{order}",
         "fly lower, with more overlap and oblique views",
     )

@@ -72,7 +72,7 @@ class GroundFit:
             f"{length(value)} {axis} (± {length(std)})"
             for value, std, axis in zip(self.moved[:3], self.std[:3], _AXES, strict=True)
         )
-        told = [name.rsplit("_", 1)[0].replace("_", " about ") for name, is_told in self._told() if not is_told]
+        told = [name.rsplit("_", 1)[0].replace("_", " about ") for name, is_told in self._determined() if not is_told]
         rest = f"; it does not determine {', '.join(told)}" if told else ""
         found = [
             f"{length(value)} {axis} (± {length(std)})"
@@ -86,7 +86,7 @@ class GroundFit:
             f"moved by {axes}{rest}",
         )
 
-    def _told(self) -> Sequence[tuple[str, bool]]:
+    def _determined(self) -> Sequence[tuple[str, bool]]:
         return list(zip(NAMES, self.is_told, strict=True))
 
     @property

@@ -35,7 +35,7 @@ class Estimate(NamedTuple):
     std: float
 
 
-def judge(name: str, found: Estimate, before: Estimate, limit: float, unit: str) -> Parameter:
+def with_verdict(name: str, found: Estimate, before: Estimate, limit: float, unit: str) -> Parameter:
     """A parameter with its verdict, found and as given before; of no use beyond a standard deviation of ``limit``."""
     (value, std), (given, given_std) = found, before
     shown = f"{value:.{_digits(std)}f} +- {std:.2g}{unit}"
@@ -89,14 +89,14 @@ def water_verdicts(
     for i, name in enumerate(WATER_PARAMETERS):
         unit = " m" if i == 0 else ""
         before = Estimate(float(getattr(given, name)), float(given_std[i]))
-        found.append(judge(name, Estimate(float(values[i]), float(std[i])), before, float(limits[i]), unit))
+        found.append(with_verdict(name, Estimate(float(values[i]), float(std[i])), before, float(limits[i]), unit))
     if found[0].status == UNKNOWN:
         # Slopes turn the plane about a point other than that of the level: without a level they are of no use.
-        found[1:3] = [_as_given(row) if row.status == FREE else row for row in found[1:3]]
+        found[1:3] = [_kept_as_given(row) if row.status == FREE else row for row in found[1:3]]
     return found
 
 
-def _as_given(row: Parameter) -> Parameter:
+def _kept_as_given(row: Parameter) -> Parameter:
     return replace(row, value=row.given, status=UNKNOWN, verdict="not observable: the level is not; the slope is kept")
 
 
@@ -110,7 +110,9 @@ def lens_verdicts(
         limit = MOST_STD_FOCAL * given[0] if name == "f" else math.inf
         unit = " px" if i < 3 else ""
         before = Estimate(float(given[i]), float(given_std[i]))
-        found.append(judge(f"camera{number}.{name}", Estimate(float(values[i]), float(std[i])), before, limit, unit))
+        found.append(
+            with_verdict(f"camera{number}.{name}", Estimate(float(values[i]), float(std[i])), before, limit, unit)
+        )
     return found
 
 
@@ -119,7 +121,7 @@ def rate_verdict(found: Estimate, before: Estimate, hours: np.ndarray) -> Parame
     that is of none.
     """
     limit = MOST_STD_LEVEL_M / max(float(np.abs(hours).max()), 1e-9)
-    return judge(RATE_NAME, found, before, limit, " m/h")
+    return with_verdict(RATE_NAME, found, before, limit, " m/h")
 
 
 def readout_limits(state: State, layout: Layout, heights: Sequence[int]) -> np.ndarray:
@@ -139,5 +141,5 @@ def readout_limits(state: State, layout: Layout, heights: Sequence[int]) -> np.n
 
 
 def readout_verdict(number: int, found: Estimate, before: Estimate, limit: float) -> Parameter:
-    """Verdict on the readout [s] of the shutter behind one lens; ``limit`` as for `judge`."""
-    return judge(f"camera{number}.{READOUT_NAME}", found, before, limit, " s")
+    """Verdict on the readout [s] of the shutter behind one lens; ``limit`` as for `with_verdict`."""
+    return with_verdict(f"camera{number}.{READOUT_NAME}", found, before, limit, " s")

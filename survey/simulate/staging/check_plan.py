@@ -19,7 +19,7 @@ from survey.photos.cameras import View
 from survey.photos.poses import TiePoints
 from survey.plan.area import in_the_middle
 from survey.plan.check import CheckSection
-from survey.plan.check_inputs import Verdict, by_limits, judged
+from survey.plan.check_inputs import Verdict, verdict_by_limits, verdict_text
 from survey.plan.check_light import LOST_GOOD, glitter_text, lost_share, motion_text, sun_text
 from survey.plan.choices import Choices
 from survey.plan.glitter import GlitterOfFlight
@@ -145,8 +145,11 @@ def _flight_rows(plan: ScenePlan, survey: Survey) -> list[tuple[str, str]]:
         ("positions", f"good to {plan.settings.flight.position_std_m:g} m ([flight] position_std_m), the lens by its "
                       "data sheet"),
         ("way", f"{way:.0f} m in the order of the photographs{duration}"),
-        ("coverage", judged(by_limits(unseen, *_UNSEEN), f"{100.0 * (1.0 - unseen):.0f} % of the area is in three "
-                            "photographs or more", "give more overlap, or let the strips begin outside the area")),
+        ("coverage", verdict_text(
+            verdict_by_limits(unseen, *_UNSEEN),
+            f"{100.0 * (1.0 - unseen):.0f} % of the area is in three photographs or more",
+            "give more overlap, or let the strips begin outside the area",
+        )),
     ]  # fmt: skip
 
 
@@ -205,4 +208,7 @@ def _processing_rows(survey: Survey, quality: str, device: str) -> list[tuple[st
     rows = [(d.name, f"{d.choice}: {d.reason}") for d in plan.decisions if d.name in ("field", "image scale", "device")]
     workload = workload_of(survey, plan)
     doubts = room_doubts(workload, survey.folder)
-    return [*rows, ("workload", judged(Verdict.poor if doubts else Verdict.good, str(workload), "; ".join(doubts)))]
+    return [
+        *rows,
+        ("workload", verdict_text(Verdict.poor if doubts else Verdict.good, str(workload), "; ".join(doubts))),
+    ]

@@ -6,10 +6,9 @@
 | vertical difference, positive above the mesh; share of errors within 1.96 std, interval score | `vertical` |
 | height over a reference of points, with its uncertainty | `local_surface` |
 | distance along normals (M3C2), positive above the reference | `m3c2` |
-| distance to a cloud, completeness, F-score | `completeness` |
+| distance to a cloud, completeness, F-score, statistical outliers | `completeness` |
 | bias, spread and scores, also of parts as by depth | `summary`; confidence intervals, by blocks: `bootstrap` |
 | IHO S-44 and ASPRS | `standards`; the height of a cloud at check points: `vertical` |
-| statistical outliers | `outliers` |
 | what straight rays would give | `baselines` |
 | quality of images | `images/` |
 """
@@ -19,12 +18,11 @@
 from evaluation.baselines import apparent_points, per_camera, times_index
 from evaluation.bootstrap import Blocks, mean_interval, spatial_blocks
 from evaluation.c2m import MeshDistances, distance_to_mesh
-from evaluation.completeness import distance_to_cloud, f_score, is_reached, sample_mesh
+from evaluation.completeness import distance_to_cloud, f_score, is_outlier, is_reached, sample_mesh
 from evaluation.images.feature_similarity import fsim, vsi
 from evaluation.images.quality import gmsd, image_quality, ms_gmsd, ms_ssim, psnr, ssim
 from evaluation.local_surface import LocalSurface, local_surface
 from evaluation.m3c2 import M3C2Distances, m3c2_distances
-from evaluation.outliers import is_outlier
 from evaluation.standards import AsprsAccuracy, IhoS44, asprs_vertical, iho_s44
 from evaluation.summary import (
     Band,

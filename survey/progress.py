@@ -23,7 +23,7 @@ from rich.progress import Progress as Bars
 from rich.text import Text
 
 from survey.forecast import LEAST_SHARE, Forecast, StepForecast
-from survey.lines import fitted
+from survey.words import fitted
 
 # Seconds between plain lines of one stage, where there is no terminal, and between looks whether one is due.
 _LINE_EVERY_S, _TICK_S = 60.0, 5.0

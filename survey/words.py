@@ -1,8 +1,11 @@
-"""Words offered for a run, and names of folders and files, that several parts of survey agree on."""
+"""Words offered for a run, names of folders and files that parts of survey agree on, and line breaks of output."""
 
 from __future__ import annotations
 
+import shutil
+import textwrap
 from enum import StrEnum
+from typing import IO
 
 # The run folder in a survey folder, where no other is named.
 RUN_FOLDER = "bathynerf"
@@ -57,3 +60,34 @@ class Poses(StrEnum):
 
 # Of photographs: each is half of the one before.
 SCALES = (1.0, 0.5, 0.25, 0.125, 0.0625)
+
+
+# Columns that a text has at least, however narrow the terminal is.
+_LEAST_COLUMNS = 20
+
+
+def fitted(text: str, stream: IO[str], *, label: str = "", indent: str = "  ") -> str:
+    """A line after its label as a stream takes it; a terminal would break it in the middle of words.
+
+    Parameters
+    ----------
+    stream : text file
+        Only a terminal has a width.
+    label : str
+        What stands before the text.
+    indent : str
+        What stands before the lines that follow.
+    """
+    if not stream.isatty():
+        return f"{label}{text}"
+    width = max(shutil.get_terminal_size().columns, len(indent) + _LEAST_COLUMNS)
+    return textwrap.fill(
+        text,
+        width,
+        initial_indent=label,
+        subsequent_indent=indent,
+        break_long_words=False,
+        break_on_hyphens=False,
+        replace_whitespace=False,
+        drop_whitespace=True,
+    )

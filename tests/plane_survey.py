@@ -13,8 +13,7 @@ from fields.device import Device
 from fields.sweep.block import Block
 from fields.sweep.images import image_backend
 from fields.sweep.kernels.arrays import floats, host
-from fields.sweep.kernels.backend import kernels
-from fields.sweep.kernels.queue import run_job
+from fields.sweep.kernels.backend import kernels, run_job
 from fields.sweep.kernels.stack import Hypotheses, ViewStack
 from fields.sweep.matching import Reference, match_view
 from refract import FlatWater, PinholeCamera

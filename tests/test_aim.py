@@ -9,8 +9,8 @@ import pytest
 
 from fields.sweep.bed import BedPoints
 from survey.errors import SurveyError
-from survey.plan.aim import Aim, aim_of, recipes_for
 from survey.plan.plan import image_scale
+from survey.plan.recipe import Aim, aim_of, recipes_for
 from survey.run.aimed_run import (
     DEPTH,
     FEW,

@@ -14,8 +14,8 @@ from small_survey import small_survey
 
 from survey.commands.environment import PREFIX, asked_of_environment
 from survey.errors import ConfigError
-from survey.plan.aim import Aim, aim_and_choices
 from survey.plan.choices import USUAL, Choices
+from survey.plan.recipe import Aim, aim_and_choices
 from survey.run.repeat import Truth, command_of
 from survey.settings.config import dump_config, parse_config
 from survey.settings.tables import ProcessConfig

@@ -14,7 +14,7 @@ from plane_survey import PlaneBed
 from pyproj import CRS
 
 from fields.device import choose_device
-from fields.slab.train import FieldFigures
+from fields.slab.tensor_field import FieldFigures
 from fields.sweep.maps import HeightMap
 from geo.frames import LocalFrame
 from refract import FlatWater

@@ -10,8 +10,8 @@ import pytest
 from command_line import without_times
 
 from survey import progress as progress_room
-from survey.lines import fitted
 from survey.progress import Progress, clock
+from survey.words import fitted
 
 
 def test_stages_are_plain_lines_with_the_time_left_where_there_is_no_terminal(tmp_path):

@@ -57,7 +57,6 @@ SURVEY_SHARED = {
     "__init__.py",
     "errors.py",
     "forecast.py",
-    "lines.py",
     "machine.py",
     "progress.py",
     "stage_key.py",

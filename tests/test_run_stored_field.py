@@ -11,8 +11,7 @@ import torch
 from plane_field import field_over, level_slab, rays_at
 from plane_survey import TILTED, PlaneBed, ring
 
-from fields.slab.tensor_field import TensorField
-from fields.slab.train import FieldFigures
+from fields.slab.tensor_field import FieldFigures, TensorField
 from survey.errors import SurveyError
 from survey.run.stored import FIELD_FILE, FIGURES_FILE
 from survey.run.stored_field import load_field, save_field

@@ -11,11 +11,10 @@ from plane_field import level_slab, plane_sources
 from plane_survey import TILTED, PlaneBed, ring
 
 from fields.device import choose_device
-from fields.slab import train as training
+from fields.slab import tensor_field as training
 from fields.slab.novel_view import refine
 from fields.slab.rays import draw_rays, slab_of
-from fields.slab.tensor_field import FieldSettings, TensorField
-from fields.slab.train import Schedule, train
+from fields.slab.tensor_field import FieldSettings, Schedule, TensorField, train
 from fields.sweep.maps import Sources
 from fields.training import set_rates
 from fields.water_column import WaterColumn

@@ -8,7 +8,7 @@ from plane_survey import TILTED, PlaneBed, ring
 
 from fields.sweep.images import image_backend
 from fields.sweep.kernels.arrays import floats
-from fields.sweep.kernels.queue import Launch, run_job, run_jobs
+from fields.sweep.kernels.backend import Launch, run_job, run_jobs
 from fields.sweep.passes import Pass, StepSearch
 from fields.sweep.view_pass import Search, match_pass, view_passes
 

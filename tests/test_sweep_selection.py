@@ -11,7 +11,7 @@ from fields.sweep.block import Block
 from fields.sweep.fusion import agreement
 from fields.sweep.images import image_backend
 from fields.sweep.kernels.arrays import indices
-from fields.sweep.kernels.queue import run_job
+from fields.sweep.kernels.backend import run_job
 from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.maps import HeightMap, trusted
 from fields.sweep.passes import PASSES, Pass, before_solver, passes_from

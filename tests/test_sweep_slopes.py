@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fields.sweep.slopes import slope_of, steep_and_wall_pixels
+from fields.sweep.planes import slope_of, steep_and_wall_pixels
 
 
 @pytest.mark.parametrize("height", [0.0, -300.0])

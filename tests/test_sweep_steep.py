@@ -10,7 +10,7 @@ from fields.image_store import Masks
 from fields.sweep.kernels.arrays import floats
 from fields.sweep.kernels.backend import kernels
 from fields.sweep.kernels.stack import ViewStack
-from fields.sweep.slopes import SteepPixels, filter_steep_pixels, thin_out
+from fields.sweep.planes import SteepPixels, filter_steep_pixels, thin_out
 
 SHAPE, HEIGHT, GSD = SIZE[::-1], -2.0, 0.02
 PIXEL = SHAPE[0] // 2, SHAPE[1] // 2

@@ -9,7 +9,7 @@ import pytest
 from plane_survey import TILTED, PlaneBed, ring
 
 from fields.sweep.images import image_backend
-from fields.sweep.kernels.queue import run_job
+from fields.sweep.kernels.backend import run_job
 from fields.sweep.kernels.stack import Hypotheses
 from fields.sweep.matching import RADII, Reference, match_view, match_with_adaptive_windows, radius_for
 

@@ -16,8 +16,8 @@ from survey.folder.survey import load_survey
 from survey.photos.images import ImageStore, load_image
 from survey.run.flight import load_flight
 from survey.run.folder import RunDir
-from survey.run.live import LIVE, LiveMaps
 from survey.run.stored import load_arrays
+from survey.run.stored_maps import LIVE, LiveMaps
 from survey.viewer.page import close_server, open_server
 from survey.viewer.session import LiveRun
 

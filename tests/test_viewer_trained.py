@@ -13,7 +13,7 @@ from plane_field import field_over, level_slab
 from shown_run import served, shown_of
 
 from fields.device import choose_device
-from fields.slab.train import FieldFigures
+from fields.slab.tensor_field import FieldFigures
 from refract import FlatWater
 from survey.run.stored_field import save_field, save_place
 from survey.viewer.shown import TrainedField, camera_of

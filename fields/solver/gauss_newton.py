@@ -17,7 +17,7 @@ from fields.image_store import GreyImages
 from fields.solver.appearance import Appearance, Brightness, appearance_of, brightness_of, log_likelihood_ratio
 from fields.solver.tile import Tile
 from fields.solver.visibility import TileProjection
-from fields.sweep.slopes import slope_of
+from fields.sweep.planes import slope_of
 
 ITERATIONS = 3
 # Gain and offset are estimated in the first steps.

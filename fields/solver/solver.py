@@ -34,7 +34,7 @@ from fields.solver.visibility import Sightings
 from fields.sweep.block import Block
 from fields.sweep.kernels.arrays import sharing_cores
 from fields.sweep.maps import HeightMap, OrderedMaps, small_sample_factor
-from fields.sweep.slopes import gradient_of
+from fields.sweep.planes import gradient_of
 
 # What a survey is like is learned from so many tiles of this side, spread over those that are nearly as full as the
 # fullest.

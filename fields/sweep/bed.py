@@ -17,7 +17,7 @@ from fields.sweep.kernels.backend import kernels
 from fields.sweep.kernels.stack import ViewStack, largest
 from fields.sweep.maps import HeightMap, confirmed, height_std, trusted
 from fields.sweep.overhangs import add_points_beneath, pixels_beside_steps
-from fields.sweep.slopes import SteepPixels, filter_steep_pixels, half_range, steep_and_wall_pixels
+from fields.sweep.planes import SteepPixels, filter_steep_pixels, half_range, steep_and_wall_pixels
 from fields.sweep.views import Footprint
 from refract import FlatWater, PinholeCamera
 
@@ -99,7 +99,7 @@ def unique_pixels(block: Block, maps: Sequence[HeightMap], gsd: float) -> Masks:
     every later view, the four pixels around its projection whose heights agree with it; claimed pixels are duplicates.
     On walls, where neighbouring pixels lie far apart, it claims only those within the ground sampling distance ``gsd``
     [m] of it. Only trusted pixels are kept. Steep pixels are tested once more in space, which adds pixels on walls and
-    drops wrong ones (`fields.sweep.slopes`). So are pixels beneath overhangs (`fields.sweep.overhangs`), where one
+    drops wrong ones (`fields.sweep.planes`). So are pixels beneath overhangs (`fields.sweep.overhangs`), where one
     confirming view is enough.
 
     Returns

@@ -14,8 +14,7 @@ from fields.median import median
 from fields.sweep.block import Block
 from fields.sweep.images import image_backend
 from fields.sweep.kernels.arrays import host
-from fields.sweep.kernels.backend import kernels
-from fields.sweep.kernels.queue import Job, Launch, run_jobs
+from fields.sweep.kernels.backend import Job, Launch, kernels, run_jobs
 from fields.sweep.kernels.stack import ViewStack, largest
 from fields.sweep.maps import HeightMap, Keep, Maps, OrderedMaps, trusted
 from fields.sweep.passes import MATCHED_NCC

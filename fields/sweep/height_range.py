@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from fields.sweep.block import Block
 from fields.sweep.images import image_backend
-from fields.sweep.kernels.queue import run_job
+from fields.sweep.kernels.backend import run_job
 from fields.sweep.kernels.stack import Hypotheses
 from fields.sweep.matching import Reference, match_with_adaptive_windows
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from fields.sweep.images import image_backend
 from fields.sweep.kernels.arrays import floats
-from fields.sweep.kernels.backend import kernels
-from fields.sweep.kernels.queue import Job, Launch
+from fields.sweep.kernels.backend import Job, Launch, kernels
 from fields.sweep.kernels.stack import Hypotheses, ViewStack
 from fields.sweep.passes import MATCHED_NCC
 from fields.sweep.tiles import Tiles

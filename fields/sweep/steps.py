@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from fields.sweep.images import image_backend
-from fields.sweep.kernels.queue import Job
+from fields.sweep.kernels.backend import Job
 from fields.sweep.matching import Found, Reference, match_tiles
 from fields.sweep.passes import MATCHED_NCC, StepSearch
 from fields.sweep.tiles import Tiles

@@ -19,8 +19,7 @@ from fields.image_store import LazyImages
 from fields.sweep.block import Block
 from fields.sweep.fusion import PEERS, ComparedViews, confirm, fuse
 from fields.sweep.images import image_backend
-from fields.sweep.kernels.backend import kernels
-from fields.sweep.kernels.queue import Job, run_jobs
+from fields.sweep.kernels.backend import Job, kernels, run_jobs
 from fields.sweep.kernels.stack import ViewStack, largest
 from fields.sweep.maps import HeightMap, Keep, Maps, OrderedMaps, trusted, upsample_map
 from fields.sweep.passes import MATCHED_NCC, POINTS_SHARE, Pass

@@ -10,7 +10,7 @@ import numpy as np
 
 from fields.sweep.block import Block
 from fields.sweep.images import image_backend
-from fields.sweep.kernels.queue import Job
+from fields.sweep.kernels.backend import Job
 from fields.sweep.kernels.stack import Hypotheses
 from fields.sweep.maps import HeightMap
 from fields.sweep.matching import LEAST_KNOWN, Reference, match_tiles, match_view, match_with_adaptive_windows

@@ -20,8 +20,7 @@ from survey.adjust.result.adjustment import Adjustment
 from survey.folder.motion import rows_between
 from survey.folder.place import water_plane
 from survey.folder.survey import Survey, View
-from survey.photos.cameras import CAM_FROM_OPK_CAM
-from survey.photos.colmap_model import FILES, has_spaces, write_model
+from survey.photos.cameras import CAM_FROM_OPK_CAM, FILES, has_spaces, write_model
 from survey.photos.poses import TiePoints, least_track
 from survey.water.tides import with_shift
 

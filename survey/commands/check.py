@@ -17,8 +17,8 @@ from survey.errors import SurveyError
 from survey.plan.choices import Choices
 
 if TYPE_CHECKING:
-    from survey.plan.aim import Aim
     from survey.plan.check import CheckSection
+    from survey.plan.recipe import Aim
     from survey.settings.tables import ProcessConfig
 
 EXAMPLES = """
@@ -78,7 +78,7 @@ def is_plan(path: Path) -> bool:
 
 def _chosen(asked: ProcessConfig) -> tuple[Aim | None, Choices]:
     """Choices that the plan is made for, and the aim beside it."""
-    from survey.plan.aim import aim_and_choices
+    from survey.plan.recipe import aim_and_choices
 
     aim, _ = aim_and_choices(replace(asked, quality=None))
     _, chosen = aim_and_choices(replace(asked, target_std_m=None, time_budget_s=None))

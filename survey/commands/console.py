@@ -12,7 +12,7 @@ from pathlib import Path
 import typer
 
 from survey.commands.faults import STANDARD_OUTPUT, fault_of, refusal_of, say_error
-from survey.lines import fitted
+from survey.words import fitted
 
 # One -q leaves out the progress, two leave out the results too.
 _NO_RESULTS = -2

@@ -152,7 +152,7 @@ def flush_all() -> OSError | None:
 def say_error(message: str) -> None:
     """Write a message to standard error, unless it is empty or standard error cannot be written."""
     if message:
-        from survey.lines import fitted
+        from survey.words import fitted
 
         with suppress(OSError):
             sys.stderr.write(f"{fitted(message, sys.stderr, label='error: ')}\n")

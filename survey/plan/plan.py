@@ -37,7 +37,7 @@ class Plan:
     Attributes
     ----------
     quality : "draft", "standard", "fine" or "aimed"
-        The last where a standard deviation or a time is asked for: see `survey.plan.aim`.
+        The last where a standard deviation or a time is asked for: see `survey.plan.recipe`.
     device : "cuda", "llvm" or "torch"
         Where kernels run: Dr.Jit on CUDA, Dr.Jit on the CPU by LLVM, or torch on the CPU.
     image_scale : [-]

@@ -19,10 +19,9 @@ import numpy as np
 from fields.sweep.passes import PASSES, passes_from
 from survey import machine
 from survey.folder.survey import Survey
-from survey.plan.aim import SHARE, Aim
 from survey.plan.plan import Decision, Plan
 from survey.plan.rates import FIRST_HYPOTHESES, STEPS_PER_CORE_S, poses_s
-from survey.plan.recipe import RECIPES, Recipe
+from survey.plan.recipe import RECIPES, SHARE, Aim, Recipe
 from survey.plan.workload import amounts_of
 
 if TYPE_CHECKING:

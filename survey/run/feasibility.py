@@ -11,10 +11,9 @@ from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.machine import Load
-from survey.plan.aim import SHARE, Aim, recipes_for
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
-from survey.plan.recipe import Recipe
+from survey.plan.recipe import SHARE, Aim, Recipe, recipes_for
 from survey.progress import Progress
 from survey.run.aimed_run import ANY_RUN_S, AimedRun, Clock, FullSizeAmounts, RoundRates
 

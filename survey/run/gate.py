@@ -17,8 +17,7 @@ import numpy as np
 
 from survey.display.column import ColumnStatistics
 from survey.display.quantities import NO_BREAK, length, share
-from survey.plan.aim import SHARE
-from survey.plan.recipe import MAX_STD_GSD, max_height_std
+from survey.plan.recipe import MAX_STD_GSD, SHARE, max_height_std
 from survey.report.collect import height_std
 from survey.report.facts import Gate, RunVerdict
 from survey.report.seen_cells import SeenCells, cells_of

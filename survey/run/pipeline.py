@@ -10,11 +10,10 @@ from survey.run.folder import RunDir
 from survey.run.job import Job
 from survey.run.keys import Key
 from survey.run.stage_adjust import FILES as ADJUSTMENT_FILES
-from survey.run.stage_adjust import adjust_block, use_adjustment
+from survey.run.stage_adjust import MISFIT, adjust_block, check_poses, use_adjustment, use_misfit
 from survey.run.stage_assess import REACHED, assess_round, use_assessment
 from survey.run.stage_bed import FILES, make_bed
 from survey.run.stage_field import train_field
-from survey.run.stage_pose_check import MISFIT, check_poses, use_misfit
 from survey.run.stage_solver import SIGHTINGS, SOLVED, solve_heights
 from survey.run.stage_sweep import (
     BOUND,

@@ -22,12 +22,12 @@ from survey.files.remote import Remote, is_url, local_run
 from survey.folder.found import Found, process_config, survey_inputs
 from survey.folder.survey import Survey, load_survey
 from survey.forecast import Forecast
-from survey.plan.aim import aim_and_choices
 from survey.plan.check import Checked, require_processable
 from survey.plan.choices import Choices, Device
 from survey.plan.decisions import require_placeable
 from survey.plan.plan import device_decision, make_plan
 from survey.plan.rates import parts_in_tiles, parts_s
+from survey.plan.recipe import aim_and_choices
 from survey.plan.tile_choice import SHARED, TileChoice, choose_tiles, require_dask, with_free_cores
 from survey.plan.tiling import tile_doubts
 from survey.plan.workload import amounts_of_run, parts_of_found, require_room, workload_of, workload_of_found

@@ -1,19 +1,55 @@
-"""The stage of the adjustment: poses, lens and water found together, before the bed is searched."""
+"""The stages before the bed is searched: a test of given poses on a sample of photographs, and the adjustment."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from survey.adjust import refine
+from survey.adjust import pose_check, refine
 from survey.adjust.applied import CAMERAS, MODEL, apply_adjustment, write_cameras
+from survey.adjust.pose_check import PoseCheck
 from survey.adjust.result.adjustment import ARRAYS, JSON, read_adjustment, write_adjustment
-from survey.errors import Findings
+from survey.errors import Contradiction, Findings, SurveyError
+from survey.files.json_values import write_json
 
 if TYPE_CHECKING:
     from survey.run.job import Job
+
+
+MISFIT = "misfit.json"
+
+
+def check_poses(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
+    """Measure the reprojection misfit under the given poses, and test the given water and lens."""
+    found = PoseCheck(None)
+    with suppress(SurveyError):
+        bound, block = job.bound, job.block
+        with job.progress.stage("Poses", 1.0) as stage:
+            found = pose_check.check_of_windows(job.survey, job.plan, block, bound, stage.advance)
+    # Photographs without texture do not match in the sweep either, which reports it.
+    if found.misfit_px is None and job.search is not None:
+        with suppress(SurveyError):
+            found = pose_check.check_of_features(job.survey, job.plan, job.search(job.survey).ties)
+    write_json(folder / MISFIT, asdict(found))
+
+
+def use_misfit(job: Job, folder: Path) -> None:
+    """Update the plan by the result; raise where the level leaves dry what photographs show under water."""
+    values = json.loads((folder / MISFIT).read_text(encoding="utf-8"))
+    misfit, flooded = values["misfit_px"], values["flooded"]
+    contradictions = tuple(Contradiction(**each) for each in values["contradictions"])
+    found = PoseCheck(misfit, contradictions, None if flooded is None else Contradiction(**flooded))
+    found.require_water()
+    misfit_px = -1.0 if misfit is None else misfit
+    provenance = replace(job.survey.provenance, pose_misfit_px=misfit_px, contradiction=found.contradiction)
+    job.use_survey(replace(job.survey, provenance=provenance))
+    choice, reason = job.plan.poses
+    job.progress.note(f"plan: poses: {choice} ({reason})")
+
 
 FILES = (JSON, ARRAYS, CAMERAS, *MODEL)
 

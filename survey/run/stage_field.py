@@ -14,8 +14,7 @@ from survey.run.stage_sweep import MAPS
 from survey.run.stored_maps import Stored
 
 if TYPE_CHECKING:
-    from fields.slab.tensor_field import TensorField
-    from fields.slab.train import FieldFigures
+    from fields.slab.tensor_field import FieldFigures, TensorField
     from survey.run.job import Job
 
 
@@ -35,8 +34,7 @@ def train_field(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
 def trained(job: Job, maps: Sequence[HeightMap], progress: Callable[[float], None]) -> tuple[TensorField, FieldFigures]:
     """The field inside the bound of the sweep, and the figures of its training."""
     from fields.slab.rays import slab_of
-    from fields.slab.tensor_field import FieldSettings
-    from fields.slab.train import Schedule, train
+    from fields.slab.tensor_field import FieldSettings, Schedule, train
 
     plan, area = job.plan, local_area(job.survey)
     sources = job.sources(maps)

@@ -25,9 +25,8 @@ from survey.plan.area import plane_name
 from survey.plan.sweep_block import camera_of
 from survey.progress import shares
 from survey.run.aimed_run import OutOfTimeError
-from survey.run.live import LiveMaps
 from survey.run.stored import load_arrays
-from survey.run.stored_maps import Stored, map_store, save_maps
+from survey.run.stored_maps import LiveMaps, Stored, map_store, save_maps
 
 if TYPE_CHECKING:
     from fields.sweep.block import Block

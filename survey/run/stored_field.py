@@ -24,7 +24,7 @@ from survey.errors import SurveyError
 from survey.run.stored import FIELD_FILE, FIGURES_FILE, PLACE_FILE
 
 if TYPE_CHECKING:
-    from fields.slab.train import FieldFigures
+    from fields.slab.tensor_field import FieldFigures
 
 _DAMAGE = (OSError, RuntimeError, KeyError, TypeError, ValueError, EOFError, pickle.UnpicklingError, zipfile.BadZipFile)
 

@@ -19,12 +19,14 @@ from survey.files.outputs import ReadFiles
 from survey.progress import current
 from survey.run.flight import FLIGHT, load_flight
 from survey.run.folder import RunDir
-from survey.run.live import LIVE
 from survey.run.stored import load_arrays
+from survey.run.stored_maps import LIVE
 from survey.viewer.detail import CloudInBrowser, Style
 from survey.viewer.layers import (
     OnDemand,
+    Panel,
     add_cameras,
+    add_field,
     add_frusta,
     add_water,
     coloured_mesh,
@@ -35,7 +37,6 @@ from survey.viewer.layers import (
     terrain,
 )
 from survey.viewer.page import address, close_server, light, open_server, require_page, write_page
-from survey.viewer.panel import Panel, add_field
 from survey.viewer.shown import Shown, load_shown
 from survey.viewer.sightings import Clicks
 

@@ -34,7 +34,7 @@ class BedPoints:
     # (N,) float32 [rad]: angle between the ray in air and the normal of the water (of local z in a dry survey)
     incidence: np.ndarray
     wet: np.ndarray  # (N,) bool
-    # (N,) uint8: 1 of points that height maps have not (`fields.occluded`), else 0; 0 of all where not given
+    # (N,) uint8: 1 for points that no height map has (`fields.occluded`), else 0; by default 0 for all
     origin: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.uint8))
 
     def __post_init__(self):
@@ -79,8 +79,8 @@ class BedPoints:
 # The same on walls, where photographs correlate less.
 WALL_NCC = 0.6
 LEAST_NEIGHBOURS, NEIGHBOURHOOD_GSD = 4, 4.0
-# Where no third view checks a height, the confirmed pixels around it do, in a square of this side [px]: so many of them
-# have to be confirmed, and of these so many have to agree with it. Chance matches are sparse and scatter.
+# A height that no third view checks is compared with the confirmed pixels in a square of this side [px]: least share of
+# pixels that are confirmed, and of these that agree with it. Chance matches are sparse and scatter.
 _SUPPORT_PX, _LEAST_CONFIRMED, _LEAST_AGREEING = 17, 0.4, 0.7
 # Pixels of a batch, of 300 bytes each.
 _POINTS_AT_ONCE = 500_000

@@ -19,9 +19,9 @@ from fields.sweep.kernels.stack import ViewStack, largest
 from fields.sweep.maps import HeightMap, Keep, Maps, OrderedMaps, trusted
 from fields.sweep.passes import MATCHED_NCC
 
-# What `fields.sweep.fusion.agreement` gives: images of `fields.sweep.images.image_backend`.
+# Number of agreeing peers, fused heights and their spread: images of `fields.sweep.images.image_backend`.
 _Agreement = tuple[Any, Any, Any]
-# Height maps that each is compared with.
+# Number of height maps that each is compared with.
 PEERS = 12
 # A height that no other view confirms is replaced by the median over a square of this side [px].
 _SURROUNDINGS_PX = 5

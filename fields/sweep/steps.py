@@ -99,7 +99,7 @@ def wall_slopes(
 
     Parameters
     ----------
-    ways : (rows, columns, 2)
+    gradients : (rows, columns, 2)
         Direction in which the heights of each tile rise, of any length: `fields.sweep.images_host.tile_gradients`.
     extent : (rows, columns) each [m]
         Lowest and highest height of the tiles.

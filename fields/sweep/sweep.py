@@ -115,7 +115,7 @@ class EarlierMaps:
 
     # mapping of view to HeightMap: views that have one keep its heights and confirm those of the others
     maps: Mapping[int, HeightMap]
-    again: Collection[int] = ()  # views of ``maps``: that go on from there, with the passes finer than it
+    again: Collection[int] = ()  # views of ``maps`` that go on from there, with the finer passes
 
 
 def sweep(

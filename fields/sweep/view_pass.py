@@ -33,9 +33,9 @@ _SQUARE_PX = 4
 class Search:
     """Search of a sweep: range of heights, passes, area."""
 
-    bound: tuple[float, float]  # (low, high) [m] over the water plane: Spanned by the hypotheses of the first pass
+    bound: tuple[float, float]  # (low, high) [m] over the water plane, spanned by the hypotheses of the first pass
     passes: tuple[Pass, ...] = PASSES
-    # (x0, y0, x1, y1) [m], local, or None: where heights are wanted: other pixels get no height of their own
+    # (x0, y0, x1, y1) [m], local, where heights are wanted; other pixels get no height of their own
     area: Area | None = None
 
 

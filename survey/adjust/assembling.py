@@ -70,7 +70,7 @@ def assemble_result(
     done: Adjusted,
     total: int,
     *,
-    lost: dict[str, Unobservable] | None = None,
+    unobservable: dict[str, Unobservable] | None = None,
     contradicted: Sequence[int] = (),
     hold: Callable[[np.ndarray], Adjusted] | None = None,
 ) -> Adjustment:
@@ -80,7 +80,7 @@ def assemble_result(
     ----------
     total : int
         Observations before any was left out.
-    lost : dict of name to Unobservable, optional
+    unobservable : dict of name to Unobservable, optional
         Of water of which nothing was known: what is not observable, and why.
     contradicted : sequence of int, optional
         Parameters of the water that the block contradicts: their estimates are used, however uncertain.
@@ -90,7 +90,7 @@ def assemble_result(
     layout, first = done.known.layout, done.solution.covariance
     held = np.zeros(len(layout), dtype=bool)
     while True:
-        parameters, water = _parameters_with_verdicts(survey, done, first, held, lost, contradicted)
+        parameters, water = _parameters_with_verdicts(survey, done, first, held, unobservable, contradicted)
         also = held | not_observable(parameters, layout)
         if hold is None or (also == held).all():
             break
@@ -185,7 +185,7 @@ def _parameters_with_verdicts(
     done: Adjusted,
     first: np.ndarray,
     held: np.ndarray,
-    lost: dict[str, Unobservable] | None,
+    unobservable: dict[str, Unobservable] | None,
     contradicted: Sequence[int],
 ) -> tuple[tuple[Parameter, ...], WaterConfig | None]:
     """Parameters of water and lenses with their verdicts, and the water; ``first``: covariance before any was held."""
@@ -193,7 +193,7 @@ def _parameters_with_verdicts(
     parameters: list[Parameter] = []
     water: WaterConfig | None = None
     if survey.water is not None:
-        verdicts, water = _water(survey, done, first, held[:WATER], lost, contradicted)
+        verdicts, water = _water(survey, done, first, held[:WATER], unobservable, contradicted)
         parameters += verdicts
     variance = np.where(held, np.diag(first), np.diag(covariance))
     for number, lens in enumerate(known.lenses):
@@ -235,7 +235,7 @@ def _water(
     done: Adjusted,
     first: np.ndarray,
     held: np.ndarray,
-    lost: dict[str, Unobservable] | None,
+    unobservable: dict[str, Unobservable] | None,
     contradicted: Sequence[int],
 ) -> tuple[list[Parameter], WaterConfig]:
     """Level, slopes and index in the terms of survey.toml, with verdicts; ``first`` see `_parameters_with_verdicts`."""
@@ -247,14 +247,16 @@ def _water(
         np.sqrt(np.diag(by_local @ c[:WATER, :WATER] @ by_local.T)) for c in (done.solution.covariance, first)
     )
     given_std = np.sqrt(np.diag(by_local @ np.diag(known.std[:WATER] ** 2) @ by_local.T))
-    if lost is not None:
+    if unobservable is not None:
         given_std = np.full(WATER, np.inf)
     limits = water_limits(state.points)
     limits[list(contradicted)] = np.inf
     found = water_verdicts(values, np.where(held, held_std, std), given, given_std, limits)
     for i, row in enumerate(found):
-        if lost and row.name in lost:
-            found[i] = unobservable_verdict(row.name, lost[row.name].std, row.given, lost[row.name].reason)
+        if unobservable and row.name in unobservable:
+            found[i] = unobservable_verdict(
+                row.name, unobservable[row.name].std, row.given, unobservable[row.name].reason
+            )
     return found, with_settings(given, np.array([row.value for row in found]))
 
 

@@ -1,18 +1,18 @@
 """Correlated errors of neighbouring observations: the design effect of cluster samples.
 
 `inflation`
-    Of neighbours in one photograph, which look through the same wave and lie on the same relief. In a square of a
-    photograph with m observations whose errors correlate by rho, the variance of their mean is that of one times
+    Neighbours in one photograph look through the same wave and lie on the same relief. In a square of a photograph with
+    m observations whose errors correlate by rho, the variance of their mean is that of one times
     ``(1 + (m - 1) rho) / m`` (L. Kish, Survey Sampling, 1965, section 5.4).
 `terrain_design_effect`
-    Of neighbouring ground, over all photographs that show it. A window is matched with the same piece of the bed in
-    each, and next to another piece of it, so that what a block does as a whole (lift, tilt, bend, shift) varies by more
-    than its normal equations say. How much more follows from the residuals, summed over squares of the ground (the
-    covariance that is robust against clusters, K.-Y. Liang and S. Zeger, Longitudinal data analysis using generalized
-    linear models, 1986). With a change a of the whole block, d the change of the predictions that goes with it while
-    points follow, w the weights and r the residuals, a square has the sum ``s = sum of w d . r``. Of independent errors
-    s^2 has the mean ``sum of w d^2 - g' C g``, with g the sum of w d by the parameters and C their covariance: the
-    second part is what the parameters have taken of it, more of larger squares.
+    Neighbouring ground has common errors in all photographs that show it, as windows are matched with the same piece of
+    the bed in each. So lift, tilt, bending and shift of the whole block vary by more than its normal equations say. How
+    much more follows from the residuals, summed over squares of the ground (the covariance that is robust against
+    clusters, K.-Y. Liang and S. Zeger, Longitudinal data analysis using generalized linear models, 1986). Let d be the
+    change of the predictions by such a motion of the block with the points re-adjusted, w the weights and r the
+    residuals: a square has the sum ``s = sum of w d . r``. With independent errors s^2 has the mean
+    ``sum of w d^2 - g' C g``, with g the sum of w d by the parameters and C their covariance; the second term, which
+    the parameters absorb, grows with the square.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from survey.adjust.block.state import WATER, State
 from survey.adjust.result.std_common import moves_of
 from survey.photos.poses import TiePoints
 
-# Sides of the squares, as shares of the longer side of a photograph: the one in which most is shared counts.
+# Sides of the squares, as shares of the longer side of a photograph: the one with the largest design effect counts.
 _SIDES = (0.04, 0.08, 0.16)
 # Residuals of more standard deviations count as that many.
 _MOST = 3.0
-# Sides of the squares, as shares of what the longer side of a photograph shows: that in which most is shared counts.
+# The same as shares of what the longer side of a photograph shows on the ground.
 _SIDES_ON_GROUND = (0.08, 0.16, 0.32)
 # Fewer squares tell nothing.
 _FEWEST = 20
@@ -87,8 +87,6 @@ def terrain_design_effect(problem: Problem, solution: Solution, sizes, kinds: np
 
     Parameters
     ----------
-    solution : Solution
-        Of it.
     sizes : (width, height) [px] of each photograph
     kinds : (N,) bool
         Observations that count.

@@ -46,12 +46,10 @@ class CommonHeight:
 
 
 def water_start(known: PriorKnowledge, seen: Observed, marks_std_px: float) -> tuple[PriorKnowledge, np.ndarray]:
-    """Initial state of a block whose positions do not determine its height over the water.
+    """Initial state of a block whose positions do not determine its height over the water, and its points (M, 3) [m].
 
-    And the points (M, 3) [m] of what is seen. Without any start that converges, both as they are.
-
-    Between the levels of two starts, photographs may fit either way to within what the adjustment follows: all under
-    water, or some of them.
+    The cost may have one minimum with all points under water and another with some of them: the adjustment is started
+    from several levels, and the best is taken. Where none converges, both are returned as they are.
     """
     found: list[tuple[Problem, Solution]] = []
     for height in _candidate_levels(known, seen):

@@ -71,8 +71,8 @@ def adjust_free(
         If the adjustment does not converge with the water held either.
     """
 
-    def under_given_water(lost: dict[str, Unobservable]) -> tuple[Adjusted, dict[str, Unobservable]]:
-        return adjust(_held_priors(known, np.arange(WATER), HELD), seen, sizes, marks_std_px), lost
+    def under_given_water(unobservable: dict[str, Unobservable]) -> tuple[Adjusted, dict[str, Unobservable]]:
+        return adjust(_held_priors(known, np.arange(WATER), HELD), seen, sizes, marks_std_px), unobservable
 
     few = _too_few(replace(known.state, points=seen.ties.start))
     if few is not None:
@@ -86,22 +86,24 @@ def adjust_free(
         return under_given_water(none_observable(few))
     limits = water_limits(done.solution.state.points)
     first = std = water_std(survey, done)
-    lost: dict[str, Unobservable] = {}
+    unobservable: dict[str, Unobservable] = {}
     for _ in WATER_PARAMETERS:
-        ratio = np.array([0.0 if name in lost else std[i] / limits[i] for i, name in enumerate(WATER_PARAMETERS)])
+        ratio = np.array(
+            [0.0 if name in unobservable else std[i] / limits[i] for i, name in enumerate(WATER_PARAMETERS)]
+        )
         if not ratio[0] <= 1.0:
             return under_given_water(_without_level(first, limits))
         worst = int(np.argmax(ratio))
         if ratio[worst] <= 1.0:
             break
-        lost[WATER_PARAMETERS[worst]] = Unobservable(
+        unobservable[WATER_PARAMETERS[worst]] = Unobservable(
             float(first[worst]), _too_uncertain(worst, first[worst], limits[worst])
         )
         known = _held_priors(done.known, np.array([worst]), _HELD_STD[worst])
         known = replace(known, state=replace(done.solution.state, points=np.zeros((0, 3))))
         done = adjust(known, done.used, sizes, marks_std_px)
         std = water_std(survey, done)
-    return done, lost
+    return done, unobservable
 
 
 def none_observable(reason: str) -> dict[str, Unobservable]:
@@ -162,14 +164,14 @@ def water_std(survey: Survey, done: Adjusted) -> np.ndarray:
 
 
 def _without_level(std: np.ndarray, limits: np.ndarray) -> dict[str, Unobservable]:
-    lost = {}
+    unobservable = {}
     for i, name in enumerate(WATER_PARAMETERS):
         reason = _too_uncertain(i, std[i], limits[i])
         if std[i] <= limits[i]:
             # What it seems to be depends on where the level is kept.
             reason = f"the level is not, and {name} cannot be separated from it"
-        lost[name] = Unobservable(float(std[i]), reason)
-    return lost
+        unobservable[name] = Unobservable(float(std[i]), reason)
+    return unobservable
 
 
 def _too_uncertain(number: int, std: float, limit: float) -> str:

@@ -81,7 +81,7 @@ def adjust_survey(
     free_water : bool
         Find the water as if nothing were known of it.
     search : callable, optional
-        Finds poses of a file anew that are too far off for windows; without it they are refused.
+        Estimates poses of a file again that are too inaccurate for windows; without it they are refused.
 
     Raises
     ------
@@ -149,17 +149,17 @@ def _adjusted(survey: Survey, known: PriorKnowledge, windows: TiePoints | None, 
         done = gathered.add_ties(WINDOW, within_bounds(survey, windows) if free_water else windows, start)
         advance(shares[2])
     assert done is not None
-    against: list[Contradiction] = []
+    contradictions: list[Contradiction] = []
     drift: FocalDrift | None = None
     if not free_water:
         done, drift = gathered.with_focals(done)
-        done, against = gathered.without_contradictions(done)
+        done, contradictions = gathered.without_contradictions(done)
     water = None if survey.water is not None else find_unnamed_water(done, gathered.marks_std)
     notes = roll_notes(survey, done, make_plan(survey).gsd_m) if done.known.rolls and not free_water else []
-    found = gathered.result(done, against)
+    found = gathered.result(done, contradictions)
     if not survey.provenance.is_level_known and found.parameter("level_m").status == UNKNOWN:
         raise _level_error(survey, found.parameter("level_m").std)
-    warnings = [*(_contradiction_text(found, each) for each in against), *height_doubts(survey, done)]
+    warnings = [*(_contradiction_text(found, each) for each in contradictions), *height_doubts(survey, done)]
     warnings += parts_warning(found, survey.water) + ([] if water is None else [str(water)])
     warnings += [] if drift is None else [str(drift)]
     if not free_water:
@@ -196,7 +196,7 @@ def _level_error(survey: Survey, std: float) -> SurveyError:
 
 
 def _windows_at(survey: Survey, done: Adjusted | None, device: str, advance: Callable[[float], None]) -> TiePoints:
-    """Windows of an adjusted block, of a survey as it came where there is none."""
+    """Windows measured on an adjusted block, or on the survey as given where there is none."""
     if done is None:
         return measure_windows(survey, device=device, advance=advance)
     placed, common = apply_level_datum(done)
@@ -206,7 +206,7 @@ def _windows_at(survey: Survey, done: Adjusted | None, device: str, advance: Cal
 
 
 class _BlockAdjustment:
-    """Adjustment of a survey in stages: observations as they are added, and adjustments of all that there are."""
+    """Adjustment of a survey in stages: observations are added, and all of them adjusted again."""
 
     def __init__(self, survey: Survey, known: PriorKnowledge, free_water: bool):
         self._survey, self.known, self._free_water = survey, known, free_water
@@ -214,7 +214,7 @@ class _BlockAdjustment:
         control = survey.observations.control
         self.marks_std = _MARKS_STD_PX if control is None else control.marks_std_px
         self._parts: list[tuple[int, TiePoints]] = []
-        self._lost: dict[str, Unobservable] = {}
+        self._unobservable: dict[str, Unobservable] = {}
         self._is_against_positions = False
 
     @property
@@ -222,14 +222,14 @@ class _BlockAdjustment:
         return observed(self._parts, self._survey.observations.control, self._survey, self.known)
 
     def add_ties(self, kind: int, ties: TiePoints, start: PriorKnowledge) -> Adjusted:
-        """Take in more tie points, those that are needed, and adjust."""
+        """Add tie points, thinned to those that are needed, and adjust."""
         needed = ties.only(np.isin(ties.point, thinned(ties, self._sizes, CELLS, PER_CELL)))
         ground = self._survey.observations.ground
         if ground is not None and not self._parts:
             start, needed = self._shift_onto_ground(ground, kind, needed, start)
         self._parts.append((kind, needed))
         if self._free_water:
-            done, self._lost = adjust_free(self._survey, start, self._observed, self._sizes, self.marks_std)
+            done, self._unobservable = adjust_free(self._survey, start, self._observed, self._sizes, self.marks_std)
             return done
         if start.common_up_std > 0.0 and len(self._parts) == 1:
             return self._at_level(start)
@@ -301,18 +301,18 @@ class _BlockAdjustment:
         return done, drift
 
     def without_contradictions(self, done: Adjusted) -> tuple[Adjusted, list[Contradiction]]:
-        """Adjust with what the photographs contradict of the water set free, the worst first; and what that was."""
-        against: list[Contradiction] = []
-        while len(against) < WATER:
-            each = (_contradiction_of_sample(self._survey) if not against else None) or worst_contradiction(
+        """Adjust with contradicted parameters of the water free, the worst first; also returns the contradictions."""
+        contradictions: list[Contradiction] = []
+        while len(contradictions) < WATER:
+            each = (_contradiction_of_sample(self._survey) if not contradictions else None) or worst_contradiction(
                 self._survey, done
             )
             if each is None:
                 break
-            against.append(each)
+            contradictions.append(each)
             start = release(_restarted(done.known, done), each)
             done = adjust(start, self._observed, self._sizes, self.marks_std)
-        return done, against
+        return done, contradictions
 
     def against_control(self) -> list[str]:
         """A warning where positions and water contradict control that is too little to check itself."""
@@ -329,21 +329,21 @@ class _BlockAdjustment:
             free = apply_level_datum(_BlockAdjustment(alone, known, free_water=False).add_ties(kind, ties, known))[0]
         except NotConvergedError:
             return []
-        against = contradicted_points(control, self.marks_std, self._survey.views, free.known, free.solution)
-        return [contradiction_warning(against)] if against else []
+        contradictions = contradicted_points(control, self.marks_std, self._survey.views, free.known, free.solution)
+        return [contradiction_warning(contradictions)] if contradictions else []
 
-    def result(self, done: Adjusted, against: Sequence[Contradiction]) -> Adjustment:
+    def result(self, done: Adjusted, contradictions: Sequence[Contradiction]) -> Adjustment:
         """The adjustment in the terms of the survey."""
         control = self._survey.observations.control
         total = sum(len(ties.view) for _, ties in self._parts) + (0 if control is None else len(control.marks))
         if self._free_water:
-            return self._on_ground(assemble_result(self._survey, done, total, lost=self._lost), done)
+            return self._on_ground(assemble_result(self._survey, done, total, unobservable=self._unobservable), done)
         placed, common = apply_level_datum(done)
 
         def hold(held: np.ndarray) -> Adjusted:
             return apply_level_datum(adjusted_with(done, held, self.known.std, self._sizes, self.marks_std))[0]
 
-        used = {WATER_PARAMETERS.index(each.name) for each in against} | (set() if common is None else {LEVEL})
+        used = {WATER_PARAMETERS.index(each.name) for each in contradictions} | (set() if common is None else {LEVEL})
         found = self._on_ground(
             assemble_result(self._survey, placed, total, contradicted=sorted(used), hold=hold), done
         )

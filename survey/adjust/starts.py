@@ -155,14 +155,14 @@ class RecoveredPoses:
     # centres, rotations (V, 3) [m], local; (V, 3, 3) cam from local: of views that it does not have, as they came
     centres: np.ndarray
     rotations: np.ndarray
-    warning: str = ""  # Why it was sought
+    warning: str = ""  # Why the poses were estimated again
 
     def start(self, known: PriorKnowledge) -> PriorKnowledge:
         """The priors with these poses as initial values."""
         return replace(known, state=replace(known.state, centres=self.centres, rotations=self.rotations))
 
 
-# Finds the poses of a survey anew.
+# Estimates the poses of a survey again.
 PoseRecovery = Callable[[Survey], RecoveredPoses]
 
 

@@ -17,18 +17,18 @@ class Choices:
     ----------
     quality, device, field, poses, plan : str
     image_scale : [-], optional
-        At which photographs are worked on: one of `SCALES`; default by their size and the quality.
+        Scale of the photographs in the run, one of `SCALES`; default by their size and the quality.
     calibrate_water : bool
         Whether the water is found as if nothing were known of it.
     true_colour : bool
         Whether points get the colour of the bed without its water.
     tiles : int, optional
-        Of the ground that are worked on one after the other; default: as the memory asks for.
+        Number of tiles of the ground, worked on one after the other; default by the memory.
     memory : str, optional
-        That the run may take, as "8GB"; default: most of what is free.
+        Memory that the run may take, as "8GB"; default: most of what is free.
     workers : int, optional
-        Processes that compute tiles; default of the command line: by tiles, cores and memory, of Python one. Of a
-        scheduler those that are waited for.
+        Number of processes that compute tiles; by default one, and on the command line by tiles, cores and memory.
+        With a scheduler the number of its workers that the run waits for.
     scheduler : str, optional
         Address of a Dask scheduler whose workers compute the tiles, as "tcp://host:8786".
 

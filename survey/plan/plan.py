@@ -37,11 +37,11 @@ class Plan:
     Attributes
     ----------
     quality : "draft", "standard", "fine" or "aimed"
-        The last where a standard deviation or a time is asked for: see `survey.plan.recipe`.
+        "aimed" where a standard deviation or a time is asked for: see `survey.plan.recipe`.
     device : "cuda", "llvm" or "torch"
         Where kernels run: Dr.Jit on CUDA, Dr.Jit on the CPU by LLVM, or torch on the CPU.
     image_scale : [-]
-        At most 1: the size at which images are worked on.
+        Scale of the images in the run, at most 1.
     gsd_m : [m]
         Ground sampling distance at that size, median over the views: at the water, or the ground of a dry
         survey.

@@ -1,7 +1,7 @@
 """Time, memory and disk space of a run, estimated before anything is computed.
 
-Time is that of `survey.plan.rates`. Memory is that of
-the arrays which docs/notes/performance.md names; measured were 0.5 GB (quick) to 3.4 GB (20 megapixels).
+Time is that of `survey.plan.rates`, memory that of the arrays which docs/notes/performance.md names: 0.5 GB (quick) to
+3.4 GB (20 megapixels) measured.
 """
 
 from __future__ import annotations

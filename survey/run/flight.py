@@ -33,8 +33,8 @@ class Flight:
     frame: LocalFrame
     water: FlatWater | None  # Local; None for a dry survey
     views: tuple[View, ...]  # Adjusted, where the run adjusted them
-    bounds: tuple[float, float, float, float] | None  # (e0, n0, e1, n1) or None: in crs: where the bed was wanted
-    departure: Departure | None = None  # Of the water from its plane
+    bounds: tuple[float, float, float, float] | None  # (e0, n0, e1, n1) in crs: the area of interest
+    departure: Departure | None = None  # Height of the water over its plane
 
     def level(self, xy: np.ndarray) -> np.ndarray:
         """Heights (...) [m], local, of the water at places (..., 2); NaN in a dry survey."""

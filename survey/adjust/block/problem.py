@@ -23,8 +23,8 @@ from survey.photos.poses import TiePoints
 class Planes:
     """Planes on which points are known to lie."""
 
-    normal: np.ndarray  # (M, 3): Upwards, with 1 in z: the distance is along the vertical
-    height: np.ndarray  # (M,) [m]: of ``normal . point`` on the plane.
+    normal: np.ndarray  # (M, 3): upwards, with 1 in z, so that distances are along the vertical
+    height: np.ndarray  # (M,) [m]: ``normal . point`` on the plane
     strength: np.ndarray  # (M,) [1/m^2]: inverse variance of that distance; 0 for points of which nothing is known
 
     def distances(self, points: np.ndarray, shift: np.ndarray) -> np.ndarray:

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from survey.photos.cameras import View
 
 
-# Where there are no attitudes: keeps the normal equations regular, and is no knowledge to rely on.
+# Of a roll without attitudes, or whose profile no angle leaves: keeps the normal equations regular.
 _OPEN_STD = math.radians(20.0)
 # Fewer control points than this do not tell a line from an area.
 _FEWEST = 3
@@ -179,8 +179,6 @@ _HELD = math.radians(0.003)
 _OF_VALLEY, _BETTER = 3.0, 0.5
 # Beyond a rise of this nothing more is looked for on that side.
 _MOST_RISE = 30.0
-# Where no angle leaves the valley, nothing is known of the roll.
-_OPEN = math.radians(20.0)
 
 # Angle [rad] from where the adjustment ended, cost, and state.
 Held = tuple[float, float, State]
@@ -193,8 +191,6 @@ def minimise_over_roll(
 
     Parameters
     ----------
-    solution : Solution
-        Of it.
     inflation : (N,)
         As for `survey.adjust.block.bundle.solve`.
     """
@@ -232,8 +228,8 @@ def std_by_profile(rises: list[tuple[float, float]], are_whole: tuple[bool, bool
     for sign, is_whole in zip((1.0, -1.0), are_whole, strict=True):
         side = sorted((sign * angle, rise) for angle, rise in rises if sign * angle > 0.0)
         beyond = [angle / math.sqrt(rise) for angle, rise in side if rise >= _OF_VALLEY]
-        known += beyond[:1] if beyond else [_OPEN] if is_whole else []
-    return max(known, default=_OPEN)
+        known += beyond[:1] if beyond else [_OPEN_STD] if is_whole else []
+    return max(known, default=_OPEN_STD)
 
 
 def _scan_profile(

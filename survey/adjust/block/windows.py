@@ -164,7 +164,7 @@ def _usable_pixels(block: Block, height_map: HeightMap, area: Area | None) -> np
 
 
 def _corners(image: np.ndarray, camera: PinholeCamera, height_map: HeightMap, able: np.ndarray, density: Density):
-    """Textured pixel centres (K, 2) of a view at the able pixels of its height map, and heights (K,)."""
+    """Textured pixel centres (K, 2) of a view at the usable pixels of its height map, and heights (K,)."""
     size = (camera.width, camera.height)
     mask = cv2.resize(able.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
     # A window and the slopes at its rim lie inside the photograph and hold no masked pixel.

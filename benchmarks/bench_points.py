@@ -1,4 +1,4 @@
-"""What memory do the points of a bed take while they are merged, written as LAS and looked at by the report?
+"""What memory do the points of a bed take while they are merged, written as LAS, reported and made triangles of?
 
     python benchmarks/bench_points.py SURVEY RUN [--times 1 4 16] [-o FILE.json]
 
@@ -30,7 +30,7 @@ from survey.run.folder import RunDir
 from survey.run.job import Job
 from survey.run.stored import load_arrays, save_arrays
 
-STEPS = ("merge", "cloud", "report")
+STEPS = ("merge", "cloud", "report", "mesh")
 
 
 def main() -> None:
@@ -73,7 +73,7 @@ def _peak(step: str, survey: Path, run: Path, folder: Path) -> int:
     """Peak of anonymous memory of a step, less that before it [bytes]."""
     with Progress(verbosity=-1) as progress:
         job = Job(load_survey(survey), Choices(quality="draft"), progress)
-        work = {"merge": _merge, "cloud": _cloud, "report": _report}[step](job, run, folder)
+        work = {"merge": _merge, "cloud": _cloud, "report": _report, "mesh": _mesh}[step](job, run, folder)
         before, peak, ended = _anonymous(), [0], Event()
 
         def look() -> None:
@@ -106,6 +106,20 @@ def _cloud(_job: Job, _run: Path, folder: Path) -> Callable[[], None]:
     from survey.run.stored import load_bed
 
     return lambda: write_bed_las(folder / "cloud.las", load_bed(folder / "bed"))
+
+
+def _mesh(_job: Job, _run: Path, folder: Path) -> Callable[[], None]:
+    from geo.ply import write_ply
+    from survey.export.bed_surface import bed_surface
+    from survey.run.stored import load_bed
+
+    def work() -> None:
+        stored = load_bed(folder / "bed")
+        bed, spacing_m = stored.bed, stored.gsd_m
+        mesh = bed_surface(bed.xyz, bed.rgb, bed.std, spacing_m=spacing_m, method="delaunay", path="mesh")
+        write_ply(folder / "mesh.ply", mesh.vertices, rgb=mesh.rgb, scalars={}, faces=mesh.faces)
+
+    return work
 
 
 def _report(job: Job, run: Path, folder: Path) -> Callable[[], None]:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -44,6 +45,8 @@ _COLOURS = ("red", "green", "blue")
 _WITHHELD = ("withheld", "withheld_flag", "withheldflag")
 # A coordinate of 5,194,743 in single precision steps by 0.5 m; at 5 mm it begins to spoil a comparison.
 _COARSEST_STEP = 0.005
+# Rows that are written at a time.
+_PORTION = 500_000
 
 
 def write_ply(
@@ -87,23 +90,30 @@ def write_ply(
         if np.shape(values) != points.shape[:1]:
             raise ValueError(f"{name} has shape {np.shape(values)}, expected {points.shape[:1]}")
         fields.append((SCALAR + name, "<f4"))
-    table = np.empty(len(points), dtype=fields)
-    for values, names in ((points.T, "xyz"), (np.asarray(rgb, dtype=np.uint8).T, _COLOURS)):
-        for column, name in zip(values, names, strict=True):
-            table[name] = column
-    for name, values in scalars.items():
-        table[SCALAR + name] = values
     lines = ["ply", "format binary_little_endian 1.0", "comment bathynerf", *_crs_comments(crs)]
     lines += [f"element vertex {len(points)}", *(f"property {_WORDS[kind]} {name}" for name, kind in fields)]
     if faces is not None:
         lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
     with write_whole(path) as stream:
         stream.write("\n".join([*lines, "end_header", ""]).encode())
-        stream.write(table.view(np.uint8).data)
-        if faces is not None:
-            triangles = np.empty(len(faces), dtype=[("corners", "u1"), ("vertices", "<i4", 3)])
-            triangles["corners"], triangles["vertices"] = 3, faces
+        for rows in _portions(len(points)):
+            table = np.empty(len(points[rows]), dtype=fields)
+            for values, names in ((points[rows].T, "xyz"), (np.asarray(rgb[rows], dtype=np.uint8).T, _COLOURS)):
+                for column, name in zip(values, names, strict=True):
+                    table[name] = column
+            for name, values in scalars.items():
+                table[SCALAR + name] = values[rows]
+            stream.write(table.view(np.uint8).data)
+        if faces is None:
+            return
+        for rows in _portions(len(faces)):
+            triangles = np.empty(len(faces[rows]), dtype=[("corners", "u1"), ("vertices", "<i4", 3)])
+            triangles["corners"], triangles["vertices"] = 3, faces[rows]
             stream.write(triangles.view(np.uint8).data)
+
+
+def _portions(count: int) -> Iterator[slice]:
+    return (slice(first, first + _PORTION) for first in range(0, count, _PORTION))
 
 
 def _crs_comments(crs: CRS | None) -> list[str]:

@@ -86,11 +86,12 @@ def test_parts_that_meet_in_one_vertex_are_closed_each_for_itself():
     from survey.export.bed_surface import solid_of
 
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
-    vertices, faces = solid_of(corners, np.array([[0, 1, 2], [0, 3, 4]]), 0.5)
+    vertices, faces, above = solid_of(corners, np.array([[0, 1, 2], [0, 3, 4]]), 0.5)
     body = trimesh.Trimesh(vertices, faces, process=False)
     assert body.is_watertight
     assert body.volume == pytest.approx(2 * 0.5 * 0.5)
     assert len(vertices) == 2 * 6
+    np.testing.assert_array_equal(vertices[:, :2], corners[above, :2])
 
 
 def test_normals_point_up_and_on_walls_to_the_side_that_is_open(rng):

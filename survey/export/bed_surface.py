@@ -13,11 +13,12 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import Delaunay, QhullError, cKDTree
+from scipy.spatial import cKDTree
 
 from geo.files import library_for
 from geo.shapes import Mesh
 from survey.errors import SurveyError
+from survey.export.plan_triangles import surest, triangles
 
 METHODS = ("delaunay", "poisson")
 _NEIGHBOURS = 12
@@ -64,7 +65,8 @@ def bed_surface(
     Returns
     -------
     Mesh
-        In the frame of the points, faces counter-clockwise from above. A vertex has the colour of the point next to it.
+        In the frame of the points, faces counter-clockwise from above. A vertex has the colour of the point next to it,
+        on the bottom that of the surface above.
 
     Raises
     ------
@@ -76,18 +78,20 @@ def bed_surface(
     if method not in METHODS:
         raise SurveyError(f"--mesh-method is {method}, expected one of {', '.join(METHODS)}")
     if method == "delaunay":
-        vertices, faces = delaunay_surface(points, std, spacing_m)
+        chosen, faces = delaunay_surface(points, std, spacing_m)
+        vertices, colours = points[chosen], rgb[chosen]
     else:
         vertices, faces = poisson_surface(points, spacing_m, path)
+        colours = rgb[cKDTree(points).query(vertices, workers=-1)[1]]
     if not len(faces):
         raise SurveyError(
             f"{len(points):,} points make no surface at --resolution {spacing_m:g}: none of them lie as "
             "close together as that asks, yet apart; give a length near the spacing of the points"
         )
     if watertight:
-        vertices, faces = solid_of(vertices, faces, spacing_m)
-    _, nearest = cKDTree(points).query(vertices, workers=-1)
-    return Mesh(vertices, faces, rgb=rgb[nearest])
+        vertices, faces, above = solid_of(vertices, faces, spacing_m)
+        colours = colours[above]
+    return Mesh(vertices, faces, rgb=colours)
 
 
 def oriented_normals(points: np.ndarray) -> np.ndarray:
@@ -162,7 +166,7 @@ def poisson_surface(points: np.ndarray, spacing_m: float, path: str | Path) -> t
     return without_loose(vertices, faces[np.isfinite(distance)[faces].all(axis=1)])
 
 
-def solid_of(vertices: np.ndarray, faces: np.ndarray, thickness_m: float) -> tuple[np.ndarray, np.ndarray]:
+def solid_of(vertices: np.ndarray, faces: np.ndarray, thickness_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The surface on a block: walls down from every rim, to a bottom below the lowest vertex.
 
     Parameters
@@ -179,6 +183,8 @@ def solid_of(vertices: np.ndarray, faces: np.ndarray, thickness_m: float) -> tup
         Those of the surface first, doubled where two parts of it met in one vertex only.
     faces : (F', 3) int
         Each edge has exactly two, with opposite directions. Holes of the surface become shafts.
+    above : (2 V',) int
+        Number of the vertex of the surface that each stands for.
     """
     faces, kept = _parted(faces)
     top = vertices[kept]
@@ -188,7 +194,7 @@ def solid_of(vertices: np.ndarray, faces: np.ndarray, thickness_m: float) -> tup
     rim = _rim(faces)
     a, b = rim.T
     walls = np.concatenate([np.stack([b, a, a + number], 1), np.stack([b, a + number, b + number], 1)])
-    return np.concatenate([top, bottom]), np.concatenate([faces, faces[:, ::-1] + number, walls])
+    return np.concatenate([top, bottom]), np.concatenate([faces, faces[:, ::-1] + number, walls]), np.tile(kept, 2)
 
 
 def _rim(faces: np.ndarray) -> np.ndarray:
@@ -235,31 +241,17 @@ def delaunay_surface(points: np.ndarray, std: np.ndarray, spacing_m: float) -> t
 
     Returns
     -------
-    vertices : (V, 3) [m]
-        Points of the cloud.
+    numbers : (V,) int
+        The points that are vertices.
     faces : (F, 3) int
         Without those that have a side of more than `LONGEST` spacings in plan.
     """
-    chosen = points[_surest(points, std, spacing_m)]
-    try:
-        # Qhull loses digits where coordinates are large.
-        triangles = Delaunay(chosen[:, :2] - chosen[:, :2].mean(axis=0)).simplices
-    except (QhullError, ValueError):  # fewer than three points, or all on one line
-        return chosen, np.zeros((0, 3), dtype=np.int64)
-    sides = np.linalg.norm((chosen[triangles] - chosen[np.roll(triangles, 1, axis=1)])[..., :2], axis=2)
-    return without_loose(chosen, triangles[sides.max(axis=1) < LONGEST * spacing_m])
-
-
-def _surest(points: np.ndarray, std: np.ndarray, cell_m: float) -> np.ndarray:
-    """Numbers of the points with the smallest std of their cells."""
-    column, row = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / cell_m).astype(np.int64).T
-    cell = row * (column.max() + 1) + column
-    order = np.lexsort((np.where(np.isfinite(std), std, np.inf), cell))
-    ordered = cell[order]
-    return order[np.append(True, ordered[1:] != ordered[:-1])]
+    chosen = surest(points, std, spacing_m)
+    return without_loose(chosen, triangles(points[chosen, :2], LONGEST * spacing_m, spacing_m))
 
 
 def without_loose(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The mesh without vertices that no face has."""
-    used, numbers = np.unique(faces, return_inverse=True)
-    return vertices[used], numbers.reshape(-1, 3).astype(np.int64)
+    used = np.zeros(len(vertices), dtype=bool)
+    used[faces] = True
+    return vertices[used], (np.cumsum(used) - 1)[faces]

@@ -19,8 +19,8 @@ from geo.crs import parse_crs
 from geo.frames import LocalFrame
 from refract import FlatWater, PinholeCamera
 from refract.curved import WavyWater
-from refract.fresnel import fresnel_coefficients
 from refract.lens import Lens, normalised
+from refract.snell import fresnel_coefficients
 from survey.simulate.ground.ground import BED, Ground, Material, seen_area, shade_of_map
 from survey.simulate.ground.paint import in_texels, light_of_bed, noise, sand, skin_from_above
 from survey.simulate.ground.shapes import BedGrid

@@ -16,8 +16,7 @@ from fields.volume.photographs import Photographs
 from geo import read_reference
 from refract import FlatWater, PinholeCamera
 from survey.folder.survey import load_image, load_survey
-from survey.simulate.ground.ground import NOTHING, Ground, Material, plane
-from survey.simulate.ground.objects import place_object, skin_of_bed
+from survey.simulate.ground.ground import NOTHING, Ground, Material, place_object, plane, skin_of_bed
 from survey.simulate.ground.shapes import TriangleMesh
 from survey.simulate.light import Light
 from survey.simulate.render.direct import DirectRenderer

@@ -137,7 +137,7 @@ def _ground(bed: BedGrid, look: Material, leaves: list[Leaf], paints: list[np.nd
 
 
 def _skin(solid: Solid, image: np.ndarray, texel_m: float = 0.008) -> ImageSkin:
-    """A periodic speckle along the axes of local, as `survey.simulate.ground.objects` lays one."""
+    """A periodic speckle along the axes of local, as `survey.simulate.ground.ground` lays one."""
     axes = np.eye(3)[[[1, 2], [2, 0], [0, 1]]] / texel_m
     texel_from_point = np.concatenate([axes, np.zeros((3, 2, 1))], axis=-1)
     return ImageSkin(image, texel_from_point, np.abs(solid.normals).argmax(axis=1), repeats=True)

@@ -19,8 +19,7 @@ from evaluation.baselines import apparent_points, per_camera, times_index
 from evaluation.bootstrap import Blocks, mean_interval, spatial_blocks
 from evaluation.c2m import MeshDistances, distance_to_mesh
 from evaluation.completeness import distance_to_cloud, f_score, is_outlier, is_reached, sample_mesh
-from evaluation.images.feature_similarity import fsim, vsi
-from evaluation.images.quality import gmsd, image_quality, ms_gmsd, ms_ssim, psnr, ssim
+from evaluation.images.quality import fsim, gmsd, image_quality, ms_gmsd, ms_ssim, psnr, ssim, vsi
 from evaluation.local_surface import LocalSurface, local_surface
 from evaluation.m3c2 import M3C2Distances, m3c2_distances
 from evaluation.standards import AsprsAccuracy, IhoS44, asprs_vertical, iho_s44

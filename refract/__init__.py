@@ -4,7 +4,6 @@
 
 from refract._numbers import OutsideFit
 from refract.camera import PinholeCamera
-from refract.fresnel import fresnel_coefficients
 from refract.layers import LayeredPath, ParallelLayers
 from refract.media import channel_indices, water_index
 from refract.paths import BentPaths, trace
@@ -16,6 +15,7 @@ from refract.snell import (
     bend,
     bend_regime,
     counts,
+    fresnel_coefficients,
     tangential_shift,
     true_depth,
 )

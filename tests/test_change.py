@@ -16,7 +16,7 @@ from geo.las import read_cloud, write_cloud
 from geo.reproject import Reprojection
 from geo.vectors import Layer, write_geojson, write_geopackage
 from survey.change.change import ChangeOptions, aligned, change_between
-from survey.change.volume import Correlation, Differences, measured_correlation, volume_of
+from survey.change.differences import Correlation, Differences, measured_correlation, volume_of
 
 SHAPE, SIDE, LENGTH = (48, 60), 0.5, 1.5
 

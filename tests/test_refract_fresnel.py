@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from refract.fresnel import fresnel_coefficients
+from refract.snell import fresnel_coefficients
 
 N = 1.333
 BREWSTER, CRITICAL = math.atan(N), math.asin(1.0 / N)

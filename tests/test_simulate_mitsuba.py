@@ -13,8 +13,7 @@ from refract import FlatWater, PinholeCamera
 from refract.curved import HeightFieldWater, WavyWater
 from refract.lens import Lens
 from survey.errors import ConfigError
-from survey.simulate.ground.ground import Ground, Material, shade_of_normals
-from survey.simulate.ground.objects import skin_of_bed
+from survey.simulate.ground.ground import Ground, Material, shade_of_normals, skin_of_bed
 from survey.simulate.ground.shapes import BedGrid, rotation
 from survey.simulate.light import Light
 from survey.simulate.render.direct import DirectRenderer

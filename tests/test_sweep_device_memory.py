@@ -13,7 +13,7 @@ from slow_cases import slow
 from fields.device import choose_device, memory_bytes
 from fields.sweep import device_filters, images_device
 from fields.sweep.block import Block
-from fields.sweep.kernels import arrays, flat
+from fields.sweep.kernels import arrays
 from fields.sweep.maps import HeightMap
 from fields.sweep.passes import Pass, StepSearch
 from fields.sweep.sweep import DeviceMaps, EarlierMaps, device_map_store, sweep
@@ -137,7 +137,7 @@ def test_between_the_passes_the_host_is_told_numbers_and_tiles_alone(apart, monk
         return told_of
 
     for module, name in (
-        (flat, "as_numpy"),
+        (arrays, "as_numpy"),
         (images_device, "as_numpy"),
         (device_filters, "as_numpy"),
         (arrays, "host"),

@@ -11,8 +11,7 @@ from scipy import ndimage
 
 from fields.sweep import images_device, images_host
 from fields.sweep.kernels import stack
-from fields.sweep.kernels.arrays import floats
-from fields.sweep.kernels.flat import as_numpy, flatten
+from fields.sweep.kernels.arrays import as_numpy, flatten, floats
 from fields.sweep.maps import HeightMap
 from fields.sweep.tiles import Tiles
 

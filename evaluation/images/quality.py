@@ -1,19 +1,181 @@
-"""Image quality measures: PSNR, SSIM, MS-SSIM, GMSD, MS-GMSD; no network and no weights.
+"""Image quality measures: PSNR, SSIM, MS-SSIM, GMSD, MS-GMSD, FSIM, VSI; no network and no weights.
 
-FSIM and VSI are in `evaluation.images.feature_similarity`, LPIPS and DISTS in `evaluation.images.learned_similarity`.
-Images are (H, W) or (H, W, 3), 0 to 1.
+LPIPS and DISTS are in `evaluation.images.learned_similarity`. Images are (H, W) or (H, W, 3), 0 to 1.
+
+FSIM (phase congruency) and VSI (visual saliency) look at images whose shorter side is about 256 pixels: larger ones are
+averaged over squares of pixels first. In phase congruency, where the waves that make up an image are in step, there is
+an edge or a corner, dark or bright.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from functools import partial
 
+import cv2
 import numpy as np
 from scipy import ndimage
 
-from evaluation.images.feature_similarity import fsim, vsi
-from evaluation.images.inputs import PREWITT, checked_pair, gradient, largest_rectangle, pooled, similarity, yiq
+from evaluation.images.inputs import PREWITT, SCHARR, checked_pair, gradient, largest_rectangle, pooled, similarity, yiq
+
+_SIDE_PX = 256
+# FSIM, Zhang et al. 2011, section IV-A: of phase congruency, gradients and colour; exponent of colour.
+_T1, _T2, _T3, _LAMBDA = 0.85, 160.0, 200.0, 0.03
+# VSI, Zhang et al. 2014, table II: of saliency, gradients and colour; exponents of gradients and colour.
+_VSI_C1, _VSI_C2, _C3, _ALPHA, _BETA = 1.27, 386.0, 130.0, 0.40, 0.02
+# Its saliency: frequency and spread of the band-pass, spread of the centre [px] and of colour.
+_OMEGA, _SIGMA_F, _SIGMA_D, _SIGMA_C = 0.021, 1.34, 145.0, 0.001
+# Opponent colours L, M, N (Geusebroek et al. 2001), as VSI has them.
+_LMN = np.array([[0.06, 0.63, 0.27], [0.30, 0.04, -0.35], [0.34, -0.60, 0.17]])
+# The parameters with which FSIM uses it: Zhang et al. 2011, section IV-A, and the code of P. Kovesi that it names.
+_SCALES, _ORIENTATIONS = 4, 4
+_SHORTEST_PX, _STEP, _BANDWIDTH = 6.0, 2.0, 0.55
+_ANGLE_SPREAD = math.pi / (_ORIENTATIONS * 1.2)
+_CUTOFF, _ORDER = 0.45, 15
+# Energy below the noise's mean plus this many of its standard deviations counts as zero; the divisor of that limit.
+_NOISE_STDS, _NOISE_SHARE = 2.0, 1.7
+
+
+def fsim(reference: np.ndarray, image: np.ndarray) -> float:
+    """Feature similarity, with its term for colour (FSIMc) of colour images; 1 for equal images.
+
+    Notes
+    -----
+    L. Zhang, L. Zhang, X. Mou, D. Zhang, FSIM: a feature similarity index for image quality assessment, IEEE
+    Transactions on Image Processing 20 (2011), equations 5 to 11. Pixels count by the larger phase congruency.
+    """
+    pair = checked_pair(reference, image, smallest=16)
+    size = _pool_size(pair[0])
+    x, y = (pooled(yiq(255.0 * v), size) for v in pair)
+    pc_x, pc_y = phase_congruency(x[0]), phase_congruency(y[0])
+    score = similarity(pc_x, pc_y, _T1) * similarity(gradient(x[0], SCHARR), gradient(y[0], SCHARR), _T2)
+    if len(x) == 3:
+        # Of a negative product the power is complex; its size is taken.
+        score = score * np.abs(similarity(x[1], y[1], _T3) * similarity(x[2], y[2], _T3)) ** _LAMBDA
+    weight = np.maximum(pc_x, pc_y)
+    # Two images without any feature have all the same features.
+    return float((score * weight).sum() / weight.sum()) if weight.any() else 1.0
+
+
+def vsi(reference: np.ndarray, image: np.ndarray) -> float:
+    """Visual saliency induced index of two colour images (H, W, 3); 1 for equal images.
+
+    Raises
+    ------
+    ValueError
+        If the images are grey, and as `evaluation.images.inputs.checked_pair`.
+
+    Notes
+    -----
+    L. Zhang, Y. Shen, H. Li, VSI: a visual saliency-induced index for perceptual image quality assessment, IEEE
+    Transactions on Image Processing 23 (2014), equations 6 to 10. Pixels count by the larger saliency.
+    """
+    pair = checked_pair(reference, image, smallest=16)
+    if pair[0].ndim != 3:
+        raise ValueError("VSI looks at colours, got grey images; use fsim or gmsd")
+    size = _pool_size(pair[0])
+    vs_x, vs_y = (pooled(_saliency(v), size) for v in pair)
+    x, y = (pooled(np.einsum("cd,hwd->chw", _LMN, 255.0 * v), size) for v in pair)
+    gradients = similarity(gradient(x[0], SCHARR), gradient(y[0], SCHARR), _VSI_C2)
+    colour = similarity(x[1], y[1], _C3) * similarity(x[2], y[2], _C3)
+    # The real part of the power, where the product is negative.
+    powered = np.abs(colour) ** _BETA * np.where(colour < 0.0, np.cos(np.pi * _BETA), 1.0)
+    score = similarity(vs_x, vs_y, _VSI_C1) * gradients**_ALPHA * powered
+    weight = np.maximum(vs_x, vs_y)
+    return float((score * weight).sum() / weight.sum()) if weight.any() else 1.0
+
+
+def _saliency(image: np.ndarray) -> np.ndarray:
+    """Saliency (H, W), 0 to 1: by a band of frequencies, distance from the centre, and colour.
+
+    L. Zhang, Z. Gu, H. Li, SDSP: a novel saliency detection method by combining simple priors, ICIP (2013).
+    """
+    height, width = image.shape[:2]
+    small = cv2.resize(image, (_SIDE_PX, _SIDE_PX), interpolation=cv2.INTER_LINEAR)
+    lab = cv2.cvtColor(small.astype(np.float32), cv2.COLOR_RGB2Lab).astype(np.float64)
+    along = np.fft.fftfreq(_SIDE_PX)
+    radius = np.hypot(*np.meshgrid(along, along))
+    band = np.where(radius <= 0.5, log_gabor(radius, _OMEGA, np.exp(_SIGMA_F)), 0.0)
+    passed = np.fft.ifft2(np.fft.fft2(lab, axes=(0, 1)) * band[..., None], axes=(0, 1)).real
+    frequency = np.linalg.norm(passed, axis=2)
+    from_centre = np.arange(_SIDE_PX) - _SIDE_PX // 2 + 1.0
+    central = np.exp(-np.add.outer(from_centre**2, from_centre**2) / _SIGMA_D**2)
+    a_b = _stretched(lab, axis=(0, 1))[..., 1:]
+    coloured = 1.0 - np.exp(-(a_b**2).sum(axis=2) / _SIGMA_C**2)
+    return _stretched(_resized(frequency * central * coloured, height, width))
+
+
+def _resized(image: np.ndarray, height: int, width: int) -> np.ndarray:
+    """An image in another size, bilinearly, its corners on the corners."""
+    rows, columns = (np.linspace(0.0, n - 1.0, m) for n, m in zip(image.shape, (height, width), strict=True))
+    at_columns, at_rows = np.meshgrid(columns.astype(np.float32), rows.astype(np.float32))
+    return cv2.remap(image, at_columns, at_rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+def _stretched(values: np.ndarray, axis=None) -> np.ndarray:
+    """Values from 0 to 1 along some axes; 0 where all are equal."""
+    low, high = values.min(axis=axis, keepdims=True), values.max(axis=axis, keepdims=True)
+    return (values - low) / np.where(high > low, high - low, 1.0)
+
+
+def _pool_size(image: np.ndarray) -> int:
+    return max(1, round(min(image.shape[:2]) / _SIDE_PX))
+
+
+def phase_congruency(image: np.ndarray) -> np.ndarray:
+    """Phase congruency (H, W), 0 to 1, of an image (H, W).
+
+    Notes
+    -----
+    P. Kovesi, Image features from phase congruency, Videre 1 (1999), with the noise taken from the median response at
+    the finest scale. Each orientation gives the sum over scales of ``A (cos d - |sin d|)``, A the amplitude and d the
+    difference of its phase from the mean, less the noise; the sum of those over the sum of all amplitudes is the phase
+    congruency.
+    """
+    radius, angle = _polar_frequencies(image.shape)
+    radial = [log_gabor(radius, 1.0 / (_SHORTEST_PX * _STEP**s), _BANDWIDTH) for s in range(_SCALES)]
+    low_pass = 1.0 / (1.0 + (radius / _CUTOFF) ** (2 * _ORDER))
+    spectrum = np.fft.fft2(image)
+    energy, amplitudes = np.zeros(image.shape), np.full(image.shape, np.finfo(float).eps)
+    for orientation in range(_ORIENTATIONS):
+        off = angle - orientation * math.pi / _ORIENTATIONS
+        spread = np.exp(-(np.arctan2(np.sin(off), np.cos(off)) ** 2) / (2.0 * _ANGLE_SPREAD**2))
+        filters = np.stack([r * low_pass * spread for r in radial])
+        response = np.fft.ifft2(spectrum * filters)
+        total = response.sum(axis=0)
+        unit = total / (np.abs(total) + np.finfo(float).eps)
+        # Real part: along the mean phase; imaginary part: across it.
+        turned = response * unit.conj()
+        energy += np.maximum((turned.real - np.abs(turned.imag)).sum(axis=0) - _noise(response[0], filters), 0.0)
+        amplitudes += np.abs(response).sum(axis=0)
+    return energy / amplitudes
+
+
+def log_gabor(radius: np.ndarray, centre: float, spread: float) -> np.ndarray:
+    """Gaussian over the logarithm of the frequency, without direct current; frequencies in cycles per pixel.
+
+    ``spread`` is the ratio of the standard deviation to the centre, in logarithms.
+    """
+    safe = np.where(radius > 0.0, radius, 1.0)
+    return np.where(radius > 0.0, np.exp(-(np.log(safe / centre) ** 2) / (2.0 * math.log(spread) ** 2)), 0.0)
+
+
+def _polar_frequencies(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Frequency [cycles per pixel] and angle (counter-clockwise, rows down) of each term of a spectrum."""
+    down, across = np.meshgrid(*(np.fft.fftfreq(n) for n in shape), indexing="ij")
+    return np.hypot(across, down), np.arctan2(-down, across)
+
+
+def _noise(finest: np.ndarray, filters: np.ndarray) -> float:
+    """Energy that noise alone would show; its power is taken from the median response at the finest scale."""
+    power = np.median(np.abs(finest) ** 2) / math.log(2.0) / np.sum(filters[0] ** 2)
+    # Terms of one filter and of pairs of them together are the square of their sum.
+    shapes = np.fft.ifft2(filters).real.sum(axis=0)
+    tau = math.sqrt(power * float(np.sum(shapes**2)) * filters[0].size)
+    mean, std = tau * math.sqrt(math.pi / 2.0), tau * math.sqrt(2.0 - math.pi / 2.0)
+    return (mean + _NOISE_STDS * std) / _NOISE_SHARE
+
 
 # Wang et al. 2004: Gaussian window and the constants that keep quotients finite.
 _WINDOW_PX, _SIGMA_PX = 11, 1.5

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from fields.sweep import images_host
-from fields.sweep.kernels.flat import (
+from fields.sweep.kernels.arrays import (
     arange,
     as_numpy,
     count_true,

@@ -16,8 +16,7 @@ import numpy as np
 from fields.device import Device
 from fields.sweep import device_filters, images_host
 from fields.sweep.device_filters import Place
-from fields.sweep.kernels.arrays import floats
-from fields.sweep.kernels.flat import (
+from fields.sweep.kernels.arrays import (
     arange,
     as_numpy,
     constant_array,
@@ -25,6 +24,7 @@ from fields.sweep.kernels.flat import (
     count_true,
     evaluate,
     flatten,
+    floats,
     gather,
     kth_smallest,
     nonzero,

@@ -17,8 +17,19 @@ import numpy as np
 from geo.files import existing_file
 from geo.lines import cells_inside, read_polygons
 from geo.raster import RasterBand, RasterForm, is_our_tiff, write_cog
-from survey.change.surveys import ChangeError, StatedStd, cloud_path, differences_of
-from survey.change.volume import CHANGED, MAD_TO_STD, Correlation, Differences, Volume, measured_correlation, volume_of
+from survey.change.differences import (
+    CHANGED,
+    MAD_TO_STD,
+    ChangeError,
+    Correlation,
+    Differences,
+    StatedStd,
+    Volume,
+    cloud_path,
+    differences_of,
+    measured_correlation,
+    volume_of,
+)
 from survey.display.quantities import MINUS, length, share
 from survey.export.bed_cells import PlanCells
 from survey.files.json_values import write_json

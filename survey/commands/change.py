@@ -85,7 +85,7 @@ def run(
     """
     with command(verbose, quiet, json or tif or picture or run_a, reads=run_a) as results:
         from survey.change.change import ChangeOptions, change_between, rows_of
-        from survey.change.surveys import StatedStd
+        from survey.change.differences import StatedStd
 
         options = ChangeOptions(
             area=area,

@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from fields.sweep.kernels.flat import flatten, nonzero, scalar
+from fields.sweep.kernels.arrays import flatten, nonzero, scalar
 from fields.sweep.kernels.stack import CameraTerms, ViewStack
 from fields.sweep.kernels.water import KernelWater
 from refract import kernels

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from refract import FlatWater, PinholeCamera
-from refract.fresnel import fresnel_coefficients
+from refract.snell import fresnel_coefficients
 from survey.errors import SurveyError
 from survey.simulate.light import Light
 

@@ -21,8 +21,16 @@ from survey.progress import current
 from survey.simulate.drawn.ground import build_ground
 from survey.simulate.drawn.settings import DrawnScene
 from survey.simulate.flight.coverage import BedCoverage, coverage, picture
-from survey.simulate.ground.ground import Ground, Material, plane, seen_area, shade_of_normals
-from survey.simulate.ground.objects import place_object, require_texels, skin_of_bed
+from survey.simulate.ground.ground import (
+    Ground,
+    Material,
+    place_object,
+    plane,
+    require_texels,
+    seen_area,
+    shade_of_normals,
+    skin_of_bed,
+)
 from survey.simulate.ground.shapes import BedGrid, TriangleMesh
 from survey.simulate.light import Light
 from survey.simulate.output.sidecars import StagedScene, cameras_csv

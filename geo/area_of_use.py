@@ -101,8 +101,7 @@ _STEP_DEG = 5.0
 _ROWS, _COLUMNS = 37, 72
 # From 90 degrees south and 180 degrees west: int8, packed by zlib, in base 85.
 _PACKED = (
-    "c-"
-    "pO2S#R6u6(vQ9izsdqwac<3?~4>C_SlIXkCW+a4{aa%;|dfl(4s|W+J~UPV2YwZXFAR{Nyd&>$yzLm+V`ClMT(;OIsFTBNf6)z?{|6bz2}@l;pd4"
+    "c-pO2S#R6u6(vQ9izsdqwac<3?~4>C_SlIXkCW+a4{aa%;|dfl(4s|W+J~UPV2YwZXFAR{Nyd&>$yzLm+V`ClMT(;OIsFTBNf6)z?{|6bz2}@l;pd4"
     "=GIf(k#BY-6bVd+_La|&a7E0Ad6-2w+?sR*-Ucc8H42JSZ8Qp~}4SJncqgE-"
     "3LiYAH1FqY2_9qZ0Kb^imzf9bu(wQ7c(WurN&1R$3?R2~Sp)^v|$#e!IW|P^1;<&|vnqgx+Xx9ot>gM|F{rl5*C#R>+kB^UkIDY=_{5p}o%@)elX"
     "1m*$G;p+{>QiGjGh0c5q!^ZCSq9t`Mc^1}n#kR1{x%gqKYjc9^_$nPUOfj%UcCJA?a9S;GLy~aE7hhn(#@0whD?YFHkr%>Ni#IZIzjmTeqVs&SPD"

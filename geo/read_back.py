@@ -100,8 +100,7 @@ def _require_crs(found: rasterio.crs.CRS | None, crs: CRS, path: Path) -> None:
     if read is None:
         raise UnwritableFile(
             f"cannot write {path}: the CRS {crs.name} cannot be read back from this format; export in one of common "
-            "EPSG "
-            "codes (--crs), e.g. the UTM zone with a height datum."
+            "EPSG codes (--crs), e.g. the UTM zone with a height datum."
         )
     difference = crs_difference(read, crs)
     if difference is not None or (has_height(crs) and not has_height(read)):

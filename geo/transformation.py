@@ -310,29 +310,21 @@ def _chosen(source: CRS, target: CRS, middle: np.ndarray) -> _Chosen:
     area = area_about(*middle.tolist())
     try:
         group = operations(source, target, area)
-    except ProjError as error:
-        raise UnsupportedCRS(
-            f"the transformation from {called(source)} to {called(target)} is not known to PROJ ({str(error)[:80]}); "
-            "choose "
-            "another CRS"
-        ) from error
-    better = () if group.best_available else group.unavailable_operations[:1]
-    missing = tuple(grid.short_name for operation in better for grid in operation.grids if not grid.available)
-    if group.transformers:
-        best = group.transformers[0]
-        return _Chosen(best, best.accuracy if best.accuracy >= 0.0 else None, missing)
-    elsewhere = [] if missing else _known_operations(source, target)
-    if elsewhere:
-        return _Chosen(elsewhere[0], _spread_m(elsewhere, source, target, middle), (), is_outside=True)
-    try:
+        better = () if group.best_available else group.unavailable_operations[:1]
+        missing = tuple(grid.short_name for operation in better for grid in operation.grids if not grid.available)
+        if group.transformers:
+            best = group.transformers[0]
+            return _Chosen(best, best.accuracy if best.accuracy >= 0.0 else None, missing)
+        elsewhere = [] if missing else _known_operations(source, target)
+        if elsewhere:
+            return _Chosen(elsewhere[0], _spread_m(elsewhere, source, target, middle), (), is_outside=True)
         # An unknown datum is taken for that of the other.
         transformer = Transformer.from_crs(source, target, always_xy=True, area_of_interest=area)
         return _Chosen(transformer, None, missing, is_known=bool(missing))
     except ProjError as error:
         raise UnsupportedCRS(
             f"the transformation from {called(source)} to {called(target)} is not known to PROJ ({str(error)[:80]}); "
-            "choose "
-            "another CRS"
+            "choose another CRS"
         ) from error
 
 

@@ -94,8 +94,7 @@ def height_doubts(survey: Survey, done: Adjusted) -> list[str]:
     )
     return [
         f"all heights{level} depend on the heights of the camera positions, which may have a common error of {std:g} "
-        "m; "
-        f"give {measured}control points, or [cameras] position_std_m where positions have corrections"
+        f"m; give {measured}control points, or [cameras] position_std_m where positions have corrections"
     ]
 
 

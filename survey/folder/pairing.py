@@ -69,8 +69,7 @@ def pair(found: Found, poses: Sequence[Pose]) -> tuple[dict[str, Pose], Findings
         place = found.folder / found.config.images.local_dir
         raise PosesError(
             f"only {len(paired)} of the {len(poses)} poses in {found.poses_path} belong to one of the "
-            f"{len(found.images)} images in {place}, expected at least {MIN_VIEWS}; "
-            f"{mend}"
+            f"{len(found.images)} images in {place}, expected at least {MIN_VIEWS}; {mend}"
         )
     warnings = named(without_pose, "image", "without a pose, left out")
     warnings += named([shortened(name) for name in unmatched], "pose", "without an image, left out")

@@ -112,8 +112,7 @@ def solve(problem: Problem, start: State, *, inflation: np.ndarray | None = None
     except np.linalg.LinAlgError as error:
         raise NotConvergedError(
             "the adjustment is singular: a photograph has neither a position nor enough tie points with others; give "
-            "it a "
-            "position, or leave it out"
+            "it a position, or leave it out"
         ) from error
 
 

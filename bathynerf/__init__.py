@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from survey.errors import SurveyError
     from survey.export.export import export
     from survey.export.product import ExportOptions
+    from survey.export.profiles import Profile, profiles_along
     from survey.export.render import render
     from survey.folder.survey import Survey as LoadedSurvey
     from survey.folder.survey import load_survey
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
     from survey.photos.cameras import View
     from survey.plan.choices import Choices
     from survey.plan.plan import Plan, make_plan
-    from survey.profile.profiles import Profile, profiles_along
     from survey.progress import Progress
     from survey.run.process import process
     from survey.simulate.drawn import draw_survey
@@ -120,7 +120,7 @@ _MODULES = {
     "survey.photos.cameras": ("View",),
     "survey.plan.choices": ("Choices",),
     "survey.plan.plan": ("Plan", "make_plan"),
-    "survey.profile.profiles": ("Profile", "profiles_along"),
+    "survey.export.profiles": ("Profile", "profiles_along"),
     "survey.progress": ("Progress",),
     "survey.run.process": ("process",),
     "survey.export.render": ("render",),

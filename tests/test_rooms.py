@@ -44,7 +44,6 @@ LAYERS = (
         "survey/benchmark",
         "survey/change",
         "survey/marking",
-        "survey/profile",
         "survey/volume",
     },
     {"survey/handles"},
@@ -83,7 +82,7 @@ DISK = (
 DISK_FOLDERS = (
     {"geo", "survey"}
     | {f"survey/{name}" for name in ("commands", "control", "files", "folder", "init", "marking", "photos")}
-    | {f"survey/{name}" for name in ("benchmark", "export", "handles", "pose_files", "profile", "run", "sfm", "water")}
+    | {f"survey/{name}" for name in ("benchmark", "export", "handles", "pose_files", "run", "sfm", "water")}
     | {"survey/simulate/output", "survey/simulate/staging", "survey/volume"}
 )
 GIVEN_PATHS = {"Path", "RunDir"}

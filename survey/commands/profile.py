@@ -1,4 +1,4 @@
-"""`bathynerf profile`: the options and results of `survey.profile`."""
+"""`bathynerf profile`: the options and results of `survey.export.profiles`."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def run(
 ) -> None:
     """Draw profiles of the bed along lines: bed, water, standard deviation, reference."""
     with command(verbose, quiet, csv or picture or dxf or run, reads=run) as results:
-        from survey.profile.profiles import profiles_along, subtitle_of
+        from survey.export.profiles import profiles_along, subtitle_of
 
         found = profiles_along(
             run, lines, step_m=step, reference=reference, csv_path=csv, picture_path=picture, dxf_path=dxf

@@ -21,9 +21,9 @@ from geo.shapes import Cloud
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun
 from survey.export.product import ExportOptions
+from survey.export.profiles import Bed, Profile
 from survey.export.registry import PRODUCTS
 from survey.files.json_values import read_json_object
-from survey.profile.profiles import Bed, Profile
 from survey.run.folder import RunDir
 
 if TYPE_CHECKING:
@@ -225,7 +225,7 @@ class Run:
         axes: Axes | None = None,
     ) -> Figure:
         """A picture of `profile`, into axes or a figure of its own."""
-        from survey.profile.profiles import draw, figure_of
+        from survey.export.profiles import draw, figure_of
 
         profile = self.profile(line, step_m=step_m, reference=reference, name=name)
         if axes is None:

@@ -18,7 +18,7 @@ from geo.crs import height_unit_m, horizontal_crs
 from geo.errors import UnreadableFile
 from geo.las import write_cloud
 from geo.lines import Line, read_lines
-from survey.profile.profiles import COLUMNS, Bed, ProfileError, profiles_along
+from survey.export.profiles import COLUMNS, Bed, ProfileError, profiles_along
 
 UTM = CRS("EPSG:25832+7837")
 # Of the plane: height in the middle, rise per metre east and north.

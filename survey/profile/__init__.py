@@ -1,1 +1,0 @@
-"""Profiles of the bed along lines: bed, water, standard deviations and a reference."""

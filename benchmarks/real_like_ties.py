@@ -21,7 +21,7 @@ from survey.errors import PosesError
 from survey.folder.survey import Survey, load_survey
 from survey.photos.poses import TiePoints, least_track, parts_of
 from survey.sfm import block as sfm_block
-from survey.sfm.solve import Free, aliases
+from survey.sfm.solve import Free, Photographs, aliases
 from survey.simulate.ground.shapes import BedGrid
 
 # Points to the square metre, the share of them that each photograph has, and of false ones among these.
@@ -41,8 +41,8 @@ def adjusted_by_ties(block: RealLikeBlock, folder: Path, bed: BedGrid) -> tuple[
     taken = block.taken(np.random.default_rng([block.seed, 34]))
     ties = _ties(flight, taken, bed, np.random.default_rng([block.seed, 36]))
 
-    def solve(images: Mapping[str, Path], *_others: object) -> Free:
-        return _free(ties, taken, flight, aliases(images), np.random.default_rng([block.seed, 37]))
+    def solve(photographs: Photographs, *_others: object) -> Free:
+        return _free(ties, taken, flight, aliases(photographs.images), np.random.default_rng([block.seed, 37]))
 
     again = _ties(flight, taken, bed, np.random.default_rng([block.seed, 38]))
 

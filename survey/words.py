@@ -58,6 +58,15 @@ class Poses(StrEnum):
     refine = "refine"
 
 
+class Mapper(StrEnum):
+    """Mappers of structure from motion: as the plan decides, photograph by photograph, in parts, or all at once."""
+
+    auto = "auto"
+    incremental = "incremental"
+    hierarchical = "hierarchical"
+    global_ = "global"
+
+
 # Of photographs: each is half of the one before.
 SCALES = (1.0, 0.5, 0.25, 0.125, 0.0625)
 

@@ -185,20 +185,30 @@ def _seen(rng, lens: Lens, cameras, path: np.ndarray, points: np.ndarray, plane:
     """Numbers of points and views and pixels of what the cameras, which fly a path (V, 3) [m] while they read, see."""
     seen = []
     for view, camera in enumerate(cameras):
-        pixel = np.full((len(points), 2), np.nan)
-        ahead = camera.project(points, plane)
+        reached = np.flatnonzero(_is_reached(lens, camera, points))
+        pixel = np.full((len(reached), 2), np.nan)
+        ahead = camera.project(points[reached], plane)
         # Distortion is a polynomial: far outside the image it would fold points back into it.
         size = np.array([lens.width, lens.height])
         near = (np.abs(ahead - 0.5 * size) < 0.6 * size).all(axis=1)
         pixel[near] = distorted(lens, ahead[near])
         if path[view].any():
             flown = replace(lens.camera(camera.centre, camera.cam_from_local), motion=path[view] / (lens.height - 1))
-            pixel[near] = flown.project(points[near], plane)
-        inside = np.flatnonzero(((pixel > 1.0) & (pixel < size - 1.0)).all(axis=1))
+            pixel[near] = flown.project(points[reached[near]], plane)
+        within = ((pixel > 1.0) & (pixel < size - 1.0)).all(axis=1)
+        inside, pixel = reached[within], pixel[within]
         # No matcher finds each point in each photograph.
-        inside = inside[rng.random(len(inside)) < 0.8]
-        seen.append((inside, np.full(len(inside), view), pixel[inside]))
+        found = rng.random(len(inside)) < 0.8
+        seen.append((inside[found], np.full(int(found.sum()), view), pixel[found]))
     return (np.concatenate(column) for column in zip(*seen, strict=True))
+
+
+def _is_reached(lens: Lens, camera: PinholeCamera, points: np.ndarray) -> np.ndarray:
+    """Which points (M, 3) a camera may see: water bends rays towards the vertical, so that straight ones go further."""
+    widest = math.atan(0.7 * math.hypot(lens.width, lens.height) / lens.focal[0])
+    steepest = min(widest + math.acos(min(-camera.cam_from_local[2, 2], 1.0)), 1.5)
+    reach = math.tan(steepest) * (camera.centre[2] - points[:, 2].min())
+    return np.hypot(*(points - camera.centre).T[:2]) < reach
 
 
 def _of_three_views(points: np.ndarray, point: np.ndarray, view: np.ndarray, pixel: np.ndarray):

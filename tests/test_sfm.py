@@ -247,21 +247,6 @@ def test_images_outside_all_blocks_are_named(rng):
     assert "some images match too little; left out: flight 18.jpg, flight 19.jpg" in note
 
 
-def test_few_images_are_tried_in_all_pairs_and_many_with_their_neighbours():
-    names = [f"{i:03d}.jpg" for i in range(100)]
-    positions = {name: np.array([10.0 * (i % 10), 10.0 * (i // 10), 0.0]) for i, name in enumerate(names)}
-    assert len(sfm_block.image_pairs(names[:8], {})) == 28
-    pairs = sfm_block.image_pairs(names, positions)
-    assert len(pairs) < 100 * 99 / 4
-    assert len(set(pairs)) == len(pairs)
-    assert all(a < b for a, b in pairs)
-    assert ("000.jpg", "011.jpg") in pairs
-    assert ("000.jpg", "099.jpg") not in pairs
-    del positions["050.jpg"]
-    lost = [pair for pair in sfm_block.image_pairs(names, positions) if "050.jpg" in pair]
-    assert len(lost) == 99
-
-
 # ---------------------------------------------------------------------------------------------- whole and errors
 
 

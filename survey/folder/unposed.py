@@ -40,7 +40,7 @@ from survey.sfm.datum import require_as_good
 from survey.sfm.gps import gps_positions, is_whole, positions_in_crs, ways_into_crs
 from survey.sfm.gps_fit import HOLD_THE_ROLL, MIN_STD_M, contradicted, line_of
 from survey.sfm.marked import BlockControl
-from survey.sfm.settings import one_focal, require_size, require_solver
+from survey.sfm.settings import one_focal, require_mapper, require_size, require_solver
 from survey.words import RUN_FOLDER, SFM_FOLDER
 
 # Heights in EXIF are not off by more standard deviations of what they have in common.
@@ -114,6 +114,7 @@ def require_solvable(found: Found) -> list[str]:
     """
     require_solver()
     cameras = found.config.cameras
+    require_mapper(cameras.mapper)
     require_level_fits_exif(found.config, found.heads, found.crs)
     for way in ways_into_crs(found.heads, found.crs, cameras.gps_height):
         std = best_plan_std(cameras, [found.heads[name] for name in way.names])
@@ -211,6 +212,8 @@ def solve_views(found: Found, workspace: Path | None, report: Callable[[str], No
         cameras.gps_height,
         cameras.size_px,
         cameras.focal_px,
+        cameras.mapper,
+        None if found.config.water is None else found.config.water.level_m,
     )
     result = solve_poses(
         photographs,

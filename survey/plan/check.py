@@ -29,6 +29,7 @@ from survey.plan.tiling import tile_doubts
 from survey.plan.workload import Workload, room_doubts, workload_of, workload_of_images
 from survey.settings.config import SurveyConfig
 from survey.sfm.datum import WELL_KNOWN_M
+from survey.sfm.settings import mapper_of
 from survey.words import RUN_FOLDER
 
 
@@ -209,8 +210,9 @@ def _without_poses(checked: Checked, chosen: Choices) -> list[CheckSection]:
     found = checked.found
     require_placeable(found.config.control.reference, chosen.poses)
     sfm = Decision("structure from motion", "on", f"there is no poses file; georeferenced by {_placed_by(found)}")
+    mapper = Decision("mapper", *mapper_of(len(found.heads), found.config.cameras.mapper))
     rest = Decision("refraction and the rest", "later", "decided once the poses are known")
-    decisions = (sfm, device_decision(chosen.device), rest)
+    decisions = (sfm, mapper, device_decision(chosen.device), rest)
     sizes = [head.size_px for head in found.heads.values()]
     workload = workload_of_images(sizes, quality=chosen.quality, scale=chosen.image_scale)
     warnings = (*checked.doubts, *room_doubts(workload, found.folder / RUN_FOLDER))

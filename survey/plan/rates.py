@@ -25,9 +25,8 @@ _CHECK_S, _ADJUST_S = (2.5, 0.1), (2.0, 2.0)
 # Windows of an adjustment: decoding and range of heights, once; searching for those of a photograph in the others, by
 # all cores. An adjustment, once and per photograph; there are two, of matches and of all.
 _WINDOWS_S, _SEARCH_S, _SOLVING_S = 2.5, 0.4, (1.0, 0.25)
-# Structure from motion: features of a megapixel, by all cores; a pair, by two; a photograph that is placed.
+# Structure from motion: features of a megapixel and a pair, by all cores; a photograph that is placed, by one.
 _FEATURES_S, _PAIR_S, _PLACING_S = 0.6, 0.1, 0.1
-_MATCHING_CORES = 2
 # Parts that a run in tiles has once for each.
 _OF_TILES = ("Sweep", "Solver", "Bed", "Boxes beside edges")
 SFM_PARTS = ("Features", "Matches", "Structure from motion")
@@ -117,7 +116,7 @@ def sfm_s(features_mpx: float, num_views: int, num_pairs: int, num_cores: int) -
     """
     seconds = (
         _FEATURES_S * features_mpx / num_cores,
-        _PAIR_S * num_pairs / min(num_cores, _MATCHING_CORES),
+        _PAIR_S * num_pairs / num_cores,
         _PLACING_S * num_views,
     )
     return dict(zip(SFM_PARTS, seconds, strict=True))

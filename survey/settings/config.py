@@ -13,6 +13,7 @@ from survey.files.remote import is_url, local_name
 from survey.files.toml_table import key, parse_toml, read_toml, require_one_of, require_positive, table_of
 from survey.settings.tables import ControlConfig, FieldConfig, ProcessConfig, require_std
 from survey.settings.water import WaterConfig, require_sane
+from survey.words import Mapper
 
 # The slowest sensors of drones read a whole frame in a tenth of a second.
 _LONGEST_READOUT_S = 0.25
@@ -70,6 +71,9 @@ class CamerasConfig:
     principal_point_px: tuple[float, float] | None = key(None, "[x, y] in pixels")
     distortion: tuple[float, ...] | None = key(None, "a list of coefficients, e.g. [k1, k2, p1, p2]")
     gps_height: str = key("crs", "crs or ellipsoidal: what heights in EXIF are", one_of=("crs", "ellipsoidal"))
+    mapper: str = key(
+        Mapper.auto.value, "one of auto, incremental, hierarchical, global: how poses are found", one_of=Mapper
+    )
     position_std_m: float | tuple[float, float, float] | None = key(None, "one number or [east, north, up] in metres")
     rotation_std_deg: float | tuple[float, float, float] | None = key(
         None, "one number or [omega, phi, kappa] in degrees"
@@ -80,6 +84,7 @@ class CamerasConfig:
 
     def __post_init__(self):
         self._require_stds()
+        require_one_of("cameras.mapper", self.mapper, tuple(Mapper))
         if self.size_px is not None and min(self.size_px) < 1:
             raise ConfigError(f"cameras.size_px is {list(self.size_px)}, expected [width, height] in whole pixels")
         focal = self.focal_px if isinstance(self.focal_px, tuple) else (self.focal_px,)

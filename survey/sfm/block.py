@@ -1,7 +1,7 @@
-"""Blocks of photographs by pycolmap: features (SIFT by OpenCV), matches, poses, and their fit to GPS positions.
+"""Blocks of photographs by pycolmap: features (SIFT by OpenCV), verified matches, and what mapping makes of them.
 
-Nothing outside this file knows pycolmap's options. Pixels are those of the stored image, whatever its EXIF
-orientation, and the centre of the first pixel is at (0.5, 0.5).
+Nothing outside this file and `survey.sfm.mapping` knows pycolmap's options. Pixels are those of the stored image,
+whatever its EXIF orientation, and the centre of the first pixel is at (0.5, 0.5).
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
 
 from geo.similarity import Similarity
 from refract.lens import Lens
@@ -23,7 +22,10 @@ from survey.photos.images import eight_bits
 from survey.photos.pixels import read_rgb
 from survey.photos.poses import TiePoints, least_track
 from survey.progress import current
-from survey.sfm.settings import ALL_PAIRS_UP_TO, FEATURES_PX, NEIGHBOURS
+from survey.sfm.likeness import VOTING, alike
+from survey.sfm.mapping import SEED, Matched
+from survey.sfm.pairs import Place, image_pairs
+from survey.sfm.settings import ALL_PAIRS_UP_TO, FEATURES_PX, solver
 
 if TYPE_CHECKING:
     import pycolmap
@@ -32,24 +34,15 @@ if TYPE_CHECKING:
 _CONTRAST = 0.02
 # A descriptor's numbers are shares of its whole, of which a byte has so many steps.
 _STEPS = 512.0
-# More threads would be faster; with two, repeated runs agree in all significant digits.
-_THREADS = 2
-_SEED = 0
 # f, cx, cy, k1, k2. With one coefficient a real block is bent by decimetres; more than two gain nothing (see tests).
 MODEL = "RADIAL"
 # Most features of an image. The adjustment uses a few hundred of them (`survey.adjust.block.observed`), and twice
 # as many take twice the time.
 _MOST_FEATURES = 4096
-# All images are adjusted whenever their number, or that of the points, has grown by this factor.
-_GROWN = 1.3
 # Pairs that are matched between two words on the progress, at least.
 _PAIRS_AT_ONCE = 100
-# Of a photograph while its features are looked for, and photographs at a time, at most.
-_BYTES_OF_FEATURES, _MOST_AT_ONCE = 2.0e9, 4
-_MIN_IMAGES = 3
-# Of two photographs: the least angle [deg] at which their rays meet, and the least number of matches, to start from.
-_PAIR_ANGLE_DEG, _PAIR_MATCHES = 1.0, 30
-_ERRORS_ONLY = 2
+# Of a photograph while its features are looked for.
+_BYTES_OF_FEATURES = 2.0e9
 
 
 def features_of(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
@@ -102,46 +95,45 @@ class CameraBody:
     focal_px: float | None  # To start from; None where nothing is known
 
 
-def solve_block(
-    folder: Path,
-    sensors: Sequence[CameraBody],
-    positions: Mapping[str, np.ndarray],
-    work: Path,
-    *,
-    say: Callable[[str], None],
-) -> list[pycolmap.Reconstruction]:
-    """Solve for poses and points, each block in a frame of its own; the largest block comes first.
+def matched(
+    folder: Path, sensors: Sequence[CameraBody], places: Mapping[str, Place], work: Path, say: Callable[[str], None]
+) -> Matched:
+    """Features and verified matches of images.
 
     Parameters
     ----------
     folder : Path
         In which the images lie.
     sensors : of all images
-    positions : mapping of name to (3,) [m]
-        Of the cameras, in any one frame; they select the pairs to match. Images without one are paired with all.
+    places : mapping of name to Place
+        Of images whose position is known; they select the pairs to match.
     work : Path
         An empty folder for the database of features.
     say : callable
         Called with a sentence on the progress.
     """
-    colmap = _pycolmap()
+    colmap = solver()
     database, names = work / "database.db", sorted(name for sensor in sensors for name in sensor.names)
-    colmap.set_random_seed(_SEED)
+    colmap.set_random_seed(SEED)
     colmap.Database.open(database).close()
     for sensor in sensors:
         # Before the features, so that images have the same numbers however threads take turns.
         colmap.import_images(database, folder, colmap.CameraMode.SINGLE, list(sensor.names), _reader(sensor))
     say(f"structure from motion: features of {len(names)} images")
     _extract(database, folder, names)
-    pairs = image_pairs(names, positions)
+    pairs = image_pairs(names, places)
+    lost = [name for name in names if name not in places]
+    if lost and len(names) > ALL_PAIRS_UP_TO:
+        say(f"structure from motion: {len(lost)} images without a position are compared with all")
+        pairs = sorted({*pairs, *_alike(database, names, lost)})
     say(f"structure from motion: matches of {len(pairs)} pairs")
-    _match(database, pairs, work)
-    return _map(database, folder, work, len(names), say)
+    _match(database, pairs, work, machine.num_cores())
+    return Matched(database, folder, work, len(names))
 
 
 def _extract(database: Path, folder: Path, names: Sequence[str]) -> None:
-    colmap = _pycolmap()
-    at_once = min(machine.num_cores(), _MOST_AT_ONCE, int(machine.free_memory_bytes() / _BYTES_OF_FEATURES))
+    colmap = solver()
+    at_once = min(machine.num_cores(), int(machine.free_memory_bytes() / _BYTES_OF_FEATURES))
     with (
         colmap.Database.open(database) as opened,
         current().stage("Features", len(names)) as step,
@@ -155,15 +147,8 @@ def _extract(database: Path, folder: Path, names: Sequence[str]) -> None:
             step.advance()
 
 
-def _pycolmap():
-    import pycolmap
-
-    pycolmap.logging.minloglevel = _ERRORS_ONLY
-    return pycolmap
-
-
 def _reader(sensor: CameraBody) -> pycolmap.ImageReaderOptions:
-    options = _pycolmap().ImageReaderOptions()
+    options = solver().ImageReaderOptions()
     options.camera_model = MODEL
     if sensor.focal_px is not None:
         width, height = sensor.size_px
@@ -171,31 +156,27 @@ def _reader(sensor: CameraBody) -> pycolmap.ImageReaderOptions:
     return options
 
 
-def image_pairs(names: Sequence[str], positions: Mapping[str, np.ndarray]) -> list[tuple[str, str]]:
-    """Pairs of images that may overlap: all of a small survey, else neighbours by position."""
-    if len(names) <= ALL_PAIRS_UP_TO:
-        return [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
-    placed = [name for name in names if name in positions]
-    if len(placed) < 2:
-        return [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
-    points = np.array([positions[name][:2] for name in placed])
-    _, nearest = cKDTree(points).query(points, k=min(NEIGHBOURS + 1, len(placed)))
-    pairs = {tuple(sorted((placed[i], placed[j]))) for i, row in enumerate(nearest) for j in row if i != j}
-    lost = set(names) - set(placed)
-    pairs |= {tuple(sorted((a, b))) for a in lost for b in names if a != b}
-    return sorted(pairs)
+def _alike(database: Path, names: Sequence[str], lost: Sequence[str]) -> list[tuple[str, str]]:
+    """Pairs of images without a position with those that look like them, and with the next in order of names."""
+    with solver().Database.open(database) as opened:
+        numbers = [opened.read_image_with_name(name).image_id for name in names]
+        descriptors = [opened.read_descriptors(number).data[:VOTING].copy() for number in numbers]
+    of = [names.index(name) for name in lost]
+    found = [*alike(descriptors, of), *((k, k + step) for k in of for step in (-2, -1, 1, 2))]
+    return [(names[min(i, j)], names[max(i, j)]) for i, j in found if min(i, j) >= 0 and max(i, j) < len(names)]
 
 
-def _match(database: Path, pairs: Sequence[tuple[str, str]], work: Path) -> None:
-    colmap = _pycolmap()
+def _match(database: Path, pairs: Sequence[tuple[str, str]], work: Path, threads: int) -> None:
+    """Matches of pairs, verified; each pair has its own random numbers, so that threads change nothing."""
+    colmap = solver()
     pairing, matching, verification = (
         colmap.ImportedPairingOptions(),
         colmap.FeatureMatchingOptions(),
         colmap.TwoViewGeometryOptions(),
     )
     pairing.match_list_path = work / "pairs.txt"
-    matching.num_threads, matching.use_gpu = _THREADS, False
-    verification.ransac.random_seed = _SEED
+    matching.num_threads, matching.use_gpu = threads, False
+    verification.ransac.random_seed = SEED
     at_once = max(_PAIRS_AT_ONCE, len(pairs) // 20)
     with current().stage("Matches", len(pairs)) as step:
         for first in range(0, len(pairs), at_once):
@@ -203,35 +184,6 @@ def _match(database: Path, pairs: Sequence[tuple[str, str]], work: Path) -> None
             pairing.match_list_path.write_text("".join(f"{a} {b}\n" for a, b in some), encoding="utf-8")
             colmap.match_image_pairs(database, matching, pairing, verification, colmap.Device.cpu)
             step.advance(len(some))
-
-
-def _map(
-    database: Path, folder: Path, work: Path, num: int, say: Callable[[str], None]
-) -> list[pycolmap.Reconstruction]:
-    colmap = _pycolmap()
-    options = colmap.IncrementalPipelineOptions()
-    options.num_threads, options.random_seed, options.min_model_size = _THREADS, _SEED, _MIN_IMAGES
-    options.ba_global_frames_ratio = options.ba_global_points_ratio = _GROWN
-    options.mapper.ba_global_ignore_redundant_points3D = True
-    options.extract_colors = False
-    if num == 2:
-        _for_a_pair(options)
-    say("structure from motion: poses")
-    with current().stage("Structure from motion", num) as step:
-        # The first two come together.
-        step.advance(2.0)
-        blocks = colmap.incremental_mapping(database, folder, work, options, next_image_callback=step.advance)
-    return sorted(blocks.values(), key=lambda block: (-block.num_reg_images(), -block.num_points3D()))
-
-
-def _for_a_pair(options: pycolmap.IncrementalPipelineOptions) -> None:
-    """Let two photographs alone make a block; over flat ground they do not tell their focal length, which stays."""
-    options.min_model_size = 2
-    options.ba_refine_focal_length = False
-    options.mapper.init_min_tri_angle = options.mapper.filter_min_tri_angle = _PAIR_ANGLE_DEG
-    options.mapper.init_min_num_inliers = _PAIR_MATCHES
-    options.triangulation.min_angle = _PAIR_ANGLE_DEG
-    options.triangulation.ignore_two_view_tracks = False
 
 
 def focal_of(block: pycolmap.Reconstruction, name: str) -> float:
@@ -263,7 +215,7 @@ def drop_images(block: pycolmap.Reconstruction, names: Collection[str]) -> None:
 
 def transform(block: pycolmap.Reconstruction, similarity: Similarity) -> None:
     """Take a block to another frame; in place."""
-    colmap = _pycolmap()
+    colmap = solver()
     rotation = colmap.Rotation3d(similarity.rotation)
     block.transform(colmap.Sim3d(similarity.scale, rotation, similarity.shift))
 
@@ -311,7 +263,7 @@ def write_block(block: pycolmap.Reconstruction, folder: Path) -> None:
 
 def read_block(folder: Path) -> pycolmap.Reconstruction:
     """A block that `write_block` wrote, to the last bit."""
-    return _pycolmap().Reconstruction(folder)
+    return solver().Reconstruction(folder)
 
 
 def poses_of(block: pycolmap.Reconstruction) -> dict[str, tuple[np.ndarray, np.ndarray]]:

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from pyproj import CRS
 
+from geo.crs import height_unit_m
 from geo.files import disk_refusals
 from geo.frames import LocalFrame
 from refract.lens import Lens
@@ -32,10 +33,12 @@ from survey.sfm import block as sfm_block
 from survey.sfm.gps import gps_positions, positions_in_crs
 from survey.sfm.gps_fit import attitudes_of
 from survey.sfm.marked import BlockControl
+from survey.sfm.pairs import image_pairs
 from survey.sfm.placing import PlacedBlocks, place_by_control, place_by_gps
-from survey.sfm.settings import one_focal, require_size
-from survey.sfm.solve import Free, aliases, sensors_of, solve
+from survey.sfm.settings import mapper_of, one_focal, require_size
+from survey.sfm.solve import Free, Photographs, aliases, sensors_of, solve
 from survey.stage_key import code_hash, stage_key
+from survey.words import Mapper
 
 __all__ = ["FreeViews", "SfmResult", "SfmView", "blocks_of", "image_names", "seconds_of_solve", "solve_poses"]
 
@@ -80,6 +83,8 @@ class UnposedPhotographs:
     size_px: tuple[int, int] | None = None  # (width, height), optional: that all images must have
     # float, optional: of a calibration; it is kept. Without it, the one in EXIF is where the search starts.
     focal_px: float | tuple[float, float] | None = None
+    mapper: str = Mapper.auto.value
+    level_m: float | None = None  # Of the water or the ground, about, in the heights of crs; it tells footprints
 
 
 def solve_poses(
@@ -131,12 +136,20 @@ def solve_poses(
         frame, place = control.frame, partial(place_by_control, control=control, attitudes=attitudes_of(known))
     positions, _ = positions_in_crs(known, frame.crs, gps_height)
     local = {name: frame.local_from_crs(position) for name, position in positions.items()}
-    free = _solved(images, known, local, focal_px, workspace, say)
+    ground = None if photographs.level_m is None else _ground(frame, photographs.level_m)
+    mapper, _ = mapper_of(len(images), photographs.mapper)
+    free = _solved(Photographs(images, known, local, focal_px, mapper, ground), workspace, say)
     alias_of = aliases(images)
     by = "their GPS positions" if control is None else f"{len(control.points)} control points"
     say(f"structure from motion: {free.num_images} images are placed by {by}")
     placed = place(free, alias_of=alias_of, sensors=sensors_of(known, alias_of, focal_px))
     return _result(placed, positions, alias_of)
+
+
+def _ground(frame: LocalFrame, level_m: float) -> float:
+    """A height in crs in a local frame, at its origin."""
+    east, north, _ = frame.origin
+    return float(frame.local_from_crs(np.array([east, north, level_m / height_unit_m(frame.crs)]))[2])
 
 
 @dataclass(frozen=True)
@@ -177,7 +190,8 @@ def blocks_of(
     """
     heads = {name: read_exif(path) for name, path in images.items()}
     found = []
-    for block in _solved(images, heads, positions, focal_px, workspace, say).blocks:
+    mapper, _ = mapper_of(len(images), Mapper.auto)
+    for block in _solved(Photographs(images, heads, positions, focal_px, mapper), workspace, say).blocks:
         by_alias = sfm_block.poses_of(block)
         alias_of = {name: alias for name, alias in aliases(images).items() if alias in by_alias}
         poses = {name: by_alias[alias] for name, alias in alias_of.items()}
@@ -185,18 +199,13 @@ def blocks_of(
     return found
 
 
-def _solved(
-    images: Mapping[str, Path],
-    heads: Mapping[str, Exif],
-    local: Mapping[str, np.ndarray],
-    focal_px: float | None,
-    workspace: Path,
-    say: Callable[[str], None],
-) -> Free:
+def _solved(photographs: Photographs, workspace: Path, say: Callable[[str], None]) -> Free:
     """The blocks of photographs in their own frames: those in the workspace, or solved now and stored there."""
     # Positions in the images themselves are those of the files.
-    by_table = {name: position for name, position in local.items() if heads[name].table_place is not None}
-    key = stage_key("sfm", code_hash("survey.sfm.solve"), focal_px, list(images), list(images.values()), by_table)
+    images, places = photographs.images, photographs.places
+    # Of positions, of levels and of heights only the pairs that they choose count.
+    settings = (photographs.focal_px, photographs.mapper, sorted(places), image_pairs(list(images), places))
+    key = stage_key("sfm", code_hash("survey.sfm.solve"), *settings, list(images), list(images.values()))
     busy = f"another process (number {{pid}}) looks for poses in {workspace}; wait until it ends, or stop it"
     with disk_refusals(workspace), locked(_made(workspace), busy=busy):
         free = _stored(workspace, key)
@@ -207,7 +216,7 @@ def _solved(
                 say(f"structure from motion: {workspace} has poses of other photographs or settings, or by other code")
             with _work_folder(workspace, len(images)) as work:
                 start = time.monotonic()
-                free = solve(images, heads, local, focal_px, work, say)
+                free = solve(photographs, work, say)
                 _store(workspace, key, work, free, time.monotonic() - start)
     return free
 

@@ -3,23 +3,52 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 
-from survey.errors import FILE_NAME, ImageError, SurveyError
+from survey.errors import FILE_NAME, ConfigError, ImageError, SurveyError
 from survey.photos.exif import Exif
+from survey.words import Mapper
 
 # Longest side [px] of a photograph for the detection of features; larger ones are reduced.
 FEATURES_PX = 3200
 # Up to so many images every pair is tried, beyond it each image with its nearest neighbours.
 ALL_PAIRS_UP_TO, NEIGHBOURS = 40, 20
+_ERRORS_ONLY = 2
 # Of two neighbours, most have each other: so many pairs come of a neighbour.
 _PAIRS_OF_NEIGHBOUR = 0.65
+
+
+def mapper_of(num: int, asked: str) -> tuple[str, str]:
+    """The mapper for so many images, by the size of the block where none is asked for, and why."""
+    if asked != Mapper.auto:
+        return asked, f"set by [cameras] mapper in {FILE_NAME}"
+    return Mapper.incremental.value, f"{num} photographs are added one by one"
+
+
+def require_mapper(mapper: str) -> None:
+    """Raise ConfigError where the installed pycolmap does not have the mapper that is asked for."""
+    if mapper == Mapper.auto or hasattr(solver(), f"{mapper}_mapping"):
+        return
+    raise ConfigError(
+        f'[cameras] mapper is "{mapper}" in {FILE_NAME}, and pycolmap {version("pycolmap")} does not have it, '
+        f"expected 4.2 or later; update it (pip install -U pycolmap), or leave mapper out"
+    )
 
 
 def pairs_about(num: int) -> int:
     """Approximate number of pairs that are matched of so many images."""
     return num * (num - 1) // 2 if num <= ALL_PAIRS_UP_TO else round(_PAIRS_OF_NEIGHBOUR * NEIGHBOURS * num)
+
+
+def solver() -> ModuleType:
+    """pycolmap, which prints errors only."""
+    import pycolmap
+
+    pycolmap.logging.minloglevel = _ERRORS_ONLY
+    return pycolmap
 
 
 def require_solver(module: str = "pycolmap") -> None:

@@ -5,6 +5,7 @@ Rays are straight here: `survey.adjust` then adjusts the block with bent ones.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,12 +18,56 @@ from survey.photos.exif import Exif
 from survey.photos.poses import least_track
 from survey.sfm import block as sfm_block
 from survey.sfm.block import CameraBody
+from survey.sfm.gps_fit import attitudes_of
+from survey.sfm.mapping import mapped
+from survey.sfm.pairs import LEAST_HEIGHT_M, Place
 
 if TYPE_CHECKING:
     import pycolmap
 
 _MAX_NAMED = 16
+# Heights of cameras are rounded up by steps of this factor.
+_STEP = 1.1
 GIVE_POSES = f"give poses made elsewhere in [cameras] poses in {FILE_NAME}"
+
+
+@dataclass(frozen=True)
+class Photographs:
+    """Photographs that structure from motion is to place, with what is known before."""
+
+    # images, heads: mapping of name to Path, to Exif; in order of names
+    images: Mapping[str, Path]
+    heads: Mapping[str, Exif]
+    # mapping of name to (3,) [m]: of the cameras, where known, in any one frame with z up; they select pairs to match
+    positions: Mapping[str, np.ndarray]
+    focal_px: float | None  # Of a calibration: to start from; None for those in EXIF
+    mapper: str  # One of `survey.words.Mapper`
+    ground_m: float | None = None  # Height of ground or water in that frame, about
+
+    @property
+    def places(self) -> dict[str, Place]:
+        """Places of the photographs whose position is known."""
+        turned, height = attitudes_of(self.heads), self._height()
+        found = {}
+        for name, position in self.positions.items():
+            head = self.heads[name]
+            focal = self.focal_px or head.focal_px
+            spread = None if focal is None else 0.5 * max(head.size_px) / focal
+            found[name] = Place(position, turned.get(name), spread, height)
+        return found
+
+    def _height(self) -> float | None:
+        """Height of the cameras over ground or water [m], about and rounded up; None where nothing tells it.
+
+        Rounded, so that another level of the water asks for the same pairs.
+        """
+        started = [head.above_start_m for head in self.heads.values() if head.above_start_m is not None]
+        known = [float(np.median(started))] if started else []
+        if self.ground_m is not None and self.positions:
+            known.append(float(np.median([position[2] for position in self.positions.values()])) - self.ground_m)
+        # The start may lie far above the water, and positions may have another datum: the larger reaches further.
+        height = max(known, default=0.0)
+        return _STEP ** math.ceil(math.log(height, _STEP)) if height >= LEAST_HEIGHT_M else None
 
 
 @dataclass(frozen=True)
@@ -43,23 +88,12 @@ def aliases(images: Mapping[str, Path]) -> dict[str, str]:
     return {name: f"{i:06d}{path.suffix.lower()}" for i, (name, path) in enumerate(images.items())}
 
 
-def solve(
-    images: Mapping[str, Path],
-    heads: Mapping[str, Exif],
-    positions: Mapping[str, np.ndarray],
-    focal_px: float | None,
-    work: Path,
-    say: Callable[[str], None],
-) -> Free:
-    """Solve for the poses of images, named and in order of names.
+def solve(photographs: Photographs, work: Path, say: Callable[[str], None]) -> Free:
+    """Solve for the poses of photographs.
 
     Parameters
     ----------
-    images, heads : mapping of name to Path, to Exif
-    positions : mapping of name to (3,) [m]
-        Of the cameras, where known, in any one frame; they select the pairs to match.
-    focal_px : float or None
-        Of a calibration; it is kept.
+    photographs : Photographs
     work : Path
         An empty folder.
     say : callable
@@ -70,9 +104,8 @@ def solve(
     PosesError
         If fewer than three images can be placed, or one of two.
     """
-    alias_of = aliases(images)
-    placed = {alias_of[name]: position for name, position in positions.items()}
-    blocks = _blocks(images, sensors_of(heads, alias_of, focal_px), placed, work, say)
+    alias_of = aliases(photographs.images)
+    blocks = _blocks(photographs, alias_of, work, say)
     apart = apart_of(blocks)
     return Free(apart, tuple(left_out(apart, alias_of)))
 
@@ -90,21 +123,21 @@ def sensors_of(heads: Mapping[str, Exif], alias_of: Mapping[str, str], focal_px:
 
 
 def _blocks(
-    images: Mapping[str, Path],
-    sensors: Sequence[CameraBody],
-    positions: Mapping[str, np.ndarray],
-    work: Path,
-    say: Callable[[str], None],
+    photographs: Photographs, alias_of: Mapping[str, str], work: Path, say: Callable[[str], None]
 ) -> list[pycolmap.Reconstruction]:
     folder = work / "images"
     folder.mkdir()
-    for name, alias in aliases(images).items():
-        (folder / alias).symlink_to(images[name].resolve())
-    blocks = sfm_block.solve_block(folder, sensors, positions, work, say=say)
+    for name, alias in alias_of.items():
+        (folder / alias).symlink_to(photographs.images[name].resolve())
+    places = {alias_of[name]: place for name, place in photographs.places.items()}
+    sensors = sensors_of(photographs.heads, alias_of, photographs.focal_px)
+    of_pairs = sfm_block.matched(folder, sensors, places, work, say)
+    say(f"structure from motion: poses, by {photographs.mapper} mapping")
+    blocks = mapped(of_pairs, photographs.mapper)
     placed = blocks[0].num_reg_images() if blocks else 0
-    if placed < (least := least_track(len(images))):
+    if placed < (least := least_track(len(alias_of))):
         raise PosesError(
-            f"structure from motion placed {placed} of {len(images)} images, expected at least {least}: too "
+            f"structure from motion placed {placed} of {len(alias_of)} images, expected at least {least}: too "
             f"few features match; fly with 70 % overlap over textured ground, or {GIVE_POSES}"
         )
     return blocks

@@ -1,0 +1,99 @@
+"""Pairs of photographs that are matched: those whose footprints on the ground may overlap, never all against all.
+
+Positions, attitudes and heights are those of EXIF and XMP, good to some metres and degrees: enough to tell neighbours.
+Water hardly moves a footprint: a ray 20 degrees off nadir meets the bed 2 m deep 0.2 m nearer than in air.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from survey.sfm.settings import ALL_PAIRS_UP_TO, NEIGHBOURS
+
+# Of each photograph so many are looked at, the nearest; directions in which partners are sought in turn, so that dense
+# photographs of a strip do not displace those of the strips beside it.
+_LOOKED_AT, _SECTORS = 200, 8
+# Footprints of axes closer to the horizon than this reach no further.
+_MOST_TILT_DEG = 60.0
+# Two photographs are no partners if the distance of their middles is more than this share of both radii: corners of
+# the footprints touch, and positions and heights are a little off.
+_TOUCHING = 1.1
+# So many are taken at least, the nearest, whatever heights say of footprints.
+_LEAST = 6
+# Nobody flies lower [m]; below, heights are wrong.
+LEAST_HEIGHT_M = 2.0
+
+
+@dataclass(frozen=True)
+class Place:
+    """Place of a photograph before structure from motion, as far as it is known."""
+
+    position: np.ndarray  # (3,) [m], in any one frame with z up
+    cam_from_local: np.ndarray | None = None  # (3, 3): None is taken to look straight down
+    spread: float | None = None  # Half of the longer side of the photograph over its focal length
+    height_m: float | None = None  # Over the ground or water, about
+
+    @property
+    def axis(self) -> np.ndarray:
+        """Where the camera looks, (3,); down where its attitude is not known, or no height that it would matter for."""
+        down = np.array([0.0, 0.0, -1.0])
+        return down if self.cam_from_local is None or self.height_m is None else self.cam_from_local[2]
+
+
+@dataclass(frozen=True)
+class _Footprints:
+    """Footprints of V photographs on level ground."""
+
+    centres: np.ndarray  # (V, 2) [m]
+    radii: np.ndarray  # (V,) [m]: half of the longer side; infinite where it is not known
+    looks: np.ndarray  # (V, 3) [m]: axes times heights, so that opposite views are a height or more apart
+
+    @classmethod
+    def of(cls, places: Sequence[Place]) -> _Footprints:
+        positions = np.array([place.position for place in places], dtype=np.float64)
+        axes = np.array([place.axis for place in places])
+        heights = np.array([place.height_m or 0.0 for place in places])
+        falling = np.maximum(-axes[:, 2], math.cos(math.radians(_MOST_TILT_DEG)))
+        unknown = [place.spread is None or place.height_m is None for place in places]
+        reach = np.where(unknown, math.inf, [(place.spread or 0.0) * (place.height_m or 0.0) for place in places])
+        centres = positions[:, :2] + (heights / falling)[:, None] * axes[:, :2]
+        return cls(centres, reach / falling, heights[:, None] * axes)
+
+
+def image_pairs(names: Sequence[str], places: Mapping[str, Place]) -> list[tuple[str, str]]:
+    """Pairs of images that may overlap: all of a small survey, else neighbours; those with a place only."""
+    if len(names) <= ALL_PAIRS_UP_TO:
+        return list(combinations(sorted(names), 2))
+    placed = sorted(name for name in names if name in places)
+    found = _partners(_Footprints.of([places[name] for name in placed])) if len(placed) > 1 else ()
+    return sorted({(placed[min(i, j)], placed[max(i, j)]) for i, j in found})
+
+
+def _partners(ground: _Footprints) -> Iterator[tuple[int, int]]:
+    """Partners of each photograph, at most `NEIGHBOURS`, by numbers."""
+    at = np.column_stack([ground.centres, ground.looks])
+    count = min(_LOOKED_AT + 1, len(at))
+    for number, near in enumerate(cKDTree(at).query(at, k=count)[1]):
+        near = near[near != number]
+        away = ground.centres[near] - ground.centres[number]
+        touches = np.hypot(*away.T) <= _TOUCHING * (ground.radii[near] + ground.radii[number])
+        chosen = near[touches][_in_turn(away[touches])[:NEIGHBOURS]]
+        # Heights may be too low, so that nothing touches.
+        rest = near[~touches][: max(_LEAST - len(chosen), 0)]
+        for other in (*chosen, *rest):
+            yield number, int(other)
+
+
+def _in_turn(away: np.ndarray) -> np.ndarray:
+    """Order of offsets (K, 2), sorted by distance, that takes the nearest of each direction, then the second, ..."""
+    sector = np.floor(np.arctan2(away[:, 1], away[:, 0]) / (2.0 * math.pi) * _SECTORS).astype(int) % _SECTORS
+    rank = np.zeros(len(away), dtype=int)
+    for each in range(_SECTORS):
+        rank[sector == each] = np.arange((sector == each).sum())
+    return np.lexsort([np.arange(len(away)), rank])

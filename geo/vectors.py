@@ -24,13 +24,12 @@ from geo.files import library_for, write_whole
 from geo.reproject import cut_line, cut_polygon
 from geo.transformation import WGS84, Transformation
 
-MARK = b'"made_by": "bathynerf"'
 # Of a degree: a tenth of a millimetre.
 _DECIMALS = 9
 _WKB_TYPES = {"LineString": 2, "Polygon": 3}
 _WITH_HEIGHTS = 1000
-SHAPEFILE_MARK = b"bathynerf"
-DXF_MARK = b"bathynerf"
+# In the comment of a shapefile, and among the variables of a drawing.
+_MARK = b"bathynerf"
 # $INSUNITS, by the length of the unit [m]; 0 for one that has no number.
 _NO_UNIT, _UNITS = 0, ((1.0, 6), (1000.0, 7), (0.3048, 2), (1200.0 / 3937.0, 21))
 _VERSION = "R2010"
@@ -172,7 +171,7 @@ def write_shapefile(path: str | Path, layer: Layer) -> None:
         _write_verified(Path(work) / f"{layer.name}.shp", Path(path), layer, "ESRI Shapefile")
         content = BytesIO()
         with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
-            archive.comment = SHAPEFILE_MARK
+            archive.comment = _MARK
             for part in sorted(Path(work).iterdir()):
                 archive.writestr(zipfile.ZipInfo(part.name), part.read_bytes(), zipfile.ZIP_DEFLATED)
         stream.write(content.getvalue())
@@ -182,7 +181,7 @@ def is_our_shapefile(path: Path) -> bool:
     """Whether a file is a ZIP that `write_shapefile` wrote."""
     try:
         with zipfile.ZipFile(path) as archive:
-            return archive.comment == SHAPEFILE_MARK
+            return archive.comment == _MARK
     except zipfile.BadZipFile:
         return False
 
@@ -235,7 +234,7 @@ def write_dxf(path: str | Path, lines: Sequence[DxfLine], crs: CRS) -> None:
     ezdxf = library_for(path, "ezdxf", "dxf", to_write=True)
     drawing = ezdxf.new(_VERSION)
     drawing.header["$INSUNITS"] = next((code for length, code in _UNITS if abs(length / unit - 1.0) < 1e-9), _NO_UNIT)
-    drawing.header.custom_vars.append("made_by", DXF_MARK.decode())
+    drawing.header.custom_vars.append("made_by", _MARK.decode())
     drawing.header.custom_vars.append("crs", crs_code(crs) or called(crs))
     space = drawing.modelspace()
     for line in lines:
@@ -253,4 +252,4 @@ def is_our_dxf(path: Path) -> bool:
     """Whether a file is a DXF that `write_dxf` wrote."""
     with path.open("rb") as stream:
         head = stream.read(1 << 16)
-    return b"SECTION" in head[:64] and DXF_MARK in head
+    return b"SECTION" in head[:64] and _MARK in head

@@ -6,12 +6,10 @@ import math
 
 import numpy as np
 import pytest
-from PIL import ExifTags
 from scipy.spatial.transform import Rotation
 from small_survey import write_image
 
 from survey.photos.exif import read_exif
-from survey.photos.exif_position import focal_candidates
 from survey.photos.xmp import (
     Motion,
     Rtk,
@@ -50,46 +48,18 @@ def test_speed_is_turned_from_north_east_down_and_angles_are_yaw_pitch_roll():
     assert motion_of("") == Motion()
 
 
-def test_all_readings_of_the_focal_length_are_given():
-    details = {
-        ExifTags.Base.FocalLengthIn35mmFilm: 24,
-        ExifTags.Base.FocalLength: 8.8,
-        ExifTags.Base.FocalPlaneXResolution: 4000.0,
-        ExifTags.Base.FocalPlaneResolutionUnit: 3,
-        ExifTags.Base.ExifImageWidth: 5472,
-        ExifTags.Base.ExifImageHeight: 3648,
-    }
-    found = focal_candidates((2736, 1824), details, 'drone-dji:CalibratedFocalLength="3666.67"')
-    by_source = {candidate.source: candidate.focal_px for candidate in found}
-    assert by_source["35 mm film, by width"] == pytest.approx(24.0 / 36.0 * 2736.0)
-    assert by_source["35 mm film, by diagonal"] == pytest.approx(
-        24.0 * math.hypot(2736.0, 1824.0) / math.hypot(36.0, 24.0)
-    )
-    # 8.8 mm at 400 px/mm is 3520 px of the camera's image, which was halved; the calibration was too.
-    assert by_source["focal plane"] == pytest.approx(1760.0)
-    assert by_source["DJI calibration"] == pytest.approx(0.5 * 3666.67)
-    assert focal_candidates((2736, 1824), {}, "") == ()
-
-
-def test_width_and_diagonal_agree_only_at_three_to_two():
-    details = {ExifTags.Base.FocalLengthIn35mmFilm: 24}
-    width, diagonal = (c.focal_px for c in focal_candidates((4000, 3000), details, ""))
-    assert diagonal / width == pytest.approx(1.25 / (math.hypot(36.0, 24.0) / 36.0))
-
-
 def test_a_photograph_of_a_drone_tells_its_attitude(data_dir):
     head = read_exif(data_dir / "real" / "brighton_beach" / "images" / "DJI_0018.JPG")
     assert head.motion == Motion((45.0, -89.9, 0.0), None)
     assert head.rtk is None
-    # 20 mm of 35 mm film at 1600 px; EXIF's focal plane and a calibration are not there.
-    assert [round(c.focal_px) for c in head.focal_candidates] == [889, 849]
-    assert head.focal_px == pytest.approx(head.focal_candidates[0].focal_px)
+    # 20 mm of 35 mm film at 1600 px; a calibration is not there.
+    assert head.focal_px == pytest.approx(20.0 / 36.0 * 1600.0)
 
 
 def test_a_photograph_without_xmp_has_none_of_it(tmp_path):
     write_image(tmp_path / "a.jpg")
     head = read_exif(tmp_path / "a.jpg")
-    assert (head.rtk, head.motion, head.focal_candidates) == (None, Motion(), ())
+    assert (head.rtk, head.motion) == (None, Motion())
 
 
 # What Parrot's documentation gives as examples of one photograph of an Anafi Ai, and a photograph of a senseFly SODA.
@@ -175,12 +145,6 @@ def test_older_autel_has_those_of_pix4d():
 )
 def test_xmp_may_say_what_heights_count_from(xmp, expected):
     assert height_datum(xmp) == expected
-
-
-def test_the_calibrated_focal_length_of_a_maker_is_a_reading_too():
-    details = {ExifTags.Base.FocalPlaneXResolution: 5988.024, ExifTags.Base.FocalPlaneResolutionUnit: 3}
-    (found,) = focal_candidates((5472, 3648), details, 'Camera:PerspectiveFocalLength="1060/100"')
-    assert (found.source, found.focal_px) == ("XMP Camera", pytest.approx(10.6 * 598.8024))
 
 
 def test_a_number_of_ten_thousand_digits_is_none():

@@ -16,9 +16,7 @@ from pyproj import CRS
 
 from geo.crs import utm_code
 from survey.photos.exif_position import (
-    FocalCandidate,
     altitude_reference,
-    focal_candidates,
     focal_doubt,
     focal_px,
     other_datum,
@@ -82,8 +80,6 @@ class Exif:
     above_start_m: float | None  # DJI's and Autel's height over the take-off point [m]
     # In UTC: of the GPS clock, else of the camera's with its offset; None where neither is there
     taken: datetime | None = None
-    # All that the head says of the focal length, which may disagree; for the search of a calibration
-    focal_candidates: tuple[FocalCandidate, ...] = ()
     rtk: Rtk | None = None  # Accuracy of the position by the receiver, where DJI's XMP has it
     motion: Motion = field(default_factory=Motion)  # Attitudes, speed and shutter at the exposure, by XMP
     # (east, north, up) [m] or None: accuracy of the position where XMP states it in the namespace of Pix4D, as senseFly
@@ -137,7 +133,6 @@ def read_exif(path: Path) -> Exif:
         camera=camera.strip(),
         above_start_m=xmp_number(xmp, "RelativeAltitude"),
         taken=_taken(gps, details, changed),
-        focal_candidates=focal_candidates(size, details, xmp),
         rtk=rtk_of(xmp),
         motion=motion_of(xmp),
         std_m=stated_std(xmp) or std_of_gps(gps),

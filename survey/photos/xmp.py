@@ -221,11 +221,6 @@ def serial_of(xmp: str) -> str:
     return next((text for space, name in names if (text := _text_in(xmp, space, name))), "")
 
 
-def pix4d_number(xmp: str, name: str) -> float | None:
-    """A finite number in the namespace of Pix4D; None where there is none."""
-    return _number_in(xmp, _PIX4D, name)
-
-
 def _three(xmp: str, namespace: str, *names: str) -> tuple[float, float, float] | None:
     a, b, c = (_number_in(xmp, namespace, name) for name in names)
     return None if a is None or b is None or c is None else (a, b, c)

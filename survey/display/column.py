@@ -17,9 +17,10 @@ import numpy as np
 _PORTION, _BITS = 1_000_000, 16
 
 
-def portions(count: int) -> Iterator[slice]:
+def portions(count: int, at_once: int | None = None) -> Iterator[slice]:
     """Parts of so many rows."""
-    return (slice(first, first + _PORTION) for first in range(0, count, _PORTION))
+    step = _PORTION if at_once is None else at_once
+    return (slice(first, first + step) for first in range(0, count, step))
 
 
 class ComputedColumn:

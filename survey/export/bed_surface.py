@@ -254,4 +254,4 @@ def without_loose(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, 
     """The mesh without vertices that no face has."""
     used = np.zeros(len(vertices), dtype=bool)
     used[faces] = True
-    return vertices[used], (np.cumsum(used) - 1)[faces]
+    return vertices[used], (np.cumsum(used, dtype=np.int32) - 1)[faces]

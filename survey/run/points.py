@@ -43,14 +43,23 @@ def is_placed(survey: Survey) -> bool:
     return survey.config.cameras.poses is None
 
 
+def in_memory(count: int) -> np.ndarray:
+    """A column (N,) float32."""
+    return np.empty(count, dtype=np.float32)
+
+
 def with_std_of_block(
-    bed: BedPoints, survey: Survey, found: Adjustment | None, gsd_m: float
+    bed: BedPoints,
+    survey: Survey,
+    found: Adjustment | None,
+    gsd_m: float,
+    new_column: Callable[[int], np.ndarray] = in_memory,
 ) -> tuple[BedPoints, np.ndarray | None]:
     """Points whose std includes tilt and bending of the block, and that part (N,) [m]; None without an adjustment."""
     if found is None:
         return bed, None
-    of_block = std_of_block(bed.xyz, survey, found, gsd_m)
-    return replace(bed, std=np.hypot(bed.std, of_block)), of_block
+    of_block = std_of_block(bed.xyz, survey, found, gsd_m, new_column(len(bed)))
+    return replace(bed, std=np.hypot(bed.std, of_block, out=new_column(len(bed)))), of_block
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from fields.sweep.views import Footprint
 from refract import FlatWater, PinholeCamera, kernels
 from refract.curved import BicubicWater
 from survey.adjust.result.std_common import BASIS_ADJUSTED, BASIS_STATED, std_common
+from survey.display.column import ColumnStatistics, portions
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.plan.sweep_block import backend
@@ -32,7 +33,7 @@ from survey.progress import shares
 from survey.run.points import RefinedMaps, adjustment_of, bed_points, is_placed, with_std_of_block
 from survey.run.stage_solver import SOLVED
 from survey.run.stage_sweep import MAPS, look_at_bed
-from survey.run.stored import BED_FILE, SURVEY_FILE, Column, StoredBed, save_bed
+from survey.run.stored import BED_FILE, SURVEY_FILE, Column, StoredBed, columns_in, save_bed
 from survey.run.stored_maps import Stored
 from survey.run.water_colour import colour_of
 from survey.water.surface import Departure
@@ -247,17 +248,19 @@ def finish_bed(job: Job, folder: Path, needs: Mapping[str, Path], bed: BedPoints
             "together (bathynerf check) and that the views overlap"
         )
     found = adjustment_of(needs)
-    common = std_common(bed.xyz, bed.wet, survey, found, job.plan.gsd_m)
-    bed, of_block = with_std_of_block(bed, survey, found, job.plan.gsd_m)
-    std_placed = None
-    if of_block is not None:
-        job.progress.note(f"std: {length(float(np.median(of_block)))} (median) of it from tilt and shift of the block")
-        std_placed = of_block if is_placed(survey) else None
-    basis = BASIS_STATED if found is None else BASIS_ADJUSTED
-    job.progress.note(f"std_common: {length(float(np.nanmedian(common)))} (median), by {basis}")
-    parts = (survey.frame.crs_from_local(bed.xyz[first : first + _PORTION]) for first in range(0, len(bed), _PORTION))
-    points_crs = Column(np.dtype(np.float64), bed.xyz.shape, parts)
-    save_bed(folder, StoredBed(bed, points_crs, survey.frame.crs, survey.name, job.plan.gsd_m, common, std_placed))
+    with columns_in(folder) as new_column:
+        common = std_common(bed.xyz, bed.wet, survey, found, job.plan.gsd_m, new_column(len(bed)))
+        bed, of_block = with_std_of_block(bed, survey, found, job.plan.gsd_m, new_column)
+        std_placed = None
+        if of_block is not None:
+            of_median = length(ColumnStatistics(of_block).median)
+            job.progress.note(f"std: {of_median} (median) of it from tilt and shift of the block")
+            std_placed = of_block if is_placed(survey) else None
+        basis = BASIS_STATED if found is None else BASIS_ADJUSTED
+        job.progress.note(f"std_common: {length(ColumnStatistics(common).median)} (median), by {basis}")
+        parts = (survey.frame.crs_from_local(bed.xyz[rows]) for rows in portions(len(bed), _PORTION))
+        points_crs = Column(np.dtype(np.float64), bed.xyz.shape, parts)
+        save_bed(folder, StoredBed(bed, points_crs, survey.frame.crs, survey.name, job.plan.gsd_m, common, std_placed))
 
 
 def _field_of(job: Job, folder: Path) -> TensorField:

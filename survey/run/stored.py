@@ -11,9 +11,12 @@ import os
 import shutil
 import struct
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
@@ -231,6 +234,14 @@ def load_bed_columns(folder: str | Path, *names: str) -> dict[str, np.ndarray]:
         If the file is missing or damaged.
     """
     return mapped_arrays(Path(folder) / BED_FILE, names)
+
+
+@contextmanager
+def columns_in(folder: Path) -> Iterator[Callable[[int], np.ndarray]]:
+    """Makes columns (N,) float32 that lie in files of a folder of their own there, which goes at the end."""
+    numbers = count()
+    with disk_refusals(folder), TemporaryDirectory(dir=folder, ignore_cleanup_errors=True) as place:
+        yield lambda rows: np.memmap(Path(place) / f"{next(numbers)}.raw", np.float32, "w+", shape=(rows,))
 
 
 class FileArray:

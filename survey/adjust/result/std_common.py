@@ -156,7 +156,14 @@ def _places_of_mean(found: Adjustment) -> TiePoints:
     return TiePoints(found.points[chosen], point, found.residuals.view[at], found.residuals.at_px[at])
 
 
-def std_common(xyz: np.ndarray, wet: np.ndarray, survey: Survey, found: Adjustment | None, gsd: float) -> np.ndarray:
+def std_common(
+    xyz: np.ndarray,
+    wet: np.ndarray,
+    survey: Survey,
+    found: Adjustment | None,
+    gsd: float,
+    out: np.ndarray | None = None,
+) -> np.ndarray:
     """Standard deviation (N,) float32 [m] of heights by water, lens and poses.
 
     Parameters
@@ -169,13 +176,16 @@ def std_common(xyz: np.ndarray, wet: np.ndarray, survey: Survey, found: Adjustme
         None where poses and water were used as they came.
     gsd : [m]
         Ground sampling distance.
+    out : (N,) float32, optional
+        Where the result goes, which may lie in a file.
 
     Returns
     -------
     (N,) float32 [m]
         NaN where no place of the same kind, wet or dry, is seen by two views.
     """
-    std = np.full(len(xyz), np.nan, dtype=np.float32)
+    std = np.empty(len(xyz), dtype=np.float32) if out is None else out
+    std[:] = np.nan
     for is_wet in (True, False):
         ties = seen_places(places_of(xyz, wet == is_wet), survey)
         if not len(ties):
@@ -185,8 +195,8 @@ def std_common(xyz: np.ndarray, wet: np.ndarray, survey: Survey, found: Adjustme
             kind = wet[part] == is_wet
             std[part][kind] = np.sqrt(interpolated(ties.start[:, :2], variance, xyz[part][kind, :2]))
     if survey.plan_std_m > 0.0:
-        std = np.hypot(std, shift_std(xyz, survey.plan_std_m)).astype(np.float32)
-    return np.maximum(std, np.float32(_LEAST_M))
+        std[:] = np.hypot(std, shift_std(xyz, survey.plan_std_m))
+    return np.maximum(std, np.float32(_LEAST_M), out=std)
 
 
 def shift_std(xyz: np.ndarray, plan_std_m: float) -> np.ndarray:

@@ -41,7 +41,9 @@ _MOST_CELLS = 8
 _TRUNCATED = 4.0
 
 
-def std_of_block(xyz: np.ndarray, survey: Survey, found: Adjustment, gsd: float) -> np.ndarray:
+def std_of_block(
+    xyz: np.ndarray, survey: Survey, found: Adjustment, gsd: float, out: np.ndarray | None = None
+) -> np.ndarray:
     """Standard deviation (N,) float32 [m] of heights at their places in plan by poses, lens and water.
 
     Without what all heights have in common.
@@ -53,6 +55,8 @@ def std_of_block(xyz: np.ndarray, survey: Survey, found: Adjustment, gsd: float)
         As the points were made with it.
     gsd : [m]
         Ground sampling distance.
+    out : (N,) float32, optional
+        Where the result goes, which may lie in a file.
 
     Returns
     -------
@@ -60,15 +64,16 @@ def std_of_block(xyz: np.ndarray, survey: Survey, found: Adjustment, gsd: float)
         Zero where no two views see the bed.
     """
     ties = seen_places(places_of(xyz), survey)
+    std = np.empty(len(xyz), dtype=np.float32) if out is None else out
     if not len(ties):
-        return np.zeros(len(xyz), dtype=np.float32)
+        std[:] = 0.0
+        return std
     moves = place_moves(found, survey.water, ties)
     moves[:, 2] -= moves[:, 2].mean(axis=0)
     covariance = np.einsum("kai,ij,kbj->kab", moves, found.covariance.matrix, moves).reshape(len(ties), 9)
     cells = BedCells.of(xyz, _CELL_GSD * gsd)
     rise, reached = cells.squared_rise(np.sqrt(np.maximum(covariance.mean(axis=0)[[0, 4]], 0.0)))
     not_by_slopes = rise - (cells.slope**2 * reached).sum(axis=0)
-    std = np.empty(len(xyz), dtype=np.float32)
     for part in portions(len(xyz)):
         here = xyz[part]
         there = interpolated(ties.start[:, :2], covariance, here[:, :2]).reshape(-1, 3, 3)

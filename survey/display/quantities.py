@@ -44,14 +44,7 @@ def lengths_in_feet(foot_m: float | None) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class LengthUnit:
-    """A unit for lengths shown together.
-
-    Attributes
-    ----------
-    name : str
-    per_metre : float
-    decimals : int
-    """
+    """A unit for lengths shown together."""
 
     name: str
     per_metre: float

@@ -34,18 +34,11 @@ _SMALL = 1500
 
 @dataclass(frozen=True)
 class EliminationOrder:
-    """Order in which parameters (P,) are eliminated.
+    """Order in which parameters (P,) are eliminated."""
 
-    Attributes
-    ----------
-    blocks : tuple of (n,) int64
-        Parameters of photographs; each block is coupled with the one before and the one after it alone.
-    shared : (Q,) int64
-        Parameters that all photographs share; they come last.
-    """
-
+    # (n,) int64 each: parameters of photographs; a block is coupled with the one before and the one after it alone
     blocks: tuple[np.ndarray, ...]
-    shared: np.ndarray
+    shared: np.ndarray  # (Q,) int64: parameters that all photographs share; they come last
 
 
 def elimination_order(
@@ -93,21 +86,12 @@ def _levels(point: np.ndarray, view: np.ndarray, num_views: int) -> list[np.ndar
 
 @dataclass(frozen=True)
 class NormalMatrix:
-    """Normal matrix (P, P): a sparse one, plus ``rows.T @ diag(signs) @ rows``.
+    """Normal matrix (P, P): a sparse one, plus ``rows.T @ diag(signs) @ rows`` of few joint priors."""
 
-    Attributes
-    ----------
-    sparse : (P, P)
-    rows, signs : (K, P), (K,)
-        Of joint priors: few.
-    order : EliminationOrder or None
-        None: dense.
-    """
-
-    sparse: csr_array
-    rows: np.ndarray
-    signs: np.ndarray
-    order: EliminationOrder | None = None
+    sparse: csr_array  # (P, P)
+    rows: np.ndarray  # (K, P)
+    signs: np.ndarray  # (K,)
+    order: EliminationOrder | None = None  # None: the matrix is taken as dense
 
     def __len__(self) -> int:
         return self.sparse.shape[0]

@@ -88,18 +88,12 @@ class Covariance:
 
 @dataclass(frozen=True)
 class Residuals:
-    """Residuals of N observations.
+    """Residuals of N observations."""
 
-    Attributes
-    ----------
-    view, point : (N,)
-        Numbers of the photograph and of the point.
-    """
-
-    view: np.ndarray
+    view: np.ndarray  # (N,): number of the photograph
     px: np.ndarray  # (N, 2): reprojection residual
     at_px: np.ndarray  # (N, 2): place in the photograph
-    point: np.ndarray
+    point: np.ndarray  # (N,): number of the point
 
 
 @dataclass(frozen=True)

@@ -36,29 +36,15 @@ _PROBES = 15
 
 @dataclasses.dataclass(frozen=True)
 class ScenePlan:
-    """A scene before anything is built: where it lies and how it is flown.
-
-    Attributes
-    ----------
-    settings : SceneSettings
-    folder : Path
-        To which names of files are relative.
-    frame : LocalFrame
-    level : WaterLevel or None
-    lens : Lens
-    site : Site
-    bed : Bed or None
-        Where it comes from a file.
-    cameras : list of PinholeCamera
-    """
+    """A scene before anything is built: where it lies and how it is flown."""
 
     settings: SceneSettings
-    folder: Path
+    folder: Path  # To which names of files are relative
     frame: LocalFrame
     level: WaterLevel | None
     lens: Lens
     site: Site
-    bed: Bed | None
+    bed: Bed | None  # Where it comes from a file
     cameras: list[PinholeCamera]
 
 

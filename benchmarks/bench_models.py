@@ -28,8 +28,10 @@ from survey.compare.options import CompareOptions
 from survey.export.loaded import LoadedRun, flight_of
 from survey.files.json_values import write_json
 from survey.folder.survey import load_survey
-from survey.volume.field import VolumeOptions, train, train_field
+from survey.volume.field import train_field
+from survey.volume.options import VolumeOptions
 from survey.volume.scene import load_scene
+from survey.volume.training import train
 
 # Steps whose processor time is measured, after those that compile.
 COMPILING, TIMED = 4, 24

@@ -58,6 +58,14 @@ class Poses(StrEnum):
     refine = "refine"
 
 
+class Drop(StrEnum):
+    """How submodules of a trained field are found that a view does without."""
+
+    geometry = "geometry"
+    network = "network"
+    none = "none"
+
+
 class Mapper(StrEnum):
     """Mappers of structure from motion: as the plan decides, photograph by photograph, in parts, or all at once."""
 

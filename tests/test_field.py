@@ -27,8 +27,9 @@ from survey.export.loaded import LoadedRun
 from survey.run.products import write_bed_ply
 from survey.settings.config import parse_config
 from survey.settings.tables import FieldConfig, LossesConfig
-from survey.volume.field import VolumeOptions, train_field
+from survey.volume.field import train_field
 from survey.volume.monocular import monocular_priors
+from survey.volume.options import VolumeOptions
 from survey.volume.settings import field_config, volume_options
 
 # A signed distance begins with a level surface in the middle of the box.

@@ -18,7 +18,8 @@ from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun
 from survey.viewer.shown import load_shown
 from survey.viewer.tree import Viewpoint
-from survey.volume.field import VolumeOptions, train_field
+from survey.volume.field import train_field
+from survey.volume.options import VolumeOptions
 from survey.volume.stored import StoredVolume
 
 OPTIONS = VolumeOptions(model="vm", steps=3, rays=64, samples=8, cells=16, image_scale=0.5, appearance=True)

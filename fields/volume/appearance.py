@@ -6,11 +6,14 @@ colour = MLP2(z, direction, vector). Here MLP1 is the volume's `evaluate` and ML
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 from torch import nn
 
 from fields.device import half_the_threads
+from fields.volume.paths import Paths
 from fields.volume.photographs import Photographs
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
@@ -69,17 +72,40 @@ def match_appearance(
     own = renderer.appearance
     if own is None:
         raise ValueError("the volume has no appearance vectors to match; train it with `appearance_vectors`")
-    torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
     place = renderer.model.place
-    vectors, cells = appearance_vectors(len(photographs.cameras), own.embedding_dim).to(place), cells.to(place)
+    vectors = appearance_vectors(len(photographs.cameras), own.embedding_dim).to(place)
     vectors.weight.data += own.weight.detach().mean(dim=0)
+    fit_vectors(
+        renderer, vectors, cells, lambda: photographs.draw(rays, renderer.model.box, rng), steps=steps, seed=seed
+    )
+    return vectors
+
+
+def fit_vectors(
+    renderer: VolumeRenderer,
+    vectors: nn.Embedding,
+    cells: Cells,
+    draw: Callable[[], Paths],
+    *,
+    steps: int,
+    seed: int = 0,
+) -> None:
+    """Fit vectors so that a trained volume has the colours of paths that are drawn anew in each step; all else stays.
+
+    Parameters
+    ----------
+    vectors : nn.Embedding
+        In place of the volume's own; `Paths.view` counts them.
+    """
+    torch.manual_seed(seed)
+    own, place, cells = renderer.appearance, renderer.model.place, cells.to(renderer.model.place)
     optimiser = torch.optim.Adam(vectors.parameters(), lr=0.05)
     falling = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
     renderer.appearance = vectors
     try:
         for _ in range(steps):
-            paths = photographs.draw(rays, renderer.model.box, rng).to(place)
+            paths = draw().to(place)
             rendered = renderer.render(paths, renderer.samples(paths, cells, SAMPLES, jitter=True))
             error = ((rendered.rgb - paths.rgb) ** 2).mean()
             optimiser.zero_grad(set_to_none=True)
@@ -88,4 +114,3 @@ def match_appearance(
             falling.step()
     finally:
         renderer.appearance = own
-    return vectors

@@ -91,6 +91,19 @@ class Priors:
         return Priors(columns[:, 0], columns[:, 1], columns[:, 2:4], columns[:, 4], columns[:, 5:])
 
 
+def pixels_over(camera: PinholeCamera, box: Box, water: WaterSurface | None) -> np.ndarray:
+    """Flat indices (n,) of the pixels of a camera whose path would leave a box through its floor.
+
+    Such a path meets everything it shows inside. Others leave through a side, and may show objects beyond.
+    """
+    grid = camera.pixel_centres().reshape(-1, 2)
+    paths = paths_of(camera, water, grid, np.zeros((len(grid), 3)), box)
+    end = paths.at(paths.far[:, None])[:, 0, 2].numpy()
+    # A thousandth of the box is more than float32 rounds off.
+    on_floor = np.abs(end - box.low[2]) < 1e-3 * box.size[2]
+    return np.flatnonzero(on_floor & (paths.far > paths.near).numpy())
+
+
 @dataclass
 class Photographs:
     """Photographs with cameras and water: the training data of a volume."""
@@ -105,19 +118,8 @@ class Photographs:
     def over(
         cameras: list[PinholeCamera], images: list[np.ndarray], box: Box, water: WaterSurface | None = None
     ) -> Photographs:
-        """Photographs of a bed inside a box, of the pixels whose path would leave it through its floor.
-
-        Such a path meets everything it shows inside. Others leave through a side, and may show objects beyond.
-        """
-        pixels = []
-        for camera in cameras:
-            grid = camera.pixel_centres().reshape(-1, 2)
-            paths = paths_of(camera, water, grid, np.zeros((len(grid), 3)), box)
-            end = paths.at(paths.far[:, None])[:, 0, 2].numpy()
-            # A thousandth of the box is more than float32 rounds off.
-            on_floor = np.abs(end - box.low[2]) < 1e-3 * box.size[2]
-            pixels.append(np.flatnonzero(on_floor & (paths.far > paths.near).numpy()))
-        return Photographs(cameras, images, pixels, water)
+        """Photographs of a bed inside a box, of the pixels that show it; see `pixels_over`."""
+        return Photographs(cameras, images, [pixels_over(camera, box, water) for camera in cameras], water)
 
     def draw(self, count: int, box: Box, rng: np.random.Generator, patch: int = 1) -> Paths:
         """Paths (count patch^2) through patches of pixels drawn evenly from all photographs, in random order.

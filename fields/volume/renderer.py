@@ -209,14 +209,17 @@ def render_volume(
     view: int = 0,
     dry: bool = False,
     chunk: int | None = None,
+    shown: np.ndarray | None = None,
 ) -> View:
     """A volume as a camera sees it, with the appearance of photograph ``view``.
 
     Paths are rendered ``chunk`` at a time; by default as many as keep their samples within `WORKING_BYTES`, so that a
-    model with wider features takes more chunks, not more memory.
+    model with wider features takes more chunks, not more memory. Where only the pixels ``shown``, flat indices (n,),
+    are wanted, the others are black, their opacity 0 and their distance NaN.
     """
     chunk = chunk or chunk_of(renderer, samples)
     pixels = camera.pixel_centres().reshape(-1, 2)
+    pixels = pixels if shown is None else pixels[shown]
     none = np.zeros((len(pixels), 3))
     place = renderer.model.place
     parts, cells = [], cells.to(place)
@@ -226,9 +229,21 @@ def render_volume(
         seen = renderer.render(paths, renderer.samples(paths, cells, samples, jitter=False), dry=dry)
         depth = torch.where(paths.far > paths.near, seen.depth, torch.nan)
         parts.append((seen.rgb.clamp(max=1.0), depth, seen.opacity, paths.at(depth[:, None])[:, 0]))
-    shape = (camera.height, camera.width)
     columns = [torch.cat(column).cpu().numpy() for column in zip(*parts, strict=True)]
-    return View(*(c.reshape(*shape, *c.shape[1:]) for c in columns))
+    if shown is not None:
+        columns = [_spread(column, shown, camera, rest) for column, rest in zip(columns, _UNSEEN, strict=True)]
+    return View(*(c.reshape(camera.height, camera.width, *c.shape[1:]) for c in columns))
+
+
+# What a pixel has of which nothing is known: colour, distance, opacity, point.
+_UNSEEN = (0.0, np.nan, 0.0, np.nan)
+
+
+def _spread(values: np.ndarray, shown: np.ndarray, camera: PinholeCamera, rest: float) -> np.ndarray:
+    """Values (n, ...) of some pixels of a camera among all of them, the others ``rest``."""
+    whole = np.full((camera.height * camera.width, *values.shape[1:]), rest, dtype=values.dtype)
+    whole[shown] = values
+    return whole
 
 
 def chunk_of(renderer: VolumeRenderer, samples: int) -> int:

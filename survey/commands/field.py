@@ -11,6 +11,7 @@ import typer
 from survey.commands.console import command
 from survey.commands.options import DeviceOption, Quiet, RunFolder, Verbose
 from survey.plan.choices import Device
+from survey.words import Drop
 
 EXAMPLES = """
     bathynerf field my_survey/bathynerf --model mdw -o mdw
@@ -75,6 +76,14 @@ def run(
     appearance: Annotated[
         bool | None, typer.Option("--appearance", help="Learn the light of each photograph.", rich_help_panel=_TRAINING)
     ] = None,
+    submodules: Annotated[
+        str | None,
+        typer.Option(metavar="NxM", help="Cells on the ground with a field each; or N.", rich_help_panel=_TRAINING),
+    ] = None,
+    shell: Annotated[
+        bool | None,
+        typer.Option("--shell", help="Learn what lies beyond the box.", rich_help_panel=_TRAINING),
+    ] = None,
     from_scratch: Annotated[
         bool | None,
         typer.Option("--from-scratch", help="Begin without the bed of the run.", rich_help_panel=_TRAINING),
@@ -111,6 +120,10 @@ def run(
         float | None,
         typer.Option(metavar="D", help="Least density of the surface [1/m].", rich_help_panel=_SHOWN),
     ] = None,
+    drop: Annotated[
+        Drop | None,
+        typer.Option(metavar="HOW", help="How views drop submodules: geometry, network, none.", rich_help_panel=_SHOWN),
+    ] = None,
     reference: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Mesh or cloud to compare with.", rich_help_panel=_SHOWN),
@@ -143,6 +156,9 @@ def run(
             image_scale=image_scale,
             held_every=held_every,
             appearance=appearance,
+            shell=shell,
+            submodules=submodules,
+            drop=None if drop is None else drop.value,
             from_scratch=from_scratch,
             monocular=None if monocular is None else str(monocular.absolute()),
         )

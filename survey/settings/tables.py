@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from survey.errors import ConfigError
 from survey.files.toml_table import key, require_one_of
-from survey.words import SCALES, Device, Field, Plan, Poses, Quality
+from survey.words import SCALES, Device, Drop, Field, Plan, Poses, Quality
 
 # Of three numbers each counts for one axis.
 Std = float | tuple[float, float, float]
@@ -213,6 +213,9 @@ class FieldConfig:
     image_scale: float | None = None
     held_every: int | None = None
     appearance: bool | None = None
+    shell: bool | None = None
+    submodules: str | None = key(None, "3x2, or a number of cells on the ground with a field of their own each")
+    drop: str | None = key(None, "geometry, network or none", one_of=Drop)
     from_scratch: bool | None = None
     monocular: str | None = key(None, "a folder of monocular depth and normals, relative to the survey folder")
     losses: LossesConfig | None = None

@@ -8,8 +8,8 @@ from __future__ import annotations
 import json
 import pickle
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ import numpy as np
 import torch
 
 from fields.volume.paths import Box
-from fields.volume.photographs import Photographs
+from fields.volume.photographs import Photographs, pixels_over
 from fields.volume.sampling import Cells
 from fields.volume.surface import LEAST_VIEWS
 from geo.files import disk_refusals, write_whole
@@ -31,7 +31,7 @@ from survey.run.flight import Flight
 from survey.volume.monocular import monocular_priors
 
 # A box reaches over and under the inner part of the heights by a share of their range and some cells.
-_INNER_PERCENT, _REACH, _REACH_CELLS = 0.1, 0.1, 3.0
+_INNER, _REACH, _REACH_CELLS = (0.1, 99.9), 0.1, 3.0
 # Photographs are reduced until a cell of the volume is so many pixels wide.
 _PIXELS_PER_CELL = 2.0
 # A photograph counts if it shows the box with this share of its pixels.
@@ -80,6 +80,59 @@ class SceneOptions:
     held_every: int | None = None  # optional: every so many photographs one is left out
     straight: bool = False  # Rays are not bent
     monocular: Path | None = None  # optional: folder of priors of those that are learned from
+    shell: bool = False  # What lies beyond the box is learned from, too: all pixels, not those alone that show the box
+
+
+class TooFewPhotographs(SurveyError):
+    """Fewer photographs see a box than a field can be learned from."""
+
+
+@dataclass(frozen=True)
+class Ground:
+    """A box about the bed of a run, and the size at which photographs are read."""
+
+    box: Box
+    bed: np.ndarray  # (N, 3) [m], local: points of the run, in the box or about it
+    water: FlatWater | None  # None for a dry survey
+    straight: bool  # Rays are not bent
+    gsd_m: float  # [m]: of the photographs at full size
+    scale: float = 1.0  # of the photographs
+
+    @property
+    def pixel_m(self) -> float:
+        """A pixel of a photograph at the scale, on the bed [m]."""
+        return self.gsd_m / self.scale
+
+    @staticmethod
+    def of_run(run: LoadedRun, flight: Flight, options: SceneOptions) -> Ground:
+        """That of the whole bed, or of the part in the bounds."""
+        bed = _bed_of(run, flight.frame, options.bounds)
+        box = _box_about(bed, options.cells)
+        ground = Ground(box, bed, flight.water, options.straight, run.place.gsd_m)
+        return ground.read_for(box.edge, options)
+
+    @property
+    def bent(self) -> FlatWater | None:
+        """The water at which rays are bent; None where they are straight."""
+        return None if self.straight else self.water
+
+    def read_for(self, edge: float, options: SceneOptions) -> Ground:
+        """The same with photographs as large as they are needed for volumes with an edge [m]."""
+        suited = min(1.0, _PIXELS_PER_CELL * self.gsd_m * options.cells / edge)
+        return replace(self, scale=options.image_scale or suited)
+
+    def within(self, box: Box, cells: int) -> Ground | None:
+        """The part of it on the ground of a box, as high as the bed is there; None where there is none."""
+        part = self.bed[((self.bed[:, :2] > box.low[:2]) & (self.bed[:, :2] < box.high[:2])).all(axis=1)]
+        if not len(part):
+            return None
+        low, high = _heights_about(part, float(box.size[:2].max()) / cells)
+        return replace(self, box=Box(np.append(box.low[:2], low), np.append(box.high[:2], high)), bed=part)
+
+    def scene(self, train: Named, held: Named) -> Scene:
+        """Photographs with what is known of the bed in the box."""
+        inside = ((self.bed > self.box.low) & (self.bed < self.box.high)).all(axis=1)
+        return Scene(self.box, self.bed[inside], train, held, self.pixel_m)
 
 
 def load_scene(
@@ -102,34 +155,42 @@ def load_scene(
     SurveyError
         If no bed lies in the bounds, or too few photographs look into the box.
     """
-    bed = _bed_of(run, flight.frame, options.bounds)
-    box = _box_about(bed, options.cells)
-    gsd_m = run.place.gsd_m
-    scale = options.image_scale or min(1.0, _PIXELS_PER_CELL * gsd_m * options.cells / box.edge)
-    water = None if options.straight else flight.water
-    shown = []
-    for photograph in at_scale(flight, scale):
-        each = _looking_at(photograph, box, water)
-        shown += [each] if each is not None else []
-        advance()
-    held_every = options.held_every
-    held = [] if held_every is None else shown[held_every // 2 :: held_every]
+    ground = Ground.of_run(run, flight, options)
+    shown = shown_in(ground, flight, advance)
+    held = shown[_held_of(options)]
     train = [each for each in shown if not any(each is other for other in held)]
-    if len(train) < LEAST_VIEWS:
-        raise SurveyError(
-            f"{len(train)} of {len(flight.views)} photographs see the box about the bed down to its floor, expected "
+    return ground.scene(learned_from(train, ground, options, len(flight.views)), _named(held, ground.bent))
+
+
+def held_in(ground: Ground, flight: Flight, options: SceneOptions) -> Named:
+    """The photographs of a flight that `load_scene` leaves out."""
+    names = [each.view.name for each, _ in _showing(ground, flight, lambda: None)][_held_of(options)]
+    return _named(shown_in(ground, flight, lambda: None, lambda name: name in names), ground.bent)
+
+
+def _held_of(options: SceneOptions) -> slice:
+    """Which of the photographs that show the box are left out."""
+    every = options.held_every
+    return slice(0, 0) if every is None else slice(every // 2, None, every)
+
+
+def learned_from(shown: list[Shown], ground: Ground, options: SceneOptions, photographs: int) -> Named:
+    """Photographs to learn from, of so many of the flight.
+
+    Raises
+    ------
+    TooFewPhotographs
+        If there are not enough of them.
+    """
+    if len(shown) < LEAST_VIEWS:
+        raise TooFewPhotographs(
+            f"{len(shown)} of {photographs} photographs see the box about the bed down to its floor, expected "
             f"at least {LEAST_VIEWS} to learn from; give larger --bounds, or a smaller --cells"
         )
-    inside = ((bed > box.low) & (bed < box.high)).all(axis=1)
-    learned = _named(train, water)
+    learned = _named([each.whole() for each in shown] if options.shell else shown, ground.bent)
     if options.monocular is not None:
         learned.photographs.priors = monocular_priors(options.monocular, learned.names, learned.photographs.cameras)
-    return Scene(box, bed[inside], learned, _named(held, water), gsd_m / scale)
-
-
-def box_of_run(run: LoadedRun, frame: LocalFrame, bounds: tuple[float, float, float, float] | None, cells: int) -> Box:
-    """The box about the bed of a run that `load_scene` makes; errors as there."""
-    return _box_about(_bed_of(run, frame, bounds), cells)
+    return learned
 
 
 def _bed_of(run: LoadedRun, frame: LocalFrame, bounds: tuple[float, float, float, float] | None) -> np.ndarray:
@@ -138,29 +199,49 @@ def _bed_of(run: LoadedRun, frame: LocalFrame, bounds: tuple[float, float, float
 
 
 @dataclass(frozen=True)
-class _Shown:
+class Shown:
     """A photograph with the pixels (n,) that show the box."""
 
     name: str
     camera: PinholeCamera
     rgb: np.ndarray
     pixels: np.ndarray
+    mask: np.ndarray | None  # (height, width) bool or None: pixels that may be used
+
+    def whole(self) -> Shown:
+        """The same with all pixels that may be used."""
+        size = self.camera.width * self.camera.height
+        return replace(self, pixels=np.arange(size) if self.mask is None else np.flatnonzero(self.mask))
 
 
-def _looking_at(photograph: Photograph, box: Box, water: FlatWater | None) -> _Shown | None:
-    """A photograph, if it shows the box; it is decoded only then."""
-    camera = photograph.camera
-    outline = np.zeros((camera.height, camera.width, 3), dtype=np.uint8)
-    (pixels,) = Photographs.over([camera], [outline], box, water).pixels
-    if len(pixels) < _LEAST_SHARE * camera.width * camera.height:
-        return None
-    decoded = photograph.pixels()
-    if decoded.mask is not None:
-        pixels = pixels[decoded.mask.ravel()[pixels]]
-    return _Shown(photograph.view.name, camera, decoded.rgb, pixels)
+def _showing(ground: Ground, flight: Flight, advance: Callable[[], object]) -> Iterator[tuple[Photograph, np.ndarray]]:
+    """Photographs that show the box, before they are decoded, with the pixels that do."""
+    for photograph in at_scale(flight, ground.scale):
+        camera = photograph.camera
+        pixels = pixels_over(camera, ground.box, ground.bent)
+        if len(pixels) >= _LEAST_SHARE * camera.width * camera.height:
+            yield photograph, pixels
+        advance()
 
 
-def _named(shown: list[_Shown], water: FlatWater | None) -> Named:
+def shown_in(
+    ground: Ground,
+    flight: Flight,
+    advance: Callable[[], object],
+    wanted: Callable[[str], bool] = lambda name: True,
+) -> list[Shown]:
+    """The photographs of wanted names that show the box, decoded; ``advance`` is called after each of the flight."""
+    found = []
+    for photograph, pixels in _showing(ground, flight, advance):
+        name = photograph.view.name
+        if wanted(name):
+            decoded = photograph.pixels()
+            pixels = pixels if decoded.mask is None else pixels[decoded.mask.ravel()[pixels]]
+            found.append(Shown(name, photograph.camera, decoded.rgb, pixels, decoded.mask))
+    return found
+
+
+def _named(shown: list[Shown], water: FlatWater | None) -> Named:
     cameras, images, pixels = [e.camera for e in shown], [e.rgb for e in shown], [e.pixels for e in shown]
     return Named([each.name for each in shown], Photographs(cameras, images, pixels, water))
 
@@ -182,10 +263,16 @@ def _within(points: np.ndarray, bounds: tuple[float, float, float, float] | None
 
 def _box_about(bed: np.ndarray, cells: int) -> Box:
     """The box of points (N, 3), local, with room over and under them."""
-    low, high = np.percentile(bed, [_INNER_PERCENT, 100.0 - _INNER_PERCENT], axis=0)
-    edge = float((high - low).max())
-    room = np.array([0.0, 0.0, _REACH * (high[2] - low[2]) + _REACH_CELLS * edge / cells])
-    return Box(low - room, high + room)
+    low, high = np.percentile(bed, _INNER, axis=0)
+    bottom, top = _heights_about(bed, float((high - low).max()) / cells)
+    return Box(np.append(low[:2], bottom), np.append(high[:2], top))
+
+
+def _heights_about(bed: np.ndarray, cell: float) -> tuple[float, float]:
+    """Lowest and highest place of a box about points (N, 3) whose cells have an edge [m]."""
+    low, high = np.percentile(bed[:, 2], _INNER)
+    room = _REACH * (high - low) + _REACH_CELLS * cell
+    return low - room, high + room
 
 
 class VolumeFolder:
@@ -206,7 +293,7 @@ class VolumeFolder:
     """
 
     def __init__(self, path: Path, settings: dict[str, Any], inputs: ReadFiles):
-        self.path = path
+        self.path, self._inputs = path, inputs
         require_folder("-o", path, inputs)
         self._saved_at = time.monotonic()
         # As a file would give them back.
@@ -219,6 +306,11 @@ class VolumeFolder:
             path.mkdir(parents=True, exist_ok=True)
         with write_whole(path / SETTINGS) as stream:
             stream.write(json.dumps(settings, indent=2).encode())
+        self._settings = settings
+
+    def part(self, name: str) -> VolumeFolder:
+        """The folder in it of a part that is trained apart."""
+        return VolumeFolder(self.path / name, self._settings | {"part": name}, self._inputs)
 
     def _require_same(self, before: dict[str, Any], settings: dict[str, Any]) -> None:
         keys = [key for key in {**before, **settings} if before.get(key) != settings.get(key)]

@@ -10,7 +10,7 @@ from survey.errors import FILE_NAME
 from survey.export.loaded import LoadedRun, survey_folder
 from survey.settings.config import read_config
 from survey.settings.tables import FieldConfig
-from survey.volume.field import VolumeOptions
+from survey.volume.options import VolumeOptions
 
 
 def field_config(run: str | Path, survey: str | None) -> FieldConfig:

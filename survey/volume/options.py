@@ -1,0 +1,119 @@
+"""Options of `bathynerf field`: of a training, and of what is made of it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fields.volume.losses import Losses, PatchWeights, PriorWeights
+from fields.volume.models import MODELS
+from fields.volume.surface import Rule
+from survey.errors import SurveyError
+from survey.export.loaded import LoadedRun
+from survey.settings.tables import LossesConfig
+from survey.volume.monocular import priors_hash
+from survey.volume.recipe import VolumeRecipe
+from survey.volume.scene import SceneOptions
+from survey.words import Drop
+
+# Weights of depth and of normals (MonoSDF, Yu et al. 2022).
+MONOCULAR = (0.1, 0.05)
+
+
+@dataclass(frozen=True)
+class VolumeOptions:
+    """Options of the training of a radiance field on a run, and of its products."""
+
+    model: str = "mdw"  # key of `fields.volume.models.MODELS`
+    # steps, rays, samples: Steps of training, paths of each, and samples of each path
+    steps: int = 2000
+    rays: int = 4096
+    samples: int = 48
+    cells: int = 256  # Along the longest edge at the finest scale, of models that have cells
+    image_scale: float | None = None  # [-], optional: of the photographs; default: two pixels a cell
+    # (E0, N0, E1, N1), optional, in crs: part of the bed; default: all of it
+    bounds: tuple[float, float, float, float] | None = None
+    held_every: int | None = None  # optional: every so many photographs one is left out and predicted
+    from_scratch: bool = False  # Surfaces may be anywhere in the box at first; else within two cells of the run's bed
+    straight: bool = False  # Rays are not bent, as in the fields of others
+    appearance: bool = False  # A vector for each photograph that changes colours, for changing light
+    shell: bool = False  # What lies beyond the box is learned, too (`fields.volume.shell`)
+    # "N" or "NxM", optional: cells on the ground (along east and north) with a field of their own each, of ``cells``
+    submodules: str | None = None
+    drop: str = Drop.geometry  # A word of `survey.words.Drop`
+    rule: Rule = Rule.median  # Where on a path the surface is
+    # [1/m], optional: of ``Rule.density``; default: half of the light is stopped within a cell
+    density: float | None = None
+    reference: Path | None = None  # optional: mesh or cloud that the surface is compared with
+    cameras: Path | None = None  # optional: poses of views to render; ``dry``, without the water
+    dry: bool = False
+    survey: str | None = None  # optional: folder of the survey, if it was moved since the run
+    device: str = "auto"  # "auto", "cpu", "cuda" or "torch"
+    seed: int = 0
+    monocular: Path | None = None  # optional: folder of monocular depth and normals, see `survey.volume.monocular`
+    # Where none of depth and normal has a weight, those of MonoSDF count with ``monocular``
+    losses: LossesConfig = field(default_factory=LossesConfig)
+
+    def __post_init__(self):
+        if self.model not in MODELS:
+            raise SurveyError(f"there is no model {self.model}; expected one of {', '.join(MODELS)}")
+        for name, least in (("steps", 1), ("rays", 1), ("samples", 2), ("cells", 8), ("held_every", 2)):
+            value = getattr(self, name)
+            if value is not None and value < least:
+                raise SurveyError(f"{name} is {value}, expected at least {least}")
+        if self.image_scale is not None and not 0.0 < self.image_scale <= 1.0:
+            raise SurveyError(f"the image scale is {self.image_scale:g}, expected more than 0 and at most 1")
+        if self.submodules is not None and not re.fullmatch("[1-9][0-9]{0,3}(x[1-9][0-9]{0,3})?", self.submodules):
+            raise SurveyError(f"submodules is {self.submodules}, expected a number, or 3x2: along east and along north")
+        if self.drop not in tuple(Drop):
+            raise SurveyError(f"drop is {self.drop}, expected one of {', '.join(Drop)}")
+        if self.density is not None and not 0.0 < self.density < np.inf:
+            raise SurveyError(f"the density is {self.density:g}, expected more than 0, in 1/m")
+        if self.monocular is None and (self.losses.depth or self.losses.normal or self.losses.predicted_normal):
+            raise SurveyError(
+                "losses on monocular depth or normals have a weight, but there are none; name their folder with "
+                "--monocular DIR"
+            )
+
+    def of_training(self, run: LoadedRun) -> dict[str, Any]:
+        """Dependencies of the trained field."""
+        made = ("rule", "density", "reference", "cameras", "dry", "survey", "device", "drop")
+        # Those that earlier trainings did not have are named where they are not what these did.
+        later = {"shell": False, "submodules": None}
+        settings = {k: v for k, v in asdict(self).items() if k not in made and not (k in later and v == later[k])}
+        priors = None if self.monocular is None else priors_hash(self.monocular)
+        return {"result": run.stages} | settings | {"monocular": priors}
+
+    @property
+    def scene(self) -> SceneOptions:
+        """Options of the box and its photographs."""
+        return SceneOptions(**{each.name: getattr(self, each.name) for each in fields(SceneOptions)})
+
+    @property
+    def recipe(self) -> VolumeRecipe:
+        """Options of the model and its paths."""
+        return VolumeRecipe(**{name: getattr(self, name) for name in VolumeRecipe.__dataclass_fields__})
+
+    def of_losses(self) -> Losses:
+        """The weights of the losses."""
+        of = self.losses
+        depth, normal = of.depth, of.normal
+        if self.monocular is not None and not (depth or normal or of.predicted_normal):
+            depth, normal = MONOCULAR
+        return Losses(
+            transparency=of.transparency,
+            distortion=of.distortion,
+            orientation=of.orientation,
+            density=of.density,
+            gaussian_density=of.gaussian_density,
+            printed_density=of.printed_density,
+            printed_gaussian_density=of.printed_gaussian_density,
+            empty=of.empty,
+            virtual_views=of.virtual_views,
+            patches=PatchWeights(of.patch_px, of.ncc, of.ssim, of.smooth_normals, of.virtual_patches),
+            priors=PriorWeights(depth=depth, normal=normal, predicted_normal=of.predicted_normal),
+        )

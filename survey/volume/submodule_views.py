@@ -1,0 +1,96 @@
+"""Views of submodules, which are read from their folders when a view needs them."""
+
+from __future__ import annotations
+
+from functools import cache, lru_cache
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from fields.image_based import NovelView
+from fields.volume.paths import Box
+from fields.volume.sampling import Cells
+from fields.volume.submodules import Grid, Submodule, ground_shares, kept, pose_weights, render_submodules, single_look
+from fields.volume.visibility import Visibility
+from refract import FlatWater, PinholeCamera
+from survey.files.json_values import read_json_object
+from survey.volume.recipe import VolumeRecipe, novel_view
+from survey.volume.scene import STATE, Ground, read_state
+from survey.words import Drop
+
+# Of the submodules in the folder of their field; the vectors of their common look there; the visibility of each.
+FOLDER, LOOKS, VISIBILITY = "submodules", "looks.json", "visibility.pt"
+# Submodules that are kept in memory between views.
+IN_MEMORY = 8
+
+
+class SubmoduleViews:
+    """The submodules of a field that have been trained, by the numbers of their cells.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the field.
+    ground : Ground
+        Of all of them.
+    counts : (int, int)
+        Cells along x and y.
+    drop : str
+        A word of `survey.words.Drop`.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        recipe: VolumeRecipe,
+        ground: Ground,
+        counts: tuple[int, int],
+        device: str,
+        drop: str = Drop.geometry,
+    ):
+        self.recipe, self.ground, self.device, self.drop = recipe, ground, device, drop
+        self.grid = Grid(ground.box, counts)
+        self.folders: dict[int, Path] = {}
+        self.boxes: dict[int, Box] = {}
+        for number, name in enumerate(self.grid.names()):
+            part = ground.within(self.grid.box_of(number), recipe.cells)
+            if part is not None and (folder / FOLDER / name / STATE).is_file():
+                self.folders[number], self.boxes[number] = folder / FOLDER / name, part.box
+        self._kept = lru_cache(IN_MEMORY)(self.load)
+        self._visibility = cache(self._load_visibility)
+
+    def load(self, number: int) -> Submodule:
+        """A submodule, with the common look where there is one."""
+        folder = self.folders[number]
+        renderer, cells, _ = self.recipe.restored(folder / STATE, self.boxes[number], self.ground.water, self.device)
+        looks = folder.parent / LOOKS
+        if self.recipe.appearance and looks.is_file():
+            vector = torch.tensor(read_json_object(looks)[folder.name], dtype=torch.float32)
+            renderer.appearance = single_look(vector.to(renderer.model.place))
+        return Submodule(number, renderer, cells)
+
+    def _load_visibility(self, number: int) -> tuple[Visibility, Cells]:
+        saved = read_state(self.folders[number] / VISIBILITY)
+        box = self.boxes[number]
+        network = Visibility(box)
+        network.load_state_dict(saved["network"])
+        return network, Cells(box, saved["occupied"])
+
+    def visible(self, camera: PinholeCamera, water: FlatWater | None) -> np.ndarray:
+        """How visible each submodule is to a camera, (M,), 1 where nothing is asked."""
+        if self.drop == Drop.geometry:
+            return ground_shares(self.grid, self.ground.bed, camera, water)[list(self.folders)]
+        if self.drop == Drop.network:
+            each = [self._visibility(number) for number in self.folders]
+            return np.array([network.of_view(camera, water, cells) for network, cells in each])
+        return np.ones(len(self.folders))
+
+    def view(self, camera: PinholeCamera, dry: bool = False) -> NovelView:
+        """What they show a camera, with the water or (True) without it."""
+        water = None if dry else self.ground.bent
+        weights = pose_weights(camera.centre, list(self.boxes.values()))
+        numbers = list(self.folders)
+        chosen = ((weights[k], self._kept(numbers[k])) for k in kept(self.visible(camera, water)))
+        seen = render_submodules(chosen, self.grid, camera, water, samples=self.recipe.samples, dry=dry)
+        return novel_view(seen, self.ground.water)

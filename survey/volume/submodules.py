@@ -1,0 +1,130 @@
+"""Submodules of `bathynerf field`: a field for each cell on the ground, one trained after the other."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from fields.volume.submodules import Grid, counts_of, match_looks, single_look, vectors_of
+from fields.volume.surface import Surface
+from fields.volume.visibility import train_visibility
+from geo.files import write_whole
+from survey.errors import SurveyError
+from survey.export.loaded import LoadedRun
+from survey.files.json_values import write_json
+from survey.progress import current
+from survey.run.flight import Flight
+from survey.volume.options import VolumeOptions
+from survey.volume.scene import Ground, Named, TooFewPhotographs, VolumeFolder, held_in, learned_from, shown_in
+from survey.volume.submodule_views import FOLDER, LOOKS, VISIBILITY, SubmoduleViews
+from survey.volume.training import Made, Trained, surface_in, train
+from survey.words import Drop
+
+# Steps of the training of a network of visibility, of those of the field.
+VISIBILITY_STEPS = 0.1
+
+
+def train_submodules(run: LoadedRun, flight: Flight, options: VolumeOptions, folder: VolumeFolder) -> Made:
+    """A field for each cell on the ground that has a bed and photographs, each in a folder of its own.
+
+    A cell is read, trained and made a surface of before the next, so that one of them is in memory; a training that was
+    stopped goes on with the cell it was at. Cells of which too little is known are named and left out.
+
+    Raises
+    ------
+    SurveyError
+        If no cell can be learned.
+    """
+    ground = Ground.of_run(run, flight, options.scene)
+    grid = Grid(ground.box, counts_of(str(options.submodules), ground.box.size))
+    # Photographs are as large as the largest cell needs them.
+    ground = ground.read_for(max(grid.box_of(number).size[:2].max() for number in range(len(grid))), options.scene)
+    held = held_in(ground, flight, options.scene)
+    surfaces: list[Surface] = []
+    reports, left_out = {}, {}
+    for number, name in enumerate(grid.names()):
+        part = ground.within(grid.box_of(number), options.cells)
+        said = f"{name}, {number + 1} of {len(grid)}"
+        try:
+            trained = _trained(part, flight, options, folder.part(f"{FOLDER}/{name}"), held, said)
+        except TooFewPhotographs as error:
+            left_out[name] = str(error)
+            current().note(f"submodule {name} is left out: {error}")
+            continue
+        surface = surface_in(trained)
+        surfaces.append(_chosen(surface, grid.owner(surface.xyz) == number))
+        reports[name] = trained.report() | {"points": len(surfaces[-1].xyz)}
+    if not reports:
+        raise SurveyError(f"none of {len(grid)} submodules can be learned; ask for fewer --submodules")
+    views = SubmoduleViews(folder.path, options.recipe, ground, grid.counts, options.device, options.drop)
+    if options.appearance and not (folder.path / FOLDER / LOOKS).is_file():
+        write_json(folder.path / FOLDER / LOOKS, _looks(views, flight, ground))
+        views = SubmoduleViews(folder.path, options.recipe, ground, grid.counts, options.device, options.drop)
+    report = _summary(reports, ground, held) | {"left_out": left_out, "submodules": reports}
+    return Made(_joined(surfaces), ground.scene(held, held).bed, held, views.view, report)
+
+
+def _trained(
+    part: Ground | None, flight: Flight, options: VolumeOptions, folder: VolumeFolder, held: Named, said: str
+) -> Trained:
+    """The field of a cell, by the photographs that show its box and are not held."""
+    if part is None:
+        raise TooFewPhotographs("the run has no bed there")
+    names = set(held.names)
+    with current().stage(f"Photographs of {said}", len(flight.views)) as stage:
+        shown = shown_in(part, flight, stage.advance, lambda name: name not in names)
+    learned = learned_from(shown, part, options.scene, len(flight.views))
+    trained = train(part.scene(learned, held), flight, options, folder)
+    if options.drop == Drop.network and not (folder.path / VISIBILITY).is_file():
+        _save_visibility(trained, folder.path / VISIBILITY)
+    return trained
+
+
+def _save_visibility(trained: Trained, path: Path) -> None:
+    with current().stage("Visibility"):
+        of, photographs = trained.options, trained.scene.train.photographs
+        steps = max(round(VISIBILITY_STEPS * of.steps), 1)
+        network = train_visibility(trained.renderer, photographs, trained.cells, steps=steps, seed=of.seed)
+    with write_whole(path) as stream:
+        torch.save({"network": network.cpu().state_dict(), "occupied": trained.cells.occupied.cpu()}, stream)
+
+
+def _looks(views: SubmoduleViews, flight: Flight, ground: Ground) -> dict[str, list[float]]:
+    """The vectors (A,) with which all submodules look alike: as the one in the middle does in its first photograph."""
+    submodules = [views.load(number) for number in views.folders]
+    middle = 0.5 * (ground.box.low + ground.box.high)
+    off = [float(np.linalg.norm(0.5 * (each.box.low + each.box.high) - middle)) for each in submodules]
+    root = int(np.argmin(off))
+    submodules[root].renderer.appearance = single_look(vectors_of(submodules[root])[0])
+    with current().stage("Looks"):
+        cameras = [view.camera for view in flight.views]
+        match_looks(submodules, root, cameras, ground.bed, ground.bent)
+    folders = views.folders.values()
+    return {f.name: vectors_of(e)[0].tolist() for f, e in zip(folders, submodules, strict=True)}
+
+
+def _chosen(surface: Surface, keep: np.ndarray) -> Surface:
+    return Surface(*(getattr(surface, each.name)[keep] for each in fields(Surface)))
+
+
+def _joined(surfaces: list[Surface]) -> Surface:
+    return Surface(*(np.concatenate([getattr(e, column.name) for e in surfaces]) for column in fields(Surface)))
+
+
+def _summary(reports: dict[str, dict[str, Any]], ground: Ground, held: Named) -> dict[str, Any]:
+    """Figures of all submodules together, as one field has them."""
+    trainings = [each["training"] for each in reports.values()]
+    return {
+        "training": {
+            "steps": sum(each["steps"] for each in trainings),
+            "psnr_db": float(np.mean([each["psnr_db"] for each in trainings])),
+            "parameters": sum(each["parameters"] for each in trainings),
+        },
+        "box_m": ground.box.size.tolist(),
+        "photographs": max(each["photographs"] for each in reports.values()),
+        "pixel_m": ground.pixel_m,
+    }

@@ -1,0 +1,108 @@
+"""A radiance field trained on the photographs of a run, and its surface."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from fields.image_based import NovelView
+from fields.volume.renderer import VolumeRenderer
+from fields.volume.sampling import Cells
+from fields.volume.surface import Surface, surface_of
+from fields.volume.train import Checkpoints, Training, VolumeFigures, train_volume
+from refract import PinholeCamera
+from survey.progress import current, shares
+from survey.run.flight import Flight
+from survey.volume.options import VolumeOptions
+from survey.volume.recipe import view_of
+from survey.volume.scene import Named, Scene
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A field with what it was trained on."""
+
+    renderer: VolumeRenderer
+    cells: Cells
+    figures: VolumeFigures
+    scene: Scene
+    flight: Flight
+    options: VolumeOptions
+
+    def view(self, camera: PinholeCamera, dry: bool) -> NovelView:
+        """What it shows a camera, with the water or (True) without it."""
+        of = self.options.recipe
+        return view_of(self.renderer, self.cells, of, self.flight.water, camera, dry=dry)
+
+    def report(self) -> dict[str, Any]:
+        """Figures of the training."""
+        return {
+            "training": asdict(self.figures),
+            "box_m": self.scene.box.size.tolist(),
+            "photographs": len(self.scene.train.names),
+            "pixel_m": self.scene.pixel_m,
+        }
+
+
+@dataclass(frozen=True)
+class Made:
+    """What a field is reported, compared and rendered by."""
+
+    surface: Surface
+    bed: np.ndarray  # (N, 3) [m], local: of the run
+    held: Named  # Photographs that were left out
+    view: Callable[[PinholeCamera, bool], NovelView]  # As `Trained.view`
+    report: dict[str, Any]
+
+
+def train(scene: Scene, flight: Flight, options: VolumeOptions, checkpoints: Checkpoints | None = None) -> Trained:
+    """Train the field of the options on a scene of a flight, or go on from a checkpoint."""
+    renderer = options.recipe.renderer(
+        scene.box,
+        flight.water,
+        len(scene.train.names),
+        options.device,
+        normal_head=options.losses.predicted_normal > 0.0,
+    )
+    cells = min(Training.cells, options.cells)
+    training = Training(
+        steps=options.steps,
+        rays=options.rays,
+        samples=options.samples,
+        cells=cells,
+        huber=options.losses.huber,
+        losses=options.of_losses(),
+    )
+    start = None if options.from_scratch else scene.cells_about_bed(training.cells, training.margin)
+    with current().stage("Training", 1.0) as stage:
+        proxy, figures = train_volume(
+            renderer,
+            scene.train.photographs,
+            training,
+            shares(stage),
+            cells=start,
+            seed=options.seed,
+            checkpoints=checkpoints,
+        )
+    return Trained(renderer, proxy, figures, scene, flight, options)
+
+
+def surface_in(trained: Trained) -> Surface:
+    """The surface in cells of a pixel, or of half a cell of the field where that is more."""
+    of, scene = trained.options, trained.scene
+    cell = scene.box.edge / of.cells
+    photographs = scene.train.photographs
+    with current().stage("Surface", len(photographs.cameras)) as stage:
+        return surface_of(
+            trained.renderer,
+            photographs,
+            trained.cells,
+            samples=of.samples,
+            side=max(scene.pixel_m, 0.5 * cell),
+            rule=of.rule,
+            density=of.density or np.log(2.0) / cell,
+            advance=stage.advance,
+        )

@@ -1,0 +1,136 @@
+"""`bathynerf field --submodules`: a field for each cell; it goes on cell by cell, and is rendered from its folder."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+from command_line import bathynerf
+from painted_survey import painted_survey, run_over
+from PIL import Image
+
+import survey.volume.submodules as submodules
+from fields.volume.submodules import Grid, match_looks
+from geo import read_cloud
+from survey.errors import SurveyError
+from survey.export.loaded import LoadedRun
+from survey.files.json_values import read_json_object
+from survey.volume.field import train_field
+from survey.volume.options import VolumeOptions
+from survey.volume.scene import Ground
+from survey.volume.stored import StoredVolume
+
+# A signed distance begins with a level surface in the middle of the box.
+OPTIONS = VolumeOptions(
+    model="neus", steps=2, rays=32, samples=8, cells=16, image_scale=0.5, held_every=4, submodules="2x1", drop="network"
+)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A run ``run`` with submodules ``f``, and the photographs' own cameras rendered in ``f/views``."""
+    folder = tmp_path_factory.mktemp("submodules")
+    run = run_over(painted_survey(folder / "s"), folder / "run")
+    train_field(run, folder / "f", replace(OPTIONS, cameras=folder / "s" / "cameras.csv"))
+    return folder
+
+
+def ground_of(folder) -> Ground:
+    with LoadedRun(folder / "run") as run:
+        return Ground.of_run(run, run.flight, OPTIONS.scene)
+
+
+def test_each_cell_has_a_field_of_its_own_and_the_points_on_its_ground(folder):
+    report, ground = read_json_object(folder / "f" / "report.json"), ground_of(folder)
+    assert set(report["submodules"]) == {"0_0", "1_0"}
+    assert report["held_out_psnr_db"].keys() == {"0002.png"}
+    with LoadedRun(folder / "run") as run:
+        points = run.flight.frame.local_from_crs(read_cloud(folder / "f" / "cloud.las").points)
+    owner = Grid(ground.box, (2, 1)).owner(points)
+    found = [report["submodules"][name]["points"] for name in ("0_0", "1_0")]
+    assert np.bincount(owner).tolist() == found
+    assert report["points"] == sum(found) > 100
+    for name in ("0_0", "1_0"):
+        assert report["submodules"][name]["box_m"][0] == pytest.approx(0.625 * ground.box.size[0])
+
+
+def test_it_goes_on_with_the_cell_that_is_missing(folder, monkeypatch):
+    shutil.copytree(folder / "f", folder / "again")
+    state = folder / "again" / "submodules" / "1_0" / "state.pt"
+    state.unlink()
+    steps = []
+    trained = submodules.train
+    monkeypatch.setattr(
+        submodules, "train", lambda scene, *others: steps.append(others[2].load() is None) or trained(scene, *others)
+    )
+    report = train_field(folder / "run", folder / "again", OPTIONS)
+    assert steps == [False, True]
+    before, after = (torch.load(f / "submodules" / "1_0" / "state.pt", weights_only=True)["renderer"]
+                     for f in (folder / "f", folder / "again"))  # fmt: skip
+    torch.testing.assert_close(before, after, rtol=0.0, atol=0.0)
+    assert report["points"] == read_json_object(folder / "f" / "report.json")["points"]
+
+
+@pytest.mark.parametrize("drop", ["geometry", "none"])
+def test_views_are_rendered_from_the_folder(folder, drop):
+    with LoadedRun(folder / "run") as run:
+        stored, view = StoredVolume.of_run(folder / "f", run), run.flight.views[1]
+    seen = replace(stored, drop=drop).load("torch")(view.camera, False)
+    with Image.open(folder / "f" / "views" / "0001.png") as picture:
+        before = np.asarray(picture)
+    both = seen.seen & (before[..., 3] > 0)
+    assert both.mean() > 0.3
+    # Either submodule is seen, so that none is dropped.
+    assert np.abs(seen.rgb.astype(int) - before[..., :3])[both].max() <= 1
+    assert not np.array_equal(stored.load("torch")(view.camera, True).rgb, seen.rgb)
+
+
+def test_all_submodules_get_the_look_of_the_one_in_the_middle(folder, monkeypatch):
+    monkeypatch.setattr(submodules, "match_looks", partial(match_looks, steps=2, rays=64))
+    options = replace(OPTIONS, model="vm", appearance=True, shell=True, drop="geometry", submodules="3x1", steps=1)
+    train_field(folder / "run", folder / "looks", options)
+    looks = read_json_object(folder / "looks" / "submodules" / "looks.json")
+    assert looks.keys() == {"0_0", "1_0", "2_0"}
+    own = torch.load(folder / "looks" / "submodules" / "1_0" / "state.pt", weights_only=True)["renderer"]
+    assert looks["1_0"] == pytest.approx(own["appearance.weight"][0].tolist())
+    assert looks["0_0"] != looks["2_0"]
+    assert "background.network.0.weight" in own
+
+
+def test_cells_without_a_bed_are_named_and_left_out(folder, monkeypatch):
+    real = Ground.within
+    first = lambda self, box, cells: None if box.low[0] == self.box.low[0] else real(self, box, cells)  # noqa: E731
+    monkeypatch.setattr(Ground, "within", first)
+    report = train_field(folder / "run", folder / "half", replace(OPTIONS, drop="geometry"))
+    assert report["left_out"] == {"0_0": "the run has no bed there"}
+    assert report["submodules"].keys() == {"1_0"}
+    monkeypatch.setattr(Ground, "within", lambda self, box, cells: None)
+    with pytest.raises(SurveyError, match="none of 2 submodules can be learned; ask for fewer --submodules"):
+        train_field(folder / "run", folder / "nothing", OPTIONS)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"submodules": "2x0"}, "submodules is 2x0, expected a number, or 3x2"),
+        ({"submodules": "two"}, "submodules is two, expected a number"),
+        ({"drop": "all"}, "drop is all, expected one of geometry, network, none"),
+    ],
+)
+def test_options_without_sense_are_refused(wrong, said):
+    with pytest.raises(SurveyError, match=said):
+        VolumeOptions(**wrong)
+
+
+def test_the_command_takes_them(folder):
+    found = bathynerf(
+        "field", folder / "run", "-o", folder / "c", "--model", "neus", "--steps", 1, "--rays", 32, "--samples", 8,
+        "--cells", 16, "--image-scale", 0.5, "--submodules", 2, "--drop", "none",
+    )  # fmt: skip
+    assert found.exit_code == 0, found.stderr
+    assert "submodules" in found.stdout
+    assert len(list((folder / "c" / "submodules").glob("*/state.pt"))) == 2

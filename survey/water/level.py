@@ -33,6 +33,7 @@ from survey.water.clicks import levels_of_clicks
 from survey.water.level_observation import (
     COMMON_STD_M,
     LevelObservation,
+    huber_fit,
     plane_doubt,
     points_of_surface,
     readings_of_gauge,
@@ -45,11 +46,6 @@ _POINTS = (*_MEASURED, "surface")
 # A level in survey.toml without level_std_m is that of a staff.
 STAFF_STD_M = 0.02
 
-# Huber's constant: 95 % of the efficiency of least squares where errors are normal (P. J. Huber 1964).
-_HUBER = 1.345
-# The median of the absolute value of a normal deviate of unit standard deviation.
-_MEDIAN_DEVIATION = 0.6745
-_ROUNDS = 50
 # Slopes count only where they exceed their standard deviation by this factor.
 _SIGNIFICANT = 3.0
 # Fewer points than this may lie on a tilted plane by chance.
@@ -265,17 +261,11 @@ def _robust(design: np.ndarray, heights: np.ndarray, stds: np.ndarray) -> tuple[
 
     The scatter is the median absolute deviation. For few points it is uncertain, and the stated one counts if larger.
     """
-    design, heights = design / stds[:, None], heights / stds
-    weights, spare = np.ones(len(heights)), max(len(heights) - design.shape[1], 1)
-    for _ in range(_ROUNDS):
-        normal = design.T @ (weights[:, None] * design)
-        values = np.linalg.solve(normal, design.T @ (weights * heights))
-        residuals = heights - design @ values
-        scatter = float(np.median(np.abs(residuals))) / _MEDIAN_DEVIATION
-        # Such files are rounded to a millimetre: the scatter is not smaller than that.
-        std = max(scatter, _LEAST_STD_M / float(np.median(stds)), 1.0 if len(heights) < _FEW else 0.0)
-        weights = np.minimum(1.0, _HUBER * std / np.maximum(np.abs(residuals), 1e-12))
-    return values, np.linalg.inv(normal) * std**2 * len(heights) / spare
+    # Such files are rounded to a millimetre: the scatter is not smaller than that.
+    least = max(_LEAST_STD_M / float(np.median(stds)), 1.0 if len(heights) < _FEW else 0.0)
+    values, weights, scatter = huber_fit(design, heights, stds, least)
+    normal = design.T @ ((weights / stds**2)[:, None] * design)
+    return values, np.linalg.inv(normal) * scatter**2 * len(heights) / max(len(heights) - design.shape[1], 1)
 
 
 def _of_tide(

@@ -235,9 +235,11 @@ _LEAST_POINTS, _ENOUGH_FOR_ALL = 16, 32
 _FALSE_ALARMS = 1e-3
 # Nearer to the vertical than this the bed moves by n - 1 of an error of the level, and more for oblique rays.
 _BED_PER_LEVEL = 0.333
-# Huber's constant, and the median of the absolute value of a normal deviate.
-_HUBER, _MEDIAN_DEVIATION = 1.345, 0.6745
-_ROUNDS = 20
+# Huber's constant: 95 % of the efficiency of least squares where errors are normal (P. J. Huber 1964).
+_HUBER = 1.345
+# The median of the absolute value of a normal deviate of unit standard deviation.
+MEDIAN_DEVIATION = 0.6745
+_ROUNDS = 50
 # Narrower points, as a share of their length, are a line.
 _LINE = 0.1
 
@@ -277,11 +279,11 @@ def departure_of(points: np.ndarray, stds: np.ndarray) -> float | None:
     if np.linalg.matrix_rank(design) < design.shape[1]:
         # Readings at a few places.
         return None
-    values, weights = _robust(design, points[:, 2], stds)
+    values, weights, _ = huber_fit(design, points[:, 2], stds)
     residuals = (points[:, 2] - design @ values) / stds
     spare = len(points) - design.shape[1]
     # The median is a poor estimate of the scatter of few points, the mean square of that of many with wrong ones.
-    by_median = float(np.median(np.abs(residuals))) / _MEDIAN_DEVIATION * np.sqrt(len(points) / spare)
+    by_median = float(np.median(np.abs(residuals))) / MEDIAN_DEVIATION * np.sqrt(len(points) / spare)
     std = max(by_median, float(np.sqrt(np.sum(weights * residuals**2) / spare)), 1e-9)
     root = np.sqrt(weights) / stds
     covariance = np.linalg.inv((design * root[:, None]).T @ (design * root[:, None]))[-num_bent:, -num_bent:]
@@ -290,7 +292,7 @@ def departure_of(points: np.ndarray, stds: np.ndarray) -> float | None:
         return None
     order = np.argsort(points[:, :2] @ _main_axis(points[:, :2]))
     halves = [
-        bent @ _robust(design[half], points[half, 2], stds[half])[0][-num_bent:] for half in (order[::2], order[1::2])
+        bent @ huber_fit(design[half], points[half, 2], stds[half])[0][-num_bent:] for half in (order[::2], order[1::2])
     ]
     return float(np.sqrt(max(np.mean(halves[0] * halves[1]), 0.0))) or None
 
@@ -313,13 +315,15 @@ def _main_axis(xy: np.ndarray) -> np.ndarray:
     return np.linalg.svd(xy - xy.mean(axis=0), full_matrices=False)[2][0]
 
 
-def _robust(design: np.ndarray, heights: np.ndarray, stds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Huber's estimate and its weights (N,), in units of the scatter."""
-    weights = np.ones(len(heights))
+def huber_fit(
+    design: np.ndarray, heights: np.ndarray, stds: np.ndarray, least_scatter: float = 1e-9
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Huber's estimate, its weights (N,), and the scatter by the median absolute deviation in units of ``stds``."""
+    weights, scatter = np.ones(len(heights)), least_scatter
     for _ in range(_ROUNDS):
         root = np.sqrt(weights) / stds
         values = np.linalg.lstsq(design * root[:, None], heights * root, rcond=None)[0]
         rest = np.abs(heights - design @ values) / stds
-        scatter = max(float(np.median(rest)) / _MEDIAN_DEVIATION, 1e-9)
+        scatter = max(float(np.median(rest)) / MEDIAN_DEVIATION, least_scatter)
         weights = np.minimum(1.0, _HUBER * scatter / np.maximum(rest, 1e-12))
-    return values, weights
+    return values, weights, scatter

@@ -22,7 +22,7 @@ from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from refract import FlatWater
 from refract.curved import BicubicWater, curvature_drop
-from survey.water.level_observation import LevelObservation
+from survey.water.level_observation import MEDIAN_DEVIATION, LevelObservation
 
 Area = tuple[float, float, float, float]
 SURFACE = "surface"
@@ -34,8 +34,8 @@ _AS_GOOD = 1.1
 _LEFT_OUT = 400
 # Ridge on slopes and curvatures, as a share of the weights: across a line of points nothing else determines them.
 _RIDGE = (1e-2, 1e-2, 2e-3, 2e-3, 2e-3)
-# The median of the absolute value of a normal deviate of unit standard deviation; least error of a file [m].
-_MEDIAN_DEVIATION, _LEAST_STD_M = 0.6745, 1e-3
+# Least error of a file [m].
+_LEAST_STD_M = 1e-3
 # Nodes of a raster at most, and of a batch.
 _MOST_NODES, _AT_ONCE = 200_000, 20_000
 # Nodes beyond an area, which cubic pieces need.
@@ -75,7 +75,7 @@ class Departure:
         squares = {number: least + float(np.mean(np.minimum(np.abs(errors[number]), 5.0) ** 2)) for number in errors}
         good = [number for number in errors if squares[number] <= _AS_GOOD * min(squares.values())]
         best = 0 if 0 in good else max(good)
-        scatter = float(np.median(np.abs(errors[best]))) / _MEDIAN_DEVIATION
+        scatter = float(np.median(np.abs(errors[best]))) / MEDIAN_DEVIATION
         object.__setattr__(self, "_number", best)
         object.__setattr__(self, "_factor", max(scatter, 1.0))
 

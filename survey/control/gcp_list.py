@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 from survey.control.points import Content, ControlFormat, GivenMark, GivenPoint, is_check_role
 from survey.errors import ControlError
 from survey.files.column_units import is_odm_crs, odm_crs
-from survey.files.csv_table import shortened, text_lines
+from survey.files.csv_table import number_of, shortened, text_lines
 from survey.photos.exif import SUFFIXES
 
 _FORM = "x y z px py image name"
@@ -83,7 +83,7 @@ def _parts(line: str, where: str) -> tuple[list[float], str, list[str]]:
         raise ControlError(f"{where}: values are separated by commas, expected spaces or tabs: {_FORM}; replace them")
     if len(cells) < 6:
         raise ControlError(f"{where}: {len(cells)} values were found, expected {_FORM}; complete the line")
-    values = [_number(cell) for cell in cells[:5]]
+    values = [number_of(cell) for cell in cells[:5]]
     for name, cell, value in zip(_NUMBERS, cells, values, strict=False):
         if not math.isfinite(value):
             raise ControlError(
@@ -112,20 +112,13 @@ def _is_check(word: str) -> bool:
         return False
 
 
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
-
-
 def _is_gcp_list(path: Path) -> bool:
     try:
         lines = (line.strip() for _, line in text_lines(path, ControlError))
         first = next((line for line in lines if line and not line.startswith("#")), "")
     except ControlError:
         return False
-    is_of_points = len(first.split()) >= 6 and all(math.isfinite(_number(cell)) for cell in first.split()[:5])
+    is_of_points = len(first.split()) >= 6 and all(math.isfinite(number_of(cell)) for cell in first.split()[:5])
     return is_of_points or is_odm_crs(first)
 
 

@@ -55,7 +55,7 @@ class Row:
         text = self.cells.get(name, "")
         if not text and default is not None:
             return default
-        value = _number(text, self.decimal)
+        value = number_of(text, self.decimal)
         if not abs(value) <= LARGEST:
             raise self.error(
                 f"{self.where}: {name} is {shortened(text) or 'empty'}, expected a finite number of at most "
@@ -115,7 +115,7 @@ def read_table(
         place = {name: i for i, name in enumerate((*columns, *optional))}
     else:
         place = {name: names.index(name) for name in (*columns, *optional) if name in names}
-    begins_with_values = missing and rows and any(math.isfinite(_number(cell, decimal)) for cell in rows[0][1])
+    begins_with_values = missing and rows and any(math.isfinite(number_of(cell, decimal)) for cell in rows[0][1])
     needed = 1 + max(place[name] for name in columns)
     found = []
     for number, cells in rows if begins_with_values else rows[1:]:
@@ -151,7 +151,7 @@ def first_cells(path: Path, error: type[SurveyError]) -> list[str]:
     if not lines:
         return []
     cells = [cell.casefold() for cell in _cells(str(path), lines[0][1], _delimiter(lines[0][1]), error)]
-    if title is not None and any(math.isfinite(_number(cell, ",")) for cell in cells):
+    if title is not None and any(math.isfinite(number_of(cell, ",")) for cell in cells):
         named = [cell.casefold() for cell in _cells(str(path), title, _delimiter(title), error)]
         return named if len(named) >= len(cells) > 1 else cells
     return cells
@@ -228,7 +228,7 @@ def _cells(where: str, line: str, delimiter: str, error: type[SurveyError]) -> l
         raise error(f"{where}: {problem}; expected a closing quote on the same line") from problem
 
 
-def _number(text: str, decimal: str) -> float:
+def number_of(text: str, decimal: str = ".") -> float:
     """A number; NaN where the text is none. With a decimal comma, a point is good too, but not both."""
     if decimal == "," and "." not in text:
         text = text.replace(",", ".", 1)

@@ -18,7 +18,7 @@ from geo.errors import GeoError
 from geo.values import is_mark_of_no_data, rounded_coordinates
 from survey.errors import SurveyError
 from survey.files.column_units import Units, common_unit_m, meaning
-from survey.files.csv_table import Row, column_names, first_cells, read_table, shortened
+from survey.files.csv_table import Row, column_names, first_cells, number_of, read_table, shortened
 
 PLACE = ("easting", "northing", "height")
 STDS = ("std_east", "std_north", "std_height")
@@ -289,7 +289,7 @@ def _require_one_column(path: Path, synonyms: dict[str, str], error: type[Survey
 def _is_of_numbers(path: Path, error: type[SurveyError]) -> bool:
     """Whether the first line is no line of words; raises where such a table cannot be taken by place."""
     cells = first_cells(path, error)
-    numbers = [_number(cell) for cell in cells]
+    numbers = [number_of(cell, ",") for cell in cells]
     if not any(math.isfinite(number) for number in numbers):
         return False
     is_plain = len(cells) in (3, 4) and all(math.isfinite(number) for number in numbers)
@@ -299,10 +299,3 @@ def _is_of_numbers(path: Path, error: type[SurveyError]) -> bool:
             "northing, height and perhaps a standard deviation in metres; name the columns in a first line"
         )
     return True
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text.replace(",", ".", 1))
-    except ValueError:
-        return math.nan

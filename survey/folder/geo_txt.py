@@ -20,7 +20,7 @@ from geo.transformation import lon_lat
 from survey.display.quantities import named
 from survey.errors import Findings, PosesError
 from survey.files.column_units import odm_crs
-from survey.files.csv_table import shortened, text_lines
+from survey.files.csv_table import number_of, shortened, text_lines
 from survey.photos.exif import SUFFIXES, Exif, TablePlace
 from survey.photos.names import ImageNames
 from survey.settings.tables import require_std
@@ -180,7 +180,7 @@ def _line(text: str, where: str) -> _Line:
     # A name may have spaces: it ends with the suffix of a photograph.
     ends = [i for i, cell in enumerate(cells, 1) if PurePosixPath(cell).suffix.lower() in SUFFIXES]
     end = ends[0] if ends else 1
-    values = [_number(cell) for cell in cells[end:]]
+    values = [number_of(cell) for cell in cells[end:]]
     count = next((count for count in reversed(_COUNTS) if count <= len(values)), 0)
     # What follows both accuracies has no meaning.
     if not count or (len(values) > count < _COUNTS[-1]) or not all(math.isfinite(value) for value in values[:count]):
@@ -202,10 +202,3 @@ def _std(accuracies: list[float], where: str) -> tuple[float, float, float] | No
         return None
     require_std(f"{where}: the accuracy", (across, up), _MOST_STD_M, "metres", "leave both out if they are not known")
     return across, across, up
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan

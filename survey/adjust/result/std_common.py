@@ -20,7 +20,6 @@ adjustment; without one the parameters count as independent, as good as survey.t
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -33,6 +32,7 @@ from survey.adjust.block.prediction import linearise
 from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M, known_of, parameters_of
 from survey.adjust.block.state import RELIEF, WATER, Layout, State
 from survey.adjust.result.adjustment import Adjustment
+from survey.display.column import portions
 from survey.photos.poses import TiePoints, least_track
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ _VIEWS = 12
 # Places that a point is interpolated from.
 _NEAREST = 4
 # Points at a time: 300 bytes each.
-_PORTION = 200_000
+PORTION = 200_000
 # Cells along the longer side of the grid that tells what a shift of the cloud does.
 _MOST_CELLS = 1000
 # Lower bound: no height is exact.
@@ -191,7 +191,7 @@ def std_common(
         if not len(ties):
             continue
         variance = _variance(survey, found, ties, gsd)
-        for part in portions(len(xyz)):
+        for part in portions(len(xyz), PORTION):
             kind = wet[part] == is_wet
             std[part][kind] = np.sqrt(interpolated(ties.start[:, :2], variance, xyz[part][kind, :2]))
     if survey.plan_std_m > 0.0:
@@ -236,18 +236,13 @@ def shift_std(xyz: np.ndarray, plan_std_m: float) -> np.ndarray:
     return np.where(np.isfinite(std), std, whole).ravel()[flat]
 
 
-def portions(count: int) -> Iterator[slice]:
-    """Parts of so many points."""
-    return (slice(first, first + _PORTION) for first in range(0, count, _PORTION))
-
-
 def places_of(xyz: np.ndarray, among: np.ndarray | None = None) -> np.ndarray:
     """Points (K, 3) of a cloud, or ``among`` (N,) bool of them, spread over its plan.
 
     Of each square the one nearest to its middle; the first of equally near ones.
     """
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
-    for part in portions(len(xyz)):
+    for part in portions(len(xyz), PORTION):
         here = xyz[part, :2] if among is None else xyz[part, :2][among[part]]
         if len(here):
             low, high = np.minimum(low, here.min(axis=0)), np.maximum(high, here.max(axis=0))
@@ -256,7 +251,7 @@ def places_of(xyz: np.ndarray, among: np.ndarray | None = None) -> np.ndarray:
     side = max(float((high - low).max()), 1e-9) / _SQUARES
     # Index, square and distance to its middle of the nearest of each portion.
     nearest = np.empty((3, 0))
-    for part in portions(len(xyz)):
+    for part in portions(len(xyz), PORTION):
         count = len(xyz[part])
         index = part.start + (np.arange(count) if among is None else np.flatnonzero(among[part]))
         square, within = np.divmod((xyz[index, :2] - low) / side, 1.0)
@@ -312,8 +307,7 @@ def interpolated(at: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.n
     """Values (K, ...) at places (K, 2) as at places (N, 2) they are: means, weighted by the inverse square distance."""
     count = min(_NEAREST, len(at))
     tree, found = cKDTree(at), np.empty((len(wanted), *values.shape[1:]))
-    for first in range(0, len(wanted), _PORTION):
-        part = slice(first, first + _PORTION)
+    for part in portions(len(wanted), PORTION):
         distance, index = tree.query(wanted[part], k=list(range(1, count + 1)), workers=-1)
         weight = 1.0 / (distance**2 + 1e-6)
         weight = (weight / weight.sum(axis=1, keepdims=True)).reshape(*weight.shape, *(1,) * (values.ndim - 1))

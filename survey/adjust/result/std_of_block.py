@@ -23,7 +23,8 @@ from scipy import ndimage
 
 from refract import FlatWater
 from survey.adjust.result.adjustment import Adjustment, Residuals
-from survey.adjust.result.std_common import interpolated, moves_over_area, place_moves, places_of, portions, seen_places
+from survey.adjust.result.std_common import PORTION, interpolated, moves_over_area, place_moves, places_of, seen_places
+from survey.display.column import portions
 from survey.display.quantities import length
 from survey.photos.poses import parts_of
 
@@ -74,7 +75,7 @@ def std_of_block(
     cells = BedCells.of(xyz, _CELL_GSD * gsd)
     rise, reached = cells.squared_rise(np.sqrt(np.maximum(covariance.mean(axis=0)[[0, 4]], 0.0)))
     not_by_slopes = rise - (cells.slope**2 * reached).sum(axis=0)
-    for part in portions(len(xyz)):
+    for part in portions(len(xyz), PORTION):
         here = xyz[part]
         there = interpolated(ties.start[:, :2], covariance, here[:, :2]).reshape(-1, 3, 3)
         towards = np.column_stack([-cells.at(cells.slope, here), np.ones(len(here))])
@@ -103,7 +104,7 @@ class BedCells:
         origin = xyz.mean(axis=0)
         # Of each cell the sums of what is in `_products`.
         sums = np.zeros((9, int(shape.prod())))
-        for part in portions(len(xyz)):
+        for part in portions(len(xyz), PORTION):
             place = _cells_of(xyz[part, :2], low, side)
             for total, weights in zip(sums, _products(xyz[part] - origin), strict=True):
                 np.add.at(total, place[:, 0] * shape[1] + place[:, 1], weights)

@@ -27,7 +27,7 @@ from pathlib import Path
 import torch
 from survey_field_measures import cloud_figures, summary, view_figures, with_steps
 
-from survey.folder.survey import load_survey
+from survey.folder.survey import Survey, View, load_survey
 from survey.run.folder import RunDir
 from survey.run.stored import load_bed
 from survey.settings.config import read_config
@@ -89,6 +89,13 @@ def held_survey(survey: Path, folder: Path) -> Path:
     return folder / "held.csv"
 
 
+def kept_views(survey: Survey, table: Path) -> list[View]:
+    """The views of a survey that a table does not name: in its frame, which that of the others alone is not."""
+    with table.open(encoding="utf-8", newline="") as stream:
+        held = {line[0] for line in csv.reader(stream)}
+    return [view for view in survey.views if view.name not in held]
+
+
 def held_row(name: str, options: argparse.Namespace) -> dict:
     """Photographs that were left out, predicted from the others or from the field."""
     folder, views = options.output / "held", options.output / f"views of {name}"
@@ -103,7 +110,7 @@ def held_row(name: str, options: argparse.Namespace) -> dict:
     rendered = [(view, (views / view.name).with_suffix(".png")) for view in survey.views]
     each = [view_figures(survey, view, path, deepest, weights) for view, path in rendered if path.exists()]
     if options.steps:
-        with_steps(each, survey, load_survey(folder).views, options.reference, views, deepest)
+        with_steps(each, survey, kept_views(survey, table), options.reference, views, deepest)
     return {"row": name, **record, **summary(each), "views": each}
 
 

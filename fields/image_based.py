@@ -1,9 +1,10 @@
 """Image-based rendering: photographs warped along refracted rays by their height maps, and blended.
 
 The surface that a camera sees comes from a z-buffer into which points of the height maps of nearby photographs are
-splatted; the height of a pixel is then averaged over the maps that agree with it. Its colour is the mean of what these
-photographs show there, weighted as in the unstructured lumigraph (Buehler et al. 2001): the smaller the angle between
-the two rays, the more, and less towards the border of a photograph.
+splatted; the height of a pixel is then averaged over the maps that agree with it. Its colour is the mean of what the
+photographs that see it show there, weighted as in the unstructured lumigraph (Buehler et al. 2001): the smaller the
+angle between the two rays, the more, and less towards the border of a photograph. From a photograph without a height
+map what the target sees hides what lies behind.
 """
 
 from __future__ import annotations
@@ -14,19 +15,17 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
+from fields.z_buffer import Splats, front_surface
 from refract import FlatWater, PinholeCamera
 from refract.paths import BentPaths
 
-# Photographs that a place of the target is blended of.
-_SOURCES = 8
+# Photographs that a place of the target is blended of, and height maps that its height is the mean of.
+_SOURCES, _MAPS = 12, 8
 # Places of the target with their own choice of photographs, along each side.
 _CELLS = 8
-# Of the pixels of a map along each side one in so many is splatted: several maps overlap.
-_STRIDE = 2
-# Gaps of the surface up to this wide take the height of the nearest pixel [px].
-_GAP_PX = 8
+# What the target sees hides from a photograph without a map what lies behind, in pixels of this size [px].
+_COARSE = 2
 # At this angle [rad] between the rays a photograph has a quarter of its weight; it fades at its border [px].
 _ANGLE, _BORDER_PX = 0.3, 24.0
 
@@ -54,33 +53,33 @@ class NovelView:
 
 @dataclass(frozen=True)
 class Source:
-    """A photograph with its height map."""
+    """A photograph, with its height map if it has one."""
 
     camera: PinholeCamera
     rgb: np.ndarray  # (height, width, 3) uint8
     mask: np.ndarray | None  # (height, width) bool or None: pixels that may be used; None for all
     scale: float  # [-]: pixels of the height map per pixel of the photograph
-    # (rows, columns) float32 [m]: over the water plane, of the path of each pixel; NaN where not confirmed
-    heights: np.ndarray
+    # (rows, columns) float32 [m] or None: over the water plane, of the path of each pixel; NaN where not confirmed
+    heights: np.ndarray | None
 
     @property
     def num_bytes(self) -> int:
         """Size in memory."""
         return sum(each.nbytes for each in (self.rgb, self.mask, self.heights) if each is not None)
 
-    def points(self, water: FlatWater | None) -> np.ndarray:
-        """Points (N, 3) [m], local, of every `_STRIDE`-th pixel of the map along each side that has a height."""
-        rows, columns = _STRIDE * np.stack(np.nonzero(np.isfinite(self.heights[::_STRIDE, ::_STRIDE])))
-        path = self.camera.scaled(self.scale).paths(np.column_stack([columns + 0.5, rows + 0.5]), water)
-        return path.at_height(self.heights[rows, columns].astype(np.float64), water)
+    def splats(self, water: FlatWater | None) -> Splats:
+        """The points of its height map, of which it has one."""
+        assert self.heights is not None
+        return Splats.of(self.camera.scaled(self.scale), self.heights, water)
 
     def observe(self, points: np.ndarray, water: FlatWater | None) -> Observation:
         """Observation of points (N, 3) [m], local, by the photograph."""
         uv = self.camera.project(points, water).astype(np.float32)
         inside = self.camera.sees(uv)
         uv[~inside] = -2.0
-        height = _sampled(self.heights, uv * np.float32(self.scale), cv2.INTER_LINEAR)
-        height[~inside] = np.nan
+        height = np.full(len(points), np.nan, dtype=np.float32)
+        if self.heights is not None:
+            height[inside] = _sampled(self.heights, uv[inside] * np.float32(self.scale), cv2.INTER_LINEAR)
         if self.mask is not None:
             inside &= _sampled(self.mask.astype(np.uint8), uv, cv2.INTER_NEAREST) > 0
         return Observation(uv, inside, height)
@@ -111,23 +110,27 @@ class Observation:
 
 @dataclass(frozen=True)
 class ImageBasedField:
-    """Image-based field: photographs with height maps, rendered for other cameras."""
+    """Image-based field: photographs, of which some have height maps, rendered for other cameras."""
 
     cameras: Sequence[PinholeCamera]  # Of the photographs
     water: FlatWater | None
     load: Callable[[int], Source]  # callable: the photograph of a number, as a `Source`
+    mapped: frozenset[int]  # numbers of the photographs that have a height map
     height: float  # [m]: of the bed over the water plane, about
     tolerance: float  # [m]: heights that differ by less are of the same surface
     gains: np.ndarray  # (V, 3): factors that bring the colours of the photographs to a common exposure
 
     def sources_of(self, camera: PinholeCamera, *, dry: bool = False) -> list[int]:
         """Numbers of the photographs that show what a camera sees of a level bed: the nearest of each place of it."""
+        return self._around(camera, dry, range(len(self.cameras)), _SOURCES)
+
+    def _around(self, camera: PinholeCamera, dry: bool, among: Iterable[int], most: int) -> list[int]:
         optics = self._optics(dry)
         u, v = (np.linspace(0.5, size - 0.5, _CELLS) for size in (camera.width, camera.height))
         pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
         points = camera.paths(pixels, optics).at_height(np.full(len(pixels), self.height), optics)
         points = points[np.isfinite(points).all(axis=1)]
-        chosen = self._nearest(points, camera.centre, range(len(self.cameras)))
+        chosen = self._nearest(points, camera.centre, among, most)
         return sorted({number for numbers in chosen for number in numbers})
 
     def render(
@@ -135,8 +138,9 @@ class ImageBasedField:
     ) -> NovelView:
         """View of a camera: `dry`, by straight rays; `without_water` takes the water out of the colours."""
         optics, numbers = self._optics(dry), self.sources_of(camera, dry=dry)
+        maps = self._around(camera, dry, sorted(self.mapped), _MAPS)
         shape = (camera.height, camera.width)
-        surface = self._front_surface(camera, optics, map(self.load, numbers))
+        surface = front_surface(camera, optics, (self.load(n).splats(self.water) for n in maps), self.tolerance)
         rgb = np.zeros((*shape, 3), dtype=np.uint8)
         bed, distance = (np.full(shape, np.nan, dtype=np.float32) for _ in range(2))
         place = np.full((*shape, 3), np.nan)
@@ -144,48 +148,70 @@ class ImageBasedField:
         middle = np.array([(row[len(row) // 2], column[len(row) // 2]) for row, column in tiles], dtype=np.int64)
         row, column = middle.reshape(-1, 2).T
         points = camera.paths(_centres(row, column), optics).at_height(surface[row, column].astype(np.float64), optics)
-        nearest = self._nearest(points, camera.centre, numbers)
-        for at, chosen in zip(tiles, nearest, strict=True):
+        nearest = self._nearest(points, camera.centre, numbers, _SOURCES)
+        nearest_maps = self._nearest(points, camera.centre, maps, _MAPS)
+        visible = self._seen_from(Splats.of(camera, surface, optics), {n for chosen in nearest for n in chosen})
+        for at, chosen, around in zip(tiles, nearest, nearest_maps, strict=True):
             path = camera.paths(_centres(*at), optics)
-            colour, height, known = self._blended(path, optics, surface[at].astype(np.float64), chosen, without_water)
+            height = self._averaged(path, optics, surface[at].astype(np.float64), around)
+            sources = {number: visible.get(number) or self.load(number) for number in chosen}
+            colour, known = self._blended(path, path.at_height(height, optics), height, sources, without_water)
             points, at = path.at_height(height, optics), (at[0][known], at[1][known])
             rgb[at] = np.clip(np.round(colour[known]), 0, 255)
             bed[at], place[at] = height[known], points[known]
             distance[at] = _path_length(path, points)[known]
         return NovelView(rgb, bed, distance, normals_of(place))
 
+    def _seen_from(self, target: Splats, numbers: Iterable[int]) -> dict[int, Source]:
+        """Photographs without a map, with the surface of the target in place of one."""
+        found = {}
+        for number in set(numbers) - self.mapped:
+            source = self.load(number)
+            coarse = source.camera.scaled(1.0 / _COARSE)
+            heights = front_surface(coarse, self.water, [target], self.tolerance)
+            found[number] = replace(source, scale=1.0 / _COARSE, heights=heights)
+        return found
+
     def _optics(self, dry: bool) -> FlatWater | None:
         """The water that a camera looks through: an index of one keeps the plane that heights count from."""
         return replace(self.water, n_water=1.0) if dry and self.water is not None else self.water
 
-    def _nearest(self, points: np.ndarray, centre: np.ndarray, among: Iterable[int]) -> list[list[int]]:
-        """The `_SOURCES` photographs that see each of N points (N, 3) under the smallest angle to a place."""
+    def _nearest(self, points: np.ndarray, centre: np.ndarray, among: Iterable[int], most: int) -> list[list[int]]:
+        """The photographs, so many, that see each of N points (N, 3) under the smallest angle to a place."""
         own, among = _directions(points, centre), np.array(list(among), dtype=np.int64)
         angles = np.full((len(among), len(points)), np.inf)
         for row, number in enumerate(among):
             camera = self.cameras[number]
             seen = camera.sees(camera.project(points, self.water))
             angles[row, seen] = _angle(own, _directions(points, camera.centre))[seen]
-        order = np.argsort(angles, axis=0, kind="stable")[:_SOURCES]
+        order = np.argsort(angles, axis=0, kind="stable")[:most]
         known = np.isfinite(np.take_along_axis(angles, order, axis=0))
         return [among[order[known[:, n], n]].tolist() for n in range(len(points))]
+
+    def _averaged(
+        self, path: BentPaths, optics: FlatWater | None, height: np.ndarray, numbers: Iterable[int]
+    ) -> np.ndarray:
+        """Heights (N,) [m] averaged over the maps that agree with them; as they are where none does."""
+        points, total, count = path.at_height(height, optics), np.zeros(len(height)), np.zeros(len(height))
+        for number in numbers:
+            seen = self.load(number).observe(points, self.water)
+            agrees = seen.agrees(height, self.tolerance)
+            total[agrees] += seen.height[agrees]
+            count += agrees
+        return np.where(count > 0, total / np.maximum(count, 1), height)
 
     def _blended(
         self,
         path: BentPaths,
-        optics: FlatWater | None,
+        points: np.ndarray,
         height: np.ndarray,
-        numbers: list[int],
+        sources: dict[int, Source],
         without_water: WithoutWater | None,
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Colours (N, 3), heights (N,) [m], and whether a photograph shows the place (N,) bool, of N pixels."""
-        points = path.at_height(height, optics)
-        sources = [self.load(number) for number in numbers]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Colours (N, 3) of points (N, 3), and whether a photograph shows them (N,) bool."""
         if not sources:
-            return np.zeros((len(points), 3)), height, np.zeros(len(points), dtype=bool)
-        height = _averaged(height, [source.observe(points, self.water) for source in sources], self.tolerance)
-        points = path.at_height(height, optics)
-        seen = [source.observe(points, self.water) for source in sources]
+            return np.zeros((len(points), 3)), np.zeros(len(points), dtype=bool)
+        seen = [source.observe(points, self.water) for source in sources.values()]
         inside = np.stack([each.inside for each in seen])
         agree = inside & np.stack([each.agrees(height, self.tolerance) for each in seen])
         # Where no map agrees (in gaps), photographs count in which nothing is in front; else all that look there.
@@ -193,7 +219,7 @@ class ImageBasedField:
         usable = np.where(agree.any(axis=0), agree, np.where(open_to.any(axis=0), open_to, inside))
         own = _directions(points, path.origin)
         total, weight = np.zeros((len(points), 3)), np.zeros(len(points))
-        for number, source, each, use in zip(numbers, sources, seen, usable, strict=True):
+        for (number, source), each, use in zip(sources.items(), seen, usable, strict=True):
             uv = each.uv[use]
             colour = source.colours(uv) * self.gains[number]
             if without_water is not None and self.water is not None:
@@ -201,43 +227,7 @@ class ImageBasedField:
             w = _weight(_angle(own[use], _directions(points[use], source.camera.centre)), uv, source.camera)
             total[use] += w[:, None] * colour
             weight[use] += w
-        return total / np.maximum(weight, 1e-12)[:, None], height, weight > 0.0
-
-    def _front_surface(self, camera: PinholeCamera, optics: FlatWater | None, sources: Iterable[Source]) -> np.ndarray:
-        """Heights (height, width) float32 [m] of the nearest surface, from a z-buffer; NaN without one.
-
-        Along a ray that comes down heights fall, so the highest point of a pixel is the nearest. Where the maps are
-        coarser than the target, the buffer is as coarse, so that what lies behind does not show through.
-        """
-        spacing, seen = [], []
-        for source in sources:
-            points = source.points(self.water)
-            if len(points):
-                spacing.append(_spacing_px(camera, source, points))
-                seen.append((camera.project(points, optics), heights_over(points, self.water)))
-        if not seen:
-            return np.full((camera.height, camera.width), np.nan, dtype=np.float32)
-        scale = min(1.0, 1.0 / float(np.median(spacing)))
-        width, height = (max(round(size * scale), 1) for size in (camera.width, camera.height))
-        top = np.full(width * height, -np.inf)
-        for number, (uv, z) in enumerate(seen):
-            inside = camera.sees(uv)
-            uv = uv[inside] * (width / camera.width, height / camera.height)
-            cell, z = uv.astype(np.int64) @ [1, width], z[inside]
-            np.maximum.at(top, cell, z)
-            seen[number] = cell, z
-        total, count = np.zeros(width * height), np.zeros(width * height)
-        for cell, z in seen:
-            front = z > top[cell] - self.tolerance
-            total += np.bincount(cell[front], z[front], minlength=len(top))
-            count += np.bincount(cell[front], minlength=len(top))
-        with np.errstate(invalid="ignore"):
-            mean = (total / count).reshape(height, width).astype(np.float32)
-        if np.isnan(mean).all():
-            return np.full((camera.height, camera.width), np.nan, dtype=np.float32)
-        far, nearest = distance_transform_edt(np.isnan(mean), return_indices=True)
-        mean = np.where(far <= _GAP_PX * scale, mean[tuple(nearest)], np.nan)
-        return cv2.resize(mean, (camera.width, camera.height), interpolation=cv2.INTER_NEAREST)
+        return total / np.maximum(weight, 1e-12)[:, None], weight > 0.0
 
 
 def _tiles(surface: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -264,16 +254,6 @@ def _path_length(path: BentPaths, points: np.ndarray) -> np.ndarray:
     return np.where(path.wet & (straight > path.air_length), bent, straight)
 
 
-def _averaged(height: np.ndarray, seen: list[Observation], tolerance: float) -> np.ndarray:
-    """Heights (N,) [m] averaged over the maps that agree with them; as they are where none does."""
-    total, count = np.zeros(len(height)), np.zeros(len(height))
-    for each in seen:
-        agrees = each.agrees(height, tolerance)
-        total[agrees] += each.height[agrees]
-        count += agrees
-    return np.where(count > 0, total / np.maximum(count, 1), height)
-
-
 def _weight(angle: np.ndarray, uv: np.ndarray, camera: PinholeCamera) -> np.ndarray:
     border = np.minimum(uv, (camera.width, camera.height) - uv).min(axis=1)
     return np.clip(border / _BORDER_PX, 1e-3, 1.0) / (1.0 + (angle / _ANGLE) ** 2) ** 2
@@ -293,13 +273,6 @@ def _dried(
     out = colour.copy()
     out[wet] = without_water(colour[wet], -height[wet], incidence)
     return out
-
-
-def _spacing_px(camera: PinholeCamera, source: Source, points: np.ndarray) -> float:
-    """Distance [px] at which neighbouring points of a source appear in the target, by distances and focal lengths."""
-    some = points[:: max(len(points) // 1000, 1)]
-    own, other = (np.linalg.norm(some - c.centre, axis=1) for c in (camera, source.camera))
-    return float(np.median(other / own)) * _STRIDE * camera.fx / (source.camera.fx * source.scale)
 
 
 def normals_of(place: np.ndarray) -> np.ndarray:

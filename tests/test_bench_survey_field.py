@@ -56,6 +56,8 @@ def test_every_eighth_photograph_is_left_out_and_no_other(benchmark, tmp_path):
     )
     assert sorted(p.name for p in survey.rglob("*")) == before
     assert len(load_survey(tmp_path / "held").views) == len(kept) - 1
+    of_survey = benchmark.rows.kept_views(load_survey(survey), table)
+    assert [view.name for view in of_survey] == [line.split(",")[0] for line in kept[1:]]
 
 
 def test_water_pixels_stay_inside_the_bounds_down_to_the_bed(benchmark, monkeypatch):

@@ -40,7 +40,8 @@ def source_of(bed: PlaneBed, camera: PinholeCamera, exposure: float = 1.0) -> So
 def field_of(cameras: list[PinholeCamera], sources: list[Source], water, **parts) -> ImageBasedField:
     level = float(np.nanmedian(sources[0].heights))
     gains = parts.get("gains", np.ones((len(sources), 3)))
-    return ImageBasedField(cameras, water, sources.__getitem__, level, 0.05, gains)
+    mapped = frozenset(n for n, source in enumerate(sources) if source.heights is not None)
+    return ImageBasedField(cameras, water, sources.__getitem__, mapped, level, 0.05, gains)
 
 
 def novel_camera() -> PinholeCamera:
@@ -103,13 +104,14 @@ def plate_and_bed(camera: PinholeCamera) -> tuple[np.ndarray, np.ndarray]:
     return np.where(on_plate, PLATE, -2.0), on_plate
 
 
-def test_what_is_hidden_in_a_photograph_does_not_show_through():
+@pytest.mark.parametrize("unmapped", [(), (1, 3, 4, 5, 7)])
+def test_what_is_hidden_in_a_photograph_does_not_show_through(unmapped):
     cameras = ring(8, radius=5.0)
     sources = []
-    for camera in cameras:
+    for number, camera in enumerate(cameras):
         height, on_plate = plate_and_bed(camera)
         rgb = np.where(on_plate[..., None], RED, GREEN).astype(np.uint8)
-        sources.append(Source(camera, rgb, None, 1.0, height.astype(np.float32)))
+        sources.append(Source(camera, rgb, None, 1.0, None if number in unmapped else height.astype(np.float32)))
     camera = look((2.5, 2.0, 9.0), (0.0, 0.0, -1.5))
     view = field_of(cameras, sources, None).render(camera)
     height, on_plate = plate_and_bed(camera)
@@ -132,6 +134,21 @@ def test_gains_bring_photographs_to_one_exposure():
     view = field_of(cameras, sources, bed.water, gains=gains).render(novel_camera())
     points = seen_points(bed, novel_camera(), bed.water)[1]
     assert np.sqrt(np.mean((view.rgb - pattern(points))[view.seen] ** 2)) < 1.2
+
+
+def test_photographs_without_a_map_give_colours_too():
+    bed, cameras = BED["wet"], ring()
+    camera = novel_camera()
+    sources = [source_of(bed, c) for c in cameras]
+    sources[1] = replace(sources[1], rgb=np.zeros_like(sources[1].rgb), heights=None)
+    view, points = field_of(cameras, sources, bed.water).render(camera), seen_points(bed, camera, bed.water)[1]
+    darker = (view.rgb / pattern(points))[view.seen].mean()
+    # One of six.
+    assert 0.6 < darker < 0.95
+    found = np.abs(view.bed_height - seen_points(bed, camera, bed.water)[0])[view.seen]
+    # At the border, where no map is left, the height of the z-buffer is not averaged.
+    assert np.quantile(found, 0.99) < 1e-3
+    assert found.max() < 0.01
 
 
 def test_masked_pixels_are_not_used():

@@ -52,17 +52,18 @@ def image_based_field(
         If the run has no height maps, or a photograph is not there any more.
     """
     flight = flight_of(run, survey)
-    maps = _HeightMaps(run, flight)
+    photographs = _Photographs(run, flight)
     points = flight.frame.local_from_crs(_some(run.columns("points_crs")["points_crs"]))
-    views = [flight.views[view] for view in maps.views]
-    load = lru_cache(max(_MOST_BYTES // maps.source(0).num_bytes, _FEWEST))(maps.source)
+    mapped = photographs.mapped
+    load = lru_cache(max(_MOST_BYTES // photographs.source(min(mapped)).num_bytes, _FEWEST))(photographs.source)
     field = ImageBasedField(
-        cameras=[view.camera for view in views],
+        cameras=[view.camera for view in flight.views],
         water=flight.water,
         load=load,
+        mapped=frozenset(mapped),
         height=float(np.median(heights_over(points, flight.water))),
         tolerance=_TOLERANCE_GSD * run.place.gsd_m,
-        gains=np.ones((len(views), 3)),
+        gains=np.ones((len(flight.views), 3)),
     )
     needed = sorted({number for camera in cameras for number in field.sources_of(camera, dry=dry)})
     gains = field.gains.copy()
@@ -70,13 +71,13 @@ def image_based_field(
     return replace(field, gains=gains)
 
 
-class _HeightMaps:
-    """The height maps of a run, with the solver's heights where it has them, and their photographs.
+class _Photographs:
+    """The photographs of a run with their height maps, in which the solver's heights are where it has them.
 
     Attributes
     ----------
-    views : list of int
-        Of the flight: those that have a map.
+    mapped : dict of int to int
+        Of the views of the flight that have a map, the place among the maps.
     """
 
     def __init__(self, run: LoadedRun, flight: Flight):
@@ -85,21 +86,24 @@ class _HeightMaps:
         solved = run.folder.load_stage("solver") / SOLVED if "solver" in run.stages else None
         self._solved = None if solved is None else Stored(solved, SolvedMap)
         self._scale = float(read_json_object(run.folder.plan_path)["image_scale"])
-        self.views = self._swept.views
-        if not self.views:
+        self.mapped = {view: place for place, view in enumerate(self._swept.views)}
+        if not self.mapped:
             raise SurveyError(f"the run {run.folder.path} has no height maps; give the same `bathynerf process` again")
 
     def source(self, number: int) -> Source:
-        """The photograph of the map of a number."""
-        view = self._flight.views[self.views[number]]
-        height_map = self._swept[number]
+        """The photograph of a number."""
+        view = self._flight.views[number]
+        heights = self._heights(view.camera, self.mapped[number]) if number in self.mapped else None
+        return Source(view.camera, load_image(view), load_mask(view), self._scale, heights)
+
+    def _heights(self, camera: PinholeCamera, place: int) -> np.ndarray:
+        height_map = self._swept[place]
         confirmed = trusted(height_map)
         if self._solved is not None:
-            height_map, _ = self._solved[number].over(height_map)
+            height_map, _ = self._solved[place].over(height_map)
         # Maps of smaller photographs are padded.
-        camera = view.camera.scaled(self._scale)
-        heights = np.where(confirmed, height_map.height, np.float32(np.nan))[: camera.height, : camera.width]
-        return Source(view.camera, load_image(view), load_mask(view), self._scale, heights)
+        small = camera.scaled(self._scale)
+        return np.where(confirmed, height_map.height, np.float32(np.nan))[: small.height, : small.width]
 
 
 def _some(points: np.ndarray) -> np.ndarray:
@@ -110,13 +114,30 @@ def _gains(
     field: ImageBasedField, numbers: Sequence[int], points: np.ndarray, advance: Callable[[], object]
 ) -> np.ndarray:
     """Factors (V, 3) that bring the colours of some photographs to their common exposure, by what they show at points
-    (N, 3), local."""
+    (N, 3), local. What the water takes along an oblique path is no exposure, and stays."""
     heights = heights_over(points, field.water)
     shown = np.full((len(numbers), len(points), 3), np.nan, dtype=np.float32)
+    lengths = np.zeros(shown.shape[:2], dtype=np.float32)
     for row, number in enumerate(numbers):
         source = field.load(number)
         seen = source.observe(points, field.water)
-        use = seen.inside & seen.agrees(heights, field.tolerance)
+        # Without a map of its own a photograph may show something in front: few points, against a median.
+        use = seen.inside & (seen.agrees(heights, field.tolerance) | (source.heights is None))
         shown[row, use] = np.log(np.maximum(source.colours(seen.uv[use]), 1.0))
+        if field.water is not None:
+            path = source.camera.paths(seen.uv[use].astype(np.float64), field.water)
+            length = np.linalg.norm(points[use] - path.crossing, axis=1)
+            lengths[row, use] = np.where(heights[use] < 0.0, length, 0.0)
         advance()
-    return np.exp(-exposure_gains(shown))
+    return np.exp(-exposure_gains(shown - per_metre(shown, lengths) * lengths[..., None]))
+
+
+def per_metre(shown: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    """Change (3,) [1/m] of the logarithms of colours (V, K, 3) of K points, NaN where a view does not show one, with
+    the lengths (V, K) [m] of their paths in water."""
+    known = np.isfinite(shown[..., 0])
+    count = np.maximum(known.sum(axis=0), 1)
+    length = np.where(known, lengths - np.where(known, lengths, 0.0).sum(axis=0) / count, 0.0)
+    # The mean colour of a point falls out, since its deviations of lengths add up to zero.
+    change = np.einsum("vk,vkc->c", length, np.nan_to_num(shown))
+    return change / max(float((length**2).sum()), 1e-12)

@@ -1,13 +1,13 @@
 """What does the field bring to a survey, and how well does it predict photographs that were held out?
 
     python benchmarks/bench_survey_field.py SURVEY -o WORK [--quality draft] [--rows sweep field held held_field]
-        [--reference F --visible F] [--lpips F] [--dists F] [--steps]
+        [--reference F --visible F] [--lpips F] [--dists F] [--steps] [--views N]
 
 Rows: `sweep`, the cloud of `bathynerf process --field off`; `field`, the same with the field, whose run goes on from
 that sweep; `held`, a survey without every eighth photograph, processed with the field, and what `bathynerf render`
 makes of the cameras that were left out from the other photographs, over water pixels; `held_field`, the same from the
 field; with --steps also over pixels within 5 px of a step of depth, away from steps, and of places that three
-photographs see at most. One JSON for each row in WORK, and markers for commands that
+photographs see at most; with --views N, of N of them. One JSON for each row in WORK, and markers for commands that
 have finished: the same command again does what is missing. SURVEY is only read. Reference and visible points default to
 reference.ply and visible.ply of the survey; weights of LPIPS and DISTS are state dicts of torch.
 """
@@ -89,6 +89,17 @@ def held_survey(survey: Path, folder: Path) -> Path:
     return folder / "held.csv"
 
 
+def some_of(held: Path, number: int | None) -> Path:
+    """A table of as many of the views that were left out, evenly chosen."""
+    head, *lines = held.read_text(encoding="utf-8").splitlines()
+    if number is None or number >= len(lines):
+        return held
+    chosen = [lines[len(lines) * i // number] for i in range(number)]
+    table = held.with_name(f"held_{number}.csv")
+    table.write_text("\n".join([head, *chosen]) + "\n", encoding="utf-8")
+    return table
+
+
 def kept_views(survey: Survey, table: Path) -> list[View]:
     """The views of a survey that a table does not name: in its frame, which that of the others alone is not."""
     with table.open(encoding="utf-8", newline="") as stream:
@@ -99,7 +110,8 @@ def kept_views(survey: Survey, table: Path) -> list[View]:
 def held_row(name: str, options: argparse.Namespace) -> dict:
     """Photographs that were left out, predicted from the others or from the field."""
     folder, views = options.output / "held", options.output / f"views of {name}"
-    table, run = held_survey(options.survey, folder), folder / "bathynerf"
+    held, run = held_survey(options.survey, folder), folder / "bathynerf"
+    table = some_of(held, options.views)
     arguments = ["process", str(folder), "--quality", options.quality, "--field", "slab", "-q"]
     record = {"process": once(options.output / "held.process.json", arguments)}
     arguments = ["render", str(run), "--cameras", str(table), "-o", str(views), "-q"]
@@ -110,7 +122,7 @@ def held_row(name: str, options: argparse.Namespace) -> dict:
     rendered = [(view, (views / view.name).with_suffix(".png")) for view in survey.views]
     each = [view_figures(survey, view, path, deepest, weights) for view, path in rendered if path.exists()]
     if options.steps:
-        with_steps(each, survey, kept_views(survey, table), options.reference, views, deepest)
+        with_steps(each, survey, kept_views(survey, held), options.reference, views, deepest)
     return {"row": name, **record, **summary(each), "views": each}
 
 
@@ -150,6 +162,7 @@ def main() -> None:
     parser.add_argument("--quality", default="draft")
     parser.add_argument("--rows", nargs="+", default=["sweep", "field", *HELD], choices=["sweep", "field", *HELD])
     parser.add_argument("--steps", action="store_true")
+    parser.add_argument("--views", type=int)
     for name in ("reference", "visible", "lpips", "dists"):
         parser.add_argument(f"--{name}", type=Path)
     options = parser.parse_args()

@@ -62,7 +62,7 @@ def near_steps(distance: np.ndarray, focal_px: float, reach_px: int = REACH_PX) 
 def sightings(
     points: np.ndarray, cameras: Sequence[PinholeCamera], water: FlatWater | None, surface: TriangleMesh
 ) -> np.ndarray:
-    """How many cameras see each of points (height, width, 3)."""
+    """How many cameras see each of points (..., 3)."""
     flat, count = points.reshape(-1, 3), np.zeros(points[..., 0].size, dtype=int)
     known = np.flatnonzero(np.isfinite(flat).all(axis=1))
     for camera in cameras:
@@ -75,7 +75,7 @@ def sightings(
         at = (pixels[inside].T[::-1] - 0.5 - STRIDE // 2) / STRIDE
         found = map_coordinates(seen, at, order=1, mode="nearest")
         count[rows] += found > _distances(camera, water, flat[rows]) - HIDDEN_M
-    return count.reshape(points.shape[:2])
+    return count.reshape(points.shape[:-1])
 
 
 def _distances(camera: PinholeCamera, water: FlatWater | None, points: np.ndarray) -> np.ndarray:

@@ -22,6 +22,8 @@ TOLERANCES_M = (0.05, 0.2)
 # A point belongs to a mast if it rises this far above what covers a quarter of the disc of this diameter around it, in
 # a raster of these cells: a deck beside the side of a hull does, and the top of a mast does not.
 RISE_M, WIDE_M, CELL_M, COVERED = 0.5, 1.5, 0.1, 0.25
+# Sightings are counted at one pixel in so many each way.
+THINNED = 4
 # The shortest side of an image that allows five scales.
 SMALLEST_PX = 176
 
@@ -91,23 +93,40 @@ def view_figures(survey: Survey, view: View, picture: Path, deepest_m: float, we
 def with_steps(
     figures: list[dict], survey: Survey, kept: list[View], reference: Path, pictures: Path, deepest_m: float
 ) -> None:
-    """Add the PSNR [dB] beside steps of depth, away from them, and where few of the kept photographs see a place."""
+    """Add the PSNR [dB] beside steps of depth, away from them, and where few of the kept photographs see a place.
+
+    Sightings are counted at one pixel in `THINNED` each way.
+    """
     mesh = read_reference(reference)
     surface = TriangleMesh(survey.frame.local_from_crs(mesh.vertices), mesh.faces)
-    by_name, cameras = {view.name: view for view in survey.views}, [view.camera for view in kept]
+    by_name, cameras, some = {view.name: view for view in survey.views}, [view.camera for view in kept], []
     for each in (f for f in figures if f["pixels"]):
         view = by_name[each["image"]]
         with Image.open((pictures / view.name).with_suffix(".png")) as image:
             found = np.asarray(image)[..., :3] / 255.0
         photograph, mask = load_image(view) / 255.0, water_pixels(survey, view, deepest_m)
         distance, points = true_points(view.camera, survey.water, surface)
-        beside = near_steps(distance, view.camera.fx)
-        few = sightings(np.where(mask[..., None], points, np.nan), cameras, survey.water, surface) <= FEW
-        known = mask & np.isfinite(distance)
-        for name, part in (("steps", known & beside), ("away", known & ~beside), ("few", known & few)):
-            each[f"{name}_share"] = float(part.sum() / max(known.sum(), 1))
-            if part.any():
-                each[f"psnr_{name}_db"] = psnr(photograph, found, part)
+        beside, known = near_steps(distance, view.camera.fx), mask & np.isfinite(distance)
+        for name, part in (("steps", known & beside), ("away", known & ~beside)):
+            _add(each, name, photograph, found, known, part)
+        thin = (slice(None, None, THINNED), slice(None, None, THINNED))
+        some.append((each, photograph[thin][known[thin]], found[thin][known[thin]], points[thin][known[thin]]))
+    if not some:
+        return
+    # Distances from all cameras are found once for all views.
+    count = sightings(np.concatenate([points for *_, points in some]), cameras, survey.water, surface)
+    ends = np.cumsum([len(points) for *_, points in some])[:-1]
+    for (each, photograph, found, _), seen in zip(some, np.split(count, ends), strict=True):
+        _add(each, "few", photograph, found, np.ones(len(seen), dtype=bool), seen <= FEW)
+
+
+def _add(
+    figures: dict, name: str, photograph: np.ndarray, found: np.ndarray, known: np.ndarray, part: np.ndarray
+) -> None:
+    figures[f"{name}_share"] = float(part.sum() / max(known.sum(), 1))
+    if part.any():
+        # As a picture of one row.
+        figures[f"psnr_{name}_db"] = psnr(photograph[part][None], found[part][None])
 
 
 def summary(views: list[dict]) -> dict:

@@ -82,3 +82,10 @@ def test_a_summary_weighs_squared_errors_by_pixels(benchmark):
     found = benchmark.measures.summary(views)
     assert (found["images"], found["psnr_db"], found["ssim"]) == (2, 35.0, 0.9)
     assert found["psnr_pooled_db"] == pytest.approx(-10.0 * np.log10((3e-4 + 1e-3) / 4.0))
+
+
+def test_views_are_chosen_evenly(benchmark, tmp_path):
+    held = tmp_path / "held.csv"
+    held.write_text("image\n" + "".join(f"{i}.jpg\n" for i in range(6)))
+    assert benchmark.rows.some_of(held, 3).read_text().split() == ["image", "0.jpg", "2.jpg", "4.jpg"]
+    assert benchmark.rows.some_of(held, None) == benchmark.rows.some_of(held, 6) == held

@@ -21,8 +21,6 @@ from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, count, length, share
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from survey.compare.figures import Comparison, Figures
 
 # Points that a cell should have on average: few where a hole is a hole, more where points lie at random.

@@ -22,7 +22,6 @@ from survey.run.flight import FLIGHT, save_flight
 from survey.run.stored import LENGTHS_AT, load_arrays, save_arrays, unreadable, write_arrays
 
 if TYPE_CHECKING:
-    from fields.sweep.maps import HeightMap
     from survey.run.job import Job
 
 

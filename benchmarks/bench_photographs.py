@@ -64,12 +64,24 @@ def scene_of(number: int) -> DrawnScene:
     )
 
 
-def staged(number: int) -> StagedScene:
-    """The scene with the bounds that its strips cover; of one ray per pixel, which suffices for the growth."""
-    scene, side = stage_drawing(scene_of(number)), math.sqrt(GROUND_OF_PHOTOGRAPH_M2 * number)
+def bounds_of(scene: StagedScene, half_m: float) -> tuple[float, float, float, float]:
+    """Bounds in crs so far around the middle."""
     east, north = scene.frame.origin[:2]
-    bounds = (east - 0.5 * side, north - 0.5 * side, east + 0.5 * side, north + 0.5 * side)
-    return replace(scene, bounds=bounds, sensor=replace(scene.sensor, samples=1))
+    return east - half_m, north - half_m, east + half_m, north + half_m
+
+
+def draw(survey: Path, number: int) -> None:
+    """Draw a survey, of one ray per pixel, with the truth of its middle alone; its bounds are what the strips cover."""
+    scene = stage_drawing(scene_of(number))
+    middle = bounds_of(scene, MIDDLE_M)
+    scene = replace(scene, bounds=middle, sensor=replace(scene.sensor, samples=1))
+    write_survey(survey, asdict(scene_of(number)), lambda: scene)
+    whole = bounds_of(scene, 0.5 * math.sqrt(GROUND_OF_PHOTOGRAPH_M2 * number))
+    text = (survey / "survey.toml").read_text(encoding="utf-8")
+    was, now = (f"bounds = [{', '.join(f'{each:.3f}' for each in box)}]" for box in (middle, whole))
+    if was not in text:
+        raise RuntimeError(f"survey.toml of {survey} lacks {was}")
+    (survey / "survey.toml").write_text(text.replace(was, now), encoding="utf-8")
 
 
 class Memory:
@@ -136,7 +148,7 @@ def row_of(survey: Path, number: int, quality: str, workers: int) -> dict:
 
 def errors_of(folder: Path, points: np.ndarray) -> np.ndarray:
     """Signed distances [m] of the points in the middle of a survey to the true surface there."""
-    frame, mesh = load_survey(folder).frame, read_reference(folder / "reference.ply")
+    frame, mesh = load_survey(folder).frame, read_reference(folder / "truth" / "reference.ply")
     xyz, vertices = frame.local_from_crs(points), frame.local_from_crs(mesh.vertices)
     here = xyz[(np.abs(xyz[:, :2]) < MIDDLE_M).all(axis=1)]
     faces = mesh.faces[(np.abs(vertices[mesh.faces[:, 0], :2]) < 1.1 * MIDDLE_M).all(axis=1)]
@@ -154,7 +166,8 @@ def main() -> None:
     rows = []
     for number in asked.photographs:
         survey = asked.folder / str(number)
-        write_survey(survey, asdict(scene_of(number)), lambda number=number: staged(number))
+        if not (survey / "survey.toml").exists():
+            draw(survey, number)
         rows.append(row_of(survey, number, asked.quality, asked.workers))
         print(json.dumps(rows[-1]), flush=True)  # noqa: T201
     if asked.output is not None:

@@ -113,12 +113,15 @@ def extrapolate_planes(height: np.ndarray, known: np.ndarray, tolerance: float) 
     for first in range(0, len(height), _ROWS):
         rows = slice(first, first + _ROWS)
         around = slice(max(first - halo, 0), first + _ROWS + halo)
-        if known[rows].all() or not known[around].any():
+        seen = np.flatnonzero(known[around].any(axis=0))
+        if known[rows].all() or not len(seen):
             continue
-        plane, off = _planes(height[around], known[around])
+        # A window shows a tile of the ground in a part of its columns.
+        columns = slice(max(seen[0] - halo, 0), seen[-1] + halo + 1)
+        plane, off = _planes(height[around, columns], known[around, columns])
         inner = slice(first - around.start, first - around.start + len(height[rows]))
-        take = ~known[rows] & (off[inner] < tolerance)
-        found[rows][take] = plane[inner][take]
+        take = ~known[rows, columns] & (off[inner] < tolerance)
+        found[rows, columns][take] = plane[inner][take]
     return found
 
 

@@ -25,8 +25,9 @@ Area = tuple[float, float, float, float]
 _PLACES = 17
 # Pixels added on every side, beside a window: of the straight outline, and for the surroundings of the last points.
 _RIM_PX = 6
-# Side of the squares of a height map whose heights decide together what is seen of an area [px].
-_SQUARE_PX = 4
+# Side of the squares of a height map whose heights decide together what is seen of an area [px], and how many of them
+# there are along the longer side: more only cost time.
+_SQUARE_PX, _SQUARES = 4, 64
 
 
 @dataclass(frozen=True)
@@ -104,12 +105,17 @@ def match_pass(
     else:
         start = backend.subtract(backend.upsample(before.height, shape), step * (of_view.count // 2))
 
+    over_area: list[np.ndarray] = []  # Asked for twice where heights are searched, too
+
     def columns(radius: int) -> np.ndarray | None:
         if area is None:
             return None
-        if pass_.in_area and before is not None:
-            return columns_over_area(stack.cameras[view], block.water, area, backend.to_host(before.height))
-        return columns_seeing_area(stack.cameras[view], block.water, area, bound, radius)
+        if not pass_.in_area or before is None:
+            return columns_seeing_area(stack.cameras[view], block.water, area, bound, radius)
+        if not over_area:
+            height = backend.to_host(before.height)
+            over_area.append(columns_over_area(stack.cameras[view], block.water, area, height))
+        return over_area[0]
 
     radius = pass_.radius + wider
     reference = Reference(stack, view, of_view.neighbours, radius, _least_known(block))
@@ -199,12 +205,12 @@ def columns_seeing_area(
 def columns_over_area(camera: PinholeCamera, water: FlatWater | None, area: Area, height: np.ndarray) -> np.ndarray:
     """Columns with pixels that see the area at heights (height, width) [m] of a map, or around them.
 
-    The map may be smaller than the image of the camera. Heights around a pixel are those of its square of `_SQUARE_PX`
-    in the map and of the squares beside it.
+    The map may be smaller than the image of the camera. Heights around a pixel are those of its square in the map, of
+    `_SQUARE_PX` or more, and of the squares beside it.
     """
-    shape = camera.height, camera.width
+    shape, side = (camera.height, camera.width), max(_SQUARE_PX, max(height.shape) // _SQUARES)
     low, high = (
-        choose(choose(in_tiles(height, _SQUARE_PX, beyond), axis=3), axis=1)
+        choose(choose(in_tiles(height, side, beyond), axis=3), axis=1)
         for choose, beyond in ((np.min, np.inf), (np.max, -np.inf))
     )
     # Of the squares about each corner of a square, where their pixels see.
@@ -212,7 +218,7 @@ def columns_over_area(camera: PinholeCamera, water: FlatWater | None, area: Area
         _of_corners(choose, np.pad(each, 1, mode="edge")) for choose, each in ((np.minimum, low), (np.maximum, high))
     ]
     row, column = (
-        np.minimum(np.arange(count) * _SQUARE_PX, length) * whole / length
+        np.minimum(np.arange(count) * side, length) * whole / length
         for count, length, whole in zip(ends[0].shape, height.shape, shape, strict=True)
     )
     paths = camera.paths(np.stack(np.meshgrid(column, row), axis=-1).reshape(-1, 2), water)
@@ -220,7 +226,7 @@ def columns_over_area(camera: PinholeCamera, water: FlatWater | None, area: Area
     least, most = _of_corners(np.fmin, np.fmin(*places)), _of_corners(np.fmax, np.fmax(*places))
     meets = np.asarray(((least <= area[2:]) & (most >= area[:2])).all(axis=-1))
     of_row, of_column = (
-        ((np.arange(whole) + 0.5) * length / whole).astype(int) // _SQUARE_PX
+        ((np.arange(whole) + 0.5) * length / whole).astype(int) // side
         for whole, length in zip(shape, height.shape, strict=True)
     )
     return _columns_of(meets[np.ix_(of_row, of_column)])

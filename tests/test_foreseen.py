@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from survey.adjust.result.foreseen import DEPTH_M, MATCH_STD_PX, foresee, foreseen_section, heights_by_depth
+from survey.adjust.result.foreseen import MATCH_STD_PX, foresee, foreseen_section, heights_by_depth
 from survey.adjust.result.std_common import std_common
 from survey.folder.survey import load_survey
+from survey.plan.area import ASSUMED_DEPTH_M
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
 from survey.simulate.drawn import DrawnScene, draw_survey
@@ -82,7 +83,7 @@ def test_heights_over_poses_that_are_kept_are_foreseen_as_a_run_states_them(kept
     assert found is not None
     assert adjusted is not None
     x, y = np.meshgrid(np.linspace(-1.0, 1.0, 12), np.linspace(-1.0, 1.0, 12))
-    bed = np.column_stack([x.ravel(), y.ravel(), kept.water.height(x.ravel(), y.ravel()) - DEPTH_M])
+    bed = np.column_stack([x.ravel(), y.ravel(), kept.water.height(x.ravel(), y.ravel()) - ASSUMED_DEPTH_M])
     stated = np.median(std_common(bed, np.full(len(bed), True), kept, None, make_plan(kept).gsd_m))
     assert found.heights.of_all_m == pytest.approx(stated, rel=0.1)
     assert adjusted.heights.of_all_m < 0.85 * stated

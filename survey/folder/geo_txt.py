@@ -21,6 +21,7 @@ from survey.display.quantities import named
 from survey.errors import Findings, PosesError
 from survey.files.column_units import odm_crs
 from survey.files.csv_table import number_of, shortened, text_lines
+from survey.folder.plausible import SAME_PLACE_M
 from survey.photos.exif import SUFFIXES, Exif, TablePlace
 from survey.photos.names import ImageNames
 from survey.settings.tables import require_std
@@ -30,8 +31,6 @@ _FORM = "image x y [z] [omega phi kappa] [horizontal accuracy] [vertical accurac
 # How many numbers a line may have: x y, z, three angles, accuracies.
 _COUNTS = (2, 3, 6, 7, 8)
 _MOST_STD_M = 100.0
-# A position without corrections is within 10 m, and a datum a few hundred off.
-_SAME_PLACE_M = 100.0
 
 
 @dataclass(frozen=True)
@@ -149,7 +148,7 @@ def _replaced(path: Path, crs: CRS, heads: Mapping[str, Exif], line_of: Mapping[
     own_lon, own_lat = lon_lat(crs, np.array([line_of[name].place for name in replaced])).T
     away = float(np.median(Geod(ellps="WGS84").inv(lon, lat, own_lon, own_lat)[2]))
     said = f"{said}, instead of those in EXIF of {len(replaced)}, {away:.2g} m away (median)"
-    if not away > _SAME_PLACE_M:
+    if not away > SAME_PLACE_M:
         return Findings((said,))
     warning = (
         f"the positions in {path.name} lie {away:.0f} m (median) from those in EXIF: check the CRS in its first "

@@ -12,7 +12,7 @@ from pyproj import CRS
 from geo.crs import crs_code, has_height, horizontal_crs, utm_code
 from survey.control.gcp_list import read_gcp_list
 from survey.errors import FILE_NAME, ConfigError, ControlError, Findings
-from survey.folder.plausible import distances_to_exif
+from survey.folder.plausible import SAME_PLACE_M, distances_to_exif
 from survey.folder.posed import middle_of_geocentric, points_in_crs
 from survey.photos.exif import SUFFIXES, Exif, position_sources, utm_code_of
 from survey.photos.names import ImageNames
@@ -23,8 +23,6 @@ from survey.words import GCP_LIST, GEO_TXT
 
 # EXIF counts heights from the sea level; receivers mean the geoid model EGM96 by that.
 _EGM96_HEIGHT = 5773
-# A GPS position without corrections is within 10 m; the next UTM zone is 500 km away.
-_SAME_PLACE_M = 100.0
 
 _EXAMPLE = 'at least crs = "EPSG:25832+5778", [cameras] and, for water, [water] level_m = 12.34'
 
@@ -156,7 +154,7 @@ def _require_same_place(crs: CRS, file: PoseFile, poses_path: Path, heads: dict[
     called = [names.find(pose.name, str(poses_path)) for pose in file.poses]
     known = {name: centre for name, centre in zip(called, centres, strict=True) if name is not None}
     distances = distances_to_exif(crs, known, heads)
-    if not distances.size or np.median(distances) > _SAME_PLACE_M:
+    if not distances.size or np.median(distances) > SAME_PLACE_M:
         raise ConfigError(
             f"{poses_path} does not fit the GPS positions of the images in the UTM zone {crs.sub_crs_list[0].name}; "
             f'write {FILE_NAME} with the crs of the poses, e.g. crs = "EPSG:25832+5778"'

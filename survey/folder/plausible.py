@@ -35,8 +35,9 @@ DRONE_HEIGHT_M, AIRCRAFT_HEIGHT_M = 300.0, 3000.0
 MOST_OF_OVERLAP = 8.0
 # Further apart than this, positions are not of one survey.
 _ONE_SURVEY_M = 20e3
-# A GPS position without corrections is within 10 m.
-_EXIF_DOUBT_M = 50.0
+# A GPS position without corrections is within 10 m: beyond the first it is doubted, beyond the second it is of another
+# zone or datum.
+_EXIF_DOUBT_M, SAME_PLACE_M = 50.0, 100.0
 
 
 @dataclass(frozen=True)

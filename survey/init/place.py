@@ -17,7 +17,7 @@ from geo.crs import crs_code, has_height, horizontal_crs, parse_crs, utm_code, v
 from geo.frames import LocalFrame
 from survey.errors import ConfigError
 from survey.folder import infer
-from survey.folder.plausible import distances_to_exif
+from survey.folder.plausible import SAME_PLACE_M, distances_to_exif
 from survey.folder.posed import middle_of_geocentric, points_in_crs
 from survey.photos.exif import Exif, position_sources, utm_code_of
 from survey.photos.names import ImageNames
@@ -30,8 +30,6 @@ from survey.words import GEO_TXT
 # Asks a person; returns the answer, which may be empty.
 Ask = Callable[[str], str]
 _EGM96_HEIGHT, _WGS84_3D = 5773, 4979
-# A GPS position without corrections is within 10 m; another zone or datum is farther off.
-_SAME_PLACE_M = 100.0
 # Positions by GPS are explained by poses in metres, east, north and up, but for this share of their variance.
 _UNEXPLAINED = 0.1
 
@@ -187,7 +185,7 @@ def _horizontal(photographs: FolderPhotographs) -> tuple[str | None, str]:
     if file is not None and file.crs is None and file.frame in (PoseFrame.GRID, PoseFrame.LEVEL):
         crs = CRS(f"EPSG:{zone}+{_EGM96_HEIGHT}")
         away = distances_to_exif(crs, photographs.centres, dict(photographs.heads))
-        if not away.size or np.median(away) > _SAME_PLACE_M:
+        if not away.size or np.median(away) > SAME_PLACE_M:
             return (
                 None,
                 f"the poses in {photographs.poses_path} are not in {horizontal_crs(crs).name}, nor say their crs",

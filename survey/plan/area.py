@@ -30,6 +30,8 @@ AREA_MARGIN_M = 0.5
 _PLACES, _HEIGHTS = 16, 5
 # Rays nearer to the horizon than this sine leave the survey: footprints end before.
 _LEAST_FALL = 0.05
+# Depth of the bed under the water, where nothing tells it [m].
+ASSUMED_DEPTH_M = 2.0
 # Views of a block that are looked at: its middle is then as stiff as that of a larger one, and it takes seconds.
 _MOST_VIEWS = 100
 

@@ -16,14 +16,12 @@ import numpy as np
 
 from refract import FlatWater, PinholeCamera
 from survey.folder.survey import Survey
-from survey.plan.area import Places, places_of
+from survey.plan.area import ASSUMED_DEPTH_M, Places, places_of
 
 # A light breeze, in which most surveys of clear shallow water are flown [m/s].
 USUAL_WIND_M_S = 3.0
 # Glitter ends where facets are so much rarer than level ones.
 _RAREST = 0.1
-# Under the water, where nothing tells the depth [m].
-_DEPTH_M = 2.0
 _MOST_PLACES = 400
 # Of the longer side of a frame.
 _STEPS = 24
@@ -87,7 +85,7 @@ class GlitterOfFlight:
         """Glitter on a survey with water, for a bed two metres deep."""
         water, _ = survey.require_water()
         cameras = [view.camera for view in survey.views]
-        return cls(cameras, np.array(water.up), places_of(survey, _DEPTH_M), water)
+        return cls(cameras, np.array(water.up), places_of(survey, ASSUMED_DEPTH_M), water)
 
     def under(self, suns: np.ndarray, wind_m_s: float) -> Glitter:
         """Under the suns (V, 3) of the photographs, or one (3,) for all: unit directions, local."""

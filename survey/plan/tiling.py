@@ -20,6 +20,7 @@ from survey.display.quantities import length
 from survey.plan.area import AREA_MARGIN_M, flattened, grown, local_area
 from survey.plan.heights import dry_ground
 from survey.plan.sweep_block import camera_of
+from survey.water.tides import GRAZING_DEG
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey
@@ -36,8 +37,6 @@ MOST_ASIDE_PX = 0.25
 FRAME_M = 1000.0
 # Places along each side of a tile.
 _PLACES = 16
-# Rays nearer to the horizon tell nothing of the bed.
-_GRAZING_DEG = 70.0
 
 
 @dataclass(frozen=True)
@@ -168,7 +167,7 @@ def _skew_per_m(survey: Survey) -> float:
     for view in survey.views:
         rays = view.camera.directions(view.camera.outline())
         cosines.append(float(np.nanmin(-(rays @ np.array(water.up)))))
-    cosine = max(min(cosines), np.cos(np.radians(_GRAZING_DEG)))
+    cosine = max(min(cosines), np.cos(np.radians(GRAZING_DEG)))
     sine = np.sqrt(1.0 - cosine**2)
     in_water = sine / water.n_water
     return float(sine / cosine - water.n_water * in_water / np.sqrt(1.0 - in_water**2))

@@ -6,11 +6,12 @@ import math
 from dataclasses import dataclass
 
 from survey import machine
-from survey.adjust.result.foreseen import DEPTH_M, foresee
+from survey.adjust.result.foreseen import foresee
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.machine import Load
+from survey.plan.area import ASSUMED_DEPTH_M
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
 from survey.plan.recipe import SHARE, Aim, Recipe, recipes_for
@@ -38,7 +39,9 @@ class Feasibility:
     load: Load  # Of the machine
 
 
-def assess_feasibility(aim: Aim, survey: Survey, chosen: Choices, load: Load, depth_m: float = DEPTH_M) -> Feasibility:
+def assess_feasibility(
+    aim: Aim, survey: Survey, chosen: Choices, load: Load, depth_m: float = ASSUMED_DEPTH_M
+) -> Feasibility:
     """Feasibility of an aim for a survey whose poses are known.
 
     Parameters
@@ -172,7 +175,7 @@ def begin_aimed_run(
 
 
 def rows_of(
-    aim: Aim, survey: Survey, chosen: Choices, load: Load, depth_m: float = DEPTH_M
+    aim: Aim, survey: Survey, chosen: Choices, load: Load, depth_m: float = ASSUMED_DEPTH_M
 ) -> tuple[tuple[str, str], ...]:
     """Expected std and duration of an aim, labelled for `check`; parameters as for `assess_feasibility`."""
     found = assess_feasibility(aim, survey, chosen, load, depth_m)

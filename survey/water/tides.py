@@ -33,7 +33,7 @@ _MOST_UNKNOWN_M = 0.005
 # exceed the noise of matching.
 MOST_SHIFT_PX = 0.1
 # Rays nearer to the horizon are not used for the bed.
-_GRAZING_DEG = 70.0
+GRAZING_DEG = 70.0
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ def _shift_per_m(view: View, water: FlatWater) -> float:
     ``tan a - tan b`` with ``sin a = n sin b``.
     """
     rays = view.camera.directions(view.camera.outline())
-    cosine = np.clip(-(rays @ np.array(water.up)), np.cos(np.radians(_GRAZING_DEG)), 1.0)
+    cosine = np.clip(-(rays @ np.array(water.up)), np.cos(np.radians(GRAZING_DEG)), 1.0)
     sine = np.sqrt(1.0 - np.nanmin(cosine) ** 2)
     in_water = sine / water.n_water
     return float(sine / np.sqrt(1.0 - sine**2) - in_water / np.sqrt(1.0 - in_water**2))

@@ -25,7 +25,7 @@ from survey.adjust.result.std_common import std_common
 from survey.adjust.result.verdicts import MOST_STD_FOCAL, MOST_STD_INDEX, MOST_STD_LEVEL_M
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
-from survey.plan.area import in_the_middle, places_of
+from survey.plan.area import ASSUMED_DEPTH_M, in_the_middle, places_of
 from survey.plan.check import CheckSection
 from survey.plan.check_inputs import Verdict, verdict_by_limits, verdict_text
 from survey.plan.choices import USUAL, Choices
@@ -35,8 +35,6 @@ from survey.water.index import ASSUMED_INDEX_STD
 # What is assumed [px] of the windows of an adjustment and of the pixels of the cloud, in clear and still water: on
 # drawn surveys level and index are then found up to twice as well as foreseen (docs/adjustment.md).
 TIE_STD_PX, MATCH_STD_PX = 0.1, 0.2
-# Under the water, where nothing tells the depth [m].
-DEPTH_M = 2.0
 # By how much of its depth the bed goes up and down about it.
 RELIEF_SHARE, _SEED = 0.3, 20_261_122
 # Depths that heights are foreseen for, over the main one; larger ones than that down to a share of the flying height.
@@ -79,7 +77,7 @@ class Foreseen:
     is_adjusted: bool  # Whether the plan adjusts poses, lens and water, which is what the heights are foreseen for
 
 
-def foresee(survey: Survey, *, depth_m: float = DEPTH_M, chosen: Choices = USUAL) -> Foreseen | None:
+def foresee(survey: Survey, *, depth_m: float = ASSUMED_DEPTH_M, chosen: Choices = USUAL) -> Foreseen | None:
     """Expected accuracy of a survey over a level bed; None where too few views overlap.
 
     Parameters
@@ -113,7 +111,7 @@ def foresee(survey: Survey, *, depth_m: float = DEPTH_M, chosen: Choices = USUAL
     )
 
 
-def heights_by_depth(survey: Survey, depth_m: float = DEPTH_M, *, chosen: Choices = USUAL) -> list[HeightStds]:
+def heights_by_depth(survey: Survey, depth_m: float = ASSUMED_DEPTH_M, *, chosen: Choices = USUAL) -> list[HeightStds]:
     """Expected standard deviations at a depth and several about it; none for a dry survey."""
     if survey.water is None:
         return []
@@ -219,7 +217,9 @@ def _angles(survey: Survey, ties: TiePoints) -> np.ndarray:
     return found
 
 
-def foreseen_section(survey: Survey, *, depth_m: float = DEPTH_M, chosen: Choices = USUAL) -> CheckSection | None:
+def foreseen_section(
+    survey: Survey, *, depth_m: float = ASSUMED_DEPTH_M, chosen: Choices = USUAL
+) -> CheckSection | None:
     """Section of `check` with the expected accuracy; None where too few views overlap."""
     found = foresee(survey, depth_m=depth_m, chosen=chosen)
     if found is None:

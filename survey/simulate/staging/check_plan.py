@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from geo.sun import sun_at
-from survey.adjust.result.foreseen import DEPTH_M, foreseen_section
+from survey.adjust.result.foreseen import foreseen_section
 from survey.display.quantities import length
 from survey.errors import FILE_NAME, SurveyError
 from survey.folder.faults import place_of
@@ -17,7 +17,7 @@ from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import Observations, Survey
 from survey.photos.cameras import View
 from survey.photos.poses import TiePoints
-from survey.plan.area import in_the_middle
+from survey.plan.area import ASSUMED_DEPTH_M, in_the_middle
 from survey.plan.check import CheckSection
 from survey.plan.check_inputs import Verdict, verdict_by_limits, verdict_text
 from survey.plan.check_light import LOST_GOOD, glitter_text, lost_share, motion_text, sun_text
@@ -83,7 +83,7 @@ def flight_of(path: Path) -> ScenePlan:
 
 def depth_of(plan: ScenePlan) -> float:
     """Depth of the bed under the water for which the accuracy is predicted [m]."""
-    return plan.site.depth_m or DEPTH_M
+    return plan.site.depth_m or ASSUMED_DEPTH_M
 
 
 def survey_of(plan: ScenePlan) -> Survey:

@@ -8,10 +8,11 @@ of a run that has one, and need no common disk.
 from __future__ import annotations
 
 import os
+import platform
 import shutil
 import time
 import uuid
-from collections.abc import Callable, Collection, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
@@ -19,14 +20,15 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from geo.errors import GeoError
 from geo.files import disk_refusals
 from survey.errors import SurveyError
 from survey.plan.tile_choice import NO_DASK
 from survey.run.task_at_url import compute_at_url, sees_url
 from survey.run.worker_task import ANOTHER_VERSION, Task, compute_task, loaded_code
 
-# Number of a task, folder of its result (or its name at the URL), seconds, and kinds and texts of its messages.
-Computed = tuple[int, Path | str, float, list[tuple[str, str]]]
+# Folder of the result of a task (or its name at the URL), seconds, and kinds and texts of its messages.
+Computed = tuple[Path | str, float, list[tuple[str, str]]]
 
 # A task whose workers end so often is given up: most likely it takes more memory than there is.
 _ALLOWED_FAILURES = 3
@@ -36,6 +38,25 @@ GPU = "GPU"
 _WORKER_TIMEOUT_S = 60.0
 # Interval at which the number of workers is checked [s].
 _LOOK_EVERY_S = 5.0
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Error of a task on a worker, by its address and the name of its machine."""
+
+    place: str
+    machine: str
+    error: Exception
+
+
+def _attempted(compute: Callable[..., Computed], *given: Any) -> Computed | Failure:
+    """Result of a task, on a worker; or what kept this one from it, which another may not lack: disk, photographs."""
+    try:
+        return compute(*given)
+    except (SurveyError, GeoError, OSError) as error:
+        from distributed import get_worker
+
+        return Failure(get_worker().address, platform.node(), error)
 
 
 class Workers:
@@ -63,37 +84,28 @@ class Workers:
             self._place = compute_at_url, url
         self._resources = {GPU: 1} if takes_gpu else None
 
-    def computed(self, job: Path | str, tasks: Sequence[Task]) -> Generator[Computed, None, None]:
+    def computed(self, job: Path | str, tasks: Sequence[Task]) -> Generator[tuple[int, *Computed], None, None]:
         """Compute tasks; as each ends its number, the folder of its result, its seconds, and what it had to say.
 
-        With a URL job and folders are names there.
+        With a URL job and folders are names there. A task with an error is given to another worker once.
 
         Raises
         ------
         SurveyError
             If the workers of a task end again and again, or the scheduler is lost.
+        SurveyError, GeoError, OSError
+            Of a task, where no other worker has computed it.
         """
         from distributed import KilledWorker
 
-        compute, place = self._place
-        futures = {
-            self._client.submit(
-                compute,
-                job,
-                place,
-                task,
-                loaded_code(),
-                pure=False,
-                key=f"{task.name}-{uuid.uuid4().hex}",
-                resources=self._resources,
-            ): number
-            for number, task in enumerate(tasks)
-        }
+        futures = {self._submit(job, task): number for number, task in enumerate(tasks)}
+        waiting, failures = set(futures), dict[int, Failure]()
         ended = 0
         try:
-            for future in self._as_they_end(futures):
+            for future in self._as_they_end(waiting):
+                number = futures[future]
                 try:
-                    folder, seconds, said = future.result()
+                    found = future.result()
                 except KilledWorker as error:
                     advice = "fewer --workers, or more --tiles" if self._are_started else "more --tiles"
                     raise SurveyError(
@@ -101,8 +113,21 @@ class Workers:
                         "ended by the system, most likely for want of memory; what other tiles have is kept: give the "
                         f"same command with {advice}"
                     ) from error
+                if isinstance(found, Failure):
+                    others = [each for each in self._client.nthreads() if each != found.place]
+                    if number in failures or not others:
+                        raise found.error
+                    failures[number] = found
+                    again = self._submit(job, tasks[number], others)
+                    futures[again] = number
+                    waiting.add(again)
+                    continue
+                folder, seconds, said = found
+                if (failure := failures.get(number)) is not None:
+                    why = f"{tasks[number].name}: the worker on {failure.machine} could not compute it"
+                    said = [*said, ("warn", f"{why} ({failure.error}); another one has")]
                 ended += 1
-                yield futures[future], folder, seconds, said
+                yield number, folder, seconds, said
         except CancelledError as error:
             raise SurveyError(
                 f"the scheduler of the workers was lost; {len(tasks) - ended} of {len(tasks)} tiles are missing: start "
@@ -112,11 +137,18 @@ class Workers:
             # After an early end those that wait are not begun.
             self._client.cancel(list(futures))
 
-    def _as_they_end(self, futures: Collection[Any]) -> Iterator[Any]:
-        """The futures, as they end; raise where no worker is left to end one."""
+    def _submit(self, job: Path | str, task: Task, among: list[str] | None = None) -> Any:
+        """The future of a task, on any worker, or on one ``among`` these."""
+        compute, place = self._place
+        given = (compute, job, place, task, loaded_code())
+        key = f"{task.name}-{uuid.uuid4().hex}"
+        return self._client.submit(_attempted, *given, pure=False, key=key, resources=self._resources, workers=among)
+
+    def _as_they_end(self, left: set[Any]) -> Iterator[Any]:
+        """The futures, as they end, also those that come meanwhile; raise where no worker is left to end one."""
         from distributed import wait
 
-        left, last_seen = set(futures), time.monotonic()
+        last_seen = time.monotonic()
         while left:
             with suppress(TimeoutError):
                 ended = wait(left, timeout=_LOOK_EVERY_S, return_when="FIRST_COMPLETED").done
@@ -126,8 +158,8 @@ class Workers:
                 last_seen = time.monotonic()
             elif time.monotonic() - last_seen > _WORKER_TIMEOUT_S:
                 raise SurveyError(
-                    f"no worker is left, and none came back within {_WORKER_TIMEOUT_S:.0f} s; {len(left)} of "
-                    f"{len(futures)} tiles are missing: give the same command again, it goes on with what is finished"
+                    f"no worker is left, and none came back within {_WORKER_TIMEOUT_S:.0f} s; {len(left)} "
+                    f"tiles are missing: give the same command again, it goes on with what is finished"
                 )
 
 

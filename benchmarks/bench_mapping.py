@@ -1,12 +1,11 @@
 """Which mapper of structure from motion for which number of photographs: time, memory and truth, under water.
 
-    python benchmarks/bench_mapping.py NUMBER|SURVEY ... [--mapper MAPPER ...] [--depth M] [-o FILE]
+    python benchmarks/bench_mapping.py NUMBER ... [--mapper MAPPER ...] [--depth M] [-o FILE]
 
 Photographs in parallel strips over a bed under water, from which exact matches with noise and false ones take the place
 of features: pairs are those that the program takes, matches are verified by pycolmap, blocks are placed by GPS
 positions good to 3 cm and adjusted with bent rays. Prints processor time and peak of memory of mapping, the photographs
-that it placed, and errors of positions and heights of points before the adjustment and after. Of a survey folder with
-true poses, in place of a number, the photographs are used, and matches of its windows are not. Each row runs in a
+that it placed, and errors of positions and heights of points before the adjustment and after. Each row runs in a
 process of its own.
 """
 
@@ -15,14 +14,11 @@ from __future__ import annotations
 import argparse
 import json
 import resource
-import shutil
 import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import replace
 from pathlib import Path
-from unittest.mock import patch
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -31,9 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from survey.adjust.refine import adjust_survey
 from survey.errors import SurveyError
-from survey.folder.survey import Survey, load_survey
-from survey.settings.config import CamerasConfig, LocalConfig, dump_config
-from survey.sfm import block as sfm_block
+from survey.folder.survey import Survey
 from survey.sfm.mapping import Matched, mapped
 from survey.words import Mapper
 from tests.drawn_block import DrawnBlock, draw_block
@@ -85,54 +79,6 @@ def measured(block: DrawnBlock, work: Path, mapper: str, *, adjusts: bool) -> di
     return row | {"adjustment_s": round(time.process_time() - start, 1)}
 
 
-def photographed(work: Path, mapper: str, folder: Path) -> dict:
-    """Figures of one mapper over the photographs of a survey with true poses; matches are kept in a folder."""
-    given, seconds = load_survey(folder), list[float]()
-
-    def kept(images: Path, sensors, places, own: Path, say) -> Matched:
-        if not (work / "done").exists():
-            of_pairs = sfm_block.matched(images, sensors, places, own, say)
-            shutil.copy(of_pairs.database, work / "database.db")
-            (work / "done").write_text("photographs\n", encoding="utf-8")
-        return Matched(work / "database.db", images, own, len(given.views))
-
-    def timed(of_pairs: Matched, chosen: str):
-        start = time.process_time()
-        blocks = mapped(of_pairs, chosen)
-        seconds.append(time.process_time() - start)
-        return blocks
-
-    with (
-        tempfile.TemporaryDirectory() as scratch,
-        patch("survey.sfm.block.matched", kept),
-        patch("survey.sfm.solve.mapped", timed),
-    ):
-        survey = load_survey(_without_poses(given, mapper, Path(scratch)))
-    row = {"photographs": len(given.views), "mapper": mapper, "seconds": round(seconds[0], 1)}
-    row["placed"] = len(survey.views)
-    row |= {f"{name} before": value for name, value in _from_given(given, survey, _poses(survey)).items()}
-    start = time.process_time()
-    found = adjust_survey(survey, use_windows=False)
-    row |= _from_given(given, survey, (found.poses.centres, found.poses.rotations))
-    return row | {"adjustment_s": round(time.process_time() - start, 1)}
-
-
-def _without_poses(given: Survey, mapper: str, folder: Path) -> Path:
-    """The photographs and settings of a survey in a folder, without its poses."""
-    (folder / "images").symlink_to((given.folder / given.config.images.dir).resolve())
-    cameras = CamerasConfig(mapper=mapper, focal_px=given.config.cameras.focal_px)
-    config = replace(given.config, cameras=cameras, local=LocalConfig())
-    (folder / "survey.toml").write_text(dump_config(config), encoding="utf-8")
-    return folder
-
-
-def _from_given(given: Survey, survey: Survey, poses: tuple[np.ndarray, np.ndarray]) -> dict:
-    """Errors of positions against given ones."""
-    true = {view.name: view.camera.centre for view in given.views}
-    here = survey.frame.local_from_crs(given.frame.crs_from_local(np.array([true[v.name] for v in survey.views])))
-    return _of_positions(poses[0] - here)
-
-
 def _poses(survey: Survey) -> tuple[np.ndarray, np.ndarray]:
     cameras = [view.camera for view in survey.views]
     return np.array([camera.centre for camera in cameras]), np.array([camera.cam_from_local for camera in cameras])
@@ -172,12 +118,12 @@ def _peak_mb() -> float:
 def main() -> None:
     """Measure the sizes and mappers that are asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("sources", nargs="+", help="numbers of photographs that are drawn, or folders of surveys")
+    parser.add_argument("photographs", nargs="+", help="how many are drawn")
     parser.add_argument("--mapper", nargs="+", choices=MAPPERS, default=MAPPERS)
     parser.add_argument("--depth", type=float, default=3.0, metavar="M", help="of the deepest water; default 3 m")
     parser.add_argument("--matches", type=Path, help="a folder that keeps the matches of each size")
     parser.add_argument("-o", "--output", type=Path, help="a JSON file of all rows")
-    parser.add_argument("--without-adjustment", action="store_true", help="mapping of drawn photographs only")
+    parser.add_argument("--without-adjustment", action="store_true", help="mapping alone")
     parser.add_argument("--one", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.one is not None:
@@ -185,11 +131,11 @@ def main() -> None:
         return
     rows = []
     with tempfile.TemporaryDirectory() as scratch:
-        for source in options.sources:
-            work = (options.matches or Path(scratch)) / f"{Path(source).name}_{options.depth:g}"
+        for number in options.photographs:
+            work = (options.matches or Path(scratch)) / f"{number}_{options.depth:g}"
             work.mkdir(parents=True, exist_ok=True)
             for mapper in options.mapper:
-                command = [sys.executable, __file__, source, "--mapper", mapper, "--depth", str(options.depth)]
+                command = [sys.executable, __file__, number, "--mapper", mapper, "--depth", str(options.depth)]
                 command += ["--one", str(work), *(["--without-adjustment"] if options.without_adjustment else [])]
                 said = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
                 rows.append(json.loads(said.splitlines()[-1]))
@@ -200,10 +146,8 @@ def main() -> None:
 
 def _row(options: argparse.Namespace) -> dict:
     """The row that this process is for."""
-    (source,), (mapper,), work = options.sources, options.mapper, options.one
-    if not source.isdigit():
-        return photographed(work, mapper, Path(source))
-    block = drawn(int(source), options.depth)
+    (number,), (mapper,), work = options.photographs, options.mapper, options.one
+    block = drawn(int(number), options.depth)
     if not (work / "done").exists():
         pairs = write_matches(block, work / "database.db")
         (work / "done").write_text(f"{pairs} pairs\n", encoding="utf-8")

@@ -165,6 +165,7 @@ def test_a_key_of_a_later_version_is_refused_with_what_to_give_instead(key):
         ("[cameras]\ndistortion = [0.1]", "distortion is given without model"),
         ("[cameras]\nmodel = 'RADIAL'\ndistortion = 0.1", "expected a list of coefficients"),
         ("[cameras]\ngps_height = 'geoid'", 'gps_height is "geoid", expected "crs"'),
+        ("[cameras]\nmapper = 'glomap'", 'cameras.mapper is "glomap", expected one of auto, incremental'),
         ("[cameras]\nsize_px = [10, 10]\nprincipal_point_px = [0.0, 0.0]", "lies outside the image"),
         (
             "[cameras]\nposition_std_m = 0",

@@ -137,7 +137,8 @@ def solve_poses(
     positions, _ = positions_in_crs(known, frame.crs, gps_height)
     local = {name: frame.local_from_crs(position) for name, position in positions.items()}
     ground = None if photographs.level_m is None else _ground(frame, photographs.level_m)
-    mapper, _ = mapper_of(len(images), photographs.mapper)
+    mapper, why = mapper_of(len(images), photographs.mapper)
+    say(f"plan: mapper: {mapper} ({why})")
     free = _solved(Photographs(images, known, local, focal_px, mapper, ground), workspace, say)
     alias_of = aliases(images)
     by = "their GPS positions" if control is None else f"{len(control.points)} control points"

@@ -26,6 +26,7 @@ from switch_scene import left_half_of
 from evaluation import distance_statistics, distance_to_mesh, psnr, ssim
 from evaluation.images.inputs import largest_rectangle
 from fields.device import choose_device
+from fields.sweep.kernels.arrays import free_unused
 from fields.volume.appearance import appearance_vectors, match_appearance
 from fields.volume.paths import Box
 from fields.volume.photographs import Photographs, pixels_over
@@ -145,6 +146,7 @@ def train_kind(kind: Kind, grid: Grid, seed: int, steps: int) -> dict:
                 "parameters": figures.parameters,
             }
         )
+        free_unused(choose_device("cpu"))
     return {"volumes": saved, "seconds": seconds, "peak_mb": peak}
 
 

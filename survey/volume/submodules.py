@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from fields.device import choose_device
+from fields.sweep.kernels.arrays import free_unused
 from fields.volume.submodules import Grid, counts_of, match_looks, single_look, vectors_of
 from fields.volume.surface import Surface
 from fields.volume.visibility import train_visibility
@@ -56,6 +58,7 @@ def train_submodules(run: LoadedRun, flight: Flight, options: VolumeOptions, fol
             current().note(f"submodule {name} is left out: {error}")
             continue
         surface = surface_in(trained)
+        free_unused(choose_device(options.device))
         surfaces.append(_chosen(surface, grid.owner(surface.xyz) == number))
         reports[name] = trained.report() | {"points": len(surfaces[-1].xyz)}
     if not reports:

@@ -49,17 +49,27 @@ def test_of_each_cell_the_surest_point_stays_whatever_is_sorted_at_a_time(rng, m
 @pytest.mark.parametrize("of_band", [1, 300, 1500])
 def test_triangles_by_bands_are_those_of_the_whole(seed, of_band):
     rng = np.random.default_rng(seed)
-    xy = scattered(rng)[:, :2]
+    points = scattered(rng)[:, :2]
+    xy, south = points, float(points[:, 1].min())
     xy = xy[surest(np.column_stack([xy, xy[:, 0]]), np.zeros(len(xy)), CELL_M)]
     whole = Delaunay(xy - xy.mean(axis=0)).simplices
     sides = np.linalg.norm(xy[whole] - xy[np.roll(whole, 1, axis=1)], axis=2)
     expected = as_set(whole[sides.max(axis=1) < LONGEST_M])
-    found = triangles(xy, LONGEST_M, CELL_M, of_band)
+    found = triangles(xy, south, LONGEST_M, CELL_M, of_band)
     assert len(found) == len(expected)
     assert as_set(found) == expected
+
+
+def test_rows_without_points_make_no_band():
+    """A band of more points than it may have, and empty rows behind it."""
+    rng = np.random.default_rng(5)
+    south, north = rng.uniform(0.0, 0.05, (300, 2)), rng.uniform(0.0, 0.05, (50, 2)) + np.array([0.0, 9.0])
+    plan = np.concatenate([south, north]) * [40.0, 1.0]
+    numbers = surest(np.column_stack([plan, plan[:, 0]]), np.zeros(len(plan)), CELL_M, 10)
+    np.testing.assert_array_equal(numbers, surest(np.column_stack([plan, plan[:, 0]]), np.zeros(len(plan)), CELL_M))
 
 
 def test_few_points_and_points_on_a_line_make_no_triangle():
     line = np.column_stack([np.arange(50.0), np.zeros(50)]) * 0.1
     for xy in (line[:0], line[:2], line, line[:, ::-1]):
-        assert triangles(xy, LONGEST_M, CELL_M, 5).shape == (0, 3)
+        assert triangles(xy, 0.0, LONGEST_M, CELL_M, 5).shape == (0, 3)

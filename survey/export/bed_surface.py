@@ -246,8 +246,8 @@ def delaunay_surface(points: np.ndarray, std: np.ndarray, spacing_m: float) -> t
     faces : (F, 3) int
         Without those that have a side of more than `LONGEST` spacings in plan.
     """
-    chosen = surest(points, std, spacing_m)
-    return without_loose(chosen, triangles(points[chosen, :2], LONGEST * spacing_m, spacing_m))
+    chosen, south = surest(points, std, spacing_m), float(points[:, 1].min())
+    return without_loose(chosen, triangles(points[chosen, :2], south, LONGEST * spacing_m, spacing_m))
 
 
 def without_loose(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

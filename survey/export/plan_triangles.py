@@ -1,4 +1,4 @@
-"""Delaunay triangles in plan between the surest points of cells, band by band, so that memory is bounded.
+"""Delaunay triangles in plan between the surest points of cells, by bands of rows of cells, for less memory.
 
 Triangles between the points of a band and its rim are those of the whole where no other point lies in their
 circumcircle, which defines them. All of the whole are among them whose vertices lie there: a circle without a point of
@@ -49,7 +49,9 @@ def surest(points: np.ndarray, std: np.ndarray, cell_m: float, of_band: int = _P
             if lowest < last and highest >= first:
                 row = _cell(points[part, 1], low[1], cell_m)
                 numbers.append(part.start + np.flatnonzero((row >= first) & (row < last)))
-        number = np.concatenate(numbers)
+        number = np.concatenate([np.empty(0, dtype=np.int64), *numbers])
+        if not len(number):
+            continue
         x, y = points[number, :2].T
         cell = _cell(y, low[1], cell_m) * columns + _cell(x, low[0], cell_m)
         value = np.asarray(std[number])
@@ -59,13 +61,17 @@ def surest(points: np.ndarray, std: np.ndarray, cell_m: float, of_band: int = _P
     return np.concatenate(found)
 
 
-def triangles(xy: np.ndarray, longest_m: float, cell_m: float, of_band: int = _VERTICES_OF_BAND) -> np.ndarray:
+def triangles(
+    xy: np.ndarray, south_m: float, longest_m: float, cell_m: float, of_band: int = _VERTICES_OF_BAND
+) -> np.ndarray:
     """Delaunay triangles (F, 3) int32 of places in plan, counter-clockwise, without those with a longer side.
 
     Parameters
     ----------
     xy : (V, 2) [m]
         In the order of `surest`: by rows of cells from the south.
+    south_m : [m]
+        Where the first row begins: the lowest of the points that `surest` chose from.
     longest_m : [m]
     cell_m : [m]
         Side of the cells.
@@ -74,7 +80,7 @@ def triangles(xy: np.ndarray, longest_m: float, cell_m: float, of_band: int = _V
     """
     if len(xy) < 3:
         return np.zeros((0, 3), dtype=np.int32)
-    row = _cell(xy[:, 1], xy[:, 1].min(), cell_m)
+    row = _cell(xy[:, 1], south_m, cell_m)
     rim = int(np.ceil(_RIM * longest_m / cell_m)) + 1
     bands = list(_bands(np.bincount(row), of_band, int(_LEAST_RIMS * rim)))
     tree, found = None, []
@@ -83,11 +89,10 @@ def triangles(xy: np.ndarray, longest_m: float, cell_m: float, of_band: int = _V
         here = xy[begin:end]
         faces = _whole(here, longest_m)
         if len(bands) > 1 and len(faces):
-            south = xy[:, 1].min()
-            middle = _cell(here[faces, 1].mean(axis=1), south, cell_m)
+            middle = _cell(here[faces, 1].mean(axis=1), south_m, cell_m)
             # A middle beyond the outermost places by rounding belongs to the band there.
             faces = faces[(middle.clip(0, bands[-1][1] - 1) >= first) & (middle < last)]
-            edges = south + cell_m * np.array([first - rim, last + rim])
+            edges = south_m + cell_m * np.array([first - rim, last + rim])
             doubtful = _reaches_beyond(here, faces, edges)
             if doubtful.any():
                 tree = cKDTree(xy, balanced_tree=False, compact_nodes=False) if tree is None else tree

@@ -1,0 +1,47 @@
+"""The PSNR that noise and JPEG leave to a perfect rendering."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture
+def bound(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    import bench_picture_bound
+
+    return bench_picture_bound
+
+
+def test_noise_has_its_square_and_a_level_picture_is_stored_as_it_is(bound, tmp_path, rng):
+    path = tmp_path / "level.jpg"
+    Image.new("RGB", (203, 155), (128, 128, 128)).save(path, quality=95, subsampling=0)
+    noise, jpeg, both = bound.squared_errors(path, 2.0, rng)
+    # Rounding adds a twelfth; the standard deviation of a mean of 90,000 squares is half a percent.
+    assert noise == pytest.approx(4.0 + 1.0 / 12.0, rel=0.03)
+    assert jpeg == 0.0
+    # Quantization takes a part of the noise away with the finest detail, and adds its own.
+    assert 0.5 < both < 8.0
+
+
+def test_a_coarser_table_costs_more(bound, tmp_path, rng):
+    texture = rng.integers(60, 200, (80, 80, 3)).astype(np.uint8)
+    errors = []
+    for quality in (95, 60):
+        path = tmp_path / f"{quality}.jpg"
+        Image.fromarray(texture).save(path, quality=quality, subsampling=0)
+        errors.append(bound.squared_errors(path, 0.0, rng)[1])
+    assert 0.0 < 2.0 * errors[0] < errors[1]
+
+
+def test_other_formats_are_named(bound, tmp_path, rng):
+    path = tmp_path / "flat.png"
+    Image.new("RGB", (16, 16)).save(path)
+    with pytest.raises(SystemExit, match=r"flat.png is a PNG, expected a JPEG"):
+        bound.squared_errors(path, 1.0, rng)

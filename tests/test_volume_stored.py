@@ -13,13 +13,16 @@ from painted_survey import painted_survey, run_over
 from PIL import Image
 
 import survey.viewer.shown
+import survey.volume.scene
 from survey.commands.faults import BAD_INPUT
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun
+from survey.files.outputs import ReadFiles
 from survey.viewer.shown import load_shown
 from survey.viewer.tree import Viewpoint
 from survey.volume.field import train_field
 from survey.volume.options import VolumeOptions
+from survey.volume.scene import VolumeFolder
 from survey.volume.stored import StoredVolume
 
 OPTIONS = VolumeOptions(model="vm", steps=3, rays=64, samples=8, cells=16, image_scale=0.5, appearance=True)
@@ -89,3 +92,15 @@ def test_a_page_without_a_server_has_no_field(folder):
     done = bathynerf("view", folder / "run", "--field", folder / "f", "--export", folder / "view.html")
     assert done.exit_code == BAD_INPUT
     assert "leave out --field or --export" in done.stderr
+
+
+def test_a_training_of_quick_steps_saves_its_state_every_half_minute(tmp_path, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(survey.volume.scene.time, "monotonic", lambda: now[0])
+    folder, saved = VolumeFolder(tmp_path / "f", {}, ReadFiles()), []
+    for now[0] in range(0, 100, 7):
+        folder.save(lambda: saved.append(now[0]) or {"step": int(now[0])}, last=False)
+    assert saved == [35.0, 70.0]
+    assert folder.load() == {"step": 70}
+    folder.save(lambda: {"step": 99}, last=True)
+    assert folder.load() == {"step": 99}

@@ -334,7 +334,7 @@ class VolumeFolder:
         if last or time.monotonic() - self._saved_at > _EVERY_S:
             with write_whole(self.path / STATE) as stream:
                 torch.save(make(), stream)
-        self._saved_at = time.monotonic()
+            self._saved_at = time.monotonic()
 
 
 def read_state(path: Path) -> dict[str, Any]:

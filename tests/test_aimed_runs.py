@@ -16,7 +16,7 @@ from survey.errors import SurveyError
 from survey.progress import Progress
 from survey.run import process as process_module
 from survey.run import stage_solver
-from survey.run.aimed_run import Clock
+from survey.run.clock import Clock
 from survey.run.process import process
 
 # Twice the pixels along each side of `drawn_runs.SMALL`: images of half the size are still matched.

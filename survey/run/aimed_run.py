@@ -9,8 +9,6 @@ processing reduces; std_common comes on top of it.
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -23,38 +21,10 @@ from survey.plan.plan import Decision, Plan
 from survey.plan.rates import FIRST_HYPOTHESES, STEPS_PER_CORE_S, poses_s
 from survey.plan.recipe import RECIPES, SHARE, Aim, Recipe
 from survey.plan.workload import amounts_of
+from survey.run.clock import Clock
 
 if TYPE_CHECKING:
     from fields.sweep.bed import BedPoints
-
-
-class OutOfTimeError(Exception):
-    """Optional work would take the time that required work needs."""
-
-
-class Clock:
-    """Counts down from a number of seconds.
-
-    Parameters
-    ----------
-    gone_s : float
-        How long ago the time began [s].
-    now : callable
-        Seconds that only rise.
-    """
-
-    def __init__(self, seconds: float, gone_s: float = 0.0, now: Callable[[], float] = time.monotonic):
-        self._now, self._end = now, now() + seconds - gone_s
-
-    @property
-    def left_s(self) -> float:
-        """Remaining time [s]; negative when it is over."""
-        return self._end - self._now()
-
-    def require(self, seconds: float) -> None:
-        """Raise where less time is left than the required work takes."""
-        if self.left_s < seconds:
-            raise OutOfTimeError
 
 
 # Imports, and hashes of program and photographs.

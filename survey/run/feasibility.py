@@ -16,7 +16,8 @@ from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
 from survey.plan.recipe import SHARE, Aim, Recipe, recipes_for
 from survey.progress import Progress
-from survey.run.aimed_run import ANY_RUN_S, AimedRun, Clock, FullSizeAmounts, RoundRates
+from survey.run.aimed_run import ANY_RUN_S, AimedRun, FullSizeAmounts, RoundRates
+from survey.run.clock import Clock
 
 # What the stated rates of another machine may be wrong by.
 _UNKNOWN_PACE = 1.2

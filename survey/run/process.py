@@ -32,7 +32,8 @@ from survey.plan.tile_choice import SHARED, TileChoice, choose_tiles, require_da
 from survey.plan.tiling import tile_doubts
 from survey.plan.workload import amounts_of_run, parts_of_found, require_room, workload_of, workload_of_found
 from survey.progress import Progress, opened
-from survey.run.aimed_run import AimedRun, Clock
+from survey.run.aimed_run import AimedRun
+from survey.run.clock import Clock
 from survey.run.feasibility import begin_aimed_run, require_some_time
 from survey.run.folder import RunDir
 from survey.run.repeat import Truth

@@ -24,7 +24,7 @@ from survey.files.json_values import write_json
 from survey.plan.area import plane_name
 from survey.plan.sweep_block import camera_of
 from survey.progress import shares
-from survey.run.aimed_run import OutOfTimeError
+from survey.run.clock import OutOfTimeError
 from survey.run.stored import load_arrays
 from survey.run.stored_maps import LiveMaps, Stored, map_store, save_maps
 

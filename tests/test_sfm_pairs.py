@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from survey.photos.exif import Exif
 from survey.sfm.likeness import alike
-from survey.sfm.pairs import Place, image_pairs
+from survey.sfm.pairs import LEAST_HEIGHT_M, Place, image_pairs
 from survey.sfm.settings import NEIGHBOURS, pairs_about
 from survey.sfm.solve import Photographs
 
@@ -116,15 +117,55 @@ def test_footprints_are_those_of_the_larger_height_that_is_known():
     assert given.places["3.jpg"].height_m is None
     assert given.places["3.jpg"].spread == pytest.approx(2.0 / 3.0)
     started = photographs(above_start_m=40.0).places["3.jpg"].height_m
-    # Rounded up, by a tenth at most.
-    assert 40.0 <= started < 44.1
+    assert started == 40.0
     levels = [Photographs({}, given.heads, given.positions, None, "auto", level) for level in (0.0, 0.5, -200.0)]
     heights = [each.places["3.jpg"].height_m for each in levels]
     assert heights[0] == heights[1]
+    # Rounded up, by a tenth at most.
     assert 60.0 <= heights[0] < 66.1
     assert heights[2] >= 260.0
     under = Photographs({}, given.heads, given.positions, None, "auto", 80.0)
     assert under.places["3.jpg"].height_m is None
+
+
+def flown(low_m: float, high_m: float) -> dict[str, np.ndarray]:
+    """Positions of 280 photographs from one height and 24 from another over the same 180 m by 160 m, ground at 100 m.
+
+    Names begin with `l` or `h`; each flight overlaps by 80 % along its strips and by 60 % across.
+    """
+    found = {}
+    for name, height, (num, strips_) in (("l", low_m, (20, 14)), ("h", high_m, (6, 4))):
+        along, across = 180.0 / (num - 1), 160.0 / (strips_ - 1)
+        for k in range(num * strips_):
+            found[f"{name}{k:03d}"] = np.array([along * (k % num), across * (k // num), 100.0 + height])
+    return found
+
+
+@pytest.mark.parametrize("told_by", ["level", "start", "start of half"])
+def test_photographs_of_two_heights_are_tied_to_those_of_their_own_height_first(told_by):
+    positions = flown(30.0, 120.0)
+    one = photographs().heads["3.jpg"]
+    above = {name: float(at[2]) - 100.0 for name, at in positions.items()}
+    told = {"level": [], "start": list(positions), "start of half": list(positions)[::2]}[told_by]
+    heads = {name: replace(one, above_start_m=above[name] if name in told else None) for name in positions}
+    given = Photographs({}, heads, positions, None, "auto", 100.0 if told_by == "level" else None)
+    places = given.places
+    # A level's height is rounded up, by a tenth of that of most at most.
+    assert all(above[name] - 1e-9 <= place.height_m < above[name] + 3.1 for name, place in places.items())
+    pairs = pairs_of(places)
+    own = Counter(name for pair in pairs if pair[0][0] == pair[1][0] for name in pair)
+    # Those at a corner have five beside them.
+    assert min(own[name] for name in places) >= 5
+    # The two flights are one block.
+    assert any(a[0] != b[0] for a, b in pairs)
+
+
+def test_a_photograph_of_the_take_off_does_not_touch_all_others():
+    given = photographs(above_start_m=40.0)
+    heads = {**given.heads, "0.jpg": replace(given.heads["0.jpg"], above_start_m=0.1)}
+    places = Photographs({}, heads, given.positions, None, "auto").places
+    assert places["0.jpg"].height_m == LEAST_HEIGHT_M
+    assert places["1.jpg"].height_m == 40.0
 
 
 def test_a_focal_length_of_a_calibration_counts_before_that_of_exif():

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import pycolmap
 
 _MAX_NAMED = 16
-# Heights of cameras are rounded up by steps of this factor.
+# The height of the cameras over a level is rounded up by steps of this factor.
 _STEP = 1.1
 GIVE_POSES = f"give poses made elsewhere in [cameras] poses in {FILE_NAME}"
 
@@ -47,27 +47,37 @@ class Photographs:
     @property
     def places(self) -> dict[str, Place]:
         """Places of the photographs whose position is known."""
-        turned, height = attitudes_of(self.heads), self._height()
+        turned, heights = attitudes_of(self.heads), self._heights()
         found = {}
         for name, position in self.positions.items():
             head = self.heads[name]
             focal = self.focal_px or head.focal_px
             spread = None if focal is None else 0.5 * max(head.size_px) / focal
-            found[name] = Place(position, turned.get(name), spread, height)
+            found[name] = Place(position, turned.get(name), spread, heights.get(name))
         return found
 
-    def _height(self) -> float | None:
-        """Height of the cameras over ground or water [m], about and rounded up; None where nothing tells it.
-
-        Rounded, so that another level of the water asks for the same pairs.
-        """
-        started = [head.above_start_m for head in self.heads.values() if head.above_start_m is not None]
-        known = [float(np.median(started))] if started else []
-        if self.ground_m is not None and self.positions:
-            known.append(float(np.median([position[2] for position in self.positions.values()])) - self.ground_m)
+    def _heights(self) -> dict[str, float]:
+        """Heights of the cameras over ground or water [m], about, each its own; empty where nothing tells them."""
+        up = {name: float(position[2]) for name, position in self.positions.items()}
+        started = {name: height for name in up if (height := self.heads[name].above_start_m) is not None}
+        known: list[dict[str, float]] = []
+        if started:
+            start = float(np.median([up[name] - height for name, height in started.items()]))
+            known.append({name: started.get(name, own - start) for name, own in up.items()})
+        if self.ground_m is not None and up:
+            middle = float(np.median(list(up.values())))
+            over = _rounded_up(middle - self.ground_m)
+            known.append({name: over + own - middle for name, own in up.items()})
         # The start may lie far above the water, and positions may have another datum: the larger reaches further.
-        height = max(known, default=0.0)
-        return _STEP ** math.ceil(math.log(height, _STEP)) if height >= LEAST_HEIGHT_M else None
+        heights = {name: max(each[name] for each in known) for name in up} if known else {}
+        if not heights or np.median(list(heights.values())) < LEAST_HEIGHT_M:
+            return {}
+        return {name: max(height, LEAST_HEIGHT_M) for name, height in heights.items()}
+
+
+def _rounded_up(height_m: float) -> float:
+    """A height rounded up, so that another level of the water asks for the same pairs."""
+    return height_m if height_m < LEAST_HEIGHT_M else _STEP ** math.ceil(math.log(height_m, _STEP))
 
 
 @dataclass(frozen=True)

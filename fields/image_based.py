@@ -20,8 +20,9 @@ from fields.z_buffer import Splats, front_surface
 from refract import FlatWater, PinholeCamera
 from refract.paths import BentPaths
 
-# Photographs that a place of the target is blended of, and height maps that its height is the mean of.
-_SOURCES, _MAPS = 12, 8
+# Photographs that a place of the target is blended of, and height maps that its height is the mean of: what a tile
+# needs at once.
+SOURCES, MAPS = 12, 8
 # Places of the target with their own choice of photographs, along each side.
 _CELLS = 8
 # What the target sees hides from a photograph without a map what lies behind, in pixels of this size [px].
@@ -122,7 +123,7 @@ class ImageBasedField:
 
     def sources_of(self, camera: PinholeCamera, *, dry: bool = False) -> list[int]:
         """Numbers of the photographs that show what a camera sees of a level bed: the nearest of each place of it."""
-        return self._around(camera, dry, range(len(self.cameras)), _SOURCES)
+        return self._around(camera, dry, range(len(self.cameras)), SOURCES)
 
     def _around(self, camera: PinholeCamera, dry: bool, among: Iterable[int], most: int) -> list[int]:
         optics = self._optics(dry)
@@ -138,7 +139,7 @@ class ImageBasedField:
     ) -> NovelView:
         """View of a camera: `dry`, by straight rays; `without_water` takes the water out of the colours."""
         optics, numbers = self._optics(dry), self.sources_of(camera, dry=dry)
-        maps = self._around(camera, dry, sorted(self.mapped), _MAPS)
+        maps = self._around(camera, dry, sorted(self.mapped), MAPS)
         shape = (camera.height, camera.width)
         surface = front_surface(camera, optics, (self.load(n).splats(self.water) for n in maps), self.tolerance)
         rgb = np.zeros((*shape, 3), dtype=np.uint8)
@@ -148,29 +149,34 @@ class ImageBasedField:
         middle = np.array([(row[len(row) // 2], column[len(row) // 2]) for row, column in tiles], dtype=np.int64)
         row, column = middle.reshape(-1, 2).T
         points = camera.paths(_centres(row, column), optics).at_height(surface[row, column].astype(np.float64), optics)
-        nearest = self._nearest(points, camera.centre, numbers, _SOURCES)
-        nearest_maps = self._nearest(points, camera.centre, maps, _MAPS)
-        visible = self._seen_from(Splats.of(camera, surface, optics), {n for chosen in nearest for n in chosen})
+        nearest = self._nearest(points, camera.centre, numbers, SOURCES)
+        nearest_maps = self._nearest(points, camera.centre, maps, MAPS)
+        seen_from = self._seen_from(Splats.of(camera, surface, optics), {n for chosen in nearest for n in chosen})
         for at, chosen, around in zip(tiles, nearest, nearest_maps, strict=True):
             path = camera.paths(_centres(*at), optics)
             height = self._averaged(path, optics, surface[at].astype(np.float64), around)
-            sources = {number: visible.get(number) or self.load(number) for number in chosen}
-            colour, known = self._blended(path, path.at_height(height, optics), height, sources, without_water)
-            points, at = path.at_height(height, optics), (at[0][known], at[1][known])
+            points = path.at_height(height, optics)
+            colour, known = self._blended(path, points, height, self._sources(chosen, seen_from), without_water)
+            at = at[0][known], at[1][known]
             rgb[at] = np.clip(np.round(colour[known]), 0, 255)
             bed[at], place[at] = height[known], points[known]
             distance[at] = _path_length(path, points)[known]
         return NovelView(rgb, bed, distance, normals_of(place))
 
-    def _seen_from(self, target: Splats, numbers: Iterable[int]) -> dict[int, Source]:
-        """Photographs without a map, with the surface of the target in place of one."""
-        found = {}
-        for number in set(numbers) - self.mapped:
-            source = self.load(number)
-            coarse = source.camera.scaled(1.0 / _COARSE)
-            heights = front_surface(coarse, self.water, [target], self.tolerance)
-            found[number] = replace(source, scale=1.0 / _COARSE, heights=heights)
-        return found
+    def _seen_from(self, target: Splats, numbers: Iterable[int]) -> dict[int, np.ndarray]:
+        """Heights [m] of the surface of the target in coarse pixels of the photographs without a map."""
+        coarse = {number: self.cameras[number].scaled(1.0 / _COARSE) for number in set(numbers) - self.mapped}
+        return {n: front_surface(camera, self.water, [target], self.tolerance) for n, camera in coarse.items()}
+
+    def _sources(self, numbers: Iterable[int], seen_from: dict[int, np.ndarray]) -> dict[int, Source]:
+        """Photographs, those without a map with the surface of the target in place of one."""
+        # No longer than a tile needs them: all of a target may not fit into memory.
+        return {
+            number: replace(self.load(number), scale=1.0 / _COARSE, heights=seen_from[number])
+            if number in seen_from
+            else self.load(number)
+            for number in numbers
+        }
 
     def _optics(self, dry: bool) -> FlatWater | None:
         """The water that a camera looks through: an index of one keeps the plane that heights count from."""

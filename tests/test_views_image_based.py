@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import weakref
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from plane_survey import TILTED, PlaneBed, look, ring
 
+from fields import image_based
 from fields.image_based import ImageBasedField, Source
 from refract import FlatWater, PinholeCamera
 
@@ -149,6 +151,25 @@ def test_photographs_without_a_map_give_colours_too():
     # At the border, where no map is left, the height of the z-buffer is not averaged.
     assert np.quantile(found, 0.99) < 1e-3
     assert found.max() < 0.01
+
+
+def test_no_more_photographs_are_held_than_a_tile_needs(monkeypatch):
+    monkeypatch.setattr(image_based, "SOURCES", 2)
+    bed, cameras = BED["wet"], ring(8)
+    sources = [source_of(bed, c) for c in cameras]
+    held, at_once, asked = [], [], set()
+
+    def load(number):
+        rgb = sources[number].rgb.copy()
+        held.append(weakref.ref(rgb))
+        at_once.append(sum(each() is not None for each in held))
+        asked.add(number)
+        return replace(sources[number], rgb=rgb, heights=sources[number].heights if number == 0 else None)
+
+    field = replace(field_of(cameras, sources, bed.water), load=load, mapped=frozenset({0}))
+    assert field.render(novel_camera()).seen.mean() > 0.5
+    assert len(asked) > 3
+    assert max(at_once) == 2
 
 
 def test_masked_pixels_are_not_used():

@@ -8,7 +8,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from fields.image_based import ImageBasedField, Source, heights_over
+from fields.image_based import MAPS as MAPS_OF_A_TILE
+from fields.image_based import SOURCES, ImageBasedField, Source, heights_over
 from fields.solver.solver import SolvedMap
 from fields.sweep.maps import HeightMap, trusted
 from refract import PinholeCamera
@@ -24,10 +25,12 @@ from survey.run.stored_maps import Stored
 
 # Heights that differ by fewer ground sampling distances are of the same surface.
 _TOLERANCE_GSD = 3.0
-# Bytes of photographs and maps that are kept at once; those that a place is blended of, always.
-_MOST_BYTES, _FEWEST = 1_000_000_000, 8
+# Bytes of photographs and maps that are kept at once; those that a tile of a view needs, always.
+_MOST_BYTES, _FEWEST = 1_000_000_000, SOURCES + MAPS_OF_A_TILE
 # Points of the bed by which exposures are compared.
 _COMPARED = 20_000
+# Prior of the change of colours with the path: 0 +- 1 per metre, where single colours deviate by 0.1 [m²].
+_PRIOR_M2 = 0.1**2
 
 
 def image_based_field(
@@ -129,15 +132,46 @@ def _gains(
             length = np.linalg.norm(points[use] - path.crossing, axis=1)
             lengths[row, use] = np.where(heights[use] < 0.0, length, 0.0)
         advance()
-    return np.exp(-exposure_gains(shown - per_metre(shown, lengths) * lengths[..., None]))
+    return np.exp(-exposures(shown, lengths))
+
+
+def exposures(shown: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    """Logarithms (V, 3) of the exposures of photographs that show colours, as in `per_metre`."""
+    return exposure_gains(shown - per_metre(shown, lengths) * lengths[..., None])
 
 
 def per_metre(shown: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-    """Change (3,) [1/m] of the logarithms of colours (V, K, 3) of K points, NaN where a view does not show one, with
-    the lengths (V, K) [m] of their paths in water."""
-    known = np.isfinite(shown[..., 0])
-    count = np.maximum(known.sum(axis=0), 1)
-    length = np.where(known, lengths - np.where(known, lengths, 0.0).sum(axis=0) / count, 0.0)
-    # The mean colour of a point falls out, since its deviations of lengths add up to zero.
-    change = np.einsum("vk,vkc->c", length, np.nan_to_num(shown))
-    return change / max(float((length**2).sum()), 1e-12)
+    """Change (3,) [1/m], at most 0, of colours with the lengths of their paths in water.
+
+    Parameters
+    ----------
+    shown : (V, K, 3)
+        Logarithms of the colours of K points in V views; NaN where a view does not show a point.
+    lengths : (V, K) [m]
+        Of the paths in water.
+
+    Notes
+    -----
+    Least squares with a colour for each point and an exposure for each view beside the change: what colours have in
+    common with the lengths that neither point nor view explains (Frisch-Waugh-Lovell). Where lengths are those of the
+    views alone, exposures explain all.
+    """
+    known = np.isfinite(shown[..., 0]).astype(np.float64)
+    length = _without_points_and_views(known, lengths)
+    change = np.einsum("vk,vkc->c", length, np.nan_to_num(shown)) / (np.sum(length**2) + _PRIOR_M2)
+    return np.minimum(change, 0.0)
+
+
+def _without_points_and_views(known: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Residuals (V, K) of values where they are `known` (1, else 0) to the best sum of a part for each view and one
+    for each point; 0 elsewhere."""
+    count = np.maximum(known.sum(axis=0), 1.0)
+
+    def centred(values: np.ndarray) -> np.ndarray:
+        return known * (values - (known * values).sum(axis=0) / count)
+
+    residual = centred(values)
+    # Normal equations of the views, from which the points are eliminated; singular, since a constant may go to either.
+    normal = np.diag(known.sum(axis=1)) - (known / count) @ known.T
+    of_view = np.linalg.lstsq(normal, residual.sum(axis=1), rcond=1e-10)[0]
+    return residual - centred(of_view[:, None])

@@ -67,7 +67,7 @@ class Drop(StrEnum):
 
 
 class Mapper(StrEnum):
-    """Mappers of structure from motion: as the plan decides, photograph by photograph, in parts, or all at once."""
+    """Mappers of structure from motion: photograph by photograph (`auto`, too), in parts, or all at once."""
 
     auto = "auto"
     incremental = "incremental"

@@ -1,9 +1,10 @@
-"""The mappers of structure from motion: the same poses of a drawn block by each of them, and their choice."""
+"""The mappers of structure from motion: the same poses of a drawn block by each of them, and which one is used."""
 
 from __future__ import annotations
 
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,11 +13,15 @@ import pycolmap
 import pytest
 
 from geo.similarity import fit_similarity
-from survey.errors import ConfigError
+from survey.adjust.starts import recover_poses
+from survey.errors import ConfigError, SurveyError
+from survey.folder.survey import load_survey
 from survey.sfm import block as sfm_block
+from survey.sfm import poses as sfm_poses
 from survey.sfm import settings as sfm_settings
 from survey.sfm.mapping import Matched, mapped
 from survey.sfm.settings import mapper_of, require_mapper
+from survey.simulate.drawn import DrawnScene, draw_survey
 from survey.words import Mapper
 from tests.drawn_block import DrawnBlock, draw_block
 from tests.drawn_matches import names_of, write_matches
@@ -75,7 +80,7 @@ def test_poses_of_a_block_smaller_than_a_part_are_those_one_by_one_and_the_same_
         (5000, "5,000 photographs .* less; more than 520 were not tried"),
     ],
 )
-def test_the_plan_says_why_a_block_of_its_size_has_its_mapper(num, why):
+def test_photographs_are_added_one_by_one_at_every_size_and_the_plan_says_why(num, why):
     mapper, reason = mapper_of(num, Mapper.auto)
     assert mapper == Mapper.incremental
     assert re.fullmatch(why, reason)
@@ -86,9 +91,40 @@ def test_a_mapper_that_is_asked_for_is_taken(mapper):
     assert mapper_of(10, mapper) == (mapper, "set by [cameras] mapper in survey.toml")
 
 
+@pytest.mark.parametrize("mapper", [Mapper.hierarchical, Mapper.global_])
+def test_two_photographs_are_added_one_by_one_whatever_is_asked_for(mapper):
+    used, why = mapper_of(2, mapper)
+    assert used == Mapper.incremental
+    assert f"{mapper} mapping, as set in survey.toml" in why
+
+
+@pytest.mark.parametrize("mapper", MAPPERS)
+def test_given_poses_that_are_found_anew_are_found_by_the_mapper_that_is_set(monkeypatch, tmp_path, mapper):
+    draw_survey(tmp_path / "s", DrawnScene(num_views=4, image_px=(64, 48), focal_px=100.0))
+    survey = load_survey(tmp_path / "s")
+    cameras = replace(survey.config.cameras, mapper=mapper)
+    asked = []
+
+    def solved(photographs, _work, _say):
+        asked.append(photographs.mapper)
+        raise SurveyError("too few features match")
+
+    monkeypatch.setattr(sfm_poses, "solve", solved)
+    with pytest.raises(SurveyError, match="too few features match"):
+        recover_poses(
+            replace(survey, config=replace(survey.config, cameras=cameras)), tmp_path / "sfm", lambda _text: None
+        )
+    assert asked == [mapper]
+
+
 def test_a_mapper_that_the_installed_pycolmap_lacks_is_refused_in_a_sentence(monkeypatch):
-    monkeypatch.setattr(sfm_settings, "solver", lambda: SimpleNamespace(incremental_mapping=None))
+    monkeypatch.setattr(sfm_settings, "solver", lambda: SimpleNamespace())
     require_mapper(Mapper.auto)
+    with pytest.raises(ConfigError, match=r'mapper is "hierarchical" in survey.toml, and pycolmap 4'):
+        require_mapper(Mapper.hierarchical)
+    # Its functions without its options are of an older one.
+    both = {"incremental_mapping": None, "IncrementalPipelineOptions": None, "global_mapping": None}
+    monkeypatch.setattr(sfm_settings, "solver", lambda: SimpleNamespace(**both))
     require_mapper(Mapper.incremental)
     with pytest.raises(ConfigError, match=r'mapper is "global" in survey.toml, and pycolmap 4\S+ does not have it'):
         require_mapper(Mapper.global_)

@@ -226,7 +226,8 @@ def recover_poses(survey: Survey, workspace: Path, say: Callable[[str], None]) -
     images = {view.name: view.path for view in views}
     given = np.array([view.camera.centre for view in views])
     focal = focals.pop() if len(focals) == 1 else None
-    blocks = blocks_of(images, dict(zip(images, given, strict=True)), focal, workspace, say)
+    positions = dict(zip(images, given, strict=True))
+    blocks = blocks_of(images, positions, focal, workspace, say, survey.config.cameras.mapper)
     num = sum(len(found.poses) for found in blocks)
     if 2 * num < len(views):
         raise SurveyError(f"structure from motion placed {num} of {len(views)} photographs")

@@ -1,6 +1,6 @@
 """Mapping: poses and points from verified matches, by one of pycolmap's three mappers.
 
-Which one is used of how many photographs, and why, says `survey.sfm.settings.mapper_of`.
+Why incremental mapping is used where none is set: `survey.sfm.settings.mapper_of`.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ from survey.sfm.gps_fit import attitudes_of
 from survey.sfm.marked import BlockControl
 from survey.sfm.pairs import image_pairs
 from survey.sfm.placing import PlacedBlocks, place_by_control, place_by_gps
-from survey.sfm.settings import mapper_of, one_focal, require_size
+from survey.sfm.settings import mapper_of, one_focal, require_mapper, require_size
 from survey.sfm.solve import Free, Photographs, aliases, sensors_of, solve
 from survey.stage_key import code_hash, stage_key
 from survey.words import Mapper
@@ -168,6 +168,7 @@ def blocks_of(
     focal_px: float | None,
     workspace: Path,
     say: Callable[[str], None],
+    mapper: str,
 ) -> list[FreeViews]:
     """Poses and points of photographs, not placed anywhere, of each block that they make; the largest first.
 
@@ -183,15 +184,19 @@ def blocks_of(
         As for `solve_poses`.
     say : callable
         Called with a sentence on the progress.
+    mapper : str
+        One of `survey.words.Mapper`.
 
     Raises
     ------
     SurveyError
-        Where overlap or room on the disk do not suffice.
+        Where overlap or room on the disk do not suffice, or pycolmap does not have the mapper.
     """
+    require_mapper(mapper)
     heads = {name: read_exif(path) for name, path in images.items()}
     found = []
-    mapper, _ = mapper_of(len(images), Mapper.auto)
+    mapper, why = mapper_of(len(images), mapper)
+    say(f"plan: mapper: {mapper} ({why})")
     for block in _solved(Photographs(images, heads, positions, focal_px, mapper), workspace, say).blocks:
         by_alias = sfm_block.poses_of(block)
         alias_of = {name: alias for name, alias in aliases(images).items() if alias in by_alias}

@@ -17,18 +17,26 @@ FEATURES_PX = 3200
 # Up to so many images every pair is tried, beyond it each image with its nearest neighbours.
 ALL_PAIRS_UP_TO, NEIGHBOURS = 40, 20
 _ERRORS_ONLY = 2
-# From so many photographs on incremental mapping is faster than global mapping, and as many were measured at most.
+# From so many photographs on incremental mapping is known to be faster than global mapping; so many were tried at most.
 LARGE, MEASURED = 500, 520
+# What each mapper needs of pycolmap.
+_NEEDED = {
+    Mapper.incremental: ("incremental_mapping", "IncrementalPipelineOptions"),
+    Mapper.hierarchical: ("hierarchical_mapping", "HierarchicalPipelineOptions"),
+    Mapper.global_: ("global_mapping", "GlobalPipelineOptions"),
+}
 # Of two neighbours, most have each other: so many pairs come of a neighbour.
 _PAIRS_OF_NEIGHBOUR = 0.65
 
 
 def mapper_of(num: int, asked: str) -> tuple[str, str]:
-    """The mapper for so many images, and why: where none is asked for, the one that has proved best at every size.
+    """The mapper, and why, in words that fit so many images: the one that is asked for, else incremental mapping.
 
     Global mapping takes less time for 100 photographs and more for 500, and bends blocks more; in parts large blocks
-    fall apart (docs/notes/scaling.md).
+    fall apart (docs/notes/scaling.md). Two photographs alone are placed by incremental mapping only.
     """
+    if num == 2 and asked in (Mapper.hierarchical, Mapper.global_):
+        return Mapper.incremental.value, f"{asked} mapping, as set in {FILE_NAME}, does not place two photographs alone"
     if asked != Mapper.auto:
         return asked, f"set by [cameras] mapper in {FILE_NAME}"
     if num < LARGE:
@@ -40,7 +48,7 @@ def mapper_of(num: int, asked: str) -> tuple[str, str]:
 
 def require_mapper(mapper: str) -> None:
     """Raise ConfigError where the installed pycolmap does not have the mapper that is asked for."""
-    if mapper == Mapper.auto or hasattr(solver(), f"{mapper}_mapping"):
+    if mapper == Mapper.auto or all(hasattr(solver(), name) for name in _NEEDED[Mapper(mapper)]):
         return
     raise ConfigError(
         f'[cameras] mapper is "{mapper}" in {FILE_NAME}, and pycolmap {version("pycolmap")} does not have it, '

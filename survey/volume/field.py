@@ -24,11 +24,11 @@ from survey.files.json_values import write_json
 from survey.progress import current
 from survey.run.flight import Flight
 from survey.volume.options import VolumeOptions
-from survey.volume.scene import VolumeFolder, load_scene
+from survey.volume.scene import REPORT, VolumeFolder, load_scene
 from survey.volume.submodules import train_submodules
 from survey.volume.training import Made, surface_in, train
 
-CLOUD, REPORT, VIEWS, HELD = "cloud.las", "report.json", "views", "held out"
+CLOUD, VIEWS, HELD = "cloud.las", "views", "held out"
 
 
 def train_field(run: str | Path, output: str | Path, options: VolumeOptions | None = None) -> dict[str, Any]:

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 
 from fields.volume.paths import Box
-from fields.volume.photographs import Photographs, pixels_over
+from fields.volume.photographs import Photographs, may_show, pixels_over
 from fields.volume.sampling import Cells
 from fields.volume.surface import LEAST_VIEWS
 from geo.files import disk_refusals, write_whole
@@ -36,7 +36,7 @@ _INNER, _REACH, _REACH_CELLS = (0.1, 99.9), 0.1, 3.0
 _PIXELS_PER_CELL = 2.0
 # A photograph counts if it shows the box with this share of its pixels.
 _LEAST_SHARE = 0.002
-STATE, SETTINGS = "state.pt", "settings.json"
+STATE, SETTINGS, REPORT = "state.pt", "settings.json", "report.json"
 # Seconds between two states.
 _EVERY_S = 30.0
 
@@ -164,6 +164,8 @@ def load_scene(
 
 def held_in(ground: Ground, flight: Flight, options: SceneOptions) -> Named:
     """The photographs of a flight that `load_scene` leaves out."""
+    if options.held_every is None:
+        return _named([], ground.bent)
     names = [each.view.name for each, _ in _showing(ground, flight, lambda: None)][_held_of(options)]
     return _named(shown_in(ground, flight, lambda: None, lambda name: name in names), ground.bent)
 
@@ -218,9 +220,10 @@ def _showing(ground: Ground, flight: Flight, advance: Callable[[], object]) -> I
     """Photographs that show the box, before they are decoded, with the pixels that do."""
     for photograph in at_scale(flight, ground.scale):
         camera = photograph.camera
-        pixels = pixels_over(camera, ground.box, ground.bent)
-        if len(pixels) >= _LEAST_SHARE * camera.width * camera.height:
-            yield photograph, pixels
+        if may_show(camera, ground.box, ground.bent):
+            pixels = pixels_over(camera, ground.box, ground.bent)
+            if len(pixels) >= _LEAST_SHARE * camera.width * camera.height:
+                yield photograph, pixels
         advance()
 
 

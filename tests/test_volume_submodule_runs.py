@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import shutil
+import weakref
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -13,8 +14,10 @@ from command_line import bathynerf
 from painted_survey import painted_survey, run_over
 from PIL import Image
 
+import survey.volume.scene as scene
 import survey.volume.submodules as submodules
-from fields.volume.submodules import Grid, match_looks
+from fields.volume.paths import Box
+from fields.volume.submodules import Grid, give_look
 from geo import read_cloud
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun
@@ -23,6 +26,7 @@ from survey.volume.field import train_field
 from survey.volume.options import VolumeOptions
 from survey.volume.scene import Ground
 from survey.volume.stored import StoredVolume
+from survey.volume.submodule_views import SubmoduleViews
 
 # A signed distance begins with a level surface in the middle of the box.
 OPTIONS = VolumeOptions(
@@ -90,9 +94,23 @@ def test_views_are_rendered_from_the_folder(folder, drop):
 
 
 def test_all_submodules_get_the_look_of_the_one_in_the_middle(folder, monkeypatch):
-    monkeypatch.setattr(submodules, "match_looks", partial(match_looks, steps=2, rays=64))
+    loaded, in_memory, load = [], [], SubmoduleViews.load
+
+    def counted(self, number):
+        found = load(self, number)
+        loaded.append(weakref.ref(found.renderer))
+        return found
+
+    def give(*of):
+        gc.collect()
+        in_memory.append(sum(each() is not None for each in loaded))
+        return give_look(*of, steps=2, rays=64)
+
+    monkeypatch.setattr(SubmoduleViews, "load", counted)
+    monkeypatch.setattr(submodules, "give_look", give)
     options = replace(OPTIONS, model="vm", appearance=True, shell=True, drop="geometry", submodules="3x1", steps=1)
     train_field(folder / "run", folder / "looks", options)
+    assert in_memory == [2, 2]
     looks = read_json_object(folder / "looks" / "submodules" / "looks.json")
     assert looks.keys() == {"0_0", "1_0", "2_0"}
     own = torch.load(folder / "looks" / "submodules" / "1_0" / "state.pt", weights_only=True)["renderer"]
@@ -108,9 +126,44 @@ def test_cells_without_a_bed_are_named_and_left_out(folder, monkeypatch):
     report = train_field(folder / "run", folder / "half", replace(OPTIONS, drop="geometry"))
     assert report["left_out"] == {"0_0": "the run has no bed there"}
     assert report["submodules"].keys() == {"1_0"}
+    assert [each.name for each in (folder / "half" / "submodules").iterdir()] == ["1_0"]
     monkeypatch.setattr(Ground, "within", lambda self, box, cells: None)
     with pytest.raises(SurveyError, match="none of 2 submodules can be learned; ask for fewer --submodules"):
         train_field(folder / "run", folder / "nothing", OPTIONS)
+
+
+def test_one_that_is_begun_or_half_trained_is_said_to_be(folder, tmp_path):
+    shutil.copytree(folder / "f", tmp_path / "f")
+    first, second = (tmp_path / "f" / "submodules" / name / "state.pt" for name in ("0_0", "1_0"))
+    first.unlink()
+    torch.save(torch.load(second, weights_only=True) | {"step": 1}, second)
+    with LoadedRun(folder / "run") as run:
+        stored, said = StoredVolume.of_run(tmp_path / "f", run), []
+        stored.load("torch", said.append)
+        assert len(said) == 2
+        assert said[0].startswith("1 of 2 cells of ")
+        assert said[1].endswith("1_0 has done 1 of 2 steps so far")
+        second.unlink()
+        with pytest.raises(SurveyError, match=r"nothing of the field in .* is trained yet"):
+            stored.load("torch")
+        whole = []
+        StoredVolume.of_run(folder / "f", run).load("torch", whole.append)
+        assert whole == []
+
+
+def test_cells_too_small_for_the_photographs_are_refused_before_any_folder(folder):
+    with pytest.raises(SurveyError, match=r"999x999 makes cells of .* m; ask for .* at most, or give smaller --cells"):
+        train_field(folder / "run", folder / "tiny", replace(OPTIONS, submodules="999x999"))
+    assert not (folder / "tiny" / "submodules").exists()
+
+
+def test_no_photograph_is_looked_at_where_none_is_held(folder, monkeypatch):
+    monkeypatch.setattr(scene, "pixels_over", lambda *_: pytest.fail("no pixels are asked for"))
+    with LoadedRun(folder / "run") as run:
+        ground = Ground.of_run(run, run.flight, OPTIONS.scene)
+        assert scene.held_in(ground, run.flight, replace(OPTIONS, held_every=None).scene).names == []
+        far = replace(ground, box=Box(ground.box.low + 500.0, ground.box.high + 500.0))
+        assert scene.shown_in(far, run.flight, lambda: None) == []
 
 
 @pytest.mark.parametrize(

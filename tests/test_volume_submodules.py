@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -59,6 +61,16 @@ def test_cells_cover_the_ground_once_and_their_boxes_share_half_a_cell():
 )
 def test_a_number_of_cells_is_shared_out_as_squares(said, size, counts):
     assert counts_of(said, np.array(size)) == counts
+
+
+def test_ground_of_cells_that_are_left_out_is_that_of_the_nearest_trained_one():
+    grid = Grid(Box(np.zeros(3), np.array([6.0, 4.0, 1.0])), (3, 2), trained=(0, 2))
+    places = np.array([[1.0, 1.0], [2.9, 1.0], [3.1, 1.0], [5.0, 3.9], [1.0, 3.0], [5.0, 1.0]])
+    assert grid.owner(places).tolist() == [0, 0, 2, 2, 0, 2]
+    assert grid.owner(places[2]) == 2
+    whole = ground_shares(GRID, bed(), looking_down(x=-2.0), WATER)
+    only = ground_shares(replace(GRID, trained=(1,)), bed(), looking_down(x=-2.0), WATER)
+    assert only.tolist() == [0.0, pytest.approx(whole.sum())]
 
 
 def slow_blend(camera, submodules, power: float) -> np.ndarray:

@@ -18,7 +18,7 @@ neighbour is fitted until both show the places that they share alike, which chan
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,6 +53,7 @@ class Grid:
 
     box: Box
     counts: tuple[int, int]
+    trained: tuple[int, ...] = ()  # Numbers of those that have a volume; empty: all
 
     def __len__(self) -> int:
         return self.counts[0] * self.counts[1]
@@ -67,10 +68,23 @@ class Grid:
         return [f"{column}_{row}" for row in range(self.counts[1]) for column in range(self.counts[0])]
 
     def owner(self, xy: np.ndarray) -> np.ndarray:
-        """Numbers (...) of the cells in which places (..., 2 or more) [m] lie; beyond the box, of the nearest."""
+        """Numbers (...) of the cells in which places (..., 2 or more) [m] lie; elsewhere, of the nearest trained."""
         at = np.floor((xy[..., :2] - self.box.low[:2]) / self.size)
         column, row = np.moveaxis(np.clip(np.nan_to_num(at), 0, np.array(self.counts) - 1).astype(int), -1, 0)
-        return row * self.counts[0] + column
+        number = np.asarray(row * self.counts[0] + column)
+        without = ~np.isin(number, self.trained or range(len(self)))
+        number[without] = self._nearest_trained(xy[without][..., :2])
+        return number
+
+    def _nearest_trained(self, xy: np.ndarray) -> np.ndarray:
+        """Numbers (N,) of the trained cells whose edges are nearest to places (N, 2) [m]."""
+        nearest, least = np.zeros(len(xy), int), np.full(len(xy), np.inf)
+        for number in self.trained:
+            low = self.box.low[:2] + self.size * divmod(number, self.counts[0])[::-1]
+            distance = np.linalg.norm(xy - np.clip(xy, low, low + self.size), axis=-1)
+            nearest[distance < least] = number
+            least = np.fmin(least, distance)
+        return nearest
 
     def box_of(self, number: int) -> Box:
         """The box of a cell with its rim, inside that of all."""
@@ -300,19 +314,42 @@ def match_looks(
     list of str
         Where the look of each submodule comes from: "root", the number of the cell of another one, or "none".
     """
-    points, sources = thinned(bed), [""] * len(submodules)
-    inside = np.array([_inside(points, each.box) for each in submodules])
-    common = inside.astype(int) @ inside.T.astype(int)
-    sources[root], done = "root", [root]
-    while len(done) < len(submodules):
-        rest = [m for m in range(len(submodules)) if m not in done]
-        m, n = max(((m, n) for m in rest for n in done), key=lambda pair: common[pair])
+    sources = [""] * len(submodules)
+    sources[root] = "root"
+    for m, n in look_pairs([each.box for each in submodules], root, bed):
         target, source = submodules[m], submodules[n]
-        shared = shared_rays(cameras, bed, target.box, source.box, water)
-        if shared is None:
-            look, sources[m] = single_look(vectors_of(target).mean(dim=0)), "none"
-        else:
-            look, sources[m] = matched_look(target, source, shared, water, steps=steps, rays=rays), str(source.number)
-        target.renderer.appearance = look
-        done.append(m)
+        matched = give_look(target, source, cameras, bed, water, steps=steps, rays=rays)
+        sources[m] = str(source.number) if matched else "none"
     return sources
+
+
+def look_pairs(boxes: Sequence[Box], root: int, bed: np.ndarray) -> Iterator[tuple[int, int]]:
+    """Indices (m, n): m gets its look from n, which has it; of such pairs the one that shares the most ground first."""
+    points = thinned(bed)
+    inside = np.array([_inside(points, box) for box in boxes])
+    common = inside.astype(int) @ inside.T.astype(int)
+    done = [root]
+    while len(done) < len(boxes):
+        rest = [m for m in range(len(boxes)) if m not in done]
+        m, n = max(((m, n) for m in rest for n in done), key=lambda pair: common[pair])
+        yield m, n
+        done.append(m)
+
+
+def give_look(
+    target: Submodule,
+    source: Submodule,
+    cameras: Sequence[PinholeCamera],
+    bed: np.ndarray,
+    water: WaterSurface | None,
+    *,
+    steps: int = 100,
+    rays: int = 512,
+) -> bool:
+    """Give a submodule the look of another; False: they share no ground, and it gets the mean of its own vectors."""
+    shared = shared_rays(cameras, bed, target.box, source.box, water)
+    if shared is None:
+        target.renderer.appearance = single_look(vectors_of(target).mean(dim=0))
+    else:
+        target.renderer.appearance = matched_look(target, source, shared, water, steps=steps, rays=rays)
+    return shared is not None

@@ -72,10 +72,13 @@ class StoredVolume:
         Raises
         ------
         SurveyError
-            If the state of the training is damaged.
+            If the state of the training is damaged, or there is none yet.
         """
         if self.counts is not None:
-            return SubmoduleViews(self.folder, self.recipe, self.ground, self.counts, device, self.drop).view
+            views = SubmoduleViews(self.folder, self.recipe, self.ground, self.counts, device, self.drop)
+            for said in views.unfinished():
+                note(said)
+            return views.view
         renderer, cells, step = self.recipe.restored(self.folder / STATE, self.ground.box, self.water, device)
         if step < self.recipe.steps:
             note(f"the training of {self.folder} has done {step} of {self.recipe.steps} steps so far")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache, lru_cache
 from pathlib import Path
 
@@ -14,9 +15,10 @@ from fields.volume.sampling import Cells
 from fields.volume.submodules import Grid, Submodule, ground_shares, kept, pose_weights, render_submodules, single_look
 from fields.volume.visibility import Visibility
 from refract import FlatWater, PinholeCamera
+from survey.errors import SurveyError
 from survey.files.json_values import read_json_object
 from survey.volume.recipe import VolumeRecipe, novel_view
-from survey.volume.scene import STATE, Ground, read_state
+from survey.volume.scene import REPORT, STATE, Ground, read_state
 from survey.words import Drop
 
 # Of the submodules in the folder of their field; the vectors of their common look there; the visibility of each.
@@ -38,6 +40,11 @@ class SubmoduleViews:
         Cells along x and y.
     drop : str
         A word of `survey.words.Drop`.
+
+    Raises
+    ------
+    SurveyError
+        If none has been trained.
     """
 
     def __init__(
@@ -51,14 +58,36 @@ class SubmoduleViews:
     ):
         self.recipe, self.ground, self.device, self.drop = recipe, ground, device, drop
         self.grid = Grid(ground.box, counts)
+        self.folder = folder
+        self._with_bed: list[str] = []
         self.folders: dict[int, Path] = {}
         self.boxes: dict[int, Box] = {}
         for number, name in enumerate(self.grid.names()):
             part = ground.within(self.grid.box_of(number), recipe.cells)
-            if part is not None and (folder / FOLDER / name / STATE).is_file():
+            if part is None:
+                continue
+            self._with_bed.append(name)
+            if (folder / FOLDER / name / STATE).is_file():
                 self.folders[number], self.boxes[number] = folder / FOLDER / name, part.box
+        if not self.folders:
+            raise SurveyError(
+                f"nothing of the field in {folder} is trained yet; the command that began it goes on: bathynerf field"
+            )
+        self.grid = replace(self.grid, trained=tuple(self.folders))
         self._kept = lru_cache(IN_MEMORY)(self.load)
         self._visibility = cache(self._load_visibility)
+
+    def unfinished(self) -> list[str]:
+        """What is not trained yet: cells with a bed that were not left out, and steps."""
+        said, report = [], self.folder / REPORT
+        left_out = read_json_object(report).get("left_out", {}) if report.is_file() else {}
+        cells = sum(name not in left_out for name in self._with_bed)
+        if len(self.folders) < cells:
+            said.append(f"{len(self.folders)} of {cells} cells of {self.folder} are trained so far")
+        for folder in self.folders.values():
+            if (step := read_state(folder / STATE).get("step", 0)) < self.recipe.steps:
+                said.append(f"the training of {folder} has done {step} of {self.recipe.steps} steps so far")
+        return said
 
     def load(self, number: int) -> Submodule:
         """A submodule, with the common look where there is one."""

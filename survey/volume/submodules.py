@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,7 @@ import torch
 
 from fields.device import choose_device
 from fields.sweep.kernels.arrays import free_unused
-from fields.volume.submodules import Grid, counts_of, match_looks, single_look, vectors_of
+from fields.volume.submodules import RIM, Grid, counts_of, give_look, look_pairs, single_look, vectors_of
 from fields.volume.surface import Surface
 from fields.volume.visibility import train_visibility
 from geo.files import write_whole
@@ -28,6 +30,8 @@ from survey.words import Drop
 
 # Steps of the training of a network of visibility, of those of the field.
 VISIBILITY_STEPS = 0.1
+# A pixel of the photographs is at most so many cells of a volume wide: finer ones show nothing more.
+MOST_CELLS_PER_PIXEL = 4
 
 
 def train_submodules(run: LoadedRun, flight: Flight, options: VolumeOptions, folder: VolumeFolder) -> Made:
@@ -39,10 +43,10 @@ def train_submodules(run: LoadedRun, flight: Flight, options: VolumeOptions, fol
     Raises
     ------
     SurveyError
-        If no cell can be learned.
+        If no cell can be learned, or cells would be too small.
     """
     ground = Ground.of_run(run, flight, options.scene)
-    grid = Grid(ground.box, counts_of(str(options.submodules), ground.box.size))
+    grid = _grid_of(ground, options)
     # Photographs are as large as the largest cell needs them.
     ground = ground.read_for(max(grid.box_of(number).size[:2].max() for number in range(len(grid))), options.scene)
     held = held_in(ground, flight, options.scene)
@@ -52,7 +56,7 @@ def train_submodules(run: LoadedRun, flight: Flight, options: VolumeOptions, fol
         part = ground.within(grid.box_of(number), options.cells)
         said = f"{name}, {number + 1} of {len(grid)}"
         try:
-            trained = _trained(part, flight, options, folder.part(f"{FOLDER}/{name}"), held, said)
+            trained = _trained(part, flight, options, partial(folder.part, f"{FOLDER}/{name}"), held, said)
         except TooFewPhotographs as error:
             left_out[name] = str(error)
             current().note(f"submodule {name} is left out: {error}")
@@ -71,16 +75,35 @@ def train_submodules(run: LoadedRun, flight: Flight, options: VolumeOptions, fol
     return Made(_joined(surfaces), ground.scene(held, held).bed, held, views.view, report)
 
 
+def _grid_of(ground: Ground, options: VolumeOptions) -> Grid:
+    grid = Grid(ground.box, counts_of(str(options.submodules), ground.box.size))
+    least = options.cells * ground.gsd_m / MOST_CELLS_PER_PIXEL / (1 + 2 * RIM)
+    if grid.size.min() < least:
+        most = "x".join(str(max(int(edge / least), 1)) for edge in ground.box.size[:2])
+        raise SurveyError(
+            f"--submodules {options.submodules} makes cells of {grid.size[0]:.3g} m x {grid.size[1]:.3g} m on the "
+            f"ground, expected at least {least:.3g} m with --cells {options.cells} and pixels of {ground.gsd_m:.3g} m; "
+            f"ask for {most} at most, or give smaller --cells"
+        )
+    return grid
+
+
 def _trained(
-    part: Ground | None, flight: Flight, options: VolumeOptions, folder: VolumeFolder, held: Named, said: str
+    part: Ground | None,
+    flight: Flight,
+    options: VolumeOptions,
+    begun: Callable[[], VolumeFolder],
+    held: Named,
+    said: str,
 ) -> Trained:
-    """The field of a cell, by the photographs that show its box and are not held."""
+    """The field of a cell, by the photographs that show its box and are not held; ``begun`` makes its folder."""
     if part is None:
         raise TooFewPhotographs("the run has no bed there")
     names = set(held.names)
     with current().stage(f"Photographs of {said}", len(flight.views)) as stage:
         shown = shown_in(part, flight, stage.advance, lambda name: name not in names)
     learned = learned_from(shown, part, options.scene, len(flight.views))
+    folder = begun()
     trained = train(part.scene(learned, held), flight, options, folder)
     if options.drop == Drop.network and not (folder.path / VISIBILITY).is_file():
         _save_visibility(trained, folder.path / VISIBILITY)
@@ -98,16 +121,22 @@ def _save_visibility(trained: Trained, path: Path) -> None:
 
 def _looks(views: SubmoduleViews, flight: Flight, ground: Ground) -> dict[str, list[float]]:
     """The vectors (A,) with which all submodules look alike: as the one in the middle does in its first photograph."""
-    submodules = [views.load(number) for number in views.folders]
+    numbers, boxes = list(views.boxes), list(views.boxes.values())
     middle = 0.5 * (ground.box.low + ground.box.high)
-    off = [float(np.linalg.norm(0.5 * (each.box.low + each.box.high) - middle)) for each in submodules]
-    root = int(np.argmin(off))
-    submodules[root].renderer.appearance = single_look(vectors_of(submodules[root])[0])
-    with current().stage("Looks"):
-        cameras = [view.camera for view in flight.views]
-        match_looks(submodules, root, cameras, ground.bed, ground.bent)
-    folders = views.folders.values()
-    return {f.name: vectors_of(e)[0].tolist() for f, e in zip(folders, submodules, strict=True)}
+    root = int(np.argmin([np.linalg.norm(0.5 * (box.low + box.high) - middle) for box in boxes]))
+    looks = {root: vectors_of(views.load(numbers[root]))[0]}
+    cameras = [view.camera for view in flight.views]
+    with current().stage("Looks", len(numbers) - 1) as stage:
+        # Two are in memory at a time.
+        for m, n in look_pairs(boxes, root, ground.bed):
+            source, target = views.load(numbers[n]), views.load(numbers[m])
+            source.renderer.appearance = single_look(looks[n])
+            give_look(target, source, cameras, ground.bed, ground.bent)
+            looks[m] = vectors_of(target)[0]
+            del source, target
+            free_unused(choose_device(views.device))
+            stage.advance()
+    return {views.folders[number].name: looks[k].tolist() for k, number in enumerate(numbers)}
 
 
 def _chosen(surface: Surface, keep: np.ndarray) -> Surface:

@@ -16,9 +16,10 @@ from scipy.spatial import cKDTree
 
 from survey.sfm.settings import ALL_PAIRS_UP_TO, NEIGHBOURS
 
-# Of each photograph so many are looked at, the nearest; directions in which partners are sought in turn, so that dense
-# photographs of a strip do not displace those of the strips beside it.
-_LOOKED_AT, _SECTORS = 200, 8
+# Directions in which partners are sought in turn, so that dense photographs of a strip do not displace those of the
+# strips beside it. So many of the nearest are looked at, four times as many while a direction has none, and most.
+_SECTORS = 8
+_LOOKED_AT, _MORE, _MOST_LOOKED_AT = 200, 4, 3200
 # Footprints of axes closer to the horizon than this reach no further.
 _MOST_TILT_DEG = 60.0
 # Two photographs are no partners if the distance of their middles is more than this share of both radii: corners of
@@ -77,12 +78,9 @@ def image_pairs(names: Sequence[str], places: Mapping[str, Place]) -> list[tuple
 
 def _partners(ground: _Footprints) -> Iterator[tuple[int, int]]:
     """Partners of each photograph, at most `NEIGHBOURS`, by numbers."""
-    at = np.column_stack([ground.centres, ground.looks])
-    count = min(_LOOKED_AT + 1, len(at))
-    for number, near in enumerate(cKDTree(at).query(at, k=count)[1]):
-        near = near[near != number]
-        away = ground.centres[near] - ground.centres[number]
-        touches = np.hypot(*away.T) <= _TOUCHING * (ground.radii[near] + ground.radii[number])
+    tree = cKDTree(np.column_stack([ground.centres, ground.looks]))
+    for number in range(len(ground.radii)):
+        near, away, touches = _looked_at(ground, tree, number)
         chosen = near[touches][_in_turn(away[touches])[:NEIGHBOURS]]
         # Heights may be too low, so that nothing touches.
         rest = near[~touches][: max(_LEAST - len(chosen), 0)]
@@ -90,9 +88,32 @@ def _partners(ground: _Footprints) -> Iterator[tuple[int, int]]:
             yield number, int(other)
 
 
+def _looked_at(ground: _Footprints, tree: cKDTree, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The nearest (K,) of a photograph, their offsets (K, 2) [m] on the ground, and whether they touch it (K,).
+
+    So many that each direction has one that touches, where photographs so near may lie.
+    """
+    most, count = min(_MOST_LOOKED_AT, len(ground.radii) - 1), _LOOKED_AT
+    farthest = _TOUCHING * (ground.radii[number] + ground.radii.max())
+    while True:
+        distance, near = tree.query(tree.data[number], k=min(count, most) + 1)
+        away = ground.centres[near] - ground.centres[number]
+        touches = np.hypot(*away.T) <= _TOUCHING * (ground.radii[near] + ground.radii[number])
+        others = near != number
+        filled = len(np.unique(_sector(away[touches & others]))) == _SECTORS
+        if filled or count >= most or distance[-1] > farthest:
+            return near[others], away[others], touches[others]
+        count *= _MORE
+
+
+def _sector(away: np.ndarray) -> np.ndarray:
+    """Directions (K,) of offsets (K, 2), by number."""
+    return np.floor(np.arctan2(away[:, 1], away[:, 0]) / (2.0 * math.pi) * _SECTORS).astype(int) % _SECTORS
+
+
 def _in_turn(away: np.ndarray) -> np.ndarray:
     """Order of offsets (K, 2), sorted by distance, that takes the nearest of each direction, then the second, ..."""
-    sector = np.floor(np.arctan2(away[:, 1], away[:, 0]) / (2.0 * math.pi) * _SECTORS).astype(int) % _SECTORS
+    sector = _sector(away)
     rank = np.zeros(len(away), dtype=int)
     for each in range(_SECTORS):
         rank[sector == each] = np.arange((sector == each).sum())

@@ -110,7 +110,8 @@ class Memory:
 
 def _anonymous(pid: int) -> int:
     text = Path(f"/proc/{pid}/status").read_text(encoding="ascii")
-    return 1024 * int(text.split("RssAnon:")[1].split()[0])
+    # A process that has ended and was not waited for has no memory.
+    return 1024 * int(text.partition("RssAnon:")[2].split()[0]) if "RssAnon:" in text else 0
 
 
 def row_of(survey: Path, number: int, quality: str, workers: int) -> dict:

@@ -131,12 +131,13 @@ class PlanGrid:
         return np.where(count == 0, np.nan, total / np.maximum(count, 1))
 
     def highest(self, height: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Values (N, ...) of the highest point of each cell, (rows, columns, ...) float64; NaN where none.
+        """Values (N, ...) of the highest point of each cell, (rows, columns, ...), NaN where none.
 
-        Points without a height do not count.
+        They are float64, of small whole numbers float32. Points without a height do not count.
         """
         cells = self.shape[0] * self.shape[1]
-        top, found = np.full(cells, -np.inf), np.full((cells, *values.shape[1:]), np.nan)
+        kind = np.result_type(values.dtype, np.float32)
+        top, found = np.full(cells, -np.inf), np.full((cells, *values.shape[1:]), np.nan, dtype=kind)
         for part, number in self._portions():
             here = np.asarray(height[part])
             number = np.where(np.isfinite(here), number, -1)

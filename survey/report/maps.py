@@ -52,9 +52,10 @@ def representative(height_maps: Sequence[HeightMap]) -> int:
 
 def draw_orthophoto(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     """The cloud in its colours, in plan, the highest point of each cell on top."""
-    colours = without_pinholes(grid.highest(facts.points_crs[:, 2], facts.bed.rgb)) / 255.0
+    colours = without_pinholes(grid.highest(facts.points_crs[:, 2], facts.bed.rgb))
     known = np.isfinite(colours[..., :1])
-    axes = _show(np.concatenate([np.where(known, colours, 0.0), known], axis=-1), facts, grid)
+    image = np.concatenate([np.where(known, colours / np.float32(255.0), np.float32(0.0)), known], axis=-1)
+    axes = _show(image, facts, grid)
     title = "The bed from above"
     write_title(axes, title, f"the cloud in its own colours, cells of {cell_size(grid.cell_m)}")
     save(figure_of(axes), path)

@@ -14,13 +14,15 @@ import pytest
 
 from geo.similarity import fit_similarity
 from survey.adjust.starts import recover_poses
-from survey.errors import ConfigError, SurveyError
+from survey.errors import ConfigError, PosesError, SurveyError
 from survey.folder.survey import load_survey
 from survey.sfm import block as sfm_block
 from survey.sfm import poses as sfm_poses
 from survey.sfm import settings as sfm_settings
+from survey.sfm import solve as sfm_solve
 from survey.sfm.mapping import Matched, mapped
 from survey.sfm.settings import mapper_of, require_mapper
+from survey.sfm.solve import Photographs
 from survey.simulate.drawn import DrawnScene, draw_survey
 from survey.words import Mapper
 from tests.drawn_block import DrawnBlock, draw_block
@@ -70,6 +72,20 @@ def test_poses_of_a_block_smaller_than_a_part_are_those_one_by_one_and_the_same_
     centres, again = (centres_of(blocks_by(matched, each, tmp_path)) for each in (mapper, Mapper.incremental))
     # In parts the frame is another one. Sums of two threads end in other digits.
     assert np.abs(fit_similarity(centres, again)(centres) - again).max() < 1e-4 * np.ptp(again)
+
+
+@pytest.mark.parametrize("mapper", MAPPERS)
+def test_a_mapper_that_does_not_tell_its_progress_is_said_not_to(monkeypatch, tmp_path, mapper):
+    told, photographs = [], Photographs({}, {}, {}, None, mapper)
+
+    def fail(*_):
+        raise PosesError("too few features match")
+
+    monkeypatch.setattr(sfm_solve.sfm_block, "matched", lambda *_: None)
+    monkeypatch.setattr(sfm_solve, "mapped", fail)
+    with pytest.raises(PosesError, match="too few features match"):
+        sfm_solve.solve(photographs, tmp_path, told.append)
+    assert ("its progress is not known until it ends" in told[-1]) == (mapper != Mapper.incremental)
 
 
 @pytest.mark.parametrize(

@@ -7,11 +7,13 @@ from collections import Counter
 from dataclasses import replace
 
 import numpy as np
+import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 
 from survey.photos.exif import Exif
-from survey.sfm.likeness import alike
+from survey.sfm.block import _alike
+from survey.sfm.likeness import VOTING, alike
 from survey.sfm.pairs import LEAST_HEIGHT_M, Place, image_pairs
 from survey.sfm.settings import NEIGHBOURS, pairs_about
 from survey.sfm.solve import Photographs
@@ -94,13 +96,31 @@ def test_photographs_look_like_those_that_show_the_same_ground(rng, lost):
     shown = [ground[20 * k : 20 * k + 100] + rng.normal(0.0, 3.0, (100, 128)) for k in range(60)]
     descriptors = [np.clip(np.rint(own), 0, 255).astype(np.uint8) for own in shown]
     descriptors[5] = descriptors[5][:0]
-    found = list(alike(descriptors, lost))
+    found = list(alike(iter(descriptors), len(descriptors), lost))
     assert {a for a, _ in found} <= set(lost)
     assert max(Counter(a for a, _ in found).values()) <= NEIGHBOURS
     for number in set(lost) - {5}:
         best = [b for a, b in found if a == number][:4]
         assert all(abs(b - number) <= 5 for b in best), (number, best)
     assert not [b for a, b in found if a == 5 or b == a]
+
+
+def test_photographs_without_a_position_are_paired_by_the_features_of_the_database_and_by_their_names(tmp_path, rng):
+    descriptors = [rng.integers(0, 120, (VOTING + 50, 128), dtype=np.uint8) for _ in range(12)]
+    # The last looks like the third.
+    descriptors[11][:VOTING] = descriptors[2][:VOTING]
+    names = [f"{k:06d}.jpg" for k in range(12)]
+    with pycolmap.Database.open(tmp_path / "database.db") as opened:
+        camera = opened.write_camera(pycolmap.Camera(model="SIMPLE_PINHOLE", width=8, height=8, params=[8.0, 4.0, 4.0]))
+        for name, own in zip(names, descriptors, strict=True):
+            number = opened.write_image(pycolmap.Image(name=name, camera_id=camera))
+            opened.write_descriptors(number, pycolmap.FeatureDescriptors(pycolmap.FeatureExtractorType.SIFT, own))
+    found = _alike(tmp_path / "database.db", names, [names[11], names[0]])
+    voted = alike(iter(descriptors), 12, [11, 0])
+    of_names = [(9, 11), (10, 11), (0, 1), (0, 2)]
+    expected = [*(tuple(sorted(pair)) for pair in voted), *of_names]
+    assert sorted(found) == sorted((names[a], names[b]) for a, b in expected)
+    assert found[0] == (names[2], names[11])
 
 
 def photographs(**heads) -> Photographs:

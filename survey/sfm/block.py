@@ -124,7 +124,7 @@ def matched(
     pairs = image_pairs(names, places)
     lost = [name for name in names if name not in places]
     if lost and len(names) > ALL_PAIRS_UP_TO:
-        say(f"structure from motion: {len(lost)} images without a position are compared with all")
+        say(f"structure from motion: {len(lost)} images without a position are matched with those that look like them")
         pairs = sorted({*pairs, *_alike(database, names, lost)})
     say(f"structure from motion: matches of {len(pairs)} pairs")
     _match(database, pairs, work, machine.num_cores())
@@ -158,11 +158,12 @@ def _reader(sensor: CameraBody) -> pycolmap.ImageReaderOptions:
 
 def _alike(database: Path, names: Sequence[str], lost: Sequence[str]) -> list[tuple[str, str]]:
     """Pairs of images without a position with those that look like them, and with the next in order of names."""
+    at = {name: k for k, name in enumerate(names)}
+    of = [at[name] for name in lost]
     with solver().Database.open(database) as opened:
-        numbers = [opened.read_image_with_name(name).image_id for name in names]
-        descriptors = [opened.read_descriptors(number).data[:VOTING].copy() for number in numbers]
-    of = [names.index(name) for name in lost]
-    found = [*alike(descriptors, of), *((k, k + step) for k in of for step in (-2, -1, 1, 2))]
+        numbers = (opened.read_image_with_name(name).image_id for name in names)
+        descriptors = (opened.read_descriptors(number).data[:VOTING] for number in numbers)
+        found = [*alike(descriptors, len(names), of), *((k, k + step) for k in of for step in (-2, -1, 1, 2))]
     return [(names[min(i, j)], names[max(i, j)]) for i, j in found if min(i, j) >= 0 and max(i, j) < len(names)]
 
 
@@ -231,7 +232,8 @@ def points_of(block: pycolmap.Reconstruction) -> tuple[np.ndarray, np.ndarray, n
 def tracks_of(block: pycolmap.Reconstruction, names: Sequence[str]) -> TiePoints:
     """Points that three photographs or more see, of two both, and where; views are numbered as in `names`."""
     least = least_track(len(names))
-    number = {image.image_id: names.index(image.name) for image in block.images.values() if image.has_pose}
+    at = {name: k for k, name in enumerate(names)}
+    number = {image.image_id: at[image.name] for image in block.images.values() if image.has_pose}
     start: list[np.ndarray] = []
     pixel: list[np.ndarray] = []
     point: list[int] = []

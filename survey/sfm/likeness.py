@@ -7,7 +7,7 @@ grow with the number of photographs, the votes with its square (`VOTING` feature
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -19,17 +19,19 @@ VOTING = 100
 _AT_ONCE = 500
 
 
-def alike(descriptors: Sequence[np.ndarray], of: Sequence[int]) -> Iterator[tuple[int, int]]:
+def alike(descriptors: Iterable[np.ndarray], num: int, of: Sequence[int]) -> Iterator[tuple[int, int]]:
     """Photographs that some of them look like most, the best first: pairs of numbers.
 
     Parameters
     ----------
-    descriptors : sequence of (F, 128) uint8
-        Of all photographs, those of the largest scale first.
+    descriptors : iterable of (F, 128) uint8
+        Of all photographs, those of the largest scale first; read one by one.
+    num : int
+        Of photographs.
     of : sequence of int
         The photographs whose partners are sought.
     """
-    every = np.zeros((len(descriptors), VOTING, 128), np.float32)
+    every = np.zeros((num, VOTING, 128), np.float32)
     for number, own in enumerate(descriptors):
         own = own[:VOTING].astype(np.float32)
         every[number, : len(own)] = own / np.maximum(np.linalg.norm(own, axis=1, keepdims=True), 1.0)

@@ -23,6 +23,8 @@ SEED = 0
 # All images are adjusted whenever their number, or that of the points, has grown by this factor.
 _GROWN = 1.3
 _MIN_IMAGES = 3
+# Mappers that do not tell their progress.
+UNTOLD = (Mapper.hierarchical, Mapper.global_)
 # Of two photographs: the least angle [deg] at which their rays meet, and the least number of matches, to start from.
 _PAIR_ANGLE_DEG, _PAIR_MATCHES = 1.0, 30
 

@@ -19,7 +19,7 @@ from survey.photos.poses import least_track
 from survey.sfm import block as sfm_block
 from survey.sfm.block import CameraBody
 from survey.sfm.gps_fit import attitudes_of
-from survey.sfm.mapping import mapped
+from survey.sfm.mapping import UNTOLD, mapped
 from survey.sfm.pairs import LEAST_HEIGHT_M, Place
 
 if TYPE_CHECKING:
@@ -142,7 +142,8 @@ def _blocks(
     places = {alias_of[name]: place for name, place in photographs.places.items()}
     sensors = sensors_of(photographs.heads, alias_of, photographs.focal_px)
     of_pairs = sfm_block.matched(folder, sensors, places, work, say)
-    say(f"structure from motion: poses, by {photographs.mapper} mapping")
+    untold = "; its progress is not known until it ends" if photographs.mapper in UNTOLD else ""
+    say(f"structure from motion: poses, by {photographs.mapper} mapping{untold}")
     blocks = mapped(of_pairs, photographs.mapper)
     placed = blocks[0].num_reg_images() if blocks else 0
     if placed < (least := least_track(len(alias_of))):

@@ -17,13 +17,12 @@ from survey.run.aimed_run import (
     NOISE,
     AimedRun,
     CellStd,
-    Clock,
     FullSizeAmounts,
-    OutOfTimeError,
     RoundRates,
     samples,
     std_cells,
 )
+from survey.run.clock import Clock, OutOfTimeError
 
 GROUND = FullSizeAmounts(photographs_mpx=10.0, map_px=10e6, points=1e6, poses="fixed", num_views=10)
 # A machine on which all rates are easy to count with.

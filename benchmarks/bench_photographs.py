@@ -2,7 +2,7 @@
 
     python benchmarks/bench_photographs.py FOLDER [130 520 2080] [--quality draft] [--workers 1] [-o FILE.json]
 
-Draws in FOLDER/<number> strips of 320 x 240 px over a bed 1.5 m deep, 12 m over the water (a pixel covers 28 mm),
+Draws in FOLDER/<number> strips of 320 x 240 px over a bed 1.5 m deep, 12 m over the water (a pixel covers 25 mm),
 6.5 m² for each photograph whatever their number, and keeps them. Processes each with poses as given, in a tile for
 every 32.5 photographs. Prints and writes: wall time by stage and of all, processor time, peak of anonymous memory
 [bytes] of the process of the run and of the largest worker, points, mean and std of the inner 90 % of the vertical

@@ -287,6 +287,8 @@ def is_defined(name: str) -> bool:
     for number in range(len(parts), 0, -1):
         place = ROOT.joinpath(*parts[:number])
         file = place.with_suffix(".py") if place.with_suffix(".py").is_file() else place / "__init__.py"
+        if number == len(parts) and place.is_dir():
+            return True
         if file.is_file():
             rest = parts[number : number + 1]
             return not rest or re.search(rf"\b{rest[0]}\b", file.read_text(encoding="utf-8")) is not None

@@ -14,9 +14,8 @@ from refract import FlatWater
 from refract.lens import Lens
 from survey.display.palette import OBLIQUE
 from survey.errors import SurveyError
-from survey.simulate.flight import FlightSettings, plan_flight
 from survey.simulate.flight.coverage import SYSTEMATIC_PX, coverage, picture
-from survey.simulate.flight.patterns import Site
+from survey.simulate.flight.patterns import FlightSettings, Site, plan_flight
 
 LENS = Lens("PINHOLE", (1750.0, 1750.0, 512.0, 384.0), 1024, 768)
 WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.333)

@@ -19,8 +19,7 @@ from survey.folder.faults import place_of
 from survey.folder.posed import cams_from_local, points_in_crs
 from survey.photos.poses import PoseFrame
 from survey.pose_files import read_poses
-from survey.simulate.flight import plan_flight
-from survey.simulate.flight.patterns import Site
+from survey.simulate.flight.patterns import Site, plan_flight
 from survey.simulate.ground.ground import bed_from_file
 from survey.simulate.ground.shapes import TriangleMesh
 from survey.simulate.scene_file import CameraSettings, LightSettings, SceneSettings

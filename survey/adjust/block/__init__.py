@@ -1,1 +1,0 @@
-"""The block as a least-squares problem: observations, unknowns, priors, and their solution."""

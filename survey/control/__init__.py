@@ -1,1 +1,0 @@
-"""Points of known coordinates: control points with their marks in photographs, and check points, from their files."""

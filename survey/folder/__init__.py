@@ -1,1 +1,0 @@
-"""A survey folder read into its local frame: settings, images, poses and water, checked against each other."""

@@ -1,1 +1,0 @@
-"""A survey and its runs as objects, for programs and notebooks."""

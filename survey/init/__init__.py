@@ -1,1 +1,0 @@
-"""survey.toml written from what a folder of photographs holds."""

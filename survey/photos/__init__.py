@@ -1,1 +1,0 @@
-"""Photographs: pixels, EXIF, lens, and the files of their poses."""

@@ -1,1 +1,0 @@
-"""survey.toml: the settings of a survey, table by table."""

@@ -1,1 +1,0 @@
-"""Structure from motion: poses in the local frame for a survey that comes without them."""

@@ -1,1 +1,0 @@
-"""The verb simulate: a scene file is planned, staged and photographed."""

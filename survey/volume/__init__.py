@@ -1,1 +1,0 @@
-"""Radiance fields over the photographs of a finished run: trained, rendered, extracted and compared."""

@@ -1,1 +1,0 @@
-"""The water of a survey: its level from measurements on site, its tide, and its index."""

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import cv2
 import numpy as np
+from scipy.sparse import csr_array
 
 from fields.device import Device
 from fields.image_store import GreyImages, LazyImages
@@ -64,12 +65,12 @@ class Overlap:
         return float(self.water.height(x, y)) + height
 
     @cached_property
-    def _coverage(self) -> tuple[np.ndarray, np.ndarray]:
+    def _coverage(self) -> tuple[csr_array, np.ndarray]:
         return views.coverage(self.cameras, self.water, self._z_of(self.height), self.ground)
 
     @property
-    def seen(self) -> np.ndarray:
-        """Visibility of cells of the ground in views, (views, cells) bool; `fields.sweep.views.coverage`."""
+    def seen(self) -> csr_array:
+        """Visibility of cells of the ground in views, (views, cells) bool, sparse; `fields.sweep.views.coverage`."""
         return self._coverage[0]
 
     @property
@@ -86,7 +87,7 @@ class Overlap:
         if area is not None:
             x, y = self.cells[:, 0], self.cells[:, 1]
             inside = (x >= area[0]) & (y >= area[1]) & (x <= area[2]) & (y <= area[3])
-            seen = seen & inside if inside.any() else seen
+            seen = csr_array(seen.multiply(inside)) if inside.any() else seen
         return views.cover(seen, self.cells, self.cameras, times, times_oblique)
 
     def neighbours(self, view: int, count: int, among: list[int] | None = None) -> list[int]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from refract import FlatWater, PinholeCamera, crossing_point
 
@@ -52,8 +53,8 @@ def coverage(
     water: FlatWater | None,
     height: float,
     ground: tuple[float, float, float, float] | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Visibility (views, cells) bool of the cells of a ground grid at z = height, and the cells (cells, 3).
+) -> tuple[csr_array, np.ndarray]:
+    """Visibility (views, cells) bool, sparse, of cells of a ground grid at z = height, and the cells (cells, 3).
 
     The grid spans ``ground`` (x0, y0, x1, y1) [m], local; by default all that the views may see. Of a large one only
     cells that the views may see are there.
@@ -78,10 +79,27 @@ def coverage(
         else _visible_nodes(cameras, height, x, y)
     )
     cells = np.column_stack([plan, np.full(len(plan), height)])
-    seen = np.zeros((len(cameras), len(cells)), dtype=bool)
-    for mine, camera in zip(seen, cameras, strict=True):
-        mine[:] = camera.sees(camera.project(cells, water))
-    return seen, cells
+    rows = []
+    for camera in cameras:
+        near = _near(camera, height, plan)
+        rows.append(near[camera.sees(camera.project(cells[near], water))])
+    ends = np.concatenate([[0], np.cumsum([len(row) for row in rows])])
+    columns = np.concatenate(rows)
+    return csr_array((np.ones(len(columns), dtype=bool), columns, ends), shape=(len(cameras), len(cells))), cells
+
+
+def _near(camera: PinholeCamera, height: float, plan: np.ndarray) -> np.ndarray:
+    """Numbers of the places (N, 2) in the rectangle about a camera and what it sees at z = height by straight rays.
+
+    Bent rays end between. All places where one of its rays is near to the horizon.
+    """
+    over, rays = camera.centre[2] - height, camera.directions(camera.outline())
+    if over <= 0.0 or not (rays[:, 2] < -_LEAST_FALL).all():
+        return np.arange(len(plan))
+    ends = np.concatenate([camera.centre[:2] - rays[:, :2] * (over / rays[:, 2:]), camera.centre[None, :2]])
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    margin = _MARGIN * (high - low).max()
+    return np.flatnonzero((plan >= low - margin).all(axis=1) & (plan <= high + margin).all(axis=1))
 
 
 def _visible_nodes(cameras: list[PinholeCamera], height: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -117,7 +135,7 @@ def _nodes_between(axis: np.ndarray, low: float, high: float) -> np.ndarray:
 
 
 def cover(
-    seen: np.ndarray, cells: np.ndarray, cameras: list[PinholeCamera], times: int, times_oblique: int
+    seen: csr_array, cells: np.ndarray, cameras: list[PinholeCamera], times: int, times_oblique: int
 ) -> list[int]:
     """A small set of views that sees every cell from every side.
 
@@ -125,46 +143,63 @@ def cover(
     best, and ``times_oblique`` times by oblique ones from each of four quarters, which look under what the steep ones
     see from above; where there are too few, ``times`` times by any. Greedy in each class.
     """
-    steep, quarter = np.empty(seen.shape, dtype=bool), np.empty(seen.shape, dtype=np.int8)
-    for view, camera in enumerate(cameras):
-        ray = camera.centre - cells
-        steep[view] = ray[:, 2] > np.cos(np.radians(STEEP_DEG)) * np.linalg.norm(ray, axis=1)
-        quarter[view] = np.floor(np.arctan2(ray[:, 1], ray[:, 0]) / (0.5 * np.pi)).astype(int) % 4
-    chosen = _greedy(seen & steep, [], times)
+    view, cell = seen.nonzero()
+    centres = np.array([camera.centre for camera in cameras])
+    ray = centres[view] - cells[cell]
+    steep = ray[:, 2] > np.cos(np.radians(STEEP_DEG)) * np.linalg.norm(ray, axis=1)
+    quarter = np.floor(np.arctan2(ray[:, 1], ray[:, 0]) / (0.5 * np.pi)).astype(int) % 4
+
+    def among(use: np.ndarray) -> csr_array:
+        return csr_array((np.ones(int(use.sum()), dtype=bool), (view[use], cell[use])), shape=seen.shape)
+
+    chosen = _greedy(among(steep), [], times)
     for side in range(4):
-        chosen = _greedy(seen & ~steep & (quarter == side), chosen, times_oblique)
+        chosen = _greedy(among(~steep & (quarter == side)), chosen, times_oblique)
     return sorted(_greedy(seen, chosen, times))
 
 
-def _greedy(seen: np.ndarray, chosen: list[int], times: int) -> list[int]:
+def _greedy(seen: csr_array, chosen: list[int], times: int) -> list[int]:
     """``chosen`` and the views still needed so that each cell is seen ``times`` times, or by all that see it."""
-    chosen = list(chosen)
+    chosen, views_of_cell = list(chosen), seen.tocsc()
     need = np.minimum(seen.sum(axis=0), times)
     have = seen[chosen].sum(axis=0)
-    gain = (seen & (have < need)).sum(axis=1)
+    gain = seen @ (have < need).astype(np.int64)
     while True:
         gain[chosen] = 0
         if gain.max() == 0:
             return chosen
         best = int(gain.argmax())
         chosen.append(best)
-        have = have + seen[best]
+        mine = cells_of(seen, best)
+        have[mine] += 1
         # Only the cells that have enough now count less: thousands of views would take minutes otherwise.
-        gain -= seen[:, np.flatnonzero(seen[best] & (have == need))].sum(axis=1)
+        gain -= views_of_cell[:, mine[have[mine] == need[mine]]].sum(axis=1)
+
+
+def cells_of(seen: csr_array, view: int) -> np.ndarray:
+    """Numbers of the cells that a view sees, ascending."""
+    return np.sort(seen.indices[seen.indptr[view] : seen.indptr[view + 1]])
+
+
+def overlaps(seen: csr_array, view: int) -> np.ndarray:
+    """Share (V,) of the cells that a view sees which each view sees; it sees one at least."""
+    mine = cells_of(seen, view)
+    is_mine = np.zeros(seen.shape[1], dtype=np.int64)
+    is_mine[mine] = 1
+    return (seen @ is_mine) / len(mine)
 
 
 def neighbours(
-    cameras: list[PinholeCamera], seen: np.ndarray, cells: np.ndarray, view: int, among: list[int], count: int
+    cameras: list[PinholeCamera], seen: csr_array, cells: np.ndarray, view: int, among: list[int], count: int
 ) -> list[int]:
     """The ``count`` best neighbours of a view among others by overlap, intersection angle and spread of directions."""
     centres = np.array([c.centre for c in cameras])
     others = [o for o in among if o != view]
-    mine = seen[view]
-    if not mine.any():
+    mine = cells_of(seen, view)
+    if not len(mine):
         return []
-    middle = cells[np.flatnonzero(mine)].mean(axis=0)
-    # Counted and not summed up: half the time.
-    overlap = np.array([np.count_nonzero(seen[o] & mine) for o in others]) / np.count_nonzero(mine)
+    middle = cells[mine].mean(axis=0)
+    overlap = overlaps(seen, view)[others]
     rays = centres - middle
     rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     angle = np.degrees(np.arccos(np.clip(rays[others] @ rays[view], -1.0, 1.0)))

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -103,13 +104,19 @@ class Exif:
 
 
 def read_exif(path: Path) -> Exif:
-    """Read the head of an image; the pixels are not decoded.
+    """Read the head of an image, once in a process as long as it does not change; the pixels are not decoded.
 
     Raises
     ------
     ImageError
         Where the file is no image, or one that is too large for this machine.
     """
+    stat = path.stat()
+    return _read_exif(path, stat.st_ctime_ns, stat.st_size)
+
+
+@lru_cache(maxsize=1 << 16)
+def _read_exif(path: Path, _changed: int, _size: int) -> Exif:
     with (
         open_image(path) as image,
         without_complaints(),

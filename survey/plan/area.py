@@ -244,4 +244,4 @@ def places_of(survey: Survey, depth_m: float) -> Places | None:
     area = local_area(survey)
     if area is not None:
         use &= within(cells, area)
-    return Places(seen[:, use], cells[use]) if use.any() else None
+    return Places(seen[:, use].toarray(), cells[use]) if use.any() else None

@@ -84,6 +84,9 @@ class Job:
         self.tiles: TileChoice | None = None
         self.waits_for_kernels = Event()
         self._found: dict[Path, Masks] = {}
+        self._hashed: dict[str, str] = {}
+        # Of which survey and plan these are.
+        self._hashed_of: tuple[object, object] = (None, None)
         self.plan = self._planned()
 
     def use_survey(self, survey: Survey) -> None:
@@ -224,8 +227,15 @@ class Job:
         return self._found[folder]
 
     def hash_of_part(self, name: str) -> str:
-        """The hash of a part of the job that stages depend on; the names are those in `survey.run.keys`."""
-        return self._photographs if name == "photographs" else stage_key(self._part(name))
+        """The hash of a part of the job that stages depend on; the names are those in `survey.run.keys`.
+
+        Each part is hashed once for a survey and a plan: thousands of cameras take a tenth of a second.
+        """
+        if self._hashed_of[0] is not self.survey or self._hashed_of[1] is not self.plan:
+            self._hashed, self._hashed_of = {}, (self.survey, self.plan)
+        if name not in self._hashed:
+            self._hashed[name] = self._photographs if name == "photographs" else stage_key(self._part(name))
+        return self._hashed[name]
 
     @property
     def _photographs(self) -> str:

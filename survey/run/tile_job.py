@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 # Masks of each map, packed as bits: pixels that become points in the tile or beside it, and all that show the tile.
 MASKS = "masks.npz"
 KEPT, OWN = "kept", "own"
+# Parts of a job that a tile takes from the survey as they are.
+_OF_SURVEY = ("name", "water_settings", "ties", "priors", "control", "freed")
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,7 @@ class TileJob(Job):
         self.progress: Any = _ProgressOfTile(whole.progress, number, len(whole.tiling))
         self.workspace, self.scratch = None, None
         self.waits_for_kernels = whole.waits_for_kernels
+        self._hashed, self._hashed_of = {}, (None, None)
 
     @property
     def is_void(self) -> bool:
@@ -245,6 +248,10 @@ class TileJob(Job):
     def unique_masks(self, folder: Path, find: Callable[[], Masks]) -> Masks:
         """Pixels that become points of the tile or stand beside it, as its sweep left them."""
         return load_masks(folder / MASKS, KEPT)
+
+    def hash_of_part(self, name: str) -> str:
+        """`Job.hash_of_part`; what belongs to the survey is hashed for all tiles together."""
+        return self.whole.hash_of_part(name) if name in _OF_SURVEY else super().hash_of_part(name)
 
     def _part(self, name: str):
         if name == "area":

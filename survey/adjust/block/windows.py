@@ -20,6 +20,7 @@ from fields.sweep.maps import HeightMap, trusted
 from fields.sweep.passes import PASSES
 from fields.sweep.sweep import sweep
 from fields.sweep.view_pass import Search, view_passes
+from fields.sweep.views import cells_of, overlaps
 from refract import FlatWater, PinholeCamera
 from survey.adjust.block.matching import RADIUS, match, prepare_image, window
 from survey.errors import SurveyError
@@ -219,7 +220,7 @@ def _neighbours_of(block: Block, view: int, points: np.ndarray) -> list[int]:
     rays = np.array([camera.centre for camera in block.cameras]) - middle
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     angle = np.degrees(np.arccos(np.clip(rays @ rays[view], -1.0, 1.0)))
-    overlap = (block.seen & block.seen[view]).sum(axis=1) / max(block.seen[view].sum(), 1)
+    overlap = overlaps(block.seen, view) if len(cells_of(block.seen, view)) else np.zeros(len(rays))
     able = [o for o in np.argsort(-overlap) if o != view and overlap[o] > 0.2]
     able = [o for o in able if _NARROWEST_DEG < angle[o] < _WIDEST_DEG]
     # The farthest from those already taken, so that they come from all around.

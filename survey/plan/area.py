@@ -84,10 +84,11 @@ def plane_name(survey: Survey) -> str:
 
 def limits(survey: Survey) -> tuple[float, float]:
     """Heights [m] over the water plane (dry: over local z = 0) between which the bed is searched."""
+    centres = np.array([view.camera.centre for view in survey.views])
     if survey.water is None:
-        flying = float(np.median([view.camera.centre[2] for view in survey.views])) - dry_ground(survey).height
+        flying = float(np.median(centres[:, 2])) - dry_ground(survey).height
     else:
-        flying = float(np.median([-survey.water.depth(v.camera.centre) for v in survey.views]))
+        flying = float(np.median(-survey.water.depth(centres)))
     found = height_range(survey, flying)
     return found.low, found.high
 

@@ -251,7 +251,8 @@ class TileJob(Job):
 
     def hash_of_part(self, name: str) -> str:
         """`Job.hash_of_part`; what belongs to the survey is hashed for all tiles together."""
-        return self.whole.hash_of_part(name) if name in _OF_SURVEY else super().hash_of_part(name)
+        is_shared = name in _OF_SURVEY or (name == "heights" and self._moved is None)
+        return self.whole.hash_of_part(name) if is_shared else super().hash_of_part(name)
 
     def _part(self, name: str):
         if name == "area":

@@ -125,10 +125,9 @@ def windows_of(
         # Of ground behind a camera nothing can be projected.
         if not Footprint.of(camera, water, bound).meets(tile):
             continue
-        seen = _box(camera, water, own, bound, 0)
+        seen, box = _boxes(camera, water, ((own, 0), (ground, _MARGIN_PX)), bound)
         if min(seen[2] - seen[0], seen[3] - seen[1]) < _LEAST_SEEN_PX:
             continue
-        box = _box(camera, water, ground, bound, _MARGIN_PX)
         row, height = _side(box[0], box[2], camera.height, _ROWS_PX)
         column, width = _side(box[1], box[3], camera.width, _COLUMNS_PX)
         found.append(Window(view, row, column, height, width))
@@ -142,12 +141,26 @@ def _side(first: int, last: int, whole: int, step: int) -> tuple[int, int]:
     return min(begin, whole - length) // _BEGIN_PX * _BEGIN_PX, length
 
 
-def _box(
-    camera: PinholeCamera, water: FlatWater | None, area: Area, bound: tuple[float, float], margin: int
-) -> tuple[int, int, int, int]:
-    """Top, left, bottom and right of the part of an image that may show an area; the whole where it is not certain."""
+def _boxes(
+    camera: PinholeCamera,
+    water: FlatWater | None,
+    areas: Sequence[tuple[Area, int]],
+    bound: tuple[float, float],
+) -> list[tuple[int, int, int, int]]:
+    """Top, left, bottom and right of the parts of an image that may show areas, with margins [px] about them.
+
+    The whole image where it is not certain. All outlines are projected in one call, which takes most of the time.
+    """
+    outlines = [outline_of(area, water, bound) for area, _ in areas]
+    parts = np.split(
+        camera.project(np.concatenate(outlines), water)[:, ::-1], np.cumsum([len(o) for o in outlines])[:-1]
+    )
+    return [_box(camera, seen, margin) for seen, (_, margin) in zip(parts, areas, strict=True)]
+
+
+def _box(camera: PinholeCamera, seen: np.ndarray, margin: int) -> tuple[int, int, int, int]:
+    """Top, left, bottom and right of an image about places (N, 2), (row, column) [px]."""
     size = np.array([camera.height, camera.width])
-    seen = camera.project(outline_of(area, water, bound), water)[:, ::-1]
     if not np.isfinite(seen).all():
         return 0, 0, camera.height, camera.width
     low, high = np.floor(seen.min(axis=0)) - margin, np.ceil(seen.max(axis=0)) + margin

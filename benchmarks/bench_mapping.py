@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from survey.adjust.refine import adjust_survey
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
-from survey.sfm.mapping import Matched, mapped
+from survey.sfm.block import Matched, mapped
 from survey.words import Mapper
 from tests.drawn_block import DrawnBlock, draw_block
 from tests.drawn_matches import survey_of_mapped, write_matches

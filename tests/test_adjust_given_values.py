@@ -14,7 +14,7 @@ from survey.adjust import pose_check
 from survey.adjust.block.observed import WINDOW
 from survey.adjust.given_values import worst_contradiction
 from survey.adjust.refine import adjust_survey
-from survey.adjust.result.verdicts import MOST_SIGMAS_OF_FOUR
+from survey.adjust.result.adjustment import MOST_SIGMAS_OF_FOUR
 from survey.errors import Contradiction, SurveyError
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints

@@ -11,8 +11,7 @@ from refract.lens import Lens, affine_from_brown, distorted
 from survey.adjust.applied import apply_adjustment
 from survey.adjust.block.observed import thinned
 from survey.adjust.refine import adjust_survey
-from survey.adjust.result.adjustment import FREE, HELD, UNKNOWN
-from survey.adjust.result.verdicts import Estimate, with_verdict
+from survey.adjust.result.adjustment import FREE, HELD, UNKNOWN, Estimate, with_verdict
 from survey.photos.poses import TiePoints
 from tests.block_survey import pose_errors, rms, survey_of
 from tests.changed_survey import changed

@@ -13,7 +13,7 @@ from survey.adjust.block.observed import original_rows
 from survey.adjust.block.prediction import predict
 from survey.adjust.block.state import LENS, RELIEF
 from survey.adjust.refine import adjust_survey
-from survey.adjust.result import verdicts
+from survey.adjust.result import adjustment as results
 from survey.adjust.result.adjustment import FREE, HELD, UNKNOWN, read_adjustment, write_adjustment
 from survey.adjust.result.std_common import common_error
 from survey.photos.poses import TiePoints
@@ -104,7 +104,7 @@ def test_a_slow_flight_does_not_tell_the_readout():
 
 
 def test_a_readout_that_is_of_no_use_is_kept_as_given_and_the_block_adjusted_to_it(monkeypatch):
-    monkeypatch.setattr(verdicts, "MOST_STD_ROWS_PX", 1e-6)
+    monkeypatch.setattr(results, "MOST_STD_ROWS_PX", 1e-6)
     _, found = adjusted(draw_block(4, **FLOWN), (0.02, 0.02))
     row = found.parameter("camera0.readout_s")
     assert (row.status, row.value) == (UNKNOWN, 0.02)

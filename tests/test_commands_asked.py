@@ -12,7 +12,7 @@ import pytest
 from command_line import bathynerf, fake_module
 from small_survey import small_survey
 
-from survey.commands.environment import PREFIX, asked_of_environment
+from survey.commands.options import PREFIX, asked_of_environment
 from survey.errors import ConfigError
 from survey.plan.choices import USUAL, Choices
 from survey.plan.recipe import Aim, aim_and_choices

@@ -11,8 +11,7 @@ from PIL.PngImagePlugin import PngInfo
 
 from survey.errors import ImageError
 from survey.photos import images
-from survey.photos.complete import fault_of, is_complete
-from survey.photos.heic import has_zeros
+from survey.photos.complete import fault_of, has_zeros, is_complete
 from survey.photos.images import require_complete
 
 FORMATS = {

@@ -20,7 +20,7 @@ from survey.sfm import block as sfm_block
 from survey.sfm import poses as sfm_poses
 from survey.sfm import settings as sfm_settings
 from survey.sfm import solve as sfm_solve
-from survey.sfm.mapping import Matched, mapped
+from survey.sfm.block import Matched, mapped
 from survey.sfm.settings import mapper_of, require_mapper
 from survey.sfm.solve import Photographs
 from survey.simulate.drawn import DrawnScene, draw_survey

@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from survey.photos.exif import Exif
 from survey.sfm.block import _alike
-from survey.sfm.likeness import VOTING, alike
-from survey.sfm.pairs import LEAST_HEIGHT_M, Place, image_pairs
+from survey.sfm.pairs import LEAST_HEIGHT_M, VOTING, Place, alike, image_pairs
 from survey.sfm.settings import NEIGHBOURS, pairs_about
 from survey.sfm.solve import Photographs
 

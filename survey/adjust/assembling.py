@@ -30,12 +30,10 @@ from survey.adjust.result.adjustment import (
     Adjustment,
     ControlResidual,
     Covariance,
+    Estimate,
     FitStatistics,
     Parameter,
     Residuals,
-)
-from survey.adjust.result.verdicts import (
-    Estimate,
     lens_verdicts,
     rate_verdict,
     readout_limits,

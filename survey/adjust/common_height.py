@@ -21,9 +21,8 @@ from survey.adjust.block.prediction import relief_sides
 from survey.adjust.block.priors import PriorKnowledge, priors_for, shared_height_std
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import POSE, State, with_parameters
-from survey.adjust.result.adjustment import Adjustment
+from survey.adjust.result.adjustment import MOST_SIGMAS, MOST_STD_LEVEL_M, Adjustment
 from survey.adjust.result.std_common import common_error
-from survey.adjust.result.verdicts import MOST_SIGMAS, MOST_STD_LEVEL_M
 from survey.adjust.rounds import Adjusted
 from survey.folder.place import over_points
 from survey.sfm.datum import WELL_KNOWN_M

@@ -32,7 +32,7 @@ from survey.adjust.block.state import LENS_NAMES, WATER, WATER_PARAMETERS, Layou
 from survey.adjust.clusters import inflation
 from survey.adjust.common_height import water_start
 from survey.adjust.observability import FEWEST_WET
-from survey.adjust.result.verdicts import MOST_SIGMAS, MOST_SIGMAS_OF_FOUR, MOST_STD_INDEX
+from survey.adjust.result.adjustment import MOST_SIGMAS, MOST_SIGMAS_OF_FOUR, MOST_STD_INDEX
 from survey.adjust.rounds import Adjusted, adjust, std_over_points
 from survey.errors import Contradiction, SurveyError
 from survey.folder.pose_priors import BAROMETER_STD_M

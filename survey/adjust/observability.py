@@ -35,8 +35,7 @@ from survey.adjust.block.state import (
     State,
     settings_by_local,
 )
-from survey.adjust.result.adjustment import UNKNOWN, Parameter
-from survey.adjust.result.verdicts import water_limits
+from survey.adjust.result.adjustment import UNKNOWN, Parameter, water_limits
 from survey.adjust.rounds import Adjusted, adjust
 from survey.errors import SurveyError
 from survey.folder.survey import Survey

@@ -35,10 +35,9 @@ from survey.adjust.observability import (
     water_std,
     within_bounds,
 )
-from survey.adjust.result.adjustment import UNKNOWN, Adjustment
+from survey.adjust.result.adjustment import MOST_SIGMAS, MOST_SIGMAS_OF_FOUR, MOST_STD_LEVEL_M, UNKNOWN, Adjustment
 from survey.adjust.result.ground_fit import ground_fit
 from survey.adjust.result.std_of_block import parts_warning
-from survey.adjust.result.verdicts import MOST_SIGMAS, MOST_SIGMAS_OF_FOUR, MOST_STD_LEVEL_M
 from survey.adjust.rounds import Adjusted, adjust
 from survey.adjust.starts import PoseRecovery, better_of_two_starts, windows_or_recovered_poses
 from survey.adjust.unnamed_water import find_unnamed_water

@@ -14,8 +14,7 @@ from survey.adjust.block.bundle import NotConvergedError
 from survey.adjust.block.state import WATER, WATER_PARAMETERS, settings_by_local, settings_of
 from survey.adjust.observability import none_observable
 from survey.adjust.refine import adjust_survey
-from survey.adjust.result.adjustment import Adjustment, Parameter
-from survey.adjust.result.verdicts import unobservable_verdict
+from survey.adjust.result.adjustment import Adjustment, Parameter, unobservable_verdict
 from survey.errors import SurveyError
 from survey.files.json_values import json_text
 from survey.files.outputs import is_json, require_file

@@ -11,8 +11,7 @@ import typer
 
 from survey.commands.console import ConsoleResults, command
 from survey.commands.faults import address_space_shortage, require_address_space
-from survey.commands.grouped import PlanOptions, grouped
-from survey.commands.options import Quiet, Verbose
+from survey.commands.options import PlanOptions, Quiet, Verbose, grouped
 from survey.errors import SurveyError
 from survey.plan.choices import Choices
 

@@ -1,15 +1,27 @@
-"""Arguments and options that several verbs share."""
+"""Arguments and options that several verbs share, also as records, and options from variables of the environment."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import inspect
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from enum import StrEnum
+from functools import wraps
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
-from survey.words import Device, Field, Plan, Poses
+from survey.words import Device, Field, Plan, Poses, Quality
+
+if TYPE_CHECKING:
+    from survey.settings.tables import ProcessConfig
+
+_WATER = "Water"
+# Options whose name leaves out the unit that the settings have.
+_SETTINGS = {"target_std": "target_std_m", "time_budget": "time_budget_s"}
+PREFIX = "BATHYNERF_PROCESS_"
 
 
 def words_of(kind: Iterable[StrEnum]) -> str:
@@ -85,3 +97,134 @@ Verbose = Annotated[
 Quiet = Annotated[
     int, typer.Option("-q", "--quiet", count=True, show_default=False, help="Results without progress; -qq: no output.")
 ]
+
+
+def grouped(command: Callable[..., None]) -> Callable[..., None]:
+    """Decorator of a command: each parameter whose type is a dataclass becomes options, one for each field."""
+    hints = get_type_hints(command, include_extras=True)
+    groups = {name: hint for name, hint in hints.items() if is_dataclass(hint) and isinstance(hint, type)}
+    parameters = []
+    for name, parameter in inspect.signature(command).parameters.items():
+        if name not in groups:
+            parameters.append(parameter.replace(annotation=hints[name]))
+            continue
+        own = get_type_hints(groups[name], include_extras=True)
+        parameters += [
+            inspect.Parameter(field.name, parameter.kind, default=field.default, annotation=own[field.name])
+            for field in fields(groups[name])
+        ]
+
+    @wraps(command)
+    def run(**given: Any) -> None:
+        records = {
+            name: group(**{field.name: given.pop(field.name) for field in fields(group)})
+            for name, group in groups.items()
+        }
+        command(**given, **records)
+
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return run
+
+
+@dataclass(frozen=True)
+class PlanOptions:
+    """Options of a run, of `check` and of `process`."""
+
+    quality: Annotated[
+        Quality | None,
+        typer.Option(
+            metavar=words_of(Quality),
+            help="Trades run time for detail; default: standard.",
+            show_default=False,
+            rich_help_panel=AIM,
+        ),
+    ] = None
+    target_std: TargetStd = None
+    time_budget: TimeBudget = None
+    device: AskedDevice = None
+    field: AskedField = None
+    poses: AskedPoses = None
+    plan: AskedPlan = None
+    image_scale: ImageScale = None
+
+    def config(self) -> ProcessConfig:
+        """The same as settings, over those of the environment."""
+        from survey.settings.tables import ProcessConfig
+
+        asked = ProcessConfig(**{_SETTINGS.get(name, name): value for name, value in asdict(self).items()})
+        return asked.over(asked_of_environment())
+
+
+@dataclass(frozen=True)
+class ProcessOptions(PlanOptions):
+    """Further options of `process`."""
+
+    calibrate_water: Annotated[
+        bool | None,
+        typer.Option(help="First estimate the water from the photographs.", show_default=False, rich_help_panel=_WATER),
+    ] = None
+    true_colour: Annotated[
+        bool | None,
+        typer.Option(
+            help="Give points the colour of the bed without the water.", show_default=False, rich_help_panel=_WATER
+        ),
+    ] = None
+    tiles: Annotated[
+        int | None,
+        typer.Option(metavar="NUMBER", help="Tiles of the ground; default: by the memory.", rich_help_panel=HOW),
+    ] = None
+    memory: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SIZE", help="What the run may take, as 8GB; default: most of what is free.", rich_help_panel=HOW
+        ),
+    ] = None
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            metavar="NUMBER", help="Processes for tiles; default: by tiles, cores, memory.", rich_help_panel=HOW
+        ),
+    ] = None
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Dask scheduler whose workers compute tiles.", rich_help_panel=HOW),
+    ] = None
+
+
+def asked_of_environment(environ: Mapping[str, str] = os.environ) -> ProcessConfig:
+    """Settings by variables like BATHYNERF_PROCESS_QUALITY, each named like its key in [process] of survey.toml.
+
+    Raises
+    ------
+    ConfigError
+        At a variable that is no such key, or a value that is none of it.
+    """
+    from survey.errors import ConfigError
+    from survey.files.toml_table import parse_values
+    from survey.settings.tables import ProcessConfig
+
+    names = {f"{PREFIX}{field.name.upper()}": field.name for field in fields(ProcessConfig)}
+    given = {variable: text for variable, text in environ.items() if variable.startswith(PREFIX)}
+    for variable in given.keys() - names.keys():
+        raise ConfigError(f"unknown variable {variable} in the environment; known are {', '.join(names)}")
+    asked = ProcessConfig()
+    for variable, text in given.items():
+        name = names[variable]
+        try:
+            asked = replace(asked, **{name: getattr(parse_values({name: _value(text)}, ProcessConfig), name)})
+            asked.require_sane()
+        except ConfigError as error:
+            said = str(error).replace("[process] has", "it has").replace("[process] ", "").replace(name, variable, 1)
+            raise ConfigError(f"in the environment: {said}") from error
+    return asked
+
+
+def _value(text: str) -> str | float | int | bool:
+    """A text as TOML would have it; words stand without quotes."""
+    if text.lower() in ("true", "false"):
+        return text.lower() == "true"
+    try:
+        return int(text) if text.isdecimal() else float(text)
+    except ValueError:
+        return text

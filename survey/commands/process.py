@@ -10,8 +10,7 @@ import typer
 
 from survey.commands.console import command
 from survey.commands.faults import require_address_space
-from survey.commands.grouped import ProcessOptions, grouped
-from survey.commands.options import COMPARED, KEPT, Quiet, SurveyFolder, Verbose, Visible
+from survey.commands.options import COMPARED, KEPT, ProcessOptions, Quiet, SurveyFolder, Verbose, Visible, grouped
 from survey.words import RUN_FOLDER
 
 EXAMPLES = """

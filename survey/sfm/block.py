@@ -1,6 +1,6 @@
 """Blocks of photographs by pycolmap: features (SIFT by OpenCV), verified matches, and what mapping makes of them.
 
-Nothing outside this file and `survey.sfm.mapping` knows pycolmap's options. Pixels are those of the stored image,
+Nothing outside this file knows pycolmap's options. Pixels are those of the stored image,
 whatever its EXIF orientation, and the centre of the first pixel is at (0.5, 0.5).
 """
 
@@ -22,10 +22,9 @@ from survey.photos.images import eight_bits
 from survey.photos.pixels import read_rgb
 from survey.photos.poses import TiePoints, least_track
 from survey.progress import current
-from survey.sfm.likeness import VOTING, alike
-from survey.sfm.mapping import SEED, Matched
-from survey.sfm.pairs import Place, image_pairs
+from survey.sfm.pairs import VOTING, Place, alike, image_pairs
 from survey.sfm.settings import ALL_PAIRS_UP_TO, FEATURES_PX, solver
+from survey.words import Mapper
 
 if TYPE_CHECKING:
     import pycolmap
@@ -43,6 +42,16 @@ _MOST_FEATURES = 4096
 _PAIRS_AT_ONCE = 100
 # Of a photograph while its features are looked for.
 _BYTES_OF_FEATURES = 2.0e9
+# More threads would be faster; with two, repeated runs agree in all significant digits.
+_THREADS = 2
+SEED = 0
+# All images are adjusted whenever their number, or that of the points, has grown by this factor.
+_GROWN = 1.3
+_MIN_IMAGES = 3
+# Mappers that do not tell their progress.
+UNTOLD = (Mapper.hierarchical, Mapper.global_)
+# Of two photographs: the least angle [deg] at which their rays meet, and the least number of matches, to start from.
+_PAIR_ANGLE_DEG, _PAIR_MATCHES = 1.0, 30
 
 
 def features_of(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
@@ -272,3 +281,65 @@ def poses_of(block: pycolmap.Reconstruction) -> dict[str, tuple[np.ndarray, np.n
     """Camera centres (3,) and rotations (3, 3) from the frame of the block to cam, by name, in order of names."""
     images = sorted((image for image in block.images.values() if image.has_pose), key=lambda image: image.name)
     return {image.name: (image.projection_center(), image.cam_from_world().rotation.matrix()) for image in images}
+
+
+@dataclass(frozen=True)
+class Matched:
+    """Photographs with verified matches."""
+
+    database: Path
+    folder: Path  # In which the images lie
+    work: Path  # For files of the mapper
+    num: int  # Of images
+
+
+def mapped(matched: Matched, mapper: str) -> list[pycolmap.Reconstruction]:
+    """Blocks of poses and points, each in a frame of its own; the largest comes first."""
+    run = {Mapper.global_: _global, Mapper.hierarchical: _hierarchical}.get(Mapper(mapper), _incremental)
+    with current().stage("Structure from motion", matched.num) as step:
+        blocks = run(matched, step.advance)
+    return sorted(blocks.values(), key=lambda block: (-block.num_reg_images(), -block.num_points3D()))
+
+
+def _incremental(matched: Matched, advance: Callable[..., None]) -> dict[int, pycolmap.Reconstruction]:
+    options = _incremental_options()
+    if matched.num == 2:
+        _for_a_pair(options)
+    # The first two come together.
+    advance(2.0)
+    return solver().incremental_mapping(
+        matched.database, matched.folder, matched.work, options, next_image_callback=advance
+    )
+
+
+def _incremental_options() -> pycolmap.IncrementalPipelineOptions:
+    options = solver().IncrementalPipelineOptions()
+    options.num_threads, options.random_seed, options.min_model_size = _THREADS, SEED, _MIN_IMAGES
+    options.ba_global_frames_ratio = options.ba_global_points_ratio = _GROWN
+    options.mapper.ba_global_ignore_redundant_points3D = True
+    options.extract_colors = False
+    return options
+
+
+def _for_a_pair(options: pycolmap.IncrementalPipelineOptions) -> None:
+    """Let two photographs alone make a block; over flat ground they do not tell their focal length, which stays."""
+    options.min_model_size = 2
+    options.ba_refine_focal_length = False
+    options.mapper.init_min_tri_angle = options.mapper.filter_min_tri_angle = _PAIR_ANGLE_DEG
+    options.mapper.init_min_num_inliers = _PAIR_MATCHES
+    options.triangulation.min_angle = _PAIR_ANGLE_DEG
+    options.triangulation.ignore_two_view_tracks = False
+
+
+def _hierarchical(matched: Matched, _advance: Callable[..., None]) -> dict[int, pycolmap.Reconstruction]:
+    options = solver().HierarchicalPipelineOptions()
+    options.num_threads, options.num_workers = _THREADS, 1
+    options.incremental_options = _incremental_options()
+    return solver().hierarchical_mapping(matched.database, matched.folder, matched.work, options)
+
+
+def _global(matched: Matched, _advance: Callable[..., None]) -> dict[int, pycolmap.Reconstruction]:
+    options = solver().GlobalPipelineOptions()
+    options.num_threads, options.random_seed, options.min_model_size = _THREADS, SEED, _MIN_IMAGES
+    options.mapper.global_positioning.use_gpu = options.mapper.bundle_adjustment.ceres.use_gpu = False
+    return solver().global_mapping(matched.database, matched.folder, matched.work, options)

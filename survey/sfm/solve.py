@@ -17,9 +17,8 @@ from survey.errors import FILE_NAME, PosesError
 from survey.photos.exif import Exif
 from survey.photos.poses import least_track
 from survey.sfm import block as sfm_block
-from survey.sfm.block import CameraBody
+from survey.sfm.block import UNTOLD, CameraBody, mapped
 from survey.sfm.gps_fit import attitudes_of
-from survey.sfm.mapping import UNTOLD, mapped
 from survey.sfm.pairs import LEAST_HEIGHT_M, Place
 
 if TYPE_CHECKING:

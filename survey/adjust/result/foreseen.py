@@ -21,8 +21,8 @@ from survey.adjust.block.prediction import linearise, predict, relief_sides
 from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M, INDEX_STD, LEVEL_STD_M, known_of, priors_for
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import WATER
+from survey.adjust.result.adjustment import MOST_STD_FOCAL, MOST_STD_INDEX, MOST_STD_LEVEL_M
 from survey.adjust.result.std_common import std_common
-from survey.adjust.result.verdicts import MOST_STD_FOCAL, MOST_STD_INDEX, MOST_STD_LEVEL_M
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
 from survey.plan.area import ASSUMED_DEPTH_M, in_the_middle, places_of

@@ -18,18 +18,15 @@ import os
 import subprocess
 import sys
 import tempfile
-import threading
 import time
-from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
-import psutil
 
 from evaluation import distance_to_mesh
 from geo import read_cloud, read_reference
-from survey.benchmark.benchmark import machine
+from survey.benchmark.benchmark import PeakMemory, machine
 from survey.folder.survey import load_survey
 from survey.run.folder import RunDir
 from survey.simulate.drawn import DrawnScene, stage_drawing
@@ -43,8 +40,6 @@ GROUND_OF_PHOTOGRAPH_M2 = 6.5
 SPAN = (0.6, 0.7)
 # Errors are those of this far around the middle [m]: the whole surface would take more memory than a run.
 MIDDLE_M = 8.0
-# Between two looks at the memory [s].
-_LOOK_S = 0.05
 
 
 def scene_of(number: int) -> DrawnScene:
@@ -84,36 +79,6 @@ def draw(survey: Path, number: int) -> None:
     (survey / "survey.toml").write_text(text.replace(was, now), encoding="utf-8")
 
 
-class Memory:
-    """Peaks of anonymous memory of a process and of its largest child, watched in a thread."""
-
-    def __init__(self, pid: int):
-        self.own = self.child = 0
-        self._process, self._ended = psutil.Process(pid), threading.Event()
-        self._thread = threading.Thread(target=self._watch, daemon=True)
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Look no longer."""
-        self._ended.set()
-        self._thread.join()
-
-    def _watch(self) -> None:
-        while not self._ended.wait(_LOOK_S):
-            # Some may have just ended.
-            with suppress(psutil.Error, OSError):
-                self.own = max(self.own, _anonymous(self._process.pid))
-                for child in self._process.children(recursive=True):
-                    with suppress(psutil.Error, OSError):
-                        self.child = max(self.child, _anonymous(child.pid))
-
-
-def _anonymous(pid: int) -> int:
-    text = Path(f"/proc/{pid}/status").read_text(encoding="ascii")
-    # A process that has ended and was not waited for has no memory.
-    return 1024 * int(text.partition("RssAnon:")[2].split()[0]) if "RssAnon:" in text else 0
-
-
 def row_of(survey: Path, number: int, quality: str, workers: int) -> dict:
     """A run of a survey, measured."""
     with tempfile.TemporaryDirectory() as folder:
@@ -121,7 +86,7 @@ def row_of(survey: Path, number: int, quality: str, workers: int) -> dict:
         words = [*_BATHYNERF, "process", str(survey), "-o", str(run), "--quality", quality, "--tiles", str(tiles)]
         start, before = time.monotonic(), os.times()
         process = subprocess.Popen([*words, "--workers", str(workers), "-q"], stdout=subprocess.DEVNULL)
-        memory = Memory(process.pid)
+        memory = PeakMemory(process.pid)
         code = process.wait()
         memory.stop()
         wall, after = time.monotonic() - start, os.times()

@@ -32,7 +32,7 @@ from survey.stage_key import code_hash
 _BATHYNERF = (sys.executable, "-c", "from survey.commands.app import main; main()")
 _ROOT = Path(survey.__file__).resolve().parent.parent
 # Between two looks at the memory [s].
-_LOOK_S = 0.1
+_LOOK_S = 0.05
 RESULTS, FRONT = "results.json", "front.png"
 _CLOUD = "cloud.las"
 
@@ -56,7 +56,7 @@ def run_bathynerf(arguments: list[str], home: Path, *, under: tuple[str, ...] = 
         process = subprocess.Popen(
             [*under, *_BATHYNERF, *arguments], env=environment, stdout=subprocess.DEVNULL, stderr=errors
         )
-        peak = _Peak(process.pid)
+        peak = PeakMemory(process.pid)
         try:
             code = process.wait()
         except BaseException:
@@ -68,14 +68,18 @@ def run_bathynerf(arguments: list[str], home: Path, *, under: tuple[str, ...] = 
     wall, after = time.monotonic() - start, os.times()
     processor = (after.children_user - before.children_user) + (after.children_system - before.children_system)
     words = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-    return code, Cost(wall, processor, peak.bytes), words[-1] if words else ""
+    return code, Cost(wall, processor, peak.resident), words[-1] if words else ""
 
 
-class _Peak:
-    """Watches the resident memory of a process and its children, in a thread."""
+class PeakMemory:
+    """Peak memory [bytes] of a process and its descendants, watched in a thread.
+
+    ``resident`` is that of all of them together; ``own`` and ``child``, of the process and of its largest descendant,
+    leave out what they share with others, such as libraries.
+    """
 
     def __init__(self, pid: int):
-        self.bytes = 0
+        self.resident = self.own = self.child = 0
         self._process, self._ended = psutil.Process(pid), threading.Event()
         self._thread = threading.Thread(target=self._watch, daemon=True)
         self._thread.start()
@@ -86,17 +90,19 @@ class _Peak:
 
     def _watch(self) -> None:
         while not self._ended.wait(_LOOK_S):
-            self.bytes = max(self.bytes, _tree_bytes(self._process))
-
-
-def _tree_bytes(process: psutil.Process) -> int:
-    total = 0
-    # Some may have just ended.
-    with suppress(psutil.Error):
-        for member in (process, *process.children(recursive=True)):
+            resident = 0
+            # Some may have just ended.
             with suppress(psutil.Error):
-                total += member.memory_info().rss
-    return total
+                for member in (self._process, *self._process.children(recursive=True)):
+                    with suppress(psutil.Error):
+                        memory = member.memory_info()
+                        resident += memory.rss
+                        private = memory.rss - getattr(memory, "shared", 0)
+                        if member is self._process:
+                            self.own = max(self.own, private)
+                        else:
+                            self.child = max(self.child, private)
+            self.resident = max(self.resident, resident)
 
 
 def machine() -> dict[str, str]:

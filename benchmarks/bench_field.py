@@ -30,6 +30,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from field_tables import PAGE, table_of, write_page
+from gallery_canvas import px_per_m
 from object_scenes import NAMES, ObjectScene, chamfer, load_scene
 from PIL import Image
 from point_clouds import thinned
@@ -114,8 +115,18 @@ def row(model: str, scene: ObjectScene, options, steps: int, seed: int) -> dict:
         "train_s": seconds,
         "train_mb": memory,
         "rays_per_s": statistics.median(rate),
+        "px_per_m": scale_of(scene),
         "settings": settings_of(options),
     }
+
+
+def scale_of(scene: ObjectScene) -> float:
+    """Pixels that a metre covers along a row of the photograph that is shown, level in the middle of the box."""
+    camera, water = scene.held.cameras[len(scene.held.cameras) // 2], scene.held.water
+    middle = 0.5 * (scene.box.low + scene.box.high)
+    level = 0.0 if water is None else water.point[2]
+    u, v = camera.project(middle, water)
+    return px_per_m(camera, water, (u, v), middle[2] - level)
 
 
 def settings_of(options) -> dict:

@@ -12,11 +12,12 @@ import json
 from pathlib import Path
 
 import numpy as np
-from gallery_canvas import canvas, save
+from gallery_canvas import canvas, px_per_m, save, scale_bar
 from matplotlib.patches import Rectangle
 from PIL import Image
 
 from survey.display.palette import INK, RED, SOFT
+from survey.folder.survey import load_survey
 
 PICTURE = Path(__file__).resolve().parents[1] / "docs" / "img" / "held_out.png"
 # Parts of the photograph, left, top, right, bottom [px]: what is shown whole, and the wreck.
@@ -35,8 +36,8 @@ def main() -> None:
     views = json.loads((options.work / "held.json").read_text(encoding="utf-8"))["views"]
     psnr_db = next(view["psnr_db"] for view in views if view["image"] == options.image)
     photograph = pixels(options.survey / "images" / options.image)
-    rendered = pixels((options.work / "views of held" / options.image).with_suffix(".png"))
-    draw(photograph, rendered, psnr_db)
+    rendered = (options.work / "views of held" / options.image).with_suffix(".png")
+    draw(photograph, pixels(rendered), psnr_db, scale_of(options.survey, options.image, rendered))
 
 
 def pixels(path: Path) -> np.ndarray:
@@ -45,8 +46,17 @@ def pixels(path: Path) -> np.ndarray:
         return np.asarray(image.convert("RGB"))
 
 
-def draw(photograph: np.ndarray, rendered: np.ndarray, psnr_db: float) -> None:
-    """The photograph, the wreck in it, the same rendered, and their difference."""
+def scale_of(survey: Path, image: str, rendered: Path) -> float:
+    """Pixels that a metre covers along a row, level in the middle of the wreck, whose height was rendered."""
+    loaded, (x0, y0, x1, y1) = load_survey(survey), WRECK
+    camera = next(view.camera for view in loaded.views if view.name == image)
+    with Image.open(rendered.with_name(f"{rendered.stem}_height.tif")) as heights:
+        height = float(np.nanmedian(cut(np.asarray(heights), WRECK)))
+    return px_per_m(camera, loaded.water, (0.5 * (x0 + x1), 0.5 * (y0 + y1)), height)
+
+
+def draw(photograph: np.ndarray, rendered: np.ndarray, psnr_db: float, scale: float) -> None:
+    """The photograph, the wreck in it, the same rendered, and their difference; so many pixels to the metre."""
     x0, y0, x1, y1 = WRECK
     figure, plots = canvas(8.4, 4.6, nrows=2, ncols=2)
     for axes in plots.flat:
@@ -57,6 +67,8 @@ def draw(photograph: np.ndarray, rendered: np.ndarray, psnr_db: float) -> None:
     whole.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, ec=RED, lw=1.2))
     wreck.imshow(cut(photograph, WRECK))
     rendered_part.imshow(cut(rendered, WRECK))
+    for axes in (whole, wreck, rendered_part):
+        scale_bar(axes, scale)
     difference = np.abs(photograph.astype(float) - rendered).mean(axis=2)
     shades = apart.imshow(cut(difference, WRECK), cmap="gray_r", vmin=0.0, vmax=MOST)
     bar = figure.colorbar(shades, ax=apart, location="left", extend="max", shrink=0.8, pad=0.02)

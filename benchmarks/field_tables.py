@@ -6,7 +6,7 @@ import statistics
 from pathlib import Path
 
 import numpy as np
-from gallery_canvas import canvas, save
+from gallery_canvas import canvas, save, scale_bar
 from PIL import Image
 from published import publish
 from scipy.special import stdtrit
@@ -143,6 +143,7 @@ def draw_row(work: Path, name: str, rows: dict[str, dict], path: Path) -> None:
     for axes in plots.flat:
         axes.axis("off")
     plots[0, 0].imshow(photograph)
+    scale_bar(plots[0, 0], next(iter(rows.values()))["px_per_m"])
     plots[0, 0].set_title("photograph", loc="left", color=INK, fontsize=9.5)
     plots[1, 0].text(
         0.0, 0.5, f"difference,\ntimes {TIMES:g}", transform=plots[1, 0].transAxes, color=SOFT, va="center"

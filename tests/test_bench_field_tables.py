@@ -50,3 +50,18 @@ def test_all_models_stand_in_a_row_each_with_their_seeds_side_by_side(tables):
     assert found[2] == "| VM | 31.8 dB; 122 mm | 28.3, 28.5 dB; 46, 45 mm | 34.3, 35.0 dB; 60, 58 mm | 1.75 MB |"
     assert found[3] == "| Nerfacto | not run | not run | 39.7 dB; 61 mm | 33.70 MB |"
     assert set(tables.PAGE) == {"ablation", "models"}
+
+
+def test_a_scale_bar_is_a_round_length_of_a_quarter_of_the_picture_at_most(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    from gallery_canvas import bar_length, px_per_m
+    from plane_survey import look
+
+    from refract import FlatWater
+
+    assert [bar_length(width) for width in (8.0, 7.9, 21.0, 0.5)] == pytest.approx([2.0, 1.0, 5.0, 0.1])
+    camera = look((0.0, 0.0, 10.0), (0.0, 0.0, 0.0), size=(64, 48), focal=150.0)
+    middle, water = (camera.cx, camera.cy), FlatWater((0.0, 0.0, 0.0), n_water=1.333)
+    assert px_per_m(camera, water, middle, 2.0) == pytest.approx(150.0 / 8.0)
+    # Straight down, water of depth d is as far as d / n of air; beside it by the square of half a pixel's angle.
+    assert px_per_m(camera, water, middle, -4.0) == pytest.approx(150.0 / (10.0 + 4.0 / 1.333), rel=1e-5)

@@ -56,6 +56,9 @@ def test_a_table_of_errors_has_each_model_once_with_what_it_reached():
              {"seconds": 2.0, "steps": 9, "psnr_db": 25.04, "depth_m": 0.0504}]  # fmt: skip
     rows = [{"model": "mdw", "scene": "wet", "steps": 9, "looks": looks}]
     assert table(rows)[2:] == ["| MDW | - | - | - | 9 | 25.0 dB | 50 mm |"]
+    # Of two seeds half of Student's interval is 12.7 times the standard deviation of their mean.
+    rows.append({"model": "mdw", "scene": "wet", "steps": 11, "looks": [looks[-1] | {"psnr_db": 25.24}]})
+    assert table(rows)[2:] == ["| MDW | - | - | - | 10 ± 13 | 25.1 ± 1.3 dB | 50 ± 0 mm |"]
 
 
 def test_levels_are_measured_again_with_other_views_or_other_code(tmp_path, monkeypatch, capsys):
@@ -94,7 +97,7 @@ def test_errors_over_time_are_measured_again_for_each_model_scene_and_time(tmp_p
     def measure(name, where, seconds, seed):
         measured.append((name, where, seconds, seed))
         looks = [{"seconds": seconds, "steps": 5, "psnr_db": 20.0, "depth_m": 0.3}]
-        return {"model": name, "scene": where, "steps": 9, "looks": looks}
+        return {"model": name, "scene": where, "seed": seed, "steps": 9, "looks": looks}
 
     monkeypatch.setattr(bench_error_time, "measure", measure)
     for seconds in ("2", "2", "3"):

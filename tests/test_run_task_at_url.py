@@ -40,12 +40,13 @@ def test_a_task_fetches_what_it_needs_and_leaves_its_result_at_the_url(tmp_path,
     assert len(remote.files(PHOTOGRAPHS)) == 4
     seen = {}
 
-    def tiles_of(survey, _chosen, _tiles, _found, images, _saturated):
+    def job_of(survey, _chosen, _tiles, _found, images, _saturated):
         plan, camera = SimpleNamespace(image_scale=1.0), survey.views[0].camera
         whole = SimpleNamespace(survey=survey, plan=plan, cameras=[camera], progress=SimpleNamespace(lines=[]))
         windows = ([SimpleNamespace(view=1)], [SimpleNamespace(view=1), SimpleNamespace(view=2)])
         idle = {"release": lambda: None, "drop": lambda: None, "whole": whole, "images": images}
-        return {number: SimpleNamespace(windows=each, **idle) for number, each in enumerate(windows)}
+        tiles = [SimpleNamespace(windows=each, **idle) for each in windows]
+        return SimpleNamespace(whole=whole, tile=lambda number: tiles[number])
 
     def compute(tile, folder, needs):
         (folder / "b.txt").write_text((needs["adjust"] / "a.txt").read_text())
@@ -53,7 +54,7 @@ def test_a_task_fetches_what_it_needs_and_leaves_its_result_at_the_url(tmp_path,
         seen["here"] = [view.name for view in views if view.path.is_file()]
         seen["window"] = tile.images.window(1, slice(3, 9), slice(0, 64))
 
-    monkeypatch.setattr(task_at_url, "tiles_of", tiles_of)
+    monkeypatch.setattr(task_at_url, "WorkerJob", job_of)
     for tile in (1, 0):
         task = Task(f"sweep_tile{tile}", tile, compute, {"adjust": Path("/not/here/adjust-1a")})
         place, _, _ = compute_at_url(name, remote.url, task, loaded_code())

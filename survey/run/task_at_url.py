@@ -27,7 +27,7 @@ from survey.photos.images import ImageStore, fetched_tags
 from survey.plan.sweep_block import grey_image
 from survey.run.remote_run import JOBS, PARTS, PHOTOGRAPHS
 from survey.run.stored import ArrayFiles
-from survey.run.worker_task import Task, compute_into, require_code, tiles_of
+from survey.run.worker_task import Task, WorkerJob, compute_into, require_code
 from survey.stage_key import content_hash
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ def compute_at_url(name: str, url: str, task: Task, code: str) -> tuple[str, flo
     require_code(code)
     start, remote = time.monotonic(), Remote(url)
     job = _job_of(url, name)
-    tile = job.tiles[task.tile]
+    tile = job.tile(task.tile)
     place = f"{PARTS}/{task.name}-{uuid.uuid4().hex}"
     with TemporaryDirectory(prefix="bathynerf-") as scratch:
         folder, needs = Path(scratch) / "result", {}
@@ -148,10 +148,14 @@ class _WorkerJob:
             for view in survey.views
         )
         self._images = _Decoded(views, self._folder / "grey")
-        self.tiles = tiles_of(replace(survey, views=views), chosen, tiles, found, self._images, saturated)
-        whole = next(iter(self.tiles.values())).whole
+        self._job = WorkerJob(replace(survey, views=views), chosen, tiles, found, self._images, saturated)
+        whole = self._job.whole
         self._images.scale, camera = whole.plan.image_scale, whole.cameras[0]
         self._images.size = camera.width, camera.height
+
+    def tile(self, number: int) -> TileJob:
+        """A tile of the job."""
+        return self._job.tile(number)
 
     def fetch_photographs(self, tile: TileJob) -> None:
         """Fetch those that show a tile, and their masks; remove those of others."""

@@ -1,6 +1,6 @@
 """A task of a worker process: one stage of one tile, computed from what the run has saved of its job.
 
-A worker keeps the tiles of the job that it saw last. What it leaves is whole, in a folder of its own; so a task may be
+A worker keeps the job that it saw last. What it leaves is whole, in a folder of its own; so a task may be
 computed twice, and a worker may end at any time.
 """
 
@@ -73,27 +73,34 @@ def _with_absolute_paths(survey: Survey) -> Survey:
 
 
 @lru_cache(maxsize=1)
-def _tiles_of(path: Path) -> dict[int, TileJob]:
-    """The tiles of a job that `save_job` wrote."""
-    return tiles_of(*pickle.loads(path.read_bytes()))
+def _job_of(path: Path) -> WorkerJob:
+    """The job that `save_job` wrote."""
+    return WorkerJob(*pickle.loads(path.read_bytes()))
 
 
-def tiles_of(
-    survey: Survey, chosen: Any, tiles: Any, found: TilePlan, images: Any, saturated: Sequence[float]
-) -> dict[int, TileJob]:
-    """Tiles of a job by number, from its parts; ``images`` are `GreyImages` of the whole photographs."""
-    from fields.sweep.block import Block
-    from survey.plan.sweep_block import backend, cameras_of_block
-    from survey.run.job import Job
-    from survey.run.tile_job import TileJob
+class WorkerJob:
+    """Job of a survey on a worker, made of its parts; ``images`` are `GreyImages` of the whole photographs."""
 
-    job = Job(survey, chosen, cast(Any, _RecordedProgress()))
-    job.take_tiles(tiles)
-    cameras, plan = cameras_of_block(survey, job.plan), job.plan
-    job.__dict__["block"] = Block(
-        backend(plan), cameras, images, survey.water, 0.5 * sum(found.bound), saturated, plan.skips
-    )
-    return {number: TileJob(job, number, found) for number in range(len(tiles.tiling))}
+    def __init__(
+        self, survey: Survey, chosen: Any, tiles: Any, found: TilePlan, images: Any, saturated: Sequence[float]
+    ):
+        from fields.sweep.block import Block
+        from survey.plan.sweep_block import backend, cameras_of_block
+        from survey.run.job import Job
+
+        self.whole = Job(survey, chosen, cast(Any, _RecordedProgress()))
+        self.whole.take_tiles(tiles)
+        self._found = found
+        cameras, plan = cameras_of_block(survey, self.whole.plan), self.whole.plan
+        self.whole.__dict__["block"] = Block(
+            backend(plan), cameras, images, survey.water, 0.5 * sum(found.bound), saturated, plan.skips
+        )
+
+    def tile(self, number: int) -> TileJob:
+        """A tile of the job; of all tiles their windows alone would take seconds."""
+        from survey.run.tile_job import TileJob
+
+        return TileJob(self.whole, number, self._found)
 
 
 def compute_task(job: Path, stages: Path, task: Task, code: str) -> tuple[Path, float, list[tuple[str, str]]]:
@@ -106,7 +113,7 @@ def compute_task(job: Path, stages: Path, task: Task, code: str) -> tuple[Path, 
     """
     require_code(code)
     start = time.monotonic()
-    tile = _tiles_of(job)[task.tile]
+    tile = _job_of(job).tile(task.tile)
     folder = stages / f".{task.name}-{uuid.uuid4().hex[:8]}.part"
     with disk_refusals(folder):
         folder.mkdir()

@@ -179,7 +179,10 @@ def solve_maps(
 
 def count_in_squares(block: Block, maps: Sequence[HeightMap], kept: Sequence[np.ndarray]) -> list[list[int]]:
     """Kept pixels in each square of `SAMPLE_PX` of each map that has some; none of maps that no other view overlaps."""
-    return _occupied_squares(Views.of(block, maps), kept)
+    return [
+        requested_in_squares(wanted, SAMPLE_PX) if block.neighbours(m.view, 1) else []
+        for m, wanted in zip(maps, kept, strict=True)
+    ]
 
 
 def solve_sample(

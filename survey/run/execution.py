@@ -13,7 +13,8 @@ Worker processes compute what is missing, and it is moved into the run folder.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, closing
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, closing, nullcontext
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
@@ -26,7 +27,7 @@ from survey.run.job import Job
 from survey.run.merged import merge_points, merge_solved, merge_sweeps
 from survey.run.pipeline import ASSESSMENT, BED_OF_SWEEP, STAGES, Stage, finish, finished, run_stage
 from survey.run.remote_run import RemoteRun
-from survey.run.stage_of_tile import FIGURES, POINTS, find_points, learn_figures, solve_tile, sweep_tile
+from survey.run.stage_of_tile import FIGURES, POINTS, SQUARES, find_points, learn_figures, solve_tile, sweep_tile
 from survey.run.stage_sweep import EARLIER_ASSESSMENT, EARLIER_SOLVER, EARLIER_SWEEP, MAPS
 from survey.run.stage_tiles import find_shared, read_shared
 from survey.run.task_at_url import put_job
@@ -44,7 +45,7 @@ Merge = Callable[[Job, Path, Sequence[TileJob], Mapping[str, list[Path]], Mappin
 _OF = {stage.name: stage for stage in STAGES}
 _TILES = Stage("tiles", (), (*_OF["sweep"].depends_on, "tiles"), (SHARED,), find_shared)
 # Of one tile, by the name of what they are a part of.
-_SWEEP = replace(_OF["sweep"], needs=(), files=(MAPS, MASKS), compute=sweep_tile, apply=None)
+_SWEEP = replace(_OF["sweep"], needs=(), files=(MAPS, MASKS, SQUARES), compute=sweep_tile, apply=None)
 _SOLVER = replace(_OF["solver"], needs=("sweep", "figures"), compute=solve_tile)
 _BED = replace(_OF["bed"], needs=("sweep", "solver"), files=(POINTS,), compute=find_points)
 # Of a round, and the names under which the next one finds them.
@@ -52,20 +53,33 @@ _EARLIER = {"sweep": EARLIER_SWEEP, "solver": EARLIER_SOLVER, ASSESSMENT: EARLIE
 
 
 class TileWorkers:
-    """Workers of a run, which are started when there is something to compute.
+    """Workers of a run. They end with the context.
+
+    Those of a run that begins start beside what comes before the tiles, which takes some seconds; those of one that
+    goes on when there is something to compute.
 
     Parameters
     ----------
     job : Job
         Of the whole survey.
-    stack : ExitStack
-        At whose end the workers end.
     """
 
-    def __init__(self, job: Job, run: RunDir, stack: ExitStack):
-        self._job, self._run, self._stack = job, run, stack
-        self._workers: Workers | None = None
+    def __init__(self, job: Job, run: RunDir):
+        self._job, self._run = job, run
+        self._stack, self._said = ExitStack(), list[str]()
+        self._starter = ThreadPoolExecutor(1)
+        self._starting: Future[Workers] | None = None
         loaded_code()
+
+    def __enter__(self) -> TileWorkers:
+        if not any(self._run.stages_path.glob(f"{_SWEEP.name}_tile*")):
+            self._starting = self._starter.submit(self._start)
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        # On the thread that has started them: Dask's client is that of a context, which each thread has its own of.
+        self._starter.submit(self._stack.close).result()
+        self._starter.shutdown()
 
     def run(
         self,
@@ -139,21 +153,27 @@ class TileWorkers:
         return folder
 
     def _started(self) -> Workers:
-        if self._workers is None:
-            chosen, tiles = self._job.chosen, self._job.tiles
-            number = 1 if tiles is None else tiles.workers
-            number = (chosen.workers or 1) if chosen.scheduler is not None else number
-            needs = WorkerNeeds(
-                self._run.stages_path,
-                self._job.survey.views[0].path,
-                takes_gpu=self._job.plan.device == "cuda",
-                url=None if (run := self._remote) is None else run.remote.url,
-            )
+        if self._starting is None:
+            self._starting = self._starter.submit(self._start)
+        if not self._starting.done():
             with self._job.progress.stage("Workers"):
-                self._workers = self._stack.enter_context(
-                    workers_for(number, chosen.scheduler, needs, self._job.progress.note)
-                )
-        return self._workers
+                self._starting.result()
+        workers = self._starting.result()
+        while self._said:
+            self._job.progress.note(self._said.pop(0))
+        return workers
+
+    def _start(self) -> Workers:
+        chosen, tiles = self._job.chosen, self._job.tiles
+        number = 1 if tiles is None else tiles.workers
+        number = (chosen.workers or 1) if chosen.scheduler is not None else number
+        needs = WorkerNeeds(
+            self._run.stages_path,
+            self._job.survey.views[0].path,
+            takes_gpu=self._job.plan.device == "cuda",
+            url=None if (run := self._remote) is None else run.remote.url,
+        )
+        return self._stack.enter_context(workers_for(number, chosen.scheduler, needs, self._said.append))
 
 
 def run_tiled(job: Job, run: RunDir, *, resume: bool) -> dict[str, Path]:
@@ -167,8 +187,8 @@ def run_tiled(job: Job, run: RunDir, *, resume: bool) -> dict[str, Path]:
         if stage.is_on(of):
             done[stage.name] = run_stage(stage, of, run, done, resume=resume)
 
-    with ExitStack() as stack:
-        workers = TileWorkers(job, run, stack) if job.tiles.workers > 1 or job.chosen.scheduler is not None else None
+    has_workers = job.tiles.workers > 1 or job.chosen.scheduler is not None
+    with TileWorkers(job, run) if has_workers else nullcontext() as workers:
 
         def step_of_tiles(stage: Stage) -> None:
             if workers is not None:

@@ -27,7 +27,7 @@ from survey.run.tile_job import KEPT, MASKS, OWN, StoredMasks, TileJob, pack_mas
 if TYPE_CHECKING:
     from survey.run.job import Job
 
-POINTS, FIGURES = "points.npz", "figures.json"
+POINTS, FIGURES, SQUARES = "points.npz", "figures.json", "squares.json"
 # Points so far beyond a tile count as neighbours of its own [ground sampling distances].
 _BESIDE_GSD = 6.0
 
@@ -42,6 +42,7 @@ def sweep_tile(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
         write_json(folder / BOUND, {"low_m": tile.bound[0], "high_m": tile.bound[1]})
         write_json(folder / SWEPT, {"views": []})
         save_arrays(folder / MASKS, **pack_masks({KEPT: [], OWN: []}))
+        write_json(folder / SQUARES, {"pixels": []})
         return
     sweep_views(tile, folder, {})
     maps = Stored(folder / MAPS, HeightMap)
@@ -52,6 +53,8 @@ def sweep_tile(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
         kept.append(unique & inside(places, beside))
         own.append(inside(places, tile.cell))
     save_arrays(folder / MASKS, **pack_masks({KEPT: kept, OWN: own}))
+    look_at_bed(tile, folder)
+    write_json(folder / SQUARES, {"pixels": count_in_squares(tile.block, maps, _own(folder))})
 
 
 def solve_tile(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
@@ -96,14 +99,11 @@ def learn_figures(
     """Parameters of the solver for the survey, estimated from a sample of the pixels of all tiles."""
     swept = of_tiles["sweep"]
     with job.progress.stage("Sample of the solver"):
-        filled, maps_of = [], []
-        for tile, place in zip(tiles, swept, strict=True):
-            maps = Stored(place / MAPS, HeightMap)
-            if len(maps):
-                look_at_bed(tile, place)
-                filled += count_in_squares(tile.block, maps, _own(place))
-            maps_of += [(tile.number, number) for number in range(len(maps))]
-            tile.drop()
+        squares = [read_json_object(place / SQUARES)["pixels"] for place in swept]
+        filled = [each for of_tile in squares for each in of_tile]
+        maps_of = [
+            (tile.number, number) for tile, each in zip(tiles, squares, strict=True) for number in range(len(each))
+        ]
         figures = None
         if any(map(sum, filled)):
             chosen = [(*maps_of[number], square) for number, square in spread(filled)]

@@ -130,6 +130,44 @@ def load_arrays(path: str | Path, names: tuple[str, ...] | None = None) -> dict[
         raise unreadable(path, error) from error
 
 
+class StoredArrays:
+    """Arrays of a file of `save_arrays` by name, each read in one go when it is asked for.
+
+    Raises
+    ------
+    SurveyError
+        If the file is missing or damaged, or was changed since.
+    """
+
+    def __init__(self, path: str | Path):
+        self._path = Path(path)
+        try:
+            with zipfile.ZipFile(self._path) as archive:
+                self._start = {each.filename.removesuffix(".npy"): each.header_offset for each in archive.infolist()}
+        except (OSError, zipfile.BadZipFile) as error:
+            raise unreadable(path, error) from error
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._start
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """The array of a name."""
+        if name not in self:
+            raise unreadable(self._path, f"it lacks the array {name}")
+        try:
+            with self._path.open("rb") as stream:
+                _to_array(stream, self._start[name])
+                return np.load(stream, allow_pickle=False)
+        except (OSError, ValueError, EOFError, struct.error) as error:
+            raise unreadable(self._path, error) from error
+
+
+def _to_array(stream: IO[bytes], start: int) -> None:
+    """Go to an array of a zip file that does not compress, whose local header begins there."""
+    stream.seek(start + LENGTHS_AT)
+    stream.seek(sum(struct.unpack("<HH", stream.read(4))), os.SEEK_CUR)
+
+
 def mapped_arrays(path: str | Path, names: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
     """Arrays mapped from a file; what is written to them does not reach it; otherwise as `load_arrays`."""
     try:
@@ -153,9 +191,8 @@ def _require_whole(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> None:
 
 
 def _mapped(path: Path, stream: IO[bytes], start: int) -> np.ndarray:
-    """An array of a zip file that does not compress, whose local header begins there."""
-    stream.seek(start + LENGTHS_AT)
-    stream.seek(sum(struct.unpack("<HH", stream.read(4))), os.SEEK_CUR)
+    """An array mapped from the file."""
+    _to_array(stream, start)
     np.lib.format.read_magic(stream)
     shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(stream)
     if 0 in shape:

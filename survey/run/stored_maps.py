@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 import shutil
-import struct
-import zipfile
 from collections.abc import Callable, Iterable, Iterator, MutableMapping, Sequence
 from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -19,7 +16,7 @@ from fields.sweep.maps import HeightMap
 from geo.errors import GeoError
 from geo.files import disk_refusals
 from survey.run.flight import FLIGHT, save_flight
-from survey.run.stored import LENGTHS_AT, load_arrays, save_arrays, unreadable, write_arrays
+from survey.run.stored import StoredArrays, save_arrays, unreadable, write_arrays
 
 if TYPE_CHECKING:
     from survey.run.job import Job
@@ -150,33 +147,19 @@ class Stored(Sequence[Kind]):
     """
 
     def __init__(self, path: str | Path, kind: type[Kind]):
-        self._path, self._kind = Path(path), kind
-        self.views = [int(view) for view in load_arrays(self._path, ("views",)).get("views", ())]
-        with zipfile.ZipFile(self._path) as archive:
-            self._start = {each.filename: each.header_offset for each in archive.infolist()}
+        self._arrays, self._kind = StoredArrays(path), kind
+        self.views = [int(view) for view in self._arrays["views"]]
         for number in range(len(self.views)):
             for name in _names(kind):
-                if f"{name}_{number}.npy" not in self._start:
-                    raise unreadable(self._path, f"it lacks the array {name}_{number}")
+                if f"{name}_{number}" not in self._arrays:
+                    raise unreadable(path, f"it lacks the array {name}_{number}")
 
     def __len__(self) -> int:
         return len(self.views)
 
     def __getitem__(self, number):
         """The map at a place in the order."""
-        view = self.views[number]
-        try:
-            with self._path.open("rb") as stream:
-                return _made(self._kind, view, lambda name: _read(stream, self._start[f"{name}_{number}.npy"]))
-        except (OSError, ValueError, EOFError) as error:
-            raise unreadable(self._path, error) from error
-
-
-def _read(stream: BinaryIO, start: int) -> np.ndarray:
-    """An array of a zip file that does not compress, whose local header begins there: in one go, not by parts."""
-    stream.seek(start + LENGTHS_AT)
-    stream.seek(sum(struct.unpack("<HH", stream.read(4))), os.SEEK_CUR)
-    return np.load(stream, allow_pickle=False)
+        return _made(self._kind, self.views[number], lambda name: self._arrays[f"{name}_{number}"])
 
 
 def _names(kind: type) -> list[str]:

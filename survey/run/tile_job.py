@@ -20,7 +20,7 @@ from survey.plan.rates import part_name
 from survey.plan.sweep_block import backend
 from survey.plan.tiling import Area, places_of
 from survey.run.job import Job
-from survey.run.stored import load_arrays
+from survey.run.stored import StoredArrays
 from survey.run.windows import WindowStore, area_in_frame, frame_of_tile, has_frames, survey_in_frame, windows_of
 
 if TYPE_CHECKING:
@@ -274,9 +274,8 @@ class StoredMasks(Sequence[np.ndarray]):
     """Masks of a file of `pack_masks`, each read when it is asked for."""
 
     def __init__(self, path: Path, name: str):
-        self._path, self._name = path, name
-        shapes = load_arrays(path, (f"{name}_shapes",))[f"{name}_shapes"]
-        self.shapes: list[tuple[int, ...]] = [tuple(shape) for shape in shapes.tolist()]
+        self._arrays, self._name = StoredArrays(path), name
+        self.shapes: list[tuple[int, ...]] = [tuple(shape) for shape in self._arrays[f"{name}_shapes"].tolist()]
 
     def __len__(self) -> int:
         return len(self.shapes)
@@ -284,8 +283,7 @@ class StoredMasks(Sequence[np.ndarray]):
     def __getitem__(self, number):
         """The mask of a number."""
         height, width = self.shapes[number]
-        name = f"{self._name}_{number}"
-        bits = load_arrays(self._path, (name,))[name]
+        bits = self._arrays[f"{self._name}_{number}"]
         return np.unpackbits(bits, count=height * width).reshape(height, width).view(bool)
 
 

@@ -19,12 +19,12 @@ from drawn_runs import drawn
 
 from survey.errors import SurveyError
 from survey.progress import Progress
-from survey.run import worker_task
-from survey.run import workers as of_workers
+from survey.run import start_workers, worker_task
 from survey.run.folder import RunDir
 from survey.run.process import process
+from survey.run.start_workers import WorkerNeeds, workers_for
 from survey.run.worker_task import Task, compute_task, loaded_code, save_job
-from survey.run.workers import WorkerNeeds, Workers, workers_for
+from survey.run.workers import Workers
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +97,7 @@ def test_without_dask_the_extra_is_named(tmp_path, monkeypatch):
 
 def test_a_scheduler_that_does_not_answer_is_named(tmp_path, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("survey.run.workers._WORKER_TIMEOUT_S", 0.5)
+    monkeypatch.setattr("survey.run.start_workers.WORKER_TIMEOUT_S", 0.5)
     nowhere = "tcp://127.0.0.1:9"
     with (
         pytest.raises(SurveyError, match=rf"--scheduler {nowhere} gave no 1 workers within 0 s"),
@@ -143,7 +143,7 @@ def run_and_photograph(tmp_path):
 
 
 def test_a_worker_that_is_as_it_should_be_passes(run_and_photograph):
-    of_workers._check(ClientOfOne(), WorkerNeeds(*run_and_photograph))
+    start_workers._check(ClientOfOne(), WorkerNeeds(*run_and_photograph))
     assert list(run_and_photograph[0].iterdir()) == [run_and_photograph[1]]
 
 
@@ -162,28 +162,28 @@ def test_a_worker_that_is_as_it_should_be_passes(run_and_photograph):
 )
 def test_a_worker_that_is_not_as_it_should_be_is_named(run_and_photograph, worker, said):
     with pytest.raises(SurveyError, match=f"the worker {PLACE} {said}"):
-        of_workers._check(ClientOfOne(**worker), WorkerNeeds(*run_and_photograph))
+        start_workers._check(ClientOfOne(**worker), WorkerNeeds(*run_and_photograph))
 
 
 def test_a_worker_that_does_not_reach_the_url_of_the_run_is_named(run_and_photograph):
     url = f"memory://{run_and_photograph[0].name}"
-    of_workers._check(ClientOfOne(), WorkerNeeds(*run_and_photograph, url=url))
+    start_workers._check(ClientOfOne(), WorkerNeeds(*run_and_photograph, url=url))
     client = ClientOfOne(answer=SurveyError("s3://bucket/run asks for keys, and there are none"))
     with pytest.raises(SurveyError, match=f"the worker {PLACE} finds that s3://bucket/run asks for keys"):
-        of_workers._check(client, WorkerNeeds(*run_and_photograph, url="s3://bucket/run"))
+        start_workers._check(client, WorkerNeeds(*run_and_photograph, url="s3://bucket/run"))
 
 
 def test_on_cuda_a_worker_with_the_resource_of_a_gpu_is_asked_for(run_and_photograph):
-    of_workers._check(
+    start_workers._check(
         ClientOfOne(answer=(loaded_code(), True, True, {"GPU": 1})), WorkerNeeds(*run_and_photograph, takes_gpu=True)
     )
     with pytest.raises(SurveyError, match=r'no worker has the resource GPU; start one .* --resources "GPU=1", or give'):
-        of_workers._check(ClientOfOne(), WorkerNeeds(*run_and_photograph, takes_gpu=True))
+        start_workers._check(ClientOfOne(), WorkerNeeds(*run_and_photograph, takes_gpu=True))
 
 
 def test_tasks_on_cuda_go_to_workers_with_the_resource_of_a_gpu(tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr(of_workers, "compute_task", where_computed)
+    monkeypatch.setattr("survey.run.workers.compute_task", where_computed)
     workers = {0: {"cls": distributed.Worker, "options": {"nthreads": 1, "resources": {"GPU": 1}, "name": "gpu"}}}
     workers |= {1: {"cls": distributed.Worker, "options": {"nthreads": 1, "name": "plain"}}}
     scheduler = {"cls": distributed.Scheduler, "options": {"dashboard": False, "protocol": "inproc://", "port": 0}}
@@ -191,11 +191,11 @@ def test_tasks_on_cuda_go_to_workers_with_the_resource_of_a_gpu(tmp_path, monkey
         distributed.SpecCluster(workers=workers, scheduler=scheduler, silence_logs="ERROR") as cluster,
         distributed.Client(cluster) as client,
     ):
-        of_workers._check(client, WorkerNeeds(tmp_path, Path(__file__), takes_gpu=True))
+        start_workers._check(client, WorkerNeeds(tmp_path, Path(__file__), takes_gpu=True))
         tasks = [Task(f"sweep_tile{number}", number, print, {}) for number in range(4)]
         on_gpu = list(Workers(client, tmp_path, are_started=False, takes_gpu=True).computed(tmp_path, tasks))
         with pytest.raises(SurveyError, match="no worker has the resource GPU"):
-            client.retire_workers(names=["gpu"]) and of_workers._check(
+            client.retire_workers(names=["gpu"]) and start_workers._check(
                 client, WorkerNeeds(tmp_path, Path(__file__), takes_gpu=True)
             )
     assert [str(each[1]) for each in on_gpu] == ["gpu"] * 4
@@ -211,21 +211,21 @@ def test_where_the_dashboard_is_to_be_seen_is_said(monkeypatch):
     client = SimpleNamespace(
         dashboard_link="http://10.0.0.7:8787/status", scheduler_info=lambda: {"services": {"dashboard": 4181}}
     )
-    assert "at http://10.0.0.7:8787/status, where" in of_workers._watched(client, PLACE)
-    monkeypatch.setattr(of_workers, "find_spec", lambda _name: object())
-    assert of_workers._watched(client, None) == "to be watched at http://127.0.0.1:4181/status"
-    monkeypatch.setattr(of_workers, "find_spec", lambda _name: None)
-    assert "pip install bokeh" in of_workers._watched(client, None)
+    assert "at http://10.0.0.7:8787/status, where" in start_workers._watched(client, PLACE)
+    monkeypatch.setattr(start_workers, "find_spec", lambda _name: object())
+    assert start_workers._watched(client, None) == "to be watched at http://127.0.0.1:4181/status"
+    monkeypatch.setattr(start_workers, "find_spec", lambda _name: None)
+    assert "pip install bokeh" in start_workers._watched(client, None)
 
 
 def test_workers_of_this_machine_share_its_gpus(monkeypatch):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "2, GPU-8f")
-    assert of_workers.gpus() == ["2", "GPU-8f"]
+    assert start_workers.gpus() == ["2", "GPU-8f"]
     distributed = SimpleNamespace(WorkerPlugin=object)
     monkeypatch.setattr("os.sched_setaffinity", lambda *_given: None, raising=False)
     found = []
     for name in ("0", "1", "2"):
-        of_workers._cores_plugin(distributed, 3, ["2", "GPU-8f"]).setup(SimpleNamespace(name=name))
+        start_workers._cores_plugin(distributed, 3, ["2", "GPU-8f"]).setup(SimpleNamespace(name=name))
         found.append(os.environ["CUDA_VISIBLE_DEVICES"])
     assert found == ["2", "GPU-8f", "2"]
 
@@ -238,10 +238,10 @@ def test_a_scheduler_that_is_lost_is_named(tmp_path, monkeypatch):
         yield from ()
         raise CancelledError("scheduler-connection-lost")
 
-    monkeypatch.setattr(of_workers.Workers, "_as_they_end", lost)
+    monkeypatch.setattr(Workers, "_as_they_end", lost)
     tasks = [Task("sweep_tile1", 0, print, {})]
     with pytest.raises(SurveyError, match="scheduler of the workers was lost; 1 of 1 tiles are missing: start it"):
-        list(of_workers.Workers(client, tmp_path, are_started=False).computed(tmp_path, tasks))
+        list(Workers(client, tmp_path, are_started=False).computed(tmp_path, tasks))
     assert client.cancelled is not None
 
 
@@ -251,7 +251,7 @@ def test_a_worker_that_ends_while_it_is_looked_at_is_left_out(run_and_photograph
             self.nthreads = dict
             return {PLACE: OSError("Stream is closed")}
 
-    of_workers._check(Leaving(), WorkerNeeds(*run_and_photograph))
+    start_workers._check(Leaving(), WorkerNeeds(*run_and_photograph))
 
 
 def test_the_code_of_a_process_is_that_of_its_start_and_a_task_of_other_code_is_refused(tmp_path, monkeypatch):
@@ -341,7 +341,7 @@ def test_a_client_with_too_few_workers_is_closed():
     client = ClientOfOne()
     distributed = SimpleNamespace(Client=lambda _place, timeout: client)
     with pytest.raises(SurveyError, match="gave no 3 workers within"):
-        of_workers._client_of(distributed, PLACE, PLACE, 3)
+        start_workers._client_of(distributed, PLACE, PLACE, 3)
     assert client.is_closed
 
 
@@ -350,4 +350,41 @@ def test_a_script_that_is_run_again_by_its_processes_is_told_how_to_stand():
         raise RuntimeError("Nanny failed to start.")
 
     with pytest.raises(SurveyError, match='`if __name__ == "__main__":` around what it does; else take workers=1'):
-        of_workers._local_cluster(SimpleNamespace(LocalCluster=start), 2)
+        start_workers._local_cluster(SimpleNamespace(LocalCluster=start), 2)
+
+
+class ClientOfThisProcess(ClientOfOne):
+    """Client whose worker computes at once; what it is asked to cancel is recorded."""
+
+    def __init__(self, error: Exception | None = None):
+        super().__init__()
+        self.error, self.submitted = error, 0
+
+    def submit(self, function, item, *, pure):
+        assert not pure
+        self.submitted += 1
+        if self.error is not None:
+            raised = self.error
+            return SimpleNamespace(result=lambda: (_ for _ in ()).throw(raised))
+        return SimpleNamespace(result=lambda: function(item))
+
+
+def test_a_function_of_many_items_keeps_their_order_and_a_few_under_way(tmp_path):
+    client = ClientOfThisProcess()
+    found = Workers(client, tmp_path, are_started=False).map(lambda item: 10 * item, range(20))
+    assert next(found) == 0
+    assert client.submitted < 10
+    assert list(found) == [10 * item for item in range(1, 20)]
+    assert client.cancelled == []
+
+
+def test_what_a_worker_cannot_read_the_process_of_the_run_does(tmp_path):
+    client = ClientOfThisProcess(OSError(28, "No space left on device"))
+    assert list(Workers(client, tmp_path, are_started=False).map(abs, [-1, -2])) == [1, 2]
+
+
+def test_a_scheduler_that_is_lost_during_structure_from_motion_is_named(tmp_path):
+    client = ClientOfThisProcess(CancelledError("scheduler-connection-lost"))
+    with pytest.raises(SurveyError, match="was lost during structure from motion; start it"):
+        list(Workers(client, tmp_path, are_started=False).map(abs, [-1, -2]))
+    assert len(client.cancelled) == 1

@@ -30,10 +30,11 @@ from survey.run.remote_run import RemoteRun
 from survey.run.stage_of_tile import FIGURES, POINTS, SQUARES, find_points, learn_figures, solve_tile, sweep_tile
 from survey.run.stage_sweep import EARLIER_ASSESSMENT, EARLIER_SOLVER, EARLIER_SWEEP, MAPS
 from survey.run.stage_tiles import find_shared, read_shared
+from survey.run.start_workers import WorkerNeeds, workers_for
 from survey.run.task_at_url import put_job
 from survey.run.tile_job import MASKS, TileJob
 from survey.run.worker_task import Task, loaded_code, save_job
-from survey.run.workers import WorkerNeeds, Workers, workers_for
+from survey.run.workers import Workers
 
 if TYPE_CHECKING:
     from survey.run.keys import Key

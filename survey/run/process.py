@@ -8,8 +8,9 @@ settings and plan are the result of a run and take the place of an earlier one t
 
 from __future__ import annotations
 
-from contextlib import suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING
@@ -39,9 +40,11 @@ from survey.run.folder import RunDir
 from survey.run.repeat import Truth
 from survey.run.result import Owner
 from survey.settings.tables import ProcessConfig
+from survey.sfm.spread import computing_on
 
 if TYPE_CHECKING:
     from survey.run.job import Job
+    from survey.sfm.spread import Workers
 
 QUALITY_GATE_FAILED = 3
 # Load of the machine from which the forecast of the time counts it.
@@ -163,9 +166,12 @@ def process(
             progress.warn(checked.level_doubt)
         if aim is None:
             _forecast(progress, checked, chosen)
-        survey = checked.survey or load_survey(
-            survey_folder, found=checked.found, workspace=run.sfm_path, report=progress.note
-        )
+        # By the URL of a run workers do not see the photographs before a task names them.
+        spreads = computing_on(partial(_workers_of_sfm, chosen, run, checked.found, progress))
+        with spreads if chosen.scheduler is not None and url is None else nullcontext():
+            survey = checked.survey or load_survey(
+                survey_folder, found=checked.found, workspace=run.sfm_path, report=progress.note
+            )
         aimed = None
         if aim is not None:
             aimed = begin_aimed_run(aim, survey, chosen, clock, progress, refuses=checked.survey is not None)
@@ -212,6 +218,14 @@ def _require_possible(survey_folder: Path, chosen: Choices) -> Checked:
         raise SurveyError(f"{option}, but the survey has none; leave the option out, or give [water]")
     require_placeable(checked.found.config.control.reference, chosen.poses)
     return checked
+
+
+def _workers_of_sfm(chosen: Choices, run: RunDir, found: Found, progress: Progress) -> AbstractContextManager[Workers]:
+    """Workers of the scheduler, for features and matches."""
+    from survey.run.start_workers import WorkerNeeds, workers_for
+
+    needs = WorkerNeeds(run.stages_path, next(iter(found.images.values())))
+    return workers_for(chosen.workers or 1, chosen.scheduler, needs, progress.note)
 
 
 def _forecast(progress: Progress, checked: Checked, chosen: Choices) -> None:

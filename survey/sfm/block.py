@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,6 +26,7 @@ from survey.photos.poses import TiePoints, least_track
 from survey.progress import current
 from survey.sfm.pairs import VOTING, Place, alike, image_pairs
 from survey.sfm.settings import ALL_PAIRS_UP_TO, FEATURES_PX, solver
+from survey.sfm.spread import Workers, add_rows, part_of, rows_of, workers
 from survey.words import Mapper
 
 if TYPE_CHECKING:
@@ -128,27 +131,34 @@ def matched(
     for sensor in sensors:
         # Before the features, so that images have the same numbers however threads take turns.
         colmap.import_images(database, folder, colmap.CameraMode.SINGLE, list(sensor.names), _reader(sensor))
-    say(f"structure from motion: features of {len(names)} images")
-    _extract(database, folder, names)
-    pairs = image_pairs(names, places)
-    lost = [name for name in names if name not in places]
-    if lost and len(names) > ALL_PAIRS_UP_TO:
-        say(f"structure from motion: {len(lost)} images without a position are matched with those that look like them")
-        pairs = sorted({*pairs, *_alike(database, names, lost)})
-    say(f"structure from motion: matches of {len(pairs)} pairs")
-    _match(database, pairs, work, machine.num_cores())
+    with workers() or nullcontext() as pool:
+        on = "" if pool is None else ", on workers"
+        say(f"structure from motion: features of {len(names)} images{on}")
+        _extract(database, folder, names, pool)
+        pairs = image_pairs(names, places)
+        lost = [name for name in names if name not in places]
+        if lost and len(names) > ALL_PAIRS_UP_TO:
+            say(
+                f"structure from motion: {len(lost)} images without a position are matched with those that look like "
+                "them"
+            )
+            pairs = sorted({*pairs, *_alike(database, names, lost)})
+        say(f"structure from motion: matches of {len(pairs)} pairs{on}")
+        _match_all(database, pairs, work, pool)
     return Matched(database, folder, work, len(names))
 
 
-def _extract(database: Path, folder: Path, names: Sequence[str]) -> None:
+def _extract(database: Path, folder: Path, names: Sequence[str], pool: Workers | None) -> None:
     colmap = solver()
     at_once = min(machine.num_cores(), int(machine.free_memory_bytes() / _BYTES_OF_FEATURES))
+    find = partial(features_of, most=_MOST_FEATURES)
     with (
         colmap.Database.open(database) as opened,
         current().stage("Features", len(names)) as step,
-        ThreadPoolExecutor(max(at_once, 1)) as pool,
+        ThreadPoolExecutor(max(at_once, 1)) as threads,
     ):
-        found = pool.map(lambda name: features_of(folder / name, _MOST_FEATURES), names)
+        # Workers may not see the folder of links.
+        found = (threads if pool is None else pool).map(find, ((folder / name).resolve() for name in names))
         for name, (keypoints, descriptors) in zip(names, found, strict=True):
             number = opened.read_image_with_name(name).image_id
             opened.write_keypoints(number, keypoints)
@@ -176,6 +186,22 @@ def _alike(database: Path, names: Sequence[str], lost: Sequence[str]) -> list[tu
     return [(names[min(i, j)], names[max(i, j)]) for i, j in found if min(i, j) >= 0 and max(i, j) < len(names)]
 
 
+def _match_all(database: Path, pairs: Sequence[tuple[str, str]], work: Path, pool: Workers | None) -> None:
+    """Matches of pairs, part by part."""
+    at_once = _PAIRS_AT_ONCE if pool is not None else max(_PAIRS_AT_ONCE, len(pairs) // 20)
+    parts = [pairs[first : first + at_once] for first in range(0, len(pairs), at_once)]
+    with current().stage("Matches", len(pairs)) as step:
+        if pool is None:
+            for some in parts:
+                _match(database, some, work, machine.num_cores())
+                step.advance(len(some))
+            return
+        found = pool.map(partial(rows_of, match=_match), (part_of(database, some) for some in parts))
+        for some, rows in zip(parts, found, strict=True):
+            add_rows(database, rows)
+            step.advance(len(some))
+
+
 def _match(database: Path, pairs: Sequence[tuple[str, str]], work: Path, threads: int) -> None:
     """Matches of pairs, verified; each pair has its own random numbers, so that threads change nothing."""
     colmap = solver()
@@ -187,13 +213,8 @@ def _match(database: Path, pairs: Sequence[tuple[str, str]], work: Path, threads
     pairing.match_list_path = work / "pairs.txt"
     matching.num_threads, matching.use_gpu = threads, False
     verification.ransac.random_seed = SEED
-    at_once = max(_PAIRS_AT_ONCE, len(pairs) // 20)
-    with current().stage("Matches", len(pairs)) as step:
-        for first in range(0, len(pairs), at_once):
-            some = pairs[first : first + at_once]
-            pairing.match_list_path.write_text("".join(f"{a} {b}\n" for a, b in some), encoding="utf-8")
-            colmap.match_image_pairs(database, matching, pairing, verification, colmap.Device.cpu)
-            step.advance(len(some))
+    pairing.match_list_path.write_text("".join(f"{a} {b}\n" for a, b in pairs), encoding="utf-8")
+    colmap.match_image_pairs(database, matching, pairing, verification, colmap.Device.cpu)
 
 
 def focal_of(block: pycolmap.Reconstruction, name: str) -> float:

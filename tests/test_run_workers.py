@@ -353,6 +353,37 @@ def test_a_script_that_is_run_again_by_its_processes_is_told_how_to_stand():
         start_workers._local_cluster(SimpleNamespace(LocalCluster=start), 2)
 
 
+# Set when the other worker has computed five of six tasks, which is all that one slow worker leaves it.
+OTHERS_ARE_DONE, COMPUTED = Event(), []
+
+
+def slow_on_one(_job, _folder, task, _code):
+    from distributed import get_worker
+
+    name = get_worker().name
+    if name == "slow":
+        assert OTHERS_ARE_DONE.wait(60.0)
+    COMPUTED.append(name)
+    if COMPUTED.count("fast") == 5:
+        OTHERS_ARE_DONE.set()
+    return Path(task.name), 0.0, []
+
+
+def test_a_slow_worker_holds_up_no_task_but_its_own(tmp_path, monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr("survey.run.workers.compute_task", slow_on_one)
+    workers = {name: {"cls": distributed.Worker, "options": {"nthreads": 1, "name": name}} for name in ("slow", "fast")}
+    scheduler = {"cls": distributed.Scheduler, "options": {"dashboard": False, "protocol": "inproc://", "port": 0}}
+    with (
+        distributed.SpecCluster(workers=workers, scheduler=scheduler, asynchronous=False) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        tasks = [Task(f"sweep_tile{number}", number, print, {}) for number in range(6)]
+        found = list(Workers(client, tmp_path, are_started=False).computed(tmp_path, tasks))
+    assert {number for number, *_ in found} == set(range(6))
+    assert COMPUTED.count("slow") == 1
+
+
 class ClientOfThisProcess(ClientOfOne):
     """Client whose worker computes at once; what it is asked to cancel is recorded."""
 

@@ -36,7 +36,7 @@ def weighted_drjit(
     Raises
     ------
     ValueError
-        If F is no multiple of the kernel's packets.
+        If F is not a multiple of the kernel's packets.
     """
     if shape[2] % PACKET:
         raise ValueError(

@@ -34,7 +34,7 @@ def lookup_drjit(factors, u: Tensor) -> Tensor:
     Raises
     ------
     ValueError
-        If the number of channels is no multiple of the kernel's packets.
+        If the number of channels is not a multiple of the kernel's packets.
     """
     if factors.channels % PACKET:
         raise ValueError(

@@ -90,7 +90,7 @@ def write_glb(path: str | Path, mesh: Mesh, crs: CRS) -> None:
     """Write a mesh in crs as GLB, whole or not at all: metres, y up, from an origin in its middle.
 
     The format is in metres, and in single precision, which steps by half a metre at a northing of 5e6 m. Axes are those
-    of the grid (``"axes": "grid"``); where its units are no lengths on the ground (degrees, Web Mercator), east, north
+    of the grid (``"axes": "grid"``); where its units are not lengths on the ground (degrees, Web Mercator), east, north
     and up at the origin (``"topocentric"``). The origin, whole units of crs (degrees to nine digits), and the CRS stand
     beside it in the ``extras`` of the scene.
 

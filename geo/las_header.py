@@ -35,8 +35,8 @@ NO_DATA = -9999.0
 # Names in lower case, as the registry of standard extra bytes has them; at most 32 characters each.
 EXTRA_BYTES = (
     ("depth", np.dtype(np.float32), "true depth below the water, m"),
-    ("std", np.dtype(np.float32), "height, less what lifts all, m"),
-    ("std_common", np.dtype(np.float32), "height, by water, lens, poses, m"),
+    ("std", np.dtype(np.float32), "random part of height, m"),
+    ("std_common", np.dtype(np.float32), "part that all heights share, m"),
     ("num_views", np.dtype(np.uint16), "photographs that agree"),
     ("incidence", np.dtype(np.float32), "angle at the water in air, deg"),
 )
@@ -110,7 +110,7 @@ def crs_of_header(header: laspy.LasHeader, path: Path) -> tuple[CRS | None, floa
         crs = CRS.from_wkt(texts[0]) if texts else _crs_of_keys(tables[0])
         # Of a damaged compound CRS PROJ reads the parts only here.
         if not all(axis.unit_conversion_factor > 0.0 for axis in crs.axis_info):
-            raise CRSError("a unit of its axes is no length")
+            raise CRSError("a unit of its axes is not a length")
         knows_heights = has_height(crs)
     except CRSError as error:
         return None, None, (f"{path} states a CRS that is not understood ({str(error)[:120]}).",)

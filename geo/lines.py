@@ -155,7 +155,9 @@ def _of_geopackage(path: Path) -> tuple[Polygons, CRS]:
                 _gather_wkb(shape, 0, found)
         return found, horizontal_crs(CRS.from_user_input(said["crs"]))
     except (CRSError, ValueError, RuntimeError, OSError, struct.error) as error:
-        raise UnreadableFile(f"{path} is no GeoPackage with polygons ({str(error)[:80]}); export it again.") from error
+        raise UnreadableFile(
+            f"{path} is not a GeoPackage with polygons ({str(error)[:80]}); export it again."
+        ) from error
 
 
 def _gather_wkb(wkb: bytes, at: int, found: Polygons) -> int:

@@ -227,7 +227,7 @@ def _binary_of_ascii(body: memoryview, elements: list[_Element]) -> tuple[memory
     try:
         numbers = np.array(bytes(body).split(), dtype=bytes).astype("<f8")
     except ValueError as error:
-        raise _Damaged(f"its body has a word that is no number ({str(error)[:60]})") from error
+        raise _Damaged(f"its body has a word that is not a number ({str(error)[:60]})") from error
     doubles = [
         _Element(e.name, e.count, [_Property(p.name, "d", "d" if p.count_kind else None) for p in e.properties])
         for e in elements

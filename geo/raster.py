@@ -233,7 +233,7 @@ def read_raster(path: str | Path) -> Mesh:
     unit = unit_named(unit_name)
     notes: tuple[str, ...] = ()
     if unit is None and unit_name:
-        notes = (f"{path} gives its heights in {unit_name[:40]!r}, which is no unit of length that is known.",)
+        notes = (f"{path} gives its heights in {unit_name[:40]!r}, which is not a known unit of length.",)
     height_unit = height_unit_said(crs, unit, path, f"the unit of its band, {unit_name},")
     faces = _triangles(np.isfinite(heights))
     # From south to north, or mirrored, the triangles would face down.

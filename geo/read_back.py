@@ -135,4 +135,4 @@ def require_cloud(stream: BinaryIO, path: Path, count: int, sums: ValueSums) -> 
             raise
         raise unreadable(path, f"it is damaged ({str(error)[:80]})") from error
     if (found.count, found.total) != (sums.count, sums.total):
-        raise unreadable(path, "its points are others than those that were written")
+        raise unreadable(path, "its points differ from those that were written")

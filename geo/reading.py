@@ -148,4 +148,4 @@ def _require(copy: Path, path: Path, points: np.ndarray, num_faces: int | None, 
     step = np.full(3, _STEP_DEG if is_geographic(crs) else _STEP) + _SHARE * np.ptp(points, axis=0)
     step[2] = _STEP + _SHARE * float(np.ptp(points[:, 2]))
     if not (np.abs(found - points) <= step).all():
-        raise unreadable(path, "its points are others than those that were written")
+        raise unreadable(path, "its points differ from those that were written")

@@ -1,4 +1,4 @@
-"""Snell optics of a camera in air and a bed under water; surfaces that are no planes are in `refract.curved`."""
+"""Snell optics of a camera in air and a bed under water; surfaces that are not planes are in `refract.curved`."""
 
 # Part of bathynerf.
 

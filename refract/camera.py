@@ -63,7 +63,7 @@ class PinholeCamera:
     Raises
     ------
     ValueError
-        If a shape is wrong, the centre is not finite, `cam_from_local` is no right-handed rotation, or a
+        If a shape is wrong, the centre is not finite, `cam_from_local` is not a right-handed rotation, or a
         focal length or the image size is not positive.
     """
 

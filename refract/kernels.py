@@ -219,7 +219,7 @@ def _solved(xp, terms, steps, like):
         u = base - xp.like(_halley(left, u, r, *rough), base)
     if like is not None:
         # Beyond 1e9 camera heights of water rounding of float32 leads out of the bracket, which ends at nadir, and
-        # beyond 1e19 squares overflow: comparing, not `maximum`, which keeps what is no number.
+        # beyond 1e19 squares overflow: comparing, not `maximum`, which keeps what is not a number.
         u, least = (xp.like(v, exact[0]) for v in (u, 0.999999 * rough[0] / (rough[0] + rough[2])))
         u = xp.where(u > least, u, least)
     return xp.like(u, exact[0])

@@ -36,7 +36,7 @@ def coefficients_of(model: str) -> tuple[str, ...]:
 
 
 class LensError(ValueError):
-    """Numbers that are no lens."""
+    """Numbers that are not a lens."""
 
 
 @dataclass(frozen=True)

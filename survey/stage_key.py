@@ -161,7 +161,7 @@ def code_hash(*modules: str) -> str:
     Raises
     ------
     ModuleNotFoundError
-        If a name is no module of the project.
+        If a name is not a module of the project.
     """
     _find.cache_clear()
     reached: set[str] = set()
@@ -179,7 +179,7 @@ def code_hash(*modules: str) -> str:
 
 @cache
 def _find(name: str) -> Path | None:
-    """The file of a module of the project; None where the name is no module, or of another project.
+    """The file of a module of the project; None where the name is not a module, or of another project.
 
     Remembered for one hash, in which each name is asked for ten times.
     """
@@ -196,7 +196,7 @@ def _find(name: str) -> Path | None:
 def _file_of(name: str) -> Path:
     file = _find(name)
     if file is None:
-        raise ModuleNotFoundError(f"{name} is no module of bathynerf")
+        raise ModuleNotFoundError(f"{name} is not a module of bathynerf")
     return file
 
 

@@ -63,8 +63,8 @@ RECORDS = '{"version": 1, "machine": {}, "versions": {}, "commit": "", "records"
 @pytest.mark.parametrize(
     ("text", "found"),
     [
-        ("", "no whole JSON"),
-        (RECORDS[:40], "no whole JSON"),
+        ("", "not a valid JSON"),
+        (RECORDS[:40], "not a valid JSON"),
         ("[]", "no 'version', expected version"),
         ('{"version": 1, "records": [{}]}', "no 'machine'"),
         (RECORDS, "record 1 of"),

@@ -140,9 +140,9 @@ def test_a_string_that_looks_like_a_comment_counts(copy, edit):
 
 
 def test_a_name_that_is_no_module_of_the_project_is_refused():
-    with pytest.raises(ModuleNotFoundError, match=r"survey\.gone is no module"):
+    with pytest.raises(ModuleNotFoundError, match=r"survey\.gone is not a module"):
         code_hash("survey.gone")
-    with pytest.raises(ModuleNotFoundError, match="json is no module"):
+    with pytest.raises(ModuleNotFoundError, match="json is not a module"):
         code_hash("json")
 
 

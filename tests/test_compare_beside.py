@@ -11,7 +11,7 @@ from compare_plane import ORIGIN, UTM32
 from pyproj import CRS
 
 from geo import Cloud, LocalFrame, Mesh
-from survey.compare.comparison import _beside
+from survey.compare.comparison import _edge_note
 from survey.compare.inputs import InputPaths, Inputs
 
 
@@ -26,9 +26,9 @@ def test_points_beside_a_mesh_are_left_out_by_bounds_that_hold_it_and_those_in_i
     paths = InputPaths(Path("c.las"), Path("r.ply"))
     inputs = Inputs(paths, Cloud(points=points, crs=crs), np.ones(50, bool), 0, mesh, None, crs, frame, ())
     is_off = np.abs(points[:, 0] - at[0]) > 5 * unit
-    (note,) = _beside(inputs, np.where(is_off, np.nan, 0.0))
+    (note,) = _edge_note(inputs, np.where(is_off, np.nan, 0.0))
     bounds = tuple(float(word) for word in re.findall(r"--bounds (.*?),", note)[0].split())
     (west, _), (east, _) = corners[0, :2], corners[1, :2]
     assert (bounds[0], bounds[2]) == pytest.approx((west, east), abs=0.001 * unit, rel=0.0)
-    (note,) = _beside(inputs, np.where(is_off, 0.0, np.nan))
+    (note,) = _edge_note(inputs, np.where(is_off, 0.0, np.nan))
     assert "they are in holes of r.ply" in note

@@ -144,7 +144,7 @@ def test_what_is_no_run_is_refused(tmp_path):
 def test_a_run_that_has_not_come_to_its_cloud_is_refused_with_the_mend(tmp_path):
     with RunDir(tmp_path / "run") as run:
         run.finish_stage("sweep", Key({}), run.open_stage("sweep"))
-    with pytest.raises(SurveyError, match=r"no finished stage bed; give the same `bathynerf process` again"):
+    with pytest.raises(SurveyError, match=r"no finished stage bed; run the same `bathynerf process` again"):
         export(tmp_path / "run", las=tmp_path / "out.las")
 
 

@@ -73,7 +73,7 @@ def test_a_place_comes_back(tmp_path, frame):
     assert load_place(tmp_path)[1] is None
     place = json.loads((tmp_path / PLACE_FILE).read_text())
     (tmp_path / PLACE_FILE).write_text(json.dumps({**place, "origin": None}))
-    with pytest.raises(SurveyError, match=r"place\.json cannot be read .* give `bathynerf process` again"):
+    with pytest.raises(SurveyError, match=r"place\.json cannot be read .* run `bathynerf process` again"):
         load_place(tmp_path)
 
 
@@ -120,7 +120,7 @@ def test_a_camera_that_looks_elsewhere_is_named(run, tmp_path, capsys):
 def test_a_run_without_a_field_is_told_how_to_get_one(tmp_path):
     with RunDir(tmp_path / "run"):
         pass
-    with pytest.raises(SurveyError, match="has no trained field; give `bathynerf process` again with --field slab"):
+    with pytest.raises(SurveyError, match="has no trained field; run `bathynerf process` again with --field slab"):
         render(tmp_path / "run", poses(tmp_path, ABOVE), tmp_path, trained=True)
 
 
@@ -218,5 +218,5 @@ def test_photographs_that_were_moved_are_found_by_the_folder_of_their_survey(pho
 def test_a_run_without_height_maps_says_what_is_missing(tmp_path):
     survey = painted_survey(tmp_path / "s")
     run = run_over(survey, tmp_path / "painted run")
-    with pytest.raises(SurveyError, match="has no finished stage sweep; give the same `bathynerf process` again"):
+    with pytest.raises(SurveyError, match="has no finished stage sweep; run the same `bathynerf process` again"):
         render(run, tmp_path / "s" / "cameras.csv", tmp_path / "views")

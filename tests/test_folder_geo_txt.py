@@ -18,7 +18,7 @@ from survey.folder.pose_priors import accuracy_of_gps, common_up_std_of_exif
 from survey.folder.survey import find_survey
 from survey.init.draft import draft
 from survey.init.place import Answers
-from survey.photos.exif import Exif, TablePlace, without_void
+from survey.photos.exif import Exif, TablePlace, without_void_fixes
 from survey.plan.check import check_survey
 from survey.pose_files import find_poses
 from survey.settings.config import CamerasConfig
@@ -158,7 +158,7 @@ SPOILT = {
     "": "is empty, expected a line with its CRS",
     "EPSG:25832\n": "has no line after its CRS",
     "0000.jpg 589012 5194736 2126\n": "line 1: .* is a line of a point, expected the CRS before it",
-    "my system\n0000.jpg 1 2 3\n": "line 1: .* is no CRS that geo.txt may begin with",
+    "my system\n0000.jpg 1 2 3\n": "line 1: .* is not a CRS that geo.txt may begin with",
     "EPSG:99999\n0000.jpg 1 2 3\n": "is not a known CRS",
     "EPSG:5773\n0000.jpg 1 2 3\n": "expected a CRS of a map or of longitude and latitude",
     "EPSG:4978\n0000.jpg 1 2 3\n": "expected a CRS of a map or of longitude and latitude",
@@ -225,6 +225,6 @@ def test_a_position_of_the_file_is_not_void_and_one_in_exif_still_gives_its_heig
     lines = [f"{name} 9.0 47.0{' 510.0' if has_height else ''}" for name in NAMES]
     (tmp_path / "geo.txt").write_text("\n".join(["EPSG:4326", *lines, ""]))
     done, _ = with_positions(tmp_path / "geo.txt", heads)
-    assert without_void(done) == done
+    assert without_void_fixes(done) == done
     assert [head.lat_lon_height[2] for head in done.values()] == [510.0 if has_height else 500.0] * len(NAMES)
     assert not any(head.is_void for head in done.values())

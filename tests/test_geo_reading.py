@@ -200,7 +200,7 @@ def test_every_cut_of_a_ply_file_is_an_error_that_names_it(tmp_path, form, faces
         ("format ascii 1.0", "format ebcdic 1.0", 'the line "format ebcdic 1.0"'),
         ("format ascii 1.0\n", "", "its header names no format"),
         ("element face 2", "element tristrips 2", "triangle strips; export it with a list of faces"),
-        ("\n3 0 1 2", "\n3 0 1 x", "a word that is no number"),
+        ("\n3 0 1 2", "\n3 0 1 x", "a word that is not a number"),
         ("\n3 0 1 2", "\n3 0 1 99", r"triangle 0\) that names a vertex beyond its 5"),
         ("\n3 0 1 2", "\n3 0 1 -1", r"triangle 0\) that names a vertex beyond its 5"),
         ("\n3 0 1 2", "\n-3 0 1 2", "it ends, or breaks, within its elements of kind face"),

@@ -75,7 +75,7 @@ def test_a_file_of_its_full_length_whose_end_became_zeros_is_refused(tmp_path, p
     last = tags[273][0] + tags[279][0]
     first = int(share * last)
     path.write_bytes(whole[:first] + bytes(last - first) + whole[last:])
-    with pytest.raises(ImageError, match=r"damaged or cut off \((the checksum|zeros stand where|its compressed)"):
+    with pytest.raises(ImageError, match=r"damaged or cut off \((the checksum|(its )?compressed pixels)"):
         require_complete(path)
 
 
@@ -145,7 +145,7 @@ def test_a_tiff_with_a_sector_of_zeros_within_is_refused(tmp_path, rng, compress
     data = bytearray(path.read_bytes())
     data[start + count // 3 : start + count // 3 + 512] = bytes(512)
     path.write_bytes(data)
-    with pytest.raises(ImageError, match=r"damaged or cut off \((zeros stand where|its compressed)"):
+    with pytest.raises(ImageError, match=r"damaged or cut off \((compressed pixels are overwritten|its compressed)"):
         require_complete(path)
 
 
@@ -169,7 +169,7 @@ def test_a_webp_without_loss_with_a_sector_of_zeros_is_refused(tmp_path, rng, me
     data = bytearray(path.read_bytes())
     data[len(data) // 2 : len(data) // 2 + 512] = bytes(512)
     path.write_bytes(data)
-    with pytest.raises(ImageError, match=r"zeros stand where compressed pixels should|cannot be decoded"):
+    with pytest.raises(ImageError, match=r"compressed pixels are overwritten by zeros|cannot be decoded"):
         require_complete(path)
 
 
@@ -186,7 +186,7 @@ def test_a_webp_with_loss_with_zeros_in_its_pixels_is_refused(tmp_path, quality,
     num = len(data) - first if num is None else num
     data[first : first + num] = bytes(num)
     path.write_bytes(data)
-    with pytest.raises(ImageError, match=r"zeros stand where compressed pixels should|cannot be decoded"):
+    with pytest.raises(ImageError, match=r"compressed pixels are overwritten by zeros|cannot be decoded"):
         require_complete(path)
 
 
@@ -248,7 +248,7 @@ def test_an_uncompressed_tiff_with_zeros_in_place_of_pixels_is_refused(tmp_path,
         first, num = first // 512 * 512, 512 if kind == "a sector" else 2048
         data[first : first + num] = bytes(num)
     path.write_bytes(data)
-    with pytest.raises(ImageError, match=r"damaged or cut off \(from within a row on zeros stand where"):
+    with pytest.raises(ImageError, match=r"damaged or cut off \(pixels are zeros from the middle of a row on"):
         require_complete(path)
 
 
@@ -288,7 +288,7 @@ def test_a_heic_with_zeros_in_its_pixels_is_refused(tmp_path, quality, kind):
     first, num = len(data) // 2, len(data) - len(data) // 2 if kind == "to the end" else 512
     data[first : first + num] = bytes(num)
     path.write_bytes(data)
-    with pytest.raises(ImageError, match=r"damaged or cut off \(zeros stand where"):
+    with pytest.raises(ImageError, match=r"damaged or cut off \(compressed pixels are overwritten"):
         require_complete(path)
 
 

@@ -12,7 +12,7 @@ from PIL import ExifTags, Image
 from PIL.TiffImagePlugin import IFDRational
 
 from survey.folder.found import head_doubts
-from survey.photos.exif import read_exif, without_void
+from survey.photos.exif import read_exif, without_void_fixes
 from survey.photos.exif_position import altitude_reference, focal_doubt, focal_px, position_of_gps
 from survey.photos.xmp import height_datum, rtk_of, xmp_place
 
@@ -309,13 +309,13 @@ def test_positions_that_a_receiver_calls_void_count_only_where_there_are_no_othe
     assert void.is_void
     assert not valid.is_void
     assert not head(gps_of()).is_void
-    among = without_void({"a": void, "b": valid})
+    among = without_void_fixes({"a": void, "b": valid})
     assert among["a"].lat_lon_height is None
     assert among["b"] == valid
     assert any("GPSStatus is V" in line and "not used" in line for line in head_doubts(among))
-    others = without_void({"a": void, "b": void, "c": valid, "d": replace(void, serial="2"), "e": void})
+    others = without_void_fixes({"a": void, "b": void, "c": valid, "d": replace(void, serial="2"), "e": void})
     assert all(each.lat_lon_height is not None for each in others.values())
-    alone = without_void({"a": void})
+    alone = without_void_fixes({"a": void})
     assert alone["a"].lat_lon_height is not None
     assert any("GPSStatus is V" in line and "is used" in line for line in head_doubts(alone))
 

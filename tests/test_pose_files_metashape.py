@@ -207,19 +207,19 @@ def test_water_makes_straight_rays_bent_and_check_says_so(tmp_path, block):
 
 ADJUSTED = 'class="adjusted">'
 FAULTS = {
-    "no XML": ("<?xml", "what?", "is not whole XML"),
+    "no XML": ("<?xml", "what?", "is not well-formed XML"),
     "entities": ("<document", '<!DOCTYPE a [<!ENTITY b "cc">]><document', r"a document type \(<!DOCTYPE>\) was found"),
     "external": ("<document", '<!DOCTYPE a SYSTEM "http://x"><document', r"a document type"),
     "deep": ("<chunk ", "<a>" * 200 + "<chunk ", "nested more than 100 deep"),
     "digits": ('<scale locked="true">', '<scale locked="true">' + "9" * 10_000, "9{57}... was found, expected a"),
     "NaN": ("<rotation ", "<rotation>nan" + 8 * " 0" + "</rotation><x ", "nan was found, expected a finite number"),
-    "shear": ("<rotation ", "<rotation>1 2 0 0 1 0 0 0 1</rotation><x ", "is no rotation with a scale"),
-    "no scale": ("<scale ", "<scale>0</scale><x ", "is no rotation with a scale"),
-    "large scale": ("<scale ", "<scale>1e308</scale><x ", "is no rotation with a scale"),
+    "shear": ("<rotation ", "<rotation>1 2 0 0 1 0 0 0 1</rotation><x ", "is not a rotation with a scale"),
+    "no scale": ("<scale ", "<scale>0</scale><x ", "is not a rotation with a scale"),
+    "large scale": ("<scale ", "<scale>1e308</scale><x ", "is not a rotation with a scale"),
     "overflow": (
         "<rotation ",
         "<rotation>1e200 0 0 0 1e200 0 0 0 1e200</rotation><scale>1e200</scale><x ",
-        "is no rotation with a scale",
+        "is not a rotation with a scale",
     ),
     "no sensor": ('<sensor id="1"', '<sensor id="7"', "its sensor is not in the file"),
     "spherical": ('"frame" class="adjusted"', '"spherical" class="adjusted"', "of the type spherical is not supported"),

@@ -213,10 +213,10 @@ def test_the_points_of_berlin_fall_where_the_formulas_of_opensfm_put_them(data_d
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "is not whole JSON"),
-        ("[" * 100_000, "is nested too deep|is not whole JSON"),
-        ("[1]", "is no list of reconstructions"),
-        ("[]", "is no list of reconstructions"),
+        ("", "is not valid JSON"),
+        ("[" * 100_000, "is nested too deeply|is not valid JSON"),
+        ("[1]", "is not a list of reconstructions"),
+        ("[]", "is not a list of reconstructions"),
         ('[{"shots": {"a": {"camera": "x"}}}]', "the camera of a is not in the file"),
     ],
 )
@@ -237,7 +237,7 @@ def test_a_file_that_is_no_reconstruction_is_refused(tmp_path, text, words):
         ('"k1": -0.08', '"k1": NaN', "k1 is nan"),
         ('"k1": -0.08', '"k1": "x"', "k1 is x"),
         ('"camera": "v2 one"', '"camera": "v2 two"', "the camera of 0000.jpg is not in the file"),
-        ('"rotation": [', '"rotation": [NaN, ', "the pose of 0000.jpg is no rotation"),
+        ('"rotation": [', '"rotation": [NaN, ', "the pose of 0000.jpg is not a rotation"),
         (f'"latitude": {LAT}', '"latitude": 95', "its reference is .* expected latitude"),
     ],
 )

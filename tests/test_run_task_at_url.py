@@ -91,7 +91,7 @@ def test_a_photograph_that_has_changed_at_the_url_during_a_run_is_refused(tmp_pa
     source = remote.url, "a.jpg", remote.files()["a.jpg"]
     task_at_url._require_same(remote, source, path)
     remote.write("a.jpg", b"after it")
-    with pytest.raises(SurveyError, match=r"flight/a\.jpg has changed since the run began .*give the same `bathynerf"):
+    with pytest.raises(SurveyError, match=r"flight/a\.jpg has changed since the run began .*run the same `bathynerf"):
         task_at_url._require_same(remote, source, path)
     assert not path.exists()
 

@@ -145,7 +145,7 @@ def test_a_key_of_a_later_version_is_refused_with_what_to_give_instead(key):
         ("[water]\nlevel_m = 1\nlevel_at = [1, 2, 3]", "water.level_at is [1, 2, 3], expected [easting, northing]"),
         (
             "[water]\nlevel_m = 1\nabsorption_per_m = 0.3",
-            "absorption_per_m is 0.3, expected [red, green, blue], the share",
+            "absorption_per_m is 0.3, expected [red, green, blue], the absorption",
         ),
         (
             "[water]\nlevel_m = 1\nveiling_light = [0, -1, 0]",

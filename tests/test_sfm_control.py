@@ -17,7 +17,7 @@ from survey.errors import ControlError
 from survey.sfm import block as sfm_block
 from survey.sfm.block import CameraBody
 from survey.sfm.control_fit import fit_control
-from survey.sfm.marked import BlockControl, Posed, meet
+from survey.sfm.marked import BlockControl, Posed, intersect_marks
 from survey.sfm.placing import place_by_control, posed_of
 from survey.sfm.solve import Free
 
@@ -101,7 +101,7 @@ def test_of_two_marks_that_do_not_meet_neither_is_used(rng):
     mine = [mark for mark in control.marks if mark.point == "gcp1"]
     moved = replace(mine[0], pixel=(mine[0].pixel[0] + 60.0, mine[0].pixel[1] + 60.0))
     others = tuple(mark for mark in control.marks if mark.point != "gcp1")
-    met = meet(replace(control, marks=(*others, moved, mine[-1])), posed)
+    met = intersect_marks(replace(control, marks=(*others, moved, mine[-1])), posed)
     assert met.apart == ("gcp1",)
     assert len(met.points) == 5
 

@@ -17,7 +17,7 @@ from survey.sfm.block import CameraBody
 from survey.sfm.gps import GpsPositions
 from survey.sfm.marked import BlockControl
 from survey.sfm.placing import place_by_control, place_by_gps, posed_of
-from survey.sfm.solve import Free, apart_of
+from survey.sfm.solve import Free, without_shared_images
 
 APART = (200.0, -30.0)
 
@@ -130,8 +130,8 @@ def test_all_images_of_a_sensor_have_one_lens(rng):
 
 def test_an_image_of_two_blocks_counts_for_the_larger(rng):
     (large, _), (small, _) = synthetic_block(rng), synthetic_block(rng, first=14)
-    apart = apart_of([large, small])
+    apart = without_shared_images([large, small])
     assert set(sfm_block.poses_of(apart[1])) == {f"{k}.jpg" for k in range(18, 32)}
     same, _ = synthetic_block(rng, first=2)
     # Two of its own are no block.
-    assert len(apart_of([synthetic_block(rng)[0], same])) == 1
+    assert len(without_shared_images([synthetic_block(rng)[0], same])) == 1

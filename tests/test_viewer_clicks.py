@@ -18,7 +18,7 @@ from survey.files.outputs import ReadFiles
 from survey.folder.survey import load_survey
 from survey.viewer.layers import OnDemand, grid_faces
 from survey.viewer.page import require_page, thinned, write_page
-from survey.viewer.sightings import DISTANCE, RAYS, SLICE, facts_of, way_between
+from survey.viewer.sightings import DISTANCE, RAYS, SLICE, distance_between, facts_of
 from survey.viewer.slices import ReferenceSlice, load_reference, picture_of, slice_of
 from survey.viewer.tree import build_tree
 
@@ -108,7 +108,7 @@ def test_the_facts_of_a_point_are_those_of_the_cloud(shown):
     assert (float(facts["easting"]), float(facts["northing"])) == pytest.approx((east, north), abs=6e-4)
     assert float(facts["height"]) == pytest.approx(height, abs=6e-4)
     assert facts["error to the reference"] == "−40.0\u00a0mm"
-    assert way_between(np.zeros(3), np.array([3.0, 4.0, -12.0])) == [
+    assert distance_between(np.zeros(3), np.array([3.0, 4.0, -12.0])) == [
         ("distance", "13.00\u00a0m"), ("in plan", "5.000\u00a0m"), ("height", "−12.00\u00a0m"),
     ]  # fmt: skip
 

@@ -62,10 +62,10 @@ def test_a_browser_gets_the_cloud_and_then_its_colours(shown):
     assert np.abs(np.sort(sent[:, 0]) - np.sort(shown.tree.points[:, 0])).max() < 0.01
     assert len(found) == total
     limits = shown.limits("depth")
-    cloud.look_again(Style("depth", limits))
+    cloud.redraw(Style("depth", limits))
     expected = node_arrays(shown, 0, Style("depth", limits))[2]
     browser.until(lambda: np.array_equal(browser.nodes["/cloud/0"].colors, expected))
-    cloud.look_again(Style(is_shown=False))
+    cloud.redraw(Style(is_shown=False))
     browser.until(lambda: not browser.nodes)
     cloud.close()
 
@@ -78,7 +78,7 @@ def test_a_browser_never_draws_more_points_than_the_limit(shown, monkeypatch):
     cloud = CloudInBrowser(browser, shown, Style())
     for height in (20.0, 2.0, 1.0, 6.0):
         browser.look_down(height)
-        cloud.look_again()
+        cloud.redraw()
         wanted = SELECT(shown.tree, detail.viewpoint_of(browser.camera), 60_000)
         browser.until(lambda wanted=wanted: {f"/cloud/{n}" for n in wanted} <= set(browser.nodes))
         assert sum(len(node.points) for node in browser.nodes.values()) <= 60_000
@@ -104,7 +104,7 @@ def test_a_session_listens_on_this_machine_alone_and_leaves_nothing(shown):
 
 
 def test_an_address_of_another_machine_is_refused():
-    with pytest.raises(SurveyError, match=r"--host 192\.0\.2\.1 is no address of this machine"):
+    with pytest.raises(SurveyError, match=r"--host 192\.0\.2\.1 is not an address of this machine"):
         open_server("192.0.2.1", 0, "test")
 
 

@@ -1,4 +1,4 @@
-"""Still water over a large survey: heights below the plane that touches it, and the bed under it, against a sphere."""
+"""Still water over a large survey: heights below its tangent plane, and the bed under it, against a sphere."""
 
 from __future__ import annotations
 

@@ -150,7 +150,7 @@ def test_points_at_one_place_are_no_surface(tmp_path):
 
 @pytest.mark.parametrize("key", ["slope_east = 0.01", "level_at = [1.0, 2.0]"])
 def test_a_surface_has_its_slopes_itself(key):
-    with pytest.raises(ConfigError, match="surface tells the level everywhere"):
+    with pytest.raises(ConfigError, match="surface gives the level everywhere"):
         parse_config(f'crs = "EPSG:25832+5778"\n[water]\nsurface = "water.tif"\n{key}\n')
 
 

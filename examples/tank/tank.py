@@ -108,7 +108,7 @@ def read_corners(path: Path) -> Corners:
     Raises
     ------
     SystemExit
-        If it has other columns, a value that is no number, another medium, or too few corners.
+        If it has other columns, a value that is not a number, another medium, or too few corners.
     """
     with path.open(newline="", encoding="utf-8-sig") as stream:
         rows = list(csv.DictReader(stream))

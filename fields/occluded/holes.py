@@ -218,7 +218,7 @@ class Holes:
         points = np.stack([x, y, layer.at(x, y)], axis=-1)
         inside &= np.isfinite(points[..., 2])
         # A point above the layer by less than the error of heights lies on it, too. A point below shows that the bed
-        # is lower there than the layer: that is no hole.
+        # is lower there than the layer: that is not a hole.
         floor = layer.at(near[:, 0], near[:, 1])
         seen = np.column_stack([near[:, :2], np.fmax(near[:, 2], floor)])
         flat, reach = np.array([1.0, 1.0, _NEAR_GSD / _LEVEL_GSD]), _NEAR_GSD * box.gsd

@@ -21,7 +21,7 @@ _LEAST_SHARE = 0.05
 _REACH_GSD = 4.0
 # Heights over the layer, in ground sampling distances: what stands on it, and what is the layer itself.
 _ABOVE_GSD, _ON_GSD = 7.0, 3.0
-# A height that so many other photographs and this correlation confirm is no error of the windows beside an edge.
+# A height that so many other photographs and this correlation confirm is not an error of the windows beside an edge.
 _CONFIRMED_BY, _CONFIRMED_NCC = 3, 0.8
 # Other edges are located to so many cells: by the windows of the sweep. What stands over the layer hides it for sure
 # so far inside its edge, and shows it for sure so far outside.

@@ -14,7 +14,7 @@ from fields.solver.tile import Tile
 # The offset of a photograph (veil, reflected sky, vignetting) varies over some such blocks.
 BLOCK_PX, BLOCKS = 8, 2.5
 _KERNEL = (21, 21)
-# A gain beyond these is no gain: the photograph shows something else.
+# A gain beyond these is not gain: the photograph shows something else.
 GAINS = (0.3, 3.0)
 # Fewest pixels for a gain.
 LEAST_PIXELS = 100

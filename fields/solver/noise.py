@@ -24,7 +24,7 @@ from fields.solver.uncertainty import ONE_STD, expected_variances, smoothing_cha
 
 # Shifts are constant within a Gauss window of this standard deviation: shorter than waves, wide against noise.
 WINDOW_PX = 4.0
-# Larger ones are no shifts; and least determinant over squared trace of the structure tensor.
+# Larger ones are not shifts; and least determinant over squared trace of the structure tensor.
 _LARGEST_PX, _LEAST_ACROSS = 2.0, 1e-3
 # Share of the Gauss window that a photograph has to see; and photographs that determine more than a height.
 _SEEN, _LEAST_VIEWS = 0.5, 3

@@ -201,7 +201,7 @@ def _symbols() -> tuple[np.ndarray, np.ndarray]:
 
 
 def _power(spectral_slope: float) -> np.ndarray:
-    """Power spectrum of the bed; a constant is no relief."""
+    """Power spectrum of the bed; a constant is not relief."""
     symbol, _ = _symbols()
     return np.where(symbol > 0.0, np.maximum(symbol, 1e-30) ** -spectral_slope, 0.0)
 

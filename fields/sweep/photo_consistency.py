@@ -14,7 +14,6 @@ import numpy as np
 
 from fields.sweep.block import Block
 from fields.sweep.maps import HeightMap, trusted
-from refract import PinholeCamera
 
 # Wider images are reduced to this: structure of some pixels is compared, not noise.
 _WIDTH_PX = 800
@@ -34,16 +33,12 @@ class Consistency:
     contrast: float  # [grey levels]: standard deviation of its grey levels in that band
 
 
-def photo_consistency(block: Block, maps: Sequence[HeightMap], whole: PinholeCamera | None = None) -> list[Consistency]:
-    """Each photograph of a block, in its order, against the trusted points of the height maps of others.
-
-    Where views are windows of photographs, ``whole`` is the camera of one of these: a window is reduced as the whole
-    is, and gives as many points as its share of the pixels.
-    """
-    scale = min(1.0, _WIDTH_PX / (max(camera.width for camera in block.cameras) if whole is None else whole.width))
+def photo_consistency(block: Block, maps: Sequence[HeightMap]) -> list[Consistency]:
+    """Each photograph of a block, in its order, against the trusted points of the height maps of others."""
+    scale = min(1.0, _WIDTH_PX / max(camera.width for camera in block.cameras))
     cameras = [camera.scaled(scale) for camera in block.cameras]
     bands = [_band(block.images[view], scale) for view in range(len(cameras))]
-    xyz, grey, source = _points(block, maps, bands, scale, None if whole is None else whole.width * whole.height)
+    xyz, grey, source = _points(block, maps, bands, scale)
     found = []
     for view, (camera, band) in enumerate(zip(cameras, bands, strict=True)):
         others = source != view
@@ -57,7 +52,7 @@ def photo_consistency(block: Block, maps: Sequence[HeightMap], whole: PinholeCam
 
 
 def _points(
-    block: Block, maps: Sequence[HeightMap], bands: Sequence[np.ndarray], scale: float, whole_px: int | None
+    block: Block, maps: Sequence[HeightMap], bands: Sequence[np.ndarray], scale: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points (N, 3) [m], local, their grey levels (N,) in the band, and the views (N,) they come from."""
     rng = np.random.default_rng(0)
@@ -65,8 +60,7 @@ def _points(
     for m in maps:
         camera = block.cameras[m.view]
         pixels = np.flatnonzero(trusted(m)[: camera.height, : camera.width])
-        most = _SAMPLES if whole_px is None else -(-_SAMPLES * camera.width * camera.height // whole_px)
-        pixels = rng.choice(pixels, min(most, len(pixels)), replace=False)
+        pixels = rng.choice(pixels, min(_SAMPLES, len(pixels)), replace=False)
         row, column = np.divmod(pixels, camera.width)
         at = np.column_stack([column, row]) + 0.5
         xyz.append(camera.paths(at, block.water).at_height(m.height[row, column].astype(np.float64), block.water))
@@ -83,12 +77,9 @@ def _band(image: np.ndarray, scale: float) -> np.ndarray:
     if scale < 1.0:
         image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     known = np.isfinite(image)
-    is_whole = bool(known.all())
-    filled = image
-    if not is_whole:
-        filled = np.where(known, image, np.float32(np.nanmedian(image) if known.any() else 0.0))
+    filled = np.where(known, image, np.float32(np.nanmedian(image) if known.any() else 0.0))
     fine, coarse = (cv2.GaussianBlur(filled, (0, 0), sigma) for sigma in (_FINE_PX, _COARSE_PX))
-    return fine - coarse if is_whole else np.where(known, fine - coarse, np.float32(np.nan))
+    return np.where(known, fine - coarse, np.float32(np.nan))
 
 
 def _sampled(band: np.ndarray, at: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Water surfaces that are no planes: waves, rasters, scattered points, and still water on a round Earth."""
+"""Water surfaces that are not planes: waves, rasters, scattered points, and still water on a round Earth."""
 
 from refract.curved.any_surface import AnySurface
 from refract.curved.bicubic import BicubicWater

@@ -169,7 +169,7 @@ def _padded(starts: np.ndarray, indices: np.ndarray) -> tuple[np.ndarray, np.nda
 
 @dataclass(frozen=True)
 class _Changed:
-    """What K changes of the parameters do to the predictions of observations."""
+    """Changes of the predicted observations by K changes of the parameters."""
 
     weights: np.ndarray  # (N,) [1/px^2]
     residuals: np.ndarray  # (N, 2) [px]

@@ -90,7 +90,7 @@ class _Linearised:
         factor = system.normal.with_strength(strength).factor()
         step, unit = factor.solve(system.right_side), np.zeros(len(std))
         unit[number] = 1.0
-        # Scatter about the estimate, since a wrong level is no noise.
+        # Scatter about the estimate, since a wrong level is not noise.
         left = problem.residuals(self.state.moved(problem.layout, step, system.point_steps(step)))
         taken = float(np.sum(1.0 - factor.inverse_diagonal() / std**2))
         after = std_of_kinds(problem, left, taken)

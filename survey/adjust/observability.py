@@ -271,7 +271,7 @@ def roll_notes(survey: Survey, done: Adjusted, gsd_m: float) -> list[str]:
 
 @contextmanager
 def name_open_roll(rolls: Sequence[Roll]) -> Iterator[None]:
-    """Name the line where an adjustment of photographs whose roll positions leave open does not converge."""
+    """Name the line of a roll that positions leave open in the error of an adjustment that does not converge."""
     try:
         yield
     except NotConvergedError as error:

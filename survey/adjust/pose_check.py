@@ -64,7 +64,7 @@ class PoseCheck:
     def require_water(self) -> None:
         """Raise `SurveyError` where photographs show water over a bed that the given level leaves dry."""
         if (level := self.flooded) is not None:
-            raise dry_bed_error(level, "say --poses fixed to use it as it is")
+            raise dry_bed_error(level, "give --poses fixed to use it as it is")
 
 
 def check_of_windows(

@@ -165,7 +165,7 @@ def _adjusted(survey: Survey, known: PriorKnowledge, windows: TiePoints | None, 
         warnings += gathered.against_control()
     contradiction = survey.provenance.contradiction
     if contradiction is not None and contradiction.is_of_lens:
-        warnings.append(f"{contradiction}: the lens is found anew, under the poses that were given with it; correct it")
+        warnings.append(f"{contradiction}: the lens is estimated again under the given poses; correct it")
     return replace(found, notes=(*found.notes, *notes), warnings=(*found.warnings, *warnings))
 
 

@@ -72,7 +72,7 @@ def better_of_two_starts(
     try:
         second = adjusted(level, replace(start, mean=mean))
     except SurveyError:
-        # What contradicts the level start is no error of the block.
+        # What contradicts the level start is not an error of the block.
         return first
     if not _are_apart(first, second):
         return first

@@ -5,7 +5,7 @@ that of water. Where the bed lies dry the second adjustment gains nothing. Where
 residuals fall: a tie point that photographs see from several sides has no one place on straight rays. Lens and poses
 are free in both, so that what they can take of the bend does not count.
 
-Colour, glint and smooth areas of the photographs are no evidence. Shade on a dry road is bluer than the lake beside it
+Colour, glint and smooth areas of the photographs are not evidence. Shade on a dry road is bluer than the lake beside it
 (8.7 against 0.7 % of a photograph, at most), a dry street has more saturated pixels (0.7 against 0.04 %), and dry dunes
 larger areas without texture (47 against 19 %): `benchmarks/water_by_colour.py` on real photographs.
 """
@@ -33,7 +33,7 @@ _INDEX, _INDEX_STD, _SLOPE_STD = 1.338, 0.004, 0.005
 _LEVEL_STD_M = 1000.0
 # Starts of the level: above most points by this share of the flying height, and in the middle of them.
 _TOP, _SHARE, _AMID = 0.95, 0.1, 0.5
-# The gain in units of variances that is no chance: five standard deviations, of one more parameter and two starts.
+# The gain in units of variances that is not chance: five standard deviations, of one more parameter and two starts.
 _LEAST_GAIN = 30.0
 # Least relative decrease of the residuals under water: real lenses and ground leave small systematic errors, too.
 _LEAST_FALL = 0.03

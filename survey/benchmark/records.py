@@ -55,7 +55,7 @@ class Errors:
     rms_m: float  # [m]: of all distances
     completeness: dict[str, float]  # dict: share of the points that cameras see, by tolerance in metres, e.g. "0.05".
     # Share of vertical errors, their median taken off, below 1.96 times the `std` that the points carry, where the
-    # surface is no wall; None where they carry none
+    # surface is not a wall; None where they carry none
     coverage: float | None
     # median_m, common_m [m] or None: that median, and the median of `std_common`, which it should lie within 2.6 of
     median_m: float | None = None
@@ -126,7 +126,7 @@ def read_results(path: Path) -> Results:
     except OSError as error:
         raise SurveyError(f"cannot read {path}: {error.strerror}") from error
     except ValueError as error:
-        raise SurveyError(f"{path} is no whole JSON file; name one that `bathynerf benchmark` wrote") from error
+        raise SurveyError(f"{path} is not a valid JSON file; name one that `bathynerf benchmark` wrote") from error
     if isinstance(table, dict) and table.get("version", VERSION) != VERSION:
         raise SurveyError(f"{path} has the layout {table['version']!r}, expected {VERSION}; measure it again")
     missing = [name for name in _TABLE if not isinstance(table, dict) or name not in table]
@@ -186,7 +186,7 @@ class _Stated:
 
 
 def _stated(found: Comparison) -> _Stated:
-    """Stated std against the errors of points with a std, over a mesh, where that is no wall."""
+    """Stated std against the errors of points with a std, over a mesh, where that is not a wall."""
     reference, extra = found.inputs.reference, found.inputs.cloud.extra
     if _STD not in extra or not isinstance(reference, Mesh):
         return _Stated()

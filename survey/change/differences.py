@@ -201,7 +201,7 @@ def cloud_path(path: Path) -> Path:
     Raises
     ------
     SurveyError
-        If a folder is no run.
+        If a folder is not a run.
     """
     if not path.is_dir():
         return path

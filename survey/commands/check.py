@@ -39,7 +39,7 @@ def run(
     ],
     asked: PlanOptions = PlanOptions(),
     deep: Annotated[
-        bool, typer.Option("--deep", help="Also hold survey.toml against the photographs; takes minutes.")
+        bool, typer.Option("--deep", help="Also test survey.toml against the photographs; takes minutes.")
     ] = False,
     wind: Annotated[
         float, typer.Option(min=0.0, max=20.0, metavar="M/S", help="Wind over the water, for the glitter of the sun.")
@@ -119,7 +119,7 @@ def _sections(folder: Path, asked: ProcessConfig, wind: float, deep: bool) -> It
 def _sections_of_plan(path: Path, asked: ProcessConfig, wind: float, deep: bool) -> Iterator[CheckSection]:
     """Sections on the expected accuracy of a planned flight, and on accuracy and cost of an aim."""
     if deep:
-        raise SurveyError("--deep holds a survey against its photographs, and a plan has none; remove it")
+        raise SurveyError("--deep tests a survey against its photographs, and a plan has none; remove it")
     if asked.image_scale is not None:
         raise SurveyError("--image-scale is for photographs that are there, and a plan has none; remove it")
     from survey.simulate.staging.check_plan import check_plan, depth_of, flight_of, survey_of

@@ -59,7 +59,7 @@ def run(
         bool,
         typer.Option(
             "--no-bed",
-            help="Into LAS, LAZ and COPC also what saw no bed: classes 45, and 41 over it.",
+            help="Into LAS, LAZ and COPC also water without a bed: class 45, and 41 over it.",
             rich_help_panel=_HOW,
         ),
     ] = False,

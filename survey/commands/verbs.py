@@ -71,7 +71,7 @@ class Page(TyperCommand):
         return [self.options_metavar or "", *(_usage(param) for param in _arguments(self.get_params(ctx)))]
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write arguments and options, those of one purpose together; a single one is no panel."""
+        """Write arguments and options, those of one purpose together; a single one is not a panel."""
         rows = [(_panel(param), row) for param in self.get_params(ctx) if (row := _row(param, ctx)) is not None]
         sizes = Counter(panel for panel, _ in rows)
         panels: dict[str, list[tuple[str, str]]] = {}

@@ -1,4 +1,4 @@
-"""Canvases of pictures: plots, maps true to scale with a bar of metres, bars of colours.
+"""Canvases of pictures: plots, maps true to scale with a scale bar, colour bars.
 
 Drawn without a display, on figures of their own: nothing of matplotlib's global state is used or changed.
 """
@@ -62,7 +62,7 @@ def show(axes: Axes, image: np.ndarray, extent: Extent, **colours) -> AxesImage:
 
 
 def colour_bar(axes: Axes, scale: ScalarMappable, label: str, *, extend: str = "both") -> Colorbar:
-    """A bar beside axes that explains their colours."""
+    """A colour bar beside axes."""
     figure = axes.figure
     beside = axes.inset_axes((1.025, 0.06, _BAR_WIDTH_IN / (axes.bbox.width / figure.dpi), 0.88))
     bar = figure.colorbar(scale, cax=beside, extend=extend)
@@ -87,7 +87,7 @@ def canvas(width: float, height: float) -> tuple[Figure, Axes]:
 
 
 def map_canvas(extent: Extent, crs: CRS | None, *, below_in: float = 0.0) -> tuple[Figure, Axes]:
-    """Axes in easting and northing, or longitude and latitude, true to scale, with a bar of metres.
+    """Axes in easting and northing, or longitude and latitude, true to scale, with a scale bar.
 
     There is room for a title above, for a bar of colours to the right, and for ``below_in`` inches of more below.
     """
@@ -140,7 +140,7 @@ def _plain(axes: Axes) -> Axes:
 
 
 def _north_arrow(axes: Axes, at: float) -> None:
-    """An arrow to the north of the grid, at a share of the width beside the bar of metres."""
+    """A north arrow of the grid, at a share of the width beside the scale bar."""
     halo = [withStroke(linewidth=3, foreground="white")]
     axes.annotate(
         "N",
@@ -196,7 +196,7 @@ def figure_of(axes: Axes) -> Figure:
     """The whole figure that axes are a part of."""
     figure = axes.figure
     if not isinstance(figure, Figure):
-        raise TypeError(f"axes of {type(figure).__name__} are no part of a figure of their own")
+        raise TypeError(f"axes of {type(figure).__name__} are not part of a figure of their own")
     return figure
 
 

@@ -113,8 +113,14 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
     reaches = _reaches(scene, options.tolerances_m)
     first = reaches[0]
     vertical, errors = measure.vertical(scene, depth, blocks)
-    notes = [*inputs.notes, *of_outliers, *of_distances, *_unseen(inputs), *_outside(inputs, options.bounds)]
-    notes += _beside(inputs, errors)
+    notes = [
+        *inputs.notes,
+        *of_outliers,
+        *of_distances,
+        *_visibility_note(inputs),
+        *_bounds_note(inputs, options.bounds),
+    ]
+    notes += _edge_note(inputs, errors)
     found = None
     if places is not None and checkpoints is not None:
         found, of_checkpoints = checkpoint_accuracy(scene, checkpoints, places)
@@ -197,8 +203,8 @@ def _without_outliers(inputs: Inputs, options: CompareOptions) -> tuple[Inputs, 
     return replace(inputs, inside=inputs.inside & is_left), is_left, [note]
 
 
-def _unseen(inputs: Inputs) -> list[str]:
-    """A note where it is not known what of a mesh cameras see."""
+def _visibility_note(inputs: Inputs) -> list[str]:
+    """A note where it is not known which parts of a mesh cameras see."""
     if not isinstance(inputs.reference, Mesh) or inputs.visible is not None:
         return []
     return [
@@ -207,8 +213,8 @@ def _unseen(inputs: Inputs) -> list[str]:
     ]
 
 
-def _beside(inputs: Inputs, errors: np.ndarray | None) -> list[str]:
-    """A note on points beside the mesh: what stands for their distance is how far the mesh's edge is."""
+def _edge_note(inputs: Inputs, errors: np.ndarray | None) -> list[str]:
+    """A note on points beside the mesh, whose distance is that to the edge of the mesh."""
     if errors is None:
         return []
     beside = float(np.mean(np.isnan(errors)))
@@ -218,7 +224,7 @@ def _beside(inputs: Inputs, errors: np.ndarray | None) -> list[str]:
     name, box = inputs.paths.reference.name, (*low, *high)
     said = (
         f"{100.0 * beside:.1f} % of the points have no surface of {name} above or below: their distance is that to its "
-        "nearest edge, and no error of the cloud"
+        "nearest edge, not an error of the cloud"
     )
     around = np.isnan(errors) & ~within(inputs.cloud.points[inputs.inside], box, metres_in_crs(inputs.frame, 0.01))
     if around.mean() > _BESIDE_SHARE:
@@ -228,7 +234,7 @@ def _beside(inputs: Inputs, errors: np.ndarray | None) -> list[str]:
     ]
 
 
-def _outside(inputs: Inputs, bounds: Bounds | None) -> list[str]:
+def _bounds_note(inputs: Inputs, bounds: Bounds | None) -> list[str]:
     """A note on a reference that reaches beyond the bounds."""
     if bounds is None:
         return []

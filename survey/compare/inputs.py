@@ -281,7 +281,7 @@ def _common_crs(cloud: Mesh | Cloud, path: Path, others: dict[Path, Mesh | Cloud
 def _height_doubts(
     points: np.ndarray, vertices: np.ndarray, paths: InputPaths, frame: LocalFrame | ShiftedFrame
 ) -> list[str]:
-    """Refuse heights that are of another place; a note on those that do not meet."""
+    """Raise where heights are too far apart to be of one place; a note on those that do not overlap."""
     # Two points give the size in metres, whatever the units of the CRS.
     corners = frame.local_from_crs(np.array([points.min(axis=0), points.max(axis=0)]))
     size_m = max(float(np.linalg.norm(corners[1] - corners[0])), 1.0)

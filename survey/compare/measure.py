@@ -304,7 +304,7 @@ def checkpoint_accuracy(scene: ComparedScene, table: np.ndarray, path: Path) -> 
     if not accuracy.is_enough:
         notes.append(
             f"{accuracy.n_checkpoints} check points of {path.name} lie on the cloud: ASPRS (Edition 2) requires "
-            f"at least {MIN_CHECKPOINTS}, so that this is no test of the product"
+            f"at least {MIN_CHECKPOINTS}, so that this is not a test of the product"
         )
     if not table[:, 3].any():
         notes.append(f"{path.name} gives no standard deviations: its check points are taken as free of error")

@@ -30,7 +30,7 @@ def read_coordinates(path: Path) -> Content:
     Raises
     ------
     ControlError
-        If a column is missing, a value is no finite number, or a role or an accuracy cannot be.
+        If a column is missing, a value is not a finite number, or a role or an accuracy cannot be.
     """
     columns, optional = ("name", *PLACE), ("std", "std_horizontal", *STDS, "role", "enable")
     rows = read_points(path, optional=("name", *optional), error=ControlError)
@@ -47,7 +47,7 @@ def read_marks(path: Path) -> Content:
     Raises
     ------
     ControlError
-        If a column is missing, or a value is no finite number.
+        If a column is missing, or a value is not a finite number.
     """
     rows = read_table(path, _MARK_COLUMNS, synonyms=_MARK_SYNONYMS, error=ControlError)
     marks = (

@@ -18,7 +18,7 @@ _PORTION, _BITS = 1_000_000, 16
 
 
 def portions(count: int, at_once: int | None = None) -> Iterator[slice]:
-    """Parts of so many rows."""
+    """Slices of at most so many rows."""
     step = _PORTION if at_once is None else at_once
     return (slice(first, first + step) for first in range(0, count, step))
 
@@ -45,7 +45,7 @@ class ComputedColumn:
 
 
 class ColumnStatistics:
-    """The finite values of a column (N,), of numbers or whole ones.
+    """Statistics of the finite values of a column (N,), floating point numbers or integers.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ class ColumnStatistics:
 
 
 def _keys(values: np.ndarray) -> np.ndarray:
-    """Unsigned numbers that rise with values: of floating point numbers their bits, all turned where negative."""
+    """Unsigned integers in the order of values: the bits of floating point numbers, inverted where negative."""
     whole = np.dtype(f"u{values.dtype.itemsize}")
     bits = np.ascontiguousarray(values).view(whole)
     if values.dtype.kind == "u":

@@ -158,14 +158,14 @@ def bytes_of(text: str) -> float:
 
 
 def room(num_bytes: float) -> str:
-    """Room that there is, rounded down."""
+    """Memory or disk space [bytes] that is free, as text, rounded down."""
     if num_bytes >= 1e9:
         return f"{math.floor(num_bytes / 1e8) / 10:.1f} GB"
     return f"{math.floor(num_bytes / 1e7) * 10} MB"
 
 
 def size(num_bytes: float) -> str:
-    """Room that is needed."""
+    """Memory or disk space [bytes] that is needed, as text."""
     return f"{num_bytes / 1e9:.1f} GB" if num_bytes >= 1e9 else f"{math.ceil(num_bytes / 1e7) * 10} MB"
 
 
@@ -191,7 +191,7 @@ def foot_m(units: str | None, crs: CRS) -> float | None:
 
 
 def named(names: list[str], noun: str, what: str) -> list[str]:
-    """A warning that counts and names, e.g. "2 images without a pose, left out: a.jpg, b.jpg"; none without names."""
+    """A warning that counts and names items, as "2 images without a pose, left out: a.jpg, b.jpg"; none of none."""
     if not names:
         return []
     more = f" and {len(names) - 10} more" if len(names) > 10 else ""

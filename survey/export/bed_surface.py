@@ -163,7 +163,7 @@ def poisson_surface(points: np.ndarray, spacing_m: float, path: str | Path) -> t
     )
     vertices, faces = np.asarray(mesh.vertices) + middle, np.asarray(mesh.triangles)
     distance, _ = cKDTree(points).query(vertices, distance_upper_bound=TRIM * spacing_m, workers=-1)
-    return without_loose(vertices, faces[np.isfinite(distance)[faces].all(axis=1)])
+    return without_unused_vertices(vertices, faces[np.isfinite(distance)[faces].all(axis=1)])
 
 
 def solid_of(vertices: np.ndarray, faces: np.ndarray, thickness_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -186,18 +186,18 @@ def solid_of(vertices: np.ndarray, faces: np.ndarray, thickness_m: float) -> tup
     above : (2 V',) int
         Number of the vertex of the surface that each stands for.
     """
-    faces, kept = _parted(faces)
+    faces, kept = _split_vertices(faces)
     top = vertices[kept]
     bottom = top.copy()
     bottom[:, 2] = vertices[:, 2].min() - thickness_m
     number = len(top)
-    rim = _rim(faces)
+    rim = _boundary_edges(faces)
     a, b = rim.T
     walls = np.concatenate([np.stack([b, a, a + number], 1), np.stack([b, a + number, b + number], 1)])
     return np.concatenate([top, bottom]), np.concatenate([faces, faces[:, ::-1] + number, walls]), np.tile(kept, 2)
 
 
-def _rim(faces: np.ndarray) -> np.ndarray:
+def _boundary_edges(faces: np.ndarray) -> np.ndarray:
     """Edges (E, 2), in the direction of their face, that one face alone has."""
     edges = _edges(faces)
     _, place, count = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
@@ -208,7 +208,7 @@ def _edges(faces: np.ndarray) -> np.ndarray:
     return np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
 
 
-def _parted(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _split_vertices(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Faces whose vertices have one fan of faces each; the old number of each new vertex.
 
     Corners of faces are one vertex where a chain of faces with common edges joins them.
@@ -247,10 +247,10 @@ def delaunay_surface(points: np.ndarray, std: np.ndarray, spacing_m: float) -> t
         Without those that have a side of more than `LONGEST` spacings in plan.
     """
     chosen, south = surest(points, std, spacing_m), float(points[:, 1].min())
-    return without_loose(chosen, triangles(points[chosen, :2], south, LONGEST * spacing_m, spacing_m))
+    return without_unused_vertices(chosen, triangles(points[chosen, :2], south, LONGEST * spacing_m, spacing_m))
 
 
-def without_loose(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def without_unused_vertices(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The mesh without vertices that no face has."""
     used = np.zeros(len(vertices), dtype=bool)
     used[faces] = True

@@ -43,7 +43,7 @@ def export(run: str | Path, *, options: ExportOptions | None = None, **files: st
     ------
     SurveyError
         If a length is unusable, nothing is asked for, a name does not end as its product does, an option has no effect
-        on any of them, the folder is no run, or the run has not come as far as the cloud.
+        on any of them, the folder is not a run, or the run has not come as far as the cloud.
     OutputError
         If a file must not be written, see `survey.files.outputs`: a file that is there is replaced only where bathynerf
         wrote it.
@@ -59,7 +59,7 @@ def export(run: str | Path, *, options: ExportOptions | None = None, **files: st
         for product, path in wanted:
             _require_writable(product, path, inputs)
         loaded.folder.warn_if_unfinished()
-        if options.crs is not None and (doubt := loaded.way_to(options.crs).doubt) is not None:
+        if options.crs is not None and (doubt := loaded.transformation_to(options.crs).doubt) is not None:
             current().warn(doubt)
         with current().stage("Export", len(wanted)) as stage:
             for product, path in wanted:

@@ -91,7 +91,7 @@ def _gridded(run: LoadedRun, options: ExportOptions) -> Gridded:
     columns = run.columns(*_COLUMNS)
     points, crs = columns["points_crs"], run.place.crs
     if options.crs is not None:
-        way = run.way_to(options.crs)
+        way = run.transformation_to(options.crs)
         points, crs = way(points), way.crs
     cells = PlanCells.over(points, crs, options.resolution_m or round_side(_DEFAULT_PX * pixel))
     points[:, 2] *= height_unit_m(crs)

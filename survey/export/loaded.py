@@ -44,7 +44,7 @@ class LoadedRun:
     Raises
     ------
     SurveyError
-        If the folder is no run, or the run has not come as far as the cloud.
+        If the folder is not a run, or the run has not come as far as the cloud.
     """
 
     def __init__(self, path: str | Path):
@@ -101,7 +101,7 @@ class LoadedRun:
 
         return load_bed_columns(self._bed_folder, *names)
 
-    def way_to(self, crs: str) -> Reprojection:
+    def transformation_to(self, crs: str) -> Reprojection:
         """Transformation from the CRS of the survey to another one; see `geo.reproject.Reprojection`.
 
         Raises
@@ -122,10 +122,10 @@ class LoadedRun:
         return self._ways[crs]
 
     def bed_in(self, crs: str | None) -> StoredBed:
-        """The cloud with its coordinates in another CRS; None for that of the survey. Errors as `way_to`."""
+        """The cloud with its coordinates in another CRS; None for that of the survey. Errors as `transformation_to`."""
         if crs is None:
             return self.bed
-        way = self.way_to(crs)
+        way = self.transformation_to(crs)
         return replace(self.bed, points_crs=way(self.bed.points_crs), crs=way.crs)
 
     def once(self, key: Hashable, make: Callable[[], _Made]) -> _Made:

@@ -65,7 +65,7 @@ def _mesh(path: Path, run: LoadedRun, options: ExportOptions) -> Mesh:
     )
     vertices, crs = frame.crs_from_local(mesh.vertices), frame.crs
     if options.crs is not None:
-        way = run.way_to(options.crs)
+        way = run.transformation_to(options.crs)
         vertices, crs = way(vertices), way.crs
     return replace(mesh, vertices=vertices, crs=crs)
 

@@ -91,7 +91,7 @@ class _Photographs:
         self._scale = float(read_json_object(run.folder.plan_path)["image_scale"])
         self.mapped = {view: place for place, view in enumerate(self._swept.views)}
         if not self.mapped:
-            raise SurveyError(f"the run {run.folder.path} has no height maps; give the same `bathynerf process` again")
+            raise SurveyError(f"the run {run.folder.path} has no height maps; run the same `bathynerf process` again")
 
     def source(self, number: int) -> Source:
         """The photograph of a number."""
@@ -117,7 +117,7 @@ def _gains(
     field: ImageBasedField, numbers: Sequence[int], points: np.ndarray, advance: Callable[[], object]
 ) -> np.ndarray:
     """Factors (V, 3) that bring the colours of some photographs to their common exposure, by what they show at points
-    (N, 3), local. What the water takes along an oblique path is no exposure, and stays."""
+    (N, 3), local. What the water takes along an oblique path is not an exposure, and stays."""
     heights = heights_over(points, field.water)
     shown = np.full((len(numbers), len(points), 3), np.nan, dtype=np.float32)
     lengths = np.zeros(shown.shape[:2], dtype=np.float32)

@@ -122,7 +122,7 @@ def with_unseen(run: LoadedRun, stored: StoredBed, crs: str | None) -> tuple[Sto
     )
     points = unseen.frame.crs_from_local(xyz)
     if crs is not None:
-        points = run.way_to(crs)(points)
+        points = run.transformation_to(crs)(points)
     classes = [classes_of(bed.wet), np.full(number, CLASS_NO_BOTTOM), np.full(number, CLASS_WATER_SURFACE)]
     common = stored.std_common
     whole = replace(
@@ -211,11 +211,11 @@ def unseen_areas(run: LoadedRun, options: ExportOptions) -> Layer:
 def _in_crs(run: LoadedRun, options: ExportOptions, local: np.ndarray) -> np.ndarray:
     """Points (N, 3) [m], local, in plan (N, 2) in the CRS that is asked for."""
     points = run.flight.frame.crs_from_local(local)
-    return (points if options.crs is None else run.way_to(options.crs)(points))[:, :2]
+    return (points if options.crs is None else run.transformation_to(options.crs)(points))[:, :2]
 
 
 def _crs(run: LoadedRun, options: ExportOptions) -> CRS:
-    return run.place.crs if options.crs is None else run.way_to(options.crs).crs
+    return run.place.crs if options.crs is None else run.transformation_to(options.crs).crs
 
 
 def write_mask(path: Path, run: LoadedRun, options: ExportOptions) -> None:

@@ -176,7 +176,7 @@ def _field_folder(folder: RunDir) -> Path:
         return folder.load_stage(FIELD_STAGE)
     except SurveyError as error:
         raise SurveyError(
-            f"the run {folder.path} has no trained field; give `bathynerf process` again with --field slab, or leave "
+            f"the run {folder.path} has no trained field; run `bathynerf process` again with --field slab, or leave "
             "--field out: its photographs are rendered then"
         ) from error
 

@@ -206,12 +206,12 @@ def odm_crs(line: str, where: str, name: str, error: type[SurveyError]) -> CRS:
     if utm is not None:
         zone = int(utm[1])
         if not 1 <= zone <= 60:
-            raise error(f"{said} is no UTM zone, expected 1 to 60; correct it")
+            raise error(f"{said} is not a UTM zone, expected 1 to 60; correct it")
         return CRS.from_epsg((32600 if utm[2].upper() == "N" else 32700) + zone)
     if not is_odm_crs(line):
         if sum(_is_number(word) for word in line.split()) > 1:
             raise error(f"{said} is a line of a point, expected the CRS before it, {_FORM}; add it")
-        raise error(f"{said} is no CRS that {name} may begin with, expected {_FORM}; correct it")
+        raise error(f"{said} is not a CRS that {name} may begin with, expected {_FORM}; correct it")
     try:
         crs = crs_of(f"EPSG:{epsg[1]}" if epsg is not None else line.strip("'\""))
     except CRSError as wrong:

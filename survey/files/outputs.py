@@ -29,7 +29,7 @@ NAME, OWNER = ".lock", ".lock.pid"
 class ReadFiles:
     """Files that a command reads."""
 
-    files: tuple[Path, ...] = ()  # Those that do not exist are no input
+    files: tuple[Path, ...] = ()  # Those that do not exist are not input
     folders: tuple[Path, ...] = ()  # Everything in them and below them is read
 
     @classmethod
@@ -139,7 +139,7 @@ def _require_permission(said: str, folder: Path) -> None:
     try:
         TemporaryFile(dir=folder).close()
     except OSError as error:
-        raise OutputError(f"{said}but {folder} takes no new file ({error.strerror}); name another place") from error
+        raise OutputError(f"{said}but {folder} accepts no new file ({error.strerror}); name another place") from error
 
 
 @contextmanager

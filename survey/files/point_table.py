@@ -287,7 +287,7 @@ def _require_one_column(path: Path, synonyms: dict[str, str], error: type[Survey
 
 
 def _is_of_numbers(path: Path, error: type[SurveyError]) -> bool:
-    """Whether the first line is no line of words; raises where such a table cannot be taken by place."""
+    """Whether the first line is not a line of words; raises where such a table cannot be taken by place."""
     cells = first_cells(path, error)
     numbers = [number_of(cell, ",") for cell in cells]
     if not any(math.isfinite(number) for number in numbers):

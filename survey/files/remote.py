@@ -75,7 +75,7 @@ class Remote:
         try:
             import fsspec
         except ModuleNotFoundError as error:
-            raise SurveyError(f"{url} takes fsspec, which is not installed: pip install 'bathynerf[remote]'") from error
+            raise SurveyError(f"{url} needs fsspec, which is not installed: pip install 'bathynerf[remote]'") from error
         with _refusals(self.url):
             # As `Path.as_uri` writes them; fsspec takes a path as it is.
             is_path = self.url.lower().startswith(("file://", "local://"))
@@ -242,7 +242,7 @@ def _refusals(url: str) -> Iterator[None]:
         raise
     except ImportError as error:
         raise SurveyError(
-            f"{url} takes a library that is not installed ({error}); for s3:// pip install 'bathynerf[remote]'"
+            f"{url} needs a library that is not installed ({error}); for s3:// pip install 'bathynerf[remote]'"
         ) from error
     except FileNotFoundError as error:
         raise SurveyError(f"{url} is not there ({error}); make the bucket or folder, or correct the URL") from error
@@ -260,5 +260,5 @@ def _refusals(url: str) -> Iterator[None]:
             ) from error
         raise NotReached(
             f"{url} was not reached ({type(error).__name__}: {error}); check the URL, the network and the settings of "
-            "the store, for s3:// AWS_ENDPOINT_URL, and give the same command again"
+            "the store, for s3:// AWS_ENDPOINT_URL, and run the same command again"
         ) from error

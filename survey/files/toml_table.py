@@ -100,7 +100,7 @@ def parse_toml(
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"not valid TOML: {error}; correct that line") from error
     except RecursionError as error:
-        raise ConfigError("its tables and lists are nested too deep for settings; correct it") from error
+        raise ConfigError("its tables and lists are nested too deeply for settings; correct it") from error
     return _Reader(kind, synonyms or {}, not_yet or {}).table(kind, "", tables)
 
 

@@ -62,7 +62,7 @@ def read_xml(path: Path, content: str, error: type[SurveyError]) -> Element:
     except SurveyError:
         raise
     except (expat.ExpatError, ValueError, LookupError) as problem:
-        raise error(f"{path} is not whole XML ({problem}); export {content} again") from problem
+        raise error(f"{path} is not well-formed XML ({problem}); export {content} again") from problem
     except OSError as problem:
         raise error(f"{path} cannot be read ({problem.strerror}); correct its name or its permissions") from problem
     return builder.close()

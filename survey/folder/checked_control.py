@@ -23,10 +23,10 @@ from survey.photos.cameras import View
 from survey.photos.poses import TiePoints, least_track, parts_of
 from survey.pose_files import find_unread
 from survey.settings.tables import per_direction
-from survey.sfm.control_fit import MIN_POINTS, agreed, coordinates, line_of_control, require_meeting, spread_of
+from survey.sfm.control_fit import MIN_POINTS, agreed, coordinates, line_of_control, require_consistent_marks, spread_of
 from survey.sfm.gps import is_whole, what_is_missing
 from survey.sfm.gps_fit import HOLD_THE_ROLL
-from survey.sfm.marked import BlockControl, Met, Posed, meet
+from survey.sfm.marked import BlockControl, Intersections, Posed, intersect_marks
 from survey.words import GEO_TXT
 
 # On straight rays the bed seems higher than it is by about a quarter of its depth.
@@ -210,8 +210,8 @@ def checked_control(
     """
     block = of_block(control, frame, found)
     posed = {view.name: Posed(view.lens, view.camera.centre, view.camera.cam_from_local) for view in views}
-    met = meet(block, posed)
-    require_meeting(block, posed, met)
+    met = intersect_marks(block, posed)
+    require_consistent_marks(block, posed, met)
     fit = agreed(met, posed) if _can_be_compared(met) else None
     wrong = {} if fit is None else fit.wrong
     warnings = _left_out(met, wrong)
@@ -239,7 +239,7 @@ def checked_control(
     return checked, Findings(warnings=tuple(warnings))
 
 
-def _can_be_compared(met: Met) -> bool:
+def _can_be_compared(met: Intersections) -> bool:
     """Whether control points determine a similarity by themselves; on one line they need positions."""
     if len(met.points) < MIN_POINTS:
         return False
@@ -247,7 +247,7 @@ def _can_be_compared(met: Met) -> bool:
     return across >= least
 
 
-def _left_out(met: Met, wrong: Mapping[str, float]) -> list[str]:
+def _left_out(met: Intersections, wrong: Mapping[str, float]) -> list[str]:
     return [
         *named(
             [f"{mark.point} in {mark.view}" for mark in met.wrong_marks],

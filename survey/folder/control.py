@@ -228,7 +228,7 @@ _LEAST_ABOVE_M, _LEAST_SIGMAS = 0.1, 3.0
 # Around the middle of the cameras and tie points, in sizes of what these span.
 _REACH = 1.5
 _MOST_POINTS = 1_000_000
-# Fewer points are no ground.
+# Fewer points are not ground.
 _FEWEST = 50
 
 

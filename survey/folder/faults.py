@@ -278,7 +278,7 @@ def exif_doubts(heights_m: Mapping[str, float], heads: Mapping[str, Exif]) -> li
     return [
         f"the poses lie {abs(higher):.0f} m {'above' if higher > 0.0 else 'below'} the heights in EXIF, about as much "
         f"as the geoid differs from the ellipsoid here ({undulation:.0f} m): one of them counts from the ellipsoid; "
-        "check that [water] level_m counts from where the poses do"
+        "check that [water] level_m has the datum of the poses"
     ]
 
 

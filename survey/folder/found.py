@@ -23,13 +23,13 @@ from survey.folder import infer
 from survey.folder.control import FoundControl, find_control
 from survey.folder.geo_txt import find_geo_txt, with_positions
 from survey.folder.positions import position_doubts
-from survey.photos.exif import SUFFIXES, Exif, position_sources, read_exif, without_void
+from survey.photos.exif import SUFFIXES, Exif, position_sources, read_exif, without_void_fixes
 from survey.photos.images import fetch_images, list_images, same_files
 from survey.pose_files import find_poses, find_unread, pose_files
 from survey.settings.config import SurveyConfig, read_config
 from survey.settings.tables import ProcessConfig
 from survey.sfm.datum import EXACT, DatumStd, least, plan_std
-from survey.sfm.gps import datum_doubts, ways_into_crs
+from survey.sfm.gps import datum_doubts, transforms_into_crs
 from survey.water.level import with_level
 from survey.water.level_observation import LevelObservation, doubts_of_water_places
 from survey.water.tides import Tide
@@ -96,7 +96,7 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
         heads, said = with_positions(table, heads)
         assumptions += said.assumptions
         warnings += said.warnings
-    heads = without_void(heads)
+    heads = without_void_fixes(heads)
     if not toml.is_file() or (config.crs is None and infer.says_no_place(config)):
         config, said = infer.config_of_images(folder, config, heads, poses_path)
         assumptions += said.assumptions
@@ -121,7 +121,7 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
         warnings += doubts_of_water_places(crs, exif_places, config.water, levels)
     if config.water is None and not config.dry:
         warnings.append(infer.NO_WATER)
-    ways = ways_into_crs(heads, crs, config.cameras.gps_height) if poses_path is None else []
+    ways = transforms_into_crs(heads, crs, config.cameras.gps_height) if poses_path is None else []
     if poses_path is None:
         warnings += [*datum_doubts(ways), *find_unread(folder)]
     has_attitudes = any(head.motion.gimbal_deg is not None for head in heads.values())

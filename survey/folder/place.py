@@ -130,7 +130,7 @@ def water_in_local(
     if given.level_at is None:
         middle = frame.crs_from_local(np.mean([view.camera.centre for view in views], axis=0))
         given = replace(given, level_at=(float(middle[0]), float(middle[1])))
-    if not given.says_index:
+    if not given.states_index:
         given = replace(given, index_std=ASSUMED_INDEX_STD)
     index, said = refractive_index(given, lambda: matched_light(views))
     given = replace(given, refractive_index=index, medium=Medium())

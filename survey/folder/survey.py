@@ -248,7 +248,7 @@ def load_survey(
             placed.tool,
             placed.reprojection,
             is_level_known=is_level_known,
-            is_index_known=placed.found.config.water is None or placed.found.config.water.says_index,
+            is_index_known=placed.found.config.water is None or placed.found.config.water.states_index,
         ),
         findings=Findings(tuple(assumptions), tuple(warnings)),
     )

@@ -37,7 +37,7 @@ from survey.photos.poses import TiePoints, least_track
 from survey.settings.config import SurveyConfig
 from survey.sfm.control_fit import line_of_control
 from survey.sfm.datum import require_as_good
-from survey.sfm.gps import gps_positions, is_whole, positions_in_crs, ways_into_crs
+from survey.sfm.gps import gps_positions, is_whole, positions_in_crs, transforms_into_crs
 from survey.sfm.gps_fit import HOLD_THE_ROLL, MIN_STD_M, contradicted, line_of
 from survey.sfm.marked import BlockControl
 from survey.sfm.settings import one_focal, require_mapper, require_size, require_solver
@@ -116,7 +116,7 @@ def require_solvable(found: Found) -> list[str]:
     cameras = found.config.cameras
     require_mapper(cameras.mapper)
     require_level_fits_exif(found.config, found.heads, found.crs)
-    for way in ways_into_crs(found.heads, found.crs, cameras.gps_height):
+    for way in transforms_into_crs(found.heads, found.crs, cameras.gps_height):
         std = best_plan_std(cameras, [found.heads[name] for name in way.names])
         require_as_good(way.plan, std, way.said, 0 if found.control is None else found.control.num_given)
     require_size(found.images, found.heads, cameras.size_px)

@@ -98,7 +98,7 @@ def dem_of(path: Path, options: ExportOptions) -> Dem:
     with LoadedRun(path) as run, TemporaryDirectory(prefix="bathynerf-dem-") as folder:
         file = Path(folder) / "dem.tif"
         product.write(file, run, options)
-        crs = run.place.crs if options.crs is None else run.way_to(options.crs).crs
+        crs = run.place.crs if options.crs is None else run.transformation_to(options.crs).crs
         with rasterio.open(file) as raster:
             layers = dict(zip(_BANDS, raster.read(masked=True).filled(np.nan), strict=True))
             transform, (rows, columns) = raster.transform, raster.shape
@@ -124,7 +124,7 @@ class Run:
     Raises
     ------
     SurveyError
-        If the folder is no run, or not a finished one.
+        If the folder is not a run, or not a finished one.
     """
 
     def __init__(self, folder: str | Path):

@@ -11,7 +11,7 @@ from survey.files.toml_table import schema_of
 from survey.folder import infer
 from survey.folder.geo_txt import find_geo_txt, with_positions
 from survey.init.place import Answers, FolderPhotographs, SettingsTable, require_in_place, write_crs, write_origin
-from survey.photos.exif import read_exif, without_void
+from survey.photos.exif import read_exif, without_void_fixes
 from survey.photos.images import list_images
 from survey.pose_files import find_poses, read_poses
 from survey.settings.config import SurveyConfig, parse_config
@@ -88,7 +88,7 @@ def draft(folder: Path, answers: Answers) -> str:
     table, said = find_geo_txt(folder, folder / inferred.images.dir), Findings()
     if table is not None:
         heads, said = with_positions(table, heads)
-    heads = without_void(heads)
+    heads = without_void_fixes(heads)
     poses = find_poses(folder)
     if poses:
         others = ", ".join(path.relative_to(folder).as_posix() for path in poses[1:])
@@ -101,7 +101,7 @@ def draft(folder: Path, answers: Answers) -> str:
     photographs = FolderPhotographs(heads, poses[0] if poses else None, read_poses(poses[0]) if poses else None)
     if photographs.file is not None and any(pose.lens is None for pose in photographs.file.poses):
         cameras.say(
-            "Not certain: the lens, by EXIF where it tells the focal length. Of a calibration:",
+            "Not certain: the lens, by EXIF where it states the focal length. With a calibration:",
             'model = "OPENCV"    # with size_px, focal_px, principal_point_px and distortion (docs/survey-toml.md)',
         )
     crs = write_crs(photographs, answers, top, cameras)

@@ -56,7 +56,7 @@ class Answers:
         Raises
         ------
         ConfigError
-            If the answer is no number, or is required and missing.
+            If the answer is not a number, or is required and missing.
         """
         text = "" if self.ask is None else self.ask(question).strip()
         if not text and otherwise is not None:

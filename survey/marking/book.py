@@ -82,7 +82,7 @@ class Book:
 
     @property
     def can_undo(self) -> bool:
-        """Whether there is an edit to take back."""
+        """Whether there is an edit to undo."""
         return bool(self._done)
 
     def points(self) -> dict[PointKey, GivenPoint | None]:
@@ -157,7 +157,7 @@ class Book:
             If there is none.
         """
         if not self._done:
-            raise SurveyError("there is nothing to take back")
+            raise SurveyError("there is nothing to undo")
         edit = self._done[-1]
         if edit.key.kind == WATER:
             self._spots[edit.key.name] = None

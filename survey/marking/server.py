@@ -162,7 +162,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(HTTPStatus.NOT_FOUND, "text/plain", b"there is no such page")
 
     def do_POST(self):
-        """Marks set, moved and removed, points added, the last edit taken back: answered with the new state."""
+        """Marks set, moved and removed, points added, the last edit undone: answered with the new state."""
         length = self.headers.get("Content-Length", "")
         if not (length.isdigit() and int(length) <= _LONGEST_REQUEST):
             self.close_connection = True

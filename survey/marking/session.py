@@ -223,7 +223,7 @@ class MarkingSession:
     def _place(
         self, key: PointKey, point: GivenPoint | None, own: Mapping[str, Pixel], common: np.ndarray
     ) -> np.ndarray | None:
-        """Predicted place of a point (3,), local: where its marks meet, else by its coordinates, else on the water.
+        """Predicted place of a point (3,), local: intersection of its marks, else its coordinates, else on the water.
 
         Coordinates are moved by what the marked points have in common: positions by GPS put a block metres aside.
         """
@@ -239,7 +239,7 @@ class MarkingSession:
         return None
 
     def _common(self, points: _Points, marks: _Marks) -> tuple[np.ndarray, int]:
-        """Medians of where marks put points less their coordinates (3,) [m], local, and the number of points."""
+        """Median offset (3,) [m], local, of intersected marks from the coordinates of their points; their number."""
         steps = []
         for key, own in marks.items():
             met, given = self._meet(key, own), self._given(points.get(key))

@@ -134,14 +134,14 @@ def intersect(
     place = np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, centres))
     std = np.repeat(np.asarray(stds_px, dtype=np.float64), 2)
     for _ in range(_ROUNDS):
-        miss, slope = _misses(cameras, pixels, place, water)
+        miss, slope = _residuals(cameras, pixels, place, water)
         if not np.isfinite(miss).all() or not np.isfinite(slope).all():
             return None
         step = np.linalg.lstsq(slope / std[:, None], -miss / std, rcond=None)[0]
         place = place + step
         if np.abs(step).max() < 1e-6:
             break
-    miss, slope = _misses(cameras, pixels, place, water)
+    miss, slope = _residuals(cameras, pixels, place, water)
     if not np.isfinite(miss).all() or not np.isfinite(slope).all():
         return None
     covariance = np.linalg.inv((slope / std[:, None]).T @ (slope / std[:, None]))
@@ -157,7 +157,7 @@ def projection_and_slope(
     return moved[0], (moved[1:4] - moved[4:]).T / (2.0 * step)
 
 
-def _misses(
+def _residuals(
     cameras: Sequence[PinholeCamera], pixels: np.ndarray, place: np.ndarray, water: FlatWater | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Residuals of a place at its marks (2 N,) [px], and their derivatives (2 N, 3)."""
@@ -212,7 +212,7 @@ def _texts(views: Sequence[View], head: str, points: str, ties: TiePoints | None
     cameras = head + "".join(_lens_line(number, lens) for number, lens in enumerate(lenses, start=1))
     seen = [""] * len(views)
     if ties is not None:
-        points, seen = points + _point_lines(views, ties), _seen_lines(len(views), ties)
+        points, seen = points + _point_lines(views, ties), _observation_lines(len(views), ties)
     return dict(zip(FILES, (cameras, "".join(_pose_lines(views, lenses, seen)), points), strict=True))
 
 
@@ -231,7 +231,7 @@ def _pose_lines(views: Sequence[View], lenses: tuple[Lens, ...], seen: Sequence[
     return lines
 
 
-def _seen_lines(num_views: int, ties: TiePoints) -> list[str]:
+def _observation_lines(num_views: int, ties: TiePoints) -> list[str]:
     """Lines of each photograph: x, y and the number of the point of all observations in it, in their order."""
     return [
         " ".join(

@@ -31,8 +31,8 @@ _NEAR_END = 64
 _TIFF_BITS, _TIFF_COMPRESSION, _TIFF_PLANES, _TIFF_TILE_WIDTH = 258, 259, 284, 322
 _DEFLATE = (8, 32946)
 _ZEROS, _SECTOR = bytes(64), bytes(512)
-_ZEROS_SAID = "zeros stand where compressed pixels should"
-_ZEROS_OF_PIXELS = "from within a row on zeros stand where pixels should"
+_ZEROS_SAID = "compressed pixels are overwritten by zeros"
+_ZEROS_OF_PIXELS = "pixels are zeros from the middle of a row on"
 _WEBP_BEGIN, _WEBP_LOSSLESS, _WEBP_LOSSY = b"RIFF", b"VP8L", b"VP8 "
 # A sector of zeros is so many equal pixels at least where it is whole: of a flat photograph, in codes of a few bits.
 _EQUAL_PIXELS = 1024
@@ -60,7 +60,7 @@ def fault_of(path: Path) -> str | None:
     Raises
     ------
     ImageError
-        Where the file is no image.
+        Where the file is not an image.
     """
     if path.suffix.lower() in (".tif", ".tiff"):
         with open_image(path) as image, path.open("rb") as file:
@@ -89,7 +89,7 @@ def _damage_of_png(file: BinaryIO) -> str | None:
             continue
         content = file.read(length)
         if len(content) < length or zlib.crc32(content, zlib.crc32(head[4:])) != int.from_bytes(file.read(4), "big"):
-            return "the checksum of a part does not fit"
+            return "the checksum of a chunk does not match"
         if head[4:] == b"IHDR":
             header = content
         while head[4:] == b"IDAT" and content and not stream.eof:
@@ -190,7 +190,7 @@ def is_complete(path: Path) -> bool:
     Raises
     ------
     ImageError
-        Where the file is no image.
+        Where the file is not an image.
     """
     suffix = path.suffix.lower()
     if suffix in (".tif", ".tiff"):
@@ -294,7 +294,7 @@ def _has_zero_sectors(pixels: np.ndarray, row: int, offset: int) -> bool:
 
 
 def has_zeros(data: bytes) -> bool:
-    """Whether zeros stand in a picture of a HEIC file; False for other pictures and boxes that are not understood."""
+    """Whether a picture of a HEIC file has runs of zeros; False for other pictures and unknown boxes."""
     for kind, at, end in _boxes(data, 0, len(data)):
         if kind == b"meta":
             inner = {name: (begin, to) for name, begin, to in _boxes(data, at + 4, end)}

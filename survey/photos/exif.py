@@ -68,7 +68,7 @@ class TablePlace:
 
 @dataclass(frozen=True)
 class Exif:
-    """Head of an image file."""
+    """Metadata of an image file."""
 
     size_px: tuple[int, int]  # (width, height): as stored, without the rotation in `orientation`
     # (latitude [deg], longitude [deg], height [m]) or None: GPS position, WGS 84; the height is NaN where the file has
@@ -109,7 +109,7 @@ def read_exif(path: Path) -> Exif:
     Raises
     ------
     ImageError
-        Where the file is no image, or one that is too large for this machine.
+        Where the file is not an image, or one that is too large for this machine.
     """
     stat = path.stat()
     return _read_exif(path, stat.st_ctime_ns, stat.st_size)
@@ -156,7 +156,7 @@ def _read_exif(path: Path, _changed: int, _size: int) -> Exif:
     )
 
 
-def without_void(heads: Mapping[str, Exif]) -> dict[str, Exif]:
+def without_void_fixes(heads: Mapping[str, Exif]) -> dict[str, Exif]:
     """Heads of photographs by name, without the positions that receivers call void, where their camera has others.
 
     A camera most of whose positions are void says so of all: they are kept.

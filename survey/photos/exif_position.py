@@ -144,7 +144,7 @@ def plain(value: Any) -> str:
 
 
 def words(value: Any) -> str:
-    """A text of EXIF for messages: without what a terminal obeys, and not longer than a line."""
+    """A text of EXIF for messages: without control characters, and not longer than a line."""
     text = str(value)[:_LONGEST_WORDS]
     return "".join(letter for letter in text if letter.isprintable()).strip()
 

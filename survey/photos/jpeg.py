@@ -5,7 +5,7 @@ scan of a sequential JPEG is decoded from a stream that tells how much of it was
 when the scan ends, and not before. Between restart markers, after which a decoder finds its way again, each part is
 decoded by itself. What is replaced by other data of just as many blocks leaves a seam. Of
 several scans, as progressive ones have them, the headers tell whether one is missing, and libjpeg's warnings whether
-one has other bytes than its blocks need; for single scans these warnings are no evidence, as some cameras add bytes.
+one has other bytes than its blocks need; for single scans these warnings are not evidence, as some cameras add bytes.
 
 Two streams joined where both have used the same number of blocks decode without a fault. But the rows of pixels that
 meet there belong to different places: right of one block in its row of blocks, and left of it in the next row. Joined
@@ -51,13 +51,13 @@ _MOST_PARTS = 1000
 _LONGEST_SIDE = 65_500
 # So many bytes of zeros are more than two blocks whose 64 coefficients have the shortest code each, and no photograph.
 _ZEROS, _SECTOR = bytes(64), bytes(512)
-_ZEROS_SAID = "zeros stand where compressed pixels should"
+_ZEROS_SAID = "compressed pixels are overwritten by zeros"
 _BLOCK = 8
 _MOST_TO_GREY = 3
 # What libjpeg says where a few bytes stand before the end mark. Whether this is there is not asked here.
 _OF_THE_END = re.compile(r"Corrupt JPEG data: \d extraneous bytes before marker 0xd9")
 _END = bytes([0xFF, _EOI])
-_SEAM_SAID = "from one row of blocks on it shows another place, as where parts of two files were joined"
+_SEAM_SAID = "from one row of blocks on it shows another scene, as if parts of two files were joined"
 
 
 def has_seam(grey: np.ndarray, step: int) -> bool:
@@ -106,7 +106,7 @@ def _scores(grey: np.ndarray, step: int, shift: int) -> tuple[np.ndarray, np.nda
 
 
 def _sums(larger: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sums (R, num + 1) of (R, num), less what is usual, right of each border between parts, and left of it."""
+    """Sums (R, num + 1) of values (R, num) less their median over R, right and left of each border between parts."""
     larger = larger - np.median(larger, axis=0)
     left = np.concatenate([np.zeros((len(larger), 1)), np.cumsum(larger, axis=1)], axis=1)
     return left[:, -1:] - left, left
@@ -221,7 +221,7 @@ def _missing_scan(layout: _Layout) -> str | None:
             if bits & 15 == 0 and last > 0:
                 highest[part, 1] = max(highest.get((part, 1), 0), last)
     missing -= {(part, i) for (part, i), last in highest.items() if i == 1 and last == _BLOCK**2 - 1}
-    return "not all of its scans are there" if missing else None
+    return "some of its scans are missing" if missing else None
 
 
 def _scans_fault(layout: _Layout, data: bytes) -> str | None:
@@ -287,7 +287,7 @@ def _scan_fault(layout: _Layout, frame: bytes, scan: bytes, *, seams: bool = Fal
         except OSError as error:
             return " ".join(str(error).split())[:100]
         if stream.asked == 0:
-            return "there are more compressed bytes than its pixels need, as where parts of two files were joined"
+            return "there are more compressed bytes than its pixels need, as if parts of two files were joined"
         if stream.asked > 1:
             return "the compressed pixels end early"
         return _seam(layout, image) if seams else None

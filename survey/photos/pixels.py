@@ -73,7 +73,7 @@ def open_image(path: Path) -> Iterator[Image.Image]:
     Raises
     ------
     ImageError
-        Where the file is no image, or one that is too large for this machine.
+        Where the file is not an image, or one that is too large for this machine.
     UnreadableFile
         Where the library that reads its format is not installed.
     OSError
@@ -106,7 +106,7 @@ def damage_named(said: str) -> Iterator[None]:
             raise
         why = " ".join(str(error).split())[:200] or type(error).__name__
         if isinstance(error, UnidentifiedImageError):  # its own text names an object of Python
-            why = "it does not begin as any known format does"
+            why = "its first bytes are those of no known format"
         raise ImageError(f"{said} ({why}); copy it again or remove it") from error
 
 
@@ -184,7 +184,7 @@ def read_grey(path: Path) -> np.ndarray:
 def read_opaque(path: Path) -> np.ndarray | None:
     """Opaque pixels of an image with transparency, (height, width) bool; None where it has none.
 
-    A band beyond the colours that is a picture, as near infrared is, is no transparency, whatever the file calls it.
+    A band beyond the colours that is a picture, as near infrared is, is not transparency, whatever the file calls it.
     """
     with open_image(path) as image:
         if not _has_alpha(image):

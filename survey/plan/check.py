@@ -90,8 +90,8 @@ def unnamed_water(found: Found) -> list[str]:
     return named(
         names,
         "photograph",
-        f"{of}with large places as water looks, blue-green, or dark without texture (or asphalt, soil, shade): if it "
-        "is water, give [water] level_m",
+        f"{of}with large areas that look like water, blue-green, or dark without texture (or asphalt, soil, shade): if "
+        "it is water, give [water] level_m",
     )
 
 

@@ -149,7 +149,7 @@ def make_plan(survey: Survey, chosen: Choices = USUAL, *, recipe: Recipe | None 
 def _poses(survey: Survey, chosen: Choices) -> Decision:
     choice, reason = pose_choice(survey, chosen.poses, free_water=chosen.calibrate_water)
     if chosen.plan == choices.Plan.full and choice == "check":
-        return Decision("poses", "refine", f"{FULL}: adjusted without asking first")
+        return Decision("poses", "refine", f"{FULL}: adjusted without a test first")
     return Decision("poses", choice, reason)
 
 
@@ -209,13 +209,13 @@ def _level(survey: Survey) -> tuple[Decision, ...]:
 
 
 def _by_place(survey: Survey, departure: Departure) -> Decision:
-    """Decision to follow water that is no plane."""
+    """Decision to follow water that is not a plane."""
     under = np.array([view.camera.centre[:2] for view in survey.views])
     away = length(float(np.abs(departure.at(under)[0]).max()))
     moved = "points of the bed are moved to it"
     if departure.source == EARTH:
-        return Decision(EARTH, "followed", f"still water lies up to {away} below the plane that touches it; {moved}")
-    said = f"{departure.source} lies up to {away} beside one plane under the cameras"
+        return Decision(EARTH, "followed", f"still water lies up to {away} below its tangent plane; {moved}")
+    said = f"{departure.source} lies up to {away} off one plane under the cameras"
     return Decision("level", "by place", f"{said}; {moved}")
 
 

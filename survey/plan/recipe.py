@@ -117,7 +117,7 @@ def aim_of(
     Raises
     ------
     SurveyError
-        If one is no positive number, or the quality, the field or the image scale is set too.
+        If one is not a positive number, or the quality, the field or the image scale is set too.
     """
     if std_m is None and seconds is None:
         return None

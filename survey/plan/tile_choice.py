@@ -29,12 +29,12 @@ SHARED = "shared.json"
 _SHARE_OF_FREE = 0.8
 # Tiles are no smaller than this many footprints: rims and windows would be most of the work.
 _LEAST_FOOTPRINTS = 0.5
-# Numbers of tiles up to this one are all tried where water is no plane.
+# Numbers of tiles up to this one are all tried where water is not a plane.
 _FEW = 12
 # Cores that one process makes good use of: the solver has no more threads.
 _CORES_OF_WORKER = 4
 # What a run without Dask is told.
-NO_DASK = "--workers and --scheduler take Dask, which is not installed: pip install 'bathynerf[cluster]'"
+NO_DASK = "--workers and --scheduler need Dask, which is not installed: pip install 'bathynerf[cluster]'"
 # Beside the points while bed and report are made.
 _REPORT_BYTES = 480e6
 

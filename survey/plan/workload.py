@@ -75,7 +75,7 @@ class Workload:
     # of them count
     is_bound: bool = False
     slowness: float | None = None  # How many times as long as on idle cores the seconds are; None for idle ones
-    # Of structure from motion, where it is a part of the run; the seconds are no bound then
+    # Of structure from motion, where it is a part of the run; the seconds are not a bound then
     sfm_seconds: float | None = None
 
     def on_loaded_cores(self, slowness: float) -> Workload:

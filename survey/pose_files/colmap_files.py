@@ -80,7 +80,7 @@ def images_txt(path: Path) -> list[Photo]:
         name = parts[9].strip()
         features = next(lines, "").split()
         if len(features) % 3:
-            raise ValueError(f"the line after image {name} is no list of points (x, y, id) and not empty")
+            raise ValueError(f"the line after image {name} is not a list of points (x, y, id) and not empty")
         xy = np.array([features[0::3], features[1::3]], dtype=np.float64).T
         point = np.array(features[2::3], dtype=np.int64)
         photos.append(Photo(int(parts[0]), int(parts[8]), name, _seven(parts[1:8]), xy, point))

@@ -51,7 +51,7 @@ def read_exterior_text(path: Path) -> PoseFile:
             poses[name] = _pose(name, values, unit, where)
     if heading.lstrip("# ").startswith(("epsg:", "+proj", "wgs84")):
         raise PosesError(
-            f"{path} begins with a CRS, as OpenDroneMap's geo.txt does, whose angles are no poses: under the name "
+            f"{path} begins with a CRS, as OpenDroneMap's geo.txt does, whose angles are not poses: under the name "
             f"{GEO_TXT} its positions are used without being named; {_EXPECTED}"
         )
     return PoseFile(tuple(poses.values()), PoseFrame.GRID, tool=tool)

@@ -241,7 +241,7 @@ def _pose(
         size = float(np.cbrt(np.linalg.det(turn)))
         is_rotation = 0.0 < size < np.inf and np.abs(turn.T @ turn / size**2 - np.eye(3)).max() <= _ROUNDED
     if not is_rotation or not np.isfinite(world_from_cam).all():
-        raise PosesError(f"{where}: its transform is no rotation with a scale; {_EXPORT}")
+        raise PosesError(f"{where}: its transform is not a rotation with a scale; {_EXPORT}")
     return Pose(name, world_from_cam[:3, 3], nearest_rotation(turn / size).T, lens, given)
 
 

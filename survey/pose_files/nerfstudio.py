@@ -38,7 +38,7 @@ def read_nerfstudio(path: Path) -> PoseFile:
     Raises
     ------
     PosesError
-        If the file is damaged, a matrix is no pose, or a lens is missing or not supported.
+        If the file is damaged, a matrix is not a pose, or a lens is missing or not supported.
     """
     data = read_foreign_json(path, PosesError)
     frames = data.get("frames") if isinstance(data, dict) else None
@@ -68,10 +68,10 @@ def read_nerfstudio(path: Path) -> PoseFile:
 def _pose(name: str, frame: dict, lens: Lens, applied: np.ndarray, scale: float, where: str) -> Pose:
     saved_from_cam = _matrix(frame.get("transform_matrix"), 4)
     if saved_from_cam is None or not np.array_equal(saved_from_cam[3], [0.0, 0.0, 0.0, 1.0]):
-        raise PosesError(f"{where}: its transform_matrix is no 4 x 4 matrix of a pose; {_EXPORT}")
+        raise PosesError(f"{where}: its transform_matrix is not a 4 x 4 matrix of a pose; {_EXPORT}")
     rotation = saved_from_cam[:3, :3]
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > _ROUNDED or np.linalg.det(rotation) < 0.0:
-        raise PosesError(f"{where}: its transform_matrix is no rotation and a position; {_EXPORT}")
+        raise PosesError(f"{where}: its transform_matrix is not a rotation and a position; {_EXPORT}")
     turn = applied[:, :3]
     centre = turn.T @ (saved_from_cam[:3, 3] / scale - applied[:, 3])
     return Pose(name, centre, _CAM_FROM_GRAPHICS @ (turn.T @ nearest_rotation(rotation)).T, lens)
@@ -83,7 +83,7 @@ def _applied(path: Path, data: dict) -> tuple[np.ndarray, float]:
     applied, scale = _matrix(given, 3), finite_number(data.get("applied_scale", 1.0))
     turn = np.zeros((3, 3)) if applied is None else applied[:, :3]
     if applied is None or np.abs(turn @ turn.T - np.eye(3)).max() > _ROUNDED or np.linalg.det(turn) < 0.0:
-        raise PosesError(f"{path}: applied_transform is no 3 x 4 matrix of a rotation and a shift; {_EXPORT}")
+        raise PosesError(f"{path}: applied_transform is not a 3 x 4 matrix of a rotation and a shift; {_EXPORT}")
     if scale is None or scale <= 0.0:
         raise PosesError(f"{path}: applied_scale is {shortened(str(scale))}, expected a number above 0; {_EXPORT}")
     return applied, scale

@@ -138,7 +138,7 @@ def _block(path: Path) -> _Block:
     found = read_foreign_json(path, PosesError)
     blocks = [block for block in found if isinstance(block, dict)] if isinstance(found, list) else []
     if not blocks or len(blocks) != len(found):
-        raise PosesError(f"{path} is no list of reconstructions, expected that of OpenSfM; {_EXPORT}")
+        raise PosesError(f"{path} is not a list of reconstructions, expected that of OpenSfM; {_EXPORT}")
     by_size = sorted(blocks, key=lambda block: -len(_object(block.get("shots"))))
     block = by_size[0]
     lenses = {}
@@ -178,8 +178,8 @@ def _pose(block: _Block, name: str, shot: dict) -> Pose:
     rotation, translation = (finite_numbers(shot.get(key), 3) for key in ("rotation", "translation"))
     if rotation is None or translation is None:
         raise PosesError(
-            f"{block.path}: the pose of {shortened(name)} is no rotation and translation of three finite numbers each; "
-            f"{_EXPORT}"
+            f"{block.path}: the pose of {shortened(name)} is not a rotation and translation of three finite numbers "
+            f"each; {_EXPORT}"
         )
     cam_from_world = Rotation.from_rotvec(rotation).as_matrix()
     centre = -cam_from_world.T @ np.array(translation)

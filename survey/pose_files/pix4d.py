@@ -134,7 +134,7 @@ def _camera(where: str, title: str, lines: list[str]) -> _Camera:
     # Numbers beyond those of a rotation would overflow in its product.
     is_rotation = np.abs(rotation).max() < 2.0 and np.abs(rotation @ rotation.T - np.eye(3)).max() <= _AGREE
     if not is_rotation or inner[0, 1] != 0.0 or inner[2].tolist() != [0, 0, 1]:
-        raise PosesError(f"{where}: its matrices are no rotation and no camera without skew; {_EXPORT}")
+        raise PosesError(f"{where}: its matrices are not a rotation and a camera without skew; {_EXPORT}")
     params = (inner[0, 0], inner[1, 1], inner[0, 2], inner[1, 2], k1, k2, p1, p2)
     width, height = (int(text) for text in size)
     try:

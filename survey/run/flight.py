@@ -119,7 +119,7 @@ def load_flight(run: Path) -> Flight:
         )
     except (KeyError, TypeError, ValueError) as error:
         why = "was made before runs kept their cameras" if not said else f"holds a {FLIGHT} that cannot be read"
-        raise SurveyError(f"the run {run} {why}; give the same `bathynerf process` again") from error
+        raise SurveyError(f"the run {run} {why}; run the same `bathynerf process` again") from error
 
 
 def _view(said: dict) -> View:

@@ -149,7 +149,7 @@ class RunDir:
             raise SurveyError(f"{self.path} is no run folder; {mend}")
         if not result.is_in_place(self.path):
             raise SurveyError(
-                f"`bathynerf process` was stopped while it put its result into {self.path}; give the same command again"
+                f"`bathynerf process` was stopped while it put its result into {self.path}; run the same command again"
             )
 
     def result(self) -> dict:
@@ -248,7 +248,7 @@ class RunDir:
         folder = self.stages_path / self.result().get("stages", {}).get(name, f"{name}-none")
         if not _record(folder):
             raise SurveyError(
-                f"the run {self.path} has no finished stage {name}; give the same `bathynerf process` again, "
+                f"the run {self.path} has no finished stage {name}; run the same `bathynerf process` again, "
                 "it resumes where it stopped"
             )
         return folder

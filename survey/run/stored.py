@@ -202,7 +202,7 @@ def _mapped(path: Path, stream: IO[bytes], start: int) -> np.ndarray:
 
 def unreadable(path: str | Path, why: Exception | str) -> SurveyError:
     """The error for a file that an earlier stage left."""
-    return SurveyError(f"{path} cannot be read ({why}); delete its folder and give `bathynerf process` again")
+    return SurveyError(f"{path} cannot be read ({why}); delete its folder and run `bathynerf process` again")
 
 
 def save_bed(folder: str | Path, stored: StoredBed) -> None:
@@ -256,7 +256,7 @@ def load_bed_place(folder: str | Path) -> BedPlace:
 
 
 def _no_bed(folder: str | Path, error: Exception) -> SurveyError:
-    return SurveyError(f"{folder} is no bed that can be read ({error}); delete it and give `bathynerf process` again")
+    return SurveyError(f"{folder} is no bed that can be read ({error}); delete it and run `bathynerf process` again")
 
 
 def load_bed_columns(folder: str | Path, *names: str) -> dict[str, np.ndarray]:

@@ -69,7 +69,7 @@ def load_field(folder: Path, device: Device) -> TensorField:
         field.load_state_dict(stored["state"])
     except _DAMAGE as error:
         raise SurveyError(
-            f"{path} cannot be read ({error}); delete its folder and give `bathynerf process` again"
+            f"{path} cannot be read ({error}); delete its folder and run `bathynerf process` again"
         ) from error
     field.density.is_fine = stored["is_fine"]
     return field
@@ -101,5 +101,5 @@ def load_place(folder: Path) -> tuple[LocalFrame, FlatWater | None]:
         return LocalFrame(CRS.from_wkt(place["crs"]), tuple(place["origin"])), water
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise SurveyError(
-            f"{path} cannot be read ({error}); delete its folder and give `bathynerf process` again"
+            f"{path} cannot be read ({error}); delete its folder and run `bathynerf process` again"
         ) from error

@@ -128,7 +128,7 @@ def _job_of(url: str, name: str) -> _WorkerJob:
     """The job that a worker saw last."""
     found = Remote(url).read(name)
     if found is None:
-        raise SurveyError(f"{url}/{name} is not there any more; give the same `bathynerf process` again")
+        raise SurveyError(f"{url}/{name} is not there any more; run the same `bathynerf process` again")
     return _WorkerJob(*pickle.loads(found))
 
 
@@ -181,7 +181,7 @@ def _require_same(remote: Remote, source: Source, path: Path) -> None:
         path.unlink()
         raise SurveyError(
             f"{remote.url}/{name} has changed since the run began (size and tag {found}, expected {tag}); leave "
-            "photographs as they are while a run is at work, and give the same `bathynerf process` again"
+            "photographs as they are while a run is at work, and run the same `bathynerf process` again"
         )
 
 

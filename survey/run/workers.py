@@ -10,7 +10,6 @@ from __future__ import annotations
 import platform
 import time
 import uuid
-import warnings
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
@@ -158,13 +157,10 @@ class Workers:
         most = _AT_ONCE * max(len(self._client.nthreads()), 1)
         try:
             while True:
-                with warnings.catch_warnings():
-                    # Data that is scattered to one worker would be lost with it.
-                    warnings.filterwarnings("ignore", "Sending large graph")
-                    under_way += [
-                        (item, self._client.submit(function, item, pure=False))
-                        for item in islice(left, most - len(under_way))
-                    ]
+                under_way += [
+                    (item, self._client.submit(function, item, pure=False))
+                    for item in islice(left, most - len(under_way))
+                ]
                 if not under_way:
                     return
                 item, future = under_way.popleft()

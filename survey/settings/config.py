@@ -143,7 +143,7 @@ class CamerasConfig:
             )
         for name in ("rolling_shutter_std_s", "speed_m_s"):
             if getattr(self, name) is not None and readout is None:
-                raise ConfigError(f"[cameras] {name} is given without rolling_shutter_s, which it is for; give both")
+                raise ConfigError(f"[cameras] {name} is given without rolling_shutter_s, which it describes; give both")
 
 
 @dataclass(frozen=True)

@@ -133,7 +133,7 @@ class ControlConfig:
         require_std("[control] std_m", self.std_m, 10.0, "metres", "GNSS with corrections has about 0.01 to 0.03")
         if self.reference is None and (self.reference_std_m is not None or self.stable is not None):
             raise ConfigError(
-                "[control] reference_std_m and stable say more of a reference, and there is none; name its file in "
+                "[control] reference_std_m and stable belong to a reference, and none is given; name its file in "
                 "reference, or remove them"
             )
         require_std("[control] reference_std_m", self.reference_std_m, 10.0, "metres", "airborne lidar has about 0.1")

@@ -19,7 +19,7 @@ class LevelSources:
 
     shoreline: str | None = None  # CSV of points, easting, northing, height, or GeoJSON, where water meets land
     gnss_points: str | None = None  # the same, of points anywhere on the surface
-    surface: str | None = None  # the same or a GeoTIFF, of water that is no plane
+    surface: str | None = None  # the same or a GeoTIFF, of water that is not a plane
     gauge: str | None = None  # CSV of time, level
     image_levels: str | None = None  # CSV of image, level
     clicks: str | None = None  # CSV of image, x, y, name: places of the waterline in two photographs or more
@@ -41,15 +41,15 @@ class LevelRate:
     def __post_init__(self):
         rate = self.level_rate_m_per_h
         if rate is None and self.level_time is not None:
-            raise ConfigError("[water] level_time is given without level_rate_m_per_h, which it is for; give both")
+            raise ConfigError("[water] level_time is given without level_rate_m_per_h, to which it belongs; give both")
         require_std(
             "[water] level_rate_std_m_per_h", self.level_rate_std_m_per_h, MOST_RATE_M_PER_H, "metres per hour",
             "0.3 if the tide is nearly unknown",
         )  # fmt: skip
         if rate is None and self.level_rate_std_m_per_h is not None:
             raise ConfigError(
-                "[water] level_rate_std_m_per_h is given without level_rate_m_per_h, which it is for; give both, 0 if "
-                "nothing is known"
+                "[water] level_rate_std_m_per_h is given without level_rate_m_per_h, to which it belongs; give both, "
+                "0 if nothing is known"
             )
         if rate is not None and abs(rate) > MOST_RATE_M_PER_H:
             raise ConfigError(
@@ -89,7 +89,7 @@ class WaterColour:
     """Colour of [water]."""
 
     absorption_per_m: tuple[float, float, float] | None = key(
-        None, "[red, green, blue], the share of light that a metre of water takes, e.g. [0.3, 0.07, 0.05]"
+        None, "[red, green, blue], the absorption coefficient in 1/m, e.g. [0.3, 0.07, 0.05]"
     )
     veiling_light: tuple[float, float, float] | None = key(
         None, "[red, green, blue], linear light of endless water, 1 for white, e.g. [0.03, 0.17, 0.2]"
@@ -161,7 +161,7 @@ class WaterConfig:
         return self.level_at
 
     @property
-    def says_index(self) -> bool:
+    def states_index(self) -> bool:
         """Whether the index is given; else it and its standard deviation are assumed."""
         return not (self.refractive_index is None and self.medium.temperature_c is None and self.index_std is None)
 
@@ -192,7 +192,7 @@ class WaterConfig:
     def _require_one_level(self) -> None:
         levels = [*([] if self.level_m is None else ["level_m"]), *self.sources.named]
         if self.sources.surface is not None and (self.level_at is not None or self.slope_east or self.slope_north):
-            raise ConfigError("[water] surface tells the level everywhere; remove level_at, slope_east and slope_north")
+            raise ConfigError("[water] surface gives the level everywhere; remove level_at, slope_east and slope_north")
         if len(levels) > 1:
             raise ConfigError(
                 f"[water] has {' and '.join(levels)}, each of which gives the height of the water; keep one"
@@ -202,7 +202,7 @@ class WaterConfig:
         moving = [name for name in ("gauge", "image_levels") if name in self.sources.named]
         if self.rate.level_rate_m_per_h is not None and moving:
             raise ConfigError(
-                f"[water] has level_rate_m_per_h and {moving[0]}, which tells how the level moves; keep one"
+                f"[water] has level_rate_m_per_h and {moving[0]}, which describes how the level moves; keep one"
             )
 
     def _require_one_index(self) -> None:
@@ -213,7 +213,7 @@ class WaterConfig:
             )
         if self.medium.index_wavelength_nm is not None and self.refractive_index is None:
             raise ConfigError(
-                "[water] has index_wavelength_nm without refractive_index, whose wavelength it tells; give both, or "
+                "[water] has index_wavelength_nm without refractive_index, whose wavelength it states; give both, or "
                 "temperature_c alone"
             )
 

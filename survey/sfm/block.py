@@ -239,13 +239,13 @@ def set_lens(block: pycolmap.Reconstruction, name: str, params: Sequence[float])
 
 
 def drop_images(block: pycolmap.Reconstruction, names: Collection[str]) -> None:
-    """Take images, and what is then seen by one alone, out of a block; in place."""
+    """Remove images, and points that then one image alone sees, from a block; in place."""
     for image in [image for image in block.images.values() if image.has_pose and image.name in names]:
         block.deregister_frame(image.frame_id)
 
 
 def transform(block: pycolmap.Reconstruction, similarity: Similarity) -> None:
-    """Take a block to another frame; in place."""
+    """Transform a block into another frame; in place."""
     colmap = solver()
     rotation = colmap.Rotation3d(similarity.rotation)
     block.transform(colmap.Sim3d(similarity.scale, rotation, similarity.shift))

@@ -17,7 +17,7 @@ from geo.similarity import Similarity, fit_similarity, robust_similarity
 from survey.control.points import ControlPoint
 from survey.errors import ControlError
 from survey.sfm.gps_fit import PositionLine
-from survey.sfm.marked import BlockControl, Met, Posed, meet, turned_marks
+from survey.sfm.marked import BlockControl, Intersections, Posed, intersect_marks, turned_marks
 
 MIN_POINTS = 3
 # A block may miss its control by this share of the distance to the cameras, and this many standard deviations of it.
@@ -34,7 +34,7 @@ class ControlFit:
     """Placement of a block by its control."""
 
     similarity: Similarity  # From the frame of the block to that of the control
-    met: Met
+    met: Intersections
     # dict of name to float [m]: points that the others contradict, and how far they lie from where the photographs show
     # them
     wrong: dict[str, float]
@@ -58,8 +58,8 @@ def fit_control(control: BlockControl, views: Mapping[str, Posed]) -> ControlFit
     ControlError
         If fewer than three points can be used, or they contradict each other and nothing tells which are wrong.
     """
-    met = meet(control, views)
-    require_meeting(control, views, met)
+    met = intersect_marks(control, views)
+    require_consistent_marks(control, views, met)
     if len(met.points) < MIN_POINTS:
         raise ControlError(_too_few(control, views, met))
     theirs, std = coordinates(met)
@@ -80,7 +80,7 @@ def _line(places: np.ndarray, std: np.ndarray) -> PositionLine | None:
     return PositionLine(centre, direction, along, across, float(np.median(std)), "control points")
 
 
-def _along_line(met: Met) -> ControlFit:
+def _along_line(met: Intersections) -> ControlFit:
     """A similarity to points on a line, with any roll about it.
 
     Raises
@@ -99,12 +99,12 @@ def _along_line(met: Met) -> ControlFit:
     return ControlFit(similarity, met, wrong, _line(theirs[good], std[good]))
 
 
-def coordinates(met: Met) -> tuple[np.ndarray, np.ndarray]:
+def coordinates(met: Intersections) -> tuple[np.ndarray, np.ndarray]:
     """Coordinates of control points (K, 3) [m], local, and their standard deviations."""
     return np.array([point.local for point in met.points]), np.array([point.std for point in met.points])
 
 
-def agreed(met: Met, views: Mapping[str, Posed]) -> ControlFit:
+def agreed(met: Intersections, views: Mapping[str, Posed]) -> ControlFit:
     """The similarity that most of at least three points agree on.
 
     Raises
@@ -136,8 +136,8 @@ def agreed(met: Met, views: Mapping[str, Posed]) -> ControlFit:
     return ControlFit(similarity, met, wrong)
 
 
-def require_meeting(control: BlockControl, views: Mapping[str, Posed], met: Met) -> None:
-    """Raise where the marks of more points contradict each other than not.
+def require_consistent_marks(control: BlockControl, views: Mapping[str, Posed], met: Intersections) -> None:
+    """Raise where marks that contradict each other outnumber those that agree, by their points.
 
     Raises
     ------
@@ -160,8 +160,8 @@ def line_of_control(points: Sequence[ControlPoint]) -> PositionLine | None:
     return _line(np.array([point.local for point in points]), np.array([point.std for point in points]))
 
 
-def _agreements(met: Met, theirs: np.ndarray, std: np.ndarray) -> list[np.ndarray]:
-    """The largest sets (K,) bool of points that one similarity fits, the best first; none that are no majority."""
+def _agreements(met: Intersections, theirs: np.ndarray, std: np.ndarray) -> list[np.ndarray]:
+    """The largest sets (K,) bool of points that one similarity fits, the best first; none that are not a majority."""
     found: dict[bytes, tuple[int, float, np.ndarray]] = {}
     for triple in _triples(len(theirs)):
         start = np.zeros(len(theirs), dtype=bool)
@@ -184,7 +184,7 @@ def _triples(num: int) -> Iterator[tuple[int, ...]]:
         yield tuple(rng.choice(num, MIN_POINTS, replace=False))
 
 
-def _grown(met: Met, theirs: np.ndarray, std: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, float]:
+def _grown(met: Intersections, theirs: np.ndarray, std: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, float]:
     """The points (K,) bool that agree with the similarity of some of them, until they stay the same, and their cost."""
     good, cost = start, np.inf
     for _ in range(10):
@@ -204,20 +204,20 @@ def _is_line(places: np.ndarray) -> bool:
     return bool(lengths[1] < _LINE_SHARE * lengths[0])
 
 
-def _limits(met: Met, std: np.ndarray, scale: float) -> np.ndarray:
+def _limits(met: Intersections, std: np.ndarray, scale: float) -> np.ndarray:
     """Tolerances (K, 3) [m] of a block at its points: it is bent, the more the wider it is for its range."""
     wide = np.mean(np.sum((met.places - met.places.mean(axis=0)) ** 2, axis=1))
     bent = _BENT_SHARE * scale * (met.ranges + wide / met.ranges)
     return _MOST_STD * std + (bent + met.slack)[:, None]
 
 
-def _is_below(similarity: Similarity, met: Met, good: np.ndarray, views: Mapping[str, Posed]) -> bool:
+def _is_below(similarity: Similarity, met: Intersections, good: np.ndarray, views: Mapping[str, Posed]) -> bool:
     """Whether most cameras lie lower than the points that they show."""
     heights = similarity(np.array([view.centre for view in views.values()]))[:, 2]
     return bool(np.median(heights) < np.median(similarity(met.places[good])[:, 2]))
 
 
-def _too_few(control: BlockControl, views: Mapping[str, Posed], met: Met) -> str:
+def _too_few(control: BlockControl, views: Mapping[str, Posed], met: Intersections) -> str:
     told = []
     if met.points:
         told.append(f"usable: {_listed([point.name for point in met.points])}")
@@ -227,7 +227,7 @@ def _too_few(control: BlockControl, views: Mapping[str, Posed], met: Met) -> str
         told.append(f"with marks whose rays do not intersect: {_listed(met.apart)}")
     told.append(f"{len(views)} photographs are placed")
     mend = "mark more points in more photographs, or correct the marks"
-    if len(met.apart) > 1 and len(meet(turned_marks(control), views).points) >= MIN_POINTS:
+    if len(met.apart) > 1 and len(intersect_marks(turned_marks(control), views).points) >= MIN_POINTS:
         mend = "their rays meet with x and y of the marks swapped: swap the two columns"
     return (
         f"{len(met.points)} of {len(control.points)} control points fit the photographs, expected at least "
@@ -235,7 +235,7 @@ def _too_few(control: BlockControl, views: Mapping[str, Posed], met: Met) -> str
     )
 
 
-def _contradiction(met: Met, theirs: np.ndarray, std: np.ndarray) -> str:
+def _contradiction(met: Intersections, theirs: np.ndarray, std: np.ndarray) -> str:
     """Reason why no similarity fits most of the points."""
     if _agreements(met, theirs[:, [1, 0, 2]], std):
         return (
@@ -254,7 +254,7 @@ def _contradiction(met: Met, theirs: np.ndarray, std: np.ndarray) -> str:
     )
 
 
-def _left_of(met: Met, good: np.ndarray) -> str:
+def _left_of(met: Intersections, good: np.ndarray) -> str:
     return _listed([met.points[i].name for i in np.flatnonzero(~good)])
 
 

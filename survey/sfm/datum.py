@@ -51,7 +51,7 @@ def plan_std(way: Transformation) -> float:
 
 
 def require_as_good(way: Transformation, plan_std_m: float, said: str, num_control: int) -> None:
-    """Raise where a grid is missing, and the way without it is worse than the places that take it, or none is known.
+    """Raise where a grid is missing, and the best transformation without it is worse than the positions, or not known.
 
     Parameters
     ----------

@@ -125,7 +125,7 @@ def positions_in_crs(heads: Mapping[str, Exif], crs: CRS, gps_height: str) -> tu
 
 @dataclass(frozen=True)
 class PositionTransform:
-    """The way of GPS positions of one source into crs."""
+    """Transformation of the GPS positions of one source into crs."""
 
     said: str  # What they are, for messages
     names: tuple[str, ...]  # of their photographs
@@ -133,8 +133,8 @@ class PositionTransform:
     up_std_m: float  # [m]: that the geoid adds to heights above the ellipsoid; 0 where they are taken as they are
 
 
-def ways_into_crs(heads: Mapping[str, Exif], crs: CRS, gps_height: str) -> list[PositionTransform]:
-    """The way of GPS positions into crs, one for each of their sources."""
+def transforms_into_crs(heads: Mapping[str, Exif], crs: CRS, gps_height: str) -> list[PositionTransform]:
+    """Transformations of GPS positions into crs, one for each of their sources."""
     given = {name: _given(head) for name, head in heads.items() if head.lat_lon_height is not None}
     ways = []
     for source in dict.fromkeys(source for source, _ in given.values()):
@@ -159,7 +159,7 @@ def _geoid_std(crs: CRS, source: _Source, places: np.ndarray) -> float:
 
 def datum_stds(heads: Mapping[str, Exif], crs: CRS, gps_height: str) -> dict[str, DatumStd]:
     """Std that the transformation into crs adds to GPS positions, by photograph."""
-    ways = ways_into_crs(heads, crs, gps_height)
+    ways = transforms_into_crs(heads, crs, gps_height)
     return {name: DatumStd(plan_std(way.plan), way.up_std_m) for way in ways for name in way.names}
 
 

@@ -151,7 +151,7 @@ def attitudes_of(heads: Mapping[str, Exif]) -> dict[str, np.ndarray]:
 
 
 def roll_by_attitudes(across: Across, rotations: np.ndarray, attitudes: np.ndarray) -> float:
-    """Angle [rad] about the line by which a block is to be rolled to agree with the attitudes of its cameras.
+    """Roll [rad] about the line that makes a block agree with the attitudes of its cameras.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def roll_by_attitudes(across: Across, rotations: np.ndarray, attitudes: np.ndarr
 
 
 def roll_by_ground(across: Across, rotations: np.ndarray, points: np.ndarray) -> float:
-    """Angle [rad] after which cameras look straight down across the line, or else the ground lies level there.
+    """Roll [rad] after which cameras look straight down across the line, or else the ground is level there.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ def roll_by_ground(across: Across, rotations: np.ndarray, points: np.ndarray) ->
 
 
 def roll_by_control(across: Across, places: np.ndarray, control: np.ndarray) -> float:
-    """Angle [rad] that takes points of a block to the control points that they are, by where these lie across the line.
+    """Roll [rad] that rotates points of a block onto their control points, by their offsets across the line.
 
     Heights of positions and of control may have different datums, so that heights do not count.
 

@@ -51,8 +51,8 @@ class Posed:
 
 
 @dataclass(frozen=True, eq=False)
-class Met:
-    """Control points where the rays of their marks meet."""
+class Intersections:
+    """Intersections of the rays of marks, by control point."""
 
     points: tuple[ControlPoint, ...]  # Those with a place
     places: np.ndarray  # (K, 3): of each, in the frame of the block
@@ -64,7 +64,7 @@ class Met:
     single: tuple[str, ...]
 
 
-def meet(control: BlockControl, views: Mapping[str, Posed]) -> Met:
+def intersect_marks(control: BlockControl, views: Mapping[str, Posed]) -> Intersections:
     """Intersections of the rays of the marks of each point in a block."""
     marks_of: dict[str, list[Mark]] = {point.name: [] for point in control.points}
     for mark in control.marks:
@@ -88,7 +88,7 @@ def meet(control: BlockControl, views: Mapping[str, Posed]) -> Met:
         ranges.append(min(np.linalg.norm(views[mark.view].centre - place) for mark in marks))
         slack.append(own_slack)
         wrong += [mark for mark, is_good in zip(marks, good, strict=True) if not is_good]
-    return Met(
+    return Intersections(
         points=tuple(points),
         places=np.array(places).reshape(-1, 3),
         ranges=np.array(ranges),
@@ -105,25 +105,25 @@ def turned_marks(control: BlockControl) -> BlockControl:
 
 
 def _agreed(marks: list[Mark], views: Mapping[str, Posed]) -> tuple[np.ndarray | None, np.ndarray]:
-    """The place (3,) where most of the rays of some marks meet, and which do (N,) bool.
+    """The point (3,) that most of the rays of some marks intersect, and which do (N,) bool.
 
-    No place where that is no majority, or all that meet come from one direction.
+    No place where that is not a majority, or all that meet come from one direction.
     """
     origins, rays, wrong = _rays(marks, views)
     best = np.zeros(len(marks), dtype=bool)
     least = np.inf
     for pair in combinations(range(min(len(marks), _MOST_TRIED)), 2):
-        place = _meeting(origins[list(pair)], rays[list(pair)])
+        place = _nearest_to_rays(origins[list(pair)], rays[list(pair)])
         if place is None:
             continue
-        off = _off(place, origins, rays) / wrong
+        off = _angles_to_rays(place, origins, rays) / wrong
         good = off <= 1.0
         total = float(off[good].sum())
         if (good.sum(), -total) > (best.sum(), -least):
             best, least = good, total
     if best.sum() < 2 or 2 * best.sum() <= len(marks):
         return None, best
-    place = _meeting(origins[best], rays[best])
+    place = _nearest_to_rays(origins[best], rays[best])
     opening = np.degrees(np.arccos(np.clip((rays[best] @ rays[best].T).min(), -1.0, 1.0)))
     if place is None or opening < _LEAST_ANGLE_DEG:
         return None, np.ones(len(marks), dtype=bool)
@@ -142,7 +142,7 @@ def _rays(marks: list[Mark], views: Mapping[str, Posed]) -> tuple[np.ndarray, np
     return origins, rays / np.linalg.norm(rays, axis=1, keepdims=True), wrong
 
 
-def _meeting(origins: np.ndarray, rays: np.ndarray) -> np.ndarray | None:
+def _nearest_to_rays(origins: np.ndarray, rays: np.ndarray) -> np.ndarray | None:
     """The point (3,) nearest to all rays, by angle; None where they are parallel."""
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
     place = None
@@ -159,7 +159,7 @@ def _meeting(origins: np.ndarray, rays: np.ndarray) -> np.ndarray | None:
     return place
 
 
-def _off(place: np.ndarray, origins: np.ndarray, rays: np.ndarray) -> np.ndarray:
+def _angles_to_rays(place: np.ndarray, origins: np.ndarray, rays: np.ndarray) -> np.ndarray:
     """Angles (N,) [rad] between the rays and a place; infinite for what lies behind a camera."""
     to = place - origins
     ahead = np.sum(to * rays, axis=1)

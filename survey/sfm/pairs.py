@@ -27,7 +27,7 @@ _SECTORS = 8
 _LOOKED_AT, _MORE, _MOST_LOOKED_AT = 200, 4, 3200
 # Footprints of axes closer to the horizon than this reach no further.
 _MOST_TILT_DEG = 60.0
-# Two photographs are no partners if the distance of their middles is more than this share of both radii: corners of
+# Two photographs are not partners if the distance of their middles is more than this share of both radii: corners of
 # the footprints touch, and positions and heights are a little off.
 _TOUCHING = 1.1
 # So many are taken at least, the nearest, whatever heights say of footprints.
@@ -90,7 +90,7 @@ def _partners(ground: _Footprints) -> Iterator[tuple[int, int]]:
     tree = cKDTree(np.column_stack([ground.centres, ground.looks]))
     for number in range(len(ground.radii)):
         near, away, touches = _looked_at(ground, tree, number)
-        chosen = near[touches][_in_turn(away[touches])[:NEIGHBOURS]]
+        chosen = near[touches][_by_direction(away[touches])[:NEIGHBOURS]]
         # Heights may be too low, so that nothing touches.
         rest = near[~touches][: max(_LEAST - len(chosen), 0)]
         for other in (*chosen, *rest):
@@ -98,7 +98,7 @@ def _partners(ground: _Footprints) -> Iterator[tuple[int, int]]:
 
 
 def _looked_at(ground: _Footprints, tree: cKDTree, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The nearest (K,) of a photograph, their offsets (K, 2) [m] on the ground, and whether they touch it (K,).
+    """The nearest (K,) to a photograph, their offsets (K, 2) [m] on the ground, and whether footprints touch (K,).
 
     So many that each direction has one that touches, where photographs so near may lie.
     """
@@ -120,8 +120,8 @@ def _sector(away: np.ndarray) -> np.ndarray:
     return np.floor(np.arctan2(away[:, 1], away[:, 0]) / (2.0 * math.pi) * _SECTORS).astype(int) % _SECTORS
 
 
-def _in_turn(away: np.ndarray) -> np.ndarray:
-    """Order of offsets (K, 2), sorted by distance, that takes the nearest of each direction, then the second, ..."""
+def _by_direction(away: np.ndarray) -> np.ndarray:
+    """Order of offsets (K, 2), sorted by distance: the nearest of each direction, then the second of each, ..."""
     sector = _sector(away)
     rank = np.zeros(len(away), dtype=int)
     for each in range(_SECTORS):
@@ -130,7 +130,7 @@ def _in_turn(away: np.ndarray) -> np.ndarray:
 
 
 def alike(descriptors: Iterable[np.ndarray], num: int, of: Sequence[int]) -> Iterator[tuple[int, int]]:
-    """Photographs that some of them look like most, the best first: pairs of numbers.
+    """Pairs of photographs, by number: some of them with those that look most like them, the best first.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ from survey.sfm.gps_fit import (
     roll_by_control,
     roll_by_ground,
 )
-from survey.sfm.marked import BlockControl, Met, Posed, meet
+from survey.sfm.marked import BlockControl, Intersections, Posed, intersect_marks
 from survey.sfm.solve import GIVE_POSES, Free, listed
 
 if TYPE_CHECKING:
@@ -98,12 +98,12 @@ def place_by_gps(
         # Control over an area is the better start.
         if nearby is not None and (by_control := _by_area(nearby, block, alias_of)) is not None:
             return by_control
-        met = None if nearby is None else meet(nearby, posed_of(block, alias_of))
+        met = None if nearby is None else intersect_marks(nearby, posed_of(block, alias_of))
         return f"{said}; {line.said(len(trusted))}: it starts {_roll(block, line, turned, met)}"
 
     ways: list[Placement] = [by_positions]
     if spare is not None:
-        ways.append(_way_of_control(spare, gps.frame, alias_of, turned))
+        ways.append(_placement_by_control(spare, gps.frame, alias_of, turned))
     placed = _place(free, ways, gps.frame, alias_of, sensors)
     return replace(placed, notes=(*gps.notes, *placed.notes))
 
@@ -128,9 +128,9 @@ def place_by_control(
     Raises
     ------
     ControlError
-        If the control says of no block how it lies.
+        If the control can place no block.
     """
-    way = _way_of_control(control, control.frame, alias_of, _by_alias(attitudes, alias_of))
+    way = _placement_by_control(control, control.frame, alias_of, _by_alias(attitudes, alias_of))
     return _place(free, [way], control.frame, alias_of, sensors)
 
 
@@ -138,7 +138,7 @@ def _by_alias(attitudes: Mapping[str, np.ndarray] | None, alias_of: Mapping[str,
     return {alias_of[name]: attitude for name, attitude in (attitudes or {}).items() if name in alias_of}
 
 
-def _way_of_control(
+def _placement_by_control(
     control: BlockControl, frame: LocalFrame, alias_of: Mapping[str, str], attitudes: Mapping[str, np.ndarray]
 ) -> Placement:
     def by_control(block: pycolmap.Reconstruction) -> str:
@@ -152,7 +152,7 @@ def _way_of_control(
 
 
 def _by_area(control: BlockControl, block: pycolmap.Reconstruction, alias_of: Mapping[str, str]) -> str | None:
-    """Take a block to control in its frame that spans an area, and say so; None where that cannot place it."""
+    """Transform a block onto control that spans an area, and describe it; None where that cannot place it."""
     try:
         fit = fit_control(control, posed_of(block, alias_of))
     except ControlError:
@@ -161,7 +161,7 @@ def _by_area(control: BlockControl, block: pycolmap.Reconstruction, alias_of: Ma
 
 
 def _onto_control(block: pycolmap.Reconstruction, fit: ControlFit) -> str:
-    """Take a block to its control, and say how well it fits."""
+    """Transform a block onto its control, and describe how well it fits."""
     sfm_block.transform(block, fit.similarity)
     met = zip(fit.met.points, fit.met.places, strict=True)
     off = [fit.similarity(place) - point.local for point, place in met if point.name in fit.used]
@@ -175,12 +175,12 @@ def _onto_control(block: pycolmap.Reconstruction, fit: ControlFit) -> str:
 def _place(
     free: Free, ways: Sequence[Placement], frame: LocalFrame, alias_of: Mapping[str, str], sensors: list[CameraBody]
 ) -> PlacedBlocks:
-    """Place each block by the first way that can; where none of the blocks can be placed, raise for the largest."""
+    """Place each block by the first method that can; where no block can be placed, raise for the largest."""
     notes, placed, found = list(free.notes), [], []
     refusals: list[SurveyError] = []
     for block in free.blocks:
         try:
-            by = _by_first(ways, block)
+            by = _first_that_places(ways, block)
         except (PosesError, ControlError) as error:
             refusals.append(error)
             lost = [name for name, alias in alias_of.items() if alias in sfm_block.poses_of(block)]
@@ -206,8 +206,8 @@ def _place(
     return PlacedBlocks(tuple(placed), _lowered(frame, placed), (*notes, *found))
 
 
-def _by_first(ways: Sequence[Placement], block: pycolmap.Reconstruction) -> str:
-    """Result of the first way that can place a block; the error of the first, with those of others, if none can."""
+def _first_that_places(ways: Sequence[Placement], block: pycolmap.Reconstruction) -> str:
+    """Result of the first method that can place a block; the error of the first, with those of others, if none can."""
     refusals: list[SurveyError] = []
     for way in ways:
         try:
@@ -240,7 +240,7 @@ def posed_of(block: pycolmap.Reconstruction, alias_of: Mapping[str, str]) -> dic
 
 
 def _to_positions(block: pycolmap.Reconstruction, positions: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Take a block to local by the GPS positions; return those that agree with it."""
+    """Transform a block into local by the GPS positions; return those that agree with it."""
     centres = {alias: centre for alias, (centre, _) in sfm_block.poses_of(block).items() if alias in positions}
     num = block.num_reg_images()
     if len(centres) < (least := least_track(num)):
@@ -260,9 +260,9 @@ def _to_positions(block: pycolmap.Reconstruction, positions: Mapping[str, np.nda
 
 
 def _roll(
-    block: pycolmap.Reconstruction, line: PositionLine, attitudes: Mapping[str, np.ndarray], met: Met | None
+    block: pycolmap.Reconstruction, line: PositionLine, attitudes: Mapping[str, np.ndarray], met: Intersections | None
 ) -> str:
-    """Roll a block about the line of its positions by what tells it, which is returned in words."""
+    """Roll a block about the line of its positions by attitudes, control or the ground; returns which of them."""
     poses, across = sfm_block.poses_of(block), Across.of(line)
     with_attitude = [alias for alias in poses if alias in attitudes]
     if with_attitude:

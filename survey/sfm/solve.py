@@ -115,7 +115,7 @@ def solve(photographs: Photographs, work: Path, say: Callable[[str], None]) -> F
     """
     alias_of = aliases(photographs.images)
     blocks = _blocks(photographs, alias_of, work, say)
-    apart = apart_of(blocks)
+    apart = without_shared_images(blocks)
     return Free(apart, tuple(left_out(apart, alias_of)))
 
 
@@ -153,7 +153,7 @@ def _blocks(
     return blocks
 
 
-def apart_of(blocks: Sequence[pycolmap.Reconstruction]) -> tuple[pycolmap.Reconstruction, ...]:
+def without_shared_images(blocks: Sequence[pycolmap.Reconstruction]) -> tuple[pycolmap.Reconstruction, ...]:
     """The blocks without the images that a larger one has, those that keep three at least; changed in place."""
     least = least_track(max(block.num_reg_images() for block in blocks))
     taken: set[str] = set()

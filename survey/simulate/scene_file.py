@@ -146,7 +146,7 @@ class LightSettings:
         Raises
         ------
         ConfigError
-            If it is no time with a zone.
+            If it is not a time with a zone.
         """
         try:
             known = None if self.time is None else datetime.fromisoformat(self.time)

@@ -64,8 +64,8 @@ class CloudInBrowser:
         self._thread = Thread(target=self._work, daemon=True)
         self._thread.start()
 
-    def look_again(self, style: Style | None = None) -> None:
-        """Draw what is needed now: the camera has moved, or the style is another one."""
+    def redraw(self, style: Style | None = None) -> None:
+        """Draw the nodes that are needed after the camera has moved or the style has changed."""
         self._style = self._style if style is None else style
         self._wake.set()
 
@@ -118,7 +118,7 @@ class CloudInBrowser:
         self._colouring[node] = style.colouring
 
     def _make_room(self, wanted: np.ndarray) -> None:
-        """Take nodes that are not wanted out of the browser, as far as it would draw too many points."""
+        """Remove nodes that are not wanted from the browser, as far as it would draw too many points."""
         counts, needed = self._shown.tree.counts, set(wanted.tolist())
         total = int(counts[wanted].sum()) + sum(int(counts[node]) for node in self._nodes if node not in needed)
         for node in [node for node in self._nodes if node not in needed]:

@@ -48,8 +48,8 @@ def open_server(host: str, port: int, title: str) -> viser.ViserServer:
         asyncio.run(_listen(host))
     except OSError as error:
         raise SurveyError(
-            f"--host {host} is no address of this machine ({error.strerror or error}); give localhost, 0.0.0.0 for all "
-            "of its addresses, or one of them"
+            f"--host {host} is not an address of this machine ({error.strerror or error}); give localhost, 0.0.0.0 for "
+            "all of its addresses, or one of them"
         ) from error
     # viser says where it listens, which the command does itself.
     with redirect_stdout(io.StringIO()), _own_pages_only(host) as guarded:
@@ -78,7 +78,7 @@ def _own_pages_only(host: str) -> Iterator[list[Any]]:
     def guarded(*arguments: Any, process_request: Callable[..., Any], **options: Any) -> Any:
         def answer(connection: Any, request: Any) -> Any:
             if not is_own_page(request.headers, host):
-                return connection.respond(403, "this page is not of the server\n")
+                return connection.respond(403, "this page is not from this server\n")
             return process_request(connection, request)
 
         made.append(serve(*arguments, process_request=answer, **options))
@@ -103,7 +103,7 @@ def is_own_page(headers: Mapping[str, str], host: str) -> bool:
 
 
 def light(server: viser.ViserServer) -> None:
-    """Light from the north-west and from all around, so that surfaces have about their own colours, and relief."""
+    """Light from the north-west and ambient light, so that surfaces keep their colours and show relief."""
     server.scene.configure_environment_map(None)
     server.scene.configure_default_lights(False)
     server.scene.add_light_ambient("/light/sky", intensity=_SKY)
@@ -117,7 +117,7 @@ async def _listen(host: str) -> None:
 
 
 def close_server(server: viser.ViserServer) -> None:
-    """End a server, without the word that viser has for it."""
+    """Stop a server, without viser's message."""
     with redirect_stdout(io.StringIO()):
         server.stop()
 

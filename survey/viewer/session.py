@@ -86,7 +86,7 @@ class LiveRun:
         return fresh
 
     def close(self) -> None:
-        """Tell the run that nobody looks any more."""
+        """Stop asking the run to show its maps."""
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def _show_cameras(self) -> None:
@@ -151,8 +151,8 @@ class ViewSession:
             add_field(server, field, self.clicks.show)
         if shown.reference is not None:
             Thread(target=self._compare, daemon=True).start()
-        self.server.on_client_connect(self._welcome)
-        self.server.on_client_disconnect(self._forget)
+        self.server.on_client_connect(self._add_browser)
+        self.server.on_client_disconnect(self._remove_browser)
 
     def _add_layers(self) -> None:
         water = add_water(self.server, self.shown)
@@ -174,14 +174,14 @@ class ViewSession:
         self.shown.measure_errors()
         self.panel.offer_kinds()
 
-    def _welcome(self, client: viser.ClientHandle) -> None:
-        """A browser has come: its camera decides which nodes it gets."""
+    def _add_browser(self, client: viser.ClientHandle) -> None:
+        """Send a new browser the nodes that its camera sees."""
         cloud = CloudInBrowser(client, self.shown, self.panel.style)
         with self._lock:
             self._clouds[client.client_id] = cloud
-        client.camera.on_update(lambda _: cloud.look_again())
+        client.camera.on_update(lambda _: cloud.redraw())
 
-    def _forget(self, client: viser.ClientHandle) -> None:
+    def _remove_browser(self, client: viser.ClientHandle) -> None:
         with self._lock:
             cloud = self._clouds.pop(client.client_id, None)
         if cloud is not None:
@@ -191,7 +191,7 @@ class ViewSession:
         with self._lock:
             clouds = list(self._clouds.values())
         for cloud in clouds:
-            cloud.look_again(style)
+            cloud.redraw(style)
 
     def close(self) -> None:
         """End the threads of the browsers."""
@@ -214,7 +214,7 @@ def serve(run: str | Path, options: ViewOptions, say: Callable[[str], None]) -> 
     Raises
     ------
     SurveyError, GeoError
-        If the folder is no run, the reference cannot be used, viser is not installed or the address is not of this
+        If the folder is not a run, the reference cannot be used, viser is not installed or the address is not of this
         machine.
     """
     folder = RunDir(run)

@@ -170,7 +170,7 @@ def facts_of(
     return rows
 
 
-def way_between(start: np.ndarray, end: np.ndarray) -> list[tuple[str, str]]:
+def distance_between(start: np.ndarray, end: np.ndarray) -> list[tuple[str, str]]:
     """Distances between two points (3,) [m], local, as labels and texts."""
     away = end - start
     fall = float(away[2])
@@ -213,7 +213,7 @@ class Clicks:
         server.scene.on_click()(self._clicked)
 
     def clear(self) -> None:
-        """Take all answers away."""
+        """Remove all answers to clicks."""
         with self._lock:
             self._clear()
 
@@ -255,7 +255,7 @@ class Clicks:
     def _measure(self, row: int) -> None:
         between = self._between(row)
         if between is not None:
-            self._text.content = markdown(way_between(*between))
+            self._text.content = markdown(distance_between(*between))
 
     def _cut(self, row: int) -> None:
         between = self._between(row)
@@ -264,7 +264,7 @@ class Clicks:
         shown, style = self._shown, self._style()
         found = slice_of(shown.tree, *between, _SLICE_GSD * shown.gsd_m, shown.water, shown.reference)
         self._text.content = markdown(
-            [*way_between(*between), ("points within", f"{100.0 * found.half_m:.0f} cm to either side")]
+            [*distance_between(*between), ("points within", f"{100.0 * found.half_m:.0f} cm to either side")]
         )
         self.show(picture_of(found, shown.base_m, shown.colours(style.kind, found.rows, style.limits)))
 

@@ -118,7 +118,7 @@ def pick(tree: CloudTree, origin: np.ndarray, direction: np.ndarray, *, angle: f
 
 
 def is_blocked(tree: CloudTree, start: np.ndarray, end: np.ndarray, *, width_m: float, free_m: float) -> bool:
-    """Whether points of a cloud stand in the way between two places (3,) [m], local.
+    """Whether points of a cloud occlude the line between two places (3,) [m], local.
 
     Points within ``width_m`` of the line count, from ``free_m`` behind its start on, where the surface that it leaves
     is; single ones are strays.
@@ -194,9 +194,7 @@ def spacing_px(tree: CloudTree, view: Viewpoint) -> np.ndarray:
     return view.focal_px * tree.spacing / np.maximum(distance, tree.spacing)
 
 
-def select_nodes(
-    tree: CloudTree, view: Viewpoint, most_points: int = MOST_POINTS, finest_px: float = _FINEST_PX
-) -> np.ndarray:
+def select_nodes(tree: CloudTree, view: Viewpoint, most_points: int = MOST_POINTS) -> np.ndarray:
     """Nodes (K,) int to draw, the most needed first; with a node come all nodes above it.
 
     A node is drawn where its parent is too coarse for the screen; a parent is nearer and coarser than its children, so
@@ -204,7 +202,7 @@ def select_nodes(
     """
     coarseness = spacing_px(tree, view)
     needed = np.where(tree.parent < 0, np.inf, coarseness[tree.parent])
-    wanted = np.flatnonzero(seen_nodes(tree, view) & (needed > finest_px))
+    wanted = np.flatnonzero(seen_nodes(tree, view) & (needed > _FINEST_PX))
     # Stable: of equals, parents come first as they do in the tree.
     wanted = wanted[np.argsort(-needed[wanted], kind="stable")]
     return wanted[np.cumsum(tree.counts[wanted]) <= most_points]

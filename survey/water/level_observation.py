@@ -263,8 +263,8 @@ def plane_doubt(points: np.ndarray, stds: np.ndarray, level_std_m: float, source
     bed, stated = (length(_BED_PER_LEVEL * value) for value in (departure, level_std_m))
     return (
         f"one plane is not enough for the water: the points in [water] {source} depart from it by {length(departure)} "
-        f"(rms), far above their scatter, which moves the bed by {bed} or more, where the std of the level stands for "
-        f"{stated}; give them as surface in place of {source} (docs/waterline.md)"
+        f"(rms), far above their scatter, which moves the bed by {bed} or more, while the std of the level accounts "
+        f"for {stated}; give them as surface in place of {source} (docs/waterline.md)"
     )
 
 

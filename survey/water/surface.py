@@ -1,4 +1,4 @@
-"""Water that is no plane: its height over the plane of the survey, as measured or by the curvature of the Earth.
+"""Water that is not a plane: its height over the plane of the survey, as measured or by the curvature of the Earth.
 
 Local regression (W. S. Cleveland 1979): at each place a surface of second order is fitted to the nearest points, those
 nearer and better known with more weight. How many points that takes is found by leaving each of them out in turn. A

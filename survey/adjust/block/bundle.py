@@ -350,6 +350,6 @@ def _sum(ties: TiePoints, values: np.ndarray) -> np.ndarray:
 
 
 def _damped(normal: np.ndarray) -> np.ndarray:
-    """Matrices (M, 3, 3), damped so that they can be inverted."""
+    """Matrices (M, 3, 3), damped enough to be inverted."""
     scale = np.trace(normal, axis1=1, axis2=2)[:, None, None]
     return normal + (_DAMPING * scale + 1e-300) * np.eye(3)

@@ -47,7 +47,7 @@ _MEDIAN_OF_THREE = 1.26
 _FEWEST, _OVERSTATED = 4, 2.0
 # Without positions of cameras a block needs so many points.
 PLACE_A_BLOCK = 3
-# Least redundancy: where a smaller part of an error remains as residual, this is no measure of it.
+# Least redundancy: where a smaller part of an error remains as residual, this is not a measure of it.
 _LEAST_REDUNDANCY = 0.2
 # Beyond this probability block and point contradict each other: 3.66 standard deviations of a normal deviate.
 _LEAST_PROBABILITY = 2.5e-4
@@ -146,7 +146,7 @@ def _misfit(problem: Problem, solution: Solution, seen: Observed, point: int, gi
     if not np.isfinite(residuals).all():
         return np.inf
     every = np.arange(len(marks))
-    # A single wrong mark is no wrong point: what counts is what the point is off without it.
+    # A single wrong mark is not a wrong point: what counts is what the point is off without it.
     parts = [np.delete(every, k) for k in every] if len(marks) > 2 else [every]
     away = min(apart(part) for part in parts)
     is_used = bool(np.isfinite(seen.point_std[point]).all())

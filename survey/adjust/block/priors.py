@@ -321,7 +321,7 @@ def _rotations(survey: Survey, *, exact: bool):
     """Standard deviations (V, 3) [rad] of the rotations that the views come with, and which are not known (V,).
 
     Errors of rotations by structure from motion are correlated (bending, tilt of the block), so that their scatter in
-    the block is no measure of them.
+    the block is not a measure of them.
     """
     std = np.full((len(survey.views), 3), math.radians(EXACT_STD_DEG) if exact else ROTATION_STD)
     unknown = np.zeros(len(survey.views), dtype=bool)

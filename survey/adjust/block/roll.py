@@ -272,7 +272,7 @@ def _scan_profile(
 
 
 def inflate_roll(problem: Problem, covariance: np.ndarray, roll: Roll, std: float) -> np.ndarray:
-    """A covariance (P, P) in which the roll has a standard deviation [rad], and all that follows it its share."""
+    """Covariance (P, P) with the std [rad] of the roll raised, and those of all correlated parameters with it."""
     along = covariance @ roll.mean_roll(problem.layout)
     variance = float(roll.mean_roll(problem.layout) @ along)
     return covariance + max(std**2 / variance - 1.0, 0.0) / variance * np.outer(along, along)

@@ -111,7 +111,7 @@ READOUT_NAME = "readout_s"
 RATE_NAME = "level_rate_m_per_h"
 FOCAL_NAME = "focal"
 WATER, RELIEF, SHIFT, LENS, POSE = 4, 3, 3, 8, 6
-# An index outside these is no water; a step never leaves them.
+# An index outside these is not water; a step never leaves them.
 _INDEX_RANGE = (1.0, 2.0)
 WATER_PARAMETERS = ("level_m", "slope_east", "slope_north", "refractive_index")
 _STEPS = (1e-3, 1e-6, 1e-6, 1e-6)

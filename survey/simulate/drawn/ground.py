@@ -162,8 +162,8 @@ def _boat() -> np.ndarray:
     return np.concatenate([*gunwale, *chine, keel])
 
 
-def _frustum(x0: float, radius0: float, x1: float, radius1: float, sides: int = 14) -> np.ndarray:
-    angle = 2.0 * math.pi * np.arange(sides) / sides
+def _frustum(x0: float, radius0: float, x1: float, radius1: float) -> np.ndarray:
+    angle = 2.0 * math.pi * np.arange(14) / 14
     circle = np.stack([0.0 * angle, np.cos(angle), np.sin(angle)], axis=-1)
     return np.concatenate([radius0 * circle + (x0, 0.0, 0.0), radius1 * circle + (x1, 0.0, 0.0)])
 

@@ -13,7 +13,7 @@ from survey.errors import ConfigError, SurveyError
 
 # Least angle of an image's upper border below the horizon [rad]: water reflects there, and footprints are endless.
 _BELOW_HORIZON = math.radians(10.0)
-# A thousand photographs a hectare are no survey but a slip in an overlap.
+# A thousand photographs a hectare are not a survey but a slip in an overlap.
 _MOST_VIEWS = 5000
 
 

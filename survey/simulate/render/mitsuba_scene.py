@@ -36,8 +36,8 @@ def load_mitsuba(device: str = "auto") -> ModuleType:
         import mitsuba
     except ImportError as error:
         raise SurveyError(
-            "render.mode is physical, which takes Mitsuba 3: pip install 'bathynerf[simulate]'; or give "
-            "--mode direct, which needs no more than what is there"
+            "render.mode is physical, which needs Mitsuba 3: pip install 'bathynerf[simulate]'; or give "
+            "--mode direct, which needs nothing else"
         ) from error
     mitsuba.set_variant(_VARIANTS[chosen.name])
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
@@ -90,7 +90,7 @@ def _grid(area: tuple[np.ndarray, np.ndarray], spacing: float) -> tuple[np.ndarr
     counts = [max(int(np.ceil(size / spacing)), 1) + 1 for size in area[1] - area[0]]
     if counts[0] * counts[1] > _MOST_POINTS:
         raise SurveyError(
-            f"the waves take a point every {100.0 * spacing:.1f} cm over {counts[0] * spacing:.0f} x "
+            f"the waves need a point every {100.0 * spacing:.1f} cm over {counts[0] * spacing:.0f} x "
             f"{counts[1] * spacing:.0f} m, more than {_MOST_POINTS}; leave out the shortest, or make the area smaller"
         )
     x, y = np.meshgrid(*(np.linspace(low, high, n) for low, high, n in zip(*area, counts, strict=True)))

@@ -55,7 +55,7 @@ def check_plan(path: Path, *, quality: str, device: str, wind_m_s: float) -> lis
     Raises
     ------
     SurveyError, GeoError
-        If it is no plan of a flight.
+        If it is not a plan of a flight.
     """
     plan = flight_of(path)
     survey = survey_of(plan)

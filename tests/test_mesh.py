@@ -166,7 +166,5 @@ def test_a_mesh_in_another_crs_has_its_vertices_there(run, tmp_path):
 
 def test_a_run_without_its_cameras_says_how_to_get_them(tmp_path):
     path = run_of(plane_stored(tmp_path / "small"), tmp_path / "run")
-    with pytest.raises(
-        SurveyError, match=r"was made before runs kept their cameras; give the same `bathynerf process`"
-    ):
+    with pytest.raises(SurveyError, match=r"was made before runs kept their cameras; run the same `bathynerf process`"):
         export(path, mesh=tmp_path / "bed.ply")

@@ -116,7 +116,7 @@ def test_thumbnails_of_file_managers_and_storage_are_no_photographs(tmp_path, hi
 def test_a_file_that_is_no_image_is_refused(tmp_path):
     path = tmp_path / "a.jpg"
     path.write_text("not a photograph")
-    with pytest.raises(ImageError, match=r"a\.jpg is not an image that can be read \(it does not begin as any"):
+    with pytest.raises(ImageError, match=r"a\.jpg is not an image that can be read \(its first bytes are those of no"):
         read_exif(path)
 
 

@@ -90,9 +90,7 @@ def test_a_damaged_file_is_named_with_the_mend(tmp_path, device, damage):
     save_field(tmp_path, learned(device), FIGURES)
     path = tmp_path / FIELD_FILE
     path.write_bytes(damage(path.read_bytes()))
-    with pytest.raises(
-        SurveyError, match=r"field\.pt cannot be read .*; delete its folder and give `bathynerf"
-    ) as info:
+    with pytest.raises(SurveyError, match=r"field\.pt cannot be read .*; delete its folder and run `bathynerf") as info:
         load_field(tmp_path, device)
     assert "\n" not in str(info.value)
 

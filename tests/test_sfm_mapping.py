@@ -13,6 +13,7 @@ import pycolmap
 import pytest
 
 from geo.similarity import fit_similarity
+from survey.adjust.refine import adjust_survey
 from survey.adjust.starts import recover_poses
 from survey.errors import ConfigError, PosesError, SurveyError
 from survey.folder.survey import load_survey
@@ -26,7 +27,7 @@ from survey.sfm.solve import Photographs
 from survey.simulate.drawn import DrawnScene, draw_survey
 from survey.words import Mapper
 from tests.drawn_block import DrawnBlock, draw_block
-from tests.drawn_matches import names_of, write_matches
+from tests.drawn_matches import names_of, survey_of_mapped, write_matches
 
 MAPPERS = [mapper for mapper in Mapper if mapper != Mapper.auto]
 _NUM = 20
@@ -144,3 +145,15 @@ def test_a_mapper_that_the_installed_pycolmap_lacks_is_refused_in_a_sentence(mon
     require_mapper(Mapper.incremental)
     with pytest.raises(ConfigError, match=r'mapper is "global" in survey.toml, and pycolmap 4\S+ does not have it'):
         require_mapper(Mapper.global_)
+
+
+@pytest.mark.slow
+def test_adjustments_of_starts_a_micrometre_apart_end_at_one_block(block, matched, tmp_path, rng):
+    survey, _ = survey_of_mapped(block, blocks_by(matched, Mapper.incremental, tmp_path))
+    moved = [
+        replace(view, camera=replace(view.camera, centre=view.camera.centre + 1e-6 * rng.standard_normal(3)))
+        for view in survey.views
+    ]
+    found = [adjust_survey(each, use_windows=False) for each in (survey, replace(survey, views=tuple(moved)))]
+    # A thousandth of what positions are good to; steps end where they gain less than a fifth of that.
+    np.testing.assert_allclose(found[0].poses.centres, found[1].poses.centres, rtol=0.0, atol=2e-5)

@@ -40,6 +40,8 @@ GROUND_OF_PHOTOGRAPH_M2 = 6.5
 SPAN = (0.6, 0.7)
 # Errors are those of this far around the middle [m]: the whole surface would take more memory than a run.
 MIDDLE_M = 8.0
+# Share of the extent of the true surface along its edges where errors are not looked at.
+_EDGE = 0.05
 
 
 def scene_of(number: int) -> DrawnScene:
@@ -116,8 +118,11 @@ def errors_of(folder: Path, points: np.ndarray) -> np.ndarray:
     """Signed distances [m] of the points in the middle of a survey to the true surface there."""
     frame, mesh = load_survey(folder).frame, read_reference(folder / "truth" / "reference.ply")
     xyz, vertices = frame.local_from_crs(points), frame.local_from_crs(mesh.vertices)
-    here = xyz[(np.abs(xyz[:, :2]) < MIDDLE_M).all(axis=1)]
-    faces = mesh.faces[(np.abs(vertices[mesh.faces[:, 0], :2]) < 1.1 * MIDDLE_M).all(axis=1)]
+    # The true surface lies about the middle of the scene, which is not the origin of the survey's local frame.
+    low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
+    margin = _EDGE * (high - low)
+    here = xyz[((xyz[:, :2] > low + margin) & (xyz[:, :2] < high - margin)).all(axis=1)]
+    faces = mesh.faces
     return distance_to_mesh(here, vertices, faces).signed
 
 

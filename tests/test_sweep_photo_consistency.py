@@ -52,3 +52,18 @@ def test_without_maps_nothing_is_known(device):
     bed, cameras = PlaneBed(None, -2.0), ring(3)
     images = [bed.photograph(camera) for camera in cameras]
     assert all(each.correlation is None for each in photo_consistency(Block(device, cameras, images, None, -2.0), []))
+
+
+def test_windows_give_as_many_points_as_their_share_of_the_photograph(device):
+    bed, cameras = PlaneBed(None, -2.0), ring(6)
+    images = [bed.photograph(camera) for camera in cameras]
+    height = bed.true_height(cameras[0]).astype(np.float32)
+    ones = np.ones_like(height)
+    maps = [HeightMap(0, height, ones, np.full(height.shape, 4, np.uint8), 0.0 * ones)]
+    block = Block(device, cameras, images, None, -2.0)
+    larger = replace(cameras[0], width=2 * cameras[0].width, height=2 * cameras[0].height)
+    # All photographs of the ring show the same place.
+    (whole, *_), (window, *_) = (
+        [each.num_points for each in photo_consistency(block, maps, of)[1:]] for of in (cameras[0], larger)
+    )
+    assert 0.0 < window < 0.35 * whole

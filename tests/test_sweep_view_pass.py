@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
+
 import numpy as np
 import pytest
 from plane_survey import TILTED, PlaneBed, match, ring
 
+from fields.sweep.corner_rays import CornerRays, side_of_squares
 from fields.sweep.view_pass import columns_over_area, columns_seeing_area
 
 AREA, BOUND = (-0.35, -0.25, 0.2, 0.3), (-2.3, -1.9)
@@ -33,7 +37,8 @@ def test_columns_by_heights_hold_the_pixels_over_the_area_and_fewer_than_those_o
         coarse, across = camera.scaled(0.5), np.arange(camera.width)
         # Half of a step of 0.4 m: both heights count beside it.
         before = np.where(np.arange(coarse.width) < coarse.width // 2, *BOUND) + np.zeros((coarse.height, 1))
-        columns = columns_over_area(camera, water, AREA, before.astype(np.float32))
+        rays_of = partial(CornerRays.of, camera, water)
+        columns = columns_over_area(camera, (camera.height, camera.width), AREA, before.astype(np.float32), rays_of)
         path = camera.paths(camera.pixel_centres(), water)
         x, y, _ = np.moveaxis(path.at_height(np.where(across < camera.width // 2, *BOUND), water), -1, 0)
         over = (x > AREA[0]) & (x < AREA[2]) & (y > AREA[1]) & (y < AREA[3])
@@ -60,3 +65,17 @@ def test_wanted_columns_have_the_heights_of_a_whole_image_and_the_others_none(de
         np.testing.assert_allclose(found[20:50, 31:64], expected[20:50, 31:64], rtol=1e-4, atol=1e-4)
     assert (part[1][:18] == -1.0).all()
     assert (part[1][:, 70:] == -1.0).all()
+
+
+@pytest.mark.parametrize("tide", [0.0, 0.15])
+@pytest.mark.parametrize("water", [TILTED, None], ids=["wet", "dry"])
+def test_corner_rays_are_the_paths_of_pixels_on_both_sides_of_the_water(water, tide):
+    camera = replace(ring(6)[2], tide=tide if water is not None else 0.0)
+    rays = CornerRays.of(camera, water, (3, 5))
+    side = side_of_squares(camera)
+    row, column = np.mgrid[:4, :6] * float(side)
+    paths = camera.paths(np.stack([column, row], axis=-1), water)
+    for level in (-2.3, -0.4, 0.0, 0.1, 0.8):
+        height = np.full(row.shape, level)
+        expected = paths.at_height(height, water)[..., :2]
+        np.testing.assert_allclose(rays.places(height.astype(np.float32)), expected, atol=1e-5)

@@ -133,11 +133,15 @@ def test_neighbours_stand_around_the_view():
     assert gaps.max() < np.radians(140.0)
 
 
+def _parallax(cameras, water, others, height):
+    return views.parallax(cameras, water, views.middle_path(cameras[0], water), others, height)
+
+
 def test_parallax_of_a_dry_pair_is_focal_length_times_baseline_over_distance_squared():
     cameras = flight(2, spacing=1.5)
     expected = cameras[0].fx * 1.5 / 12.0**2
     # A difference over 0.1 m of the function 1 / distance: (0.05 / 12)^2.
-    np.testing.assert_allclose(views.parallax(cameras, None, 0, [1], -2.0), expected, rtol=2e-5)
+    np.testing.assert_allclose(_parallax(cameras, None, [1], -2.0), expected, rtol=2e-5)
 
 
 def test_parallax_under_water_is_that_of_the_apparent_depth():
@@ -145,7 +149,7 @@ def test_parallax_under_water_is_that_of_the_apparent_depth():
     distance = 10.0 + 2.0 / WATER.n_water
     expected = cameras[0].fx * 0.5 / distance**2 / WATER.n_water
     # Near nadir; at 2.6 deg of incidence the tangential image is 0.2 % off the sagittal one.
-    np.testing.assert_allclose(views.parallax(cameras, WATER, 0, [1], -2.0), expected, rtol=4e-3)
+    np.testing.assert_allclose(_parallax(cameras, WATER, [1], -2.0), expected, rtol=4e-3)
 
 
 @pytest.mark.parametrize("water", [None, WATER, TILTED])
@@ -158,11 +162,11 @@ def test_parallax_is_that_of_the_pixels_in_each_camera(water, tide):
     moves = [np.linalg.norm(np.diff(cameras[other].project(ends, water), axis=0)) / 0.1 for other in others]
     # Points are searched together or camera by camera: the same but for rounding of pixels over 0.1 m.
     expected = np.quantile(moves, 0.75)
-    np.testing.assert_allclose(views.parallax(cameras, water, 0, others, -2.0), expected, rtol=1e-9)
+    np.testing.assert_allclose(_parallax(cameras, water, others, -2.0), expected, rtol=1e-9)
 
 
 def test_parallax_is_never_zero():
-    assert views.parallax([flight(1)[0]] * 2, WATER, 0, [1], -2.0) == 1e-3
+    assert _parallax([flight(1)[0]] * 2, WATER, [1], -2.0) == 1e-3
 
 
 def test_a_block_needs_two_views_with_images():

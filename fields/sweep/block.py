@@ -13,10 +13,13 @@ from fields.device import Device
 from fields.image_store import GreyImages, LazyImages
 from fields.skips import SKIPS, Skips
 from fields.sweep import views
+from fields.sweep.corner_rays import CornerRays
 from fields.sweep.kernels.arrays import release
 from fields.sweep.kernels.stack import ViewStack, largest
-from refract import FlatWater, PinholeCamera
+from refract import BentPaths, FlatWater, PinholeCamera
 
+# Neighbours that are found at once.
+MOST_NEIGHBOURS = 12
 # Two heights agree when their difference would show as less than this parallax.
 AGREEMENT_PX = 0.7
 # Side of the surroundings of a hole [px], and the least known share of them, and of the area of a reduced pixel.
@@ -56,6 +59,7 @@ class Overlap:
         views.require_ground(self.cameras, self._z_of(height))
         self.height = height
         self.__dict__.pop("_coverage", None)
+        self.__dict__.pop("_found_neighbours", None)
 
     def _z_of(self, height: float) -> float:
         if self.water is None:
@@ -93,11 +97,25 @@ class Overlap:
     def neighbours(self, view: int, count: int, among: list[int] | None = None) -> list[int]:
         """Neighbour views of a view (of ``among``, default all), best first, at most ``count``."""
         among = list(range(len(self.cameras))) if among is None else among
-        return views.neighbours(self.cameras, self.seen, self.cells, view, among, count)
+        # Each is the best beside those before it: fewer of them are the first of more.
+        key, most = (view, tuple(among)), max(count, MOST_NEIGHBOURS)
+        if count > MOST_NEIGHBOURS or key not in self._found_neighbours:
+            self._found_neighbours[key] = views.neighbours(self.cameras, self.seen, self.cells, view, among, most)
+        return self._found_neighbours[key][:count]
+
+    @cached_property
+    def _found_neighbours(self) -> dict[tuple[int, tuple[int, ...]], list[int]]:
+        return {}
+
+    @cached_property
+    def _middle_paths(self) -> dict[int, BentPaths]:
+        return {}
 
     def parallax(self, view: int, others: list[int], height: float) -> float:
         """Parallax [px/m] at full size in other views per metre of height of a bed point of `view`."""
-        return views.parallax(self.cameras, self.water, view, others, height)
+        if view not in self._middle_paths:
+            self._middle_paths[view] = views.middle_path(self.cameras[view], self.water)
+        return views.parallax(self.cameras, self.water, self._middle_paths[view], others, height)
 
     def agreement_tolerance(self, view: int, others: list[int], height: float) -> float:
         """Height difference [m] that shows as a parallax of `AGREEMENT_PX`: closer heights agree."""
@@ -145,6 +163,7 @@ class Block(Overlap):
         super().__init__(cameras, water, height, ground)
         self.saturated = tuple(saturated)
         self._stacks: dict[float, ViewStack] = {}
+        self._corner_rays: dict[tuple[int, tuple[int, int]], CornerRays] = {}
 
     def stack(self, scale: float) -> ViewStack:
         """Images and cameras at a scale, kept on the device until `release`."""
@@ -162,6 +181,13 @@ class Block(Overlap):
                 images = LazyImages(lambda view: fill_small_holes(whole[view]), len(cameras), largest(cameras))
             self._stacks[scale] = ViewStack.build(self.device, cameras, images, self.water, self.skips)
         return self._stacks[scale]
+
+    def corner_rays(self, view: int, squares: tuple[int, int]) -> CornerRays:
+        """Rays through the corners of the squares of a view, so many rows and columns; found once."""
+        key = view, squares
+        if key not in self._corner_rays:
+            self._corner_rays[key] = CornerRays.of(self.cameras[view], self.water, squares)
+        return self._corner_rays[key]
 
     def part(self, chosen: list[int]) -> Block:
         """Block of a subset of the views."""

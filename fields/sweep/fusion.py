@@ -190,14 +190,16 @@ def remove_free_space_violations(block: Block, maps: Sequence[HeightMap], keep: 
     stack = ViewStack.build(block.device, cameras, images, block.water)
     for index, m in enumerate(maps):
         peers = block.neighbours(m.view, PEERS, among=chosen)
-        if not peers:
+        pixels = np.flatnonzero(trusted(m))
+        if not peers or not len(pixels):
             found[m.view] = m
             continue
         tolerance = block.agreement_tolerance(m.view, peers, median(m.height))
         through = kernels(block.device).count_seeing_through(
-            stack, index, [chosen.index(peer) for peer in peers], tolerance
+            stack, index, [chosen.index(peer) for peer in peers], tolerance, pixels
         )
-        against = host(block.device, through).reshape(m.height.shape)
-        contradicted = (against > 0.0) & (against >= m.agreeing)
-        found[m.view] = replace(m, agreeing=np.where(contradicted, 0, m.agreeing).astype(np.uint8))
+        against, agreeing = host(block.device, through), np.array(m.agreeing)
+        contradicted = (against > 0.0) & (against >= agreeing.flat[pixels])
+        agreeing.flat[pixels[contradicted]] = 0
+        found[m.view] = replace(m, agreeing=agreeing)
     return OrderedMaps(found, chosen)

@@ -14,6 +14,7 @@ import numpy as np
 
 from fields.sweep.block import Block
 from fields.sweep.maps import HeightMap, trusted
+from refract import PinholeCamera
 
 # Wider images are reduced to this: structure of some pixels is compared, not noise.
 _WIDTH_PX = 800
@@ -33,12 +34,16 @@ class Consistency:
     contrast: float  # [grey levels]: standard deviation of its grey levels in that band
 
 
-def photo_consistency(block: Block, maps: Sequence[HeightMap]) -> list[Consistency]:
-    """Each photograph of a block, in its order, against the trusted points of the height maps of others."""
-    scale = min(1.0, _WIDTH_PX / max(camera.width for camera in block.cameras))
+def photo_consistency(block: Block, maps: Sequence[HeightMap], whole: PinholeCamera | None = None) -> list[Consistency]:
+    """Each photograph of a block, in its order, against the trusted points of the height maps of others.
+
+    Where views are windows of photographs, ``whole`` is the camera of one of these: a window is reduced as the whole
+    is, and gives as many points as its share of the pixels.
+    """
+    scale = min(1.0, _WIDTH_PX / (max(camera.width for camera in block.cameras) if whole is None else whole.width))
     cameras = [camera.scaled(scale) for camera in block.cameras]
     bands = [_band(block.images[view], scale) for view in range(len(cameras))]
-    xyz, grey, source = _points(block, maps, bands, scale)
+    xyz, grey, source = _points(block, maps, bands, scale, None if whole is None else whole.width * whole.height)
     found = []
     for view, (camera, band) in enumerate(zip(cameras, bands, strict=True)):
         others = source != view
@@ -52,7 +57,7 @@ def photo_consistency(block: Block, maps: Sequence[HeightMap]) -> list[Consisten
 
 
 def _points(
-    block: Block, maps: Sequence[HeightMap], bands: Sequence[np.ndarray], scale: float
+    block: Block, maps: Sequence[HeightMap], bands: Sequence[np.ndarray], scale: float, whole_px: int | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points (N, 3) [m], local, their grey levels (N,) in the band, and the views (N,) they come from."""
     rng = np.random.default_rng(0)
@@ -60,7 +65,8 @@ def _points(
     for m in maps:
         camera = block.cameras[m.view]
         pixels = np.flatnonzero(trusted(m)[: camera.height, : camera.width])
-        pixels = rng.choice(pixels, min(_SAMPLES, len(pixels)), replace=False)
+        most = _SAMPLES if whole_px is None else -(-_SAMPLES * camera.width * camera.height // whole_px)
+        pixels = rng.choice(pixels, min(most, len(pixels)), replace=False)
         row, column = np.divmod(pixels, camera.width)
         at = np.column_stack([column, row]) + 0.5
         xyz.append(camera.paths(at, block.water).at_height(m.height[row, column].astype(np.float64), block.water))
@@ -77,9 +83,12 @@ def _band(image: np.ndarray, scale: float) -> np.ndarray:
     if scale < 1.0:
         image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     known = np.isfinite(image)
-    filled = np.where(known, image, np.float32(np.nanmedian(image) if known.any() else 0.0))
+    is_whole = bool(known.all())
+    filled = image
+    if not is_whole:
+        filled = np.where(known, image, np.float32(np.nanmedian(image) if known.any() else 0.0))
     fine, coarse = (cv2.GaussianBlur(filled, (0, 0), sigma) for sigma in (_FINE_PX, _COARSE_PX))
-    return np.where(known, fine - coarse, np.float32(np.nan))
+    return fine - coarse if is_whole else np.where(known, fine - coarse, np.float32(np.nan))
 
 
 def _sampled(band: np.ndarray, at: np.ndarray) -> np.ndarray:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import cv2
 import numpy as np
 
 from fields.sweep.block import Block
+from fields.sweep.corner_rays import Area, CornerRays, extremes_of_squares, squares_over_area
 from fields.sweep.images import image_backend
 from fields.sweep.kernels.backend import Job
 from fields.sweep.kernels.stack import Hypotheses
@@ -16,18 +19,13 @@ from fields.sweep.maps import HeightMap
 from fields.sweep.matching import LEAST_KNOWN, Reference, match_tiles, match_view, match_with_adaptive_windows
 from fields.sweep.passes import MATCHED_NCC, PASSES, Pass
 from fields.sweep.steps import search_steps
-from fields.sweep.tiles import PART_SIDE_PX, Tiles, in_tiles
+from fields.sweep.tiles import PART_SIDE_PX, Tiles
 from refract import FlatWater, PinholeCamera
-
-Area = tuple[float, float, float, float]
 
 # Places along each side of the area: between them the outline of what is seen is straight to a fraction of a pixel.
 _PLACES = 17
 # Pixels added on every side, beside a window: of the straight outline, and for the surroundings of the last points.
 _RIM_PX = 6
-# Side of the squares of a height map whose heights decide together what is seen of an area [px], and how many of them
-# there are along the longer side: more only cost time.
-_SQUARE_PX, _SQUARES = 4, 64
 
 
 @dataclass(frozen=True)
@@ -114,7 +112,8 @@ def match_pass(
             return columns_seeing_area(stack.cameras[view], block.water, area, bound, radius)
         if not over_area:
             height = backend.to_host(before.height)
-            over_area.append(columns_over_area(stack.cameras[view], block.water, area, height))
+            rays_of = partial(block.corner_rays, view)
+            over_area.append(columns_over_area(block.cameras[view], shape, area, height, rays_of))
         return over_area[0]
 
     radius = pass_.radius + wider
@@ -202,40 +201,31 @@ def columns_seeing_area(
     return _columns_of(mask)
 
 
-def columns_over_area(camera: PinholeCamera, water: FlatWater | None, area: Area, height: np.ndarray) -> np.ndarray:
+def columns_over_area(
+    camera: PinholeCamera,
+    shape: tuple[int, int],
+    area: Area,
+    height: np.ndarray,
+    rays_of: Callable[[tuple[int, int]], CornerRays],
+) -> np.ndarray:
     """Columns with pixels that see the area at heights (height, width) [m] of a map, or around them.
 
-    The map may be smaller than the image of the camera. Heights around a pixel are those of its square in the map, of
-    `_SQUARE_PX` or more, and of the squares beside it.
+    Parameters
+    ----------
+    camera : PinholeCamera
+        Of full size.
+    shape : (height, width) [px]
+        Of the image whose columns are wanted; the map may be smaller.
+    rays_of : callable
+        `CornerRays` of the camera for so many rows and columns of squares.
     """
-    shape, side = (camera.height, camera.width), max(_SQUARE_PX, max(height.shape) // _SQUARES)
-    low, high = (
-        choose(choose(in_tiles(height, side, beyond), axis=3), axis=1)
-        for choose, beyond in ((np.min, np.inf), (np.max, -np.inf))
-    )
-    # Of the squares about each corner of a square, where their pixels see.
-    ends = [
-        _of_corners(choose, np.pad(each, 1, mode="edge")) for choose, each in ((np.minimum, low), (np.maximum, high))
-    ]
-    row, column = (
-        np.minimum(np.arange(count) * side, length) * whole / length
-        for count, length, whole in zip(ends[0].shape, height.shape, shape, strict=True)
-    )
-    paths = camera.paths(np.stack(np.meshgrid(column, row), axis=-1).reshape(-1, 2), water)
-    places = [paths.at_height(each.ravel(), water)[:, :2].reshape(*each.shape, 2) for each in ends]
-    least, most = _of_corners(np.fmin, np.fmin(*places)), _of_corners(np.fmax, np.fmax(*places))
-    meets = np.asarray(((least <= area[2:]) & (most >= area[:2])).all(axis=-1))
+    low, high, side = extremes_of_squares(camera, height)
+    meets = squares_over_area(rays_of(low.shape), area, low, high)
     of_row, of_column = (
         ((np.arange(whole) + 0.5) * length / whole).astype(int) // side
         for whole, length in zip(shape, height.shape, strict=True)
     )
     return _columns_of(meets[np.ix_(of_row, of_column)])
-
-
-def _of_corners(choose: np.ufunc, value: np.ndarray) -> np.ndarray:
-    """Least or largest of the values of each two by two neighbours."""
-    pairs = choose(value[:-1], value[1:])
-    return choose(pairs[:, :-1], pairs[:, 1:])
 
 
 def _mask_of(columns: np.ndarray | None, width: int) -> np.ndarray | None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
-from refract import FlatWater, PinholeCamera, crossing_point
+from refract import BentPaths, FlatWater, PinholeCamera, crossing_point
 
 # NCC over small windows holds to about 30 degrees between views and gains depth precision with the angle;
 # the best trade-off is flat around 15 to 20 degrees.
@@ -220,16 +220,19 @@ def neighbours(
     return [others[c] for c in chosen]
 
 
+def middle_path(camera: PinholeCamera, water: FlatWater | None) -> BentPaths:
+    """Path of the middle of a view, twice: for two heights on it."""
+    return camera.paths(np.full((2, 2), (camera.width / 2, camera.height / 2)), water)
+
+
 def parallax(
-    cameras: list[PinholeCamera], water: FlatWater | None, view: int, others: list[int], height: float
+    cameras: list[PinholeCamera], water: FlatWater | None, path: BentPaths, others: list[int], height: float
 ) -> float:
-    """Parallax [px/m] in other views per metre of height of a bed point in the middle of `view`.
+    """Parallax [px/m] in other views per metre of height of a bed point on a `middle_path`.
 
     ``height`` [m] is over the water plane along its normal (over local z = 0 in a dry survey). The upper quartile over
     the others; the sweep's steps and tolerances follow from it. At least 1e-3.
     """
-    camera = cameras[view]
-    path = camera.paths(np.full((2, 2), (camera.width / 2, camera.height / 2)), water)
     ends = path.at_height(height + np.array([-0.05, 0.05]), water)
     pixels = _pixels([cameras[other] for other in others], ends, water)
     moves = [np.linalg.norm(np.diff(each, axis=0)) / 0.1 for each in pixels]

@@ -141,6 +141,11 @@ class Job:
         """Cameras of the block, at the scale of the plan."""
         return cameras_of_block(self.survey, self.plan)
 
+    @property
+    def whole_camera(self) -> PinholeCamera | None:
+        """Camera of a whole photograph, where those of the block are windows."""
+        return None
+
     @cached_property
     def outlines(self) -> Outlines:
         """Outlines of these photographs, for the tiles."""

@@ -168,7 +168,7 @@ def _save(job: Job, folder: Path, maps: Sequence[HeightMap], took: _SweepCost, b
     write_json(folder / SWEPT, asdict(took) | {"samples": num_samples})
     names = [view.name for view in job.survey.views]
     write_json(folder / SATURATED, dict(zip(names, job.block.saturated, strict=True)))
-    found = photo_consistency(job.block, maps) if scale == job.plan.image_scale else []
+    found = photo_consistency(job.block, maps, job.whole_camera) if scale == job.plan.image_scale else []
     write_json(folder / CONSISTENCY, {name: asdict(each) for name, each in zip(names, found, strict=False)})
 
 

@@ -107,6 +107,11 @@ class TileJob(Job):
             return True
         return bool(np.isnan(ground_points([view.camera for view in self.survey.views], 0.0)).all())
 
+    @property
+    def whole_camera(self) -> PinholeCamera | None:
+        """Camera of a whole photograph, at the size that is worked on."""
+        return self.whole.cameras[0]
+
     def views_to_match(self) -> list[int]:
         """Views of the whole survey that show the tile, by their numbers here."""
         here = {window.view: number for number, window in enumerate(self.windows)}

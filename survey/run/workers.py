@@ -10,6 +10,7 @@ from __future__ import annotations
 import platform
 import time
 import uuid
+import warnings
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
@@ -157,10 +158,13 @@ class Workers:
         most = _AT_ONCE * max(len(self._client.nthreads()), 1)
         try:
             while True:
-                under_way += [
-                    (item, self._client.submit(function, item, pure=False))
-                    for item in islice(left, most - len(under_way))
-                ]
+                with warnings.catch_warnings():
+                    # Data that is scattered to one worker would be lost with it.
+                    warnings.filterwarnings("ignore", "Sending large graph")
+                    under_way += [
+                        (item, self._client.submit(function, item, pure=False))
+                        for item in islice(left, most - len(under_way))
+                    ]
                 if not under_way:
                     return
                 item, future = under_way.popleft()

@@ -57,7 +57,9 @@ class Kernels(Protocol):
         self, stack: ViewStack, view: int, peers: list[int], tolerance: float, pixels: Any | None = None
     ) -> tuple[Any, Any, Any]: ...
 
-    def count_seeing_through(self, stack: ViewStack, view: int, peers: list[int], tolerance: float) -> Any: ...
+    def count_seeing_through(
+        self, stack: ViewStack, view: int, peers: list[int], tolerance: float, pixels: Any
+    ) -> Any: ...
 
     def find_duplicates(
         self, stack: ViewStack, rays: Any, own_height: Any, other: int, tolerance: float, close_m: float

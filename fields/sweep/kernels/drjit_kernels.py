@@ -245,19 +245,14 @@ def compare_heights(stack: ViewStack, view: int, peers: list[int], tolerance: fl
     return count, total, square
 
 
-def count_seeing_through(stack: ViewStack, view: int, peers: list[int], tolerance: float):
-    """Number of peers (P) that see through the point of each pixel of height map `view` to something lower.
+def count_seeing_through(stack: ViewStack, view: int, peers: list[int], tolerance: float, pixels: np.ndarray):
+    """Number of peers (P) that see through the points of pixels (flat indices) of height map `view` to something lower.
 
     All four of the peer's pixels about the point are lower by more than `tolerance` [m]; NaN sees nothing.
     """
-    Float, UInt, size = (
-        stack.device.module.Float,
-        stack.device.module.UInt,
-        stack.width_of(view) * stack.height_of(view),
-    )
-    rays = rays_of_rows(stack, view, 0, stack.height_of(view))
-    own_height = stack.pixels[view]
-    count, least = dr.opaque(Float, 0.0, size), own_height - dr.opaque(Float, tolerance)
+    Float, UInt = stack.device.module.Float, stack.device.module.UInt
+    rays, own_height = rays_and_heights(stack, view, pixels)
+    count, least = dr.opaque(Float, 0.0, len(pixels)), own_height - dr.opaque(Float, tolerance)
     for group in _groups(peers):
         for peer in group:
             u, v, lower = project_rays(stack, rays, own_height, peer)

@@ -196,8 +196,8 @@ class PackedImages:
         least, most, are_unmasked, pixels = np.inf, -np.inf, True, 0
         for image in images:
             pixels = max(pixels, image.size)
-            if not np.isnan(image).all():
-                least, most = min(least, float(np.nanmin(image))), max(most, float(np.nanmax(image)))
+            low, high = _extremes(image)
+            least, most = min(least, low), max(most, high)
             are_unmasked = are_unmasked and np.array_equal(np.rint(image), image)
         least, most = (0.0, 0.0) if most < least else (least, most)
         bits = 8 if most - least < 2**8 and are_unmasked else 16
@@ -206,6 +206,15 @@ class PackedImages:
         kept = num_packed(pixels * bits // 2, memory_bytes(device)) if kept is None else kept
         values: LruCache[int, Any] = LruCache(lambda view: words(device, _packed(images[view], low, step, bits)), kept)
         return PackedImages(values, bits, float(low), float(step))
+
+
+def _extremes(image: np.ndarray) -> tuple[float, float]:
+    """Least and largest level of an image; infinite, in the wrong order, where all are masked."""
+    low = float(image.min())
+    if not np.isnan(low):
+        return low, float(image.max())
+    # Slower.
+    return (float(np.nanmin(image)), float(np.nanmax(image))) if not np.isnan(image).all() else (np.inf, -np.inf)
 
 
 def num_packed(image_bytes: int, memory: int) -> int:

@@ -143,9 +143,9 @@ def compare_heights(
     return count, total, square
 
 
-def count_seeing_through(stack: ViewStack, view: int, peers: list[int], tolerance: float) -> Tensor:
-    """Number of peers (P) that see something lower through the point of each pixel; see the twin."""
-    rays, own_height = rays_of_rows(stack, view, 0, stack.height_of(view)), stack.pixels[view]
+def count_seeing_through(stack: ViewStack, view: int, peers: list[int], tolerance: float, pixels: np.ndarray) -> Tensor:
+    """Number of peers (P) that see something lower through the points of pixels; see the twin."""
+    rays, own_height = rays_and_heights(stack, view, pixels)
     count, least = torch.zeros_like(own_height), own_height - tolerance
     for peer in peers:
         u, v, lower = project_rays(stack, rays, own_height, peer)

@@ -23,7 +23,7 @@ from geo.raster import RasterBand, RasterForm, write_cog
 from survey.errors import OutputError, SurveyError
 from survey.export.export import export
 from survey.export.product import ExportOptions
-from survey.export.terrain import hillshade, slope_deg
+from survey.export.relief import hillshade, slope_deg
 from survey.progress import Progress
 from survey.run.stored import StoredBed
 

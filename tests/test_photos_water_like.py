@@ -59,5 +59,5 @@ def test_check_names_the_photographs_where_no_water_is_given(tmp_path, suffix, g
         Image.fromarray(pixels).save(path.with_suffix(f".{suffix}"))
     cameras = folder / "cameras.csv"
     cameras.write_text(cameras.read_text().replace(".jpg", f".{suffix}"))
-    found = [line for line in require_processable(folder).warnings if "water looks" in line]
+    found = [line for line in require_processable(folder).warnings if "look like water" in line]
     assert [line.endswith(f"give [water] level_m: 0002.{suffix}") for line in found] == [True] * (given == "nothing")

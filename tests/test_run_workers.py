@@ -107,6 +107,8 @@ def test_a_scheduler_that_does_not_answer_is_named(tmp_path, monkeypatch):
 
 
 PLACE = "tcp://10.0.0.7:41"
+# Of a scheduler in this process: any, as others may run beside it.
+FREE_PORTS = {"dashboard": False, "dashboard_address": "127.0.0.1:0", "protocol": "inproc://", "port": 0}
 
 
 class ClientOfOne:
@@ -186,7 +188,7 @@ def test_tasks_on_cuda_go_to_workers_with_the_resource_of_a_gpu(tmp_path, monkey
     monkeypatch.setattr("survey.run.workers.compute_task", where_computed)
     workers = {0: {"cls": distributed.Worker, "options": {"nthreads": 1, "resources": {"GPU": 1}, "name": "gpu"}}}
     workers |= {1: {"cls": distributed.Worker, "options": {"nthreads": 1, "name": "plain"}}}
-    scheduler = {"cls": distributed.Scheduler, "options": {"dashboard": False, "protocol": "inproc://", "port": 0}}
+    scheduler = {"cls": distributed.Scheduler, "options": FREE_PORTS}
     with (
         distributed.SpecCluster(workers=workers, scheduler=scheduler, silence_logs="ERROR") as cluster,
         distributed.Client(cluster) as client,
@@ -373,7 +375,7 @@ def test_a_slow_worker_holds_up_no_task_but_its_own(tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr("survey.run.workers.compute_task", slow_on_one)
     workers = {name: {"cls": distributed.Worker, "options": {"nthreads": 1, "name": name}} for name in ("slow", "fast")}
-    scheduler = {"cls": distributed.Scheduler, "options": {"dashboard": False, "protocol": "inproc://", "port": 0}}
+    scheduler = {"cls": distributed.Scheduler, "options": FREE_PORTS}
     with (
         distributed.SpecCluster(workers=workers, scheduler=scheduler, asynchronous=False) as cluster,
         distributed.Client(cluster) as client,

@@ -79,3 +79,17 @@ def test_corner_rays_are_the_paths_of_pixels_on_both_sides_of_the_water(water, t
         height = np.full(row.shape, level)
         expected = paths.at_height(height, water)[..., :2]
         np.testing.assert_allclose(rays.places(height.astype(np.float32)), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("level", [-20.0, 0.0, 0.005, 1500.0])
+def test_corner_rays_of_a_dry_camera_are_its_paths_wherever_the_frame_has_its_origin(level):
+    camera = ring(6)[2]
+    camera = replace(camera, centre=(*np.array(camera.centre)[:2], level))
+    rays = CornerRays.of(camera, None, (3, 5))
+    row, column = np.mgrid[:4, :6] * float(side_of_squares(camera))
+    paths = camera.paths(np.stack([column, row], axis=-1), None)
+    for over in (-12.0, -0.2, 0.3):
+        height = np.full(row.shape, level + over)
+        expected = paths.at_height(height, None)[..., :2]
+        assert np.isnan(expected).all() == (over > 0.0)
+        np.testing.assert_allclose(rays.places(height.astype(np.float32)), expected, atol=1e-3)

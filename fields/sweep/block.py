@@ -96,15 +96,15 @@ class Overlap:
 
     def neighbours(self, view: int, count: int, among: list[int] | None = None) -> list[int]:
         """Neighbour views of a view (of ``among``, default all), best first, at most ``count``."""
-        among = list(range(len(self.cameras))) if among is None else among
         # Each is the best beside those before it: fewer of them are the first of more.
-        key, most = (view, tuple(among)), max(count, MOST_NEIGHBOURS)
+        key, most = (view, None if among is None else tuple(among)), max(count, MOST_NEIGHBOURS)
         if count > MOST_NEIGHBOURS or key not in self._found_neighbours:
+            among = list(range(len(self.cameras))) if among is None else among
             self._found_neighbours[key] = views.neighbours(self.cameras, self.seen, self.cells, view, among, most)
         return self._found_neighbours[key][:count]
 
     @cached_property
-    def _found_neighbours(self) -> dict[tuple[int, tuple[int, ...]], list[int]]:
+    def _found_neighbours(self) -> dict[tuple[int, tuple[int, ...] | None], list[int]]:
         return {}
 
     @cached_property

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fields.sweep.tiles import in_tiles
-from refract import FlatWater, PinholeCamera
+from refract import BentPaths, FlatWater, PinholeCamera
 
 Area = tuple[float, float, float, float]
 
@@ -37,13 +37,26 @@ class CornerRays:
             for count, length in zip(squares, (camera.height, camera.width), strict=True)
         )
         paths = camera.paths(np.stack(np.meshgrid(column, row), axis=-1).reshape(-1, 2).astype(float), water)
-        level = 0.0 if water is None else camera.tide * float(water.up[2])
+        if water is None:
+            return CornerRays._straight(camera, paths, (len(row), len(column)))
+        level = camera.tide * float(water.up[2])
         low, foot, high = (
             paths.at_height(np.full(len(row) * len(column), level + by), water)[:, :2].reshape(len(row), -1, 2)
             for by in (-_APART_M, 0.0, _APART_M)
         )
         legs = (foot, (high - foot) / _APART_M, (foot - low) / _APART_M)
         return CornerRays(level, *(each.astype(np.float32) for each in legs))
+
+    @staticmethod
+    def _straight(camera: PinholeCamera, paths: BentPaths, shape: tuple[int, int]) -> CornerRays:
+        """Rays in air alone, from the camera on: nothing above it lies on a ray that falls, nothing below on others."""
+        x, y, z = paths.air_direction.T
+        level = float(camera.centre[2])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = np.column_stack([x, y]) / z[:, None]
+            foot = paths.origin[:, :2] + (level - paths.origin[:, 2:]) * slope
+            above, below = (np.where(is_ahead[:, None], slope, np.nan) for is_ahead in (z > 0.0, z < 0.0))
+        return CornerRays(level, *(each.reshape(*shape, 2).astype(np.float32) for each in (foot, above, below)))
 
     def places(self, height: np.ndarray) -> np.ndarray:
         """Places (rows, columns, 2) float32 [m], local, of the rays at heights (rows, columns) [m]."""

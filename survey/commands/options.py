@@ -188,7 +188,11 @@ class ProcessOptions(PlanOptions):
     ] = None
     scheduler: Annotated[
         str | None,
-        typer.Option(metavar="ADDRESS", help="Dask scheduler whose workers compute tiles.", rich_help_panel=HOW),
+        typer.Option(
+            metavar="ADDRESS",
+            help="Dask scheduler whose workers compute tiles, features and matches.",
+            rich_help_panel=HOW,
+        ),
     ] = None
 
 

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from survey.export.product import ExportOptions, Product
 from survey.export.styles import of_heights, of_slopes
@@ -27,7 +24,6 @@ _UNCERTAINTY = (
     "of the mean height of the cell: matching, relief that the points sample, the place of walls; beside it what all "
     "share by water, lens and poses, as far as the run knows it: the root of the sum of squares is that of both"
 )
-_SUN_HEIGHT, _SUN_AZIMUTH = math.radians(45.0), math.radians(315.0)
 
 
 def raster_form(grid: Gridded, *bands: RasterBand, said: dict[str, str], **form) -> RasterForm:
@@ -99,6 +95,7 @@ def _write_dem(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 
 def _write_slope(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     from geo.raster import RasterBand
+    from survey.export.relief import slope_deg
 
     said = {"SLOPE": "of central differences between neighbouring cells"}
     _write_relief(
@@ -108,6 +105,7 @@ def _write_slope(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 
 def _write_hillshade(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     from geo.raster import RasterBand
+    from survey.export.relief import hillshade
 
     said = {"HILLSHADE": "light from the north-west at 45 degrees, heights not exaggerated; 1 to 255"}
 
@@ -179,35 +177,3 @@ TERRAIN = (
         write=_write_hillshade,
     ),
 )
-
-
-def gradient(height: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rise to the east and to the north [-] of heights (rows, columns), NaN where there is none.
-
-    Between the neighbours on both sides (L. Zevenbergen and C. Thorne 1987), or from the cell to the one that there is.
-    """
-    return _differences(height, side), -_differences(height.T, side).T
-
-
-def _differences(height: np.ndarray, side: float) -> np.ndarray:
-    """Rise along the columns [-]."""
-    padded = np.pad(height, ((0, 0), (1, 1)), constant_values=np.nan)
-    before, after = padded[:, :-2], padded[:, 2:]
-    both = (after - before) / (2.0 * side)
-    one = np.where(np.isfinite(after), after - height, height - before) / side
-    return np.where(np.isfinite(height) & np.isfinite(both), both, one)
-
-
-def slope_deg(height: np.ndarray, side: float) -> np.ndarray:
-    """Steepest slope [deg] of heights (rows, columns) [m]; NaN where a direction has no neighbour."""
-    east, north = gradient(height, side)
-    return np.degrees(np.arctan(np.hypot(east, north)))
-
-
-def hillshade(height: np.ndarray, side: float) -> np.ndarray:
-    """Light on a relief (rows, columns) uint8 from the north-west at 45 degrees, 1 to 255; 0 where unknown."""
-    east, north = gradient(height, side)
-    toward = east * math.sin(_SUN_AZIMUTH) + north * math.cos(_SUN_AZIMUTH)
-    light = (math.sin(_SUN_HEIGHT) - math.cos(_SUN_HEIGHT) * toward) / np.sqrt(1.0 + east**2 + north**2)
-    known = np.isfinite(light)
-    return np.where(known, 1.0 + 254.0 * np.clip(np.where(known, light, 0.0), 0.0, 1.0), 0.0).round().astype(np.uint8)

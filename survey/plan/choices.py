@@ -30,7 +30,7 @@ class Choices:
         Number of processes that compute tiles; by default one, and on the command line by tiles, cores and memory.
         With a scheduler the number of its workers that the run waits for.
     scheduler : str, optional
-        Address of a Dask scheduler whose workers compute the tiles, as "tcp://host:8786".
+        Address of a Dask scheduler whose workers compute tiles, features and matches, as "tcp://host:8786".
 
     Raises
     ------

@@ -56,8 +56,8 @@ _EARLIER = {"sweep": EARLIER_SWEEP, "solver": EARLIER_SOLVER, ASSESSMENT: EARLIE
 class TileWorkers:
     """Workers of a run. They end with the context.
 
-    Those of a run that begins start beside what comes before the tiles, which takes some seconds; those of one that
-    goes on when there is something to compute.
+    Those of this machine start beside what comes before the tiles, which takes some seconds, where a run begins; those
+    of a run that goes on, or of a scheduler, when there is something to compute.
 
     Parameters
     ----------
@@ -73,7 +73,9 @@ class TileWorkers:
         loaded_code()
 
     def __enter__(self) -> TileWorkers:
-        if not any(self._run.stages_path.glob(f"{_SWEEP.name}_tile*")):
+        # One waits a minute for a scheduler that does not answer.
+        is_here = self._job.chosen.scheduler is None
+        if is_here and not any(self._run.stages_path.glob(f"{_SWEEP.name}_tile*")):
             self._starting = self._starter.submit(self._start)
         return self
 

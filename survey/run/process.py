@@ -120,7 +120,7 @@ def process(
         Processes that compute tiles; default one, unless ``chooses_workers``. Of a scheduler those that are waited
         for. A script that gives more than one needs ``if __name__ == "__main__":``, as each process loads it again.
     scheduler : str, optional
-        Address of a Dask scheduler whose workers compute the tiles, as "tcp://host:8786".
+        Address of a Dask scheduler whose workers compute tiles, features and matches, as "tcp://host:8786".
     reference, visible : str or Path, optional
         True surface and the points of it that cameras see, for the report; the reconstruction never reads them.
 

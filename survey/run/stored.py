@@ -11,9 +11,11 @@ import os
 import shutil
 import struct
 import zipfile
+import zlib
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import BytesIO
 from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -143,12 +145,12 @@ class StoredArrays:
         self._path = Path(path)
         try:
             with zipfile.ZipFile(self._path) as archive:
-                self._start = {each.filename.removesuffix(".npy"): each.header_offset for each in archive.infolist()}
+                self._members = {each.filename.removesuffix(".npy"): each for each in archive.infolist()}
         except (OSError, zipfile.BadZipFile) as error:
             raise unreadable(path, error) from error
 
     def __contains__(self, name: str) -> bool:
-        return name in self._start
+        return name in self._members
 
     def __getitem__(self, name: str) -> np.ndarray:
         """The array of a name."""
@@ -156,8 +158,12 @@ class StoredArrays:
             raise unreadable(self._path, f"it lacks the array {name}")
         try:
             with self._path.open("rb") as stream:
-                _to_array(stream, self._start[name])
-                return np.load(stream, allow_pickle=False)
+                member = self._members[name]
+                _to_array(stream, member.header_offset)
+                content = stream.read(member.file_size)
+            if zlib.crc32(content) != member.CRC:
+                raise unreadable(self._path, f"the checksum of its array {name} differs")
+            return np.load(BytesIO(content), allow_pickle=False)
         except (OSError, ValueError, EOFError, struct.error) as error:
             raise unreadable(self._path, error) from error
 

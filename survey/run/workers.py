@@ -22,6 +22,7 @@ from typing import Any, TypeVar
 
 from geo.errors import GeoError
 from survey.errors import SurveyError
+from survey.progress import current
 from survey.run.task_at_url import compute_at_url
 from survey.run.worker_task import Task, compute_task, loaded_code
 
@@ -36,7 +37,7 @@ ALLOWED_FAILURES = 3
 # Resource of Dask that a worker with a GPU of its own has, and a task on one takes.
 GPU = "GPU"
 # Items of a sequence under way for each worker: results that wait for their turn are held.
-_AT_ONCE = 3
+_AT_ONCE = 2
 # How long workers of a cluster may take to come [s].
 WORKER_TIMEOUT_S = 60.0
 # Interval at which the number of workers is checked [s].
@@ -143,7 +144,7 @@ class Workers:
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Generator[Result, None, None]:
         """Results of a function in the order of the items, of which a few for each worker are under way.
 
-        What a worker cannot compute this process does.
+        What a worker cannot compute this process does, and warns of it once.
 
         Raises
         ------
@@ -153,7 +154,9 @@ class Workers:
             Of an item that this process cannot compute either.
         """
         from distributed import KilledWorker
+        from distributed.comm.core import CommClosedError
 
+        is_said = False
         left, under_way = iter(items), deque[tuple[Any, Any]]()
         most = _AT_ONCE * max(len(self._client.nthreads()), 1)
         try:
@@ -170,16 +173,22 @@ class Workers:
                 item, future = under_way.popleft()
                 try:
                     found = future.result()
-                except (SurveyError, GeoError, OSError):
+                except CommClosedError:
+                    raise
+                except (SurveyError, GeoError, OSError) as error:
                     # A full disk, or a photograph that this worker alone cannot read.
-                    found = function(item)
+                    if not is_said:
+                        current().warn(
+                            f"a worker could not do its part of structure from motion ({error}); this machine does"
+                        )
+                    is_said, found = True, function(item)
                 yield found
         except KilledWorker as error:
             raise SurveyError(
                 f"{error.allowed_failures + 1} workers that looked for features and matches were ended by the system, "
                 "most likely for want of memory; give the same command with fewer workers, or without --scheduler"
             ) from error
-        except CancelledError as error:
+        except (CancelledError, CommClosedError) as error:
             raise SurveyError(
                 "the scheduler of the workers was lost during structure from motion; start it and its workers again, "
                 "and give the same command"

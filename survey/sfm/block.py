@@ -157,8 +157,10 @@ def _extract(database: Path, folder: Path, names: Sequence[str], pool: Workers |
         current().stage("Features", len(names)) as step,
         ThreadPoolExecutor(max(at_once, 1)) as threads,
     ):
-        # Workers may not see the folder of links.
-        found = (threads if pool is None else pool).map(find, ((folder / name).resolve() for name in names))
+        # Workers may not see the folder, which holds links; they see the photographs by the paths of the survey.
+        paths = [folder / name for name in names]
+        paths = [path.readlink() if path.is_symlink() else path for path in paths]
+        found = (threads if pool is None else pool).map(find, paths)
         for name, (keypoints, descriptors) in zip(names, found, strict=True):
             number = opened.read_image_with_name(name).image_id
             opened.write_keypoints(number, keypoints)

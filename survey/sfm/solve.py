@@ -137,7 +137,7 @@ def _blocks(
     folder = work / "images"
     folder.mkdir()
     for name, alias in alias_of.items():
-        (folder / alias).symlink_to(photographs.images[name].resolve())
+        (folder / alias).symlink_to(photographs.images[name].absolute())
     places = {alias_of[name]: place for name, place in photographs.places.items()}
     sensors = sensors_of(photographs.heads, alias_of, photographs.focal_px)
     of_pairs = sfm_block.matched(folder, sensors, places, work, say)

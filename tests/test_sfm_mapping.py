@@ -59,13 +59,15 @@ def centres_of(blocks: list[pycolmap.Reconstruction]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("mapper", MAPPERS)
-def test_every_mapper_places_all_photographs_but_for_the_bend_of_straight_rays(block, matched, tmp_path, mapper):
+def test_every_mapper_places_photographs_but_for_the_bend_of_straight_rays(block, matched, tmp_path, mapper):
     blocks = blocks_by(matched, mapper, tmp_path)
-    if mapper == Mapper.hierarchical and len(blocks) > 1:
-        # Where threads take turns otherwise, a block of parts may fall apart.
-        pytest.skip(f"in {len(blocks)} blocks this time")
-    assert list(sfm_block.poses_of(blocks[0])) == names_of(block)
-    true = np.array([camera.centre for camera in block.cameras])
+    poses = sfm_block.poses_of(blocks[0])
+    # Where threads take turns otherwise, a block of parts may fall apart.
+    assert mapper == Mapper.hierarchical or list(poses) == names_of(block)
+    assert len(poses) >= _NUM // 2
+    true = np.array(
+        [camera.centre for name, camera in zip(names_of(block), block.cameras, strict=True) if name in poses]
+    )
     centres = centres_of(blocks)
     # Of such blocks, 25 m over 2 m of water, straight rays bend 0.15 to 0.28 m: so much twice, as mappers differ.
     assert np.abs(fit_similarity(centres, true)(centres) - true).max() < 0.56
@@ -78,7 +80,7 @@ def test_poses_of_a_block_smaller_than_a_part_are_those_one_by_one_and_the_same_
     both = sorted(found.keys() & again.keys())
     assert len(both) >= _NUM // 2
     centres, before = (np.array([poses[name][0] for name in both]) for poses in (found, again))
-    # In parts the frame is another one. Sums of two threads end in other digits, by which a track more or less is kept:
+    # In parts the frame is another one. Sums of two threads end in other digits, so that a track more or less is kept:
     # of ten runs two ends were seen, 2e-3 apart. Straight rays bend the block by 4e-2.
     assert np.abs(fit_similarity(centres, before)(centres) - before).max() < 1e-2 * np.ptp(before)
 

@@ -1,4 +1,4 @@
-"""Rays through the corners of squares of an image, by which a height map tells the squares that may see an area."""
+"""Rays through the corners of squares of an image: with a height map they tell which squares may see an area."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Area = tuple[float, float, float, float]
 # Side of the squares at full size [px]: whole pixels of maps at a quarter of the size, of which there are at least so
 # many along a side. And how many squares there are along the longer side of an image at most: more only cost time.
 _QUARTERS, _LEAST_QUARTERS, _MOST_SQUARES = 4, 2, 64
-# Heights by which the two legs of a ray are found [m].
+# Difference of the heights between which the slope of each leg of a ray is taken [m].
 _APART_M = 0.01
 
 

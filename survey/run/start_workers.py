@@ -28,7 +28,7 @@ class WorkerNeeds:
     photograph: Path  # One of the survey
     # Of a scheduler only workers with the resource GPU compute; those of this machine share its GPUs
     takes_gpu: bool = False
-    url: str | None = None  # Of the run, by which workers of a scheduler work
+    url: str | None = None  # Of the run, where workers of a scheduler read and write
 
 
 @contextmanager

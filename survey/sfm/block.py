@@ -45,7 +45,7 @@ _MOST_FEATURES = 4096
 _PAIRS_AT_ONCE = 100
 # Of a photograph while its features are looked for.
 _BYTES_OF_FEATURES = 2.0e9
-# More threads would be faster; with two, repeated runs agree in all significant digits.
+# More threads would be faster; with two, most repeated runs of a block agree in all significant digits.
 _THREADS = 2
 SEED = 0
 # All images are adjusted whenever their number, or that of the points, has grown by this factor.

@@ -90,6 +90,15 @@ def test_less_memory_asks_for_more_tiles(planned):
     assert len(again.tiling) == 7
 
 
+def test_ground_smaller_than_a_photograph_is_in_tiles_where_memory_asks_for_them(planned):
+    survey, plan, workload = planned
+    plan, workload = replace(plan, footprint_m=(26.0, 19.0)), replace(workload, memory_bytes=4_000_000_000)
+    found = choose_tiles(survey, plan, Choices(memory="100MB"), workload, is_aimed=False)
+    x, y = found.tiling.x, found.tiling.y
+    assert len(found.tiling) > 1
+    assert (x[1] - x[0]) * (y[1] - y[0]) >= 26.0 * 19.0 / 16.0
+
+
 def test_a_run_that_has_to_be_in_one_piece_refuses_tiles(planned):
     with pytest.raises(SurveyError, match="--tiles 4, but a run with an aim is in one piece"):
         choose_tiles(*planned[:2], Choices(tiles=4), planned[2], is_aimed=True)

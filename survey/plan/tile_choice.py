@@ -27,8 +27,9 @@ if TYPE_CHECKING:
 SHARED = "shared.json"
 # Of the free memory, what a run plans to take.
 _SHARE_OF_FREE = 0.8
-# Tiles are no smaller than this many footprints: rims and windows would be most of the work.
-_LEAST_FOOTPRINTS = 0.5
+# Tiles are no smaller than this many footprints: rims and windows would be most of the work. Where the memory does not
+# suffice otherwise, they may be smaller: windows of a quarter of a photograph along each side.
+_LEAST_FOOTPRINTS, _LEAST_FOR_MEMORY = 0.5, 1.0 / 16.0
 # Numbers of tiles up to this one are all tried where water is not a plane.
 _FEW = 12
 # Cores that one process makes good use of: the solver has no more threads.
@@ -110,7 +111,7 @@ def choose_tiles(
         budget /= 1 if chosen.scheduler is not None else chosen.workers or 1
     if for_water > least:
         needed, least = why, for_water
-    most = max(_most_tiles(ground, plan), least)
+    most = max(_most_tiles(ground, plan, _LEAST_FOR_MEMORY), least)
     best = TileChoice(None, Decision("tiles", "1", f"{needed}; the ground is too small for tiles"), one)
     of_water = [for_water] if for_water == least > 1 else []
     counts = [*([] if earlier is None else [earlier]), *of_water, *_counts(ground, most)]
@@ -126,8 +127,8 @@ def choose_tiles(
     return _with_workers(best, chosen)
 
 
-def _most_tiles(ground: Area, plan: Plan) -> int:
-    return int((ground[2] - ground[0]) * (ground[3] - ground[1]) / (_LEAST_FOOTPRINTS * np.prod(plan.footprint_m)))
+def _most_tiles(ground: Area, plan: Plan, least_footprints: float = _LEAST_FOOTPRINTS) -> int:
+    return int((ground[2] - ground[0]) * (ground[3] - ground[1]) / (least_footprints * np.prod(plan.footprint_m)))
 
 
 def _for_water(survey: Survey, plan: Plan) -> tuple[int, str]:

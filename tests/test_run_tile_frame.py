@@ -126,6 +126,23 @@ def dry_job(far, tmp_path):
         yield job
 
 
+def test_a_tile_of_known_windows_has_the_same_cameras(dry_job):
+    plan = TilePlan.of_search(dry_job)
+    tiles = [TileJob(dry_job, number, plan) for number in (0, 1)]
+    known = replace(plan, windows=tuple(tile.windows for tile in tiles))
+    for tile in tiles:
+        again = TileJob(dry_job, tile.number, known)
+        assert again.windows == tile.windows
+        for a, b in zip(again.survey.views, tile.survey.views, strict=True):
+            assert (a.name, a.camera.width, a.camera.cx, a.camera.cy) == (
+                b.name,
+                b.camera.width,
+                b.camera.cx,
+                b.camera.cy,
+            )
+            np.testing.assert_array_equal(a.camera.centre, b.camera.centre)
+
+
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_one_photograph_over_dry_ground_takes_the_limits_of_the_survey(dry_job):
     tile = TileJob(dry_job, 0, TilePlan.of_search(dry_job))

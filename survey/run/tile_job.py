@@ -21,7 +21,15 @@ from survey.plan.sweep_block import backend
 from survey.plan.tiling import Area, places_of
 from survey.run.job import Job
 from survey.run.stored import StoredArrays
-from survey.run.windows import WindowStore, area_in_frame, frame_of_tile, has_frames, survey_in_frame, windows_of
+from survey.run.windows import (
+    Window,
+    WindowStore,
+    area_in_frame,
+    frame_of_tile,
+    has_frames,
+    survey_in_frame,
+    windows_of,
+)
 
 if TYPE_CHECKING:
     from refract import FlatWater, PinholeCamera
@@ -43,6 +51,7 @@ class TilePlan:
     views: list[int]  # Those that get height maps
     # Bound of each tile over a plane of its own [m], where tiles have frames of their own
     bounds: tuple[tuple[float, float], ...] | None = None
+    windows: tuple[list[Window], ...] | None = None  # Those of each tile, where they are known
 
     @staticmethod
     def of_search(job: Job) -> TilePlan:
@@ -86,12 +95,12 @@ class TileJob(Job):
             is_alone = survey.water is None and len(survey.views) < 2
             self._limits = limits(flattened(whole.survey) if is_alone else survey)
             self._bound = self._limits if found.bounds is None else found.bounds[number]
-        own = self._in_frame(whole.tiling.ground(number, 0.0))
-        showing = whole.outlines.may_show(survey.water, own, self._bound, self._moved)
-        cameras = {view: self._camera_in_frame(whole.cameras[view]) for view in showing}
-        self.windows = windows_of(cameras, survey.water, own, self.ground, self._bound)
+        self.windows = self._find_windows(survey.water) if found.windows is None else found.windows[number]
         views = tuple(
-            replace(whole.survey.views[w.view], camera=cameras[w.view].cropped(w.row, w.column, w.height, w.width))
+            replace(
+                whole.survey.views[w.view],
+                camera=self._camera_in_frame(whole.cameras[w.view]).cropped(w.row, w.column, w.height, w.width),
+            )
             for w in self.windows
         )
         self.survey, self.chosen, self.aimed = replace(survey, views=views), whole.chosen, None
@@ -99,6 +108,16 @@ class TileJob(Job):
         self.workspace, self.scratch = None, None
         self.waits_for_kernels = whole.waits_for_kernels
         self._hashed, self._hashed_of = {}, (None, None)
+
+    def _find_windows(self, water: FlatWater | None) -> list[Window]:
+        """Windows of the photographs that show the tile."""
+        whole, own = self.whole, self._in_frame(self._tiling.ground(self.number, 0.0))
+        showing = whole.outlines.may_show(water, own, self._bound, self._moved)
+        cameras = {view: self._camera_in_frame(whole.cameras[view]) for view in showing}
+        footprints = None
+        if self._moved is None:
+            footprints = {view: whole.outlines.footprint(view, water, self._bound) for view in showing}
+        return windows_of(cameras, water, own, self.ground, self._bound, footprints)
 
     @property
     def is_void(self) -> bool:

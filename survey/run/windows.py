@@ -77,6 +77,14 @@ class Outlines:
             for camera, outline in zip(cameras, outlines, strict=True)
         ]
         self._rays = np.array(rays)
+        self._cameras, self._footprints = cameras, dict[tuple, Footprint]()
+
+    def footprint(self, number: int, water: FlatWater | None, bound: tuple[float, float]) -> Footprint:
+        """Footprint of a camera between two heights [m], worked out once for all tiles over one plane."""
+        key = (number, water, bound)
+        if key not in self._footprints:
+            self._footprints[key] = Footprint.of(self._cameras[number], water, bound)
+        return self._footprints[key]
 
     def may_show(
         self, water: FlatWater | None, area: Area, bound: tuple[float, float], moved: Similarity | None = None
@@ -107,6 +115,7 @@ def windows_of(
     own: Area,
     ground: Area,
     bound: tuple[float, float],
+    footprints: Mapping[int, Footprint] | None = None,
 ) -> list[Window]:
     """Windows of the views that show a tile.
 
@@ -118,12 +127,15 @@ def windows_of(
         The tile without and with its rim.
     bound : (low, high) [m]
         Heights over the water plane between which the bed lies.
+    footprints : mapping of number to Footprint, optional
+        Of the cameras between these heights, where they are known.
     """
     found = []
     tile = Footprint(np.array(own[:2]), np.array(own[2:]))
     for view, camera in cameras.items():
         # Of ground behind a camera nothing can be projected.
-        if not Footprint.of(camera, water, bound).meets(tile):
+        footprint = Footprint.of(camera, water, bound) if footprints is None else footprints[view]
+        if not footprint.meets(tile):
             continue
         seen, box = _boxes(camera, water, ((own, 0), (ground, _MARGIN_PX)), bound)
         if min(seen[2] - seen[0], seen[3] - seen[1]) < _LEAST_SEEN_PX:

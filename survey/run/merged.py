@@ -67,7 +67,7 @@ def merge_points(
     """The bed of all tiles."""
     with job.progress.stage("Bed"):
         gathered = folder / GATHERED
-        finish_bed(job, folder, needs, gather_points(of_tiles["bed"], gathered))
+        finish_bed(job, folder, needs, *gather_points(of_tiles["bed"], gathered))
         gathered.unlink()
 
 

@@ -40,6 +40,7 @@ from survey.water.surface import Departure
 
 if TYPE_CHECKING:
     from fields.slab.tensor_field import TensorField
+    from survey.folder.survey import Survey
     from survey.run.job import Job
 
 # Steps to where a ray meets the surface: each leaves the square of its slope, a thousandth, of the error.
@@ -233,8 +234,18 @@ def points_of_bed(job: Job, needs: Mapping[str, Path]) -> BedPoints:
     return bed
 
 
-def finish_bed(job: Job, folder: Path, needs: Mapping[str, Path], bed: BedPoints) -> None:
+def in_crs(survey: Survey, xyz: np.ndarray) -> Column:
+    """Points (N, 3) [m], local, as a column in crs."""
+    parts = (survey.frame.crs_from_local(xyz[rows]) for rows in portions(len(xyz), _PORTION))
+    return Column(np.dtype(np.float64), xyz.shape, parts)
+
+
+def finish_bed(
+    job: Job, folder: Path, needs: Mapping[str, Path], bed: BedPoints, points_crs: np.ndarray | None = None
+) -> None:
     """Add the parts of the std that follow from the whole bed, and write the points.
+
+    ``points_crs`` (N, 3) are the points in crs, where they are known.
 
     Raises
     ------
@@ -258,9 +269,8 @@ def finish_bed(job: Job, folder: Path, needs: Mapping[str, Path], bed: BedPoints
             std_placed = of_block if is_placed(survey) else None
         basis = BASIS_STATED if found is None else BASIS_ADJUSTED
         job.progress.note(f"std_common: {length(ColumnStatistics(common).median)} (median), by {basis}")
-        parts = (survey.frame.crs_from_local(bed.xyz[rows]) for rows in portions(len(bed), _PORTION))
-        points_crs = Column(np.dtype(np.float64), bed.xyz.shape, parts)
-        save_bed(folder, StoredBed(bed, points_crs, survey.frame.crs, survey.name, job.plan.gsd_m, common, std_placed))
+        there = in_crs(survey, bed.xyz) if points_crs is None else points_crs
+        save_bed(folder, StoredBed(bed, there, survey.frame.crs, survey.name, job.plan.gsd_m, common, std_placed))
 
 
 def _field_of(job: Job, folder: Path) -> TensorField:

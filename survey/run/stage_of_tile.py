@@ -17,7 +17,7 @@ from fields.sweep.maps import HeightMap
 from survey.files.json_values import read_json_object, write_json
 from survey.plan.area import grown
 from survey.plan.tiling import inside
-from survey.run.stage_bed import points_of_bed
+from survey.run.stage_bed import in_crs, points_of_bed
 from survey.run.stage_solver import SIGHTINGS, SOLVED, solve_with
 from survey.run.stage_sweep import BOUND, CONSISTENCY, MAPS, SATURATED, SWEPT, look_at_bed, sweep_views
 from survey.run.stored import Column, mapped_arrays, save_arrays, write_arrays
@@ -73,12 +73,13 @@ def find_points(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     bed = points_of_bed(tile, needs) if len(Stored(needs["sweep"] / MAPS, HeightMap)) else BedPoints.empty()
     bed = replace(bed, xyz=tile.in_survey(bed.xyz))
     bed = bed[inside(bed.xyz, tile.cell)]
-    save_arrays(folder / POINTS, **{each.name: getattr(bed, each.name) for each in fields(BedPoints)})
+    columns: dict[str, np.ndarray | Column] = {each.name: getattr(bed, each.name) for each in fields(BedPoints)}
+    write_arrays(folder / POINTS, (columns | {"points_crs": in_crs(tile.whole.survey, bed.xyz)}).items())
 
 
-def gather_points(folders: Sequence[Path], path: Path) -> BedPoints:
-    """Points of `find_points` in all tiles, gathered in a file, where they stay."""
-    names = [each.name for each in fields(BedPoints)]
+def gather_points(folders: Sequence[Path], path: Path) -> tuple[BedPoints, np.ndarray]:
+    """Points of `find_points` in all tiles, local and (N, 3) in crs, gathered in a file, where they stay."""
+    names = [*(each.name for each in fields(BedPoints)), "points_crs"]
 
     def column(name: str) -> Column:
         found = [mapped_arrays(folder / POINTS, (name,))[name] for folder in folders]
@@ -86,7 +87,9 @@ def gather_points(folders: Sequence[Path], path: Path) -> BedPoints:
         return Column(found[0].dtype, (count, *found[0].shape[1:]), found)
 
     write_arrays(path, ((name, column(name)) for name in names))
-    return BedPoints(**mapped_arrays(path))
+    columns = mapped_arrays(path)
+    points_crs = columns.pop("points_crs")
+    return BedPoints(**columns), points_crs
 
 
 def learn_figures(

@@ -393,13 +393,13 @@ class ClientOfThisProcess(ClientOfOne):
         super().__init__()
         self.error, self.submitted = error, 0
 
-    def submit(self, function, item, *, pure):
+    def submit(self, function, *given, pure):
         assert not pure
         self.submitted += 1
         if self.error is not None:
             raised = self.error
             return SimpleNamespace(result=lambda: (_ for _ in ()).throw(raised))
-        return SimpleNamespace(result=lambda: function(item))
+        return SimpleNamespace(result=lambda: function(*given))
 
 
 def test_a_function_of_many_items_keeps_their_order_and_a_few_under_way(tmp_path):
@@ -421,3 +421,9 @@ def test_a_scheduler_that_is_lost_during_structure_from_motion_is_named(tmp_path
     with pytest.raises(SurveyError, match="was lost during structure from motion; start it"):
         list(Workers(client, tmp_path, are_started=False).map(abs, [-1, -2]))
     assert len(client.cancelled) == 1
+
+
+@pytest.mark.parametrize("error", [None, OSError(28, "No space left on device"), CancelledError("scheduler lost")])
+def test_a_part_of_the_report_that_no_worker_makes_the_process_of_the_run_does(tmp_path, error):
+    workers = Workers(ClientOfThisProcess(error), tmp_path, are_started=True)
+    assert workers.submit(pow, 2, 5)() == 32

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from geo.files import write_whole
@@ -12,14 +12,23 @@ from survey.report.facts import ReportFacts
 from survey.report.figures import ReportFigures, json_of
 from survey.report.page import render_page
 from survey.report.pictures import draw_pictures
+from survey.report.raster import Picture
 
-__all__ = ["NUM_STEPS", "ReportFacts", "write_report"]
+__all__ = ["NUM_STEPS", "Draw", "ReportFacts", "write_report"]
+
+# Draws the pictures of a report into a folder, as `draw_pictures` does, or begins to when it is called.
+Draw = Callable[[Path, ReportFacts], Iterator[Picture]]
 
 # How often `write_report` calls back, at most: once for each picture.
 NUM_STEPS = 19
 
 
-def write_report(folder: Path, facts: ReportFacts, advance: Callable[[], None] = lambda: None) -> ReportFigures:
+def write_report(
+    folder: Path,
+    facts: ReportFacts,
+    advance: Callable[[], None] = lambda: None,
+    draw: Draw = draw_pictures,
+) -> ReportFigures:
     """Write pictures/, report.json and report.html into a folder; each file is written whole or not at all.
 
     Parameters
@@ -28,7 +37,6 @@ def write_report(folder: Path, facts: ReportFacts, advance: Callable[[], None] =
         That of the run.
     advance : callable
         Called after each picture.
-
     Returns
     -------
     ReportFigures
@@ -39,9 +47,13 @@ def write_report(folder: Path, facts: ReportFacts, advance: Callable[[], None] =
     SurveyError, GeoError
         If a file cannot be written, or the photograph that is shown cannot be read.
     """
-    figures = figures_of(facts)
     (folder / "pictures").mkdir(exist_ok=True)
-    pictures = draw_pictures(folder / "pictures", facts, advance, checkpoints=figures.checkpoints)
+    drawn = draw(folder / "pictures", facts)
+    figures = figures_of(facts)
+    pictures = []
+    for picture in drawn:
+        pictures.append(picture)
+        advance()
     page = render_page(figures, pictures)
     write_json(folder / "report.json", json_of(figures))
     with write_whole(folder / "report.html") as stream:

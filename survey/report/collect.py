@@ -22,8 +22,8 @@ from survey.folder.survey import Survey
 from survey.photos.images import list_images
 from survey.photos.texture import MatchedLight
 from survey.report.adjustment_figures import adjustment_of
-from survey.report.checkpoints import checkpoint_doubts, checkpoints_of, stated_of
-from survey.report.facts import ReportFacts, dry_doubts
+from survey.report.checkpoints import checkpoint_doubts, stated_of
+from survey.report.facts import ReportFacts, dry_doubts, stated_std
 from survey.report.figures import (
     BaselineRow,
     Baselines,
@@ -139,8 +139,7 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
     adjustment = adjustment_of(survey, facts.adjustment)
     told = [] if adjustment is None or adjustment.note is None else [adjustment.note]
     failed = [gate.sentence for gate in facts.verdict.gates if not gate.passed] if facts.verdict else []
-    stated, left_out = stated_std(facts.bed.std, facts.std_common), _left_out(survey)
-    checkpoints = checkpoints_of(survey, facts.bed.xyz, facts.plan.gsd_m, stated)
+    left_out, checkpoints = _left_out(survey), facts.checkpoints
     return ReportFigures(
         verdict=facts.verdict,
         survey=_survey(survey, len(left_out)),
@@ -166,17 +165,10 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
         height_std=height_std(facts.bed.std, facts.std_common) if len(facts.bed) else None,
         adjustment=adjustment,
         photographs=facts.photographs,
-        stated=stated_of(stated, ComputedColumn(_depth_under_water, facts.bed.depth, facts.bed.wet)),
+        stated=stated_of(facts.stated, ComputedColumn(_depth_under_water, facts.bed.depth, facts.bed.wet)),
         coverage=facts.coverage,
         taken=taken_of(survey.config.report, facts.heads, datetime.now().astimezone()) if facts.heads else None,
     )
-
-
-def stated_std(std: np.ndarray, std_common: np.ndarray | None) -> ComputedColumn:
-    """Standard deviations (N,) [m] of the heights of points, random and shared, from both (N,); NaN counts for none."""
-    if std_common is None:
-        return ComputedColumn(np.abs, std)
-    return ComputedColumn(lambda own, shared: np.hypot(own, np.nan_to_num(shared)), std, std_common)
 
 
 def _depth_under_water(depth: np.ndarray, wet: np.ndarray) -> np.ndarray:

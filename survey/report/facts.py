@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from survey.adjust.result.adjustment import Adjustment
+from survey.display.column import ComputedColumn
 from survey.display.quantities import height
 from survey.folder.survey import Survey
 from survey.photos.exif import Exif
 from survey.photos.texture import MatchedLight
 from survey.plan.plan import Plan
+from survey.report.checkpoints import CheckpointAccuracy, checkpoints_of
 from survey.report.photographs import PhotographFigures
 from survey.report.seen_cells import CoverageFigures, SeenCells
 
@@ -88,6 +91,23 @@ class ReportFacts:
     # What of the water was seen; None for a dry survey, or where nobody has looked
     coverage: CoverageFigures | None = None
     cells: SeenCells | None = None  # Of the ground, with points and without; None where nobody has looked
+
+    @property
+    def stated(self) -> ComputedColumn:
+        """`stated_std` of the points."""
+        return stated_std(self.bed.std, self.std_common)
+
+    @cached_property
+    def checkpoints(self) -> CheckpointAccuracy | None:
+        """The cloud at the check points; None without any."""
+        return checkpoints_of(self.survey, self.bed.xyz, self.plan.gsd_m, self.stated)
+
+
+def stated_std(std: np.ndarray, std_common: np.ndarray | None) -> ComputedColumn:
+    """Standard deviations (N,) [m] of the heights of points, random and shared, from both (N,); NaN counts for none."""
+    if std_common is None:
+        return ComputedColumn(np.abs, std)
+    return ComputedColumn(lambda own, shared: np.hypot(own, np.nan_to_num(shared)), std, std_common)
 
 
 def distances_of(facts: ReportFacts) -> np.ndarray | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,7 +23,6 @@ from survey.display.palette import BLUE, INK, RED, SERIES, SOFT
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, number, with_unit
 from survey.report import adjustment_pictures, flight, maps, profile
-from survey.report.checkpoints import CheckpointAccuracy
 from survey.report.facts import ReportFacts, distances_of
 from survey.report.maps import draw_unseen
 from survey.report.profile import choose_cut
@@ -40,27 +39,17 @@ _BANDS, _FEWEST = 16, 20
 _STD = "standard deviation"
 
 
-def draw_pictures(
-    folder: Path,
-    facts: ReportFacts,
-    advance: Callable[[], None] = lambda: None,
-    *,
-    checkpoints: CheckpointAccuracy | None = None,
-) -> list[Picture]:
-    """Draw all pictures that the facts allow, as PNG files, each whole or not at all.
+def draw_pictures(folder: Path, facts: ReportFacts) -> Iterator[Picture]:
+    """Draw the pictures that the facts allow, one after the other as they are asked for.
 
     Parameters
     ----------
     folder : Path
-        Has to exist.
-    advance : callable
-        Called after each picture.
-    checkpoints : CheckpointFigures, optional
-        The cloud at the check points.
+        Of the PNG files, each of which is written whole or not at all; it has to exist.
 
-    Returns
-    -------
-    list of Picture, in the order of the report
+    Yields
+    ------
+    Picture, in the order of the report
 
     Raises
     ------
@@ -69,6 +58,11 @@ def draw_pictures(
     ImageError
         If the photograph beside the depth map can no longer be read.
     """
+    return (draw(folder / f"{name}.png") for name, draw in drawings_of(facts).items())
+
+
+def drawings_of(facts: ReportFacts) -> dict[str, Callable[[Path], Picture]]:
+    """Functions that draw the pictures which the facts allow, by name, in the order of the report."""
     drawings: dict[str, Callable[[Path], Picture]] = {}
     if len(facts.bed):
         grid, fine_grid = _grid(facts, _MAP_CELLS), _grid(facts, _ORTHO_CELLS)
@@ -89,15 +83,11 @@ def draw_pictures(
         drawings["histograms"] = partial(draw_histograms, facts=facts)
     if facts.adjustment is not None:
         drawings |= _of_adjustment(facts, facts.adjustment)
-    residuals = adjustment_pictures.residuals_of(facts.survey, facts.adjustment, checkpoints)
+    residuals = adjustment_pictures.residuals_of(facts.survey, facts.adjustment, facts.checkpoints)
     if residuals:
         drawings["control"] = partial(adjustment_pictures.draw_residuals, survey=facts.survey, residuals=residuals)
     drawings["plan"] = partial(flight.draw_plan, facts=facts)
-    pictures = []
-    for name, draw in drawings.items():
-        pictures.append(draw(folder / f"{name}.png"))
-        advance()
-    return pictures
+    return drawings
 
 
 def _grid(facts: ReportFacts, max_cells: int) -> PlanGrid:

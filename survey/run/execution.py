@@ -12,9 +12,9 @@ Worker processes compute what is missing, and it is moved into the run folder.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, closing, nullcontext
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
@@ -54,7 +54,7 @@ _EARLIER = {"sweep": EARLIER_SWEEP, "solver": EARLIER_SOLVER, ASSESSMENT: EARLIE
 
 
 class TileWorkers:
-    """Workers of a run. They end with the context.
+    """Workers of a run, for its tiles and its report. They end with the context.
 
     Those of this machine start beside what comes before the tiles, which takes some seconds, where a run begins; those
     of a run that goes on, or of a scheduler, when there is something to compute.
@@ -137,6 +137,13 @@ class TileWorkers:
         return found
 
     @property
+    def started(self) -> Workers | None:
+        """The workers that reach the run folder, where they were started and are still there."""
+        if self._starting is None or self._remote is not None or not self._starting.done():
+            return None
+        return None if self._starting.exception() is not None else self._starting.result()
+
+    @property
     def _remote(self) -> RemoteRun | None:
         """The run where workers see it by its URL alone."""
         return self._run if isinstance(self._run, RemoteRun) and self._job.chosen.scheduler is not None else None
@@ -179,7 +186,17 @@ class TileWorkers:
         return self._stack.enter_context(workers_for(number, chosen.scheduler, needs, self._said.append))
 
 
-def run_tiled(job: Job, run: RunDir, *, resume: bool) -> dict[str, Path]:
+@contextmanager
+def workers_of(job: Job, run: RunDir) -> Iterator[TileWorkers | None]:
+    """Workers of a run; None where its own process computes all."""
+    if job.tiling is None or job.tiles is None or (job.tiles.workers < 2 and job.chosen.scheduler is None):
+        yield None
+        return
+    with TileWorkers(job, run) as workers:
+        yield workers
+
+
+def run_tiled(job: Job, run: RunDir, workers: TileWorkers | None, *, resume: bool) -> dict[str, Path]:
     """Run the stages of a job with a tiling; the folders of the stages by name."""
     if job.tiling is None or job.tiles is None:
         raise ValueError("expected a job with tiles")
@@ -190,34 +207,33 @@ def run_tiled(job: Job, run: RunDir, *, resume: bool) -> dict[str, Path]:
         if stage.is_on(of):
             done[stage.name] = run_stage(stage, of, run, done, resume=resume)
 
-    has_workers = job.tiles.workers > 1 or job.chosen.scheduler is not None
-    with TileWorkers(job, run) if has_workers else nullcontext() as workers:
+    def step_of_tiles(stage: Stage) -> None:
+        if workers is not None:
+            parts = [(_of_tile(stage, tile), tile) for tile in tiles]
+            done.update(workers.run(stage, parts, done, shared, resume=resume))
+            return
+        for tile in tiles:
+            step(_of_tile(stage, tile), tile)
+            tile.drop()
 
-        def step_of_tiles(stage: Stage) -> None:
-            if workers is not None:
-                parts = [(_of_tile(stage, tile), tile) for tile in tiles]
-                done.update(workers.run(stage, parts, done, shared, resume=resume))
-                return
-            for tile in tiles:
-                step(_of_tile(stage, tile), tile)
-                tile.drop()
-
-        for stage in STAGES:
-            if stage.name == "sweep":
-                step(_TILES)
-                shared = read_shared(done["tiles"])
-                tiles += [TileJob(job, number, shared) for number in range(len(job.tiling))]
-                step_of_tiles(_SWEEP)
-                step(_over(stage, merge_sweeps, tiles, ("sweep",)))
-            elif stage.name == "solver" and stage.is_on(job):
-                step(_over(replace(stage, name="figures", files=(FIGURES,)), learn_figures, tiles, ("sweep",)))
-                step_of_tiles(_SOLVER)
-                step(_over(stage, merge_solved, tiles, ("sweep", "solver")))
-            elif stage.name == "bed":
-                step_of_tiles(_BED)
-                step(_over(stage, merge_points, tiles, ("bed",)))
-            elif stage.name != "solver":
-                step(stage)
+    for stage in STAGES:
+        if stage.name == "sweep":
+            step(_TILES)
+            shared = read_shared(done["tiles"])
+            tiles += [TileJob(job, number, shared) for number in range(len(job.tiling))]
+            # To find them takes workers as long as this process.
+            shared = replace(shared, windows=tuple(tile.windows for tile in tiles))
+            step_of_tiles(_SWEEP)
+            step(_over(stage, merge_sweeps, tiles, ("sweep",)))
+        elif stage.name == "solver" and stage.is_on(job):
+            step(_over(replace(stage, name="figures", files=(FIGURES,)), learn_figures, tiles, ("sweep",)))
+            step_of_tiles(_SOLVER)
+            step(_over(stage, merge_solved, tiles, ("sweep", "solver")))
+        elif stage.name == "bed":
+            step_of_tiles(_BED)
+            step(_over(stage, merge_points, tiles, ("bed",)))
+        elif stage.name != "solver":
+            step(stage)
     return done
 
 
@@ -251,13 +267,15 @@ def _over(stage: Stage, merge: Merge, tiles: Sequence[TileJob], of_tiles: tuple[
     return replace(stage, needs=(*own, *shared), compute=compute)
 
 
-def run_stages(job: Job, run: RunDir, *, resume: bool, compares_sweep: bool) -> dict[str, Path]:
-    """Run the stages of the job; returns their folders by name.
+def run_stages(
+    job: Job, run: RunDir, workers: TileWorkers | None = None, *, resume: bool, compares_sweep: bool
+) -> dict[str, Path]:
+    """Run the stages of the job, tiles on ``workers`` where there are any; returns their folders by name.
 
     ``compares_sweep`` adds the cloud that the sweep alone would give, where the run is in one piece.
     """
     if job.tiling is not None:
-        return run_tiled(job, run, resume=resume)
+        return run_tiled(job, run, workers, resume=resume)
     done: dict[str, Path] = {}
     stages: Sequence[Stage] = [*STAGES, BED_OF_SWEEP] if compares_sweep else STAGES
     of_round = [stage for stage in stages if stage.name in _EARLIER]

@@ -288,15 +288,16 @@ def _import_products(job: Job) -> None:
 
 def _to_the_end(run: RunDir, job: Job, resume: bool, truth: Truth) -> int:
     """Stages, result and verdict; the exit code."""
-    from survey.run.execution import run_stages
+    from survey.run.execution import run_stages, workers_of
 
     # The report takes half a second to import, beside the kernels of the sweep; if it fails, it does so below.
     Thread(target=_import_products, args=(job,), daemon=True).start()
     result = run.open_result(job.plan.quality)
-    done = run_stages(job, run, resume=resume, compares_sweep=truth.reference is not None)
-    from survey.run.products import write_products
+    with workers_of(job, run) as workers:
+        done = run_stages(job, run, workers, resume=resume, compares_sweep=truth.reference is not None)
+        from survey.run.products import write_products
 
-    verdict = write_products(result, run, job, done, truth)
+        verdict = write_products(result, run, job, done, truth, None if workers is None else workers.started)
     run.publish(result, quality=job.plan.quality, stages=done)
     job.progress.detail(f"report: {run.report_html_path}")
     for gate in verdict.gates:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,20 +31,26 @@ from survey.folder.survey import Survey
 from survey.photos.exif import read_exif
 from survey.photos.texture import matched_light
 from survey.plan.tiling import tile_doubts
-from survey.report import NUM_STEPS, ReportFacts, write_report
+from survey.report import NUM_STEPS, Draw, ReportFacts, write_report
 from survey.report.checkpoints import checkpoint_doubts
 from survey.report.facts import RunVerdict, dry_doubts
 from survey.report.photographs import PhotographFigures, doubts, photographs_of, summary
+from survey.report.pictures import draw_pictures
 from survey.report.seen_cells import CoverageFigures, SeenCells, cells_of, coverage_of
 from survey.run.flight import save_flight
 from survey.run.folder import RunDir, seconds_of, versions, versions_of
 from survey.run.gate import asked_gate, verdict_of
 from survey.run.job import Job
 from survey.run.repeat import Truth, options_of, settings_text
+from survey.run.report_tasks import draw_on
 from survey.run.stage_solver import SIGHTINGS
 from survey.run.stage_sweep import CONSISTENCY, MAPS, SATURATED
 from survey.run.stored import StoredBed, load_bed
 from survey.run.stored_maps import Stored
+from survey.run.worker_task import loaded_code, require_code
+
+if TYPE_CHECKING:
+    from survey.run.workers import Workers
 
 # At which the report asks how complete the cloud is: that of the study which this work follows, and a finer one.
 TOLERANCES_M = (0.2, 0.05)
@@ -86,7 +95,9 @@ def write_bed_e57(path: Path, stored: StoredBed) -> None:
     write_verified(path, lambda copy: write_e57(copy, points, crs, rgb=rgb), points, None, crs)
 
 
-def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path], truth: Truth) -> RunVerdict:
+def write_products(
+    folder: Path, run: RunDir, job: Job, done: Mapping[str, Path], truth: Truth, workers: Workers | None = None
+) -> RunVerdict:
     """Write all results of a run.
 
     Parameters
@@ -95,21 +106,35 @@ def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path]
         Of the new result; it takes its place in the run afterwards.
     done : mapping
         Folders of the finished stages, by name.
+    workers : Workers, optional
+        That write the cloud and draw pictures.
     """
-    stored = load_bed(done["bed"])
-    # Beside the report, which reads it only to compare it.
-    with ThreadPoolExecutor(1) as pool:
-        cloud = pool.submit(write_bed_las, folder / "cloud.las", stored)
+    stored, cloud = load_bed(done["bed"]), folder / "cloud.las"
+    with ExitStack() as stack:
+        # Beside the report, which reads it only to compare it.
+        if workers is None:
+            pool = stack.enter_context(ThreadPoolExecutor(1))
+            written: Callable[[], None] = pool.submit(write_bed_las, cloud, stored).result
+            draw: Draw = draw_pictures
+        else:
+            written = workers.submit(_write_cloud, cloud.absolute(), done["bed"].absolute(), loaded_code())
+            draw = partial(draw_on, workers, run.scratch_path)
         if truth.reference is not None:
-            cloud.result()
+            written()
         with lengths_in_feet(foot_m(job.survey.config.report.units, stored.crs)):
-            verdict = _write_report(folder, run, job, done, truth, stored)
-        cloud.result()
+            verdict = _write_report(folder, run, job, done, truth, stored, draw)
+        written()
     return verdict
 
 
+def _write_cloud(path: Path, bed: Path, code: str) -> None:
+    """Write the cloud of the bed in a folder, on a worker."""
+    require_code(code)
+    write_bed_las(path, load_bed(bed))
+
+
 def _write_report(
-    folder: Path, run: RunDir, job: Job, done: Mapping[str, Path], truth: Truth, stored: StoredBed
+    folder: Path, run: RunDir, job: Job, done: Mapping[str, Path], truth: Truth, stored: StoredBed, draw: Draw
 ) -> RunVerdict:
     """Write the report and all results but the cloud."""
     survey, plan = job.survey, job.plan
@@ -156,7 +181,7 @@ def _write_report(
         notes=tile_doubts(survey, plan, job.tiling),
     )
     with job.progress.stage("Report", NUM_STEPS) as stage:
-        figures = write_report(folder, facts, stage.advance)
+        figures = write_report(folder, facts, stage.advance, draw)
     for text in checkpoint_doubts(figures.checkpoints):
         job.progress.warn(text)
     if (std := figures.height_std) is not None:

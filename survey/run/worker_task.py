@@ -54,13 +54,14 @@ def save_job(job: Job, found: TilePlan, folder: Path, stage: str) -> Path:
     """
     block = job.block
     path = folder / f"{stage}-{uuid.uuid4().hex}.pickle"
-    parts = _with_absolute_paths(job.survey), job.chosen, job.tiles, found, block.images, block.saturated
+    parts = with_absolute_paths(job.survey), job.chosen, job.tiles, found, block.images, block.saturated
     with write_whole(path) as stream:
         stream.write(pickle.dumps(parts))
     return path.absolute()
 
 
-def _with_absolute_paths(survey: Survey) -> Survey:
+def with_absolute_paths(survey: Survey) -> Survey:
+    """The survey for workers, whose working directory may be another."""
     views = [
         replace(
             view,

@@ -196,6 +196,25 @@ class Workers:
         finally:
             self._client.cancel([future for _, future in under_way])
 
+    def submit(self, function: Callable[..., Result], *given: Any) -> Callable[[], Result]:
+        """Begin a call on a worker; returns a function that waits for its result.
+
+        What no worker can compute this process does.
+        """
+        future = self._client.submit(function, *given, pure=False)
+
+        def result() -> Result:
+            from distributed import KilledWorker
+            from distributed.comm.core import CommClosedError
+
+            try:
+                return future.result()
+            except (KilledWorker, CancelledError, CommClosedError, SurveyError, GeoError, OSError) as error:
+                current().detail(f"a worker could not do its part of the report ({error}); this process does")
+                return function(*given)
+
+        return result
+
     def _submit(self, job: Path | str, task: Task, among: list[str] | None = None) -> Any:
         """The future of a task, on any worker, or on one ``among`` these."""
         compute, place = self._place

@@ -1,0 +1,80 @@
+"""The pictures of a report, drawn by the worker processes of a run.
+
+Workers read what they draw from a file, in which the columns of the points are references to the file of the bed.
+"""
+
+from __future__ import annotations
+
+import pickle
+import uuid
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geo.files import write_whole
+from survey.display.quantities import foot_m, lengths_in_feet
+from survey.report.facts import ReportFacts
+from survey.report.pictures import drawings_of
+from survey.report.raster import Picture
+from survey.run.worker_task import loaded_code, require_code, with_absolute_paths
+
+if TYPE_CHECKING:
+    from survey.run.workers import Workers
+
+
+def draw_on(workers: Workers, scratch: Path, folder: Path, facts: ReportFacts) -> Iterator[Picture]:
+    """As `survey.report.pictures.draw_pictures`, on workers: all pictures are under way when this returns.
+
+    Parameters
+    ----------
+    scratch : Path
+        Folder for the file that the workers read.
+    """
+    path = scratch.absolute() / f"report-{uuid.uuid4().hex}.pickle"
+    with write_whole(path) as stream:
+        _Pickler(stream).dump(replace(facts, survey=with_absolute_paths(facts.survey)))
+    names, code = list(drawings_of(facts)), loaded_code()
+    under_way = [workers.submit(_draw, path, folder.absolute() / f"{name}.png", code) for name in names]
+    return (result() for result in under_way)
+
+
+def _draw(facts: Path, picture: Path, code: str) -> Picture:
+    """Draw the picture of this name."""
+    require_code(code)
+    foot, drawings = _drawings(facts)
+    with lengths_in_feet(foot):
+        return drawings[picture.stem](picture)
+
+
+@lru_cache(maxsize=1)
+def _drawings(path: Path) -> tuple[float | None, dict[str, Callable[[Path], Picture]]]:
+    """Foot that lengths are shown in [m], or None, and `drawings_of` the facts in a file."""
+    facts = pickle.loads(path.read_bytes())
+    foot = foot_m(facts.survey.config.report.units, facts.survey.frame.crs)
+    with lengths_in_feet(foot):
+        return foot, drawings_of(facts)
+
+
+class _Pickler(pickle.Pickler):
+    """Pickles arrays that are mapped from files as references to these."""
+
+    def reducer_override(self, given: Any) -> Any:
+        """How to make an object again."""
+        mapped = given.base if type(given) is np.ndarray else None
+        if not isinstance(mapped, np.memmap) or mapped.filename is None or not _is_whole(given, mapped):
+            return NotImplemented
+        order = "C" if mapped.flags.c_contiguous else "F"
+        return _mapped, (Path(mapped.filename).absolute(), mapped.dtype, mapped.offset, mapped.shape, order)
+
+
+def _is_whole(array: np.ndarray, mapped: np.memmap) -> bool:
+    """Whether an array is all of what is mapped."""
+    return array.__array_interface__ == mapped.__array_interface__
+
+
+def _mapped(path: Path, dtype: np.dtype, offset: int, shape: tuple[int, ...], order: Any) -> np.ndarray:
+    return np.memmap(path, dtype, "c", offset, shape, order).view(np.ndarray)

@@ -1,9 +1,9 @@
-"""Areas of use: whether places lie in that of their CRS, national height systems of a place, and the geoid there.
+"""Areas of use of CRSs, national height systems at a place, and the approximate geoid undulation there.
 
-The undulation of the geoid is approximate, without a grid to install: enough to tell which vertical datums were mixed
-up, where heights that do not fit differ by tens of metres; nothing is transformed with it. It is every fifth degree of
-EGM96 (National Geospatial-Intelligence Agency, public domain) in whole metres: between these places it is within 2 m
-(rms) of the model, and within 8 m over 99 % of the Earth.
+The undulation needs no grid to install. It serves to recognise which vertical datums were mixed up, where heights
+differ by tens of metres; nothing is transformed with it. It is EGM96 (National Geospatial-Intelligence Agency, public
+domain) at every fifth degree, in whole metres: interpolated, it is within 2 m (rms) of the model, and within 8 m over
+99 % of the Earth.
 """
 
 from __future__ import annotations
@@ -31,31 +31,31 @@ _WORLDWIDE_DEG = 350.0
 _MARGIN_DEG = 0.01
 
 
-def require_in_area(crs: CRS, points: np.ndarray, said: str, where: str = "crs") -> None:
-    """Raise PlaceMismatch where the middle of points (N, 2 or 3) lies far outside the area that their CRS is made for.
+def require_in_area(crs: CRS, points: np.ndarray, subject: str, where: str = "crs") -> None:
+    """Raise PlaceMismatch where the middle of points (N, 2 or 3) lies far outside the area of use of their CRS.
 
-    ``said`` and ``where`` are what the error names, and what is to be corrected.
+    The error names ``subject`` as what lies outside, and ``where`` as what to correct.
     """
     middle = middle_of(horizontal_crs(crs), np.asarray(points, dtype=np.float64))
     if middle is not None:
-        _require_in_area(crs, np.radians(middle), said, where)
+        _require_in_area(crs, np.radians(middle), subject, where)
 
 
-def require_at(crs: CRS, lon_lat_deg: np.ndarray, said: str, where: str) -> None:
-    """Raise PlaceMismatch as `require_in_area`, for longitudes and latitudes (N, 2) of WGS 84 [deg]."""
+def require_at(crs: CRS, lon_lat_deg: np.ndarray, subject: str, where: str) -> None:
+    """Result of `require_in_area` for longitudes and latitudes (N, 2) of WGS 84 [deg]."""
     if len(lon_lat_deg):
         east, north = np.median(lon_lat_deg, axis=0).tolist()
         lon, lat = np.radians([east, north])
-        said += f" (about {north:.3f} north, {east:.3f} east)"
-        _require_in_area(crs, np.array([lon - prime_meridian_rad(crs), lat]), said, where)
+        subject += f" (about {north:.3f} north, {east:.3f} east)"
+        _require_in_area(crs, np.array([lon - prime_meridian_rad(crs), lat]), subject, where)
 
 
-def _require_in_area(crs: CRS, middle: np.ndarray, said: str, where: str) -> None:
+def _require_in_area(crs: CRS, middle: np.ndarray, subject: str, where: str) -> None:
     lon, lat = middle.tolist()
     excess = degrees_outside_area(crs, lon, lat)
     if excess > AREA_MARGIN_DEG:
         raise PlaceMismatch(
-            f"{said} lie {excess:.0f} degrees outside the area that {crs.name} is made for; choose the CRS of the "
+            f"{subject} lie {excess:.0f} degrees outside the area that {crs.name} is made for; choose the CRS of the "
             f"place ({where})"
         )
 
@@ -77,7 +77,7 @@ def height_systems_at(lat_deg: float, lon_deg: float) -> tuple[CRS, ...]:
         if use is None or width >= _WORLDWIDE_DEG or not _is_national(code, OperationArea(*box)):
             continue
         newest[use.bounds] = max(newest.get(use.bounds, (0.0, 0)), (width * (use.north - use.south), code))
-    # By its code: two areas may be equally large.
+    # The code decides between areas of equal size.
     return tuple(CRS.from_epsg(code) for _, code in sorted(newest.values()))
 
 
@@ -137,14 +137,14 @@ _PACKED = (
 )
 
 
-def rough_undulation_m(lat_deg: float, lon_deg: float) -> float:
-    """About how high the geoid lies over the WGS 84 ellipsoid at a place [m]; below zero where it lies under it.
+def approximate_undulation_m(lat_deg: float, lon_deg: float) -> float:
+    """Approximate height of the geoid over the WGS 84 ellipsoid at a place [m]; negative where it lies below.
 
     Examples
     --------
     In Denmark about 40 m, and south of India, where it is lowest, -106 m.
 
-    >>> round(rough_undulation_m(55.0, 10.0)), round(rough_undulation_m(5.0, 80.0))
+    >>> round(approximate_undulation_m(55.0, 10.0)), round(approximate_undulation_m(5.0, 80.0))
     (40, -106)
     """
     packed = zlib.decompress(base64.b85decode(_PACKED))

@@ -23,7 +23,7 @@ from geo.projection import MapProjection
 # Two statements of one system differ by rounded parameters, e.g. feet to nine digits (0.4 mm at 1,300 km),
 # and GRS 80 from WGS 84 by 0.1 mm; really different systems do so by decimetres and more.
 _TOLERANCE_M = 0.001
-# Bounds whose sides differ by this factor more than in the other order of the same four numbers are in that order.
+# Bounds this many times as elongated as the same four numbers in the other order are taken to be in that order.
 _SIDE_RATIO = 10.0
 _SAMPLES_M = np.array([-2e5, 0.0, 3e5])
 
@@ -85,12 +85,12 @@ def require_same_place(a: np.ndarray, b: np.ndarray, a_name: str, b_name: str) -
     box_a, box_b = _box(a), _box(b)
     if _overlap(box_a, box_b):
         return
-    mend = "check that both are in the same coordinate reference system and of the same place"
+    remedy = "check that both are in the same coordinate reference system and of the same place"
     if _overlap(box_a, box_b[:, ::-1]):
-        mend = f"easting and northing seem to be swapped in one of them: swap them in {b_name}"
+        remedy = f"easting and northing seem to be swapped in one of them: swap them in {b_name}"
     raise PlaceMismatch(
         f"{a_name} (easting {_range(box_a[:, 0])}, northing {_range(box_a[:, 1])}) and {b_name} (easting "
-        f"{_range(box_b[:, 0])}, northing {_range(box_b[:, 1])}) do not overlap; {mend}."
+        f"{_range(box_b[:, 0])}, northing {_range(box_b[:, 1])}) do not overlap; {remedy}."
     )
 
 
@@ -101,8 +101,8 @@ def bounds_in_other_order(bounds: tuple[float, ...], places: np.ndarray) -> tupl
     ----------
     bounds : four numbers, in crs
     places : (N, 2 or more), in crs
-        What the bounds are of: they were given in the other order if they hold some of it so, and as they stand are no
-        rectangle or one `_SIDE_RATIO` times as long.
+        Places that the bounds should contain. The other order is taken if some lie within the bounds in that order,
+        and the numbers as given are no rectangle, or one `_SIDE_RATIO` times as elongated.
     """
     e0, e1, n0, n1 = bounds
     if not (e0 < e1 and n0 < n1):
@@ -132,7 +132,7 @@ def _horizontal_differs(a: CRS, b: CRS) -> bool:
     if a.is_geographic != b.is_geographic or _names_differ(a.datum, b.datum):
         return True
     if not all(crs.is_projected or crs.is_geographic for crs in (a, b)):
-        # A site grid, or heights alone: no numbers say where on the Earth it is, only its own statement.
+        # A site grid, or heights alone, has no parameters that place it on the Earth: only its text can be compared.
         return not a.equals(b, ignore_axis_order=True)
     return not np.allclose(_frame_numbers(a), _frame_numbers(b), rtol=0.0, atol=_TOLERANCE_M) or (
         not a.is_geographic and _grids_differ(a, b)
@@ -177,7 +177,7 @@ def _vertical_differs(a: CRS | None, b: CRS | None) -> bool:
 
 
 def _names_differ(a: Datum | None, b: Datum | None) -> bool:
-    """Whether two datums are known to be different ones."""
+    """Whether two datums have different names; False where either is unknown."""
     if a is None or b is None:
         return False
     code_a, code_b = (datum.to_json_dict().get("id") for datum in (a, b))

@@ -19,12 +19,12 @@ import laspy
 import lazrs
 import numpy as np
 
-# Cells along a side of a node, of which each gives one point to it: the spacing of a node is its side by this.
+# Cells along a side of a node. Each contributes one point, so the point spacing of a node is its side over this number.
 CELLS = 128
 _CELL_BITS = 7
-# A node with so few points below it keeps them all. The two together make nodes of some 20,000 points on a bed.
+# A node with no more points than this keeps them all. With CELLS, nodes on a bed get some 20,000 points each.
 _LEAF = 30_000
-# Levels of the finest cells: three numbers of 21 bits fill 63.
+# The most levels: three numbers of 21 bits fill 63.
 _MOST_BITS = 21
 _SEED = 0
 _MOST_UINT32 = 2**32
@@ -33,7 +33,7 @@ _INFO, _HIERARCHY = ("copc", 1), ("copc", 1000)
 # Centre, half side, spacing, root page (offset and size), first and last GPS time, reserved.
 _INFO_LAYOUT = "<3d2d2Q2d88x"
 _EXTENDED_HEAD = "<2x16sHQ32s"
-# Nodes that are compressed at a time, on all cores; points that are made into records at a time otherwise.
+# Nodes compressed at a time, on all cores; points converted to records at a time otherwise.
 _BATCH, _PORTION = 16, 500_000
 _CHUNK_TABLE_OFFSET = 8
 
@@ -72,7 +72,7 @@ def build_octree(columns: Sequence[np.ndarray], per_unit: Sequence[int] = (1, 1,
         cell -= low
         cell <<= bits
         cell //= side
-        # The highest point lies on the wall of the cube, and belongs to the last cell.
+        # The highest point lies on the face of the cube, and belongs to the last cell.
         np.minimum(cell, 2**bits - 1, out=cell)
         _spread(cell)
         cell <<= axis
@@ -96,14 +96,14 @@ def build_octree(columns: Sequence[np.ndarray], per_unit: Sequence[int] = (1, 1,
 
 
 def _taken(code: np.ndarray, bits: int, level: int, rng: np.random.Generator) -> np.ndarray:
-    """Sorted points (N,) bool that the nodes of a level take: one of each cell, or all that are left."""
+    """Which sorted points (N,) the nodes of a level take: one of each cell, or all that are left."""
     if level == bits:
         return np.ones(len(code), dtype=bool)
     node = _starts(code >> 3 * (bits - level))
     sizes = np.diff(np.append(node, len(code)))
     taken = np.repeat(sizes <= _LEAF, sizes)
     cell = _starts(code >> 3 * max(bits - level - _CELL_BITS, 0))
-    # A random one of the cell: the lowest one would lie on a grid.
+    # A random point of each cell: the first ones would form a grid.
     taken[cell + (rng.random(len(cell)) * np.diff(np.append(cell, len(code)))).astype(np.int64)] = True
     return taken
 
@@ -163,7 +163,7 @@ def write_copc(
     lazrs.LazrsError
         If the system refuses to write.
     """
-    # laspy counts the points of each record that is made in the header of the records.
+    # laspy adds the points of each portion of records to the counts in their header.
     header = deepcopy(header)
     header.partial_reset()
     places = [np.empty(count, dtype=np.int32) for _ in "XYZ"]

@@ -53,7 +53,7 @@ def parse_crs(text: str | CRS, *, where: str = "crs") -> CRS:
             f'with a vertical part such as "{_EXAMPLE}", WKT or a PROJ string.'
         ) from error
     _require_fit(crs, text if isinstance(text, str) else crs.name, where)
-    wkt1(crs)  # a survey whose cloud cannot be written must not be processed first
+    wkt1(crs)  # raises now, rather than when the finished cloud is to be written
     return crs
 
 
@@ -74,7 +74,7 @@ def _crs_of_text(text: str) -> CRS:
 
 
 def _require_fit(crs: CRS, text: str, where: str) -> None:
-    """Refuse a CRS whose coordinates cannot be easting, northing and height."""
+    """Raise UnsupportedCRS unless the coordinates of a CRS are easting, northing and height."""
     said = f"{where} is {_short(text)} ({crs.name})"
     if crs.is_vertical and not crs.is_compound:
         raise UnsupportedCRS(f'{said}, which has heights only; put the horizontal code before it, e.g. "{_EXAMPLE}".')
@@ -91,7 +91,7 @@ def _require_fit(crs: CRS, text: str, where: str) -> None:
             "northing: convert the coordinates to a CRS with these axes, e.g. the UTM zone."
         )
     if len(axes) < 3:
-        raise MissingVerticalDatum(f"{said}, which has no vertical part; {_vertical_mend(crs)}.")
+        raise MissingVerticalDatum(f"{said}, which has no vertical part; {_vertical_remedy(crs)}.")
     if axes[2].direction != "up":
         raise UnsupportedCRS(
             f"{said}, whose third axis counts {axes[2].direction} ({axes[2].name}); give heights that count "
@@ -99,14 +99,14 @@ def _require_fit(crs: CRS, text: str, where: str) -> None:
         )
 
 
-def _vertical_mend(crs: CRS) -> str:
+def _vertical_remedy(crs: CRS) -> str:
     code = crs.to_epsg()
-    mend = f'add a vertical CRS, e.g. "{_EXAMPLE}"'
+    remedy = f'add a vertical CRS, e.g. "{_EXAMPLE}"'
     geodetic = geodetic_crs(crs).to_3d().to_epsg() if code else None
     if geodetic is None:
-        return mend
+        return remedy
     ellipsoidal = f"EPSG:{geodetic}" if crs.is_geographic else f"EPSG:{code}+{geodetic}"
-    return f'{mend}, or "{ellipsoidal}" if the heights are ellipsoidal'
+    return f'{remedy}, or "{ellipsoidal}" if the heights are ellipsoidal'
 
 
 def _short(text: object) -> str:
@@ -115,7 +115,7 @@ def _short(text: object) -> str:
 
 
 def _unbound(crs: CRS) -> CRS:
-    """The CRS itself where it comes with a transformation to WGS 84 attached (TOWGS84, nadgrids)."""
+    """The CRS without a transformation to WGS 84 that its text attaches (TOWGS84, nadgrids)."""
     source = crs.source_crs if crs.is_bound else None
     return crs if source is None else _unbound(source)
 
@@ -127,7 +127,7 @@ def horizontal_crs(crs: CRS) -> CRS:
 
 @lru_cache(maxsize=256)
 def _horizontal_part(srs: str) -> CRS:
-    """Horizontal part of a CRS given by its text; kept, since PROJ takes 1 ms to make it."""
+    """Horizontal part of a CRS given by its text; cached, since PROJ takes 1 ms to make it."""
     part = _unbound(crs_of(srs))
     if part.is_compound:
         part = _unbound(part.sub_crs_list[0])
@@ -150,12 +150,12 @@ def is_geographic(crs: CRS) -> bool:
     return horizontal_crs(crs).is_geographic
 
 
-def called(crs: CRS) -> str:
-    """The name of a CRS, or what it is where its text gives none, as a PROJ string does.
+def crs_name(crs: CRS) -> str:
+    """The name of a CRS, or a description where its text gives none, as for a PROJ string.
 
     Examples
     --------
-    >>> called(CRS("EPSG:32632")), called(CRS("+proj=utm +zone=17 +units=us-ft"))
+    >>> crs_name(CRS("EPSG:32632")), crs_name(CRS("+proj=utm +zone=17 +units=us-ft"))
     ('WGS 84 / UTM zone 32N', 'a CRS without a name (UTM zone 17N, US survey foot)')
     """
     plan = horizontal_crs(crs)
@@ -226,7 +226,7 @@ def crs_code(crs: CRS) -> str | None:
 
 
 def degrees_outside_area(crs: CRS, lon: float, lat: float) -> float:
-    """Distance [deg] of a longitude and latitude [rad] from the area of use of a CRS; 0 inside.
+    """Distance [deg] of a longitude and latitude [rad] from the area of use of a CRS.
 
     Zero inside it, and where the area is not known. The longitude counts from the CRS's own prime meridian.
     """

@@ -58,9 +58,9 @@ def _crs_text(file: Any) -> str:
 def write_e57(path: str | Path, points_crs: np.ndarray, crs: CRS, *, rgb: np.ndarray) -> None:
     """Write a cloud as one scan of an E57 file, whole or not at all.
 
-    pye57 writes coordinates in single precision, so they are stored from an origin in the middle of the cloud, which is
-    the pose of the scan: within 1 km of it they step by 0.06 mm, as `read_e57` and other readers put them together
-    again. It knows no fields beyond colour; the CRS is the coordinateMetadata of the file. The format is in metres.
+    pye57 writes coordinates in single precision. They are therefore stored relative to the middle of the cloud, which
+    becomes the pose of the scan; `read_e57` and other readers add it again. Within 1 km of it, coordinates have steps
+    of 0.06 mm. pye57 writes no fields beyond colour; the CRS is the coordinateMetadata of the file. E57 is in metres.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def write_e57(path: str | Path, points_crs: np.ndarray, crs: CRS, *, rgb: np.nda
 
 
 def _with_crs(pye57: Any, wkt: str) -> type:
-    """The writer of pye57, which leaves the CRS of its header empty, with one."""
+    """The writer of pye57, which leaves the CRS in the header empty, extended to fill it in."""
     lib = pye57.libe57
 
     class WithCrs(pye57.E57):

@@ -12,7 +12,7 @@ class UnknownCRS(GeoError):
 
 
 class MissingVerticalDatum(GeoError):
-    """The CRS says where easting and northing are counted from, but not the heights."""
+    """The CRS has no vertical part: it does not say from where heights are measured."""
 
 
 class UnsupportedCRS(GeoError):
@@ -32,7 +32,7 @@ class UnreadableFile(GeoError):
 
 
 class EmptyCloud(UnreadableFile):
-    """A file of points that has none."""
+    """A file that should have points has none."""
 
 
 class UnwritableFile(GeoError):
@@ -44,4 +44,4 @@ class MissingGrid(GeoError):
 
 
 class UnknownUnit(GeoError):
-    """Heights whose unit nothing tells."""
+    """Nothing states the unit of heights."""

@@ -1,6 +1,6 @@
-"""Files written completely or not at all, messages for what the disk refuses, and the libraries of optional formats.
+"""Files written completely or not at all, messages for errors of the disk, and the libraries of optional formats.
 
-These are extras of the distribution, imported when such a file is met.
+These libraries are extras of the distribution, imported when a file needs one.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from geo.errors import UnreadableFile, UnwritableFile
 
 _NO_PERMISSION = "permission is denied; change its permissions or choose another folder"
-_MENDS = {
+_REMEDIES = {
     errno.ENOSPC: "no space is left on the disk; free some or write elsewhere",
     errno.EDQUOT: "the disk quota is used up; free some room or write elsewhere",
     errno.EFBIG: "the file grows larger than this disk or process may write; write elsewhere",
@@ -37,8 +37,8 @@ _MENDS = {
     errno.EMFILE: "too many files are open; raise the limit (ulimit -n)",
     errno.EIO: "the disk reports a fault (input/output error); check it or write elsewhere",
 }
-# Where the file was perhaps to be read.
-_MENDS_OF_USE = _MENDS | {
+# For an error that may have come from reading.
+_REMEDIES_OF_USE = _REMEDIES | {
     errno.ENOENT: "it does not exist; correct the path",
     errno.ENOTDIR: "a part of the path is a file; correct the path",
     errno.EISDIR: "it is a folder; name a file",
@@ -46,12 +46,12 @@ _MENDS_OF_USE = _MENDS | {
 _ONLY_WRITING = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 # numpy and Pillow lose the error number: with less free space than this, the cause is taken to be a full disk.
 _NO_ROOM_BYTES = 1 << 20
-# Written at a time where the system cannot reserve room.
+# Bytes written at a time where the system cannot reserve disk space.
 _ZEROS = 1 << 24
 
 
-def refusal(error: OSError, path: str | Path, *, verb: str = "write") -> str | None:
-    """The system's error as one sentence with the path and a remedy.
+def disk_error_text(error: OSError, path: str | Path, *, verb: str = "write") -> str | None:
+    """An error of the operating system as one sentence with the path and a remedy.
 
     Parameters
     ----------
@@ -70,14 +70,14 @@ def refusal(error: OSError, path: str | Path, *, verb: str = "write") -> str | N
         number = errno.ENOSPC
     if number in _ONLY_WRITING:
         verb = "write"
-    mends = _MENDS if verb == "write" else _MENDS_OF_USE
-    mend = None if number is None else mends.get(number)
-    return None if mend is None else f"cannot {verb} {path}: {mend}"
+    remedies = _REMEDIES if verb == "write" else _REMEDIES_OF_USE
+    remedy = None if number is None else remedies.get(number)
+    return None if remedy is None else f"cannot {verb} {path}: {remedy}"
 
 
 @contextmanager
-def disk_refusals(path: str | Path) -> Iterator[None]:
-    """Turn every error of the system in the block into UnwritableFile, see `refusal`.
+def reporting_disk_errors(path: str | Path) -> Iterator[None]:
+    """Turn every OSError in the block into an UnwritableFile with the text of `disk_error_text`.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def write_whole(path: str | Path) -> Iterator[BinaryIO]:
     Raises
     ------
     UnwritableFile
-        If the system refuses (no room, no folder, no permission); the message names the path and the mend.
+        If it cannot be written (no space, no folder, no permission); the message names the path and the remedy.
     """
     path = Path(path)
     try:
@@ -134,14 +134,14 @@ def write_whole_at(path: str | Path) -> Iterator[Path]:
 
 
 def scratch_array(path: Path, dtype: str, shape: tuple[int, ...]) -> np.ndarray:
-    """An array of zeros in a file of a scratch folder, whose room is taken before it is mapped.
+    """An array of zeros in a memory-mapped scratch file, whose disk space is reserved before it is mapped.
 
-    A file that is mapped and finds the disk full when a page of it is written ends the process (SIGBUS).
+    A mapped file that meets a full disk when one of its pages is written ends the process (SIGBUS).
 
     Raises
     ------
     UnwritableFile
-        If there is no room, with how much is needed, and where.
+        If there is too little space; the message says how much is needed, and where.
     """
     size = int(np.prod(shape, dtype=np.int64)) * np.dtype(dtype).itemsize
     try:
@@ -177,7 +177,7 @@ def existing_file(path: str | Path) -> Path:
 
 
 def _unwritable(error: OSError, path: str | Path) -> UnwritableFile:
-    text = refusal(error, path) or f"cannot write {path}: {error.strerror or error}; write elsewhere"
+    text = disk_error_text(error, path) or f"cannot write {path}: {error.strerror or error}; write elsewhere"
     return UnwritableFile(f"{text}.")
 
 
@@ -200,8 +200,8 @@ def library_for(path: str | Path, module: str, extra: str, *, to_write: bool = F
     try:
         return import_module(module)
     except ModuleNotFoundError as error:
-        verb, mend = ("written", "name") if to_write else ("read", "export it in")
+        verb, remedy = ("written", "name") if to_write else ("read", "export it in")
         raise (UnwritableFile if to_write else UnreadableFile)(
             f"{path} is {verb} by {module.split('.')[0]}, which is not installed: pip install 'bathynerf[{extra}]', or "
-            f"{mend} another format."
+            f"{remedy} another format."
         ) from error

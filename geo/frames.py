@@ -31,7 +31,7 @@ _STEP_M = 10.0
 
 @dataclass(frozen=True)
 class LocalFrame:
-    """A Cartesian frame that touches the Earth at one point of a survey.
+    """Topocentric Cartesian frame whose horizontal plane touches the ellipsoid at one point of a survey.
 
     Use one frame per thread: PROJ's transformations must not be shared between threads.
 
@@ -108,13 +108,13 @@ class LocalFrame:
         """Rotation (..., 3, 3) that turns the grid axes at points (..., 3) in crs into local axes.
 
         Grid axes are the directions in which easting (longitude), northing (latitude) and height grow there;
-        the angles of photogrammetry are counted about them. The rotation holds the meridian convergence and
+        the angles of photogrammetry are rotations about them. The rotation includes the meridian convergence and
         the curvature of the Earth between the point and the origin. NaN where a point is not on the map.
 
         Notes
         -----
-        Central differences of `local_from_crs` along the three coordinates, each scaled to unit length, and
-        of these the nearest rotation (polar decomposition by the singular values).
+        Central differences of `local_from_crs` along the three coordinates, each scaled to unit length, replaced by
+        the nearest rotation (polar decomposition by the singular values).
         """
         points = _as_points(point_crs)
         steps = self._steps(points)

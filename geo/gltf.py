@@ -23,8 +23,8 @@ _Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 def read_gltf(path: str | Path) -> Mesh | Cloud:
     """Read a glTF or GLB file: a mesh if it has triangles, else a cloud.
 
-    The format knows no CRS; files of `write_glb` say it, with their origin, in the ``extras`` of the scene, and come in
-    its coordinates.
+    The format has no CRS. `write_glb` stores it with the origin in the ``extras`` of the scene; such files are returned
+    in coordinates of that CRS.
 
     Raises
     ------
@@ -51,18 +51,18 @@ def read_gltf(path: str | Path) -> Mesh | Cloud:
     return Mesh(points, np.concatenate(faces), rgb=_rgb(meshes), crs=crs, notes=notes)
 
 
-def _placed(points: np.ndarray, said: dict, path: Path) -> tuple[np.ndarray, CRS | None, tuple[str, ...]]:
-    """Points in the CRS that the extras of a file of ours name, and notes; points as they are where they name none."""
-    origin = said.get("origin")
-    if said.get("made_by") != "bathynerf" or not isinstance(said.get("crs"), str) or not isinstance(origin, list):
+def _placed(points: np.ndarray, extras: dict, path: Path) -> tuple[np.ndarray, CRS | None, tuple[str, ...]]:
+    """Points in the CRS that `write_glb` stored in the extras, and notes; points unchanged where there is none."""
+    origin = extras.get("origin")
+    if extras.get("made_by") != "bathynerf" or not isinstance(extras.get("crs"), str) or not isinstance(origin, list):
         return points, None, ()
-    crs, notes = crs_named(said["crs"], path)
+    crs, notes = crs_named(extras["crs"], path)
     if crs is None or len(origin) != 3:
         return points, None, notes
-    if said.get("axes") == _TOPOCENTRIC:
+    if extras.get("axes") == _TOPOCENTRIC:
         return LocalFrame(crs, (origin[0], origin[1], origin[2])).crs_from_local(points), crs, notes
-    # Files of earlier versions are in units of their CRS, and say no axes.
-    units = _grid_units(crs) if said.get("axes") == _GRID else np.ones(3)
+    # Files of earlier versions are in units of their CRS and do not state their axes.
+    units = _grid_units(crs) if extras.get("axes") == _GRID else np.ones(3)
     return points / units + np.array(origin, dtype=np.float64), crs, notes
 
 
@@ -89,10 +89,10 @@ def _rgb(meshes: list) -> np.ndarray | None:
 def write_glb(path: str | Path, mesh: Mesh, crs: CRS) -> None:
     """Write a mesh in crs as GLB, whole or not at all: metres, y up, from an origin in its middle.
 
-    The format is in metres, and in single precision, which steps by half a metre at a northing of 5e6 m. Axes are those
-    of the grid (``"axes": "grid"``); where its units are not lengths on the ground (degrees, Web Mercator), east, north
-    and up at the origin (``"topocentric"``). The origin, whole units of crs (degrees to nine digits), and the CRS stand
-    beside it in the ``extras`` of the scene.
+    The format is in metres and in single precision, whose step at a northing of 5e6 m is half a metre. Axes are those
+    of the grid (``"axes": "grid"``), or, where grid units are not lengths on the ground (degrees, Web Mercator), east,
+    north and up at the origin (``"topocentric"``). The ``extras`` of the scene hold the axes, the CRS and the origin in
+    whole units of it (degrees to nine digits).
 
     Raises
     ------
@@ -108,7 +108,7 @@ def write_glb(path: str | Path, mesh: Mesh, crs: CRS) -> None:
         origin, axes = np.round(middle, 9), _TOPOCENTRIC
         vertices = LocalFrame(crs, (origin[0], origin[1], origin[2])).local_from_crs(mesh.vertices)
     body = trimesh.Trimesh(vertices @ _Z_UP, mesh.faces, vertex_colors=mesh.rgb, process=False)
-    said = {"made_by": "bathynerf", "crs": crs_code(crs) or crs.to_wkt(), "origin": origin.tolist(), "axes": axes}
-    content = trimesh.Scene(body, metadata=said).export(file_type="glb", include_normals=False)
+    extras = {"made_by": "bathynerf", "crs": crs_code(crs) or crs.to_wkt(), "origin": origin.tolist(), "axes": axes}
+    content = trimesh.Scene(body, metadata=extras).export(file_type="glb", include_normals=False)
     with write_whole(path) as stream:
         stream.write(content)

@@ -1,4 +1,4 @@
-"""Clouds as LAS 1.4 and LAZ: written for the client, read as results and references.
+"""Clouds as LAS 1.4 and LAZ: results written, results and references read.
 
 Sources: ASPRS LAS 1.4 R16 and its topo-bathy profile (classes 40 and up).
 """
@@ -27,7 +27,7 @@ from geo.shapes import Cloud
 POINT_FORMAT = 7
 CLASS_GROUND = 2
 CLASS_BATHYMETRIC = 40
-# A height that may be off by metres is kept, and flagged so that programs leave it out.
+# Points with a larger std are kept, but flagged as withheld so that other programs leave them out.
 WITHHELD_STD_M = 1.0
 SCALE_LENGTH = 0.001
 SCALE_ANGLE = 1e-8
@@ -79,12 +79,12 @@ def write_cloud(
     is_wet : (N,) bool
         Class 40 (bathymetric) where true, else 2 (ground).
     std_common_m : (N,) [m], optional
-        Standard deviation of the height by what all points have in common, water, lens and poses, which ``std_m`` does
-        not hold; "no data" where not given.
+        Standard deviation of the height from errors that all points share (water, lens, poses), which ``std_m`` does
+        not include; "no data" where not given.
     classification : (N,) uint8, optional
-        Other classes than those of ``is_wet``, e.g. with 45 (no bottom found) among them.
+        Classes to write instead of those by ``is_wet``, e.g. with 45 (no bottom found) among them.
     origin : (N,) uint8, optional
-        How each point was found, into the field for the user's data; 0 where not given.
+        How each point was found, written to the field "user data"; 0 where not given.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def classes_of(is_wet: np.ndarray) -> np.ndarray:
 
 
 def _write(records: copc.Records, count: int, header: laspy.LasHeader, path: Path) -> None:
-    """Write records, made a portion at a time, and read them again, but for an octree."""
+    """Write records a portion at a time and verify them by reading them again, except in COPC."""
     compress, sums = path.suffix.lower() == ".laz", ValueSums()
     with write_whole(path) as stream:
         try:

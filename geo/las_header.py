@@ -13,7 +13,7 @@ from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError
 
 from geo.crs import has_height, horizontal_crs
-from geo.stated import height_unit_said, unit_of_code, with_height_unit
+from geo.stated import checked_height_unit, unit_of_code, with_height_unit
 
 # Keys of GeoTIFF 1.1 (OGC 19-008r4).
 _MODEL, _GEOGRAPHIC, _PROJECTED, _LINEAR_UNIT, _VERTICAL, _VERTICAL_UNIT = 1024, 2048, 3072, 3076, 4096, 4099
@@ -21,7 +21,7 @@ _MODEL_PROJECTED = 1
 _EPSG_RANGE = range(1024, 32767)
 # The vertical codes 5001 to 5033 of GeoTIFF 1.0 are ellipsoids, not EPSG vertical systems.
 _OLD_VERTICAL = range(5001, 5034)
-# Those from 5101 on name datums; these are their systems in metres, the second one in feet.
+# Codes from 5101 on are datums; these are the EPSG systems of their heights, of 5102 in feet.
 _VERTICAL_OF_DATUM = {5101: 5701, 5102: 5702, 5103: 5703, 5104: 5736, 5105: 5705, 5106: 5706}
 _UNIT_TOLERANCE = 1e-9
 
@@ -46,7 +46,7 @@ _DESCRIPTOR = "<2xBB32s4x8s16x8s16x8s16x48x32s"
 
 
 def length_fault(path: Path) -> str | None:
-    """The claim of a LAS header that the length of the file contradicts; None if there is none.
+    """What in a LAS header contradicts the length of the file; None if nothing does.
 
     Checked before laspy reads: a damaged count of records would keep it busy for hours.
     """
@@ -70,9 +70,9 @@ def length_fault(path: Path) -> str | None:
 
 
 def _fault_of_chunks(path: Path, start: int, count: int, size: int) -> str | None:
-    """The claim of a LAZ file's table of chunks that its length contradicts.
+    """What in the chunk table of a LAZ file contradicts the length of the file; None if nothing does.
 
-    The decoder takes memory for as many chunks as the table says, and ends the process where there is none.
+    The decoder allocates memory for as many chunks as the table says, and ends the process if that fails.
     """
     with path.open("rb") as stream:
         stream.seek(start)
@@ -91,7 +91,7 @@ def _fault_of_chunks(path: Path, start: int, count: int, size: int) -> str | Non
 
 
 def crs_of_header(header: laspy.LasHeader, path: Path) -> tuple[CRS | None, float | None, tuple[str, ...]]:
-    """The CRS of a LAS file, the unit of heights [m] that it gives beside it, and notes on what is missing.
+    """The CRS of a LAS file, the unit of heights [m] that its keys state separately, and notes on what is missing.
 
     Taken from OGC WKT, else from GeoTIFF keys; (None, None, why) if the file has none. A CRS without a vertical part is
     returned as it is, with a note, and with the unit of heights of the keys.
@@ -114,8 +114,8 @@ def crs_of_header(header: laspy.LasHeader, path: Path) -> tuple[CRS | None, floa
         knows_heights = has_height(crs)
     except CRSError as error:
         return None, None, (f"{path} states a CRS that is not understood ({str(error)[:120]}).",)
-    said = unit_of_code(_keys_of(tables[0]).get(_VERTICAL_UNIT, 0)) if tables else None
-    unit = height_unit_said(crs, said, path, "the unit of height of its GeoTIFF keys")
+    stated = unit_of_code(_keys_of(tables[0]).get(_VERTICAL_UNIT, 0)) if tables else None
+    unit = checked_height_unit(crs, stated, path, "the unit of height of its GeoTIFF keys")
     if not knows_heights:
         return crs, unit, (f"{path} states the CRS {crs.name} without a vertical part.",)
     return crs, unit, ()
@@ -143,7 +143,7 @@ def _crs_of_keys(table: GeoKeyDirectoryVlr) -> CRS:
         return crs
     vertical, unit = CRS.from_epsg(number), unit_of_code(keys.get(_VERTICAL_UNIT, 0))
     if unit is not None:
-        # Surveyors name a datum by its system in metres, and give the feet of their heights beside it.
+        # Files often name the datum by its system in metres, and state feet as the unit in another key.
         vertical = with_height_unit(vertical, unit)
     return CompoundCRS(f"{crs.name} + {vertical.name}", [crs, vertical])
 

@@ -20,13 +20,13 @@ from geo.errors import UnreadableFile
 from geo.files import existing_file, library_for
 from geo.transformation import WGS84, transformed
 
-# Of each polygon its rings (N, 2), the outer one first.
+# Each polygon as its rings (N, 2), the outer one first.
 Polygons = list[list[np.ndarray]]
 
 Found = TypeVar("Found")
 
 _POLYGON, _MULTI = 3, 6
-# Collections of GeoJSON in one another.
+# The deepest nesting of GeoJSON collections that is read.
 DEPTH = 12
 _JSON, _BY_GDAL = (".geojson", ".json"), (".gpkg", ".shp", ".dxf")
 # Well-known binary.
@@ -43,7 +43,7 @@ def read_polygons(path: str | Path, crs: CRS) -> Polygons:
     Raises
     ------
     UnreadableFile
-        If it is neither, is damaged, or has no polygon.
+        If it is another format, is damaged, or has no polygon.
     GeoError
         If it cannot be taken to crs: see `geo.transformation.transformed`.
     """
@@ -82,7 +82,7 @@ def points_inside(polygons: Polygons, points: np.ndarray) -> np.ndarray:
 
 
 def in_map_of(ring: np.ndarray, source: CRS, target: CRS, path: Path) -> np.ndarray:
-    """Corners (N, 2) of a file in another horizontal CRS; raises GeoError where they cannot be taken there."""
+    """Corners (N, 2) of a file, transformed to another horizontal CRS; GeoError where that is not possible."""
     if not source.equals(target, ignore_axis_order=True):
         with_height = np.column_stack([ring, np.zeros(len(ring))])
         remedy = "or give it in the CRS of the cloud."
@@ -95,12 +95,12 @@ def in_map_of(ring: np.ndarray, source: CRS, target: CRS, path: Path) -> np.ndar
 def read_geojson(path: Path, shapes: str, gather: Callable[[Any], Found]) -> tuple[Found, CRS]:
     """Result of ``gather`` on the content of a GeoJSON file, and the horizontal CRS of its coordinates.
 
-    ``shapes`` says in an error what was looked for; ``gather`` raises what a content of another form leads to.
+    ``shapes`` is what an error names as expected; ``gather`` may raise for content of another form.
 
     Raises
     ------
     UnreadableFile
-        If it is none, or names a CRS that is not known.
+        If it is no GeoJSON, or names a CRS that is not known.
     """
     try:
         content = json.loads(path.read_bytes())

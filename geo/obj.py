@@ -1,7 +1,7 @@
 """Wavefront OBJ files: meshes read in double precision, and written to a tenth of a millimetre at any easting.
 
 trimesh 5.2.0 reads them in two thirds of the time (250,000 vertices with 500,000 triangles: 1.4 s against 2.2 s), but
-counts negative vertex numbers back from the end of the file, not from the face, takes vertex 0 for the last one, and
+counts negative vertex numbers from the end of the file instead of the face, takes vertex 0 for the last vertex, and
 drops the CRS."""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""PROJ: operations between two CRSs at a place, each question asked once, and geoid grids beside the data."""
+"""PROJ's operations between two CRSs at a place, cached, and geoid grids in a folder of the user."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def operations(source: CRS | str, target: CRS | str, area: AreaOfInterest | None
     ProjError
         If it knows none.
     """
-    # Folders of grids that are added later count; PROJ takes some 10 ms to search, and is asked the same often.
-    # Transformers of a group must not be shared by threads.
+    # Cached, since a search takes PROJ some 10 ms: anew where a folder of grids was added, and for each thread, since
+    # threads must not share transformers.
     return _operations(_text(source), _text(target), area, datadir.get_data_dir(), get_ident())
 
 

@@ -167,7 +167,7 @@ def read_ply(path: str | Path) -> Mesh | Cloud:
     path = existing_file(path)
     data = path.read_bytes()
     try:
-        is_ascii, order, elements, start, said = _header(data)
+        is_ascii, order, elements, start, crs_text = _header(data)
         tables: dict[str, dict] = {}
         body = memoryview(data)[start:]
         if is_ascii:
@@ -178,9 +178,9 @@ def read_ply(path: str | Path) -> Mesh | Cloud:
         shape = _shape(tables)
     except _Damaged as error:
         raise UnreadableFile(f"{path} cannot be read as PLY: {error}.") from error
-    if not said:
+    if not crs_text:
         return shape
-    crs, notes = crs_named(said, path)
+    crs, notes = crs_named(crs_text, path)
     return replace(shape, crs=crs, notes=notes)
 
 

@@ -21,7 +21,7 @@ from pyproj.exceptions import ProjError
 
 from geo.crs import (
     angular_unit_rad,
-    called,
+    crs_name,
     ellipsoid,
     geodetic_crs,
     has_height,
@@ -35,7 +35,7 @@ from geo.errors import UnsupportedCRS
 _BOWRING_STEPS = 3
 # Of the central differences of `metres_per_unit`: 64 m on the ground.
 _STEP_RAD = 1e-5
-# The scale of a surveyor's grid is within this of 1.
+# The scale of a grid made for surveying differs from 1 by less than this.
 _TO_SCALE = 0.01
 
 
@@ -108,8 +108,8 @@ class MapProjection:
                 transformer = Transformer.from_crs(horizontal, geodetic_crs(self.crs), always_xy=True)
             except ProjError as error:
                 raise UnsupportedCRS(
-                    f"{called(self.crs)} has a map projection that PROJ cannot compute ({str(error)[:120]}); give one "
-                    "of EPSG, e.g. EPSG:25832"
+                    f"{crs_name(self.crs)} has a map projection that PROJ cannot compute ({str(error)[:120]}); give "
+                    "one of EPSG, e.g. EPSG:25832"
                 ) from error
         axes = ellipsoid(self.crs)
         values = {
@@ -153,7 +153,7 @@ class MapProjection:
 def metres_per_unit(crs: CRS, places: np.ndarray) -> np.ndarray:
     """Metres of ground (2,) in one unit of easting and of northing, or of longitude and latitude.
 
-    Holds the unit and the scale of the map in the middle of places (N, 2 or 3) in a CRS with heights; on the ellipsoid.
+    Includes the unit and the map scale, at the middle of places (N, 2 or 3) in a CRS with heights; on the ellipsoid.
     NaN where there are none on the map.
     """
     middle = np.full(2, np.nan) if not len(places) else np.median(np.asarray(places, dtype=np.float64)[:, :2], axis=0)
@@ -171,9 +171,9 @@ def ground_units_m(crs: CRS, place: np.ndarray) -> np.ndarray:
     """Metres per unit near a place (east, north, ...), of a cell, a map, a product.
 
     Grids for surveying (UTM, Gauss-Krüger, the Lambert grids of countries) keep within a hundredth of true lengths: one
-    unit of theirs is what it is called. Degrees are shorter along parallels, and others stretch the ground: Web
-    Mercator by 1.49 at 48 degrees. Places are rounded to a hundredth of a degree, or a kilometre, so that neighbours
-    agree.
+    of their units is one unit on the ground. Degrees are shorter along parallels, and other projections stretch the
+    ground: Web Mercator by 1.49 at 48 degrees. Places are rounded to a hundredth of a degree, or a kilometre, so that
+    neighbours agree.
     """
     unit = horizontal_unit(crs)
     rounded = np.radians(0.01) / unit if horizontal_crs(crs).is_geographic else 1000.0 / unit

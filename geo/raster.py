@@ -1,4 +1,4 @@
-"""Rasters read, and written as cloud-optimised GeoTIFF and as BAG, window by window, whole or not at all."""
+"""Rasters: read, and written window by window as cloud-optimised GeoTIFF or BAG, whole or not at all."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from rasterio.windows import Window
 
 from geo.crs import ellipsoid, ellipsoidal_wkt1, has_height, horizontal_crs, vertical_crs
 from geo.errors import UnreadableFile, UnwritableFile
-from geo.files import existing_file, refusal, write_whole_at
+from geo.files import disk_error_text, existing_file, write_whole_at
 from geo.read_back import ValueSums, require_raster
 from geo.shapes import Mesh
-from geo.stated import height_unit_said, unit_named
+from geo.stated import checked_height_unit, unit_named
 
 # Tag "Software" of every raster, by which bathynerf recognises its own files.
 SOFTWARE = f"bathynerf {version('bathynerf')}"
@@ -93,7 +93,7 @@ def write_cog(path: str | Path, form: RasterForm, parts: Iterable[Part]) -> None
         copy.replace(part)
 
 
-def write_bag(path: str | Path, form: RasterForm, parts: Iterable[Part], said: dict[str, str]) -> None:
+def write_bag(path: str | Path, form: RasterForm, parts: Iterable[Part], variables: dict[str, str]) -> None:
     """Write heights and their uncertainty as a Bathymetric Attributed Grid (HDF5).
 
     Parameters
@@ -101,18 +101,18 @@ def write_bag(path: str | Path, form: RasterForm, parts: Iterable[Part], said: d
     form : RasterForm
         Of two bands, height and uncertainty [m].
     parts : iterable of (row, column, values)
-    said : dict
+    variables : dict
         Variables of GDAL's metadata template, without the VAR\\_ before them, e.g. "ABSTRACT".
     """
     with write_whole_at(path) as part, _working_folder(part, Path(path)) as work:
         # GDAL knows the format by the suffix.
         copy = work / "copy.bag"
         if vertical_crs(form.crs) is None and has_height(form.crs):
-            said = said | {"VERT_WKT": ellipsoidal_wkt1(form.crs)}
-        variables = {f"VAR_{name}": value for name, value in said.items()}
-        # In memory first: on a full disk HDF5 fails with a page of its own messages, and again when it is closed.
+            variables = variables | {"VERT_WKT": ellipsoidal_wkt1(form.crs)}
+        template = {f"VAR_{name}": value for name, value in variables.items()}
+        # In memory first: on a full disk HDF5 prints a page of its own messages, and fails again when closed.
         with MemoryFile(ext=".bag") as memory:
-            sums = _write(memory.name, form, parts, driver="BAG", **variables)
+            sums = _write(memory.name, form, parts, driver="BAG", **template)
             copy.write_bytes(memory.read())
         require_raster(copy, Path(path), stored_crs(form.crs), form.transform, form.shape, sums)
         copy.replace(part)
@@ -154,9 +154,9 @@ def _write(path: Path | str, form: RasterForm, parts: Iterable[Part], **profile)
 
 
 def stored_crs(crs: CRS) -> CRS:
-    """The CRS that a raster can hold: of a projected one with ellipsoidal heights the part in plan.
+    """The CRS that a raster can store: for a projected one with ellipsoidal heights, its horizontal part.
 
-    No keys of GeoTIFF say "above the ellipsoid" of a projected CRS that GDAL reads back; a tag does.
+    No GeoTIFF keys that GDAL reads back say "above the ellipsoid" of a projected CRS; a tag says it instead.
     """
     return horizontal_crs(crs) if crs.is_projected and vertical_crs(crs) is None else crs
 
@@ -164,12 +164,12 @@ def stored_crs(crs: CRS) -> CRS:
 @contextmanager
 def _working_folder(part: Path, path: Path) -> Iterator[Path]:
     """A folder beside a file that is being written; errors of GDAL in the block become UnwritableFile."""
-    with TemporaryDirectory(prefix=".", suffix=".part", dir=part.parent) as work, _refusals(path):
+    with TemporaryDirectory(prefix=".", suffix=".part", dir=part.parent) as work, _reporting_gdal_errors(path):
         yield Path(work)
 
 
 @contextmanager
-def _refusals(path: Path) -> Iterator[None]:
+def _reporting_gdal_errors(path: Path) -> Iterator[None]:
     """Turn errors of GDAL into UnwritableFile."""
     try:
         with warnings.catch_warnings():
@@ -178,12 +178,12 @@ def _refusals(path: Path) -> Iterator[None]:
     except RasterioError as error:
         said = (str(error).splitlines() or [type(error).__name__])[0][:120]
         # GDAL hides the system's error.
-        text = refusal(OSError(said), path) or f"cannot write {path} ({said})"
+        text = disk_error_text(OSError(said), path) or f"cannot write {path} ({said})"
         raise UnwritableFile(f"{text}.") from error
 
 
 def is_our_tiff(path: Path) -> bool:
-    """Whether a file is a TIFF whose tag "Software" names bathynerf."""
+    """Whether a file is a TIFF that bathynerf wrote, by its tag "Software"."""
     with path.open("rb") as stream:
         head = stream.read(1 << 16)
     return head[:2] in (b"II", b"MM") and b"\0bathynerf " in head.replace(b"\n", b"\0")
@@ -234,7 +234,7 @@ def read_raster(path: str | Path) -> Mesh:
     notes: tuple[str, ...] = ()
     if unit is None and unit_name:
         notes = (f"{path} gives its heights in {unit_name[:40]!r}, which is not a known unit of length.",)
-    height_unit = height_unit_said(crs, unit, path, f"the unit of its band, {unit_name},")
+    height_unit = checked_height_unit(crs, unit, path, f"the unit of its band, {unit_name},")
     faces = _triangles(np.isfinite(heights))
     # From south to north, or mirrored, the triangles would face down.
     if t.a * t.e - t.b * t.d > 0.0:

@@ -21,7 +21,7 @@ from geo.crs import has_height
 from geo.errors import UnwritableFile
 
 _PORTION = 500_000
-# A transform went through decimals in some formats: of a cell.
+# Tolerance of the transform, in cells: some formats store it in decimals.
 _SAME_CELL = 1e-6
 
 
@@ -34,7 +34,7 @@ class ValueSums:
     total: np.uint64 = field(default_factory=lambda: np.uint64(0))
 
     def add(self, values: np.ndarray) -> None:
-        """Count values of one type."""
+        """Add values, all of one type, to the checksum."""
         values = np.ascontiguousarray(values)
         known = values.ravel()
         if values.dtype.kind == "f":
@@ -47,7 +47,7 @@ class ValueSums:
 
 
 def unreadable(path: Path, what: str) -> UnwritableFile:
-    """The error for a file that does not read as it was written."""
+    """The error for a file that, read again, differs from what was written."""
     return UnwritableFile(
         f"cannot write {path}: read again, {what}; most likely no space is left on the disk: free some or write "
         "elsewhere."

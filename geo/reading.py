@@ -1,6 +1,6 @@
-"""Any cloud or mesh read by its format: PLY, OBJ, LAS, LAZ, COPC; with extras glTF, GeoTIFF, E57.
+"""Clouds and meshes read by the suffix of their file: PLY, OBJ, LAS, LAZ, COPC; with extras glTF, GeoTIFF, E57.
 
-Verification of written clouds and meshes by their own readers, before they take their place.
+Also verifies written clouds and meshes by reading them again, before they replace an older file.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _READERS = {
     ".tiff": read_raster,
     ".e57": read_e57,
 }
-# What formats in text or single precision round coordinates to, beside a share of the extent; of degrees a millimetre.
+# To what text formats and single precision round coordinates: metres, degrees, and a share of the extent.
 _STEP, _STEP_DEG, _SHARE = 1e-3, 1e-8, 3e-7
 
 
@@ -96,7 +96,7 @@ def _require_faces(mesh: Mesh, path: Path) -> None:
 def write_verified(
     path: str | Path, write: Callable[[Path], None], points: np.ndarray, num_faces: int | None, crs: CRS
 ) -> None:
-    """Write a shape, whole or not at all, and only as it reads again.
+    """Write a shape, whole or not at all, and verify it by reading it again.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def write_verified(
     Raises
     ------
     UnwritableFile
-        If it cannot be written, or reads otherwise than it was written.
+        If it cannot be written, or what is read again differs from what was written.
     """
     path = Path(path)
     if path.exists() and not path.is_file() and not path.is_dir():

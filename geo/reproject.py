@@ -1,9 +1,9 @@
-"""Reprojection of points from the CRS of a survey into another, and lines cut at the meridian of 180 degrees.
+"""Reprojection of points from the CRS of a survey into another, and lines cut at the antimeridian.
 
 Horizontal coordinates are transformed by PROJ, heights stay as they are where both systems count them from the same
 datum; between two vertical datums the grid of one of them is needed, and without it an error is raised.
 
-Lines and polygons in degrees that cross the meridian of 180 degrees, cut there (RFC 7946, section 3.1.9).
+Lines and polygons in degrees that cross the meridian of 180 degrees are cut there (RFC 7946, section 3.1.9).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from geo.projection import nan_unless_finite
 from geo.transformation import Transformation, best_operation
 
 _HALF_TURN, _TURN = 180.0, 360.0
-_MEND = "or name a horizontal CRS alone, which keeps the heights as they are."
+_REMEDY = "or name a horizontal CRS alone, which keeps the heights as they are."
 
 
 def crosses(lonlat: np.ndarray) -> bool:
@@ -39,7 +39,7 @@ def cut_line(line: np.ndarray) -> list[np.ndarray]:
 
 
 def cut_polygon(rings: list[np.ndarray]) -> list[list[np.ndarray]]:
-    """The polygons, each as its closed rings (N, 2) [deg] with the outer one first, of one on both sides."""
+    """The parts of a polygon on both sides, each as its closed rings (N, 2) [deg] with the outer one first."""
     if not any(crosses(ring) for ring in rings) and not crosses(np.concatenate(rings)):
         return [rings]
     whole = [_unwrapped(ring) for ring in rings]
@@ -75,8 +75,8 @@ def _split_line(line: np.ndarray) -> list[tuple[np.ndarray, bool]]:
 def _polygons_on_side(rings: list[np.ndarray], east: bool) -> list[list[np.ndarray]]:
     """The part of a polygon on one side.
 
-    Its border there is pieces of rings, joined along the meridian: of the ends on it, by latitude, the first and the
-    second bound a stretch of the inside, the third and fourth the next.
+    Its border consists of pieces of rings, joined along the meridian. Sorted by latitude, the first and second end on
+    the meridian bound a stretch of the inside, the third and fourth the next, and so on.
     """
     chains: list[np.ndarray] = []
     holes: list[np.ndarray] = []
@@ -87,7 +87,7 @@ def _polygons_on_side(rings: list[np.ndarray], east: bool) -> list[list[np.ndarr
             if pieces[0][1] == east:
                 (holes if number else outer).append(ring)
             continue
-        # The first piece goes on where the last one ended: rings are closed.
+        # Rings are closed: the last piece continues with the first.
         joined = np.concatenate([pieces[-1][0], pieces[0][0][1:]])
         chains += [chain for chain, side in [(joined, pieces[0][1]), *pieces[1:-1]] if side == east]
     ends = np.array([[chain[0, 1], chain[-1, 1]] for chain in chains]).reshape(-1)
@@ -111,7 +111,7 @@ def _polygons_on_side(rings: list[np.ndarray], east: bool) -> list[list[np.ndarr
 
 
 def _contains(ring: np.ndarray, place: np.ndarray) -> bool:
-    """Whether a place lies in a closed ring, by crossings of a line to the north."""
+    """Whether a place lies in a closed ring, by the parity of crossings of a line to the north."""
     (x0, y0), (x1, y1) = ring[:-1].T, ring[1:].T
     spans = (x0 > place[0]) != (x1 > place[0])
     above = y0[spans] + (y1 - y0)[spans] * (place[0] - x0[spans]) / (x1 - x0)[spans] > place[1]
@@ -142,7 +142,7 @@ class Reprojection:
         where : str
             What errors name.
         places : (N, 2 or 3), optional
-            In the source, of the survey: which of regional operations it is.
+            In the source, of the survey: they decide between regional operations.
 
         Raises
         ------
@@ -155,7 +155,7 @@ class Reprojection:
         keeps_height = _same_heights(source, wanted)
         ends = (horizontal_crs(source), horizontal_crs(wanted)) if keeps_height else (source, wanted)
         changes_plan = not horizontal_crs(source).equals(horizontal_crs(wanted), ignore_axis_order=True)
-        operation = best_operation(*ends, where, _MEND, places)
+        operation = best_operation(*ends, where, _REMEDY, places)
         doubt = None if places is None else _doubt(source, wanted, operation, where, places)
         return Reprojection(wanted, keeps_height, operation, changes_plan, where, doubt)
 
@@ -192,7 +192,7 @@ class Reprojection:
 
 
 def _doubt(source: CRS, wanted: CRS, way: Transformer, where: str, places: np.ndarray) -> str | None:
-    """A warning where places or heights are less well known after an operation, as PROJ states."""
+    """A warning where the operation makes places or heights less accurate, as PROJ states."""
     in_plan = Transformation.between(source, wanted, places)
     if in_plan.accuracy_m == 0.0 and not _same_heights(source, wanted) and way.accuracy > 0.0:
         return (

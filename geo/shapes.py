@@ -68,7 +68,7 @@ class Mesh:
     height_unit_m: float | None = None
 
 
-# Of LAS 1.4 and its topo-bathy profile: noise low and high, water (9, 41, 42), and what stands in for a bed not found.
+# Classes of LAS 1.4 and its topo-bathy profile that are left out: noise, water, and places where no bottom was found.
 NOT_GROUND = {
     7: "low noise",
     9: "water",
@@ -79,7 +79,7 @@ NOT_GROUND = {
 }
 
 
-# Beside the ground by LAS 1.4, and yet what a survey may be of: a wreck, a quay. Counted, and said.
+# Not ground by LAS 1.4, but a survey may be of such points: a wreck, a quay. They are used, counted and reported.
 _BESIDE_GROUND = {
     3: "low vegetation",
     4: "medium vegetation",
@@ -98,14 +98,14 @@ _BESIDE_GROUND = {
 
 
 def as_classes(values: np.ndarray | None) -> np.ndarray | None:
-    """Classes (N,) uint8 of LAS that a column (N,) of numbers holds; None where it is none of classes."""
+    """LAS classes (N,) uint8 from a column (N,) of numbers; None where these are no classes."""
     if values is None or not (np.isin(values % 1, 0) & (values >= 0) & (values <= 255)).all():
         return None
     return values.astype(np.uint8)
 
 
 def left_out(cloud: Cloud) -> tuple[np.ndarray, str]:
-    """Points (N,) bool that are not ground by the classes and flags of their file, and their numbers in words."""
+    """Mask (N,) of points that are not ground by their classes and flags, and their counts in words."""
     out = np.zeros(len(cloud.points), dtype=bool)
     said = []
     if cloud.withheld is not None and cloud.withheld.any():
@@ -120,7 +120,7 @@ def left_out(cloud: Cloud) -> tuple[np.ndarray, str]:
 
 
 def beside_ground(cloud: Cloud) -> str:
-    """Number of points that count as ground and may be none, by their classes, in words; empty where there are none."""
+    """Counts, in words, of points that are used as ground although their class says otherwise; "" where none."""
     if cloud.classification is None:
         return ""
     count = np.bincount(cloud.classification, minlength=256)
@@ -128,7 +128,7 @@ def beside_ground(cloud: Cloud) -> str:
 
 
 def part_of(cloud: Cloud, keep: np.ndarray) -> Cloud:
-    """The points (N,) bool of a cloud that are kept, with all that belongs to them."""
+    """The points of a cloud that a mask (N,) keeps, with all their attributes."""
 
     def kept(values: np.ndarray | None) -> np.ndarray | None:
         return None if values is None else values[keep]
@@ -149,7 +149,7 @@ def vertices_of(shape: Mesh | Cloud) -> np.ndarray:
 
 
 def in_height_unit(shape: Mesh | Cloud, unit_m: float) -> Mesh | Cloud:
-    """A shape whose file gives a unit of heights beside its CRS, with heights in another one [m]; else as it is."""
+    """A shape with its heights converted to another unit [m], where its file states one besides its CRS."""
     if shape.height_unit_m is None or shape.height_unit_m == unit_m:
         return shape
     factor = np.array([1.0, 1.0, shape.height_unit_m / unit_m])

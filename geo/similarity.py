@@ -19,9 +19,9 @@ _DRAWS = 500
 _MEDIAN_LENGTH = 1.538
 # The parameters of a similarity.
 _PARAMETERS = 7
-# A position is a gross error beyond this many std, or beyond the quantile of one in a million where few points
-# determine the std. Deformed blocks have longer tails than noise, so only gross errors count, and none below the step
-# between a fixed and a float RTK solution.
+# A position is a gross error beyond this many std, or, where few points determine the std, beyond the quantile of one
+# in a million. Residuals of deformed blocks have longer tails than noise, so the limits are wide, and never below the
+# difference between a fixed and a float RTK solution.
 _WRONG_STD, _WRONG_PROBABILITY, _WRONG_AT_LEAST_M = 6.0, 1e-6, 0.6
 
 
@@ -89,7 +89,7 @@ def robust_similarity(a, b) -> tuple[Similarity, np.ndarray]:
         if median < least:
             best, least = trial, median
     agree = np.zeros(len(a), dtype=bool)
-    # Two or three rounds are usual; the limit ends a swing between two sets.
+    # Two or three rounds are usual; the limit ends an oscillation between two sets.
     for _ in range(20):
         distances = _distances(best, a, b)
         wrong = gross_error(float(np.median(distances)), max(int(agree.sum()), len(a) // 2 + 1, _MIN_POINTS))
@@ -101,7 +101,7 @@ def robust_similarity(a, b) -> tuple[Similarity, np.ndarray]:
 
 
 def gross_error(median: float, num: int) -> float:
-    """Distance [m] from which on a point contradicts a similarity that was fitted to ``num`` points which agree.
+    """Distance [m] beyond which a point is a gross error of a similarity fitted to ``num`` consistent points.
 
     Parameters
     ----------
@@ -112,9 +112,8 @@ def gross_error(median: float, num: int) -> float:
 
     Notes
     -----
-    Six times the spread by the median. Few points that fit well may do so by chance: three leave two degrees of
-    freedom of nine, so that the limit is no less than that of Student's distribution with those that are left; never
-    below 0.6 m.
+    Six times the standard deviation by the median, at least the limit by Student's distribution with the degrees of
+    freedom that remain (three points leave two of nine, and may fit well by chance), and never below 0.6 m.
     """
     free = 3 * num - _PARAMETERS
     spread = median / _MEDIAN_LENGTH * math.sqrt(3 * num / free)

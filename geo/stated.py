@@ -1,4 +1,4 @@
-"""CRS and units that a file states in words."""
+"""CRSs and units as files state them, by name or code."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _SAME_UNIT = 1e-9
 
 
 def unit_named(name: str | None) -> float | None:
-    """Metres of a unit of length by its name, as people, programs or PROJ call it; None where none is known by it.
+    """Metres of a unit of length by its name, as people, programs or PROJ write it; None for an unknown name.
 
     Examples
     --------
@@ -75,12 +75,12 @@ def crs_named(text: str, path: Path) -> tuple[CRS | None, tuple[str, ...]]:
     return crs, () if has_height(crs) else (f"{path} states the CRS {crs.name} without a vertical part.",)
 
 
-def height_unit_said(crs: CRS | None, said: float | None, path: Path, where: str) -> float | None:
-    """Metres of a unit of height that a file gives beside its CRS; None where the CRS gives it itself, or nobody does.
+def checked_height_unit(crs: CRS | None, stated: float | None, path: Path, where: str) -> float | None:
+    """Metres of a unit of height that a file states besides its CRS; None where the CRS has one, or none is stated.
 
     Parameters
     ----------
-    said : [m] or None
+    stated : [m] or None
     path, where : what gives it, for a message.
 
     Raises
@@ -88,12 +88,12 @@ def height_unit_said(crs: CRS | None, said: float | None, path: Path, where: str
     UnreadableFile
         If the CRS has heights in another unit.
     """
-    if said is None or crs is None or not has_height(crs):
-        return said
+    if stated is None or crs is None or not has_height(crs):
+        return stated
     own = height_unit_m(crs)
-    if abs(own - said) > _SAME_UNIT:
+    if abs(own - stated) > _SAME_UNIT:
         raise UnreadableFile(
-            f"{path} contradicts itself: {where} is {said:.10g} m, and its CRS {crs.name} has heights in "
+            f"{path} contradicts itself: {where} is {stated:.10g} m, and its CRS {crs.name} has heights in "
             f"{crs.axis_info[2].unit_name} ({own:.10g} m); correct the one that is wrong (gdal_edit, las2las, pdal)."
         )
     return None
@@ -101,12 +101,12 @@ def height_unit_said(crs: CRS | None, said: float | None, path: Path, where: str
 
 def with_height_unit(vertical: CRS, unit_m: float) -> CRS:
     """A vertical CRS with its heights in another unit [m], of the same datum."""
-    said = vertical.to_json_dict()
-    axis = said["coordinate_system"]["axis"][0]
+    content = vertical.to_json_dict()
+    axis = content["coordinate_system"]["axis"][0]
     own = vertical.axis_info[0].unit_conversion_factor
     if abs(own - unit_m) <= _SAME_UNIT:
         return vertical
     axis["unit"] = {"type": "LinearUnit", "name": f"{unit_m:.10g} m", "conversion_factor": unit_m}
-    said["name"] += f" ({unit_m:.10g} m)"
-    said.pop("id", None)
-    return CRS.from_json_dict(said)
+    content["name"] += f" ({unit_m:.10g} m)"
+    content.pop("id", None)
+    return CRS.from_json_dict(content)

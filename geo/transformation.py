@@ -1,8 +1,8 @@
 """Transformation from one CRS into another: choice of the operation, its accuracy, and units.
 
-Everything that enters or leaves a survey in another CRS than its own goes through here: `Transformation` for places in
-plan, `height_scale` for heights. Between the grid of a CRS and its own longitudes and latitudes, with no change of
-datum, `geo.projection.MapProjection` goes.
+Everything that enters or leaves a survey in another CRS than its own goes through here: `Transformation` for
+horizontal coordinates, `height_scale` for heights. Conversion between the grid of a CRS and its own longitudes and
+latitudes, without a change of datum, is in `geo.projection.MapProjection`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pyproj.exceptions import ProjError
 
 from geo.crs import (
     EARTH_RADIUS_M,
-    called,
+    crs_name,
     ellipsoid,
     geodetic_crs,
     has_height,
@@ -48,9 +48,9 @@ class Transformation:
     # source, target: Two-dimensional; easting or longitude first
     source: CRS
     target: CRS
-    # As PROJ states it; 0 where the datum stays, or longitudes and latitudes pass unchanged; outside the areas of all
-    # operations the largest difference between them; None where it is not known (a CRS without a known datum, or one
-    # operation outside its area)
+    # As PROJ states it; 0 where the datum stays the same, or longitudes and latitudes pass unchanged; outside the areas
+    # of all operations, the largest difference between them; None where it is not known (a CRS without a known datum,
+    # or a single operation outside its area)
     accuracy_m: float | None
     # Names of the grids that the best operation needs and PROJ does not have; the operation is then a worse one
     missing: tuple[str, ...]
@@ -67,7 +67,7 @@ class Transformation:
         UnsupportedCRS
             If PROJ knows no operation.
         """
-        ends = _with_its_way(source), _with_its_way(target)
+        ends = _with_own_operation(source), _with_own_operation(target)
         source, target = horizontal_crs(source), horizontal_crs(target)
         middle = middle_of(source, np.asarray(places, dtype=np.float64))
         if middle is None:
@@ -82,7 +82,7 @@ class Transformation:
             and not missing
             and _keeps_degrees(source, target, transformer, middle)
         ):
-            # By convention a receiver's WGS 84 is the frame of its corrections; a survey is then as good as these.
+            # By convention the WGS 84 of a receiver is the frame of its corrections.
             accuracy = 0.0
         return Transformation(source, target, accuracy, missing, is_known, transformer, is_outside)
 
@@ -90,48 +90,50 @@ class Transformation:
         """Easting and northing (N,) in the target of coordinates (N,) in the source; not finite off the map."""
         return self._transformer.transform(x, y)
 
-    def require_best(self, said: str, mend: str) -> None:
-        """Raise MissingGrid where a grid of the best operation is missing; ``mend`` says what else would help."""
+    def require_best(self, subject: str, remedy: str) -> None:
+        """Raise MissingGrid where a grid of the best operation is missing; ``remedy`` says what else would help."""
         if self.missing:
             raise MissingGrid(
-                f"{said}: the transformation from {called(self.source)} to {called(self.target)} needs "
+                f"{subject}: the transformation from {crs_name(self.source)} to {crs_name(self.target)} needs "
                 f"{' and '.join(self.missing)}, which PROJ does not have; fetch it into its data folder "
-                f"(projsync --file {self.missing[0]}), {mend}"
+                f"(projsync --file {self.missing[0]}), {remedy}"
             )
 
-    def require_known(self, said: str, mend: str) -> None:
-        """Raise UnsupportedCRS where PROJ has no operation: between two datums lie up to hundreds of metres."""
+    def require_known(self, subject: str, remedy: str) -> None:
+        """Raise UnsupportedCRS where PROJ has no operation: two datums may lie hundreds of metres apart."""
         if not self.is_known:
             raise UnsupportedCRS(
-                f"{said}: PROJ knows no operation between the datums of {called(self.source)} and "
-                f"{called(self.target)}, which may lie hundreds of metres apart; name the datum (an EPSG code, or "
-                f"+towgs84 in a PROJ string), {mend}"
+                f"{subject}: PROJ knows no operation between the datums of {crs_name(self.source)} and "
+                f"{crs_name(self.target)}, which may lie hundreds of metres apart; name the datum (an EPSG code, or "
+                f"+towgs84 in a PROJ string), {remedy}"
             )
 
-    def doubt(self, said: str) -> str | None:
-        """A warning where places are less well known after the operation; None where they are not."""
+    def doubt(self, subject: str) -> str | None:
+        """A warning that states the accuracy of the operation where it degrades places; else None."""
         if self.accuracy_m == 0.0 and not self.missing:
             return None
         if self.is_outside and self.accuracy_m is not None:
             return (
-                f"{said} are transformed from {called(self.source)} to {called(self.target)} outside the area of each "
-                f"operation that PROJ knows, which are good to {self.accuracy_m:.2g} m there: an error common to all "
-                "of them"
+                f"{subject} are transformed from {crs_name(self.source)} to {crs_name(self.target)} outside the area "
+                f"of each operation that PROJ knows, which are good to {self.accuracy_m:.2g} m there: an error common to "
+                "all of them"
             )
         known = "an unknown accuracy" if self.accuracy_m is None else f"{self.accuracy_m:.2g} m"
-        said = (
-            f"{said} are transformed from {called(self.source)} to {called(self.target)}, which PROJ states to {known}"
+        subject = (
+            f"{subject} are transformed from {crs_name(self.source)} to {crs_name(self.target)}, which PROJ states to "
+            f"{known}"
         )
         if self.missing:
             grids = " and ".join(self.missing)
             return (
-                f"{said}; a more accurate one needs {grids}, which is not installed: projsync --file {self.missing[0]}"
+                f"{subject}; a more accurate one needs {grids}, which is not installed: projsync --file "
+                f"{self.missing[0]}"
             )
-        return f"{said}: an error common to all of them"
+        return f"{subject}: an error common to all of them"
 
 
-def transformed(source: CRS, target: CRS, points: np.ndarray, said: str, mend: str) -> np.ndarray:
-    """Points (N, 3) in the target, plan only, by the best operation there is; heights are not touched.
+def transformed(source: CRS, target: CRS, points: np.ndarray, subject: str, remedy: str) -> np.ndarray:
+    """Points (N, 3) with horizontal coordinates in the target, by the best operation; heights unchanged.
 
     Raises
     ------
@@ -139,21 +141,21 @@ def transformed(source: CRS, target: CRS, points: np.ndarray, said: str, mend: s
         If its grid is missing: see `Transformation.require_best`.
     """
     way = Transformation.between(source, target, points)
-    way.require_best(said, mend)
+    way.require_best(subject, remedy)
     return np.column_stack([*way(points[:, 0], points[:, 1]), points[:, 2]])
 
 
-def height_scale(source: CRS, target: CRS, said: str, *, unit_m: float | None = None) -> float:
+def height_scale(source: CRS, target: CRS, subject: str, *, unit_m: float | None = None) -> float:
     """Units of height of the target in one of the source.
 
     Parameters
     ----------
     source, target : pyproj.CRS
         The second with heights. A source without heights of its own has those of the target.
-    said : str
+    subject : str
         What errors name, e.g. "the heights of control points in gcp_list.txt".
     unit_m : float, optional
-        Unit of the heights [m] where the source does not tell it and its program does.
+        Unit of the heights [m] where the source does not state it but the program that wrote it defines it.
 
     Raises
     ------
@@ -166,8 +168,8 @@ def height_scale(source: CRS, target: CRS, said: str, *, unit_m: float | None = 
         names = _height_names(source, target)
         if names is not None:
             raise CRSMismatch(
-                f"{said} are above {names[0]}, expected above {names[1]}; convert them, or correct the vertical part "
-                "of the CRS"
+                f"{subject} are above {names[0]}, expected above {names[1]}; convert them, or correct the vertical "
+                "part of the CRS"
             )
         return height_unit_m(source) / height_unit_m(target)
     if unit_m is not None:
@@ -178,22 +180,22 @@ def height_scale(source: CRS, target: CRS, said: str, *, unit_m: float | None = 
     if is_geographic(source):
         return 1.0 / height_unit_m(target)
     plan, axis, ours = (
-        called(horizontal_crs(source)),
+        crs_name(horizontal_crs(source)),
         horizontal_crs(source).axis_info[0].unit_name,
         target.axis_info[2],
     )
     raise UnknownUnit(
-        f"{said} have no unit: {plan} counts east and north in {axis}, and heights of the survey are in "
+        f"{subject} have no unit: {plan} counts east and north in {axis}, and heights of the survey are in "
         f"{ours.unit_name}; name the CRS with its vertical part, whose unit counts (of heights above NAVD 88: +5703 in "
         "metres, +8228 in feet, +6360 in US survey feet)"
     )
 
 
-def best_operation(source: CRS, target: CRS, where: str, mend: str, places: np.ndarray | None = None) -> Transformer:
+def best_operation(source: CRS, target: CRS, where: str, remedy: str, places: np.ndarray | None = None) -> Transformer:
     """PROJ's best operation between two CRSs with or without heights, if all grids that it needs are there.
 
-    ``where`` and ``mend`` are what errors name, and what else would help; ``places`` (N, 2 or 3) in the source tell
-    which of regional operations it is.
+    Errors name ``where`` and end with ``remedy``, what else would help; ``places`` (N, 2 or 3) in the source decide
+    between regional operations.
 
     Raises
     ------
@@ -202,21 +204,22 @@ def best_operation(source: CRS, target: CRS, where: str, mend: str, places: np.n
     UnsupportedCRS
         If there is none.
     """
-    said = f"{where}: the transformation from {called(source)} to {called(target)}"
+    subject = f"{where}: the transformation from {crs_name(source)} to {crs_name(target)}"
     middle = None if places is None else middle_of(horizontal_crs(source), np.asarray(places, dtype=np.float64))
     try:
         group = operations(source, target, None if middle is None else area_about(*middle.tolist()))
     except ProjError as error:
-        raise UnsupportedCRS(f"{said} is not known to PROJ ({str(error)[:80]}); choose another CRS, {mend}") from error
+        why = str(error)[:80]
+        raise UnsupportedCRS(f"{subject} is not known to PROJ ({why}); choose another CRS, {remedy}") from error
     if group.best_available and group.transformers:
         return group.transformers[0]
     missing = [grid.short_name for op in group.unavailable_operations[:1] for grid in op.grids if not grid.available]
     if missing:
         raise MissingGrid(
-            f"{said} needs {' and '.join(missing)}, which PROJ does not have; fetch it into its data folder (projsync "
-            f"--file {missing[0]}), {mend}"
+            f"{subject} needs {' and '.join(missing)}, which PROJ does not have; fetch it into its data folder "
+            f"(projsync --file {missing[0]}), {remedy}"
         )
-    raise UnsupportedCRS(f"{said} is not known to PROJ; choose another CRS, {mend}")
+    raise UnsupportedCRS(f"{subject} is not known to PROJ; choose another CRS, {remedy}")
 
 
 def lon_lat(crs: CRS, points: np.ndarray) -> np.ndarray:
@@ -228,17 +231,17 @@ def lon_lat(crs: CRS, points: np.ndarray) -> np.ndarray:
     return np.column_stack(Transformation.between(crs, WGS84, points)(points[:, 0], points[:, 1]))
 
 
-def _with_its_way(crs: CRS) -> CRS:
-    """The horizontal part of a CRS, with the transformation to WGS 84 of its text (TOWGS84) where PROJ knows no other.
+def _with_own_operation(crs: CRS) -> CRS:
+    """The horizontal part of a CRS, with the transformation to WGS 84 in its text (TOWGS84) where PROJ knows no other.
 
-    For a datum that PROJ knows its own operations are better.
+    For a datum that PROJ knows, PROJ's operations are better.
     """
     part = crs.sub_crs_list[0] if crs.is_compound else crs
     return part.to_2d() if part.is_bound and not _is_known(geodetic_crs(part)) else horizontal_crs(crs)
 
 
 def _is_known(geographic: CRS) -> bool:
-    """Whether PROJ has an operation to WGS 84 for a datum, be it one whose grid is missing."""
+    """Whether PROJ has an operation to WGS 84 for a datum, even if the grid of it is missing."""
     try:
         group = operations(geographic, WGS84, None)
     except ProjError:
@@ -260,7 +263,7 @@ def _is_nameless(crs: CRS) -> bool:
 
 
 def _may_be_one_datum(a: CRS, b: CRS) -> bool:
-    """Whether nothing says that two CRSs are of two datums: one has no name, and their ellipsoids are alike."""
+    """Whether two CRSs may share a datum: one datum has no name, and the ellipsoids are alike."""
     first, second = ellipsoid(a), ellipsoid(b)
     apart_m = max(
         abs(first.semi_major_metre - second.semi_major_metre), abs(first.semi_minor_metre - second.semi_minor_metre)
@@ -303,10 +306,7 @@ class _Chosen(NamedTuple):
 
 
 def _chosen(source: CRS, target: CRS, middle: np.ndarray) -> _Chosen:
-    """PROJ's best operation of those that can be done, its accuracy, grids that a better one needs, if there is one.
-
-    And whether it is known, and outside its area.
-    """
+    """PROJ's best available operation, with its accuracy and the missing grids of a better one."""
     area = area_about(*middle.tolist())
     try:
         group = operations(source, target, area)
@@ -318,20 +318,20 @@ def _chosen(source: CRS, target: CRS, middle: np.ndarray) -> _Chosen:
         elsewhere = [] if missing else _known_operations(source, target)
         if elsewhere:
             return _Chosen(elsewhere[0], _spread_m(elsewhere, source, target, middle), (), is_outside=True)
-        # An unknown datum is taken for that of the other.
+        # An unknown datum is taken to be that of the other CRS.
         transformer = Transformer.from_crs(source, target, always_xy=True, area_of_interest=area)
         return _Chosen(transformer, None, missing, is_known=bool(missing))
     except ProjError as error:
         raise UnsupportedCRS(
-            f"the transformation from {called(source)} to {called(target)} is not known to PROJ ({str(error)[:80]}); "
-            "choose another CRS"
+            f"the transformation from {crs_name(source)} to {crs_name(target)} is not known to PROJ "
+            f"({str(error)[:80]}); choose another CRS"
         ) from error
 
 
 def _spread_m(ways: list[Transformer], source: CRS, target: CRS, middle: np.ndarray) -> float | None:
-    """Spread of operations about the first at a place outside the areas of all [m]; None with less than two.
+    """Largest difference [m] of other operations from the first, at a place outside all areas; None with one only.
 
-    At least what is stated of the first in its own area.
+    At least the accuracy that is stated for the first in its own area.
     """
     rated = [way for way in ways if 0.0 <= way.accuracy <= _MOST_STATED_M]
     if len(rated) < 2 or ways[0] not in rated:

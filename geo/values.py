@@ -1,6 +1,6 @@
 """Detection of rounded coordinates (single precision, few digits) and of undeclared no-data values.
 
-Judged by the values, whatever the format stores them in; `geo.reading.read_reference` asks for every file.
+Judged by the values, whatever type the format stores; `geo.reading.read_reference` checks every file.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from geo.crs import has_height, height_unit_m
 from geo.errors import UnreadableFile
 from geo.projection import ground_units_m
 
-# At 5 mm steps begin to spoil a comparison.
+# Coarser steps than this begin to spoil a comparison.
 _COARSEST_STEP_M = 0.005
-# Steps that are not those of single precision or a number of digits may be meant, as those of LAS are; larger ones not.
+# Steps up to this may be intended, as in LAS; larger ones are rounding, as are those of single precision or few digits.
 _COARSEST_MEANT_M = 0.05
 _LARGEST_STEP_M = 1000.0
 _SMALLEST_EXTENT_M = 0.05
-# Fewer points may lie on whole metres by chance, or by design.
+# Fewer points than this may lie on whole metres by chance or by design.
 _FEWEST = 10
 _SAMPLE = 1000
-# As many around the middle are enough to estimate the density of a cloud.
+# This many points around the middle are enough to estimate the density of a cloud.
 _ENOUGH = 500_000
 # Half a step of LAS, in which rounded values may have been stored later.
 _STORED_M = 0.0006
@@ -32,10 +32,10 @@ _DIGITS = range(4, 10)
 # Share of points with another height at the same place in plan; share of the cells of a raster with a height.
 _MANY_SHARED, _RASTER = 0.1, 0.3
 
-# What programs write where there is no height; 0 may also be one.
+# No-data values that programs write where there is no height; 0 may also be one.
 _MARKS = (-9999.0, 9999.0, -99999.0, 99999.0, -999.0, -32768.0, -32767.0, 32767.0, 65535.0, 1e6, -1e6)
 _BEYOND_EARTH = 1e7
-# In feet, too.
+# The highest ground on Earth, also in feet.
 _HIGHEST = 30_000.0
 _FAR, _FAR_UNKNOWN, _SPREADS = 100.0, 1000.0, 10.0
 _SHARE = 0.01
@@ -140,9 +140,9 @@ def _narrowed_by(plan: np.ndarray, steps: np.ndarray, metres: np.ndarray) -> str
 
 
 def _crowding(points: np.ndarray) -> tuple[float, bool]:
-    """Share of the points that have the place in plan of one of another height, and whether they are cells of a raster.
+    """Share of points at whose easting and northing lies one of another height, and whether points form a raster.
 
-    Few corners over each other (a box) are not crowded.
+    A few corners above each other (of a box) do not count.
     """
     if len(points) > _ENOUGH:
         half = 0.5 * np.ptp(points[:, :2], axis=0) * (_ENOUGH / len(points)) ** 0.5
@@ -168,12 +168,12 @@ def _rounded_heights(height: np.ndarray, metres: float, path: Path) -> tuple[str
 
 
 def _marks_of_no_data(height: np.ndarray, path: Path) -> tuple[str, ...]:
-    """A note where the lowest or highest of heights (N,) may be a mark; UnreadableFile where it must be."""
+    """A note where the lowest or highest of heights (N,) may be a no-data value; UnreadableFile where it must be."""
     for mark in {float(height.min()), float(height.max())}:
         is_mark = height == mark
         rest = height[~is_mark]
         known, num = mark in _MARKS or abs(mark) >= _BEYOND_EARTH, int(is_mark.sum())
-        # Marks go through scales and datums with the heights.
+        # No-data values may have been scaled and shifted with the heights.
         if not len(rest) or not (known or mark == 0.0 or num >= _FEWEST):
             continue
         low, high = np.quantile(rest, [0.01, 0.99])

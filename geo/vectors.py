@@ -18,7 +18,7 @@ import numpy as np
 from pyproj import CRS
 
 from geo.compatibility import crs_difference
-from geo.crs import called, crs_code, height_unit_m, horizontal_crs, horizontal_unit, is_geographic
+from geo.crs import crs_code, crs_name, height_unit_m, horizontal_crs, horizontal_unit, is_geographic
 from geo.errors import UnwritableFile
 from geo.files import library_for, write_whole
 from geo.reproject import cut_line, cut_polygon
@@ -33,7 +33,7 @@ _MARK = b"bathynerf"
 # $INSUNITS, by the length of the unit [m]; 0 for one that has no number.
 _NO_UNIT, _UNITS = 0, ((1.0, 6), (1000.0, 7), (0.3048, 2), (1200.0 / 3937.0, 21))
 _VERSION = "R2010"
-# What names of layers may not hold.
+# Characters that DXF does not allow in names of layers.
 _NOT_IN_NAMES = re.compile(r"[<>/\\\":;?*|=`\x00-\x1f]")
 
 
@@ -43,13 +43,13 @@ class Layer:
 
     name: str  # One word, e.g. "contours".
     kind: Literal["LineString", "Polygon"]  # "LineString" or "Polygon"
-    # Of each feature a line (N, 2), or the rings (N, 2) of a polygon, the outer one first, each closed; in crs, easting
-    # or longitude first
+    # For each feature a line (N, 2), or the closed rings (N, 2) of a polygon, the outer one first; in crs, easting or
+    # longitude first
     shapes: list
     crs: CRS  # Its horizontal part counts
     columns: dict[str, list] = field(default_factory=dict)  # dict of list: Attributes of the features, by name
     notes: str = ""  # What the features are
-    # Of each line its heights (N,), in crs; None where it has none. Shapefiles and DXF have them.
+    # For each line its heights (N,), in crs; None where there are none. Only shapefiles and DXF store them.
     heights: list | None = None
 
 
@@ -125,13 +125,13 @@ def write_geopackage(path: str | Path, layer: Layer) -> None:
 
 
 def _folder_beside(path: str | Path) -> TemporaryDirectory:
-    """A folder on the disk of a file; anywhere of a device or a pipe."""
+    """A temporary folder next to a file; the system's own for a device or a pipe."""
     is_file = Path(path).is_file() or not Path(path).exists()
     return TemporaryDirectory(prefix=".", suffix=".part", dir=Path(path).resolve().parent if is_file else None)
 
 
 def _write_verified(copy: Path, path: Path, layer: Layer, driver: str, /, **options) -> None:
-    """Write a layer in its own CRS by GDAL to ``copy``, what is to be ``path``, and read it again."""
+    """Write a layer in its own CRS by GDAL to ``copy``, which will become ``path``, and read it again to verify."""
     # Takes a while to load, and most layers are GeoJSON.
     from geo.read_back import unreadable
 
@@ -223,19 +223,19 @@ def write_dxf(path: str | Path, lines: Sequence[DxfLine], crs: CRS) -> None:
     """
     if is_geographic(crs):
         raise UnwritableFile(
-            f"{path}: a DXF is in lengths, and {called(crs)} is in degrees; give --crs, e.g. a UTM zone"
+            f"{path}: a DXF is in lengths, and {crs_name(crs)} is in degrees; give --crs, e.g. a UTM zone"
         )
     unit = horizontal_unit(crs)
     if abs(height_unit_m(crs) / unit - 1.0) > 1e-9:
         raise UnwritableFile(
-            f"{path}: a DXF has one unit for plan and heights, and {called(crs)} has {unit:.10g} m in plan and "
+            f"{path}: a DXF has one unit for plan and heights, and {crs_name(crs)} has {unit:.10g} m in plan and "
             f"{height_unit_m(crs):.10g} m in height; give --crs with the same unit in both"
         )
     ezdxf = library_for(path, "ezdxf", "dxf", to_write=True)
     drawing = ezdxf.new(_VERSION)
     drawing.header["$INSUNITS"] = next((code for length, code in _UNITS if abs(length / unit - 1.0) < 1e-9), _NO_UNIT)
     drawing.header.custom_vars.append("made_by", _MARK.decode())
-    drawing.header.custom_vars.append("crs", crs_code(crs) or called(crs))
+    drawing.header.custom_vars.append("crs", crs_code(crs) or crs_name(crs))
     space = drawing.modelspace()
     for line in lines:
         layer = _NOT_IN_NAMES.sub("_", line.layer)

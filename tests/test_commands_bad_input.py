@@ -1,4 +1,4 @@
-"""Input that is wrong: exit code 2 and one sentence that names it and the mend."""
+"""Input that is wrong: exit code 2 and one sentence that names it and the remedy."""
 
 from __future__ import annotations
 

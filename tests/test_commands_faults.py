@@ -25,7 +25,7 @@ def caused_by(error: Exception, cause: BaseException) -> Exception:
 @pytest.mark.parametrize(
     ("error", "code", "words"),
     [
-        (SurveyError("a survey is wrong; mend it"), 2, "a survey is wrong; mend it"),
+        (SurveyError("a survey is wrong; correct it"), 2, "a survey is wrong; correct it"),
         (EmptyCloud("cloud.las has no points"), 2, "cloud.las has no points"),
         (OSError(errno.ENOSPC, "No space left on device"), 2, "cannot write run: no space is left on the disk"),
         (

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from pyproj import datadir
 
-from geo.area_of_use import rough_undulation_m
+from geo.area_of_use import approximate_undulation_m
 from geo.crs import parse_crs
 from geo.operations import use_grids
 from survey.errors import ConfigError
@@ -25,17 +25,17 @@ from tests.small_survey import LEVEL, camera_lines, replaced, small_survey, unpo
 CRS = parse_crs("EPSG:25832+5778")
 ALPS = (46.9, 10.17)
 # What the rough table has there; EGM96 has 49.
-UNDULATION = rough_undulation_m(*ALPS)
+UNDULATION = approximate_undulation_m(*ALPS)
 HEAD = Exif((64, 48), None, None, 1, "", None)
 
 
 def test_the_rough_geoid_is_near_known_places():
     # EGM96 at the Alps, in Minnesota, south of India, and on both sides of the date line.
     assert pytest.approx(49.0, abs=8.0) == UNDULATION
-    assert rough_undulation_m(46.84, -91.99) == pytest.approx(-31.0, abs=8.0)
-    assert rough_undulation_m(4.7, 78.8) == pytest.approx(-106.0, abs=8.0)
-    assert rough_undulation_m(0.0, 180.0) == rough_undulation_m(0.0, -180.0)
-    assert rough_undulation_m(90.0, 77.0) == rough_undulation_m(90.0, 0.0)
+    assert approximate_undulation_m(46.84, -91.99) == pytest.approx(-31.0, abs=8.0)
+    assert approximate_undulation_m(4.7, 78.8) == pytest.approx(-106.0, abs=8.0)
+    assert approximate_undulation_m(0.0, 180.0) == approximate_undulation_m(0.0, -180.0)
+    assert approximate_undulation_m(90.0, 77.0) == approximate_undulation_m(90.0, 0.0)
 
 
 def test_ellipsoidal_cameras_over_a_level_above_the_sea_are_explained():

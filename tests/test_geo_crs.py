@@ -1,4 +1,4 @@
-"""CRS strings: what is accepted, what is refused and with which mend, and the WKT 1 that goes into LAS."""
+"""CRS strings: what is accepted, what is refused and with which remedy, and the WKT 1 that goes into LAS."""
 
 from __future__ import annotations
 

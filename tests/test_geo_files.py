@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from geo.errors import UnreadableFile, UnwritableFile
-from geo.files import disk_refusals, existing_file, refusal, write_whole
+from geo.files import disk_error_text, existing_file, reporting_disk_errors, write_whole
 
 
 def test_a_file_appears_only_when_it_is_whole(tmp_path):
@@ -115,14 +115,17 @@ def test_a_pipe_is_written_into_and_not_replaced(tmp_path):
 
 
 def test_any_error_of_the_system_in_a_block_names_its_file_or_else_the_block_s(tmp_path):
-    with pytest.raises(UnwritableFile, match=r"cannot write .*gone/a: its folder does not exist"), disk_refusals("run"):
+    with (
+        pytest.raises(UnwritableFile, match=r"cannot write .*gone/a: its folder does not exist"),
+        reporting_disk_errors("run"),
+    ):
         (tmp_path / "gone" / "a").touch()
-    with pytest.raises(UnwritableFile, match=r"cannot write run: the disk quota"), disk_refusals("run"):
+    with pytest.raises(UnwritableFile, match=r"cannot write run: the disk quota"), reporting_disk_errors("run"):
         raise OSError(errno.EDQUOT, "quota")
 
 
 def test_an_error_that_says_nothing_of_a_disk_is_no_refusal(tmp_path):
-    assert refusal(OSError(errno.EINVAL, "invalid argument"), tmp_path) is None
-    assert refusal(OSError("of a library"), tmp_path) is None
+    assert disk_error_text(OSError(errno.EINVAL, "invalid argument"), tmp_path) is None
+    assert disk_error_text(OSError("of a library"), tmp_path) is None
     missing = FileNotFoundError(errno.ENOENT, "no such file")
-    assert refusal(missing, "r.ply", verb="use") == "cannot use r.ply: it does not exist; correct the path"
+    assert disk_error_text(missing, "r.ply", verb="use") == "cannot use r.ply: it does not exist; correct the path"

@@ -32,18 +32,18 @@ NOT_OF_LENS = [
 def test_what_is_said_of_a_lens_is_read_or_refused(value):
     for key in OF_LENS:
         with pytest.raises(LensError, match=f"{key} is .*, a part of the lens that is not read, .*; undistort"):
-            require_understood({key: value}, ("w", "h"), mend="undistort")
-        require_understood({key: value}, (key,), mend="undistort")
+            require_understood({key: value}, ("w", "h"), remedy="undistort")
+        require_understood({key: value}, (key,), remedy="undistort")
 
 
 @pytest.mark.parametrize("value", NOTHING, ids=repr)
 def test_what_is_zero_or_off_changes_nothing(value):
-    require_understood(dict.fromkeys(OF_LENS, value), (), mend="undistort", are_all_of_lens=True)
+    require_understood(dict.fromkeys(OF_LENS, value), (), remedy="undistort", are_all_of_lens=True)
 
 
 def test_other_keys_are_not_taken_for_those_of_a_lens():
     assert [key for key in NOT_OF_LENS if is_lens_key(key)] == []
-    require_understood(dict.fromkeys(NOT_OF_LENS, 1), (), mend="undistort")
+    require_understood(dict.fromkeys(NOT_OF_LENS, 1), (), remedy="undistort")
 
 
 @pytest.mark.parametrize("place", ["root", "frame"])

@@ -72,8 +72,8 @@ def fault_of(error: BaseException, place: Path | None = None, *, stopped: str = 
     if has(error, BrokenPipeError):
         return Fault(BROKEN_PIPE, "")
     if any(_is_of_memory(link) for link in _chain(error)):
-        mend = "use --quality draft, a smaller area ([area] bounds, --bounds) or a machine with more memory"
-        return Fault(BAD_INPUT, f"memory ran out; {mend}")
+        remedy = "use --quality draft, a smaller area ([area] bounds, --bounds) or a machine with more memory"
+        return Fault(BAD_INPUT, f"memory ran out; {remedy}")
     # Not imported at the top: they take memory, and Ctrl-C may arrive during the import.
     from geo.errors import GeoError
     from survey.errors import SurveyError
@@ -88,10 +88,10 @@ def fault_of(error: BaseException, place: Path | None = None, *, stopped: str = 
 
 
 def refusal_of(error: OSError, path: Path | str | None) -> str | None:
-    """Refusal by the system; see `geo.files.refusal`."""
-    from geo.files import refusal
+    """The error of a disk or file system in words; see `geo.files.disk_error_text`."""
+    from geo.files import disk_error_text
 
-    return refusal(error, path if path is not None else Path(), verb="use")
+    return disk_error_text(error, path if path is not None else Path(), verb="use")
 
 
 def _chain(error: BaseException | None) -> Iterator[BaseException]:

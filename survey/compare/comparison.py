@@ -23,7 +23,7 @@ from evaluation import (
 )
 from evaluation.completeness import SEED
 from geo import Mesh
-from geo.files import disk_refusals, existing_file
+from geo.files import existing_file, reporting_disk_errors
 from geo.shapes import vertices_of
 from survey.compare import measure
 from survey.compare.figures import M3C2, Circumstances, CloudToCloud, Comparison, Figures, numbers_of
@@ -76,7 +76,7 @@ def compare_files(cloud: str | Path, reference: str | Path, *, options: CompareO
     if options.report_dir is not None:
         with current().stage("Pictures"):
             folder = Path(options.report_dir)
-            with disk_refusals(folder):
+            with reporting_disk_errors(folder):
                 folder.mkdir(parents=True, exist_ok=True)
             write_report(comparison, folder)
     if options.json_path is not None:

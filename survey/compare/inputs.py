@@ -294,7 +294,7 @@ def _height_doubts(
         f"the heights of {paths.cloud} ({low:.10g} to {high:.10g}) and of {paths.reference} ({ref_low:.10g} to "
         f"{ref_high:.10g}) do not meet"
     )
-    mend = "check that both count from the same vertical datum"
+    remedy = "check that both count from the same vertical datum"
     if gap > _FARTHEST_HEIGHT * size_m:
-        raise CompareError(f"{said}; {mend}, and in the same unit")
-    return [f"{said}: {mend}"]
+        raise CompareError(f"{said}; {remedy}, and in the same unit")
+    return [f"{said}: {remedy}"]

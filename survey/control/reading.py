@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
-from geo.crs import called, horizontal_crs, is_geographic
+from geo.crs import crs_name, horizontal_crs, is_geographic
 from geo.errors import GeoError
-from geo.stated import height_unit_said
+from geo.stated import checked_height_unit
 from geo.transformation import Transformation, height_scale
 from survey.control import gcp_list, metashape_xml, opensfm_json, tables
 from survey.control.points import Content, GivenMark, GivenPoint, Mark
@@ -51,16 +51,16 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS) -> tuple[list[GivenPoint], Fi
         scale = _height_scale(first, source, crs)
         places, added = np.array([points[i].place for i in of_source]), 0.0
         if not horizontal_crs(source).equals(horizontal_crs(crs), ignore_axis_order=True):
-            mend = "or give the points in crs"
-            what = f"{first.where}: points in {called(source)}"
+            remedy = "or give the points in crs"
+            what = f"{first.where}: points in {crs_name(source)}"
             way = Transformation.between(source, crs, places)
-            way.require_best(what, mend)
-            way.require_known(what, mend)
+            way.require_best(what, remedy)
+            way.require_known(what, remedy)
             places = np.column_stack([*way(places[:, 0], places[:, 1]), places[:, 2]])
             added, doubt = way.accuracy_m or 0.0, way.doubt(what)
             heights = "are converted to the unit of crs" if scale != 1.0 else "are taken as heights in crs"
             assumption = (
-                f"points in {called(source)} ({first.where}) are transformed to {horizontal_crs(crs).name}; their "
+                f"points in {crs_name(source)} ({first.where}) are transformed to {horizontal_crs(crs).name}; their "
                 f"heights {heights}"
             )
             said += Findings((assumption,), () if doubt is None else (doubt,))
@@ -72,7 +72,7 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS) -> tuple[list[GivenPoint], Fi
             if not np.isfinite(place).all():
                 raise ControlError(
                     f"{points[i].where}: {points[i].place[0]:.10g}, {points[i].place[1]:.10g} is not on the map of "
-                    f"{called(source)} and of {crs.name}; correct the coordinates, their order (easting or longitude "
+                    f"{crs_name(source)} and of {crs.name}; correct the coordinates, their order (easting or longitude "
                     "first) or the CRS of the file"
                 )
             done[i] = replace(points[i], place=tuple(place), crs=None, as_read=points[i], datum_std_m=added)
@@ -88,8 +88,8 @@ def _height_scale(first: GivenPoint, source: CRS, crs: CRS) -> float:
         raise ControlError(f"{first.where}: {fault}; convert them")
     if first.crs is None:
         return units.height_factor(Units.of(crs))
-    unit_m = height_unit_said(source, units.height_m, where, "the unit of its column of heights")
-    return height_scale(source, crs, f"{first.where}: the heights of points in {called(source)}", unit_m=unit_m)
+    unit_m = checked_height_unit(source, units.height_m, where, "the unit of its column of heights")
+    return height_scale(source, crs, f"{first.where}: the heights of points in {crs_name(source)}", unit_m=unit_m)
 
 
 def swapped(point: GivenPoint, crs: CRS) -> GivenPoint | None:

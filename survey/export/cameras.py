@@ -69,13 +69,13 @@ def _in_colmap(lens: Lens) -> Lens:
 
 
 def _write_colmap(path: Path, run: LoadedRun, _options: ExportOptions) -> None:
-    from geo.files import disk_refusals
+    from geo.files import reporting_disk_errors
     from survey.photos.cameras import write_model
 
     flight = run.flight
     views = [replace(view, lens=_in_colmap(view.lens)) for view in flight.views]
     comments = [f"# {name}: {json.dumps(value, ensure_ascii=False)}\n" for name, value in _said(flight).items()]
-    with disk_refusals(path):
+    with reporting_disk_errors(path):
         path.mkdir(parents=True, exist_ok=True)
         write_model(path, views, head=_MARK + "".join(comments), points=_points(run))
 

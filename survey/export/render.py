@@ -15,7 +15,7 @@ from PIL.PngImagePlugin import PngInfo
 from fields.device import choose_device
 from fields.image_based import NovelView
 from fields.slab.novel_view import render_view
-from geo.files import disk_refusals, write_whole
+from geo.files import reporting_disk_errors, write_whole
 from geo.frames import LocalFrame
 from refract import PinholeCamera
 from refract.lens import Lens
@@ -240,7 +240,7 @@ def _pictures(stem: Path) -> list[Path]:
 
 def write_view(stem: Path, view: NovelView) -> Path:
     """Write the pictures of a view under names that begin with `stem`; the path of the colours."""
-    with disk_refusals(stem.parent):
+    with reporting_disk_errors(stem.parent):
         stem.parent.mkdir(parents=True, exist_ok=True)
     alpha = 255 * view.seen.astype(np.uint8)
     tilt = np.nan_to_num(np.round(127.5 * (view.normal + 1.0)), nan=0.0).astype(np.uint8)

@@ -123,10 +123,10 @@ def read_points(
     if has_depths(path):
         has_levels = "level" in names
         if level is None and not has_levels:
-            mend = f"{give_level}, or subtract" if give_level else "subtract"
+            remedy = f"{give_level}, or subtract" if give_level else "subtract"
             raise error(
-                f"{path} has depths, expected heights in crs: {mend} them from the level of the water they count from, "
-                "and call the column height"
+                f"{path} has depths, expected heights in crs: {remedy} them from the level of the water they count "
+                "from, and call the column height"
             )
         heights = ("depth", "level") if has_levels else ("depth",)
         rows = read_table(path, (*PLACE[:2], *heights), optional=optional, synonyms=synonyms, error=error)

@@ -17,7 +17,7 @@ from typing import Any
 from urllib.parse import unquote
 
 from geo.errors import GeoError
-from geo.files import disk_refusals, write_whole_at
+from geo.files import reporting_disk_errors, write_whole_at
 from survey.errors import NotReached, SurveyError
 from survey.words import RUN_FOLDER
 
@@ -183,7 +183,7 @@ class Remote:
 
     def _fetch(self, file: tuple[str, Path]) -> None:
         name, path = file
-        with disk_refusals(path):
+        with reporting_disk_errors(path):
             path.parent.mkdir(parents=True, exist_ok=True)
         with write_whole_at(path) as part:
             # What refuses this is the disk, and not the store.
@@ -206,7 +206,7 @@ class Remote:
     @contextmanager
     def _refusals_of(self, name: str) -> Iterator[None]:
         """`_refusals` of a file that is written at the URL, which may be on a disk that is full."""
-        with disk_refusals(f"{self.url}/{name}"), _refusals(f"{self.url}/{name}"):
+        with reporting_disk_errors(f"{self.url}/{name}"), _refusals(f"{self.url}/{name}"):
             yield
 
     def _make_folder(self, place: str) -> None:
@@ -252,8 +252,8 @@ def _refusals(url: str) -> Iterator[None]:
         if isinstance(error, OSError) and error.errno in _FULL:
             raise
         if "Credentials" in type(error).__name__:
-            mend = "set its keys, for s3:// AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY or a profile"
-            raise SurveyError(f"{url} asks for keys, and there are none ({error}); {mend}") from error
+            remedy = "set its keys, for s3:// AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY or a profile"
+            raise SurveyError(f"{url} asks for keys, and there are none ({error}); {remedy}") from error
         if isinstance(error, ValueError) and "rotocol" in str(error):
             raise SurveyError(
                 f"{url} is of a kind that is not known ({error}); name e.g. s3://bucket/folder"

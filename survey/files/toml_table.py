@@ -199,16 +199,16 @@ class _Reader:
         # What other programs call it is surer than what looks alike.
         is_here = synonym is not None and _join(where, synonym.split(".")[-1]) == synonym
         if near and not is_here:
-            mend = f"the nearest known one is {_place(_join(where, near[0]), is_table)}. Correct or remove it"
+            remedy = f"the nearest known one is {_place(_join(where, near[0]), is_table)}. Correct or remove it"
         elif elsewhere and not is_here:
-            mend = f"it belongs to {_place(elsewhere[0])}. Move it there, or remove it"
+            remedy = f"it belongs to {_place(elsewhere[0])}. Move it there, or remove it"
         elif synonym is not None:
             later = f", which is not supported yet: {self.not_yet[synonym]}" if synonym in self.not_yet else ""
-            mend = f"that is {_place(synonym)} here{later}. Correct or remove it"
+            remedy = f"that is {_place(synonym)} here{later}. Correct or remove it"
         else:
             listed = ", ".join(f"[{_join(where, other)}]" if is_table else other for other in here)
-            mend = f"known are {listed or 'none'}. Correct or remove it"
-        raise ConfigError(f"unknown {what}; {mend}")
+            remedy = f"known are {listed or 'none'}. Correct or remove it"
+        raise ConfigError(f"unknown {what}; {remedy}")
 
 
 def _keys_of(kind: type) -> Iterator[tuple[str, Any]]:

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 from pyproj import CRS
 
-from geo.area_of_use import rough_undulation_m
+from geo.area_of_use import approximate_undulation_m
 from geo.crs import height_unit_m, vertical_crs
 from geo.transformation import lon_lat
 from refract.lens import Lens
@@ -216,7 +216,7 @@ def explanation(
         Height of the cameras over the take-off point, median.
     """
     cameras_m, unit = level_m + over_m, height_unit_m(crs)
-    undulation = rough_undulation_m(*place)
+    undulation = approximate_undulation_m(*place)
     side = "over" if undulation > 0.0 else "under"
     geoid = f"the geoid lies about {abs(undulation):.0f} m {side} the ellipsoid here"
     candidates = [
@@ -272,7 +272,7 @@ def exif_doubts(heights_m: Mapping[str, float], heads: Mapping[str, Exif]) -> li
         return []
     higher = float(np.median([height - position[2] for height, position in pairs]))
     lat, lon = np.median([position[:2] for _, position in pairs], axis=0)
-    undulation = rough_undulation_m(lat, lon)
+    undulation = approximate_undulation_m(lat, lon)
     if abs(undulation) < 2.0 * _ROUGH_M or abs(abs(higher) - abs(undulation)) > _ROUGH_M:
         return []
     return [

@@ -60,16 +60,16 @@ def pair(found: Found, poses: Sequence[Pose]) -> tuple[dict[str, Pose], Findings
             paired[pose.name] = replace(pose, name=image)
     without_pose = [name for name in found.images if name not in taken]
     if len(paired) < MIN_VIEWS:
-        mend = "add photographs with poses"
+        remedy = "add photographs with poses"
         if unmatched and without_pose:
-            mend = (
+            remedy = (
                 f'make the names in the poses those of the images ("{shortened(unmatched[0])}" against '
                 f'"{without_pose[0]}")'
             )
         place = found.folder / found.config.images.local_dir
         raise PosesError(
             f"only {len(paired)} of the {len(poses)} poses in {found.poses_path} belong to one of the "
-            f"{len(found.images)} images in {place}, expected at least {MIN_VIEWS}; {mend}"
+            f"{len(found.images)} images in {place}, expected at least {MIN_VIEWS}; {remedy}"
         )
     warnings = named(without_pose, "image", "without a pose, left out")
     warnings += named([shortened(name) for name in unmatched], "pose", "without an image, left out")
@@ -102,12 +102,12 @@ def require_image(view: View, head: Exif) -> None:
     """Raise ImageError where an image does not have the size of its camera."""
     expected = (view.lens.width, view.lens.height)
     if head.size_px != expected:
-        mend = "use the images that the poses were made from, or correct the size of the camera"
+        remedy = "use the images that the poses were made from, or correct the size of the camera"
         if head.orientation >= 5 and head.size_px == expected[::-1]:
-            mend = "EXIF marks it as rotated, which is ignored here: rotate the pixels and remove the orientation tag"
+            remedy = "EXIF marks it as rotated, which is ignored here: rotate the pixels and remove the orientation tag"
         raise ImageError(
             f"{view.path} has {head.size_px[0]} x {head.size_px[1]} pixels, expected {expected[0]} x {expected[1]} "
-            f"as its camera has; {mend}"
+            f"as its camera has; {remedy}"
         )
 
 
@@ -231,7 +231,7 @@ def read_file_poses(found: Found, path: Path) -> tuple[FilePoses, Findings]:
     try:
         file = read_poses(path)
     except SecondPose as error:
-        # Two photographs of this name are the reason that a user can mend.
+        # Two photographs of one name are what the user can correct: that error comes first.
         ImageNames(found.images).find(error.called, str(path))
         raise
     paired, of_pairs = pair(found, file.poses)

@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from geo.files import disk_refusals
+from geo.files import reporting_disk_errors
 from survey import machine
 from survey.errors import ImageError, NotReached
 from survey.files.json_values import read_json_object, write_json
@@ -267,9 +267,9 @@ def fetch_images(url: str, folder: Path) -> None:
             f"no images at {url}; expected files ending in {', '.join(SUFFIXES)}: put them there, or correct "
             "[images] dir in survey.toml"
         )
-    with disk_refusals(folder):
+    with reporting_disk_errors(folder):
         folder.mkdir(exist_ok=True)
-    with disk_refusals(folder):
+    with reporting_disk_errors(folder):
         for name in before.keys() - set(wanted):
             (folder / name).unlink(missing_ok=True)
     missing = [name for name in wanted if before.get(name) != there[name] or not (folder / name).is_file()]

@@ -114,7 +114,7 @@ def verdict_by_limits(value: float, good: float, fair: float) -> Verdict:
 
 
 def verdict_text(verdict: Verdict, found: str, advice: str) -> str:
-    """The sentence that `check` prints; advice only where there is something to mend."""
+    """The sentence that `check` prints; advice only where there is something to fix."""
     return f"{verdict}: {found}" + ("" if verdict is Verdict.good else f"; {advice}")
 
 

@@ -41,7 +41,7 @@ class Format:
 
 
 def require_understood(
-    values: Mapping[str, Any], known: Collection[str], *, mend: str, are_all_of_lens: bool = False
+    values: Mapping[str, Any], known: Collection[str], *, remedy: str, are_all_of_lens: bool = False
 ) -> None:
     """Raise LensError where a key that changes the lens is none of those that a reader knows.
 
@@ -51,7 +51,7 @@ def require_understood(
         Keys and values of a file, or of an object in it.
     known : collection of str
         What the reader reads, and what it knows to change nothing.
-    mend : str
+    remedy : str
         What to do instead, after the semicolon of the error.
     are_all_of_lens : bool
         Whether the object is that of a lens alone, so that each key is one of it; else names tell it.
@@ -61,7 +61,7 @@ def require_understood(
         if is_of_lens and key not in known and not _changes_nothing(value):
             raise LensError(
                 f"{shortened(key)} is {shortened(str(value))}, a part of the lens that is not read, expected none; "
-                f"{mend}"
+                f"{remedy}"
             )
 
 

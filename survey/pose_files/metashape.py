@@ -32,7 +32,7 @@ _READ = ("resolution", "f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1"
 _FISHEYE = ("fisheye", "equidistant_fisheye", "fisheye_equidistant")
 # What a fisheye lens here has no place for may move no pixel by more than this.
 _LOST_PX = 0.02
-_MEND = "export the cameras to COLMAP's format from Metashape (undistorted), or calibrate without it"
+_REMEDY = "export the cameras to COLMAP's format from Metashape (undistorted), or calibrate without it"
 _EXPORT = "in Metashape, File > Export > Export Cameras writes it again"
 # A rotation is written with 16 digits.
 _ROUNDED = 1e-6
@@ -63,17 +63,17 @@ def read_lens(sensor: Element) -> Lens:
     k1, k2, k3, k4 = (_number(calibration, key) for key in ("k1", "k2", "k3", "k4"))
     p1, p2 = _number(calibration, "p2"), _number(calibration, "p1")
     parts = {tag.tag: tag.text or "" for tag in calibration}
-    require_understood(parts, _READ, mend=_MEND, are_all_of_lens=True)
+    require_understood(parts, _READ, remedy=_REMEDY, are_all_of_lens=True)
     if kind in _FISHEYE:
         reach = math.hypot(width, height) / f if f > 0.0 else math.inf
         lost = 0.5 * abs(b2) * reach + 0.75 * f * max(abs(p1), abs(p2)) * reach**2
         if lost > _LOST_PX:
             raise LensError(
-                f"p1, p2 and b2 of a fisheye lens move pixels by up to {lost:.2g} px, expected none; {_MEND}"
+                f"p1, p2 and b2 of a fisheye lens move pixels by up to {lost:.2g} px, expected none; {_REMEDY}"
             )
         return Lens("OPENCV_FISHEYE", (f + b1, f, cx, cy, k1, k2, k3, k4), width, height)
     if kind != "frame":
-        raise LensError(f"a lens of the type {shortened(kind)} is not supported, expected frame or fisheye; {_MEND}")
+        raise LensError(f"a lens of the type {shortened(kind)} is not supported, expected frame or fisheye; {_REMEDY}")
     inner = (f + b1, f, cx, cy, k1, k2, p1, p2)
     if k4 or b2:
         return Lens("BROWN_AFFINE", (*inner, k3, k4, b2 / (f + b1) if f + b1 else math.nan), width, height)

@@ -29,7 +29,7 @@ _READ = (
     "camera_model", "is_fisheye", "w", "h", "fl_x", "fl_y", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2",
     "camera_angle_x", "camera_angle_y", "x_fov", "y_fov",
 )  # fmt: skip
-_MEND = "undistort the photographs, or export OPENCV or OPENCV_FISHEYE"
+_REMEDY = "undistort the photographs, or export OPENCV or OPENCV_FISHEYE"
 
 
 def read_nerfstudio(path: Path) -> PoseFile:
@@ -108,7 +108,7 @@ def _with_root(data: dict, frame: dict) -> dict:
 def _lens(values: dict) -> Lens:
     """The lens of a frame, from its own numbers or those of all; k3 and k4 of OPENCV are powers of the radius."""
     model = str(values.get("camera_model", "OPENCV"))
-    require_understood(values, _READ, mend=_MEND)
+    require_understood(values, _READ, remedy=_REMEDY)
     if values.get("is_fisheye"):
         # instant-ngp's word: k1 to k4 are then of the angle.
         if "camera_model" in values and model != "OPENCV_FISHEYE":

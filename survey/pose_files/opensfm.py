@@ -275,7 +275,7 @@ def read_lens(camera: dict) -> Lens:
     # What the camera began with changes nothing.
     lens = {key: value for key, value in camera.items() if not key.endswith("_prior")}
     known = (*_COMMON, *(_FISHEYE if kind.startswith("fisheye") else _BROWN))
-    require_understood(lens, known, mend="reconstruct with --camera-lens brown or fisheye", are_all_of_lens=True)
+    require_understood(lens, known, remedy="reconstruct with --camera-lens brown or fisheye", are_all_of_lens=True)
     width, height = (_number(camera, key) for key in ("width", "height"))
     if not (width.is_integer() and height.is_integer()):
         raise LensError(f"the image has {width:g} x {height:g} pixels, expected whole numbers; correct it")

@@ -21,7 +21,7 @@ from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path
 
-from geo.files import disk_refusals, write_whole
+from geo.files import reporting_disk_errors, write_whole
 from survey.errors import SurveyError
 from survey.files.json_values import read_json_object
 from survey.files.outputs import ReadFiles, locked
@@ -91,7 +91,7 @@ class RunDir:
         self._quality: str | None = None
 
     def __enter__(self) -> RunDir:
-        with ExitStack() as stack, disk_refusals(self.path):
+        with ExitStack() as stack, reporting_disk_errors(self.path):
             self._require_ours_or_empty()
             self.stages_path.mkdir(parents=True, exist_ok=True)
             if not (self.path / MARKER).exists():
@@ -145,8 +145,8 @@ class RunDir:
             raise SurveyError(f"the run folder {self.path} {what}; name the folder that process wrote")
         if not (self.path / MARKER).is_file():
             default = self.path / RUN_FOLDER
-            mend = f"name {default}" if (default / MARKER).is_file() else "name the folder that process wrote"
-            raise SurveyError(f"{self.path} is no run folder; {mend}")
+            remedy = f"name {default}" if (default / MARKER).is_file() else "name the folder that process wrote"
+            raise SurveyError(f"{self.path} is no run folder; {remedy}")
         if not result.is_in_place(self.path):
             raise SurveyError(
                 f"`bathynerf process` was stopped while it put its result into {self.path}; run the same command again"
@@ -172,7 +172,7 @@ class RunDir:
     def open_result(self, quality: str) -> Path:
         """An empty folder for a new result of a quality; `publish` puts it in its place."""
         folder = self.path / f".result{_PART}"
-        with disk_refusals(folder):
+        with reporting_disk_errors(folder):
             result.begin(self.path, folder, quality)
         self._quality = quality
         return folder
@@ -184,7 +184,7 @@ class RunDir:
         """
         finished = time.strftime("%Y-%m-%d %H:%M:%S")
         names = {name: place.name for name, place in stages.items()}
-        with disk_refusals(self.path):
+        with reporting_disk_errors(self.path):
             result.publish(self.path, folder, quality=quality, finished=finished, stages=names)
             result.prune(self.path)
 
@@ -213,7 +213,7 @@ class RunDir:
         if self._held is None:
             raise RuntimeError("open_stage outside a with block: stages are written while the run is locked")
         folder = self.stages_path / f".{name}{_PART}"
-        with disk_refusals(folder):
+        with reporting_disk_errors(folder):
             if folder.exists():
                 shutil.rmtree(folder)
             folder.mkdir()
@@ -229,7 +229,7 @@ class RunDir:
         record = {"key": key.digest, "parts": key.parts, "seconds": round(seconds, 3), "versions": versions()}
         self.write_text(temp / STAGE_RECORD, json.dumps(record, indent=2))
         place = self.place(name, key)
-        with disk_refusals(place):
+        with reporting_disk_errors(place):
             # Computed again on demand, or with a record that cannot be read.
             shutil.rmtree(place, ignore_errors=True)
             temp.rename(place)

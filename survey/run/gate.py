@@ -86,11 +86,11 @@ def _whole(survey: Survey, stored: StoredBed, gsd_m: float) -> Gate:
     sentence = f"a height is known to {length(std.whole)}, one sigma, all included ({parts}); "
     sentence += f"required: at most {length(limit)}"
     if not passed and std.shared is not None and std.shared > std.random:
-        sentence += f"; the shared part limits it: {_mend(survey)}"
+        sentence += f"; the shared part limits it: {_remedy(survey)}"
     return Gate("height, all included", 1000.0 * std.whole, 1000.0 * limit, "mm", passed, sentence)
 
 
-def _mend(survey: Survey) -> str:
+def _remedy(survey: Survey) -> str:
     """Remedy for a large common standard deviation."""
     water = survey.config.water
     if water is not None and water.level_std_m is None:

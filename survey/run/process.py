@@ -176,7 +176,7 @@ def process(
         if aim is not None:
             aimed = begin_aimed_run(aim, survey, chosen, clock, progress, refuses=checked.survey is not None)
         tiles_chosen = _announce(progress, survey, chosen, aimed, run, chooses_workers)
-        # Starts torch and Dr.Jit: only after everything that the user may have to mend was looked at.
+        # Starts torch and Dr.Jit: only after everything that the user may have to fix was checked.
         from survey.run.job import Job
 
         job = Job(survey, chosen, progress, aimed=aimed, workspace=run.sfm_path, scratch=run.scratch_path)

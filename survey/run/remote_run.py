@@ -17,7 +17,7 @@ from contextlib import suppress
 from pathlib import Path, PurePosixPath
 
 from geo.errors import GeoError
-from geo.files import disk_refusals
+from geo.files import reporting_disk_errors
 from survey.errors import SurveyError
 from survey.files.json_values import json_text, read_json_object
 from survey.files.remote import Remote, files_below
@@ -96,7 +96,7 @@ class RemoteRun(RunDir):
         solved, here = self.remote.read(f"{SFM_FOLDER}/{_SOLVED}"), self.sfm_path / _SOLVED
         if solved is not None and not (here.is_file() and here.read_bytes() == solved):
             # Stages at the URL are of the poses there.
-            with disk_refusals(self.sfm_path):
+            with reporting_disk_errors(self.sfm_path):
                 shutil.rmtree(self.sfm_path, ignore_errors=True)
             self.remote.fetch_folder(SFM_FOLDER, self.sfm_path, last=_SOLVED)
 
@@ -125,7 +125,7 @@ class RemoteRun(RunDir):
             return None
         temp = super().open_stage(name)
         self.remote.fetch_folder(f"{_STAGES}/{place.name}", temp)
-        with disk_refusals(place):
+        with reporting_disk_errors(place):
             # One that is not whole.
             shutil.rmtree(place, ignore_errors=True)
             temp.rename(place)

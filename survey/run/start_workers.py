@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from geo.files import disk_refusals
+from geo.files import reporting_disk_errors
 from survey.errors import SurveyError
 from survey.plan.tile_choice import NO_DASK
 from survey.run.task_at_url import sees_url
@@ -174,7 +174,7 @@ def _check(client: Any, needs: WorkerNeeds) -> None:
 @contextmanager
 def _token(stages: Path) -> Iterator[Path]:
     path = stages.absolute() / f".{uuid.uuid4().hex}.part"
-    with disk_refusals(path):
+    with reporting_disk_errors(path):
         path.mkdir()
     try:
         yield path

@@ -24,7 +24,7 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 from pyproj import CRS
 
-from geo.files import disk_refusals, write_whole
+from geo.files import reporting_disk_errors, write_whole
 from survey.display.column import ComputedColumn
 from survey.errors import SurveyError
 
@@ -283,7 +283,7 @@ def load_bed_columns(folder: str | Path, *names: str) -> dict[str, np.ndarray]:
 def columns_in(folder: Path) -> Iterator[Callable[[int], np.ndarray]]:
     """Makes columns (N,) float32 that lie in files of a folder of their own there, which goes at the end."""
     numbers = count()
-    with disk_refusals(folder), TemporaryDirectory(dir=folder, ignore_cleanup_errors=True) as place:
+    with reporting_disk_errors(folder), TemporaryDirectory(dir=folder, ignore_cleanup_errors=True) as place:
         yield lambda rows: np.memmap(Path(place) / f"{next(numbers)}.raw", np.float32, "w+", shape=(rows,))
 
 
@@ -292,7 +292,7 @@ class FileArray:
 
     def __init__(self, path: Path, array: np.ndarray):
         self._path, self.shape, self._dtype = path, array.shape, array.dtype
-        with disk_refusals(path):
+        with reporting_disk_errors(path):
             path.write_bytes(np.ascontiguousarray(array).tobytes())
 
     def __getitem__(self, part: tuple[slice, slice]) -> np.ndarray:
@@ -311,7 +311,7 @@ class ArrayFiles:
     def __init__(self, folder: Path):
         # Workers open them by this path, whatever their working directory.
         self._folder, self._count = folder.absolute(), 0
-        with disk_refusals(folder):
+        with reporting_disk_errors(folder):
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir()
 

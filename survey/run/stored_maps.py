@@ -14,7 +14,7 @@ import numpy as np
 
 from fields.sweep.maps import HeightMap
 from geo.errors import GeoError
-from geo.files import disk_refusals
+from geo.files import reporting_disk_errors
 from survey.run.flight import FLIGHT, save_flight
 from survey.run.stored import StoredArrays, save_arrays, unreadable, write_arrays
 
@@ -53,7 +53,7 @@ class Scratch(MutableMapping[int, Kind]):
         self._folder, self._kind, self._room, self._show = folder, kind, room, show
         self._held: dict[int, Kind] = {}
         self._written: set[int] = set()
-        with disk_refusals(folder):
+        with reporting_disk_errors(folder):
             folder.mkdir()
 
     def __getitem__(self, number: int) -> Kind:
@@ -61,7 +61,7 @@ class Scratch(MutableMapping[int, Kind]):
             return self._held[number]
         if number not in self._written:
             raise KeyError(number)
-        with disk_refusals(self._path(number)), self._path(number).open("rb") as stream:
+        with reporting_disk_errors(self._path(number)), self._path(number).open("rb") as stream:
             return _made(self._kind, number, lambda _name: np.load(stream))
 
     def __setitem__(self, number: int, each: Kind) -> None:
@@ -72,7 +72,7 @@ class Scratch(MutableMapping[int, Kind]):
             self._room.left -= _bytes_of(each)
             self._held[number] = each
             return
-        with disk_refusals(self._path(number)), self._path(number).open("wb") as stream:
+        with reporting_disk_errors(self._path(number)), self._path(number).open("wb") as stream:
             for name in _names(self._kind):
                 np.save(stream, getattr(each, name))
         self._written.add(number)
@@ -82,7 +82,7 @@ class Scratch(MutableMapping[int, Kind]):
             self._room.left += _bytes_of(self._held.pop(number))
             return
         self._written.remove(number)
-        with disk_refusals(self._path(number)):
+        with reporting_disk_errors(self._path(number)):
             self._path(number).unlink()
 
     def __iter__(self) -> Iterator[int]:
@@ -111,7 +111,7 @@ def map_store(
     ``show`` is called with each map that comes.
     """
     number, room = count(), _Room(in_memory)
-    with disk_refusals(folder):
+    with reporting_disk_errors(folder):
         folder.mkdir()
     try:
         yield lambda: Scratch(folder / str(next(number)), kind, room, show)

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fields.image_store import GreyImages
-from geo.files import disk_refusals
+from geo.files import reporting_disk_errors
 from survey.errors import SurveyError
 from survey.files.remote import Remote, is_url
 from survey.photos.images import ImageStore, fetched_tags
@@ -52,7 +52,7 @@ def put_job(job: Job, found: TilePlan, remote: Remote, scratch: Path, stage: str
     of_names = {_worker_name(source): source for source in sources.values()}
     name = f"{JOBS}/{stage}-{uuid.uuid4().hex}.pickle"
     path = scratch / f"{stage}-{uuid.uuid4().hex}.pickle"
-    with disk_refusals(path):
+    with reporting_disk_errors(path):
         path.write_bytes(pickle.dumps((parts, of_names)))
     remote.put({name: path})
     path.unlink()

@@ -18,7 +18,7 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from geo.files import disk_refusals, write_whole
+from geo.files import reporting_disk_errors, write_whole
 from survey.errors import SurveyError
 from survey.stage_key import code_hash
 
@@ -116,7 +116,7 @@ def compute_task(job: Path, stages: Path, task: Task, code: str) -> tuple[Path, 
     start = time.monotonic()
     tile = _job_of(job).tile(task.tile)
     folder = stages / f".{task.name}-{uuid.uuid4().hex[:8]}.part"
-    with disk_refusals(folder):
+    with reporting_disk_errors(folder):
         folder.mkdir()
     try:
         said = compute_into(tile, task, folder, task.needs)

@@ -226,12 +226,12 @@ def _too_few(control: BlockControl, views: Mapping[str, Posed], met: Intersectio
     if met.apart:
         told.append(f"with marks whose rays do not intersect: {_listed(met.apart)}")
     told.append(f"{len(views)} photographs are placed")
-    mend = "mark more points in more photographs, or correct the marks"
+    remedy = "mark more points in more photographs, or correct the marks"
     if len(met.apart) > 1 and len(intersect_marks(turned_marks(control), views).points) >= MIN_POINTS:
-        mend = "their rays meet with x and y of the marks swapped: swap the two columns"
+        remedy = "their rays meet with x and y of the marks swapped: swap the two columns"
     return (
         f"{len(met.points)} of {len(control.points)} control points fit the photographs, expected at least "
-        f"{MIN_POINTS} not on a line, each marked in two photographs or more ({'; '.join(told)}); {mend}"
+        f"{MIN_POINTS} not on a line, each marked in two photographs or more ({'; '.join(told)}); {remedy}"
     )
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from pyproj import CRS
 
 from geo.crs import height_unit_m
-from geo.files import disk_refusals
+from geo.files import reporting_disk_errors
 from geo.frames import LocalFrame
 from refract.lens import Lens
 from survey.errors import ImageError, SurveyError
@@ -213,7 +213,7 @@ def _solved(photographs: Photographs, workspace: Path, say: Callable[[str], None
     settings = (photographs.focal_px, photographs.mapper, sorted(places), image_pairs(list(images), places))
     key = stage_key("sfm", code_hash("survey.sfm.solve"), *settings, list(images), list(images.values()))
     busy = f"another process (number {{pid}}) looks for poses in {workspace}; wait until it ends, or stop it"
-    with disk_refusals(workspace), locked(_made(workspace), busy=busy):
+    with reporting_disk_errors(workspace), locked(_made(workspace), busy=busy):
         free = _stored(workspace, key)
         if free is not None:
             say(f"structure from motion: poses of {free.num_images} images from {workspace}")

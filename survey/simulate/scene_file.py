@@ -36,8 +36,10 @@ class BedSettings:
         require_one_of("bed.frame", self.frame, ("crs", "local"))
         from_file = self.kind in ("mesh", "cloud")
         if from_file != (self.file is not None):
-            mend = f'give file = "..." for kind = "{self.kind}"' if from_file else 'remove file, or give kind = "mesh"'
-            raise ConfigError(f"bed.kind {self.kind} does not go with bed.file {self.file}; {mend}")
+            remedy = (
+                f'give file = "..." for kind = "{self.kind}"' if from_file else 'remove file, or give kind = "mesh"'
+            )
+            raise ConfigError(f"bed.kind {self.kind} does not go with bed.file {self.file}; {remedy}")
         require_positive("bed", depth_m=self.depth_m, cell_m=self.cell_m, spacing_m=self.spacing_m)
 
 

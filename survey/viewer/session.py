@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geo.files import disk_refusals
+from geo.files import reporting_disk_errors
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun
 from survey.files.outputs import ReadFiles
@@ -59,7 +59,7 @@ class LiveRun:
         self._nodes: dict[Path, Any] = {}
         self._cameras: Any = None
         self._size_m = 0.0
-        with disk_refusals(self._folder):
+        with reporting_disk_errors(self._folder):
             self._folder.mkdir(exist_ok=True)
         self._text: Any = server.gui.add_markdown(f"**{run.path}**  \nwaiting for the first height map")
 

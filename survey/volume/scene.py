@@ -20,7 +20,7 @@ from fields.volume.paths import Box
 from fields.volume.photographs import Photographs, may_show, pixels_over
 from fields.volume.sampling import Cells
 from fields.volume.surface import LEAST_VIEWS
-from geo.files import disk_refusals, write_whole
+from geo.files import reporting_disk_errors, write_whole
 from geo.frames import LocalFrame
 from refract import FlatWater, PinholeCamera
 from survey.errors import OutputError, SurveyError
@@ -305,7 +305,7 @@ class VolumeFolder:
             self._require_same(read_json_object(path / SETTINGS), settings)
         elif path.is_dir() and any(path.iterdir()):
             raise OutputError(f"-o names {path}, which is not empty and holds no volume; name another folder")
-        with disk_refusals(path):
+        with reporting_disk_errors(path):
             path.mkdir(parents=True, exist_ok=True)
         with write_whole(path / SETTINGS) as stream:
             stream.write(json.dumps(settings, indent=2).encode())

@@ -1,7 +1,7 @@
-"""Baselines without refraction: straight rays, and corrections of their depth afterwards.
+"""Baselines without refraction: intersection of straight rays, and corrections of the resulting apparent depth.
 
-Apparent points are those where straight rays meet: each view sees a point of the bed in the direction of the place
-where its light left the water, and a reconstruction without refraction extends those directions as straight lines.
+Each view sees a point of the bed in the direction in which its light left the water. A reconstruction without
+refraction extends these directions as straight lines; they meet in the apparent point.
 
 Symbols: N points, V views; arrays over both are padded, ``is_seen`` marks valid entries.
 """
@@ -15,12 +15,12 @@ _PARALLEL = 1e-9
 
 
 def apparent_points(centres: np.ndarray, directions: np.ndarray, is_seen: np.ndarray) -> np.ndarray:
-    """Points where straight rays meet: the sum of squared distances to the rays is least.
+    """Least-squares intersections of straight rays.
 
     Parameters
     ----------
     centres : (N, V, 3) [m]
-        Of the cameras, or any other points on the rays.
+        Projection centres, or any other points on the rays.
     directions : (N, V, 3)
         In air, unit vectors.
     is_seen : (N, V) bool
@@ -55,7 +55,7 @@ def per_camera(
     is_seen: np.ndarray,
     n_water: float,
 ) -> np.ndarray:
-    """Depth (N,) [m] after the correction of every point by every camera that sees it.
+    """Depth (N,) [m] of points, each corrected for refraction per camera and averaged.
 
     Parameters
     ----------

@@ -17,8 +17,8 @@ LEVEL = 0.95
 SEED = 20_060_618  # any number, but always the same
 # Fewer blocks than this do not show their spread.
 MIN_BLOCKS = 10
-# With blocks this many correlation lengths wide and an exponential correlation, the pairs across their edges leave an
-# eighth of the standard error out; that part is estimated from blocks half as wide.
+# Under exponential correlation, blocks this many correlation lengths wide miss an eighth of the standard error, from
+# pairs across their edges; that part is estimated from blocks half as wide.
 _LENGTHS_PER_BLOCK = 10.0
 # Blocks are narrowed until there are this many; more than this many would only cost time.
 _FEWEST, _MOST = 30, 1024
@@ -65,8 +65,8 @@ class Blocks:
     size_m: float  # [m]: edge of a block
     # [m]: lag at which the correlation of the errors has fallen to 1/e; 0 where neighbours are not correlated
     correlation_m: float
-    widening: float  # Factor of the intervals for correlation across the edges of blocks
-    is_narrow: bool  # The extent is too small for blocks of ten correlation lengths: intervals may still be too short
+    widening: float  # Factor by which intervals are widened for correlation across the edges of blocks
+    is_narrow: bool  # Whether the extent is too small for blocks of ten correlation lengths: intervals may be too short
 
     def among(self, part: np.ndarray) -> Blocks:
         """The blocks of some of the points, ``part`` a mask (N,) or rows."""
@@ -161,7 +161,7 @@ class _Cells:
         return _Cells(low, cell, shape, occupied * cell**2)
 
     def squares(self, plan: np.ndarray, size: float) -> np.ndarray:
-        """Number (N,) of the square of edge ``size`` in which each point lies; those beyond count to the rim."""
+        """Number (N,) of the square of edge ``size`` that holds each point; points outside go to the nearest one."""
         most = np.ceil(np.array(self.shape[::-1]) * self.cell / size)
         column, row = np.clip(np.floor((np.nan_to_num(plan) - self.low) / size), 0, most - 1).astype(np.int64).T
         return row * int(most[0]) + column

@@ -39,8 +39,8 @@ class MeshDistances:
 
     signed: np.ndarray  # (N,) [m]: NaN for points that are not finite
     nearest: np.ndarray  # (N, 3) [m]: the nearest point of the mesh
-    # (N,) [deg]: of a triangle that it lies on: 0 level, 90 upright, whichever side is up; NaN for points that are not
-    # finite
+    # (N,) [deg]: slope of the nearest triangle, 0 level to 90 upright, whichever side is up; NaN for points that are
+    # not finite
     slope_deg: np.ndarray
     num_degenerate: int  # Triangles without area, which were left out
 
@@ -79,12 +79,11 @@ def distance_to_mesh(
 
     Notes
     -----
-    Where the nearest point lies on an edge or a vertex, several triangles are equally near, and the wrong one
-    may have the point on its other side. As in the robust mode of CloudCompare 2.13.1, that triangle decides
-    on whose plane the direction to the point is most orthogonal (one that the point projects into has it
-    exactly so). That is right at every edge; at a vertex drawn out to a needle or a knife it can be wrong, as
-    CloudCompare's is. On the surface, and where triangles with opposite answers are equally orthogonal, the
-    sign is positive.
+    Where the nearest point lies on an edge or a vertex, several triangles are equally near and may disagree on the
+    sign. As in the robust mode of CloudCompare 2.13.1, the triangle decides whose plane is most nearly
+    perpendicular to the direction to the point. That is right at every edge; at the tip of a needle or blade it
+    can be wrong, as in CloudCompare. On the surface, and where triangles of opposite sign are equally
+    perpendicular, the sign is positive.
     """
     if sign not in ("up", "winding"):
         raise ValueError(f'sign is {sign!r}, expected "up" or "winding"')
@@ -93,7 +92,7 @@ def distance_to_mesh(
     sound = has_area(vertices, faces)
     if not sound.any():
         raise ValueError(f"none of the {len(faces)} triangles has an area, expected a surface")
-    # Near zero, where float64 is finest: a northing of 5e6 m costs nine of sixteen digits.
+    # Relative to a point nearby: a northing of 5e6 m would cost nine of the sixteen digits of float64.
     origin = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     surface = _Surface(vertices - origin, faces[sound], sign)
     signed = np.full(len(points), np.nan)
@@ -146,7 +145,7 @@ class _Surface:
         return np.where(positive, distance, -distance), nearest, self._slope_deg[hit]
 
     def _blocks(self, tied: np.ndarray, hit: np.ndarray, feature: np.ndarray):
-        """The tied points in blocks of bounded work, each with the sizes of the stars to look at."""
+        """The tied points in blocks of bounded work, each with the sizes of their stars (triangles around a vertex)."""
         start = self._faces[hit[tied], FEATURE_CORNERS[feature[tied], 0]]
         counts = self._star_start[start + 1] - self._star_start[start]
         block = np.cumsum(counts) // _PAIR_CHUNK
@@ -154,7 +153,7 @@ class _Surface:
         return zip(np.split(tied, cuts), np.split(counts, cuts), strict=True) if len(tied) else ()
 
     def _is_above(self, away: np.ndarray, hit: np.ndarray, feature: np.ndarray, counts: np.ndarray) -> np.ndarray:
-        """Side (N,) on which points lie whose nearest point is on an edge or vertex.
+        """Whether points (N,) whose nearest point is on an edge or vertex lie above the surface.
 
         ``away`` are unit vectors from there to the points, ``counts`` the sizes of the stars of the first
         vertex.
@@ -174,7 +173,7 @@ class _Surface:
 
 
 def _neighbours_first(points: np.ndarray) -> np.ndarray:
-    """An order (N,) in which successive points are near each other: along a Morton curve of the plan.
+    """An order (N,) in which successive points are near each other, along a Morton curve in plan.
 
     The tree then finds its boxes in the cache: six times faster than in random order.
     """
@@ -185,7 +184,7 @@ def _neighbours_first(points: np.ndarray) -> np.ndarray:
     step = np.where(high > low, (high - low) / 65535.0, 1.0)
     column, row = ((plan - low) / step).astype(np.uint32).T
     code = _spread_bits(column) | (_spread_bits(row) << np.uint32(1))
-    # numpy sorts 16 bits by their digits, ten times faster than it compares 32.
+    # numpy sorts 16-bit integers by radix sort, ten times as fast as 32-bit ones by comparison.
     return np.lexsort(((code & np.uint32(0xFFFF)).astype(np.uint16), (code >> np.uint32(16)).astype(np.uint16)))
 
 

@@ -59,7 +59,7 @@ def distance_to_cloud(
     """
     distances = np.where(np.isfinite(points).all(axis=1), np.inf, np.nan)
     numbers = np.full(len(points), -1, dtype=np.int64)
-    # Many equal points make a leaf that cannot be split, and every query near it slow.
+    # Many equal points would form a leaf that cannot be split and slows every query near it.
     first, _ = distinct(cloud)
     first = first[np.isfinite(cloud[first]).all(axis=1)]
     rows = np.flatnonzero(distances == np.inf)
@@ -74,7 +74,7 @@ def distance_to_cloud(
 
 
 def is_reached(samples: np.ndarray, cloud: np.ndarray, *, tolerance_m: float) -> np.ndarray:
-    """Whether each sample (N,) of a reference is closer than the tolerance (strictly) to the cloud.
+    """Whether each sample (N,) of a reference is strictly closer to the cloud than the tolerance.
 
     The mean is the completeness of S. Seitz et al., A comparison and evaluation of multi-view stereo
     reconstruction algorithms, CVPR 2006.

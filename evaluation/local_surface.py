@@ -16,13 +16,13 @@ _NEIGHBOURS = 12
 _FEWEST = 4
 # Tricube weights fall to zero at this many distances of the farthest neighbour.
 _REACH = 1.1
-# A height that is less certain than that of a single point of the reference is extrapolated.
+# Above this leverage a height is less certain than a single point of the reference: an extrapolation.
 _MOST_LEVERAGE = 1.0
-# A place is in a gap where its nearest point is farther than this many times what that and its like are from four
-# others: on a grid it is 0.7 of them, of points at random 2 in 10,000 places are so.
+# A place is in a gap where its nearest point is farther away than this many times the distance from such points to
+# their fourth neighbour: on a grid the ratio is at most 0.7; among random points 2 in 10,000 places exceed this.
 _GAP = 1.5
-# Neighbours that spread less across than this share of their spacing along lie on a line, as echo soundings do: their
-# slope across is unknown, and heights hold for half a spacing to its sides.
+# Neighbours whose spread across is less than this share of their spacing along lie on a line, as echo soundings do: the
+# slope across is unknown, and heights are valid up to half a spacing to either side.
 _ON_A_LINE, _BESIDE_A_LINE = 0.25, 0.5
 # Places at a time: about 100 MB of intermediate values.
 _CHUNK = 100_000
@@ -33,7 +33,7 @@ class LocalSurface:
     """Heights of a cloud at places in plan; NaN where its points do not surround a place."""
 
     height: np.ndarray  # (N,) [m]
-    # (N,) [m]: of a height that a further point of the cloud would have there: relief between points, and their noise
+    # (N,) [m]: std of prediction, of the height that a new point of the cloud would have there: relief and noise
     std: np.ndarray
     spacing_m: float  # [m]: between neighbouring points, median over the places; NaN where none has a height
 

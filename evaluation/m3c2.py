@@ -10,7 +10,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class M3C2Distances:
-    """Along the normal of the reference, positive where the cloud lies above it."""
+    """M3C2 distances along the normals of the reference, positive where the cloud lies above it."""
 
     signed: np.ndarray  # (K,) [m]: at the core points; NaN where a cylinder holds no points of either cloud
     # (K,) [m]: level of detection at 95 %: smaller distances are not significant. NaN where there are too few points.
@@ -27,7 +27,7 @@ def m3c2_distances(
     reference, cloud : (N, 3), (M, 3) [m]
         In one Cartesian frame near its origin, z up.
     core_points : (K, 3) [m]
-        Where distances are wanted, usually some of the reference.
+        Where distances are computed, usually a subset of the reference.
     radius_m : float [m]
         Of the cylinders along the normals, and of the spheres in which normals are found.
     reach_m : float [m]
@@ -45,7 +45,7 @@ def m3c2_distances(
     """
     import py4dgeo
 
-    # It logs to standard output, which belongs to the command line, and to a file in the working folder.
+    # py4dgeo logs to standard output, which belongs to the command line, and to a file in the working folder.
     logging.getLogger("py4dgeo").handlers = [logging.NullHandler()]
     epochs = tuple(py4dgeo.Epoch(np.ascontiguousarray(points, dtype=np.float64)) for points in (reference, cloud))
     algorithm = py4dgeo.M3C2(

@@ -26,10 +26,10 @@ THU = (
     ("1a and 1b", 5.0, 0.05),
     ("2", 20.0, 0.1),
 )
-# A band of depth with fewer points is not judged: of as many independent points that just meet an order, 0.7 % more or
-# less are within it by chance, and neighbouring points share their errors.
+# A band of depth with fewer points is not judged: the share of so many independent points within the limit scatters by
+# 0.7 %, and by more where neighbouring points share errors.
 MIN_BAND_POINTS = 1000
-# From a standard deviation to 95 %: of a normal error in one direction, and in two that are alike.
+# Factors from a standard deviation to 95 %, for a normal error in one and in two equal dimensions.
 TO_95, TO_95_IN_PLAN = 1.959964, 2.447747
 _TVU_SHARE = 0.95
 _TVU_NOTE = (
@@ -60,14 +60,14 @@ class TvuOrder:
     Attributes
     ----------
     meets_tvu : bool
-        Whether those within are 95 % of all points, whatever their depth.
+        Whether at least 95 % of all points, whatever their depth, are within the limit.
     is_undecided : bool
-        Whether they are fewer, and that may be the error of the reference.
+        Whether fewer are within, but the error of the reference may be the cause.
     failing, undecided : tuple of TvuBand
-        Bands of at least `MIN_BAND_POINTS` points with less than 95 % within, whatever the error of the reference, and
-        those for which that may be it.
+        Bands of at least `MIN_BAND_POINTS` points with less than 95 % within: those that fail whatever the error of
+        the reference, and those where it may be the cause.
     meets_tvu_at_all_depths : bool
-        Whether 95 % are within of all points and in each of those bands.
+        Whether 95 % are within, of all points and in each of those bands.
     """
 
     name: str
@@ -148,8 +148,8 @@ def iho_s44(errors: np.ndarray, depth_m: np.ndarray, reference_std_m: np.ndarray
     depth_m : (N,) [m]
         Of the bed, positive below the water; other points are left out.
     reference_std_m : (N,) [m], optional
-        Standard deviation of the heights that the errors count from. An order that is missed by no more than its
-        1.96-fold is undecided: errors of the reference widen the differences, so that meeting an order stays certain.
+        Standard deviation of the reference heights. An order that is missed by no more than 1.96 of it is undecided.
+        An order that is met stays met, since errors of the reference only widen the differences.
     """
     use = np.isfinite(errors) & (depth_m > 0.0)
     if not use.any():

@@ -17,7 +17,7 @@ _STD_PER_MAD = 1.4826
 DEPTH_EDGES_M = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, math.inf)
 INCIDENCE_EDGES_DEG = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0, 50.0, 60.0, 90.0)
 VIEWS_EDGES = (1, 2, 3, 4, 6, 8, 12, 16, 24, math.inf)
-# Of the reference. The last band are its walls: |n_z| of their normals is below 0.4.
+# Slopes of the reference. The last band holds its walls, where |n_z| of the normal is below 0.4.
 SLOPE_EDGES_DEG = (0.0, 20.0, 45.0, 66.4, math.inf)
 SHORELINE_MARGIN_M = 0.05
 
@@ -65,7 +65,7 @@ class Scores:
 class Summary:
     """The numbers of a comparison over all its points."""
 
-    n_cropped: int  # Points that were left out before
+    n_cropped: int  # Points that were cropped before the comparison
     distances: DistanceStatistics
     scores: Scores
 
@@ -88,7 +88,7 @@ def summarise(
     tolerance_m, is_reached, is_reached_visible :
         As `scores`.
     num_cropped : int
-        Points that were left out before.
+        Points that were cropped before the comparison.
     blocks : Blocks of the N points, optional
         As `distance_statistics`.
     """
@@ -202,7 +202,7 @@ class ReachedBand:
 class DepthParts:
     """A cloud split at the water."""
 
-    # wet, dry: Of the points more than 5 cm below and above the water; None without any
+    # wet, dry: Statistics of the points more than 5 cm below and above the water; None without any
     wet: DistanceStatistics | None
     dry: DistanceStatistics | None
     bands: tuple[Band, ...]  # Of the wet points, by depth [m]; empty bands are left out

@@ -18,9 +18,9 @@ INSIDE = 0
 
 
 def weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same triangles with vertices of exactly equal coordinates made one.
+    """The same triangles with vertices of exactly equal coordinates merged.
 
-    Only then are the neighbours known of triangles that each have separate vertices. Call it on
+    Triangles that each have their own vertices have no known neighbours otherwise. Call it on
     coordinates as they were read: equal ones need not stay equal to the last bit in another frame.
 
     Returns
@@ -34,7 +34,7 @@ def weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def distinct(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First occurrences among points (N, 3), and the one that each equals.
+    """First occurrences of the distinct points among (N, 3), and the index of the one that each point equals.
 
     Returns
     -------
@@ -58,9 +58,9 @@ def distinct(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def num_wound_against(faces: np.ndarray) -> int:
-    """Number of edges along which two triangles (F, 3) run in one direction, so that one of them is turned over.
+    """Number of edges that two triangles (F, 3) traverse in the same direction, so that one of them is turned over.
 
-    Their vertices have to be shared, see `weld`. None in a surface with two sides, whatever its shape.
+    Vertices have to be shared, see `weld`. Zero for a consistently oriented surface, whatever its shape.
     """
     faces = np.asarray(faces, dtype=np.int64)
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
@@ -136,5 +136,5 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _share(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
-    """part / whole, and 0 where the whole is 0: there the value belongs to a region that is not chosen."""
+    """part / whole, or 0 where the whole is 0; such values belong to a region that is not chosen."""
     return np.divide(part, whole, out=np.zeros_like(part), where=whole != 0.0)

@@ -1,6 +1,6 @@
-"""Vertical errors: difference between a cloud and a mesh, positive above it, and coverage of standard deviations.
+"""Vertical errors: differences between a cloud and a mesh, positive above it, and coverage of standard deviations.
 
-Wherever the surface is steep, the distance to its nearest point is shorter than the vertical difference.
+Where the surface is steep, the distance to its nearest point is shorter than the vertical difference.
 """
 
 from __future__ import annotations
@@ -16,29 +16,29 @@ from scipy.spatial import cKDTree
 
 from evaluation.bootstrap import cell_numbers
 
-# Weights of corners that are this little below zero count as inside: points on an edge, to rounding.
+# Barycentric weights down to this count as inside: points on an edge, to rounding.
 _ON_EDGE = -1e-9
 # Pairs of point and triangle at a time for each thread: about 50 MB of intermediate values.
 _PAIRS = 500_000
 _WORKERS = min(os.cpu_count() or 1, 4)
-# Entries of triangles in cells, per triangle; a few large ones among many small would fill the memory otherwise.
+# Limits of the entries of triangles in cells; a few large triangles among many small ones would fill the memory.
 _ENTRIES_PER_FACE, _ENTRIES = 16, 1_000_000
 _NEIGHBOURS = 12
 # Fewer do not determine a plane against noise.
 _FEWEST = 4
-# A place whose neighbours all lie to one side is beyond the rim. Their centre may be off by this share of the distance
-# of the farthest. A place in the corner of an even cloud has 0.6, one on a straight rim 0.42.
+# A place whose neighbours all lie to one side is beyond the rim. Their centroid may be off by this share of the
+# distance to the farthest: on a straight rim of an even cloud the share is 0.42, in a corner 0.6.
 _MOST_OFF = 0.5
 # 95 % of normally distributed errors lie within so many standard deviations.
 WITHIN = 1.96
-# Of them that lie beyond.
+# Share of normally distributed errors outside.
 _MISSED = 0.05
 NUM_FIFTHS = 5
-# By the number of photographs that agree, the last without an end.
+# Classes by the number of photographs that agree, the last one open.
 VIEW_CLASSES = ((2, 2), (3, 4), (5, 7), (8, 65535))
 # Steeper than this is a slope; what is steeper than `WALL_DEG` has no vertical error.
 SLOPE_DEG, WALL_DEG = 20.0, 60.0
-# Half of the distance over which the slope of a reference is taken.
+# Half of the baseline over which the slope of a reference is taken.
 _BESIDE_M = 0.004
 
 
@@ -159,7 +159,7 @@ class _Grid:
         covers = (wa >= _ON_EDGE) & (wb >= _ON_EDGE) & (wc >= _ON_EDGE)
         size = np.where(covers, np.abs(above), np.inf)
         least = np.minimum.reduceat(size, starts)
-        # Of a surface as far above as another below, the one below.
+        # Of two surfaces at equal distance above and below, the one below.
         above = np.where(size == least[point], above, -np.inf)
         return np.where(np.isfinite(least), np.maximum.reduceat(above, starts), np.nan)
 
@@ -188,8 +188,8 @@ def height_at(cloud: np.ndarray, places: np.ndarray, *, within_m: float = 1.0) -
     Returns
     -------
     (K,) [m]
-        Value at the place of the plane that fits its twelve nearest points in plan best, in heights and by least
-        squares; NaN where there are fewer than four, they lie on a line, or all to one side.
+        Height at the place of the least-squares plane through its twelve nearest points in plan; NaN where there are
+        fewer than four, they lie on a line, or all to one side.
     """
     heights = np.full(len(places), np.nan)
     cloud = cloud[np.isfinite(cloud).all(axis=1)]
@@ -217,7 +217,7 @@ def _plane_at(points: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Coverage:
-    """Share of the errors within 1.96 standard deviations, and how many they are; NaN of none."""
+    """Share of the errors within 1.96 standard deviations (NaN of none), and the number of errors."""
 
     share: float
     num: int
@@ -230,10 +230,9 @@ class Coverage:
 
 
 def interval_score(error: np.ndarray, std: np.ndarray) -> float:
-    """Interval score of intervals of 95 %, as a mean [m]: their width, and forty times what lies beyond them.
+    """Mean interval score [m] of 95 % intervals: their width plus forty times the distance of errors beyond them.
 
-    Of intervals that cover as much the narrower ones win, and nothing is won by narrower ones than those of the true
-    standard deviations (Gneiting and Raftery 2007, equation 43).
+    Lower is better. It is least for intervals of the true standard deviations (Gneiting and Raftery 2007, equation 43).
 
     Parameters
     ----------
@@ -247,7 +246,7 @@ def interval_score(error: np.ndarray, std: np.ndarray) -> float:
 def coverage_by_class(
     error: np.ndarray, std: np.ndarray, num_views: np.ndarray, slope_deg: np.ndarray, is_wet: np.ndarray
 ) -> dict[str, Coverage]:
-    """Coverage in all, in fifths by std, by the number of views, on slopes, wet and dry.
+    """Coverage of all points, and by fifths of std, number of views, slope, and wet or dry.
 
     Parameters
     ----------

@@ -115,8 +115,8 @@ class Transformation:
         if self.is_outside and self.accuracy_m is not None:
             return (
                 f"{subject} are transformed from {crs_name(self.source)} to {crs_name(self.target)} outside the area "
-                f"of each operation that PROJ knows, which are good to {self.accuracy_m:.2g} m there: an error common to "
-                "all of them"
+                f"of each operation that PROJ knows, which are good to {self.accuracy_m:.2g} m there: an error common "
+                "to all of them"
             )
         known = "an unknown accuracy" if self.accuracy_m is None else f"{self.accuracy_m:.2g} m"
         subject = (

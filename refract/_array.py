@@ -20,12 +20,12 @@ def _is_array(x) -> bool:
     return isinstance(x, _ARRAYS)
 
 
-# Beside the functions: `fma(a, b, c)` is a b + c, in one instruction where there is one; `double` and `like` change
-# the precision of arrays, to float64 and to that of the second argument, and leave plain numbers alone; `whole` makes
-# whole numbers of an array (numpy and torch); `fixed` is the value without its derivatives, and `tracked` is whether
-# any may have some, in reverse or forward mode; `eps` is the spacing of numbers near one; `orders` is how many steps
-# attach derivatives to a root (`refract._implicit`); `same` is the value of a mask that is the same everywhere, None
-# if that is not so or cannot be told without waiting for it.
+# Besides functions of the libraries' own names: `fma(a, b, c)` is a b + c, in one instruction where there is one;
+# `double` and `like` convert arrays to float64 and to the precision of the second argument, and leave plain numbers
+# alone; `whole` converts to integers (numpy and torch); `fixed` detaches a value from its derivatives, and `tracked`
+# says whether any argument may carry some, in reverse or forward mode; `eps` is the spacing of numbers near one;
+# `orders` is the number of steps that attach derivatives to a root (`refract._implicit`); `same` is the value of a mask
+# that is the same everywhere, None if it is not, or if knowing it would mean waiting for the device.
 _NUMPY = SimpleNamespace(
     name="numpy", sqrt=np.sqrt, sin=np.sin, cos=np.cos, atan=np.arctan, exp=np.exp, isnan=np.isnan,
     where=np.where, minimum=np.minimum, maximum=np.maximum, abs=np.abs,
@@ -46,9 +46,9 @@ def _same(mask) -> bool | None:
 
 
 def quiet(function):
-    """Decorator: numpy says nothing where results overflow or are not numbers.
+    """Decorator that silences numpy's floating-point warnings.
 
-    Not by `numpy.errstate` alone, through which torch.compile cannot look.
+    Skipped under torch.compile, which cannot trace `numpy.errstate`.
     """
 
     @wraps(function)
@@ -67,7 +67,7 @@ def compiling() -> bool:
     return torch is not None and torch.compiler.is_compiling()
 
 
-# Those that were met: a kernel asks for its library thousands of times while it is written down.
+# Types of Dr.Jit met so far: a kernel asks for its library thousands of times while it is traced.
 _drjit_types: set[type] = set()
 
 
@@ -85,7 +85,7 @@ def namespace(*arrays) -> SimpleNamespace:
         torch = sys.modules.get("torch")
         if torch is not None and torch.is_tensor(array):
             return _library("torch").NAMESPACE
-        # What torch compiles comes from torch, and it cannot look into Dr.Jit.
+        # torch.compile only traces tensors of torch, and cannot trace into Dr.Jit.
         drjit = None if compiling() else sys.modules.get("drjit")
         if drjit is not None and drjit.is_array_v(array):
             _drjit_types.add(kind)
@@ -97,7 +97,7 @@ _libraries: dict[str, ModuleType] = {}
 
 
 def _library(name: str) -> ModuleType:
-    """The module that speaks to a library, imported at its first use."""
+    """The module of adapters to a library, imported at its first use."""
     if name not in _libraries:
         if name == "torch":
             from refract import _with_torch
@@ -129,13 +129,13 @@ def as_like(values, like):
 
 
 def root(value):
-    """Square root of a number; that of a plain one stays plain, since a numpy scalar would pull tensors to numpy."""
+    """Square root of a number; a plain number gives a plain one, since a numpy scalar would turn tensors into numpy."""
     xp = namespace(value)
     return math.sqrt(value) if xp.name == "numpy" and not _is_array(value) else xp.sqrt(value)
 
 
 def alike(*values) -> tuple:
-    """`values`, plain numbers among them, as arrays of the one library that is found there; numpy becomes float64."""
+    """`values`, plain numbers included, as arrays of the one library found among them; numpy becomes float64."""
     if namespace(*values).name != "drjit":
         return common(**{f"argument {k}": value for k, value in enumerate(values, start=1)})
     like = next(type(value) for value in values if namespace(value).name == "drjit")
@@ -152,12 +152,12 @@ def as_numpy(array) -> np.ndarray:
     return np.asarray(array, dtype=np.float64)
 
 
-# Numbers of a block [-]: a dozen temporaries of 64 kB each stay in the L2 cache, and no new page is allocated.
+# Elements of a block: a dozen temporaries of 64 kB each stay in the L2 cache, and no new page is allocated.
 _BLOCK = 8192
 
 
 def in_blocks(function, *arrays) -> np.ndarray:
-    """``function(*arrays)``, number by number, of numpy arrays that broadcast, block by block."""
+    """``function(*arrays)``, an elementwise function of numpy arrays that broadcast, computed block by block."""
     arrays = np.broadcast_arrays(*arrays)
     found, flat = np.empty(arrays[0].shape), [array.reshape(-1) for array in arrays]
     for first in range(0, found.size, _BLOCK):
@@ -254,7 +254,7 @@ def stack(x, y, z):
 
 
 def _filled(xp, components):
-    """`stack` component by component: torch takes three times as long over its own."""
+    """`stack` by filling component by component: torch's own stack takes three times as long."""
     like = next(v for v in components if hasattr(v, "dtype"))
     shape = (*np.broadcast_shapes(*(np.shape(v) for v in components)), 3)
     vectors = np.empty(shape) if xp.name == "numpy" else like.new_empty(shape)
@@ -264,7 +264,7 @@ def _filled(xp, components):
 
 
 def spread(*arrays) -> tuple:
-    """Arrays of numpy or torch as views of the one shape to which they broadcast."""
+    """Arrays of numpy or torch broadcast to a common shape, as views."""
     shape = np.broadcast_shapes(*(array.shape for array in arrays))
     expand = np.broadcast_to if namespace(*arrays).name == "numpy" else lambda array, shape: array.expand(shape)
     return tuple(array if array.shape == shape else expand(array, shape) for array in arrays)

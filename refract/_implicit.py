@@ -1,15 +1,14 @@
 """Derivatives of roots by the implicit function theorem: a Newton step at a root that was found without derivatives.
 
-Each step leaves the part ``1 - slope_there / slope`` of the error, which vanishes at the root: it makes one more order
-of derivatives exact (the implicit function theorem is the first), and moves the value by a rounding only. torch gets
-two orders, Dr.Jit, which has no higher ones, the first.
+A Newton step at the root changes the value only by rounding, and makes one more order of derivatives exact: the first
+step is the implicit function theorem. torch gets two steps, Dr.Jit, which has no second derivatives, one.
 """
 
 from __future__ import annotations
 
 from refract._array import namespace
 
-# A ray that falls less than this per metre against the surface where it meets it gets no gradient.
+# A ray that approaches the surface by less than this per metre where it meets it gets no gradient.
 _GRAZING = 1e-9
 
 

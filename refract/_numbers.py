@@ -1,8 +1,8 @@
 """Checks of arguments: numbers of a water surface, their ranges, and empty arrays.
 
-Numbers are plain ones, or arrays of any library, which may carry gradients. A range is an error for what cannot be, a
-warning where a formula was not fitted. Dr.Jit combines empty arrays with no numbers: functions are called with one NaN
-(or zero) instead; numpy and torch need none of this.
+Numbers are plain ones, or arrays of any library, which may carry gradients. Impossible values are errors; values
+outside the range to which a formula was fitted are warnings. Dr.Jit cannot combine empty arrays with numbers: functions
+are called with one NaN (or zero) instead.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def plain(value) -> float:
 
 
 def hold(condition: Callable[[np.ndarray], np.ndarray], *numbers) -> bool:
-    """Whether a condition holds for all values; taken to, while a transform of torch hides what tensors hold."""
+    """Whether a condition holds for all values; True while a transform of torch hides the values of tensors."""
     if transformed():
         return True
     return all(bool(condition(as_numpy(value)).all()) for value in numbers)
@@ -129,7 +129,7 @@ def warn_outside(model: str, ranges: Mapping[str, tuple[float, float]], *, stack
 
 
 def of_any_size(function):
-    """Decorator: where an array of Dr.Jit among the arguments, or in one of them, is empty, all of the result are."""
+    """Decorator: if a Dr.Jit array in the arguments, or in a dataclass among them, is empty, so are all results."""
 
     @wraps(function)
     def call(*args, **options):
@@ -160,7 +160,7 @@ def _has_empty(drjit, value) -> bool:
 
 
 def _mapped(drjit, value, change):
-    """The same value with its Dr.Jit arrays changed; a dataclass without asking it whether that is right."""
+    """The same value with its Dr.Jit arrays changed; dataclasses are copied without their own checks."""
     if isinstance(value, tuple | list):
         changed = [_mapped(drjit, each, change) for each in value]
         return type(value)(*changed) if hasattr(value, "_fields") else type(value)(changed)

@@ -103,9 +103,9 @@ def _(info, in_dims, name, kind, numbers, arrays):
 def solve(name: str, kind: str, numbers, arrays) -> tuple:
     """Result of a solver (`refract._solvers`) as tensors like the first of `arrays`, without derivatives.
 
-    An operator of its own for torch: torch.compile does not look into it, and vmap calls it once for each row.
+    A custom operator of torch: torch.compile does not trace into it, and vmap calls it once for each row.
     """
     like = arrays[0]
-    # torch.compile takes arrays of numpy for tensors, but not their methods.
+    # torch.compile treats numpy arrays as tensors, but does not support their methods.
     numbers = [torch.as_tensor(number, dtype=torch.float64, device=like.device).detach() for number in numbers]
     return tuple(_solve(name, kind, numbers, [array.detach() for array in arrays]))

@@ -19,12 +19,12 @@ _ROTATION_TOLERANCE = 1e-5
 # 0.29 of 100 px is 29 px, although the product rounds to 28.999999999999996.
 _WHOLE_PIXEL = 1e-9
 
-# Distortion bends a side of the image by a few per cent: between so many places of it by a hundredth of that.
+# Distortion bends a side of the image by a few per cent; divided into this many parts, each by a hundredth of that.
 _PLACES_OF_SIDE = 16
-# Each step towards the row that takes a point leaves a twentieth of the error, or less: the way that a drone flies
-# while an image is read out, in distances to what it sees.
+# Iterations for the row that images a point. Each leaves a twentieth of the error or less: the ratio of the distance
+# flown during readout to the distance of the object.
 _ROLLING_STEPS = 12
-# Of the angle to the axis, where a fisheye image ends [-].
+# Tangent of the widest angle to the axis that is considered [-].
 _WIDEST_TANGENT = 4.0
 
 
@@ -57,7 +57,7 @@ class PinholeCamera:
         readout time over the rows from the first to the last. `centre` is its place at the row `cy`. None for a
         global shutter.
     tide : [m]
-        How high the water stood, when the photograph was taken, over the `water` that `paths` and `project` are called
+        Height of the water, when the photograph was taken, above the `water` that `paths` and `project` are called
         with. Points and heights are the same for all photographs, whatever their tide.
 
     Raises
@@ -130,7 +130,7 @@ class PinholeCamera:
         return replace(self, cx=self.cx - column, cy=self.cy - row, width=width, height=height)
 
     def outline(self) -> np.ndarray:
-        """Pixels (N, 2) around the border of the image, in order: its corners, and places between where it is bent."""
+        """Pixels (N, 2) around the border of the image, in order: corners, and points between if the lens distorts."""
         w, h = self.width, self.height
         corners = np.array([[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]])
         if self.distortion is None:
@@ -208,11 +208,11 @@ class PinholeCamera:
             return ((pixels > 0.0) & (pixels < (self.width, self.height))).all(axis=-1)
 
     def _over_own(self, places: np.ndarray) -> np.ndarray:
-        """Places (..., 3) where they would be if the water had stayed and all else sunk by the tide."""
+        """Places (..., 3) lowered by the tide, so that the water is at its common level."""
         return places if self.tide == 0.0 else places - (0.0, 0.0, self.tide)
 
     def _project_from(self, centre: np.ndarray, points: np.ndarray, water, steps: int) -> np.ndarray:
-        """Projection of points over the camera's own water, seen from a place in local; as `project`."""
+        """Projection of points for a centre of projection and the water at the time of the photograph; as `project`."""
         centre = self._over_own(centre)
         if isinstance(water, ParallelLayers):
             way = project(points, centre, water).direction
@@ -221,7 +221,7 @@ class PinholeCamera:
         return self.pixels_of(way)
 
     def pixels_of(self, way: np.ndarray) -> np.ndarray:
-        """Pixels (..., 2) [px] of straight ways (..., 3), local, from the centre; NaN as for `project`."""
+        """Pixels (..., 2) [px] of straight rays (..., 3), local, from the centre; NaN as for `project`."""
         seen = way @ self.cam_from_local.T
         z = np.where(seen[..., 2] > 0.0, seen[..., 2], np.nan)
         if self.distortion is not None:

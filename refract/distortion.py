@@ -30,11 +30,11 @@ _COEFFICIENTS = 8
 ROW = _COEFFICIENTS + 2
 KINDS = frozenset(_COUNTS)
 
-# No lens is followed farther from its axis than this, 83 degrees; a fisheye's angle ends at 89 degrees.
+# The farthest from the axis that a model is evaluated: a tangent of 8 (83 degrees), and 89 degrees for a fisheye lens.
 _FARTHEST, _WIDEST = 8.0, math.radians(89.0)
 _PLACES_TRIED, _SIDES_TRIED, _HALVINGS = 1600, 48, 50
-# Newton's method doubles the digits with each step: five or six find the last of float64 in a usual lens, the others
-# are for places next to the reach.
+# Newton's method doubles the digits with each step: five or six steps reach float64 in a usual lens; more are needed
+# close to the reach.
 STEPS, _MOST_STEPS = 8, 40
 # A solution is one where the residual is below this many units in the last place of 1.
 _ROUNDINGS = 100.0
@@ -170,7 +170,7 @@ def _undistort_polynomial(x, y, row, steps: int, kinds) -> tuple:
 
 
 def _misfit(u, v, distorted, row, kinds) -> tuple:
-    """(u, v) once distorted less ``distorted``, and the derivatives of its first and second part by u and v."""
+    """Residual of (u, v), distorted, against ``distorted``, and the derivatives of both components by u and v."""
     xp, (x, y), p1, p2 = namespace(u, v), distorted, row[2], row[3]
     r2 = xp.fma(u, u, v * v)
     radial, slope = _radial(xp, r2, row, kinds)
@@ -185,7 +185,7 @@ def _misfit(u, v, distorted, row, kinds) -> tuple:
 
 
 def _drawn_in(xp, u, v, reach2) -> tuple:
-    """(u, v), moved towards the axis where it lies beyond the reach."""
+    """(u, v) moved back to the reach where it lies beyond."""
     r2 = xp.fma(u, u, v * v)
     factor = xp.where(r2 < reach2, 1.0, _JUST_INSIDE * xp.rsqrt(r2 / reach2))
     return u * factor, v * factor

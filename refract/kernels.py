@@ -23,12 +23,12 @@ GRAZING = 1e-12
 # `air_share` begins, and an atom is 1e5 times larger.
 CONTACT = 1e-15
 
-# How far the length of a direction may be from one; what is off it turns a bent ray by up to so many radians. Three
-# roundings of float32 take a tenth of it.
+# Tolerance of the length of a direction. A deviation turns a bent ray by up to as many radians; three roundings of
+# float32 make a tenth of it.
 UNIT = 5e-6
 
-# Coordinates farther out than this [m], a tenth of a light year, count as no number: products of squares of them are
-# still a float32, so that no derivative overflows.
+# Coordinates beyond this [m], a tenth of a light year, count as invalid: up to it, products of squares stay within
+# float32, so that no derivative overflows.
 REACH = 1e15
 
 # The smallest positive denominator in a fraction of lengths [m]: 1e-30 times 1e8 is still a float32.
@@ -90,8 +90,8 @@ def chosen(mask, a, b):
 def selector(mask):
     """A function of two arrays or numbers: the first where ``mask`` holds, else the second.
 
-    Where the mask can be read and is the same everywhere, as of a survey all over water, it touches no array, unless
-    derivatives flow: those of what is left out are zero, not none.
+    Where the mask can be read and is the same everywhere, as over open water, no array is touched, unless derivatives
+    are tracked: those of what is left out are zero, not None.
     """
     xp = namespace(mask)
     same = xp.same(mask)
@@ -129,8 +129,8 @@ def _squared(triple):
 def cleaned(*triples):
     """Whether all components are `in_reach`, and the triples with zeros elsewhere.
 
-    Through zeros a ray that is not a number leaves the gradients of the others alone; numpy has none, and keeps its
-    numbers. The caller puts the NaN back into the results.
+    With zeros an invalid ray does not spoil the gradients of the others; numpy has no gradients, and keeps its
+    numbers. The caller puts NaN back into the results.
     """
     valid = in_reach(*triples)
     xp = namespace(valid)
@@ -303,7 +303,7 @@ def legs_of_point(camera, point, plane: WaterPlane, steps, like=None):
 
 
 def _shared_out(camera, point, plane: WaterPlane, steps, like):
-    """Height of the camera, depth of the point, the way between them along the plane, straight or not, share in air."""
+    """Camera height, depth of the point, vector between them along the plane, whether straight, share in air."""
     plane_point, normal, n = plane
     H, depth = over_plane(camera, plane_point, normal), -over_plane(point, plane_point, normal)
     straight = (depth <= 0.0) | (H <= CONTACT)
@@ -317,9 +317,9 @@ def _shared_out(camera, point, plane: WaterPlane, steps, like):
 def at_height(origin, direction, height, plane_point, normal, n):
     """Point at which a path from ``origin`` reaches ``height`` over the plane, below it after the bend; NaN for none.
 
-    In closed form, the direction of any length: along the plane the path runs ``|d_t| / d_n`` per metre of height
-    in air, and ``eta |d_t| / sqrt((1 - eta^2) |d|^2 + eta^2 d_n^2)`` in water, ``eta = 1 / n``. So both legs meet at
-    height zero, and a point far away and deep down costs one rounding, not those of a chain.
+    In closed form, for a direction of any length: along the plane the path runs ``|d_t| / d_n`` per metre of height
+    in air, and ``eta |d_t| / sqrt((1 - eta^2) |d|^2 + eta^2 d_n^2)`` in water, ``eta = 1 / n``. Both legs meet at
+    height zero, and a far and deep point suffers one rounding instead of a chain of them.
     """
     xp = namespace(*origin, *direction, height)
     H = over_plane(origin, plane_point, normal) + height * 0.0

@@ -1,7 +1,7 @@
 """Lenses in COLMAP's camera models, distortion included: from pixels to directions and back.
 
-The functions go by OpenCV, as far as it has the lens: the simulator takes photographs by them, so that
-`refract.distortion` is tried on others.
+The functions use OpenCV where it has the model. The simulator takes its photographs by them, so that tests of
+`refract.distortion` use an independent implementation.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def coefficients_of(model: str) -> tuple[str, ...]:
 
 
 class LensError(ValueError):
-    """Numbers that are not a lens."""
+    """The parameters of a lens are invalid."""
 
 
 @dataclass(frozen=True)

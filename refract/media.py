@@ -21,13 +21,13 @@ import numpy as np
 from refract._array import alike, as_numpy
 from refract._numbers import of_any_size, require, warn_outside
 
-# Where the red, green and blue of a camera have their middle in daylight. Sensors differ by some 10 nm, which in
-# the index is 3e-4 in the red and 6e-4 in the blue: 0.02 and 0.04 % of the depth.
+# Effective wavelengths of red, green and blue of a camera in daylight. Sensors differ by some 10 nm, which changes the
+# index by 3e-4 in the red and 6e-4 in the blue: 0.02 and 0.04 % of the depth.
 CHANNEL_WAVELENGTHS_NM = (610.0, 540.0, 460.0)
 
-# Of the measurements that Quan and Fry fitted.
+# Ranges of the measurements that Quan and Fry fitted.
 _FITTED = {"wavelength_nm": (400, 700), "temperature_c": (0, 30), "salinity_psu": (0, 35)}
-# Of the search for a wavelength [nm], within what Quan and Fry fitted; the index falls all the way.
+# Bisection for a wavelength [nm], within what Quan and Fry fitted; the index falls monotonically.
 _SHORTEST_NM, _LONGEST_NM, _HALVINGS = 400.0, 700.0, 40
 # Dispersion hardly depends on the water: in the sea at 28 degrees the conversion from 589 nm errs by 7e-5.
 USUAL_TEMPERATURE_C, USUAL_SALINITY_PSU = 15.0, 0.0

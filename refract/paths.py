@@ -46,9 +46,9 @@ class BentPaths:
         return counts(self.regime)
 
     def raised(self, by: float) -> BentPaths:
-        """The same paths with all places ``by`` [m] higher, and heights that count from where they did.
+        """The same paths with all places ``by`` [m] higher; heights keep their zero (numpy only).
 
-        Of numpy; where water, camera and bed were sunk to a level, this brings them back to where they are.
+        Undoes the shift by which camera and bed were lowered to a common water level.
         """
         up = (0.0, 0.0, by)
         return replace(self, origin=self.origin + up, crossing=self.crossing + up, tide=self.tide + by)
@@ -167,7 +167,7 @@ def trace(origin, direction, surface):
 
 
 def _paths(origin, direction, refracted, wet, parallel) -> BentPaths:
-    """All in the precision of the rays, and of one shape; ``refracted`` has crossing, length in air, direction."""
+    """Paths in the precision of the rays and in one shape; ``refracted`` is crossing, length in air, direction."""
     crossing, air_length, bent = refracted
     xp, like = namespace(air_length), components(direction)[0]
     air_length = xp.like(air_length, like)

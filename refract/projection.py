@@ -13,10 +13,10 @@ from refract.layers import ParallelLayers
 from refract.snell import Regime, counts
 from refract.surfaces import FlatWater, WaterSurface, derivable, height_over, require_surface
 
-# More than any surface needs for the last bits of float64; a plane takes four at most (docs/optics.md).
+# Steps of a solver: more than any surface needs for full float64; a plane takes four at most (docs/optics.md).
 EXACT_STEPS = 16
 
-# The square of a leg that counts as none [m^2]: derivatives of the length of a shorter one overflow.
+# Squared length below which a leg counts as zero [m^2]: derivatives of the length of a shorter one overflow.
 _NO_LEG = 1e-200
 
 
@@ -60,17 +60,17 @@ class Projection:
     @quiet
     def air_length(self):
         """See the class."""
-        return self._told(0.0, _length(*self._first))
+        return self._select(0.0, _length(*self._first))
 
     @property
     @of_any_size
     @quiet
     def water_length(self):
         """See the class."""
-        return self._told(_length(*self._first), _length(*_measured(self._legs[1])))
+        return self._select(_length(*self._first), _length(*_measured(self._legs[1])))
 
-    def _told(self, sunk, others):
-        """Selection of a number where all is water, of another elsewhere, of NaN where the ray is invalid."""
+    def _select(self, sunk, others):
+        """``sunk`` where the camera is under water and the ray straight, ``others`` elsewhere, NaN where invalid."""
         xp = namespace(self.depth)
         number = xp.where(self.wet & self.under_water, sunk, others)
         return xp.where(self._valid, xp.like(number, self.depth), math.nan)
@@ -160,7 +160,7 @@ def project(points, camera, surface: WaterSurface | ParallelLayers | None, *, st
 
 
 def _ends(point, centre, surface):
-    """Mask of ends in reach, and the ends: zeros elsewhere, if others' gradients or the surface need them."""
+    """Mask of valid ends, and the ends, with zeros elsewhere if gradients or the surface require it."""
     valid = kernels.in_reach(point, centre)
     if derivable(surface, *point, *centre):
         point, centre = kernels.chosen(valid, point, 0.0), kernels.chosen(valid, centre, 0.0)

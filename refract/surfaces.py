@@ -17,7 +17,7 @@ from refract._array import as_numpy, components, namespace, root
 from refract._numbers import hold, in_library, moved, number, of_any_size, require_index
 from refract.kernels import GRAZING
 
-# Of `kernels.air_share`, for the last bits over all heights, depths and distances (docs/optics.md).
+# Steps of `kernels.air_share` that reach the last bits for all heights, depths and distances (docs/optics.md).
 ENOUGH_STEPS_SINGLE, ENOUGH_STEPS_DOUBLE = 3, 4
 
 
@@ -41,11 +41,11 @@ class WaterSurface(Protocol):
     def intersect(self, origin, direction):
         """Distance along rays (unit directions) to their first meeting with the surface from above.
 
-        Finite and at least zero; NaN where a ray never meets it. Rays that start below are never passed.
+        Finite and at least zero; NaN where a ray never meets it. Callers never pass rays that start below.
         """
 
     def crossing(self, camera, point, steps: int) -> tuple[tuple[Any, Any, Any], Any, Any]:
-        """The way back up: where a camera sees a point through the surface.
+        """Crossing of the surface through which a camera sees a point.
 
         Returns the crossing, the depth of the point below the surface (along the normal of a plane, vertical for
         a curved surface) and the number of stationary paths, from which the one of least optical length was
@@ -73,14 +73,14 @@ def height_over(surface: WaterSurface, position):
 
 
 def _across(triple, up):
-    """A triple in float64, as far as it counts for the height over a plane."""
+    """The components of a triple that the height over a plane depends on, in float64."""
     return tuple(
         v if type(m) is float and m == 0.0 else namespace(v).double(v) for v, m in zip(triple, up, strict=True)
     )
 
 
 def derivable(surface: WaterSurface | None, *arrays) -> bool:
-    """Whether derivatives may flow from rays or surface, or the surface be one that takes only numbers for places."""
+    """Whether rays or surface may carry derivatives, or the surface requires valid numbers everywhere."""
     xp = namespace(*arrays)
     plain = surface is None or (isinstance(surface, FlatWater) and surface.is_plain)
     return not plain if xp.name == "numpy" else xp.name == "drjit" or not plain or xp.tracked(*arrays)
@@ -93,7 +93,7 @@ def _up(slope_x, slope_y) -> tuple[Any, Any, Any]:
 
 
 def _library(value) -> str:
-    """The library of an array; for Dr.Jit its module, since arrays without gradients are of another one."""
+    """The library of an array; for Dr.Jit its module, since arrays with and without gradients are of different ones."""
     name = namespace(value).name
     return type(value).__module__ if name == "drjit" else name
 
@@ -220,7 +220,7 @@ class FlatWater:
     def intersect(self, origin, direction):
         """Distance [m] to the plane along rays that fall toward it from above; NaN for the others.
 
-        In float64, also for rays in float32: far from its point a tilted plane takes more digits.
+        In float64 even for rays in float32: far from its point, a tilted plane needs more digits.
         """
         point, up, _ = self.plane(origin, direction)
         origin, direction, point = (_across(v, up) for v in (origin, direction, point))
@@ -230,7 +230,7 @@ class FlatWater:
         return select(H / select(falling, 1.0), math.nan)
 
     def legs(self, camera, point, steps: int):
-        """The legs of the way back up from the camera and to the point, depth and number of paths; in float64."""
+        """The legs of the path from camera to point, the depth of the point and the number of paths; in float64."""
         return *self._solved(kernels.legs_of_point, camera, point, steps), 1
 
     def crossing(self, camera, point, steps: int):
@@ -329,7 +329,7 @@ class TidalWater:
                 "extend the gauge series, a level outside it would be a guess"
             )
         before = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, self.times.size - 2)
-        # Differences of dates: as they are they would round to nanoseconds in 1e18.
+        # Differences of dates: dates themselves would lose nanoseconds in float64.
         share = (times - self.times[before]) / (self.times[before + 1] - self.times[before])
         share = in_library(share, self.levels) if share.ndim else float(share)
         level = self.levels[before] * (1.0 - share) + self.levels[before + 1] * share

@@ -1,4 +1,4 @@
-"""Inputs and filters of image measures: two images (H, W) or (H, W, 3), 0 to 1, the rectangle that a mask leaves."""
+"""Inputs and filters of image measures: checks of two images (H, W) or (H, W, 3), 0 to 1, and masks as rectangles."""
 
 from __future__ import annotations
 
@@ -49,8 +49,7 @@ def largest_rectangle(mask: np.ndarray) -> tuple[slice, slice]:
     bars = np.zeros(mask.shape[1] + 1, dtype=np.int64)
     for row, line in enumerate(mask):
         bars[:-1] = np.where(line, bars[:-1] + 1, 0)
-        # Bars that still go on, each higher than the one before it: first column and height. The last bar, of height
-        # zero, ends them all.
+        # Open bars, each higher than the one before: first column and height. A last bar of height zero closes all.
         rising: list[tuple[int, int]] = []
         for column, height in enumerate(bars.tolist()):
             first = column
@@ -69,7 +68,7 @@ def yiq(image: np.ndarray) -> np.ndarray:
 
 
 def pooled(image: np.ndarray, size: int) -> np.ndarray:
-    """Means (..., H // size, W // size) of squares of (..., H, W); rows and columns that are left over are dropped."""
+    """Block means (..., H // size, W // size) of (..., H, W); left-over rows and columns are dropped."""
     *others, height, width = image.shape
     rows, columns = height // size, width // size
     cut = image[..., : rows * size, : columns * size]
@@ -83,5 +82,5 @@ def gradient(image: np.ndarray, kernel: np.ndarray) -> np.ndarray:
 
 
 def similarity(a: np.ndarray, b: np.ndarray, constant: float, masking: float = 0.0) -> np.ndarray:
-    """``((2 - m) a b + c) / (a^2 + b^2 - m a b + c)``: 1 where two maps agree; m, from 0 to 1, weakens weak edges."""
+    """Similarity map ``((2 - m) a b + c) / (a^2 + b^2 - m a b + c)``, 1 where a and b agree; m masks weak edges."""
     return ((2.0 - masking) * a * b + constant) / (a**2 + b**2 - masking * a * b + constant)

@@ -60,10 +60,10 @@ def fsim(reference: np.ndarray, image: np.ndarray) -> float:
     pc_x, pc_y = phase_congruency(x[0]), phase_congruency(y[0])
     score = similarity(pc_x, pc_y, _T1) * similarity(gradient(x[0], SCHARR), gradient(y[0], SCHARR), _T2)
     if len(x) == 3:
-        # Of a negative product the power is complex; its size is taken.
+        # The power of a negative product is complex; its magnitude is taken.
         score = score * np.abs(similarity(x[1], y[1], _T3) * similarity(x[2], y[2], _T3)) ** _LAMBDA
     weight = np.maximum(pc_x, pc_y)
-    # Two images without any feature have all the same features.
+    # Two images without any feature are alike.
     return float((score * weight).sum() / weight.sum()) if weight.any() else 1.0
 
 
@@ -88,7 +88,7 @@ def vsi(reference: np.ndarray, image: np.ndarray) -> float:
     x, y = (pooled(np.einsum("cd,hwd->chw", _LMN, 255.0 * v), size) for v in pair)
     gradients = similarity(gradient(x[0], SCHARR), gradient(y[0], SCHARR), _VSI_C2)
     colour = similarity(x[1], y[1], _C3) * similarity(x[2], y[2], _C3)
-    # The real part of the power, where the product is negative.
+    # The real part of the complex power where the product is negative.
     powered = np.abs(colour) ** _BETA * np.where(colour < 0.0, np.cos(np.pi * _BETA), 1.0)
     score = similarity(vs_x, vs_y, _VSI_C1) * gradients**_ALPHA * powered
     weight = np.maximum(vs_x, vs_y)
@@ -116,14 +116,14 @@ def _saliency(image: np.ndarray) -> np.ndarray:
 
 
 def _resized(image: np.ndarray, height: int, width: int) -> np.ndarray:
-    """An image in another size, bilinearly, its corners on the corners."""
+    """An image resized bilinearly, with corner pixels kept on the corners."""
     rows, columns = (np.linspace(0.0, n - 1.0, m) for n, m in zip(image.shape, (height, width), strict=True))
     at_columns, at_rows = np.meshgrid(columns.astype(np.float32), rows.astype(np.float32))
     return cv2.remap(image, at_columns, at_rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
 def _stretched(values: np.ndarray, axis=None) -> np.ndarray:
-    """Values from 0 to 1 along some axes; 0 where all are equal."""
+    """Values rescaled to 0 to 1 along axes; 0 where all are equal."""
     low, high = values.min(axis=axis, keepdims=True), values.max(axis=axis, keepdims=True)
     return (values - low) / np.where(high > low, high - low, 1.0)
 
@@ -162,7 +162,7 @@ def phase_congruency(image: np.ndarray) -> np.ndarray:
 
 
 def log_gabor(radius: np.ndarray, centre: float, spread: float) -> np.ndarray:
-    """Gaussian over the logarithm of the frequency, without direct current; frequencies in cycles per pixel.
+    """Log-Gabor filter: Gaussian over the logarithm of the frequency [cycles per pixel], zero at frequency zero.
 
     ``spread`` is the ratio of the standard deviation to the centre, in logarithms.
     """
@@ -177,9 +177,9 @@ def _polar_frequencies(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _noise(finest: np.ndarray, filters: np.ndarray) -> float:
-    """Energy that noise alone would show; its power is taken from the median response at the finest scale."""
+    """Energy expected of noise alone, whose power is taken from the median response at the finest scale."""
     power = np.median(np.abs(finest) ** 2) / math.log(2.0) / np.sum(filters[0] ** 2)
-    # Terms of one filter and of pairs of them together are the square of their sum.
+    # Squares of filters plus products of their pairs are the square of their sum.
     shapes = np.fft.ifft2(filters).real.sum(axis=0)
     tau = math.sqrt(power * float(np.sum(shapes**2)) * filters[0].size)
     mean, std = tau * math.sqrt(math.pi / 2.0), tau * math.sqrt(2.0 - math.pi / 2.0)

@@ -1,7 +1,7 @@
 """Search disc of all paths through a curved surface, from bounds of its height, slope and curvature.
 
 The first two steps of `refract.curved.fermat`, on numpy and Dr.Jit. Angles only occur as sines, cosines and tangents.
-Suffixes _lo and _hi bound a quantity over the disc, far_w and far_a are the largest ways from P and C along x, y:
+Suffixes _lo and _hi bound a quantity over the disc; far_w and far_a are the largest distances from P and C along x, y:
 
     depth          vertical depth of P under the surface; z_p the height of the surface there
     H              height of C above the level z_p
@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 from refract import kernels
 from refract._array import namespace
 
-# The disc is computed in rounded arithmetic, some hundred operations long: their error is some 1e-14.
+# The disc is enlarged by this for rounding: some hundred operations have an error of some 1e-14.
 _WIDER = 1.0 + 1e-9
-# The cosine of a leg that runs along the surface: instead of zero under a fraction.
+# The cosine of a leg that runs along the surface, in place of zero in a denominator.
 _ALONG = 1e-12
 # Of the plane, whose crossing is the middle of the disc: enough for float64 (`refract.projection.EXACT_STEPS`).
 _FLAT_STEPS = 4

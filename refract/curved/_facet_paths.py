@@ -63,7 +63,7 @@ def shortest_path(surface, *arrays):
 
 
 def _through(surface, triangle, camera, point, some):
-    """The crossing through the planes of triangles; with gradients; harmless numbers where there is not some path."""
+    """The crossing through the planes of triangles, with gradients; finite placeholders where there is no path."""
     xp = namespace(*camera)
     corner, (slope_x, slope_y) = surface.planes(triangle, camera[0])
     up = 1.0 / xp.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)

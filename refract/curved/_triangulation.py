@@ -155,7 +155,7 @@ class Triangulation:
 
 @solver(outputs=2)
 def triangle_at(surface, x, y):
-    """The wet triangle over or under places x, y (...), some wet one where there is none, and whether there is one."""
+    """The wet triangle at places x, y (...), any wet one where there is none there, and whether there is."""
     triangle, inside = surface.mesh.locate(x.ravel(), y.ravel())
     triangle = np.where(inside & surface.wet_triangles[triangle], triangle, -1).reshape(x.shape)
     return surface.or_any(triangle), triangle >= 0
@@ -163,7 +163,7 @@ def triangle_at(surface, x, y):
 
 @solver(outputs=2)
 def triangle_met(surface, *ends):
-    """The triangle where rays from above (...) first meet the surface, some wet one where none, and whether they do."""
+    """The triangle where rays from above (...) first meet the surface, any wet one where none, and whether they do."""
     origin, direction = (tuple(c.ravel() for c in v) for v in (ends[:3], ends[3:]))
     met = first_triangle(surface, origin, direction, 1.0).reshape(ends[0].shape)
     return surface.or_any(met), met >= 0
@@ -204,7 +204,7 @@ def first_triangle(surface, origin, direction, side):
 
 
 def clear(surface, camera, crossing, point):
-    """True where neither leg to the crossing meets the surface before it gets there."""
+    """True where neither leg meets the surface before the crossing."""
     clear = np.ones(crossing[0].shape, dtype=bool)
     for end, side in ((camera, 1.0), (point, -1.0)):
         way = kernels.minus(crossing, end)

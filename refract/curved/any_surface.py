@@ -1,7 +1,7 @@
 """Rays through any smooth surface with known height and normal: tracing and projection by Newton's method.
 
-Nothing is proven here: the meeting or the path that the steps arrive at is the answer, and others are not looked for.
-`refract.curved.wavy` and `refract.curved.fermat` find all of them, from bounds that a surface must then give.
+Nothing is proven here: the intersection or path that Newton's method converges to is the answer; others are not
+searched for. `refract.curved.wavy` and `refract.curved.fermat` find all, from bounds that a surface must provide.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from refract._implicit import along_ray, newton_step, over_surface
 from refract._solvers import solver
 from refract.curved.fermat import together
 
-# A step below this part of the length of the ray, or of the distance between camera and point, has arrived.
+# A step below this part of the ray length, or of the distance from camera to point, has converged.
 _CONVERGED = 1e-12
-# Nor does a step go on that is the rounding of coordinates far from the origin: so many units in their last place.
+# So has a step below the rounding of coordinates far from the origin: this many units in the last place.
 _ROUNDING = 32 * 2.0**-52
-# Steps: a calm sea takes four to six. What has not arrived after so many is not a number.
+# A calm sea takes four to six steps. What has not converged after this many is NaN.
 _MOST_STEPS = 30
 # Second derivatives are differences of normals over this part of that distance.
 _APART = 1e-6
@@ -28,7 +28,7 @@ _PLANE_STEPS = 4
 
 
 def _all(arrived) -> bool:
-    """Whether all have arrived, where that can be known before the end."""
+    """Whether all have converged; False where that cannot be read before the end."""
     return namespace(arrived).name != "drjit" and not transformed() and bool(arrived.all())
 
 
@@ -73,7 +73,7 @@ class AnySurface(ABC):
         """Unit normal of the surface at x, y, pointing up into the air."""
 
     def intersect(self, origin, direction):
-        """Distance [m] to a meeting with the surface along unit rays from above; NaN where no step leads to one."""
+        """Distance [m] to an intersection along unit rays from above; NaN where Newton's method finds none."""
         like = origin[0] + direction[0]
         origin, direction = together(origin, direction)
         xp = namespace(*origin)
@@ -124,7 +124,7 @@ class AnySurface(ABC):
         return seen, depth, xp.where(found | ~bent, 1, -1)
 
     def _harmless(self, camera, point, keep):
-        """The ends of the paths to keep; elsewhere ends above and below the surface, where nothing can go wrong."""
+        """The ends of the paths to keep; elsewhere placeholders above and below the surface that give valid numbers."""
         xp = namespace(*point)
         z = xp.fixed(self.height(point[0], point[1]))
         z = xp.where(xp.isnan(z), 0.0, z)
@@ -136,7 +136,7 @@ class AnySurface(ABC):
         return -nx / nz, -ny / nz
 
     def _gradient(self, camera, point, x, y, keep=None):
-        """Gradient of the optical length as the crossing moves over the surface, which is level where not to keep."""
+        """Gradient of the optical length by x and y of the crossing; the surface counts as level where not ``keep``."""
         xp = namespace(x)
         z, (zx, zy) = self.height(x, y), self._slopes(x, y)
         if keep is not None:
@@ -149,7 +149,7 @@ class AnySurface(ABC):
         return gx, gy
 
     def _matrix(self, camera, point, x, y):
-        """Derivatives of `_gradient` by x and by y, from differences; they carry none themselves."""
+        """Derivatives of `_gradient` by x and by y, from finite differences, without derivatives of their own."""
         xp = namespace(x)
         camera, point = (tuple(map(xp.fixed, end)) for end in (camera, point))
         way = kernels.minus(camera, point)

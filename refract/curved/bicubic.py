@@ -22,7 +22,7 @@ class BicubicWater(AnySurface):
 
     Heights pass through the nodes, and slopes are continuous. Over a spacing s, of a smooth surface, heights are good
     to the third power of s and slopes to the second, where the triangles of `HeightFieldWater` have the second and the
-    first. numpy and torch; the way down and up is that of `AnySurface`: not proven.
+    first. numpy and torch; tracing and projection are those of `AnySurface`, not proven.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class BicubicWater(AnySurface):
         Between nodes, along x and y.
     heights : (rows, columns) [m], local
         At the nodes, x along columns; at least 3 by 3. A tensor lets gradients flow to them. NaN where there is no
-        water: nor is there any within two nodes of it.
+        water; the surface has no water within two nodes of such a node either.
     n_water : [-]
         Refractive index of the water relative to the air above it, at least 1.
 
@@ -88,7 +88,7 @@ class BicubicWater(AnySurface):
         up = 1.0 / namespace(zx).sqrt(1.0 + zx * zx + zy * zy)
         return -zx * up, -zy * up, up
 
-    # torch.compile would write out each of thirty steps, sixteen nodes a height.
+    # torch.compile would unroll each of thirty steps with sixteen nodes per height.
     def _arrived(self, origin, direction):
         if not compiling():
             return super()._arrived(origin, direction)
@@ -145,7 +145,7 @@ def _concatenated(*parts):
 
 
 def _cell(at, nodes: int):
-    """The cell of a place among nodes, the part of it that is passed, and whether there is one."""
+    """The cell of a place among nodes, the fractional position in it, and whether there is one."""
     xp = namespace(at)
     inside = (at >= 0.0) & (at <= nodes - 1.0)
     at = xp.where(inside, at, 0.0)

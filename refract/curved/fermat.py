@@ -148,7 +148,7 @@ def located(surface, *arrays):
 
 
 def _located_drjit(surface, camera, point, depth, bent):
-    """`located` with Dr.Jit arrays: a path that is not the only one for sure is not proven."""
+    """`located` with Dr.Jit arrays: a path counts as proven only where it is certainly the only one."""
     xp = namespace(depth)
     camera, point = (tuple(map(xp.fixed, end)) for end in _harmless(xp, surface, camera, point, bent))
     disc = search_disc(surface, camera, point, xp.fixed(xp.where(bent, depth, 1.0)))
@@ -157,7 +157,7 @@ def _located_drjit(surface, camera, point, depth, bent):
 
 
 def _harmless(xp, surface, camera, point, keep):
-    """The ends of the paths to keep; for the others, ends above and below the anchor, where nothing can go wrong."""
+    """The ends of the paths to keep; for the others, placeholders above and below the anchor with valid results."""
     x, y, z = _anchor(xp, surface, point[0])
     ends = ((camera, z + 1.0), (point, z - 1.0))
     return tuple(tuple(xp.where(keep, c, a) for c, a in zip(end, (x, y, zz), strict=True)) for end, zz in ends)

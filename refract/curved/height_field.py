@@ -16,7 +16,7 @@ from refract.curved import _facet_paths, _triangulation, fermat
 from refract.curved._disc import Bounds
 from refract.curved._triangulation import Triangulation
 
-# Triangulations that are kept: those of a surface whose heights change are the same.
+# Cached triangulations: a surface whose heights change keeps its triangulation.
 _KEPT = 2
 
 
@@ -194,7 +194,7 @@ class HeightFieldWater:
         return (x[..., 0], y[..., 0], z[..., 0]), _slopes(x, y, z)
 
     def or_any(self, triangle):
-        """`triangle` where there is one, elsewhere some wet one: its numbers are harmless, also to gradients."""
+        """`triangle` where there is one, elsewhere any wet triangle, whose numbers keep values and gradients finite."""
         return np.where(triangle >= 0, triangle, self.wet_triangles.argmax())
 
     def _plane_at(self, x, y):

@@ -16,14 +16,14 @@ from refract._solvers import solved, solver
 from refract.curved import fermat
 from refract.curved._disc import Bounds
 
-# Steps along a ray to its first meeting with the waves: 4 to 8 for most; at 89.9 deg to the vertical over waves of
-# slope 0.3 some 40, and 130 at worst. A ray that needs this many runs along the surface.
+# The most steps along a ray to its first intersection with the waves: usual are 4 to 8; at 89.9 deg to the vertical
+# over waves of slope 0.3 some 40, and 130 at worst. A ray that needs this many runs along the surface.
 _MOST_STEPS = 10_000
 # Steps between checks for rays that have not arrived.
 _ROUND = 4
 # A step below this part of the distance has reached its rounding.
 _TINY = 4 * float(np.finfo(np.float64).eps)
-# A leg has arrived if this part of its length remains: roots are accurate to about 1e-14 of it, near tangency 1e-8.
+# A leg has reached the crossing when this part of it remains: roots are accurate to 1e-14 of it, near tangency 1e-8.
 _ARRIVED = 1e-7
 
 
@@ -44,7 +44,7 @@ class WavyWater:
     amplitudes : (waves,) [m]
         From the mean plane to the crest: half the wave height.
     wave_vectors : (waves, 2) [rad/m], local x and y
-        Toward where the wave runs; 2 pi over the wavelength long.
+        In the direction of propagation, of length 2 pi over the wavelength.
     phases : (waves,) [rad]
         At the point; zero by default.
     frequencies : (waves,) [rad/s]
@@ -125,7 +125,7 @@ class WavyWater:
         return zip(self.amplitudes, self.wave_vectors, self.phases, strict=True)
 
     def at(self, time) -> WavyWater:
-        """The waves ``time`` [s] later: each phase less by its frequency times the time."""
+        """The waves ``time`` [s] later: each phase reduced by its frequency times the time."""
         phases = tuple(p - w * time for p, w in zip(self.phases, self.frequencies, strict=True))
         return replace(self, phases=phases)
 
@@ -254,7 +254,7 @@ class WavyWater:
         return t, going
 
     def clear(self, camera, crossing, point):
-        """True where neither leg to the crossing meets the waves before it gets there (numpy)."""
+        """True where neither leg meets the waves before the crossing (numpy)."""
         clear = np.ones(np.shape(crossing[0]), dtype=bool)
         for end, side in ((camera, 1.0), (point, -1.0)):
             way = kernels.minus(crossing, end)

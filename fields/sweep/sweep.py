@@ -142,82 +142,132 @@ def sweep(
     OrderedMaps of HeightMap at the scale of the last pass, in the order of `chosen`
         Views that overlap with no other are left out.
     """
-    size = (block.cameras[0].width, block.cameras[0].height)
-    earlier, passes = EarlierMaps({}) if earlier is None else earlier, search.passes
-    again = earlier.again
+    earlier = EarlierMaps({}) if earlier is None else earlier
     store = device_map_store(block.device, keep)
-    maps, widths = store(), dict[int, int]()
+    maps = store()
+    work = _begin(block, chosen, search, earlier, maps)
+    views = sorted({each.view for of_pass in work for each in of_pass} | set(maps))
+    peers = {view: block.neighbours(view, PEERS, among=views) for view in views}
+    state = _Sweep(block, search, work, peers, progress)
+    passes = search.passes
+    for number, pass_ in enumerate(passes):
+        refined = state.match(number, maps)
+        if state.fused[number]:
+            maps = state.fuse(number, maps, refined, store)
+        if number + 1 == len(passes) or passes[number + 1].scale != pass_.scale:
+            block.release(pass_.scale)
+    confirm(block, maps, {view: peers[view] for view in set(maps) - state.views[-1]})
+    swept = to_host_maps(block.device, maps, keep)
+    return OrderedMaps(swept, [view for view in chosen if view in swept])
+
+
+def _begin(
+    block: Block, chosen: list[int], search: Search, earlier: EarlierMaps, maps: Maps
+) -> list[Sequence[ViewPass]]:
+    """Views that take part in each pass; the maps that chosen views have from an earlier sweep go into ``maps``."""
+    size = (block.cameras[0].width, block.cameras[0].height)
+    again, widths = earlier.again, dict[int, int]()
     for view, m in earlier.maps.items():
         if view in chosen:
             known = m if view in again else upsample_map(m, size)
             maps[view], widths[view] = image_backend(block.device).upload(block.device, known), m.height.shape[1]
-    work = [
+    return [
         view_passes(
             block,
             [v for v in chosen if _takes_part(size, pass_, widths.get(v), v in again)],
             pass_,
             None if n else search.bound,
         )
-        for n, pass_ in enumerate(passes)
+        for n, pass_ in enumerate(search.passes)
     ]
-    views = sorted({each.view for of_pass in work for each in of_pass} | set(widths))
-    peers = {view: block.neighbours(view, PEERS, among=views) for view in views}
-    taking_part = [{each.view for each in of_pass} for of_pass in work]
-    fused = [
-        sum(pixels_of(block, pass_, v) * len(peers[v]) for v in mine) if pass_.fuse else 0
-        for pass_, mine in zip(passes, taking_part, strict=True)
-    ]
-    done, reported = 0.0, 0.0
-    # Radius of the windows of each view less that of its pass [px].
-    wider = dict.fromkeys(views, 0)
-    wanted: dict[int, np.ndarray] = {}
-    for number, pass_ in enumerate(passes):
-        if pass_.points_only and not wanted:
-            wanted = predict_selected_pixels(block, maps)
-        taken: dict[int, Any] = {}
-        parts = {each.view for each in work[number] if each.view in wanted and not wider[each.view]}
-        total = done + sum(fused[number:]) + _samples(passes[number:], work[number:], wider)
+
+
+class _Sweep:
+    """State of a sweep from pass to pass: window radii, parts to refine, and the share of samples that is done.
+
+    Parameters
+    ----------
+    work : views that take part in each pass
+    peers : the views that confirm the heights of each view
+
+    Attributes
+    ----------
+    views : of each pass, as sets
+    fused : number of samples that fusion after each pass takes; 0 where there is none
+    """
+
+    def __init__(
+        self,
+        block: Block,
+        search: Search,
+        work: Sequence[Sequence[ViewPass]],
+        peers: Mapping[int, list[int]],
+        progress: Callable[[float], None],
+    ):
+        self._block, self._search, self._work, self._peers, self._progress = block, search, work, peers, progress
+        self.views = [{each.view for each in of_pass} for of_pass in work]
+        self.fused = [
+            sum(pixels_of(block, pass_, v) * len(peers[v]) for v in mine) if pass_.fuse else 0
+            for pass_, mine in zip(search.passes, self.views, strict=True)
+        ]
+        # Radius of the windows of each view less that of its pass [px].
+        self._wider = dict.fromkeys(peers, 0)
+        self._wanted: dict[int, np.ndarray] = {}
+        self._done, self._total, self._reported = 0.0, 0.0, 0.0
+
+    def match(self, number: int, maps: Maps) -> dict[int, Any]:
+        """Match the views of a pass into ``maps``; the refined pixels of views of which only parts were matched."""
+        block, pass_, work, wider = self._block, self._search.passes[number], self._work[number], self._wider
+        if pass_.points_only and not self._wanted:
+            self._wanted = predict_selected_pixels(block, maps)
+        wanted, refined = self._wanted, dict[int, Any]()
+        parts = {each.view for each in work if each.view in wanted and not wider[each.view]}
+        to_do = sum(self.fused[number:]) + _samples(self._search.passes[number:], self._work[number:], wider)
+        self._total = self._done + to_do
         # A generator: each job holds a map.
         jobs: Iterator[Job[tuple[HeightMap, Any]]] = (
             refine_part(block, pass_, each, maps[each.view], wanted[each.view])
             if each.view in parts
-            else match_pass(block, pass_, each, search, maps.get(each.view), wider[each.view])
-            for each in work[number]
+            else match_pass(block, pass_, each, self._search, maps.get(each.view), wider[each.view])
+            for each in work
         )
         found = run_jobs(block.device, jobs, _views_in_queue(block, pass_))
-        for each, (m, of_view) in zip(work[number], found, strict=True):
+        for each, (m, of_view) in zip(work, found, strict=True):
             maps[each.view] = m
             samples = _samples([pass_], [[each]], wider)
             if each.view in parts:
-                taken[each.view] = of_view
+                refined[each.view] = of_view
             else:
                 if of_view > wider[each.view]:
                     # Matched again.
-                    done, total = done + samples, total + samples
+                    self._done, self._total = self._done + samples, self._total + samples
                 wider[each.view] = of_view
-            done += samples
-            reported = max(reported, done / total)
-            progress(reported)
-        if fused[number]:
-            block.release(pass_.scale)
-            if pass_.in_area:
-                # The others neither confirm nor are confirmed.
-                for view in taking_part[number] - set(taken):
-                    taken[view] = image_backend(block.device).indices_of(maps[view].score > MATCHED_NCC)
-            compared = {
-                view: ComparedViews(peers[view], taken.get(view))
-                for view in taking_part[number]
-                if view not in taken or len(taken[view])
-            }
-            maps = fuse(block, maps, pass_.scale, compared, store, goes_on=number + 1 < len(passes))
-            done += fused[number]
-            reported = max(reported, done / total)
-            progress(reported)
-        if number + 1 == len(passes) or passes[number + 1].scale != pass_.scale:
-            block.release(pass_.scale)
-    confirm(block, maps, {view: peers[view] for view in set(maps) - taking_part[-1]})
-    swept = to_host_maps(block.device, maps, keep)
-    return OrderedMaps(swept, [view for view in chosen if view in swept])
+            self._report(samples)
+        return refined
+
+    def fuse(self, number: int, maps: Maps, refined: dict[int, Any], store: Keep) -> Maps:
+        """Maps after fusion of those of a pass; of views in ``refined`` these pixels alone take part."""
+        block, pass_, views = self._block, self._search.passes[number], self.views[number]
+        block.release(pass_.scale)
+        if pass_.in_area:
+            # The others neither confirm nor are confirmed.
+            for view in views - set(refined):
+                refined[view] = image_backend(block.device).indices_of(maps[view].score > MATCHED_NCC)
+        compared = {
+            view: ComparedViews(self._peers[view], refined.get(view))
+            for view in views
+            if view not in refined or len(refined[view])
+        }
+        goes_on = number + 1 < len(self._search.passes)
+        fused = fuse(block, maps, pass_.scale, compared, store, goes_on=goes_on)
+        self._report(self.fused[number])
+        return fused
+
+    def _report(self, samples: float) -> None:
+        """Count samples as done. The share never falls, although views that are matched again add to the total."""
+        self._done += samples
+        self._reported = max(self._reported, self._done / self._total)
+        self._progress(self._reported)
 
 
 def _samples(passes: Sequence[Pass], work: Sequence[Sequence[ViewPass]], wider: Mapping[int, int]) -> float:

@@ -14,7 +14,7 @@ import sys
 
 import numpy as np
 
-from survey.water.level_observation import plane_doubt
+from survey.water.level_observation import plane_warning
 
 KINDS = ("normal", "wrong points", "long tails", "mixed")
 NUMBERS = (16, 24, 40, 80, 150)
@@ -38,7 +38,7 @@ def is_doubted(points: np.ndarray) -> bool:
     """Whether `check` warns."""
     stds = np.full(len(points), STATED_M)
     level_std = float(np.hypot(COMMON_M, 1.5 * STATED_M / np.sqrt(len(points))))
-    return plane_doubt(points, stds, level_std, "gnss_points") is not None
+    return plane_warning(points, stds, level_std, "gnss_points") is not None
 
 
 def main() -> None:

@@ -127,7 +127,7 @@ class Reprojection:
     _transformer: Transformer = field(repr=False, compare=False)
     _changes_plan: bool = field(repr=False, compare=False)
     _where: str = field(repr=False, compare=False)
-    doubt: str | None = None  # a sentence, or None: where places or heights are less well known in it, as PROJ states
+    warning: str | None = None  # a sentence, or None: where places or heights are less well known in it, as PROJ states
 
     @staticmethod
     def between(
@@ -156,8 +156,8 @@ class Reprojection:
         ends = (horizontal_crs(source), horizontal_crs(wanted)) if keeps_height else (source, wanted)
         changes_plan = not horizontal_crs(source).equals(horizontal_crs(wanted), ignore_axis_order=True)
         operation = best_operation(*ends, where, _REMEDY, places)
-        doubt = None if places is None else _doubt(source, wanted, operation, where, places)
-        return Reprojection(wanted, keeps_height, operation, changes_plan, where, doubt)
+        warning = None if places is None else _warning(source, wanted, operation, where, places)
+        return Reprojection(wanted, keeps_height, operation, changes_plan, where, warning)
 
     @property
     def height_std_m(self) -> float:
@@ -191,7 +191,7 @@ class Reprojection:
         return turned
 
 
-def _doubt(source: CRS, wanted: CRS, way: Transformer, where: str, places: np.ndarray) -> str | None:
+def _warning(source: CRS, wanted: CRS, way: Transformer, where: str, places: np.ndarray) -> str | None:
     """A warning where the operation makes places or heights less accurate, as PROJ states."""
     in_plan = Transformation.between(source, wanted, places)
     if in_plan.accuracy_m == 0.0 and not _same_heights(source, wanted) and way.accuracy > 0.0:
@@ -199,7 +199,7 @@ def _doubt(source: CRS, wanted: CRS, way: Transformer, where: str, places: np.nd
             f"{where}: heights are transformed by {way.description}, which PROJ states to {way.accuracy:.2g} m: an "
             "error common to all of them"
         )
-    return in_plan.doubt(f"{where}: places")
+    return in_plan.warning(f"{where}: places")
 
 
 def _with_height(source: CRS, target: str | CRS, where: str) -> CRS:

@@ -108,7 +108,7 @@ class Transformation:
                 f"+towgs84 in a PROJ string), {remedy}"
             )
 
-    def doubt(self, subject: str) -> str | None:
+    def warning(self, subject: str) -> str | None:
         """A warning that states the accuracy of the operation where it degrades places; else None."""
         if self.accuracy_m == 0.0 and not self.missing:
             return None

@@ -94,7 +94,7 @@ def write_geojson(path: str | Path, layer: Layer) -> str | None:
     whole = {"type": "FeatureCollection", "name": layer.name, "bathynerf": said, "features": features}
     with write_whole(path) as stream:
         stream.write(json.dumps(whole, ensure_ascii=False, allow_nan=False).encode())
-    return operation.doubt(f"places in {path}") if layer.shapes else None
+    return operation.warning(f"places in {path}") if layer.shapes else None
 
 
 def _geometry(kind: str, parts: list) -> dict:

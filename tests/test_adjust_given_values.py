@@ -99,8 +99,8 @@ def test_a_wrong_focal_length_is_not_taken_for_a_wrong_level():
         replace(view, lens=lens, camera=lens.camera(view.camera.centre, view.camera.cam_from_local))
         for view in survey.views
     )
-    doubt = checked(block, replace(survey, views=views)).contradiction
-    assert doubt is None or (doubt.name, doubt.is_of_lens) == ("camera0.f", True)
+    warning = checked(block, replace(survey, views=views)).contradiction
+    assert warning is None or (warning.name, warning.is_of_lens) == ("camera0.f", True)
 
 
 def test_a_level_that_is_as_far_off_as_stated_is_no_contradiction():
@@ -150,8 +150,8 @@ def test_a_bed_under_a_level_that_is_about_right_is_not_flooded():
 
 def test_contradicted_water_is_adjusted():
     _, survey = block_and_survey(3)
-    doubt = Contradiction("level_m", 100.5, 0.02, -0.5, 0.03)
-    choice, reason = pose_choice(changed(survey, pose_misfit_px=0.01, contradiction=doubt), "auto", free_water=False)
+    warning = Contradiction("level_m", 100.5, 0.02, -0.5, 0.03)
+    choice, reason = pose_choice(changed(survey, pose_misfit_px=0.01, contradiction=warning), "auto", free_water=False)
     assert choice == "refine"
     assert "level_m is given as 100.500 +- 0.02 m, and a sample of photographs says 100.000 +- 0.03 m" in reason
 

@@ -15,7 +15,7 @@ from small_survey import E0, LEVEL, N0, TOML, camera_lines, said, small_survey, 
 from geo.crs import parse_crs
 from survey.control.reading import gather, read_control
 from survey.errors import ControlError
-from survey.folder.control import checkpoint_doubts, mark_residuals
+from survey.folder.control import checkpoint_warnings, mark_residuals
 from survey.folder.found import find_survey, survey_inputs
 from survey.folder.survey import load_survey
 from survey.folder.unposed import require_solvable
@@ -205,9 +205,9 @@ def test_check_points_are_looked_for_through_the_water_that_is_there(tmp_path):
     low = replace(survey.water, point=(*survey.water.point[:2], survey.water.point[2] - 4.0))
     corners = np.array([[-30.0, -30.0], [-30.0, 30.0], [30.0, -30.0], [30.0, 30.0]])
     higher = Departure(np.column_stack([corners, np.full(4, 4.0)]), np.full(4, 0.01))
-    assert not checkpoint_doubts(points, first, low, None)
+    assert not checkpoint_warnings(points, first, low, None)
     for water, departure in ((survey.water, None), (low, higher)):
-        (said,) = checkpoint_doubts(points, first, water, departure)
+        (said,) = checkpoint_warnings(points, first, water, departure)
         assert "no photograph shows" in said
 
 
@@ -248,15 +248,15 @@ def test_marks_are_held_against_the_poses(tmp_path):
     assert mark_residuals(survey.observations.control, survey.views, survey.water).max() < 2e-3
     assert survey.findings.warnings == ()
     shifted = load_survey(with_control(tmp_path, control, gcp_list__txt=seen_marks(bare, (3.0, 0.0))))
-    (doubt,) = shifted.findings.warnings
-    assert doubt.startswith("the marks of control points lie 3 px (median) from where the poses show these points;")
+    (warning,) = shifted.findings.warnings
+    assert warning.startswith("the marks of control points lie 3 px (median) from where the poses show these points;")
     lines = seen_marks(bare).splitlines()
     parts = lines[1].split()
     parts[3] = "60.0"
-    (doubt,) = load_survey(
+    (warning,) = load_survey(
         with_control(tmp_path, control, gcp_list__txt="\n".join([lines[0], " ".join(parts), *lines[2:]]))
     ).findings.warnings
-    assert doubt == "1 mark far from where the pose shows its point, to be checked: p1 in 0000.jpg"
+    assert warning == "1 mark far from where the pose shows its point, to be checked: p1 in 0000.jpg"
 
 
 def test_marks_are_measured_under_a_lens_that_distorts(tmp_path):

@@ -14,7 +14,7 @@ from geo.area_of_use import approximate_undulation_m
 from geo.crs import parse_crs
 from geo.operations import use_grids
 from survey.errors import ConfigError
-from survey.folder.faults import exif_doubts, explanation, xmp_doubts
+from survey.folder.faults import exif_height_warnings, explanation, xmp_height_warnings
 from survey.folder.found import find_survey
 from survey.folder.survey import load_survey
 from survey.photos.exif import Exif
@@ -94,22 +94,22 @@ def heads_at(height: float, **changes) -> dict[str, Exif]:
 
 def test_poses_that_differ_from_exif_by_the_undulation_are_doubtful():
     heights = dict.fromkeys(("0.jpg", "1.jpg", "2.jpg"), LEVEL + 69.0)
-    (doubt,) = exif_doubts(heights, heads_at(LEVEL + 20.0))
-    assert doubt.startswith("the poses lie 49 m above the heights in EXIF, about as much as the geoid differs")
-    assert exif_doubts(heights, heads_at(LEVEL + 66.0)) == []
-    assert exif_doubts(heights, heads_at(LEVEL + 20.0, above_start_m=20.0)) == []
-    assert exif_doubts(heights, {"0.jpg": HEAD}) == []
+    (warning,) = exif_height_warnings(heights, heads_at(LEVEL + 20.0))
+    assert warning.startswith("the poses lie 49 m above the heights in EXIF, about as much as the geoid differs")
+    assert exif_height_warnings(heights, heads_at(LEVEL + 66.0)) == []
+    assert exif_height_warnings(heights, heads_at(LEVEL + 20.0, above_start_m=20.0)) == []
+    assert exif_height_warnings(heights, {"0.jpg": HEAD}) == []
 
 
 def test_what_xmp_says_of_heights_is_held_against_the_settings(tmp_path):
-    (doubt,) = xmp_doubts("crs", CRS, heads_at(100.0, height_datum="ellipsoidal"))
-    assert doubt.startswith("XMP says that the heights of 3 of 3 images count from the ellipsoid")
-    assert 'write gps_height = "ellipsoidal" in [cameras]' in doubt
-    assert xmp_doubts("ellipsoidal", CRS, heads_at(100.0, height_datum="ellipsoidal")) == []
-    (doubt,) = xmp_doubts("ellipsoidal", CRS, heads_at(100.0, height_datum="EGM96"))
-    assert "count from EGM96" in doubt
-    assert xmp_doubts("crs", CRS, heads_at(100.0, height_datum="EGM96")) == []
-    assert xmp_doubts("crs", parse_crs("EPSG:4979"), heads_at(100.0, height_datum="ellipsoidal")) == []
+    (warning,) = xmp_height_warnings("crs", CRS, heads_at(100.0, height_datum="ellipsoidal"))
+    assert warning.startswith("XMP says that the heights of 3 of 3 images count from the ellipsoid")
+    assert 'write gps_height = "ellipsoidal" in [cameras]' in warning
+    assert xmp_height_warnings("ellipsoidal", CRS, heads_at(100.0, height_datum="ellipsoidal")) == []
+    (warning,) = xmp_height_warnings("ellipsoidal", CRS, heads_at(100.0, height_datum="EGM96"))
+    assert "count from EGM96" in warning
+    assert xmp_height_warnings("crs", CRS, heads_at(100.0, height_datum="EGM96")) == []
+    assert xmp_height_warnings("crs", parse_crs("EPSG:4979"), heads_at(100.0, height_datum="ellipsoidal")) == []
 
 
 @pytest.fixture

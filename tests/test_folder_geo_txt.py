@@ -89,7 +89,7 @@ def test_positions_and_accuracies_are_those_of_the_file_in_every_form(tmp_path, 
     good = "4 of 4 positions good to 0.02, 0.02 and 0.03 m east, north and up (geo.txt)"
     assert accuracy == (good if has_std else "4 of 4 positions of unknown accuracy (geo.txt)")
     assert (common_up_std_of_exif(CamerasConfig(), found.heads) == 0.0) is has_std
-    assert any("horizontal accuracy alone" in doubt for doubt in found.warnings) is (tail == "one accuracy")
+    assert any("horizontal accuracy alone" in warning for warning in found.warnings) is (tail == "one accuracy")
 
 
 @pytest.mark.parametrize("between", [" ", "   ", "\t"])
@@ -150,8 +150,8 @@ def test_names_are_those_of_the_photographs_by_the_rules_of_all_files(tmp_path):
 def test_a_position_in_another_place_is_doubted(tmp_path):
     folder = unposed(tmp_path / "s")
     (folder / "geo.txt").write_text(geo_txt("EPSG:25832", ["z"], places=PLACES + np.array([3000.0, 0.0, 0.0])))
-    (doubt,) = [text for text in find_survey(folder).warnings if "geo.txt" in text]
-    assert re.match(r"the positions in geo.txt lie (299|300)\d m \(median\) from those in EXIF", doubt)
+    (warning,) = [text for text in find_survey(folder).warnings if "geo.txt" in text]
+    assert re.match(r"the positions in geo.txt lie (299|300)\d m \(median\) from those in EXIF", warning)
 
 
 SPOILT = {

@@ -218,7 +218,7 @@ def test_priors_make_a_key_that_changes_with_them(tmp_path):
     assert key_of("0.02") == key_of("[0.02, 0.02, 0.02]")
 
 
-@pytest.mark.parametrize("told_by", ["camera", "serial", "focal_doubt"])
+@pytest.mark.parametrize("told_by", ["camera", "serial", "focal_warning"])
 def test_photographs_of_two_cameras_get_a_lens_for_each(tmp_path, told_by):
     found = find_survey(unposed(tmp_path / "s"))
     heads = {name: replace(head, **{told_by: f"camera {i % 2}"}) for i, (name, head) in enumerate(found.heads.items())}

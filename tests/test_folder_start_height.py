@@ -8,7 +8,7 @@ import pytest
 from small_survey import LEVEL, small_survey, unposed
 
 from geo.crs import parse_crs
-from survey.folder.faults import start_doubts
+from survey.folder.faults import start_height_warnings
 from survey.folder.found import find_survey
 from survey.folder.survey import load_survey
 from survey.folder.unposed import require_solvable
@@ -31,7 +31,7 @@ def heads(above_start_m: float | None) -> dict[str, Exif]:
     ],
 )
 def test_a_start_under_the_water_or_far_over_it_is_doubted(over_water, above_start, words):
-    found = start_doubts(
+    found = start_height_warnings(
         {f"{i}.jpg": over_water for i in range(4)},
         heads(above_start),
         LEVEL,
@@ -50,10 +50,10 @@ def with_start(found, above_start_m: float):
 def test_it_is_said_once_with_poses_and_without(tmp_path):
     posed = find_survey(small_survey(tmp_path / "a"))
     assert load_survey(tmp_path / "a", found=with_start(posed, 19.0)).findings.warnings == ()
-    (doubt,) = load_survey(tmp_path / "a", found=with_start(posed, 35.0)).findings.warnings
-    assert doubt.startswith(
+    (warning,) = load_survey(tmp_path / "a", found=with_start(posed, 35.0)).findings.warnings
+    assert warning.startswith(
         "the cameras are 20.0 m over the water (median), and by RelativeAltitude in XMP 35.0 m over"
     )
     found = find_survey(unposed(tmp_path / "b", (f"level_m = {LEVEL}", f"level_m = {LEVEL - 45.0}")))
-    (doubt,) = require_solvable(with_start(found, 20.0))
-    assert "45.0 m over the water; check that [water] level_m" in doubt
+    (warning,) = require_solvable(with_start(found, 20.0))
+    assert "45.0 m over the water; check that [water] level_m" in warning

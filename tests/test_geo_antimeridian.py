@@ -127,7 +127,7 @@ def test_geojson_across_the_meridian_has_no_shape_around_the_earth(tmp_path, kin
     ring = np.column_stack(to_grid.transform(*jumping(star((180.0, -17.0), 0.001, 2)).T))
     beside = np.column_stack(to_grid.transform(*jumping(star((179.9, -17.0), 0.001, 2)).T))
     shapes = [[ring], [beside]] if kind == "Polygon" else [ring, beside]
-    doubt = write_geojson(tmp_path / "s.geojson", Layer("shapes", kind, shapes, FIJI))
+    warning = write_geojson(tmp_path / "s.geojson", Layer("shapes", kind, shapes, FIJI))
     said = json.loads((tmp_path / "s.geojson").read_text())
     first, second = (feature["geometry"] for feature in said["features"])
     assert (first["type"], second["type"]) == (f"Multi{kind}", kind)
@@ -135,7 +135,7 @@ def test_geojson_across_the_meridian_has_no_shape_around_the_earth(tmp_path, kin
         assert np.ptp(np.array(part[0] if kind == "Polygon" else part)[:, 0]) < 0.01
     # PROJ knows the datum of Fiji to a metre or so, and says it.
     assert said["bathynerf"]["accuracy_of_wgs84_m"] > 0.0
-    assert "PROJ states" in doubt
+    assert "PROJ states" in warning
 
 
 def test_a_geographic_crs_is_refused_on_the_meridian_with_what_is_the_matter():

@@ -41,7 +41,7 @@ def test_no_other_file_makes_transformations_of_proj():
 def test_a_map_of_the_same_datum_costs_no_accuracy(source, target, place):
     way = Transformation.between(CRS(source), CRS(target), np.array([place]))
     assert way.accuracy_m == 0.0
-    assert way.doubt("they") is None
+    assert way.warning("they") is None
     back = Transformation.between(CRS(target), CRS(source), np.array([way(*place)]))
     # A millionth of a degree is a decimetre; both ways are exact to far less.
     np.testing.assert_allclose(back(*way(*place)), place, rtol=0.0, atol=1e-4)
@@ -54,16 +54,16 @@ SHIFTED = [("EPSG:27700", (1.716073973, 52.658007833)), ("EPSG:31254", (10.3, 47
 @pytest.mark.parametrize(("crs", "place"), SHIFTED)
 def test_a_shift_between_datums_says_its_accuracy_and_the_grid_that_a_better_one_needs(crs, place):
     way = Transformation.between(WGS84, CRS(crs), np.array([place]))
-    doubt = way.doubt("GPS positions")
+    warning = way.warning("GPS positions")
     if way.missing:
-        assert way.missing[0] in doubt
+        assert way.missing[0] in warning
         with pytest.raises(MissingGrid, match=way.missing[0].replace(".", r"\.")):
             transformed(WGS84, CRS(crs), np.array([[*place, 0.0]]), "it", "or else.")
     else:
         # Where the grid is installed the way is good to what it states.
         assert way.accuracy_m is not None
         assert way.accuracy_m > 0.0
-        assert "GPS positions are transformed from WGS 84" in doubt
+        assert "GPS positions are transformed from WGS 84" in warning
 
 
 @pytest.mark.parametrize("target", ["EPSG:32119+5703", "EPSG:2264+6360", "EPSG:2264+8228"])
@@ -132,7 +132,7 @@ def test_what_proj_knows_no_operation_for_is_not_called_exact(source, accuracy, 
         place = np.column_stack(Transformer.from_crs("EPSG:25832", ends[0], always_xy=True).transform(*place.T))
     way = Transformation.between(*(ends[::-1] if is_back else ends), place)
     assert way.accuracy_m == accuracy
-    assert (way.doubt("places") is None) == (accuracy == 0.0)
+    assert (way.warning("places") is None) == (accuracy == 0.0)
 
 
 @pytest.mark.parametrize("vertical", ["", " +vunits=m"])
@@ -198,8 +198,8 @@ def test_outside_their_areas_operations_are_as_good_as_they_agree(code, place, l
     way = Transformation.between(CRS(code), CRS("EPSG:4326"), np.array([place]))
     assert least <= way.accuracy_m <= most
     assert way.is_known
-    assert "outside the area of each operation that PROJ knows, which are good to" in way.doubt("places")
+    assert "outside the area of each operation that PROJ knows, which are good to" in way.warning("places")
     # Of one alone nothing is known there.
     alone = Transformation.between(CRS("EPSG:31254"), CRS("EPSG:4326"), np.array([[80000.0, 5.9e6]]))
     assert alone.accuracy_m is None
-    assert "an unknown accuracy" in alone.doubt("places")
+    assert "an unknown accuracy" in alone.warning("places")

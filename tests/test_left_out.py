@@ -10,7 +10,7 @@ from fields.solver.appearance import brightness_of
 from fields.sweep.block import downsample, fill_small_holes
 from fields.sweep.photo_consistency import Consistency
 from survey.photos.texture import saturated
-from survey.report.photographs import doubts, photographs_of, summary, table
+from survey.report.photographs import photograph_warnings, photographs_of, summary, table
 
 
 def _image(rng) -> np.ndarray:
@@ -70,7 +70,7 @@ def test_photographs_that_give_nothing_to_the_cloud_are_named_with_the_reason():
     }
     found = {each.name: each.useless for each in photographs_of(dict.fromkeys(consistency, 0.0), {}, consistency)}
     assert [name for name, why in found.items() if why] == ["up.jpg", "turned.jpg", "dim.jpg"]
-    (warning,) = doubts(photographs_of(dict.fromkeys(consistency, 0.0), {}, consistency))
+    (warning,) = photograph_warnings(photographs_of(dict.fromkeys(consistency, 0.0), {}, consistency))
     assert warning.startswith("3 photographs with nothing for the cloud: up.jpg (its frame holds none of the bed")
     assert "turned.jpg (shows something else there: pose wrong)" in warning
     assert "dim.jpg (blurred, or without texture)" in warning
@@ -82,7 +82,7 @@ def test_photographs_that_give_nothing_to_the_cloud_are_named_with_the_reason():
 def test_each_photograph_has_its_shares_and_those_that_are_mostly_white_are_named():
     found = photographs_of({"a.jpg": 0.0, "b.jpg": 0.61, "c.jpg": 0.03}, {"a.jpg": [200, 20], "c.jpg": [0, 0]}, {})
     assert [each.outlying for each in found] == [0.1, None, None]
-    (warning,) = doubts(found)
+    (warning,) = photograph_warnings(found)
     assert warning.startswith("1 photograph more than half white by glint of the sun or exposure")
     assert warning.endswith("b.jpg")
     white, unlike = summary(found)[0].split("; ")
@@ -92,7 +92,7 @@ def test_each_photograph_has_its_shares_and_those_that_are_mostly_white_are_name
     _, notable, every = table(found)
     assert [row[0] for row in notable.rows] == ["b.jpg", "c.jpg"]
     assert [row[0] for row in every.table.rows] == ["a.jpg", "b.jpg", "c.jpg"]
-    assert table(()) == summary(()) == doubts(()) == []
+    assert table(()) == summary(()) == photograph_warnings(()) == []
 
 
 def test_what_one_photograph_alone_shows_is_outlying(rng):

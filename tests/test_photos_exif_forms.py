@@ -11,9 +11,9 @@ import pytest
 from PIL import ExifTags, Image
 from PIL.TiffImagePlugin import IFDRational
 
-from survey.folder.found import head_doubts
+from survey.folder.found import head_warnings
 from survey.photos.exif import read_exif, without_void_fixes
-from survey.photos.exif_position import altitude_reference, focal_doubt, focal_px, position_of_gps
+from survey.photos.exif_position import altitude_reference, focal_px, focal_warning, position_of_gps
 from survey.photos.xmp import height_datum, rtk_of, xmp_place
 
 GPS = ExifTags.GPS
@@ -83,7 +83,7 @@ def test_a_position_without_its_hemisphere_is_none_and_that_is_said(head, missin
     gps = {tag: each for tag, each in gps_of().items() if tag != missing} | ({} if value is None else {missing: value})
     found = head(gps)
     assert found.lat_lon_height is None
-    (warning,) = head_doubts({"a.jpg": found})
+    (warning,) = head_warnings({"a.jpg": found})
     assert "'s reference (" in warning
     assert head(gps, xmp=XMP.format(q='"')).lat_lon_height == (-33.85678441, -151.21529672, 12.5)
 
@@ -205,8 +205,8 @@ def calibration(focal: float, centre: float | None = None) -> str:
 def test_a_calibration_of_another_size_is_not_used_and_said(film, xmp, expected, words):
     details = {} if film is None else {ExifTags.Base.FocalLengthIn35mmFilm: film}
     assert focal_px((512, 384), details, xmp) == expected
-    assert words in focal_doubt((512, 384), details, xmp)
-    assert bool(words) == bool(focal_doubt((512, 384), details, xmp))
+    assert words in focal_warning((512, 384), details, xmp)
+    assert bool(words) == bool(focal_warning((512, 384), details, xmp))
 
 
 @pytest.mark.parametrize(
@@ -275,7 +275,9 @@ def test_a_position_that_a_program_rewrote_as_xmp_is_read(head, latitude, longit
 def test_a_position_on_another_datum_is_named(head, datum):
     found = head(gps_of() | {GPS.GPSMapDatum: datum})
     assert found.gps_datum == datum
-    assert any(f"on {datum} by EXIF or XMP, which is taken as WGS 84" in said for said in head_doubts({"a.jpg": found}))
+    assert any(
+        f"on {datum} by EXIF or XMP, which is taken as WGS 84" in said for said in head_warnings({"a.jpg": found})
+    )
     assert head(gps_of(), xmp='<x Camera:HorizCS="EPSG:2056"/>').gps_datum == "EPSG:2056"
 
 
@@ -300,7 +302,7 @@ def test_a_digital_zoom_is_named(zoom, is_doubted):
     details = {ExifTags.Base.FocalLengthIn35mmFilm: 24} | (
         {} if zoom is None else {ExifTags.Base.DigitalZoomRatio: zoom}
     )
-    assert ("digital zoom of 2 by EXIF" in focal_doubt((512, 384), details, "")) is is_doubted
+    assert ("digital zoom of 2 by EXIF" in focal_warning((512, 384), details, "")) is is_doubted
 
 
 @pytest.mark.parametrize("status", ["V", "v", b"V\0", "Void"])
@@ -312,12 +314,12 @@ def test_positions_that_a_receiver_calls_void_count_only_where_there_are_no_othe
     among = without_void_fixes({"a": void, "b": valid})
     assert among["a"].lat_lon_height is None
     assert among["b"] == valid
-    assert any("GPSStatus is V" in line and "not used" in line for line in head_doubts(among))
+    assert any("GPSStatus is V" in line and "not used" in line for line in head_warnings(among))
     others = without_void_fixes({"a": void, "b": void, "c": valid, "d": replace(void, serial="2"), "e": void})
     assert all(each.lat_lon_height is not None for each in others.values())
     alone = without_void_fixes({"a": void})
     assert alone["a"].lat_lon_height is not None
-    assert any("GPSStatus is V" in line and "is used" in line for line in head_doubts(alone))
+    assert any("GPSStatus is V" in line and "is used" in line for line in head_warnings(alone))
 
 
 @pytest.mark.parametrize(

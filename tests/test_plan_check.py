@@ -26,7 +26,7 @@ from small_survey import (
 )
 
 from survey.errors import ConfigError, ImageError, PosesError, SurveyError
-from survey.folder.faults import angle_doubts
+from survey.folder.faults import angle_warnings
 from survey.folder.plausible import ground_below
 from survey.folder.survey import load_survey
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk
@@ -231,17 +231,17 @@ def with_angles(folder, angles: np.ndarray):
 @pytest.mark.parametrize("name", ["quick", "river", "wreck_water"])
 def test_the_angles_of_nadir_and_oblique_surveys_are_doubted_only_as_radians(data_dir, name):
     poses = read_poses(data_dir / name / "cameras.csv").poses
-    assert angle_doubts(poses, PoseFrame.GRID) == []
+    assert angle_warnings(poses, PoseFrame.GRID) == []
     angles = np.loadtxt(data_dir / name / "cameras.csv", delimiter=",", skiprows=1, usecols=(4, 5, 6))
     turned = [
         replace(p, cam_from_world=(grid_from_opk(*np.radians(a)) @ CAM_FROM_OPK_CAM).T)
         for p, a in zip(poses, np.radians(angles), strict=True)
     ]
-    assert len(angle_doubts(turned, PoseFrame.GRID)) == 1
+    assert len(angle_warnings(turned, PoseFrame.GRID)) == 1
     # Of one strip too, along which nothing turns.
     for num in (5, 9):
-        assert angle_doubts(poses[:num], PoseFrame.GRID) == []
-        assert len(angle_doubts(turned[:num], PoseFrame.GRID)) == 1
+        assert angle_warnings(poses[:num], PoseFrame.GRID) == []
+        assert len(angle_warnings(turned[:num], PoseFrame.GRID)) == 1
 
 
 def test_angles_in_radians_are_doubted_and_degrees_are_not(tmp_path):

@@ -13,7 +13,7 @@ from small_survey import LEVEL, said, small_survey, unposed
 from survey.folder.survey import find_survey, load_survey
 from survey.photos.xmp import Motion
 from survey.plan.check import check_survey, require_processable
-from survey.plan.check_inputs import DOWN_DEG, level_doubt
+from survey.plan.check_inputs import DOWN_DEG, level_warning
 from survey.plan.choices import Choices
 from survey.settings.config import WaterConfig
 from survey.settings.water import LevelSources
@@ -53,8 +53,8 @@ def flown(found, tilts, yaw, num_untold):
 @given(tilts=ANGLES, yaw=st.floats(-180.0, 180.0), num_untold=st.integers(0, 5))
 def test_blocks_that_look_straight_down_are_named_with_and_without_poses(posed, found, tilts, yaw, num_untold):
     down = sum(tilt < DOWN_DEG for tilt in tilts)
-    by_poses = level_doubt(found, looking(posed, tilts, yaw))
-    by_heads = level_doubt(flown(found, tilts, yaw, num_untold), None)
+    by_poses = level_warning(found, looking(posed, tilts, yaw))
+    by_heads = level_warning(flown(found, tilts, yaw, num_untold), None)
     assert by_poses == by_heads
     if 10 * (len(tilts) - down) >= len(tilts):
         assert by_poses is None
@@ -69,20 +69,22 @@ def test_blocks_that_look_straight_down_are_named_with_and_without_poses(posed, 
 )
 def test_a_level_that_is_given_in_any_way_and_a_dry_survey_leave_no_doubt(posed, found, water):
     told = flown(replace(found, config=replace(found.config, water=water)), [0.0] * 20, 0.0, 0)
-    assert level_doubt(told, None) is None
-    assert level_doubt(told, changed(looking(posed, [0.0] * 20, 0.0), is_level_known=True)) is None
+    assert level_warning(told, None) is None
+    assert level_warning(told, changed(looking(posed, [0.0] * 20, 0.0), is_level_known=True)) is None
 
 
 def test_without_attitudes_it_is_said_on_what_it_depends(found):
-    assert "the viewing directions of the photographs are not known yet" in level_doubt(flown(found, [], 0.0, 4), None)
+    assert "the viewing directions of the photographs are not known yet" in level_warning(
+        flown(found, [], 0.0, 4), None
+    )
 
 
 def test_check_says_it_first(tmp_path):
     folder = unposed(tmp_path / "s", (f"level_m = {LEVEL}\n", ""))
     checked = require_processable(folder)
-    assert "not known yet" in checked.level_doubt
+    assert "not known yet" in checked.level_warning
     sections = check_survey(folder, chosen=Choices(device="cpu"), checked=checked)
     (warnings,) = [section for section in sections if section.title == "Warnings"]
-    assert warnings.rows[0][1] == checked.level_doubt
+    assert warnings.rows[0][1] == checked.level_warning
     assert "oblique photographs" in said(sections, "Found")["water"]
-    assert require_processable(unposed(tmp_path / "given")).level_doubt is None
+    assert require_processable(unposed(tmp_path / "given")).level_warning is None

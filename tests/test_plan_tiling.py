@@ -14,7 +14,7 @@ from survey.plan import tile_choice
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
 from survey.plan.tile_choice import choose_tiles, with_free_cores
-from survey.plan.tiling import Tiling, ground_of, inside, ray_skew_px, tile_doubts
+from survey.plan.tiling import Tiling, ground_of, inside, ray_skew_px, tile_warnings
 from survey.plan.workload import workload_of
 from survey.water.surface import Departure
 from tests.changed_survey import changed
@@ -187,7 +187,7 @@ def test_water_near_a_plane_needs_no_tiles(planned):
     survey, plan, workload = with_water(planned, lambda x, y: 0.02 * np.sin(x))
     found = choose_tiles(survey, plan, Choices(memory="8GB"), workload, is_aimed=False)
     assert found.tiling is None
-    assert not tile_doubts(survey, plan, None)
+    assert not tile_warnings(survey, plan, None)
 
 
 def test_water_far_from_a_plane_gets_tiles_and_the_plan_says_why(planned):
@@ -199,7 +199,7 @@ def test_water_far_from_a_plane_gets_tiles_and_the_plan_says_why(planned):
     ground = ground_of(survey, plan)
     (_, in_one), (_, in_tiles) = ray_skew_px(survey, plan, ground, [None, found.tiling])
     assert in_tiles < 0.5 * in_one
-    assert "are skew by up to" in tile_doubts(survey, plan, None)[0]
+    assert "are skew by up to" in tile_warnings(survey, plan, None)[0]
 
 
 def test_rays_miss_by_what_snell_says(planned):
@@ -214,6 +214,6 @@ def test_rays_miss_by_what_snell_says(planned):
 
 def test_tiles_larger_than_a_local_frame_serves_for_are_warned_of(planned):
     survey, plan, _ = planned
-    assert not tile_doubts(survey, plan, Tiling((0.0, 1000.0, 2000.0), (0.0, 500.0), 0.2))
-    (doubt,) = tile_doubts(survey, plan, Tiling((0.0, 1500.0, 3000.0), (0.0, 500.0), 0.2))
-    assert doubt.startswith(f"tiles are {length(1500.0)} wide, expected at most {length(1000.0)}")
+    assert not tile_warnings(survey, plan, Tiling((0.0, 1000.0, 2000.0), (0.0, 500.0), 0.2))
+    (warning,) = tile_warnings(survey, plan, Tiling((0.0, 1500.0, 3000.0), (0.0, 500.0), 0.2))
+    assert warning.startswith(f"tiles are {length(1500.0)} wide, expected at most {length(1000.0)}")

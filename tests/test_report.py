@@ -24,7 +24,7 @@ from small_survey import TOML, small_survey
 from evaluation import DistanceStatistics, iho_s44
 from survey.folder.survey import load_survey
 from survey.report.collect import figures_of
-from survey.report.facts import RunVerdict, dry_doubts
+from survey.report.facts import RunVerdict, dry_warnings
 from survey.report.figures import Spread, json_of
 from survey.report.headline import cards, headline
 from survey.report.page import render_page
@@ -61,7 +61,7 @@ def test_a_bed_that_lies_above_the_water_all_over_is_a_warning(shallow_survey):
     assert figures_of(facts_of(shallow_survey, plane_bed(shallow_survey, num=20))).warnings == ()
     water = replace(shallow_survey.config, water=None)
     dry = replace(shallow_survey, water=None, config=water)
-    assert dry_doubts(dry, plane_bed(dry, num=20)) == []
+    assert dry_warnings(dry, plane_bed(dry, num=20)) == []
 
 
 def test_survey_and_water_say_where_they_come_from(plane_report):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from geo.similarity import robust_similarity
-from survey.folder.positions import position_doubts
+from survey.folder.positions import position_warnings
 from survey.photos.exif import Exif
 from survey.sfm.gps_fit import contradicted, line_of
 
@@ -97,11 +97,11 @@ def heads(positions: np.ndarray) -> dict[str, Exif]:
 )
 def test_check_names_the_photograph_that_is_far_from_the_others(rng, axis, value, words):
     positions = strips(rng, 20, 0.1)
-    assert position_doubts(heads(positions)) == []
+    assert position_warnings(heads(positions)) == []
     positions[7, axis] = value
-    (doubt,) = position_doubts(heads(positions))
-    assert words in doubt
-    assert "0007.jpg" in doubt
+    (warning,) = position_warnings(heads(positions))
+    assert words in warning
+    assert "0007.jpg" in warning
 
 
 def test_a_survey_across_the_meridian_of_180_degrees_is_one(rng):
@@ -114,33 +114,33 @@ def test_a_survey_across_the_meridian_of_180_degrees_is_one(rng):
     longitudes = [head.lat_lon_height[1] for head in moved.values()]
     assert min(longitudes) < -179.0
     assert max(longitudes) > 179.0
-    assert position_doubts(moved) == []
+    assert position_warnings(moved) == []
 
 
 def test_photographs_of_another_place_are_named_however_many_they_are(rng):
     positions = strips(rng, 20, 0.1)
     positions[13:] += [0.0, 30_000.0, 0.0]
-    (doubt,) = position_doubts(heads(positions))
-    assert doubt.startswith("7 images kilometres away from the others by GPS")
-    assert "0013.jpg" in doubt
+    (warning,) = position_warnings(heads(positions))
+    assert warning.startswith("7 images kilometres away from the others by GPS")
+    assert "0013.jpg" in warning
     # Parts of one survey that lie two kilometres apart.
     positions[13:] -= [0.0, 28_000.0, 0.0]
-    assert position_doubts(heads(positions)) == []
+    assert position_warnings(heads(positions)) == []
 
 
 @pytest.mark.parametrize("num", [1, 2, 9])
 def test_heights_of_exactly_0_are_named_however_many_they_are(rng, num):
     positions = serpentine(rng) + np.array([0.0, 0.0, 400.0])
     positions[:num, 2] = 0.0
-    (doubt,) = position_doubts(heads(positions))
-    assert doubt.startswith(f"{num} image{'s' * (num > 1)} far from the others by its GPS height, which are at 429.")
-    assert all(f"{i:04d}.jpg (0.0 m)" in doubt for i in range(min(num, 2)))
+    (warning,) = position_warnings(heads(positions))
+    assert warning.startswith(f"{num} image{'s' * (num > 1)} far from the others by its GPS height, which are at 429.")
+    assert all(f"{i:04d}.jpg (0.0 m)" in warning for i in range(min(num, 2)))
 
 
 def test_two_flying_heights_are_no_doubt(rng):
     positions = strips(rng, 20, 0.1)
     positions[14:, 2] += 40.0
-    assert position_doubts(heads(positions)) == []
+    assert position_warnings(heads(positions)) == []
 
 
 def flown(kind: str, seed: int) -> np.ndarray:
@@ -165,7 +165,7 @@ def flown(kind: str, seed: int) -> np.ndarray:
 @pytest.mark.parametrize("kind", ["strips", "orbit", "hovering", "by hand"])
 @pytest.mark.parametrize("seed", range(10))
 def test_turns_and_stops_are_no_doubt(kind, seed):
-    assert position_doubts(heads(flown(kind, seed))) == []
+    assert position_warnings(heads(flown(kind, seed))) == []
 
 
 def serpentine(rng) -> np.ndarray:
@@ -181,9 +181,9 @@ def serpentine(rng) -> np.ndarray:
 def test_a_place_off_the_line_of_flight_is_named_though_others_are_near(rng, which, off):
     positions = serpentine(rng)
     positions[which, :2] += off
-    (doubt,) = position_doubts(heads(positions))
-    assert doubt.startswith("1 image off the line of flight by its GPS position")
-    assert f"{which:04d}.jpg" in doubt
+    (warning,) = position_warnings(heads(positions))
+    assert warning.startswith("1 image off the line of flight by its GPS position")
+    assert f"{which:04d}.jpg" in warning
 
 
 def test_a_flight_off_and_back_for_one_photograph_is_no_doubt_where_clocks_tell_it(rng):
@@ -198,23 +198,23 @@ def test_a_flight_off_and_back_for_one_photograph_is_no_doubt_where_clocks_tell_
             for (name, head), s in zip(given.items(), seconds, strict=True)
         }
 
-    assert position_doubts(at(seconds)) == []
-    assert "0008.jpg" in position_doubts(at(2.0 * np.arange(20)))[0]
+    assert position_warnings(at(seconds)) == []
+    assert "0008.jpg" in position_warnings(at(2.0 * np.arange(20)))[0]
     # Names that say nothing of the order.
     shuffled = dict(rng.permutation(np.array(list(at(2.0 * np.arange(20)).items()), dtype=object)))
-    assert "0008.jpg" in position_doubts(shuffled)[0]
+    assert "0008.jpg" in position_warnings(shuffled)[0]
 
 
 @pytest.mark.parametrize("same", [[3, 9], [3, 4, 5], range(20)])
 def test_photographs_with_one_position_are_named(rng, same):
     positions = serpentine(rng)
     positions[list(same)] = positions[same[0]]
-    doubts = position_doubts(heads(positions))
+    doubts = position_warnings(heads(positions))
     if len(same) == 20:
         assert doubts == ["all 20 images have the same GPS position to the last digit: it tells nothing of them"]
     else:
-        (doubt,) = [line for line in doubts if "to the last digit" in line]
-        assert doubt.endswith(": " + ", ".join(f"{i:04d}.jpg" for i in same[1:]))
+        (warning,) = [line for line in doubts if "to the last digit" in line]
+        assert warning.endswith(": " + ", ".join(f"{i:04d}.jpg" for i in same[1:]))
 
 
 def taken(positions: np.ndarray, seconds: np.ndarray, **changes) -> dict[str, Exif]:
@@ -229,10 +229,10 @@ def taken(positions: np.ndarray, seconds: np.ndarray, **changes) -> dict[str, Ex
 @pytest.mark.parametrize("of_each", [2, 5])
 def test_photographs_of_a_rig_or_of_bands_are_taken_at_one_position_and_no_doubt(rng, of_each):
     positions = np.repeat(serpentine(rng), of_each, axis=0)
-    assert position_doubts(taken(positions, np.repeat(2.0 * np.arange(20), of_each))) == []
+    assert position_warnings(taken(positions, np.repeat(2.0 * np.arange(20), of_each))) == []
 
 
 def test_two_aircraft_in_the_air_at_once_are_no_doubt(rng):
     one = taken(serpentine(rng), 2.0 * np.arange(20), serial="a")
     far = taken(np.add(serpentine(rng), [0.0, 300.0, 0.0]), 2.0 * np.arange(20) + 1.0, serial="b")
-    assert position_doubts(one | {f"b/{name}": head for name, head in far.items()}) == []
+    assert position_warnings(one | {f"b/{name}": head for name, head in far.items()}) == []

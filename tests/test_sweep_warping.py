@@ -151,10 +151,10 @@ def test_points_of_a_path_project_to_where_the_exact_projection_has_them(device,
         truth = camera.project(points, water)
         np.testing.assert_allclose(uv, truth, atol=PIXEL_PX)
         within = ((truth > 0.5) & (truth < np.array([camera.width, camera.height]) - 0.5)).all(axis=-1)
-        doubt = (np.abs(truth - 0.5) < PIXEL_PX) | (
+        warning = (np.abs(truth - 0.5) < PIXEL_PX) | (
             np.abs(truth - (camera.width - 0.5, camera.height - 0.5)) < PIXEL_PX
         )
-        np.testing.assert_array_equal((inside == within) | doubt.any(axis=-1), True)
+        np.testing.assert_array_equal((inside == within) | warning.any(axis=-1), True)
 
 
 def test_a_path_crosses_the_surface_without_a_step(device):

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from survey.water.level_observation import departure_of, plane_doubt
+from survey.water.level_observation import departure_of, plane_warning
 
 
 def points(rng, shape, *, count=80, std=0.02, length=40.0, width=10.0, wrong=0.0):
@@ -33,14 +33,14 @@ def test_a_riffle_is_found_as_large_as_it_is(rng):
 
 
 def test_the_warning_has_what_the_bed_moves(rng):
-    said = plane_doubt(points(rng, riffle), np.full(80, 0.02), 0.016, "gnss_points")
+    said = plane_warning(points(rng, riffle), np.full(80, 0.02), 0.016, "gnss_points")
     assert said is not None
     assert "one plane is not enough" in said
     assert re.search(r"gnss_points depart from it by [2-4]\d\.\d.mm", said)
 
 
 def test_a_departure_within_the_std_of_the_level_is_not_said(rng):
-    assert plane_doubt(points(rng, riffle), np.full(80, 0.02), 0.06, "gnss_points") is None
+    assert plane_warning(points(rng, riffle), np.full(80, 0.02), 0.06, "gnss_points") is None
 
 
 @pytest.mark.parametrize("places", [1, 2, 3, 5])
@@ -58,7 +58,7 @@ def test_scatter_hardly_ever_gives_an_alarm(rng, width, wrong):
     for _ in range(60):
         count = int(rng.integers(16, 150))
         drawn = points(rng, flat, count=count, std=rng.choice([0.01, 0.02, 0.05]), width=width, wrong=wrong)
-        alarms += plane_doubt(drawn, np.full(count, 0.02), np.hypot(0.015, 0.03 / np.sqrt(count)), "x") is not None
+        alarms += plane_warning(drawn, np.full(count, 0.02), np.hypot(0.015, 0.03 / np.sqrt(count)), "x") is not None
     assert alarms <= 1
 
 

@@ -10,7 +10,7 @@ from geo.crs import parse_crs
 from survey.errors import ConfigError
 from survey.folder.survey import load_survey
 from survey.settings.config import WaterConfig
-from survey.water.level_observation import DOUBTFUL_M, FARTHEST_M, LevelObservation, doubts_of_water_places
+from survey.water.level_observation import DOUBTFUL_M, FARTHEST_M, LevelObservation, water_place_warnings
 from tests.small_survey import E0, LEVEL, N0, replaced, small_survey
 
 SYSTEMS = {
@@ -37,7 +37,7 @@ def doubts(code, source, *places):
         LevelObservation(1.0, 0.02, place, None, "level_m" if source == "level_at" else source) for place in places
     ]
     cameras = np.array([SYSTEMS[code], np.array(SYSTEMS[code]) + 1e-4, [np.nan, np.nan]])
-    return doubts_of_water_places(parse_crs(code), cameras, WaterConfig(level_m=1.0), levels)
+    return water_place_warnings(parse_crs(code), cameras, WaterConfig(level_m=1.0), levels)
 
 
 @pytest.mark.parametrize("source", SOURCES)
@@ -64,9 +64,9 @@ def test_clicks_gauges_and_surveys_without_places_pass():
     far = LevelObservation(1.0, 0.02, place_of("EPSG:25832+5778", 900.0), None, "clicks")
     gauge = LevelObservation(1.0, 0.02, None, None, "gauge")
     crs, cameras = parse_crs("EPSG:25832+5778"), np.array([[11.4, 47.2]])
-    assert doubts_of_water_places(crs, cameras, WaterConfig(level_m=1.0), [far, gauge]) == []
-    assert doubts_of_water_places(crs, np.zeros((0, 2)), WaterConfig(level_m=1.0), []) == []
-    assert doubts_of_water_places(crs, cameras, None, []) == []
+    assert water_place_warnings(crs, cameras, WaterConfig(level_m=1.0), [far, gauge]) == []
+    assert water_place_warnings(crs, np.zeros((0, 2)), WaterConfig(level_m=1.0), []) == []
+    assert water_place_warnings(crs, cameras, None, []) == []
 
 
 @pytest.mark.parametrize("order", ["", "swapped"])

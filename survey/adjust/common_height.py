@@ -83,7 +83,7 @@ def _problem(known: PriorKnowledge, seen: Observed, state: State, marks_std_px: 
     return Problem(known.layout, seen.ties, seen.kind, priors_for(known, seen.ties), given, sides, rows)
 
 
-def height_doubts(survey: Survey, done: Adjusted) -> list[str]:
+def height_warnings(survey: Survey, done: Adjusted) -> list[str]:
     """Warning where positions alone determine the heights, and may share an error."""
     std = shared_height_std(survey)
     if std == 0.0 or done.known.common_up_std > 0.0 or _is_corrected(done):
@@ -156,10 +156,10 @@ def with_common(found: Adjustment, common: CommonHeight, water: FlatWater | None
         f"(+- {common.std:.2g} m), the same for all of them"
     )
     if abs(common.error) > _GPS_WITHIN_M:
-        doubt = (
+        warning = (
             f"{said}; a barometer may be off by so much, GPS is not: otherwise level_m or its vertical datum is wrong"
         )
-        found = replace(found, warnings=(*found.warnings, doubt))
+        found = replace(found, warnings=(*found.warnings, warning))
     else:
         found = replace(found, notes=(*found.notes, said))
     found = replace(found, common_up_m=(common.error, common.std))

@@ -22,7 +22,7 @@ from survey.adjust.block.on_ground import moved_by, shift_onto
 from survey.adjust.block.priors import PriorKnowledge, known_of
 from survey.adjust.block.state import POSE, WATER, WATER_PARAMETERS
 from survey.adjust.block.windows import measure_windows
-from survey.adjust.common_height import apply_level_datum, drop_common_height, height_doubts, water_start, with_common
+from survey.adjust.common_height import apply_level_datum, drop_common_height, height_warnings, water_start, with_common
 from survey.adjust.focal_lengths import FocalDrift, with_focal_std, with_focals, with_square_pixels
 from survey.adjust.given_values import LEVEL, LEVEL_NAME, check_dry_block, dry_bed_error, release, worst_contradiction
 from survey.adjust.observability import (
@@ -158,7 +158,7 @@ def _adjusted(survey: Survey, known: PriorKnowledge, windows: TiePoints | None, 
     found = gathered.result(done, contradictions)
     if not survey.provenance.is_level_known and found.parameter("level_m").status == UNKNOWN:
         raise _level_error(survey, found.parameter("level_m").std)
-    warnings = [*(_contradiction_text(found, each) for each in contradictions), *height_doubts(survey, done)]
+    warnings = [*(_contradiction_text(found, each) for each in contradictions), *height_warnings(survey, done)]
     warnings += parts_warning(found, survey.water) + ([] if water is None else [str(water)])
     warnings += [] if drift is None else [str(drift)]
     if not free_water:

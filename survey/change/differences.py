@@ -282,7 +282,7 @@ def _sounded(cloud: Cloud, path: Path, crs: CRS, stated: StatedStd) -> tuple[Sou
         way = Reprojection.between(own, crs, where=f"the CRS of {path}", places=cloud.points)
         cloud = replace(cloud, points=way(cloud.points))
         notes.append(f"{path} is in {own.name}: transformed to {crs.name}")
-        notes += [] if way.doubt is None else [way.doubt]
+        notes += [] if way.warning is None else [way.warning]
     elif own is not None and not same_crs(own, crs):
         raise ChangeError(
             f"{path} is in {own.name} without heights, and the other survey in {crs.name}; give both in one"

@@ -202,7 +202,7 @@ def load_inputs(paths: InputPaths, bounds: Bounds | None, water_level: float | N
     east, north, height = (float(v) for v in 0.5 * (kept.min(axis=0) + kept.max(axis=0)))
     origin = (east, north, height)
     frame = ShiftedFrame(origin) if crs is None else LocalFrame(crs, origin)
-    notes += of_ground + _height_doubts(kept, vertices_of(reference), paths, frame)
+    notes += of_ground + _height_warnings(kept, vertices_of(reference), paths, frame)
     return Inputs(paths, cloud, inside, int(cropped.sum()), reference, visible, crs, frame, tuple(notes))
 
 
@@ -278,7 +278,7 @@ def _common_crs(cloud: Mesh | Cloud, path: Path, others: dict[Path, Mesh | Cloud
     return crs if has_height(crs) else crs.to_3d(), notes
 
 
-def _height_doubts(
+def _height_warnings(
     points: np.ndarray, vertices: np.ndarray, paths: InputPaths, frame: LocalFrame | ShiftedFrame
 ) -> list[str]:
     """Raise where heights are too far apart to be of one place; a note on those that do not overlap."""

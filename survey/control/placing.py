@@ -55,7 +55,7 @@ def require_near(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) ->
             f"{said} lies {_km(apart)} from the nearest camera, the cameras are at {middle[0]:.10g}, {middle[1]:.10g} "
             f"in {crs.name}; correct it, or the CRS of the file"
         )
-    return _height_doubts(points, cameras, crs)
+    return _height_warnings(points, cameras, crs)
 
 
 def require_metres(points: Sequence[GivenPoint], crs: CRS) -> None:
@@ -84,7 +84,7 @@ def _degrees(said: str, crs: CRS, where: str) -> str:
     )
 
 
-def _height_doubts(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) -> list[str]:
+def _height_warnings(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) -> list[str]:
     heights = np.array([point.place[2] for point in points])
     unit = height_unit_m(crs)
     above = heights > cameras[:, 2].max()

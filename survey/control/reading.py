@@ -57,13 +57,13 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS) -> tuple[list[GivenPoint], Fi
             way.require_best(what, remedy)
             way.require_known(what, remedy)
             places = np.column_stack([*way(places[:, 0], places[:, 1]), places[:, 2]])
-            added, doubt = way.accuracy_m or 0.0, way.doubt(what)
+            added, warning = way.accuracy_m or 0.0, way.warning(what)
             heights = "are converted to the unit of crs" if scale != 1.0 else "are taken as heights in crs"
             assumption = (
                 f"points in {crs_name(source)} ({first.where}) are transformed to {horizontal_crs(crs).name}; their "
                 f"heights {heights}"
             )
-            said += Findings((assumption,), () if doubt is None else (doubt,))
+            said += Findings((assumption,), () if warning is None else (warning,))
         elif scale != 1.0:
             assumption = f"heights of {first.where} are converted by {scale:.7g}, as its columns or CRS name units"
             said += Findings((assumption,))
@@ -154,7 +154,7 @@ def gather(contents: Sequence[Content], crs: CRS, sizes: Mapping[str, tuple[int,
     lost = [f"{point.name} ({point.where})" for point in unmarked if not point.is_check]
     warnings += named(lost, "control point", "without a mark in a photograph, left out")
     kept = tuple(point for name, point in points.items() if name in marked)
-    warnings += _doubts(kept)
+    warnings += _warnings(kept)
     order = {point.name: i for i, point in enumerate(kept)}
     marks.sort(key=lambda mark: (order[mark.point], mark.view))
     gathered = Gathered(kept, tuple(marks), tuple(point for point in unmarked if point.is_check))
@@ -248,7 +248,7 @@ def _require_inside(mark: GivenMark, image: str, size: tuple[int, int]) -> None:
         )
 
 
-def _doubts(points: Sequence[GivenPoint]) -> list[str]:
+def _warnings(points: Sequence[GivenPoint]) -> list[str]:
     """Warnings about control that is too little, or has no heights."""
     warnings = []
     num = sum(not point.is_check for point in points)

@@ -59,8 +59,8 @@ def export(run: str | Path, *, options: ExportOptions | None = None, **files: st
         for product, path in wanted:
             _require_writable(product, path, inputs)
         loaded.folder.warn_if_unfinished()
-        if options.crs is not None and (doubt := loaded.transformation_to(options.crs).doubt) is not None:
-            current().warn(doubt)
+        if options.crs is not None and (warning := loaded.transformation_to(options.crs).warning) is not None:
+            current().warn(warning)
         with current().stage("Export", len(wanted)) as stage:
             for product, path in wanted:
                 _write(product, path, loaded, options)

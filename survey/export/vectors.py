@@ -54,8 +54,8 @@ def _writer(make: Callable[[LoadedRun, ExportOptions], Layer]) -> Callable[[Path
             _write_dxf(path, layer)
         elif path.suffix.lower() == ".zip":
             write_shapefile(path, layer)
-        elif (doubt := write_geojson(path, layer)) is not None:
-            current().warn(doubt)
+        elif (warning := write_geojson(path, layer)) is not None:
+            current().warn(warning)
 
     return write
 

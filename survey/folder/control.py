@@ -89,28 +89,28 @@ def find_control(
         checkpoints, said = in_crs(given, crs)
     if not config.gcp_files:
         found = FoundControl(config, None, tuple(checkpoints))
-        return found, said + Findings(warnings=_doubts_of_heights(found, crs))
+        return found, said + Findings(warnings=_repeated_heights(found, crs))
     contents = [read_control(folder / name) for name in config.gcp_files]
     if config.marks is not None:
         # Metashape's XML has coordinates too, which are not those that were asked for.
         contents.append(Content(marks=read_control(folder / config.marks).marks))
     sizes = {name: head.size_px for name, head in heads.items()}
     gathered, of_files = gather(contents, crs, sizes)
-    untold = _untold_accuracy(config, gathered)
+    untold = _unstated_accuracy(config, gathered)
     config, assumed = _with_stds(config, gathered)
     said += of_files + Findings(assumed, untold)
     found = FoundControl(config, gathered, (*checkpoints, *gathered.unmarked))
-    return found, said + Findings(warnings=_doubts_of_heights(found, crs))
+    return found, said + Findings(warnings=_repeated_heights(found, crs))
 
 
-def _doubts_of_heights(found: FoundControl, crs: CRS) -> tuple[str, ...]:
+def _repeated_heights(found: FoundControl, crs: CRS) -> tuple[str, ...]:
     names = [point.name for point in found.points]
     places = np.array([point.place for point in found.points]).reshape(-1, 3)
     several = several_heights(names, places, height_unit_m(crs))
     return tuple(named(several, "place", "of control with several heights, of which one is true at most"))
 
 
-def _untold_accuracy(config: ControlConfig, gathered: Gathered) -> tuple[str, ...]:
+def _unstated_accuracy(config: ControlConfig, gathered: Gathered) -> tuple[str, ...]:
     """Warning where neither settings nor files state the accuracy of control points."""
     untold = [point for point in gathered.points if point.std_m is None]
     if config.std_m is not None or not untold:
@@ -184,7 +184,7 @@ def mark_residuals(control: Control, views: Sequence[View], water: FlatWater | N
     return np.array(found)
 
 
-def checkpoint_doubts(
+def checkpoint_warnings(
     checkpoints: Sequence[Checkpoint], views: Sequence[View], water: FlatWater | None, departure: Departure | None
 ) -> list[str]:
     """A warning that names the check points which no photograph shows by its pose."""
@@ -201,7 +201,7 @@ def checkpoint_doubts(
     return named(unseen, "check point", "that no photograph shows, so that nothing is compared with it")
 
 
-def mark_doubts(control: Control, views: Sequence[View], water: FlatWater | None) -> list[str]:
+def mark_warnings(control: Control, views: Sequence[View], water: FlatWater | None) -> list[str]:
     """Warnings about marks that lie far from where the poses show their points."""
     away = mark_residuals(control, views, water)
     longer = {view.name: max(view.lens.width, view.lens.height) for view in views}
@@ -322,7 +322,7 @@ def _in_crs(path: Path, crs: CRS) -> tuple[Cloud, tuple[float, float], Findings]
         if cloud.height_unit_m is not None:
             cloud = replace(cloud, points=cloud.points * [1.0, 1.0, cloud.height_unit_m / height_unit_m(own)])
         way = Reprojection.between(own, crs, where=f"the CRS of {path}", places=cloud.points)
-        found = Findings(tuple(notes), () if way.doubt is None else (way.doubt,))
+        found = Findings(tuple(notes), () if way.warning is None else (way.warning,))
         accuracy_m = Transformation.between(own, way.crs, cloud.points).accuracy_m or 0.0
         return replace(cloud, points=way(cloud.points), crs=crs), (accuracy_m, way.height_std_m), found
     unit_m = height_unit_m(crs)

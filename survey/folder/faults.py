@@ -100,14 +100,14 @@ def require_apart(views: list[View], over_water: np.ndarray | None) -> list[str]
             f"all {len(views)} cameras are at one place within {1000.0 * _ONE_PLACE_M:.0f} mm, expected places some "
             "metres apart; give each photograph its own pose"
         )
-    warnings = [] if over_water is None else _overlap_doubts(views, over_water)
+    warnings = [] if over_water is None else _overlap_warnings(views, over_water)
     poses = [(*view.camera.centre, *view.camera.cam_from_local.ravel()) for view in views]
     first = {pose: i for i, pose in reversed(list(enumerate(poses)))}
     again = [view.name for i, view in enumerate(views) if first[poses[i]] != i]
     return warnings + named(again, "image", "with the pose of another one")
 
 
-def _overlap_doubts(views: list[View], over_water: np.ndarray) -> list[str]:
+def _overlap_warnings(views: list[View], over_water: np.ndarray) -> list[str]:
     """Warnings about views that overlap no other; circles around footprints allow for a bed far below the water."""
     places, radii = [], []
     for view, height in zip(views, over_water.tolist(), strict=True):
@@ -140,7 +140,7 @@ def _gaps(places: np.ndarray, radii: np.ndarray) -> np.ndarray:
     return gaps
 
 
-def angle_doubts(poses: list[Pose], frame: PoseFrame) -> list[str]:
+def angle_warnings(poses: list[Pose], frame: PoseFrame) -> list[str]:
     """Warning where omega, phi and kappa look like radians.
 
     All are below a full turn in radians; read as radians, all cameras look down, and their image rows are level, as
@@ -243,7 +243,7 @@ def _is_plausible(over_m: float, above_start_m: float | None) -> bool:
     return -UNDER_WATER_M - _ROUGH_M <= over_m - above_start_m <= ABOVE_WATER_M + _ROUGH_M
 
 
-def low_flight_doubts(over_m: np.ndarray, level_m: float, place: tuple[float, float], crs: CRS) -> list[str]:
+def low_flight_warnings(over_m: np.ndarray, level_m: float, place: tuple[float, float], crs: CRS) -> list[str]:
     """A warning where cameras (N,) [m] over the water fly nearly on it."""
     middle = float(np.median(over_m))
     if not 0.0 < middle < _LOWEST_FLIGHT_M:
@@ -254,7 +254,7 @@ def low_flight_doubts(over_m: np.ndarray, level_m: float, place: tuple[float, fl
     ]
 
 
-def exif_doubts(heights_m: Mapping[str, float], heads: Mapping[str, Exif]) -> list[str]:
+def exif_height_warnings(heights_m: Mapping[str, float], heads: Mapping[str, Exif]) -> list[str]:
     """A warning where poses and EXIF differ in height by as much as the geoid and the ellipsoid do.
 
     Parameters
@@ -282,7 +282,7 @@ def exif_doubts(heights_m: Mapping[str, float], heads: Mapping[str, Exif]) -> li
     ]
 
 
-def xmp_doubts(gps_height: str, crs: CRS, heads: Mapping[str, Exif]) -> list[str]:
+def xmp_height_warnings(gps_height: str, crs: CRS, heads: Mapping[str, Exif]) -> list[str]:
     """A warning where XMP says that GPS heights count from something else than `gps_height` takes them for."""
     vertical, said = vertical_crs(crs), [head.height_datum for head in heads.values() if head.height_datum is not None]
     if not said or vertical is None:
@@ -303,7 +303,7 @@ def xmp_doubts(gps_height: str, crs: CRS, heads: Mapping[str, Exif]) -> list[str
     return []
 
 
-def start_doubts(
+def start_height_warnings(
     over_water: Mapping[str, float], heads: Mapping[str, Exif], level_m: float, place: tuple[float, float], crs: CRS
 ) -> list[str]:
     """Warning where cameras, water and the drone's height over its take-off point are inconsistent.

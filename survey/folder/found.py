@@ -22,16 +22,16 @@ from survey.files.remote import is_url
 from survey.folder import infer
 from survey.folder.control import FoundControl, find_control
 from survey.folder.geo_txt import find_geo_txt, with_positions
-from survey.folder.positions import position_doubts
+from survey.folder.positions import position_warnings
 from survey.photos.exif import SUFFIXES, Exif, position_sources, read_exif, without_void_fixes
 from survey.photos.images import fetch_images, list_images, same_files
 from survey.pose_files import find_poses, find_unread, pose_files
 from survey.settings.config import SurveyConfig, read_config
 from survey.settings.tables import ProcessConfig
 from survey.sfm.datum import EXACT, DatumStd, least, plan_std
-from survey.sfm.gps import datum_doubts, transforms_into_crs
+from survey.sfm.gps import datum_warnings, transforms_into_crs
 from survey.water.level import with_level
-from survey.water.level_observation import LevelObservation, doubts_of_water_places
+from survey.water.level_observation import LevelObservation, water_place_warnings
 from survey.water.tides import Tide
 from survey.words import GCP_LIST
 
@@ -109,7 +109,7 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
     warnings += said.warnings
     if poses_path is not None and config.water is not None:
         config.water.require_level()
-    warnings += head_doubts(heads)
+    warnings += head_warnings(heads)
     warnings += [
         f"{' and '.join(names[:4])} are copies of one photograph, which agree wherever they are compared: keep one"
         for names in same_files(images)
@@ -118,12 +118,12 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
         at_exif = [head.lat_lon_height[1::-1] for head in heads.values() if head.lat_lon_height is not None]
         exif_places = np.array(at_exif).reshape(-1, 2)
         require_at(crs, exif_places, f"the GPS positions in {position_sources(heads)}", f"crs in {FILE_NAME}")
-        warnings += doubts_of_water_places(crs, exif_places, config.water, levels)
+        warnings += water_place_warnings(crs, exif_places, config.water, levels)
     if config.water is None and not config.dry:
         warnings.append(infer.NO_WATER)
     ways = transforms_into_crs(heads, crs, config.cameras.gps_height) if poses_path is None else []
     if poses_path is None:
-        warnings += [*datum_doubts(ways), *find_unread(folder)]
+        warnings += [*datum_warnings(ways), *find_unread(folder)]
     has_attitudes = any(head.motion.gimbal_deg is not None for head in heads.values())
     if config.cameras.rotation_std_deg is not None and poses_path is None and not has_attitudes:
         warnings.append(
@@ -169,7 +169,7 @@ def _poses_path(folder: Path, config: SurveyConfig) -> tuple[Path | None, str | 
     return paths[0], f"the poses are those in {paths[0].relative_to(folder).as_posix()}, the only poses found"
 
 
-def head_doubts(heads: Mapping[str, Exif]) -> list[str]:
+def head_warnings(heads: Mapping[str, Exif]) -> list[str]:
     """Warnings about photographs that other programs may show differently: rotated, or of several pages."""
     num = len(heads)
     rotated = sum(head.orientation != 1 for head in heads.values())
@@ -183,9 +183,9 @@ def head_doubts(heads: Mapping[str, Exif]) -> list[str]:
     for datum in dict.fromkeys(head.gps_datum for head in heads.values() if head.gps_datum):
         such = [name for name, head in heads.items() if head.gps_datum == datum and head.table_place is None]
         warnings += named(such, "image", f"with a GPS position on {datum} by EXIF or XMP, which is taken as WGS 84")
-    for doubt in dict.fromkeys(head.focal_doubt for head in heads.values() if head.focal_doubt):
-        such = [name for name, head in heads.items() if head.focal_doubt == doubt]
-        warnings += named(such, "image", f"with {doubt}; give [cameras] focal_px if it is known")
+    for warning in dict.fromkeys(head.focal_warning for head in heads.values() if head.focal_warning):
+        such = [name for name, head in heads.items() if head.focal_warning == warning]
+        warnings += named(such, "image", f"with {warning}; give [cameras] focal_px if it is known")
     if rotated:
         warnings.append(
             f"EXIF marks {rotated} of {num} images as rotated; pixels are used as stored and poses are assumed to "
@@ -196,7 +196,7 @@ def head_doubts(heads: Mapping[str, Exif]) -> list[str]:
             f"{paged} of {num} images have several pages, of which the first is used; if they are bands or other "
             "photographs, split them"
         )
-    return warnings + position_doubts(heads)
+    return warnings + position_warnings(heads)
 
 
 def survey_inputs(folder: Path) -> ReadFiles:

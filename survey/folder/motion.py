@@ -157,7 +157,7 @@ def rows_between(height: int) -> int:
     return max(height - 1, 1)
 
 
-def shutter_doubts(cameras: CamerasConfig, heads: Mapping[str, Exif], metres_per_px: float | None) -> list[str]:
+def shutter_warnings(cameras: CamerasConfig, heads: Mapping[str, Exif], metres_per_px: float | None) -> list[str]:
     """A warning about photographs that XMP says were taken in flight, while nothing is said of the shutter.
 
     Parameters

@@ -19,10 +19,10 @@ from survey.display.quantities import named
 from survey.errors import FILE_NAME, ConfigError, Findings, ImageError, PosesError
 from survey.files.csv_table import shortened
 from survey.folder import place
-from survey.folder.faults import angle_doubts
+from survey.folder.faults import angle_warnings
 from survey.folder.found import MIN_VIEWS, Found
 from survey.folder.pose_priors import PosePrior, priors_of_poses
-from survey.folder.posed import TiePointMisfit, given_in_local, points_in_local, reprojection, way_into_crs
+from survey.folder.posed import TiePointMisfit, given_in_local, points_in_local, reprojection, transformation_into_crs
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.photos.names import ImageNames
@@ -122,7 +122,7 @@ def lenses_from_config(cameras: CamerasConfig, heads: dict[str, Exif]) -> tuple[
         for name, head in heads.items():
             # Focal lengths within 1 % are roundings of one.
             focal = None if head.focal_px is None else round(100.0 * math.log(head.focal_px))
-            groups.setdefault((head.camera, head.serial, head.size_px, focal, head.focal_doubt), {})[name] = head
+            groups.setdefault((head.camera, head.serial, head.size_px, focal, head.focal_warning), {})[name] = head
     if len(groups) < 2 or any(head.focal_px is None for head in heads.values()):
         lens, said = lens_from_config(cameras, heads)
         return dict.fromkeys(heads, lens), said
@@ -238,8 +238,8 @@ def read_file_poses(found: Found, path: Path) -> tuple[FilePoses, Findings]:
     poses, of_lenses = with_lenses(found, list(paired.values()))
     said = Findings(tuple(file.notes), tuple(file.warnings)) + of_pairs + of_lenses
     datum, of_datum = _datum(found, file)
-    found, of_clicks = _with_clicks(found, file, poses)
-    said += Findings(warnings=tuple(angle_doubts(poses, file.frame))) + of_datum + of_clicks
+    found, of_clicks = _with_clicked_level(found, file, poses)
+    said += Findings(warnings=tuple(angle_warnings(poses, file.frame))) + of_datum + of_clicks
     warnings = []
     frame, views = place.views_in_local(found, file, poses)
     if file.tool is not None and found.config.water is not None:
@@ -259,17 +259,17 @@ def read_file_poses(found: Found, path: Path) -> tuple[FilePoses, Findings]:
 
 def _datum(found: Found, file: PoseFile) -> tuple[DatumStd, Findings]:
     """Std that the transformation of the poses into crs adds, with a warning where it does."""
-    way = way_into_crs(file, found.crs)
+    way = transformation_into_crs(file, found.crs)
     if way is None:
         return EXACT, Findings()
     std = found.config.cameras.position_std_m
     stated = 0.0 if std is None else max(per_axis(std)[:2])
     require_as_good(way, stated, "the poses", 0 if found.control is None else found.control.num_given)
-    doubt = way.doubt("the poses")
-    return DatumStd(plan_std(way)), Findings(warnings=() if doubt is None else (doubt,))
+    warning = way.warning("the poses")
+    return DatumStd(plan_std(way)), Findings(warnings=() if warning is None else (warning,))
 
 
-def _with_clicks(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[Found, Findings]:
+def _with_clicked_level(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[Found, Findings]:
     """The contents with the level that clicks in the photographs give, where [water] names them.
 
     The local frame of a survey lies at its level, which is not known before the poses are: another frame serves here.

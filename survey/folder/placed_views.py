@@ -71,7 +71,7 @@ def with_masks(found: Found, views: Sequence[View], own: Path | None) -> tuple[l
         )
     _require_sizes(masked)
     said = f"the masks are those {where}, of {len(views) - len(without)} images; black is left out"
-    warnings = (*named(without, "image", "without a mask, used whole"), *_doubts(masked))
+    warnings = (*named(without, "image", "without a mask, used whole"), *_warnings(masked))
     return masked, Findings((said,) if given is None else (), warnings)
 
 
@@ -127,7 +127,7 @@ def _require_sizes(views: Sequence[View]) -> None:
             )
 
 
-def _doubts(views: Sequence[View]) -> list[str]:
+def _warnings(views: Sequence[View]) -> list[str]:
     """Warning where masks leave out most of their photographs."""
     paths = [view.mask_path for view in views if view.mask_path is not None]
     some = np.unique(np.linspace(0, len(paths) - 1, _NUM_LOOKED_AT).astype(int))

@@ -192,7 +192,7 @@ def _require_bounds_near(frame: LocalFrame, centres: np.ndarray, bounds: tuple[f
         )
 
 
-def doubts_of_places(
+def place_warnings(
     frame: LocalFrame, views: list[View], over_water: np.ndarray | None, heads: dict[str, Exif]
 ) -> list[str]:
     """Warnings about positions and heights that are possible but more likely a mistake.

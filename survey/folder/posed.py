@@ -67,7 +67,7 @@ def points_in_crs(file: PoseFile, points: np.ndarray, crs: CRS, gps_height: str)
     return np.column_stack([*way(points[:, 0], points[:, 1]), height])
 
 
-def way_into_crs(file: PoseFile, crs: CRS) -> Transformation | None:
+def transformation_into_crs(file: PoseFile, crs: CRS) -> Transformation | None:
     """The way of the poses of a file into crs; None where they are in it, or in a local frame."""
     places = np.array([pose.centre for pose in file.poses])
     if file.frame is PoseFrame.LOCAL or not len(places):

@@ -31,7 +31,7 @@ _LONGER, _CLOCK_STEP_S = 2.0, 1.0
 _BETWEEN_FIXES_S = 2.0
 
 
-def position_doubts(heads: Mapping[str, Exif]) -> list[str]:
+def position_warnings(heads: Mapping[str, Exif]) -> list[str]:
     """Warnings that name the photographs whose GPS position or height lies far from all others."""
     known = {name: head for name, head in heads.items() if head.lat_lon_height is not None}
     if len(known) < _FEWEST:

@@ -16,19 +16,19 @@ from refract import FlatWater
 from survey.control.points import Checkpoint, Control, StableGround
 from survey.errors import FILE_NAME, Contradiction, Findings, SurveyError
 from survey.folder import place
-from survey.folder.control import checkpoint_doubts, mark_doubts, read_ground
+from survey.folder.control import checkpoint_warnings, mark_warnings, read_ground
 from survey.folder.faults import (
-    exif_doubts,
-    low_flight_doubts,
+    exif_height_warnings,
+    low_flight_warnings,
     place_of,
     require_apart,
     require_focal_lengths,
-    start_doubts,
+    start_height_warnings,
 )
 from survey.folder.found import Found, find_survey
-from survey.folder.motion import Velocity, shutter_doubts, velocities_of, with_motion
+from survey.folder.motion import Velocity, shutter_warnings, velocities_of, with_motion
 from survey.folder.placed_views import PlacedViews, lifted_over_water, views_of_file, views_of_photographs
-from survey.folder.plausible import doubts_of_places, require_true
+from survey.folder.plausible import place_warnings, require_true
 from survey.folder.pose_priors import PosePrior, common_plan_std
 from survey.folder.posed import TiePointMisfit
 from survey.folder.positions import far_from_others
@@ -37,7 +37,7 @@ from survey.photos.images import load_image, load_mask
 from survey.photos.poses import TiePoints
 from survey.settings.config import SurveyConfig, WaterConfig
 from survey.water.level import with_level_of_clicks, with_plane_of_surface
-from survey.water.level_observation import LevelObservation, doubts_of_water_places
+from survey.water.level_observation import LevelObservation, water_place_warnings
 from survey.water.surface import Departure, height_above, still_water
 from survey.water.tides import Tide, with_tides
 
@@ -197,7 +197,7 @@ def load_survey(
     if found.poses_path is not None:
         # Held against the GPS positions already where structure from motion finds the poses.
         centres = frame.crs_from_local(np.array([view.camera.centre for view in views]))
-        warnings += doubts_of_water_places(found.crs, lon_lat(found.crs, centres), found.config.water, found.levels)
+        warnings += water_place_warnings(found.crs, lon_lat(found.crs, centres), found.config.water, found.levels)
     config, water, is_level_known, levels, said = _water(placed, views)
     assumptions += said.assumptions
     warnings += said.warnings
@@ -221,9 +221,9 @@ def load_survey(
         found.heads,
         see_points=placed.reprojection is not None,
     )
-    warnings += _doubts(replace(found, config=config), frame, views, water, above_water, placed.control)
+    warnings += _warnings(replace(found, config=config), frame, views, water, above_water, placed.control)
     if found.poses_path is not None:
-        warnings += checkpoint_doubts(placed.checkpoints, views, water, departure)
+        warnings += checkpoint_warnings(placed.checkpoints, views, water, departure)
     config = _with_poses_name(config, found)
     return Survey(
         name=found.config.name or found.folder.resolve().name,
@@ -287,7 +287,7 @@ def _seen(placed: PlacedViews, views: list[View]) -> np.ndarray:
     return centres if placed.points is None else np.concatenate([centres, placed.points])
 
 
-def _doubts(
+def _warnings(
     found: Found,
     frame: LocalFrame,
     views: list[View],
@@ -303,7 +303,7 @@ def _doubts(
     warnings = require_focal_lengths({view.name: view.lens for view in views}, found.heads) if posed else []
     centres = np.array([view.camera.centre for view in views])
     above = None if above_water is None else above_water(centres)
-    warnings += require_apart(views, above) + doubts_of_places(frame, views, above, found.heads)
+    warnings += require_apart(views, above) + place_warnings(frame, views, above, found.heads)
     if len(views) == 2:
         warnings.append(
             "two photographs: no third view checks a height; outliers against their surroundings are left out, heights "
@@ -315,16 +315,16 @@ def _doubts(
     heights = frame.crs_from_local(centres)[:, 2] * height_unit_m(frame.crs)
     warnings += far_from_others(np.array([view.name for view in views]), centres[:, :2], heights, "pose")
     heads = {view.name: found.heads[view.name] for view in views}
-    warnings += shutter_doubts(found.config.cameras, heads, metres_per_px(views, water))
+    warnings += shutter_warnings(found.config.cameras, heads, metres_per_px(views, water))
     if control is not None:
-        warnings += mark_doubts(control, views, water)
+        warnings += mark_warnings(control, views, water)
     if above is not None:
         over_water = dict(zip((view.name for view in views), above.tolist(), strict=True))
-        warnings += _height_doubts(found, frame, views, over_water)
+        warnings += _height_warnings(found, frame, views, over_water)
     return warnings
 
 
-def _height_doubts(found: Found, frame: LocalFrame, views: list[View], over_water: Mapping[str, float]) -> list[str]:
+def _height_warnings(found: Found, frame: LocalFrame, views: list[View], over_water: Mapping[str, float]) -> list[str]:
     """Warnings where heights of cameras over the water [m] contradict other heights."""
     if found.config.water is None:
         return []
@@ -332,9 +332,9 @@ def _height_doubts(found: Found, frame: LocalFrame, views: list[View], over_wate
     centres = frame.crs_from_local(np.array([view.camera.centre for view in views]))
     at, heads = place_of(crs, np.median(centres, axis=0)), {view.name: found.heads[view.name] for view in views}
     heights_m = dict(zip(heads, (centres[:, 2] * height_unit_m(crs)).tolist(), strict=True))
-    warnings = low_flight_doubts(np.array(list(over_water.values())), level_m, at, crs)
+    warnings = low_flight_warnings(np.array(list(over_water.values())), level_m, at, crs)
     return [
         *warnings,
-        *start_doubts(over_water, found.heads, level_m, at, crs),
-        *exif_doubts(heights_m, heads),
+        *start_height_warnings(over_water, found.heads, level_m, at, crs),
+        *exif_height_warnings(heights_m, heads),
     ]

@@ -18,9 +18,16 @@ from survey.control.placing import require_near
 from survey.display.quantities import named
 from survey.errors import FILE_NAME, ControlError, ImageError, PosesError
 from survey.folder.checked_control import control_of_block, may_hold_roll, of_two_marks, require_placing_control
-from survey.folder.faults import above_start_of, explanation, place_of, require_focal_lengths, start_doubts, xmp_doubts
+from survey.folder.faults import (
+    above_start_of,
+    explanation,
+    place_of,
+    require_focal_lengths,
+    start_height_warnings,
+    xmp_height_warnings,
+)
 from survey.folder.found import Found
-from survey.folder.motion import shutter_doubts
+from survey.folder.motion import shutter_warnings
 from survey.folder.plausible import (
     AIRCRAFT_HEIGHT_M,
     DRONE_HEIGHT_M,
@@ -133,9 +140,9 @@ def require_solvable(found: Found) -> list[str]:
             over_water = cameras_crs[:, 2] * height_unit_m(found.crs) - found.config.water.level_m
             over = dict(zip(positions, over_water.tolist(), strict=True))
             at = place_of(found.crs, np.median(cameras_crs, axis=0))
-            warnings += start_doubts(over, found.heads, found.config.water.level_m, at, found.crs)
-    warnings += xmp_doubts(cameras.gps_height, found.crs, found.heads)
-    warnings += shutter_doubts(cameras, found.heads, None)
+            warnings += start_height_warnings(over, found.heads, found.config.water.level_m, at, found.crs)
+    warnings += xmp_height_warnings(cameras.gps_height, found.crs, found.heads)
+    warnings += shutter_warnings(cameras, found.heads, None)
     _require_readable(found.images)
     if focal is None:
         return warnings

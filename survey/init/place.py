@@ -210,8 +210,8 @@ def _vertical(
         return _of_ellipsoidal(photographs, horizontal, chosen, listed, cameras)
     if chosen is not None:
         source = position_sources(photographs.heads)
-        doubt = f"Not certain: that the level, all other heights and those in {source} count from there."
-        return chosen.to_epsg(), f"the heights of {_area(chosen)} ({chosen.name})", (doubt,)
+        warning = f"Not certain: that the level, all other heights and those in {source} count from there."
+        return chosen.to_epsg(), f"the heights of {_area(chosen)} ({chosen.name})", (warning,)
     more: tuple[str, ...] = (
         ("Not certain: levels of water may be in the heights of a country; then put its code here:",) if listed else ()
     )

@@ -18,8 +18,8 @@ from pyproj import CRS
 from geo.crs import utm_code
 from survey.photos.exif_position import (
     altitude_reference,
-    focal_doubt,
     focal_px,
+    focal_warning,
     other_datum,
     plain,
     position_of,
@@ -97,7 +97,7 @@ class Exif:
     gps_datum: str = ""
     # Whether the receiver says that it measured no position, and gives an earlier one (GPSStatus V)
     is_void: bool = False
-    focal_doubt: str = ""  # why it may be that of another image: `survey.photos.exif_position.focal_doubt`
+    focal_warning: str = ""  # why it may be that of another image: `survey.photos.exif_position.focal_warning`
     serial: str = ""  # Serial number of the camera; empty where it is not known
     # Where a table gives the position, which then counts instead of that of the file itself
     table_place: TablePlace | None = None
@@ -151,7 +151,7 @@ def _read_exif(path: Path, _changed: int, _size: int) -> Exif:
         gps_fault=fault,
         gps_datum=other_datum(gps, xmp) if position is not None else "",
         is_void=position is not None and plain(gps.get(ExifTags.GPS.GPSStatus))[:1].upper() == "V",
-        focal_doubt=focal_doubt(size, details, xmp),
+        focal_warning=focal_warning(size, details, xmp),
         serial=words(details.get(ExifTags.Base.BodySerialNumber, "")) or words(serial_of(xmp)),
     )
 

@@ -1,4 +1,4 @@
-"""Position of a photograph by GPS tags of EXIF in all legal forms and by XMP, and doubts about its focal length."""
+"""Position of a photograph by GPS tags of EXIF in all legal forms and by XMP, and warnings about its focal length."""
 
 from __future__ import annotations
 
@@ -164,15 +164,15 @@ def focal_px(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -> flo
     return by_film
 
 
-def focal_doubt(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -> str:
+def focal_warning(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -> str:
     """Reason why the focal length may be that of another image than the stored one; empty where nothing says so."""
     zoom = number(details.get(ExifTags.Base.DigitalZoomRatio))
     # Cameras differ in whether the 35 mm equivalent has it.
     said = f"a digital zoom of {zoom:g} by EXIF, which its focal length may leave out" if zoom > 1.0 else ""
-    return " and ".join(filter(None, (said, _resized_doubt(size, details, xmp))))
+    return " and ".join(filter(None, (said, _resized_warning(size, details, xmp))))
 
 
-def _resized_doubt(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -> str:
+def _resized_warning(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -> str:
     """Doubt where calibration and 35 mm equivalent belong to images of different sizes; empty otherwise."""
     calibrated, used = xmp_number(xmp, "CalibratedFocalLength"), focal_px(size, details, xmp)
     if not calibrated or calibrated <= 0.0:

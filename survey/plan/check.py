@@ -20,13 +20,13 @@ from survey.folder.unposed import placing_control, require_solvable
 from survey.photos.exif import position_sources
 from survey.photos.texture import look_like_water
 from survey.plan.area import require_seen
-from survey.plan.check_inputs import control_rows, level_doubt, mark_rows, water_stds
+from survey.plan.check_inputs import control_rows, level_warning, mark_rows, water_stds
 from survey.plan.choices import USUAL, Choices
 from survey.plan.decisions import Decision, require_placeable
 from survey.plan.plan import Plan, device_decision, make_plan
 from survey.plan.tile_choice import choose_tiles, with_free_cores
-from survey.plan.tiling import tile_doubts
-from survey.plan.workload import Workload, room_doubts, workload_of, workload_of_images
+from survey.plan.tiling import tile_warnings
+from survey.plan.workload import Workload, room_warnings, workload_of, workload_of_images
 from survey.settings.config import SurveyConfig
 from survey.sfm.datum import WELL_KNOWN_M
 from survey.sfm.settings import mapper_of
@@ -50,12 +50,12 @@ class Checked:
     survey: Survey | None  # None where structure from motion has to find the poses first
     warnings: tuple[str, ...]  # sentences
     # a sentence, or None: why the photographs will hardly tell the level of the water, where none is given
-    level_doubt: str | None = None
+    level_warning: str | None = None
 
     @property
-    def doubts(self) -> tuple[str, ...]:
+    def ordered_warnings(self) -> tuple[str, ...]:
         """All warnings, the one that will leave the run without a cloud first."""
-        return self.warnings if self.level_doubt is None else (self.level_doubt, *self.warnings)
+        return self.warnings if self.level_warning is None else (self.level_warning, *self.warnings)
 
 
 def require_processable(folder: Path) -> Checked:
@@ -69,10 +69,10 @@ def require_processable(folder: Path) -> Checked:
     found = find_survey(Path(folder))
     if found.poses_path is None:
         warnings = (*found.warnings, *require_solvable(found), *unnamed_water(found))
-        return Checked(found, None, warnings, level_doubt(found, None))
+        return Checked(found, None, warnings, level_warning(found, None))
     survey = load_survey(folder, found=found)
     require_seen(survey)
-    return Checked(found, survey, (*survey.findings.warnings, *unnamed_water(found)), level_doubt(found, survey))
+    return Checked(found, survey, (*survey.findings.warnings, *unnamed_water(found)), level_warning(found, survey))
 
 
 def unnamed_water(found: Found) -> list[str]:
@@ -134,14 +134,14 @@ def check_survey(
         tiles = with_free_cores(tiles, chosen) if chooses_workers else tiles
         workload = replace(workload, memory_bytes=int(tiles.memory_bytes))
         plan = replace(plan, decisions=(*plan.decisions, *tiles.decisions))
-        of_water = tile_doubts(survey, plan, tiles.tiling)
+        of_water = tile_warnings(survey, plan, tiles.tiling)
     except SurveyError as error:
         if survey.provenance.reprojection is None:
             raise
         # Where tie points prove the poses, what they say is worth printing, though nothing can be made of them.
         workload = f"process refuses this survey: {error}"
-    room = room_doubts(workload, folder / RUN_FOLDER) if isinstance(workload, Workload) else [workload]
-    warnings = (*checked.doubts, *of_water, *room)
+    room = room_warnings(workload, folder / RUN_FOLDER) if isinstance(workload, Workload) else [workload]
+    warnings = (*checked.ordered_warnings, *of_water, *room)
     return _sections(rows, plan.decisions, workload, survey.findings.assumptions, warnings, plan.as_dict())
 
 
@@ -215,7 +215,7 @@ def _without_poses(checked: Checked, chosen: Choices) -> list[CheckSection]:
     decisions = (sfm, mapper, device_decision(chosen.device), rest)
     sizes = [head.size_px for head in found.heads.values()]
     workload = workload_of_images(sizes, quality=chosen.quality, scale=chosen.image_scale)
-    warnings = (*checked.doubts, *room_doubts(workload, found.folder / RUN_FOLDER))
+    warnings = (*checked.ordered_warnings, *room_warnings(workload, found.folder / RUN_FOLDER))
     return _sections(_rows_without_poses(found), decisions, workload, found.assumptions, warnings)
 
 

@@ -118,7 +118,7 @@ def verdict_text(verdict: Verdict, found: str, advice: str) -> str:
     return f"{verdict}: {found}" + ("" if verdict is Verdict.good else f"; {advice}")
 
 
-def level_doubt(found: Found, survey: Survey | None) -> str | None:
+def level_warning(found: Found, survey: Survey | None) -> str | None:
     """Warning where an adjustment will hardly determine the level; None where one is given, or it may.
 
     Parameters

@@ -254,9 +254,9 @@ def _sun_rows(found: Found, survey: Survey | None, wind_m_s: float) -> list[tupl
     later = sun_at(times[len(times) // 2] - timedelta(hours=1), *place)
     summer = f"summer time, the sun was {math.degrees(later.elevation):.0f} degrees high"
     told = any(found.heads[name].taken is not None for name in names)
-    doubt = f"; {assumed}" + ("" if told else f": if it was {summer}") if assumed else ""
+    assumption = f"; {assumed}" + ("" if told else f": if it was {summer}") if assumed else ""
     first, last = min(times), max(times)
-    rows = [("sun", sun_text(suns, f"{first:%Y-%m-%d %H:%M} to {last:%H:%M} UTC{doubt}"))]
+    rows = [("sun", sun_text(suns, f"{first:%Y-%m-%d %H:%M} to {last:%H:%M} UTC{assumption}"))]
     flight = _flight(found, survey)
     if flight is None:
         return rows

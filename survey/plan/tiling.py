@@ -127,12 +127,12 @@ def ray_skew_px(
         yield tiling, most * per_m / plan.gsd_m
 
 
-def tile_doubts(survey: Survey, plan: Plan, tiling: Tiling | None) -> tuple[str, ...]:
+def tile_warnings(survey: Survey, plan: Plan, tiling: Tiling | None) -> tuple[str, ...]:
     """Warnings where a plane or a local frame does not serve for a tile, or none."""
-    return (*_water_doubts(survey, plan, tiling), *_frame_doubts(tiling))
+    return (*_water_warnings(survey, plan, tiling), *_frame_warnings(tiling))
 
 
-def _frame_doubts(tiling: Tiling | None) -> tuple[str, ...]:
+def _frame_warnings(tiling: Tiling | None) -> tuple[str, ...]:
     if tiling is None:
         return ()
     side = max(tiling.x[1] - tiling.x[0], tiling.y[1] - tiling.y[0])
@@ -144,7 +144,7 @@ def _frame_doubts(tiling: Tiling | None) -> tuple[str, ...]:
     )
 
 
-def _water_doubts(survey: Survey, plan: Plan, tiling: Tiling | None) -> tuple[str, ...]:
+def _water_warnings(survey: Survey, plan: Plan, tiling: Tiling | None) -> tuple[str, ...]:
     """A warning where the planes of the tiles do not serve, or none."""
     if survey.water is None or survey.observations.departure is None:
         return ()

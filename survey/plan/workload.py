@@ -267,16 +267,16 @@ def require_room(workload: Workload, run_folder: Path) -> list[str]:
         If the disk of the run folder has too little space, where files of an earlier run count as free, or the
         process may take too little memory: kernels that get none end it without a message.
     """
-    words = _disk_doubt(workload, run_folder) or _limit_doubt(workload)
+    words = _disk_warning(workload, run_folder) or _limit_warning(workload)
     if words is not None and not workload.is_bound:
         raise SurveyError(words)
-    return room_doubts(workload, run_folder)
+    return room_warnings(workload, run_folder)
 
 
-def room_doubts(workload: Workload, run_folder: Path) -> list[str]:
+def room_warnings(workload: Workload, run_folder: Path) -> list[str]:
     """Warnings where the disk of the run folder or the free memory will not suffice."""
-    disk = _disk_doubt(workload, run_folder)
-    warnings = [text for text in (disk, _limit_doubt(workload)) if text is not None]
+    disk = _disk_warning(workload, run_folder)
+    warnings = [text for text in (disk, _limit_warning(workload)) if text is not None]
     free = machine.free_memory_bytes()
     if workload.memory_bytes > free:
         warnings.append(
@@ -286,7 +286,7 @@ def room_doubts(workload: Workload, run_folder: Path) -> list[str]:
     return warnings
 
 
-def _disk_doubt(workload: Workload, run_folder: Path) -> str | None:
+def _disk_warning(workload: Workload, run_folder: Path) -> str | None:
     there = sum(p.stat().st_size for p in run_folder.glob("stages/**/*") if p.is_file()) if run_folder.is_dir() else 0
     free = machine.free_disk_bytes(run_folder) + there
     if workload.disk_bytes <= free:
@@ -297,7 +297,7 @@ def _disk_doubt(workload: Workload, run_folder: Path) -> str | None:
     )
 
 
-def _limit_doubt(workload: Workload) -> str | None:
+def _limit_warning(workload: Workload) -> str | None:
     allowed = machine.allowed_memory_bytes()
     if workload.memory_bytes <= allowed:
         return None

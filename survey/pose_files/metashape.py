@@ -153,7 +153,7 @@ def read_metashape(path: Path) -> PoseFile:
         *named(disabled, "camera", f"disabled in {path.name}, left out"),
         *named(unplaced, "camera", f"not aligned in {path.name}, left out"),
         *named(nameless, "camera", f"without a label in {path.name}, left out"),
-        *_doubts(chunk, path, num_components=len(components)),
+        *_warnings(chunk, path, num_components=len(components)),
     )
     is_earth = _is_on_earth(poses.values(), crs, path)
     frame = PoseFrame.GEOCENTRIC if is_earth else PoseFrame.LOCAL
@@ -167,7 +167,7 @@ def _name(camera: Element) -> str:
     return (camera.get("label") or "").strip() or path.strip()
 
 
-def _doubts(chunk: Element, path: Path, *, num_components: int) -> Iterator[str]:
+def _warnings(chunk: Element, path: Path, *, num_components: int) -> Iterator[str]:
     if num_components > 1:
         yield (
             f"{path.name} has a block in {num_components} components that no tie point joins; they fit each other "

@@ -73,8 +73,8 @@ def read_opk_csv(path: Path) -> PoseFile:
             raise SecondPose(pose.name, row.where)
         poses[pose.name] = pose
     of_lens = [name for name in column_names(path) if is_lens_key(name)]
-    doubt = f"columns of a lens in {path.name} ({', '.join(of_lens[:10])}) are not read: give it in [cameras]"
-    warnings = (doubt,) if of_lens else ()
+    warning = f"columns of a lens in {path.name} ({', '.join(of_lens[:10])}) are not read: give it in [cameras]"
+    warnings = (warning,) if of_lens else ()
     crs = crs_of_comment(path, PosesError) or (CRS("EPSG:4326") if names[1] == "longitude" else None)
     height_m, plan_m = units.get(names[3]), common_unit_m(units, (names[1], names[2]), path, PosesError)
     if "omega" in columns:

@@ -194,7 +194,7 @@ def checkpoints_of(
     return CheckpointAccuracy(rows, tuple(_groups(rows)), WITHIN_GSD * gsd_m)
 
 
-def checkpoint_doubts(found: CheckpointAccuracy | None) -> list[str]:
+def checkpoint_warnings(found: CheckpointAccuracy | None) -> list[str]:
     """A warning that names the check points whose difference is not explained by what the cloud states."""
     if found is None:
         return []

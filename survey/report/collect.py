@@ -22,8 +22,8 @@ from survey.folder.survey import Survey
 from survey.photos.images import list_images
 from survey.photos.texture import MatchedLight
 from survey.report.adjustment_figures import adjustment_of
-from survey.report.checkpoints import checkpoint_doubts, stated_of
-from survey.report.facts import ReportFacts, dry_doubts, stated_std
+from survey.report.checkpoints import checkpoint_warnings, stated_of
+from survey.report.facts import ReportFacts, dry_warnings, stated_std
 from survey.report.figures import (
     BaselineRow,
     Baselines,
@@ -37,7 +37,7 @@ from survey.report.figures import (
     SurveyFigures,
     WaterFigures,
 )
-from survey.report.photographs import doubts, taken_of
+from survey.report.photographs import photograph_warnings, taken_of
 
 if TYPE_CHECKING:
     from fields.sweep.bed import BedPoints
@@ -155,9 +155,9 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
         assumptions=tuple(survey.findings.assumptions),
         warnings=(
             *failed,
-            *dry_doubts(survey, facts.bed),
-            *doubts(facts.photographs),
-            *checkpoint_doubts(checkpoints),
+            *dry_warnings(survey, facts.bed),
+            *photograph_warnings(facts.photographs),
+            *checkpoint_warnings(checkpoints),
             *survey.findings.warnings,
         ),
         notes=(*facts.notes, *told),

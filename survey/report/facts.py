@@ -51,7 +51,7 @@ class RunVerdict:
         return all(gate.passed for gate in self.gates)
 
 
-def dry_doubts(survey: Survey, bed: BedPoints) -> list[str]:
+def dry_warnings(survey: Survey, bed: BedPoints) -> list[str]:
     """Warning of how far the bed lies over the water; none where a point is wet, or there is no water."""
     if survey.water is None or not len(bed) or bed.wet.any():
         return []

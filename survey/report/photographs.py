@@ -69,7 +69,7 @@ def _useless(consistency: Mapping[str, Consistency]) -> dict[str, str]:
     return found
 
 
-def doubts(photographs: tuple[PhotographFigures, ...]) -> list[str]:
+def photograph_warnings(photographs: tuple[PhotographFigures, ...]) -> list[str]:
     """Warnings that name the photographs that show little of the bed, or nothing."""
     white = [each.name for each in photographs if each.saturated > MOSTLY_WHITE]
     useless = [f"{each.name} ({each.useless})" for each in photographs if each.useless]

@@ -93,7 +93,7 @@ def _require_meant(aim: Aim, largest_m: float, smallest_m: float) -> None:
         )
 
 
-def doubts(aim: Aim, found: Feasibility) -> list[str]:
+def aim_warnings(aim: Aim, found: Feasibility) -> list[str]:
     """Reasons against reaching a standard deviation, as sentences."""
     if aim.std_m is None:
         return []
@@ -157,7 +157,7 @@ def begin_aimed_run(
     found = assess_feasibility(aim, survey, chosen, machine.load())
     progress.note(f"asked: {aim}")
     progress.note(f"machine: {found.load}")
-    for text in doubts(aim, found):
+    for text in aim_warnings(aim, found):
         progress.warn(text)
     # No rates are known of other devices: they are measured in the first round.
     if (
@@ -195,7 +195,7 @@ def rows_of(
         # Of all surveys in docs/targets.md whose images are not tiny.
         within = f"{100 * SHARE:g} % of it stay within 1.7 to 5 times the median, on surveys so far; that counts"
         rows.append(("of the ground", within))
-    rows += [("", text) for text in doubts(aim, found)]
+    rows += [("", text) for text in aim_warnings(aim, found)]
     if aim.seconds is not None and is_timed:
         enough = "enough" if aim.seconds >= shortest_s(found) else "more than the budget: process refuses"
         shortest = f"about {math.ceil(shortest_s(found))} s, a reserve of {100 * (_UNKNOWN_PACE - 1):.0f} % included"

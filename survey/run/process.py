@@ -30,7 +30,7 @@ from survey.plan.plan import device_decision, make_plan
 from survey.plan.rates import parts_in_tiles, parts_s
 from survey.plan.recipe import aim_and_choices
 from survey.plan.tile_choice import SHARED, TileChoice, choose_tiles, require_dask, with_free_cores
-from survey.plan.tiling import tile_doubts
+from survey.plan.tiling import tile_warnings
 from survey.plan.workload import amounts_of_run, parts_of_found, require_room, workload_of, workload_of_found
 from survey.progress import Progress, opened
 from survey.run.aimed_run import AimedRun
@@ -162,8 +162,8 @@ def process(
     with opened() as progress, _run_in(run_folder, url) as run:
         _claim(run, checked.found)
         progress.log_to(run.log_path)
-        if checked.level_doubt is not None:
-            progress.warn(checked.level_doubt)
+        if checked.level_warning is not None:
+            progress.warn(checked.level_warning)
         if aim is None:
             _forecast(progress, checked, chosen)
         # By the URL of a run workers do not see the photographs before a task names them.
@@ -274,7 +274,7 @@ def _announce(
             slowness = progress.forecast.slowness
             workload = workload if slowness < _BUSY else workload.on_loaded_cores(slowness)
     progress.note(f"workload: {'' if aimed is None else 'with the largest recipe, '}{workload}")
-    for text in (*tile_doubts(survey, plan, tiles.tiling), *require_room(workload, run.path)):
+    for text in (*tile_warnings(survey, plan, tiles.tiling), *require_room(workload, run.path)):
         progress.warn(text)
     return tiles
 

@@ -30,11 +30,11 @@ from survey.files.toml_table import table_of
 from survey.folder.survey import Survey
 from survey.photos.exif import read_exif
 from survey.photos.texture import matched_light
-from survey.plan.tiling import tile_doubts
+from survey.plan.tiling import tile_warnings
 from survey.report import NUM_STEPS, Draw, ReportFacts, write_report
-from survey.report.checkpoints import checkpoint_doubts
-from survey.report.facts import RunVerdict, dry_doubts
-from survey.report.photographs import PhotographFigures, doubts, photographs_of, summary
+from survey.report.checkpoints import checkpoint_warnings
+from survey.report.facts import RunVerdict, dry_warnings
+from survey.report.photographs import PhotographFigures, photograph_warnings, photographs_of, summary
 from survey.report.pictures import draw_pictures
 from survey.report.seen_cells import CoverageFigures, SeenCells, cells_of, coverage_of
 from survey.run.flight import save_flight
@@ -154,7 +154,7 @@ def _write_report(
     if aim is not None and aim.std_m is not None:
         verdict = RunVerdict((*verdict.gates, asked_gate(stored, aim.std_m)))
     photographs = _photographs(done)
-    for text in (*dry_doubts(survey, stored.bed), *doubts(photographs)):
+    for text in (*dry_warnings(survey, stored.bed), *photograph_warnings(photographs)):
         job.progress.warn(text)
     for text in summary(photographs):
         job.progress.note(text)
@@ -178,11 +178,11 @@ def _write_report(
         coverage=_coverage(survey, stored, cells),
         cells=cells,
         heads={view.name: read_exif(view.path) for view in survey.views},
-        notes=tile_doubts(survey, plan, job.tiling),
+        notes=tile_warnings(survey, plan, job.tiling),
     )
     with job.progress.stage("Report", NUM_STEPS) as stage:
         figures = write_report(folder, facts, stage.advance, draw)
-    for text in checkpoint_doubts(figures.checkpoints):
+    for text in checkpoint_warnings(figures.checkpoints):
         job.progress.warn(text)
     if (std := figures.height_std) is not None:
         shared = "" if std.shared is None else f", of which {length(std.shared)} are shared by large parts of the cloud"

@@ -163,16 +163,16 @@ def datum_stds(heads: Mapping[str, Exif], crs: CRS, gps_height: str) -> dict[str
     return {name: DatumStd(plan_std(way.plan), way.up_std_m) for way in ways for name in way.names}
 
 
-def datum_doubts(ways: Sequence[PositionTransform]) -> list[str]:
+def datum_warnings(ways: Sequence[PositionTransform]) -> list[str]:
     """Warnings where GPS positions in crs are less well known than as they are given."""
-    doubts = [way.plan.doubt(way.said) for way in ways]
-    doubts += [
+    warnings = [way.plan.warning(way.said) for way in ways]
+    warnings += [
         f"heights of {way.said} are transformed by a geoid that PROJ states to {way.up_std_m:.2g} m: an error common "
         "to all of them"
         for way in ways
         if way.up_std_m > WELL_KNOWN_M
     ]
-    return [doubt for doubt in doubts if doubt is not None]
+    return [warning for warning in warnings if warning is not None]
 
 
 @dataclass(frozen=True)

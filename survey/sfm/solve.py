@@ -123,11 +123,11 @@ def sensors_of(heads: Mapping[str, Exif], alias_of: Mapping[str, str], focal_px:
     """The cameras that took the images: bodies with one lens at one zoom."""
     groups: dict[tuple, list[str]] = {}
     for name, head in heads.items():
-        lens = (head.camera, head.serial, head.size_px, head.focal_px, head.focal_doubt)
+        lens = (head.camera, head.serial, head.size_px, head.focal_px, head.focal_warning)
         groups.setdefault(lens, []).append(alias_of[name])
     return [
         CameraBody(tuple(names), size, focal_px if focal_px is not None else exif_focal)
-        for (_camera, _serial, size, exif_focal, _doubt), names in groups.items()
+        for (_camera, _serial, size, exif_focal, _warning), names in groups.items()
     ]
 
 

@@ -56,13 +56,13 @@ def _converted(index: float, wavelength_nm: float, light: MatchedLight, said: st
 def _of_water(given: WaterConfig, temperature_c: float, light: MatchedLight) -> tuple[float, Findings]:
     """The index of water by its temperature and salinity."""
     assumed = ("salinity_psu = 0, fresh water",) if given.medium.salinity_psu is None else ()
-    with warnings.catch_warnings(record=True) as doubts:
+    with warnings.catch_warnings(record=True) as fit_warnings:
         warnings.simplefilter("always")
         try:
             index = round(light.index(temperature_c, given.medium.salinity_psu or 0.0), 6)
         except ValueError as error:
             raise ConfigError(f"[water] in {FILE_NAME}: {error}; or give refractive_index instead") from error
     said = f"refractive_index = {index}, of water of {temperature_c:g} degrees for {light}"
-    if doubts:
-        said += f", although {' and '.join(dict.fromkeys(str(doubt.message) for doubt in doubts))}"
+    if fit_warnings:
+        said += f", although {' and '.join(dict.fromkeys(str(each.message) for each in fit_warnings))}"
     return index, Findings((*assumed, said))

@@ -34,7 +34,7 @@ from survey.water.level_observation import (
     COMMON_STD_M,
     LevelObservation,
     huber_fit,
-    plane_doubt,
+    plane_warning,
     points_of_surface,
     readings_of_gauge,
 )
@@ -197,9 +197,9 @@ def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS)
         f"{fit.slope_east:.5f} east and {fit.slope_north:.5f} north{shared}"
     )
     level_std_m = water.level_std_m or min(std, MOST_LEVEL_STD_M)
-    doubt = None
+    warning = None
     if source in _MEASURED and free:
-        doubt = plane_doubt(coordinates, np.array([each.std_m for each in points]), level_std_m, source)
+        warning = plane_warning(coordinates, np.array([each.std_m for each in points]), level_std_m, source)
     water = replace(
         water,
         level_m=level,
@@ -209,7 +209,7 @@ def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS)
         level_std_m=level_std_m,
         sources=LevelSources(),
     )
-    return water, Findings((said,), () if doubt is None else (doubt,))
+    return water, Findings((said,), () if warning is None else (warning,))
 
 
 def fit_surface(

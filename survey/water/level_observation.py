@@ -158,7 +158,7 @@ def moment_of(text: str, where: str) -> datetime:
     raise ConfigError(f"{where}: {text} has no time zone; write Z for UTC or e.g. +02:00 after it")
 
 
-def doubts_of_water_places(
+def water_place_warnings(
     crs: CRS, cameras: np.ndarray, water: WaterConfig | None, levels: Iterable[LevelObservation]
 ) -> list[str]:
     """Warnings where places on the water lie far from the cameras.
@@ -244,7 +244,7 @@ _ROUNDS = 50
 _LINE = 0.1
 
 
-def plane_doubt(points: np.ndarray, stds: np.ndarray, level_std_m: float, source: str) -> str | None:
+def plane_warning(points: np.ndarray, stds: np.ndarray, level_std_m: float, source: str) -> str | None:
     """Warning where points (N, 3) [m] on the water depart from a plane by more than the std of its level.
 
     Parameters

@@ -24,7 +24,7 @@ from survey.plan.check_light import LOST_GOOD, glitter_text, lost_share, motion_
 from survey.plan.choices import Choices
 from survey.plan.glitter import GlitterOfFlight
 from survey.plan.plan import make_plan
-from survey.plan.workload import room_doubts, workload_of
+from survey.plan.workload import room_warnings, workload_of
 from survey.settings.config import AreaConfig, SurveyConfig, WaterConfig
 from survey.simulate.flight.coverage import coverage
 from survey.simulate.scene_file import read_scene
@@ -207,8 +207,8 @@ def _processing_rows(survey: Survey, quality: str, device: str) -> list[tuple[st
     plan = make_plan(survey, Choices(quality=quality, device=device))
     rows = [(d.name, f"{d.choice}: {d.reason}") for d in plan.decisions if d.name in ("field", "image scale", "device")]
     workload = workload_of(survey, plan)
-    doubts = room_doubts(workload, survey.folder)
+    warnings = room_warnings(workload, survey.folder)
     return [
         *rows,
-        ("workload", verdict_text(Verdict.poor if doubts else Verdict.good, str(workload), "; ".join(doubts))),
+        ("workload", verdict_text(Verdict.poor if warnings else Verdict.good, str(workload), "; ".join(warnings))),
     ]

@@ -12,26 +12,26 @@ import signal
 import sys
 from contextlib import suppress
 
-# Of OpenBLAS, which reads it when numpy is imported. Matrices are small here, and threads that wait for the next one
-# keep a core from kernels and tiles. A number that the user has set stays.
+# Read by OpenBLAS when numpy is imported. Matrices are small here, and idle BLAS threads take cores from kernels and
+# tiles. A number that the user has set is kept.
 _THREADS_OF_ALGEBRA = "OPENBLAS_NUM_THREADS"
 
 
 def main() -> None:
     """Run the verb named by the arguments and exit with its exit code."""
     os.environ.setdefault(_THREADS_OF_ALGEBRA, "1")
-    # What ends a job of Slurm or a container is Ctrl-C; in another thread than the main one there are no signals.
+    # SIGTERM, which ends jobs of Slurm and containers, counts as Ctrl-C. Only the main thread may set signal handlers.
     with suppress(ValueError):
         signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         code = _run()
     except KeyboardInterrupt:
-        # In the first moments, or for the second time.
+        # Ctrl-C before the command starts, or a second time.
         from survey.commands.faults import STOPPED as code
         from survey.commands.faults import say_error
 
         say_error("stopped")
-    # Or Python would search all that is left for circles of references before it ends.
+    # Skip the garbage collection at exit, which would walk all remaining objects.
     gc.freeze()
     sys.exit(code)
 

@@ -69,7 +69,7 @@ def run(
     verbose: Verbose = 0,
     quiet: Quiet = 0,
 ) -> None:
-    """Measure run time against error, of the whole chain and of what it has to beat."""
+    """Measure run time against error, for the whole pipeline and for baselines."""
     with command(verbose, quiet, output) as results:
         from survey.benchmark.benchmark import FRONT, RESULTS, Settings, benchmark, present_devices
         from survey.benchmark.records import METHODS, read_results

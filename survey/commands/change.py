@@ -35,7 +35,7 @@ def run(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Polygons of unchanged ground, on which the later survey is put in height.",
+            help="Polygons of unchanged ground, to which the later survey is aligned in height.",
             rich_help_panel="Where",
         ),
     ] = None,
@@ -47,23 +47,24 @@ def run(
     ] = None,
     correlation_length: Annotated[
         float | None,
-        typer.Option(metavar="M", help="Over which errors are alike [m]; default: measured.", rich_help_panel=_STD),
+        typer.Option(metavar="M", help="Correlation length of errors [m]; default: measured.", rich_help_panel=_STD),
     ] = None,
     common_correlation: Annotated[
         float,
         typer.Option(
             metavar="R",
-            help="Of std_common of both: 0 independent, 1 if they share level and control.",
+            help="Correlation of the two std_common: 0 independent, 1 with shared level and control.",
             rich_help_panel=_STD,
         ),
     ] = 0.0,
     std: Annotated[
-        float | None, typer.Option(metavar="M", help="Of heights, for clouds without std [m].", rich_help_panel=_STD)
+        float | None,
+        typer.Option(metavar="M", help="std of heights, for clouds without one [m].", rich_help_panel=_STD),
     ] = None,
     std_common: Annotated[
         float | None,
         typer.Option(
-            metavar="M", help="Common to all heights, for clouds without std_common [m].", rich_help_panel=_STD
+            metavar="M", help="std common to all heights, for clouds without std_common [m].", rich_help_panel=_STD
         ),
     ] = None,
     json: Annotated[
@@ -80,8 +81,8 @@ def run(
 ) -> None:
     """Compute what changed between two surveys: cut and fill, with their uncertainty.
 
-    Volumes are of the second survey over the first, as they lie, or put onto
-    each other on stable ground.
+    Volumes are of the second survey over the first, as they are, or after the
+    later one is aligned in height on stable ground.
     """
     with command(verbose, quiet, json or tif or picture or run_a, reads=run_a) as results:
         from survey.change.change import ChangeOptions, change_between, rows_of

@@ -48,11 +48,11 @@ def run(
     verbose: Verbose = 0,
     quiet: Quiet = 0,
 ) -> None:
-    """Report what a survey has, what it lacks, and what process would do; or what a planned flight promises.
+    """Report what a survey has, what it lacks, and what process would do; or predict a planned flight.
 
-    Also what the flight promises for a bed under still, clear water, and what light and motion take from it. Nothing is
-    written. With --deep poses, lens and water are adjusted to the photographs, and where these contradict survey.toml
-    it says so. What no option says is what the environment and [process] in survey.toml say, as for process.
+    Also predicts the accuracy of a bed under still, clear water, and the effect of light and motion. Nothing is
+    written. With --deep, poses, lens and water are adjusted to the photographs, and contradictions with survey.toml are
+    reported. Options that are not given come from the environment, then [process] in survey.toml, as for process.
 
     Before the flight: a plan has place, camera, height, overlaps and oblique views, or a file of poses, and the time
     (docs/check.md, examples/flight.toml).
@@ -76,7 +76,7 @@ def is_plan(path: Path) -> bool:
 
 
 def _chosen(asked: ProcessConfig) -> tuple[Aim | None, Choices]:
-    """Choices that the plan is made for, and the aim beside it."""
+    """The aim, if there is one, and the choices that the plan is made for."""
     from survey.plan.recipe import aim_and_choices
 
     aim, _ = aim_and_choices(replace(asked, quality=None))
@@ -149,7 +149,7 @@ def as_dict(section: CheckSection) -> dict:
 
 
 def require_json(option: str, path: Path | None, survey: Path) -> None:
-    """Raise OutputError where a JSON file cannot be written, or would take the place of what is read."""
+    """Raise OutputError where a JSON file cannot be written, or would overwrite an input."""
     if path is None:
         return
     from survey.files.outputs import ReadFiles, is_json, require_file

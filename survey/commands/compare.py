@@ -91,7 +91,7 @@ def run(
 ) -> None:
     """Compare a cloud with a reference: signed distances, completeness, F-score.
 
-    Nothing is aligned.
+    The cloud is not aligned to the reference first.
     """
     with command(verbose, quiet, report or json or cloud, reads=cloud) as results:
         from survey.compare.comparison import CompareOptions, compare_files

@@ -14,9 +14,9 @@ import typer
 from survey.commands.faults import STANDARD_OUTPUT, fault_of, refusal_of, say_error
 from survey.words import fitted
 
-# One -q leaves out the progress, two leave out the results too.
+# One -q silences the progress, two silence the results as well.
 _NO_RESULTS = -2
-# -v less -q before the verb, which count as those after it.
+# Number of -v minus number of -q before the verb; they count like those after it.
 BEFORE_VERB: ContextVar[int] = ContextVar("before_verb", default=0)
 
 
@@ -71,9 +71,9 @@ def command(
     place : Path
         Named when a disk error does not name a file.
     stopped : str
-        What becomes of the work that Ctrl-C stops, if the folder ``place`` is there by then.
+        Sentence on unfinished work after Ctrl-C, if the folder ``place`` exists by then.
     reads : Path, optional
-        What is read first: it is named at once, for the libraries alone take seconds to load.
+        The first input, announced at once, since loading libraries takes seconds.
     """
     from survey.progress import Progress
 
@@ -90,7 +90,7 @@ def command(
             fault = fault_of(error, place, stopped=stopped if place.is_dir() else "")
             trace = traceback.format_exc()
         if fault.message:
-            # A disk that is full takes no log either; the sentence still has to reach the user.
+            # A full disk cannot take the log either; the message must still reach the user.
             with suppress(OSError):
                 progress.log_only(f"error: {fault.message}\n{trace if fault.is_ours else ''}".rstrip())
     with suppress(OSError):

@@ -30,7 +30,7 @@ def run(
         str | None,
         typer.Option(
             metavar="CRS",
-            help="Of the products, e.g. EPSG:32632; heights stay, or are given with it.",
+            help="CRS of products, e.g. EPSG:32632; heights are kept unless it has a vertical part.",
             rich_help_panel=_HOW,
         ),
     ] = None,
@@ -44,7 +44,7 @@ def run(
         str,
         typer.Option(
             metavar="METHOD",
-            help="delaunay: one height at each place; poisson: overhangs too (extra mesh).",
+            help="delaunay: one height per place; poisson: with overhangs (extra mesh).",
             rich_help_panel=_MESHES,
         ),
     ] = "delaunay",
@@ -53,20 +53,22 @@ def run(
     ] = False,
     interval: Annotated[
         float | None,
-        typer.Option(metavar="M", help="Between contours [m]; default: some ten of them.", rich_help_panel=_HOW),
+        typer.Option(metavar="M", help="Contour interval [m]; default: about ten contours.", rich_help_panel=_HOW),
     ] = None,
     no_bed: Annotated[
         bool,
         typer.Option(
             "--no-bed",
-            help="Into LAS, LAZ and COPC also water without a bed: class 45, and 41 over it.",
+            help="Add water without a bed to LAS, LAZ, COPC: class 45, and 41 above it.",
             rich_help_panel=_HOW,
         ),
     ] = False,
     thin: Annotated[
         str,
         typer.Option(
-            metavar="none|shoal|mean", help="What is kept of the soundings of a cell; none: all.", rich_help_panel=_HOW
+            metavar="none|shoal|mean",
+            help="Thinning of soundings to one per cell; none: keep all.",
+            rich_help_panel=_HOW,
         ),
     ] = "none",
     survey: Annotated[
@@ -79,7 +81,7 @@ def run(
 ) -> None:
     """Write products of a run for other programs.
 
-    A product that is there and up to date is not written again.
+    A product that exists and is up to date is not written again.
     """
     with command(verbose, quiet, run) as results:
         from survey.export.export import export

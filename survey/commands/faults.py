@@ -17,7 +17,7 @@ from survey.errors import SurveyError
 
 OUR_BUG, BAD_INPUT, STOPPED, BROKEN_PIPE = 1, 2, 130, 141
 
-# As sentences name it.
+# The name in messages.
 STANDARD_OUTPUT = "standard output"
 # In messages of libraries that get no memory: torch, Dr.Jit, numpy, OpenCV, the C++ library, the loader.
 _NO_MEMORY = (
@@ -36,7 +36,7 @@ _NO_ROOM = ("no space left on device", "disk is full")
 # Address space of the smallest survey in draft quality on four cores: 3.0 GB suffice; with 2.8 GB Dr.Jit ends the
 # process by a segmentation fault or an abort.
 _LEAST_BYTES = 3.0e9
-# Data of the smallest survey; with 0.3 GB the same happens, with 0.2 GB already to an import.
+# Data segment of the smallest survey; 0.3 GB crash in the same way, and 0.2 GB during imports.
 _LEAST_DATA_BYTES = 0.4e9
 _LIMITS = (
     ("AS", "address space", "ulimit -v", _LEAST_BYTES),
@@ -174,7 +174,7 @@ def address_space_shortage() -> str | None:
 
 
 def require_address_space() -> None:
-    """Raise SurveyError where `address_space_shortage` has something to say."""
+    """Raise SurveyError with the message of `address_space_shortage`, if there is one."""
     shortage = address_space_shortage()
     if shortage is not None:
         raise SurveyError(shortage)

@@ -21,7 +21,7 @@ EXAMPLES = """
         --cameras cameras.csv
 """
 
-_TRAINING, _SCENE, _SHOWN = "Training", "What is learned from", "What is made of it"
+_TRAINING, _SCENE, _SHOWN = "Training", "Training data", "Results"
 
 
 class Model(StrEnum):
@@ -53,19 +53,19 @@ class Rule(StrEnum):
 def run(
     run: RunFolder,
     output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="DIR", help="A new folder, or one with this training begun.")
+        Path, typer.Option("-o", "--output", metavar="DIR", help="New folder, or that of this training to resume.")
     ],
     model: Annotated[
         Model | None, typer.Option(metavar="NAME", help=f"{', '.join(Model)}; default: mdw.", rich_help_panel=_TRAINING)
     ] = None,
     steps: Annotated[
-        int | None, typer.Option(metavar="N", help="Steps; default: 2000.", rich_help_panel=_TRAINING)
+        int | None, typer.Option(metavar="N", help="Training steps; default: 2000.", rich_help_panel=_TRAINING)
     ] = None,
     rays: Annotated[
-        int | None, typer.Option(metavar="N", help="Rays of a step; default: 4096.", rich_help_panel=_TRAINING)
+        int | None, typer.Option(metavar="N", help="Rays per step; default: 4096.", rich_help_panel=_TRAINING)
     ] = None,
     samples: Annotated[
-        int | None, typer.Option(metavar="N", help="Samples of a ray; default: 48.", rich_help_panel=_TRAINING)
+        int | None, typer.Option(metavar="N", help="Samples per ray; default: 48.", rich_help_panel=_TRAINING)
     ] = None,
     cells: Annotated[
         int | None,
@@ -74,11 +74,12 @@ def run(
         ),
     ] = None,
     appearance: Annotated[
-        bool | None, typer.Option("--appearance", help="Learn the light of each photograph.", rich_help_panel=_TRAINING)
+        bool | None,
+        typer.Option("--appearance", help="Learn an appearance per photograph.", rich_help_panel=_TRAINING),
     ] = None,
     submodules: Annotated[
         str | None,
-        typer.Option(metavar="NxM", help="Cells on the ground with a field each; or N.", rich_help_panel=_TRAINING),
+        typer.Option(metavar="NxM", help="Ground cells with a field each; or N.", rich_help_panel=_TRAINING),
     ] = None,
     shell: Annotated[
         bool | None,
@@ -93,20 +94,22 @@ def run(
         typer.Option(metavar="DIR", help="Monocular depth and normals to learn from.", rich_help_panel=_TRAINING),
     ] = None,
     straight: Annotated[
-        bool, typer.Option("--straight", help="Do not bend rays, as others do.", rich_help_panel=_TRAINING)
+        bool, typer.Option("--straight", help="Do not refract rays, like other programs.", rich_help_panel=_TRAINING)
     ] = False,
-    seed: Annotated[int, typer.Option(metavar="N", help="Of all random numbers.", rich_help_panel=_TRAINING)] = 0,
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of random numbers.", rich_help_panel=_TRAINING)] = 0,
     bounds: Annotated[
         tuple[float, float, float, float] | None,
         typer.Option(metavar="E0 N0 E1 N1", help="Part of the bed, in crs.", rich_help_panel=_SCENE),
     ] = None,
     image_scale: Annotated[
         float | None,
-        typer.Option(metavar="S", help="Of photographs, 0 to 1; default: two pixels a cell.", rich_help_panel=_SCENE),
+        typer.Option(
+            metavar="S", help="Scale of photographs, 0 to 1; default: 2 pixels a cell.", rich_help_panel=_SCENE
+        ),
     ] = None,
     held_every: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Leave out one photograph in N, and predict it.", rich_help_panel=_SCENE),
+        typer.Option(metavar="N", help="Hold out every Nth photograph for testing.", rich_help_panel=_SCENE),
     ] = None,
     survey: Annotated[
         str | None,
@@ -138,8 +141,8 @@ def run(
 ) -> None:
     """Train a published radiance field on a run: surface, views and figures.
 
-    Rays are bent at the water before the field is sampled. The same command again goes on where it was stopped. What no
-    option says is what [field] in survey.toml says, then the default.
+    Rays are bent at the water before the field is sampled. The same command resumes a stopped training. Options that
+    are not given come from [field] in survey.toml, then the defaults.
     """
     with command(verbose, quiet, output, reads=run) as results:
         from fields.volume.surface import Rule as SurfaceRule

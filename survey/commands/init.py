@@ -55,8 +55,8 @@ def run(
 ) -> None:
     """Write survey.toml from what a folder of photographs holds.
 
-    Photographs, poses, control and water levels are found by their names; a comment stands at every value that is not
-    certain. On a terminal it asks for what no file tells.
+    Photographs, poses, control and water levels are found by their names; values that are uncertain get a comment. On a
+    terminal it asks for what no file states.
     """
     with command(verbose, quiet, folder, reads=folder) as results:
         from survey.init.draft import SCHEMA_LINE, require_level_and_dry_apart, write_schema, write_settings

@@ -24,14 +24,14 @@ EXAMPLES = """
 def run(
     survey: SurveyFolder,
     points: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Control points, beside those that survey.toml names.")
+        Path | None, typer.Option(metavar="FILE", help="Control points, in addition to those in survey.toml.")
     ] = None,
     poses_of: Annotated[
-        Path | None, typer.Option("--run", metavar="RUN", help="Predict places by the poses of this run.")
+        Path | None, typer.Option("--run", metavar="RUN", help="Predict positions by the poses of this run.")
     ] = None,
     host: Annotated[str, typer.Option(metavar="NAME", help="Where to listen.")] = "localhost",
     port: Annotated[
-        int, typer.Option(min=0, max=65535, metavar="PORT", show_default=False, help="Default: any that is free.")
+        int, typer.Option(min=0, max=65535, metavar="PORT", show_default=False, help="Default: any free port.")
     ] = 0,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the address.")] = False,
     verbose: Verbose = 0,
@@ -39,7 +39,7 @@ def run(
 ) -> None:
     """Mark control points and the waterline in the photographs, in a browser.
 
-    Every click is saved, into gcp_list.txt and clicks.csv of the survey; Ctrl-C ends it.
+    Every click is saved in gcp_list.txt or clicks.csv of the survey. Ctrl-C ends the server.
     """
     with command(verbose, quiet, survey) as results:
         from survey.errors import SurveyError

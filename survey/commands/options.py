@@ -63,7 +63,7 @@ AskedPlan = Annotated[
     Plan | None,
     typer.Option(
         metavar=words_of(Plan),
-        help="Leave out what the scene does not need, or nothing; default: auto.",
+        help="Skip what the scene does not need, or nothing; default: auto.",
         rich_help_panel=HOW,
     ),
 ]
@@ -71,13 +71,13 @@ TargetStd = Annotated[
     float | None,
     typer.Option(
         metavar="METRES",
-        help="Standard deviation wanted on 95 % of the ground: the least work for it.",
+        help="Least work that reaches this standard deviation on 95 % of the ground.",
         rich_help_panel=AIM,
     ),
 ]
 TimeBudget = Annotated[
     float | None,
-    typer.Option(metavar="SECONDS", help="What the run may take: the best that fits.", rich_help_panel=AIM),
+    typer.Option(metavar="SECONDS", help="Best result within this run time.", rich_help_panel=AIM),
 ]
 ImageScale = Annotated[
     float | None,
@@ -149,7 +149,7 @@ class PlanOptions:
     image_scale: ImageScale = None
 
     def config(self) -> ProcessConfig:
-        """The same as settings, over those of the environment."""
+        """These options as settings; those that are not given come from the environment."""
         from survey.settings.tables import ProcessConfig
 
         asked = ProcessConfig(**{_SETTINGS.get(name, name): value for name, value in asdict(self).items()})
@@ -177,7 +177,7 @@ class ProcessOptions(PlanOptions):
     memory: Annotated[
         str | None,
         typer.Option(
-            metavar="SIZE", help="What the run may take, as 8GB; default: most of what is free.", rich_help_panel=HOW
+            metavar="SIZE", help="Memory for the run, e.g. 8GB; default: most of the free one.", rich_help_panel=HOW
         ),
     ] = None
     workers: Annotated[
@@ -202,7 +202,7 @@ def asked_of_environment(environ: Mapping[str, str] = os.environ) -> ProcessConf
     Raises
     ------
     ConfigError
-        At a variable that is no such key, or a value that is none of it.
+        Where a variable is no such key, or has a value that the key does not take.
     """
     from survey.errors import ConfigError
     from survey.files.toml_table import parse_values
@@ -225,7 +225,7 @@ def asked_of_environment(environ: Mapping[str, str] = os.environ) -> ProcessConf
 
 
 def _value(text: str) -> str | float | int | bool:
-    """A text as TOML would have it; words stand without quotes."""
+    """A text parsed as a TOML value; words need no quotes."""
     if text.lower() in ("true", "false"):
         return text.lower() == "true"
     try:

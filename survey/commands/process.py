@@ -40,8 +40,8 @@ def run(
 ) -> None:
     """Compute the point cloud of the bed and a report in a run folder.
 
-    What no option says is what a variable of the environment says, e.g. BATHYNERF_PROCESS_QUALITY=fine, then [process]
-    in survey.toml, then the default.
+    Options that are not given come from environment variables, e.g. BATHYNERF_PROCESS_QUALITY=fine, then [process] in
+    survey.toml, then the defaults.
     """
     from survey.files.remote import is_url, local_run
 

@@ -25,10 +25,10 @@ def run(
         typer.Option(metavar="FILE", help="Lines as GeoJSON or (extra vector) GeoPackage, shapefile or DXF."),
     ],
     step: Annotated[
-        float | None, typer.Option(metavar="M", help="Between places [m]; default: by the spacing of the points.")
+        float | None, typer.Option(metavar="M", help="Step along lines [m]; default: by the spacing of the points.")
     ] = None,
     reference: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="A surface beside the bed: mesh, GeoTIFF or points.")
+        Path | None, typer.Option(metavar="FILE", help="Reference surface to plot: mesh, GeoTIFF or points.")
     ] = None,
     csv: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Table of all places.", rich_help_panel=FILES)

@@ -35,7 +35,7 @@ from survey.commands.console import BEFORE_VERB
 from survey.commands.faults import BAD_INPUT, say_error
 from survey.commands.options import Quiet, Verbose
 
-# Of options without a panel: alone on a page, and after panels.
+# Titles of the options without a panel: where there are no panels, and after panels.
 _ALL, _REST = "Options", "Other options"
 _ARGUMENTS = "Arguments"
 # In the order of `bathynerf --help`.
@@ -59,7 +59,7 @@ Examples:
   bathynerf process my_survey
 """
 
-# Of missing and unknown arguments too; Typer names only this kind of it.
+# The base class also covers missing and unknown arguments; Typer exports only BadParameter.
 _UsageError = cast("type[typer.BadParameter]", typer.BadParameter.__base__)
 
 
@@ -67,11 +67,11 @@ class Page(TyperCommand):
     """A verb whose help has a panel for each ``rich_help_panel`` of its options, as plain text."""
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
-        """Usage as of Typer, with arguments by their placeholder alone: SURVEY, not {SURVEY}."""
+        """Typer's usage line, with arguments by their placeholder alone: SURVEY, not {SURVEY}."""
         return [self.options_metavar or "", *(_usage(param) for param in _arguments(self.get_params(ctx)))]
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write arguments and options, those of one purpose together; a single one is not a panel."""
+        """Write arguments and options in panels by purpose; a single option gets no panel."""
         rows = [(_panel(param), row) for param in self.get_params(ctx) if (row := _row(param, ctx)) is not None]
         sizes = Counter(panel for panel, _ in rows)
         panels: dict[str, list[tuple[str, str]]] = {}
@@ -90,7 +90,7 @@ def _panel(param: Any) -> str:
 
 
 def _row(param: Any, ctx: Any) -> tuple[str, str] | None:
-    """Row of the help on a parameter; None of a hidden one."""
+    """Row of the help on a parameter; None for a hidden one."""
     record = param.get_help_record(ctx)
     return (param.metavar, record[1]) if record is not None and _panel(param) == _ARGUMENTS else record
 
@@ -100,7 +100,7 @@ def _arguments(params: list[Any]) -> list[Any]:
 
 
 def _usage(param: Any) -> str:
-    """An argument as the line of usage has it."""
+    """An argument as it appears in the usage line."""
     name = param.metavar if param.required else f"[{param.metavar}]"
     return name if param.nargs == 1 else f"{name}..."
 

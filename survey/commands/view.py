@@ -23,10 +23,10 @@ EXAMPLES = """
 def run(
     run: RunFolder,
     reference: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="A surface beside the cloud: mesh, GeoTIFF or points.")
+        Path | None, typer.Option(metavar="FILE", help="Reference surface to show: mesh, GeoTIFF or points.")
     ] = None,
     field: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="A field trained by bathynerf field, to render from any place.")
+        Path | None, typer.Option(metavar="DIR", help="Field trained by bathynerf field, to render from anywhere.")
     ] = None,
     export: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write one HTML file that opens without a server, and end.")
@@ -34,14 +34,14 @@ def run(
     host: Annotated[
         str,
         typer.Option(
-            metavar="HOST", help="Address to listen at; 0.0.0.0: for other machines too.", rich_help_panel=_SERVED
+            metavar="HOST", help="Address to listen on; 0.0.0.0: for other machines too.", rich_help_panel=_SERVED
         ),
     ] = "localhost",
     port: Annotated[
         int,
         typer.Option(
             metavar="PORT",
-            help="The next free one where it is taken.",
+            help="Port; the next free one if it is taken.",
             min=1,
             max=65535,
             rich_help_panel=_SERVED,
@@ -53,9 +53,9 @@ def run(
     verbose: Verbose = 0,
     quiet: Quiet = 0,
 ) -> None:
-    """Look at a run in the browser: cloud, water and photographs (extra viewer).
+    """View a run in the browser: cloud, water and photographs (extra viewer).
 
-    While `process` works on it, height maps are shown as they come. Ctrl-C ends it. From another machine:
+    While `process` is running, height maps are shown as they are finished. Ctrl-C ends it. From another machine:
     ssh -L 8080:localhost:8080 HOST.
     """
     with command(verbose, quiet, run, reads=run) as results:

@@ -31,14 +31,14 @@ from survey.words import GEO_TXT
 
 # On straight rays the bed seems higher than it is by about a quarter of its depth.
 _APPARENT_SHARE = 0.3
-# Further across than this, GPS without corrections cannot put a block; its heights may have any datum.
+# GPS without corrections is never this far off in plan; its heights may have any datum.
 _OTHER_DATUM_M = 20.0
-# A stated accuracy is not that of positions which control contradicts by more standard deviations, and by more than
-# straight rays bend a block.
+# The stated accuracy of positions is rejected where control contradicts them by more standard deviations than this, and
+# by more than straight rays deform a block, as a share of its size.
 _MOST_STD, _BENT_SHARE = 6.0, 0.02
-# Of a position without corrections.
+# Standard deviation of a position without corrections.
 _GPS_STD_M = 3.0
-# Fewer positions than this do not show which of them is wrong.
+# With fewer positions than this the adjustment cannot tell which one is wrong.
 _TELL_A_WRONG_ONE = 4
 
 
@@ -110,7 +110,7 @@ def of_two_marks(control: BlockControl) -> list[ControlPoint]:
 
 
 def may_hold_roll(found: Found) -> bool:
-    """Whether anything but positions and control may tell the roll about a line of them: level water, attitudes."""
+    """Whether level water or attitudes may determine the roll about a line of positions or control points."""
     return found.config.water is not None or any(head.motion.gimbal_deg is not None for head in found.heads.values())
 
 
@@ -121,7 +121,7 @@ def of_block(control: Control, frame: LocalFrame, found: Found) -> BlockControl:
     slack = np.zeros(len(points))
     if found.config.water is not None:
         level = found.config.water.level_m
-        # Where nobody knows the level, the highest point may be just over it.
+        # Where the level is unknown, the highest point may be just above it.
         slack = _APPARENT_SHARE * np.maximum((heights.max() if level is None else level) - heights, 0.0)
     return BlockControl(frame, points, control.marks, slack)
 
@@ -132,7 +132,7 @@ class CheckedControl:
 
     control: Control | None
     priors: Mapping[str, PosePrior]  # by name of view
-    move: Similarity | None  # Takes the block to its control, where its positions put it elsewhere
+    move: Similarity | None  # Transforms the block to its control, where its positions contradict the control
 
 
 def checked_parts(
@@ -269,7 +269,7 @@ def _other_datum(common: np.ndarray, std: np.ndarray, reach: float, priors: Mapp
     Parameters
     ----------
     common : (3,) [m]
-        Control points as the positions of the cameras put them, less their coordinates.
+        Control points as intersected by means of the camera positions, minus their coordinates.
     std, reach : (3,) [m], [m]
         Of control points; distance to the cameras.
     """
@@ -298,7 +298,7 @@ def _are_few(priors: Mapping[str, PosePrior]) -> bool:
 def _without_far(
     views: Sequence[View], std: np.ndarray, reach: float, priors: Mapping[str, PosePrior]
 ) -> tuple[Mapping[str, PosePrior], list[str]]:
-    """The priors without positions that lie elsewhere than where the block has the camera, and a warning of these."""
+    """The priors without positions that the block contradicts, and a warning that names these."""
     kept, far = dict(priors), []
     for view in views:
         prior = priors[view.name]

@@ -1,4 +1,4 @@
-"""[control] of a survey folder: its files read with the settings, checked against the cameras, taken into local.
+"""[control] of a survey folder: its files read, checked against the cameras, and transformed to the local frame.
 
 Marks are compared with the projections of their points under the poses and lenses of the survey. The reference, the dry
 ground of an earlier survey, is cut to the block.
@@ -38,9 +38,9 @@ from survey.settings.config import SurveyConfig
 from survey.settings.tables import DEFAULT_MARKS_STD_PX, DEFAULT_STD_M, ControlConfig, per_direction
 from survey.water.surface import Departure, height_above, plane_under
 
-# A lens of the data sheet or a pose by the receiver alone moves a point by less, as a share of the longer side.
+# A design focal length, or a pose from GPS alone, moves a point by less than this share of the longer side.
 _DOUBTFUL_SHARE = 0.02
-# A single mark this many times further off than the median is of another point.
+# A single mark this many times as far off as the median belongs to another point.
 _TIMES = 10.0
 
 
@@ -92,7 +92,7 @@ def find_control(
         return found, said + Findings(warnings=_repeated_heights(found, crs))
     contents = [read_control(folder / name) for name in config.gcp_files]
     if config.marks is not None:
-        # Metashape's XML has coordinates too, which are not those that were asked for.
+        # Metashape's XML has coordinates too, but here only its marks are used.
         contents.append(Content(marks=read_control(folder / config.marks).marks))
     sizes = {name: head.size_px for name, head in heads.items()}
     gathered, of_files = gather(contents, crs, sizes)
@@ -221,11 +221,11 @@ def mark_warnings(control: Control, views: Sequence[View], water: FlatWater | No
     return named(wrong, "mark", "far from where the pose shows its point, to be checked")
 
 
-# Of a reference that does not say it: airborne lidar, or photogrammetry on control.
+# Assumed accuracy of a reference that states none: airborne lidar, or photogrammetry on control.
 REFERENCE_STD_M = 0.1
-# Ground that is less above the water [m], or less standard deviations of the level, may be wet.
+# Ground may be wet if it is lower than this above the water [m], or than this many standard deviations of the level.
 _LEAST_ABOVE_M, _LEAST_SIGMAS = 0.1, 3.0
-# Around the middle of the cameras and tie points, in sizes of what these span.
+# Reach of the reference around the middle of cameras and tie points, in units of their extent.
 _REACH = 1.5
 _MOST_POINTS = 1_000_000
 # Fewer points are not ground.

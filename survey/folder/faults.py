@@ -1,8 +1,8 @@
-"""Inconsistent lenses, poses and vertical datums: faults that no single number shows.
+"""Inconsistent lenses, poses and vertical datums: faults that only several numbers together reveal.
 
-A focal length in the wrong unit, angles in radians, one pose for all photographs; cameras and water in two vertical
-datums, and the height of the take-off point over the water that a drone's height over take-off implies with them. What
-cannot be true of any survey is an error; what is unlikely is a warning.
+A focal length in the wrong unit, angles in radians, one pose for all photographs; cameras and water in different
+vertical datums; an implausible height of the take-off point over the water. What cannot be true of any survey is an
+error; what is unlikely is a warning.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from survey.photos.xmp import ELLIPSOIDAL
 _WIDEST_DEG, _NARROWEST_DEG = 135.0, 1.0
 # Below this only the longest lenses lie; a common lens whose focal length is ten times too long does too.
 _NARROW_DEG = 12.0
-# EXIF has design values, of the whole sensor; a photograph may be cropped or enlarged a little, but not to a fifth.
+# EXIF has design values of the whole sensor. Photographs may be cropped or enlarged somewhat, but not to a fifth.
 _DOUBTFUL_RATIO, _WRONG_RATIO = 1.5, 5.0
 # Cameras closer together than this show no parallax.
 _ONE_PLACE_M = 0.01
-# As radians all angles are below this; as degrees they may be too where all views look down and north.
+# Angles in radians are below this; so may angles in degrees be, where all views look down and north.
 _FULL_TURN = 2.0 * math.pi + 0.01
 _LOOKS_DOWN = math.cos(math.radians(75.0))
 # A gimbal keeps the rows of an image level to this sine. Degrees read as radians tilt rows at random.
 _LEVEL_ROWS = 0.03
-# Of drawn surveys rows are level to fewer digits than angles are written with [degrees].
+# In simulated surveys rows are exactly level, to the written digits [degrees].
 _EXACT = 1e-4
 
 
@@ -143,9 +143,9 @@ def _gaps(places: np.ndarray, radii: np.ndarray) -> np.ndarray:
 def angle_warnings(poses: list[Pose], frame: PoseFrame) -> list[str]:
     """Warning where omega, phi and kappa look like radians.
 
-    All are below a full turn in radians; read as radians, all cameras look down, and their image rows are level, as
-    those of a gimbal are in nadir and oblique views alike. Beside that they turn by more than a radian, or rows would
-    be level as degrees to a thirtieth of a degree, which no gimbal does.
+    All are below a full turn in radians. Read as radians, all cameras look down with level image rows, as on a gimbal,
+    in nadir and oblique views alike. In addition they turn by more than a radian, or else rows would, as degrees, be
+    level to a thirtieth of a degree, which no gimbal achieves.
     """
     if frame is not PoseFrame.GRID:
         return []
@@ -179,14 +179,14 @@ def _by_exif(head: Exif) -> str:
 
 # A barometer drifts by some metres during a flight, and a drone may start from a boat.
 UNDER_WATER_M = 5.0
-# People rarely start further above the water than this; a height above the ellipsoid for one above the sea is.
+# Take-off points are rarely higher above the water than this; with mixed up ellipsoid and geoid they often seem to be.
 ABOVE_WATER_M = 30.0
-# Without a height over the take-off point: how high drones fly that photograph a bed.
+# Usual flying heights for bathymetry, where the height over the take-off point is not known.
 _LOWEST_FLIGHT_M, _HIGHEST_FLIGHT_M = 2.0, 150.0
-# The geoid is known here to some metres, and so are heights in EXIF.
+# The geoid undulation is approximate to some metres here, and so are heights in EXIF.
 _ROUGH_M = 10.0
 _FOOT_M = 0.3048
-# Heights over the take-off point that stand for heights in crs are the same numbers.
+# Tolerance for heights over the take-off point that were given as heights in crs.
 _SAME_M = 3.0
 
 
@@ -264,7 +264,7 @@ def exif_height_warnings(heights_m: Mapping[str, float], heads: Mapping[str, Exi
     heads : name to Exif
     """
     if above_start_of(heads) is not None:
-        return []  # tells more: `survey.folder.faults`
+        return []  # `start_height_warnings` is more specific
     known = [(name, head.lat_lon_height) for name, head in heads.items() if name in heights_m]
     pairs = [(heights_m[name], position) for name, position in known if position is not None]
     pairs = [(height, position) for height, position in pairs if np.isfinite(position[2])]

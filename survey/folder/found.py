@@ -36,7 +36,7 @@ from survey.water.tides import Tide
 from survey.words import GCP_LIST
 
 MIN_VIEWS = 2
-# Where a survey may have the grid of the geoid under its heights.
+# Folder of a survey for geoid grids.
 GRIDS_FOLDER = "geoid"
 
 
@@ -58,12 +58,12 @@ class Found:
     # What was measured of the water level; clicks in photographs are not among them before the poses are known
     levels: tuple[LevelObservation, ...] = ()
     tide: Tide | None = None  # How the level moved; None where nothing is said of it
-    # What the way of GPS positions into crs adds to their accuracy; nothing where a file has the poses
+    # Std that the transformation into crs adds to GPS positions; none where a file has the poses
     datum: DatumStd = EXACT
 
 
 def process_config(folder: Path) -> ProcessConfig:
-    """[process] of the survey.toml in a folder, all open where there is none."""
+    """[process] of the survey.toml in a folder, empty where there is none."""
     toml = folder / FILE_NAME
     return read_config(toml).process if toml.is_file() else ProcessConfig()
 
@@ -74,7 +74,7 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
     Parameters
     ----------
     config : SurveyConfig, optional
-        What counts in place of survey.toml.
+        Settings to use instead of survey.toml.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -170,7 +170,7 @@ def _poses_path(folder: Path, config: SurveyConfig) -> tuple[Path | None, str | 
 
 
 def head_warnings(heads: Mapping[str, Exif]) -> list[str]:
-    """Warnings about photographs that other programs may show differently: rotated, or of several pages."""
+    """Warnings about EXIF of the photographs: faulty positions, other datums, rotation, several pages."""
     num = len(heads)
     rotated = sum(head.orientation != 1 for head in heads.values())
     paged = sum(head.has_pages for head in heads.values())

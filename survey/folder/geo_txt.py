@@ -1,7 +1,7 @@
-"""geo.txt of OpenDroneMap: positions of photographs that count instead of those in EXIF.
+"""geo.txt of OpenDroneMap: positions of photographs that replace those in EXIF.
 
-Its first line is the CRS, then ``image x y [z] [omega phi kappa] [horizontal accuracy] [vertical accuracy]``, easting
-or longitude first. Angles are not used, as OpenDroneMap does not use them either.
+Its first line is the CRS; the others are ``image x y [z] [omega phi kappa] [horizontal accuracy] [vertical accuracy]``,
+easting or longitude first. As in OpenDroneMap, angles are not used.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class _Line:
 
 
 def find_geo_txt(folder: Path, images: Path) -> Path | None:
-    """The geo.txt of a survey folder, which lies there or beside the photographs; None where there is none.
+    """The geo.txt in the survey folder or next to the photographs; None where there is none.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def _placed(heads: Mapping[str, Exif], line_of: Mapping[str, _Line], crs: CRS) -
         head = heads[name]
         own, (x, y, height) = crs, line.place
         if math.isnan(height) and head.lat_lon_height is not None:
-            # The height in EXIF counts from where all heights in EXIF do.
+            # The height in EXIF has the datum of all heights in EXIF.
             own = horizontal_crs(crs)
             height = head.lat_lon_height[2] / _unit_m(own)
         done[name] = replace(
@@ -195,7 +195,7 @@ def _line(text: str, where: str) -> _Line:
 
 
 def _std(accuracies: list[float], where: str) -> tuple[float, float, float] | None:
-    """Standard deviations [m]; None where both accuracies are 0, as programs write it that do not know them."""
+    """Standard deviations [m]; None where both accuracies are 0, which programs write for unknown."""
     across, up = accuracies
     if across == up == 0.0:
         return None

@@ -21,7 +21,7 @@ from survey.pose_files import read_poses
 from survey.settings.config import ImagesConfig, SurveyConfig
 from survey.words import GCP_LIST, GEO_TXT
 
-# EXIF counts heights from the sea level; receivers mean the geoid model EGM96 by that.
+# EXIF states heights above sea level, by which receivers mean the geoid model EGM96.
 _EGM96_HEIGHT = 5773
 
 _EXAMPLE = 'at least crs = "EPSG:25832+5778", [cameras] and, for water, [water] level_m = 12.34'
@@ -51,7 +51,7 @@ def config_of_images(
     heads: dict[str, Exif],
     poses_path: Path | None,
 ) -> tuple[SurveyConfig, Findings]:
-    """Settings from the GPS positions in EXIF, else from geocentric poses, and what is assumed.
+    """Settings inferred from the GPS positions in EXIF, else from geocentric poses, and the assumptions made.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def config_of_images(
 
 
 def _crs_of_control(path: Path) -> tuple[str, str]:
-    """Code of the projected CRS of gcp_list.txt, and in words how its heights are taken where it does not say it."""
+    """Code of the projected CRS of gcp_list.txt, and in words the datum assumed for its heights where it has none."""
     points = read_gcp_list(path).points
     if not points:
         raise ControlError(f"{path} has no points after the line with its CRS; add them")
@@ -131,7 +131,7 @@ def crs_advice(heads: dict[str, Exif]) -> str:
 
 
 def says_no_place(config: SurveyConfig) -> bool:
-    """Whether nothing in the settings has a place, and no height but a level, so that a crs may be chosen for it."""
+    """Whether the settings hold no coordinates, and no height but a level, so that a crs may be chosen."""
     area, local = config.area, config.local
     return (
         (config.water is None or config.water.has_no_place)

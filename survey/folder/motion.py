@@ -22,10 +22,10 @@ from survey.settings.config import CamerasConfig
 BY_XMP, BY_TIMES, BY_SETTINGS = "XMP", "positions and times", "survey.toml"
 # Photographs farther apart in time are not of one flight line [s].
 _LONGEST_S = 60.0
-# On a flight line, what one way to the next photograph has of its velocity differs from the next by at most this
-# share: 20 degrees of direction, or what a clock of whole seconds adds to some seconds.
+# On a flight line, velocities between successive photographs differ by at most this share: 20 degrees of direction, or
+# the rounding of times to whole seconds.
 _SAME_LINE = 0.35
-# What drones need to read out an image [s]: 10 to 60 ms; for the effect of a readout that is not known.
+# Typical readout time of drones [s], which have 10 to 60 ms; to estimate the effect of an unknown one.
 _USUAL_READOUT_S = 0.03
 # Slower than this the usual readout moves the last row by a millimetre: the drone hovers.
 _HOVERS_M_S = 0.05
@@ -47,7 +47,7 @@ class Velocity:
 def velocities_of(
     places: Mapping[str, np.ndarray], heads: Mapping[str, Exif], speed_m_s: float | None
 ) -> dict[str, Velocity]:
-    """Velocities of the photographs of which anything tells them.
+    """Velocities of the photographs, where XMP, times or settings give them.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def velocities_of(
         Of the cameras.
     heads : name to Exif
     speed_m_s : float or None
-        Along the flight lines, where neither XMP nor times tell it; the order is that of times, else of names.
+        Along the flight lines, where neither XMP nor times give it; the order is that of times, else of names.
     """
     found = velocities_by_xmp({name: heads[name] for name in places})
     if len(found) == len(places):
@@ -95,8 +95,8 @@ def _along_lines(
 ) -> dict[str, np.ndarray]:
     """Velocities (3,) [m/s] of the photographs on flight lines: from the one before to the one after.
 
-    At the end of a line the side counts on which the line goes on; where none or both do, at a turn, a photograph has
-    no velocity. A speed replaces that of positions and times, so that only their order counts.
+    At the end of a line only the neighbour on the line is used. At a turn, where neither or both neighbours could be on
+    the line, a photograph has no velocity. A given speed replaces that of positions and times; only their order counts.
     """
     names = sorted(seconds, key=lambda name: (seconds[name], name))
     if len(names) < 3:
@@ -127,7 +127,7 @@ def _along_lines(
 def with_motion(
     views: Sequence[View], velocities: Mapping[str, Velocity], cameras: CamerasConfig
 ) -> tuple[list[View], Findings]:
-    """The views with the motion of their cameras from row to row; as they are where no shutter is said to roll."""
+    """The views with the motion of their cameras from row to row; unchanged without a rolling shutter."""
     if not cameras.rolls:
         return list(views), Findings()
     unknown = [view.name for view in views if view.name not in velocities]
@@ -158,7 +158,7 @@ def rows_between(height: int) -> int:
 
 
 def shutter_warnings(cameras: CamerasConfig, heads: Mapping[str, Exif], metres_per_px: float | None) -> list[str]:
-    """A warning about photographs that XMP says were taken in flight, while nothing is said of the shutter.
+    """A warning about photographs that were taken in flight, by XMP, with an unknown type of shutter.
 
     Parameters
     ----------

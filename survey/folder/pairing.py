@@ -35,7 +35,7 @@ from survey.water.level import with_level_of_clicks
 
 
 def pair(found: Found, poses: Sequence[Pose]) -> tuple[dict[str, Pose], Findings]:
-    """The poses that have an image, under the name of that image, by the name that their file has.
+    """The poses that have an image, by the name of the image, with the names in the poses file matched to it.
 
     Warns of images without a pose and of poses without an image.
 
@@ -50,7 +50,7 @@ def pair(found: Found, poses: Sequence[Pose]) -> tuple[dict[str, Pose], Findings
     paired: dict[str, Pose] = {}
     taken: set[str] = set()
     unmatched = []
-    # Exact names first, so that no other one takes their image.
+    # Exact names first, so that no similar name takes their image.
     for pose in sorted(poses, key=lambda pose: pose.name not in found.images):
         image = names.find(pose.name, str(found.poses_path))
         if image is None or image in taken:
@@ -112,7 +112,7 @@ def require_image(view: View, head: Exif) -> None:
 
 
 def lenses_from_config(cameras: CamerasConfig, heads: dict[str, Exif]) -> tuple[dict[str, Lens], Findings]:
-    """The lens of each image: one for all, or one for each camera where survey.toml has no number of them.
+    """The lens of each image: one for all, or one for each camera where survey.toml gives no parameter.
 
     Cameras are told apart by maker, model and serial number, size, and focal length in EXIF. Parameters and errors are
     those of `lens_from_config`.
@@ -136,7 +136,7 @@ def lenses_from_config(cameras: CamerasConfig, heads: dict[str, Exif]) -> tuple[
 
 
 def lens_from_config(cameras: CamerasConfig, heads: dict[str, Exif]) -> tuple[Lens, Findings]:
-    """Lens for all images, with a sentence for each number that survey.toml does not give.
+    """Lens for all images, with a note for each parameter that survey.toml does not give.
 
     Parameters
     ----------
@@ -270,7 +270,7 @@ def _datum(found: Found, file: PoseFile) -> tuple[DatumStd, Findings]:
 
 
 def _with_clicked_level(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[Found, Findings]:
-    """The contents with the level that clicks in the photographs give, where [water] names them.
+    """The contents with the water level from clicks in the photographs, where [water] names them.
 
     The local frame of a survey lies at its level, which is not known before the poses are: another frame serves here.
     """
@@ -286,7 +286,7 @@ def _with_clicked_level(found: Found, file: PoseFile, poses: list[Pose]) -> tupl
 def _ties(
     found: Found, path: Path, file: PoseFile, frame: LocalFrame, views: Mapping[str, View]
 ) -> tuple[np.ndarray | None, TiePointMisfit | None]:
-    """Tie points in local that three photographs see, of two both, and how well all fall back on their places."""
+    """Tie points in local with at least three observations (two where there are two views), and their residuals."""
     ties = read_ties(path)
     if ties is None:
         return None, None
@@ -298,7 +298,7 @@ def _ties(
 def _given(
     found: Found, file: PoseFile, poses: list[Pose], frame: LocalFrame
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Positions in local, and their standard deviations, that a file gives for before its adjustment."""
+    """Positions before adjustment, in local, that the file gives, with their standard deviations."""
     known = [(pose.name, pose.given) for pose in poses if pose.given is not None]
     if not known:
         return {}

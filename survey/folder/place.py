@@ -20,16 +20,16 @@ from survey.settings.config import SurveyConfig, WaterConfig
 from survey.settings.water import MOST_LEVEL_STD_M, Medium
 from survey.water.index import ASSUMED_INDEX_STD, refractive_index
 
-# Where the search for an unknown level starts: over this quantile of the heights of the points, by this share of the
-# flying height, which few waters are deeper than.
+# The search for an unknown level starts above this quantile of point heights, by this share of the flying height; few
+# waters are deeper.
 _TOP_OF_POINTS, _START_OVER_POINTS = 0.95, 0.1
 
 
 def views_in_local(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[LocalFrame, list[View]]:
     """The local frame of a survey with poses, and the views of some poses of the file.
 
-    The frame is that of [local] where the poses are in it; else it lies under the middle of the cameras, at
-    the height of the water, or of the lowest camera of a dry survey.
+    The frame is that of [local] where the poses are in it. Otherwise its origin lies under the middle of the cameras,
+    at the height of the water, or of the lowest camera of a dry survey.
 
     Raises
     ------
@@ -89,10 +89,10 @@ def _origin(found: Found, centres: np.ndarray) -> tuple[float, float, float]:
 def with_level_of_points(
     config: SurveyConfig, frame: LocalFrame, views: list[View], points: np.ndarray | None
 ) -> tuple[SurveyConfig, Findings]:
-    """The settings with a level to start from, where none is given: a tenth of the flying height over the points.
+    """The settings with an initial level where none is given: a tenth of the flying height above the points.
 
-    From too high a level the adjustment comes down, because all points count as wet; from one below them it would learn
-    nothing.
+    From too high a level the adjustment converges, because all points count as wet; below all points it has no
+    information.
 
     Raises
     ------

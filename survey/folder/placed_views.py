@@ -1,6 +1,6 @@
-"""The views of a survey in its local frame with all that is known of their places, whatever placed them.
+"""The views of a survey in its local frame with priors and control, from a poses file or structure from motion.
 
-A block whose positions lie below its water, as by a barometer, gets initial heights over it.
+A block whose positions lie below its water, as with barometric heights, gets initial heights above it.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from survey.photos.pixels import open_image, stored_size
 from survey.photos.poses import TiePoints
 from survey.water.surface import Departure, height_above
 
-# Decoding the masks of thousands of photographs takes minutes: so many of them tell black from white.
+# Masks that are checked for inversion; decoding thousands would take minutes.
 _NUM_LOOKED_AT = 5
-# Masks that leave out more than this of a photograph are rather the wrong way round.
+# Masks that exclude more than this share of a photograph are probably inverted.
 _MOST_LEFT_OUT = 0.8
 
 
@@ -44,8 +44,8 @@ def with_masks(found: Found, views: Sequence[View], own: Path | None) -> tuple[l
 
     Names are those of `survey.photos.names.ImageNames`: a mask is of one photograph alone.
 
-    They are those of the folder in [images] masks; else, where there are any, of the folder that the program used that
-    made the poses; else IMG_mask beside the images, where OpenDroneMap has them.
+    They are taken from the folder in [images] masks; else, if there are any, from the folder that the program that made
+    the poses used; else from IMG_mask next to the images, as for OpenDroneMap.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def with_masks(found: Found, views: Sequence[View], own: Path | None) -> tuple[l
 
 
 def _masked(found: Found, views: Sequence[View], folder: Path | None) -> list[View]:
-    """The views with the masks in a folder, or beside the images; without one where there is none."""
+    """The views with the masks in a folder, or next to the images; views without a mask are unchanged."""
     root = found.folder / found.config.images.local_dir if folder is None else folder
     names, masks = ImageNames(found.images), dict[str, tuple[int, Path]]()
     for path in _files(found, root, is_beside=folder is None):
@@ -215,7 +215,7 @@ def lifted_over_water(
 ) -> tuple[PlacedViews, list[View], Findings]:
     """Views shifted in height where all cameras lie under the water or far above it.
 
-    Only of positions whose heights have an error in common that the adjustment finds from the water; a warning says by
+    Only if positions share an unknown height error, which the adjustment estimates from the water. A warning says by
     how much.
 
     Parameters

@@ -22,16 +22,16 @@ from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.settings.config import SurveyConfig, WaterConfig
 
-# Fewer pairs of axes do not tell a height.
+# Fewer pairs of axes do not determine a height.
 _FEWEST_PAIRS = 10
-# Overlap along the flight line that planners aim at; used only where nothing tells the height of dry ground.
+# Usual overlap along the flight line; used only where nothing else determines the height of dry ground.
 USUAL_OVERLAP = 0.75
-# All pairs of more cameras than this fill the memory; every second one, or third, tells the same.
+# Pairs of more cameras than this would fill the memory; every second or third camera gives the same result.
 _MOST_PAIRED = 1500
-# Drones take bathymetric photographs from lower than this; aircraft from up to ten times as high. What is higher than
-# the first may come from another vertical datum, what is higher than the second does.
+# Drones take bathymetric photographs from below the first height, aircraft from below the second. Higher than the first
+# suggests, higher than the second proves another vertical datum.
 DRONE_HEIGHT_M, AIRCRAFT_HEIGHT_M = 300.0, 3000.0
-# Photographs of one survey overlap: cameras that would be so many times as high as the usual overlap suggests are not.
+# Photographs of one survey overlap, so cameras are not this many times higher than the usual overlap suggests.
 MOST_OF_OVERLAP = 8.0
 # Further apart than this, positions are not of one survey.
 _ONE_SURVEY_M = 20e3
@@ -42,7 +42,7 @@ _EXIF_DOUBT_M, SAME_PLACE_M = 50.0, 100.0
 
 @dataclass(frozen=True)
 class GroundHeight:
-    """Rough height of dry ground."""
+    """Approximate height of dry ground."""
 
     height: float  # [m], local
     source: str  # What it is known from, for the plan
@@ -50,7 +50,7 @@ class GroundHeight:
 
 
 def ground_below(cameras: Sequence[PinholeCamera]) -> GroundHeight:
-    """Rough height of the ground below cameras, from their poses alone.
+    """Approximate height of the ground below cameras, from their poses alone.
 
     Where the axes of oblique views converge, the median height at which pairs of them pass each other; else
     the height at which neighbours overlap as usual, a guess.
@@ -141,7 +141,7 @@ def _require_above_water(
 
 
 def most_over_water(cameras: Sequence[PinholeCamera]) -> float:
-    """Height over the water [m] that cameras can have, by how far apart they are: photographs of a survey overlap."""
+    """Largest plausible height of cameras over the water [m], by their spacing, since photographs overlap."""
     by_overlap = float(np.median([camera.centre[2] for camera in cameras])) - ground_below(cameras).height
     return float(np.clip(MOST_OF_OVERLAP * by_overlap, DRONE_HEIGHT_M, AIRCRAFT_HEIGHT_M))
 
@@ -160,7 +160,7 @@ def require_level_fits(
     Parameters
     ----------
     who, like : str
-        Who says so, and what has the datum that the level should have; for the message.
+        For the message: the source of the heights, and what has the datum that the level should have.
     most_m : [m]
         Over the water, from which the cameras are far above it.
     """

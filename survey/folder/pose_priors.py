@@ -1,4 +1,4 @@
-"""Priors of the poses besides the photographs, with their std, for the adjustment."""
+"""Priors of poses, from GPS, attitudes or a poses file, with their standard deviations, for the adjustment."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from survey.sfm.gps_fit import attitudes_of
 if TYPE_CHECKING:
     from survey.folder.found import Found
 
-# What DJI calls a position whose carrier phases are resolved; its standard deviations are those of the receiver.
+# DJI's code of a fixed RTK solution; its standard deviations are those of the receiver.
 _RTK_FIXED = 50
 # Receivers of other makers state an accuracy without saying how they came by it. One of centimetres (`WELL_KNOWN_M`)
 # comes from corrections; the errors of one of metres are nearly the same in all photographs: it says nothing of them.
 # A position of GPS alone, to start from; the block then tells how good its positions are.
 GPS_STD_M = 3.0
-# What heights in EXIF have in common where nothing says how good they are. Most drones take them from their barometer
-# and the standard atmosphere: the pressure of the day is off by some 10 hPa, at 8 m each.
+# Common error of heights in EXIF of unknown accuracy. Most drones take them from their barometer and the standard
+# atmosphere, from which the pressure of the day differs by some 10 hPa, at 8 m each.
 BAROMETER_STD_M = 80.0
-# What attitudes in XMP have in common, [cameras] rotation_std_deg aside: by the gimbal's sensors, and by how the camera
-# is mounted on it.
+# Common error of attitudes in XMP, in addition to [cameras] rotation_std_deg: from the sensors of the gimbal and the
+# mounting of the camera.
 ATTITUDE_STD_DEG = 1.0
 # Positions before the adjustment of another program, with the accuracy that its file gives them.
 BY_FILE = "GPS in the poses file"
-# Poses of a file that come without a word on how good they are.
+# Poses of a file that states no accuracy.
 BY_POSES = "poses file"
 
 
@@ -52,19 +52,19 @@ class PosePrior:
     # Of the standard deviation, "survey.toml", "geo.txt", "XMP RTK", "stated accuracy" or `BY_FILE`; without one, of
     # the position: "GPS EXIF", "geo.txt", `BY_POSES`, or "none"
     source: str
-    # [m]: of an error that the heights of all positions have in common; 0 where they have none
+    # [m]: of an error common to the heights of all positions; 0 where there is none
     common_up_std: float = 0.0
-    # [m]: the same of their places in plan, beside `position_std`: by a transformation of datums
+    # [m]: of an error common to all positions in plan, in addition to `position_std`: by a transformation of datums
     common_plan_std: float = 0.0
     # (3, 3) or None: cam from local, by the attitude of the camera in XMP, of views that structure from motion placed
     attitude: np.ndarray | None = None
     attitude_std_deg: float = ATTITUDE_STD_DEG  # [deg]: of what attitudes have in common
 
     def held_by_control(self) -> PosePrior:
-        """The same where control decides the place of the block: what positions have in common widens them."""
+        """The prior where control places the block: common errors are added to the std of single positions."""
         if self.common_plan_std == 0.0:
             return self
-        # Of poses that count as exact, and of positions that nothing is known of, the block tells the rest.
+        # Nothing to widen for poses that count as exact, and for positions of unknown accuracy.
         std = None if self.position_std is None else DatumStd(plan=self.common_plan_std).onto(self.position_std)
         return replace(self, position_std=std, common_plan_std=0.0)
 
@@ -77,8 +77,8 @@ def priors_of_poses(
 ) -> dict[str, PosePrior]:
     """Priors of views with poses from a file: these poses, as accurate as [cameras] says.
 
-    Where it says nothing, the positions [m], local, and standard deviations [m] that the file gives for before its
-    adjustment, by name of the view. ``datum`` is what their way into crs adds.
+    Where it says nothing, priors are the positions before adjustment that the file gives: ``given``, positions and
+    standard deviations [m], local, by name of the view. ``datum`` is the std that their transformation into crs adds.
     """
     position_std = None if cameras.position_std_m is None else np.array(per_axis(cameras.position_std_m))
     rotation_std = None if cameras.rotation_std_deg is None else np.array(per_axis(cameras.rotation_std_deg))
@@ -119,7 +119,7 @@ def priors_of_gps(
 
 
 def common_up_std(priors: Mapping[str, PosePrior]) -> float:
-    """Standard deviation [m] of what the heights of all positions have in common; 0 where one has no such error."""
+    """Standard deviation [m] of the common error of the heights of positions; 0 if any of them has none."""
     return min((prior.common_up_std for prior in priors.values() if prior.position is not None), default=0.0)
 
 
@@ -129,7 +129,7 @@ def common_plan_std(priors: Mapping[str, PosePrior]) -> float:
 
 
 def common_up_std_of_exif(cameras: CamerasConfig, heads: Mapping[str, Exif], datum: DatumStd = EXACT) -> float:
-    """The same of the heights in EXIF, before structure from motion; ``datum`` is what their way into crs adds."""
+    """`common_up_std` of heights in EXIF, before structure from motion; ``datum`` is added by the transformation."""
     placed = [head for head in heads.values() if head.lat_lon_height is not None]
     return min((_common_up(_std_by_exif(cameras, head, datum)[0]) for head in placed), default=0.0)
 
@@ -140,9 +140,9 @@ def _common_up(std: np.ndarray | None) -> float:
 
 
 def _std_by_exif(cameras: CamerasConfig, head: Exif, datum: DatumStd = EXACT) -> tuple[np.ndarray | None, str]:
-    """The standard deviation (3,) [m] of a GPS position in crs, and where it comes from; None where nothing tells it.
+    """The standard deviation (3,) [m] of a GPS position in crs, and its source; None where it is unknown.
 
-    In plan without what its way into crs adds, which all have in common.
+    In plan without the std of the transformation into crs, which all positions share.
     """
     std, source = _std_as_given(cameras, head)
     return None if std is None else DatumStd(up=datum.up).onto(std), source
@@ -188,7 +188,7 @@ def _in_common(plan_std: float) -> str:
 def accuracy_of_gps(cameras: CamerasConfig, heads: Mapping[str, Exif], datum: DatumStd = EXACT) -> str:
     """Expected accuracy of the positions in EXIF, in one sentence, before structure from motion.
 
-    ``datum`` is what their way into crs adds.
+    ``datum`` is the std that their transformation into crs adds.
     """
     given = [head.lat_lon_height for head in heads.values()]
     known = [position is not None and math.isfinite(position[2]) for position in given]

@@ -68,7 +68,7 @@ def points_in_crs(file: PoseFile, points: np.ndarray, crs: CRS, gps_height: str)
 
 
 def transformation_into_crs(file: PoseFile, crs: CRS) -> Transformation | None:
-    """The way of the poses of a file into crs; None where they are in it, or in a local frame."""
+    """The transformation of the poses of a file into crs; None where they are in crs, or in a local frame."""
     places = np.array([pose.centre for pose in file.poses])
     if file.frame is PoseFrame.LOCAL or not len(places):
         return None
@@ -163,7 +163,7 @@ def _from_geocentric(file: PoseFile, points: np.ndarray, crs: CRS, gps_height: s
 
 @dataclass(frozen=True)
 class TiePointMisfit:
-    """Distances [px] in the image between where tie points were seen and where straight rays put them."""
+    """Reprojection residuals of tie points on straight rays [px]."""
 
     # rms_px, median_px: Root mean square and median distance
     rms_px: float

@@ -15,19 +15,19 @@ from geo.crs import EARTH_RADIUS_M
 from survey.display.quantities import named
 from survey.photos.exif import Exif
 
-# A position is far from the others beyond so many times what is usual among them, and these lengths [m]; more than this
-# share of positions is another part of the flight.
+# A position is far from the others beyond this many times their usual spread, and these lengths [m]. If more than this
+# share of positions is far, they are another part of the flight.
 _FAR, _FAR_HEIGHT_M, _FAR_PLAN_M, _MOST_FAR = 10.0, 10.0, 50.0, 0.1
 _FEWEST = 4
-# Between parts of one survey [m]: no flight leaves so much out.
+# Gap beyond which positions are of another survey [m].
 _ELSEWHERE_M = 5000.0
-# Off the line of flight: beyond the noise of a receiver without corrections [m], and so many times what two photographs
-# before and two behind leave open, or the steps between photographs around it.
+# Off the flight line: by more than the noise of a receiver without corrections [m], and this many times the uncertainty
+# of the prediction from two photographs before and two after, or of the spacing of photographs around it.
 _OFF_M, _TIMES_OPEN, _TIMES_STEP = 10.0, 5.0, 2.0
 _STEPS_BESIDE, _FEWEST_STEPS = 6, 4
 # A photograph for which a drone flew off and back takes longer than others, in units of their usual interval and [s].
 _LONGER, _CLOCK_STEP_S = 2.0, 1.0
-# Receivers give a position a second, clocks of cameras whole ones.
+# Receivers give one position per second, and camera clocks have whole seconds.
 _BETWEEN_FIXES_S = 2.0
 
 
@@ -37,7 +37,7 @@ def position_warnings(heads: Mapping[str, Exif]) -> list[str]:
     if len(known) < _FEWEST:
         return []
     names, places = np.array(list(known)), np.array([head.lat_lon_height for head in known.values()])
-    # Across the meridian of 180 degrees longitudes go on, from the first.
+    # Longitudes are unwrapped across the antimeridian, relative to the first.
     away = places[:, 1] - places[0, 1]
     plan = EARTH_RADIUS_M * np.radians(np.column_stack([places[:, 0], (away + 180.0) % 360.0 - 180.0]))
     plan[:, 1] *= np.cos(np.radians(np.median(places[:, 0])))
@@ -59,8 +59,8 @@ def far_from_others(
 ) -> list[str]:
     """Warnings that name the photographs whose place (N, 2) or height (N,) [m], NaN where unknown, is far from all.
 
-    ``by`` is what has them there, "GPS" or "pose"; ``seconds`` is when they were taken, where that is known, and their
-    order is that of the flight otherwise; ``cameras`` (N,) tells those of several aircraft apart.
+    ``by`` is their source, "GPS" or "pose". ``seconds`` are the times of exposure; without these the order is taken as
+    that of the flight. ``cameras`` (N,) distinguishes several aircraft.
     """
     if len(names) < _FEWEST:
         return []
@@ -79,7 +79,7 @@ def far_from_others(
         f"off the line of flight by its {by} position, between those before and after it",
     )
     if by == "GPS":
-        # Of poses those with the same rotation too are looked for where they are read.
+        # Poses that also share their rotation are reported where poses are read.
         warnings += _again(names, np.column_stack([plan, height]), seconds)
     with_height = np.isfinite(height)
     heights = height[with_height]
@@ -99,9 +99,9 @@ def far_from_others(
 
 
 def _again(names: np.ndarray, places: np.ndarray, seconds: np.ndarray | None) -> list[str]:
-    """Warnings about photographs (N,) that have one and the same position (N, 3) to the last digit.
+    """Warnings about photographs (N,) that share a position (N, 3) to the last digit.
 
-    Not about those that were taken at once, or between two fixes of the receiver: bands, brackets, rigs and bursts.
+    Except those taken at once, or between two fixes of the receiver: bands, brackets, rigs and bursts.
     """
     alike = defaultdict(list)
     for number, place in enumerate(places):
@@ -118,11 +118,11 @@ def _again(names: np.ndarray, places: np.ndarray, seconds: np.ndarray | None) ->
 
 
 def _off_the_line(plan: np.ndarray, seconds: np.ndarray | None) -> np.ndarray:
-    """Distances (N,) [m] of places (N, 2) from the line of flight before and after; 0 for those that are not far.
+    """Distances (N,) [m] of places (N, 2) from the flight line before and after; 0 for those that are not far.
 
-    On a straight part both the two places before and the two behind tell where one is. Elsewhere one is far from the
-    line between its neighbours where these are no farther apart than others, and it is farther than usual steps: at
-    the turn of a flight no place is farther from that line than the shorter of its two steps.
+    On a straight part, the two places before and the two after both predict a place. Elsewhere a place is off if it is
+    farther than usual steps from the line between its neighbours, and these are no farther apart than others: at a
+    turn, no place is farther from that line than the shorter of its two steps.
     """
     num = len(plan)
     off = np.zeros(num)
@@ -141,7 +141,7 @@ def _off_the_line(plan: np.ndarray, seconds: np.ndarray | None) -> np.ndarray:
         taken = np.diff(seconds[order])
         longest = _LONGER * float(np.median(taken)) + _CLOCK_STEP_S
         found[1:-1][(taken[:-1] > longest) | (taken[1:] > longest)] = 0.0
-    # Neighbours of a wrong place seem to be off, by less.
+    # Neighbours of a wrong place seem off too, but by less.
     around = sliding_window_view(np.pad(found, 2), 5).max(axis=1)
     off[order] = np.where(found >= around, found, 0.0)
     return off

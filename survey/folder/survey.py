@@ -58,10 +58,11 @@ __all__ = [
 class Observations:
     """Measurements of a survey besides its photographs."""
 
-    # (N, 3) float64 [m], local, or None: matched points that three photographs or more see, on straight rays, or those
-    # of an adjustment with bent rays; None where the poses came without any
+    # (N, 3) float64 [m], local, or None: matched points with three observations or more, on straight rays, or those of
+    # an adjustment with bent rays; None where the poses came without any
     points: np.ndarray | None = field(default=None, compare=False, repr=False)
-    # These points with their places in the photographs as they were taken, where structure from motion found them
+    # These points with their observations, in pixels of the original photographs, where structure from motion found
+    # them
     ties: TiePoints | None = field(default=None, compare=False, repr=False)
     # dict of name to PosePrior: prior of the pose of each view
     priors: Mapping[str, PosePrior] = field(default_factory=dict, compare=False, repr=False)
@@ -72,12 +73,12 @@ class Observations:
     levels: tuple[LevelObservation, ...] = field(default=(), compare=False, repr=False)
     # dict of name to Velocity: of the views for which one is known
     velocities: Mapping[str, Velocity] = field(default_factory=dict, compare=False, repr=False)
-    # How the level moved from photograph to photograph, which cameras have where it matters (`PinholeCamera.tide`);
-    # None where nothing is said of it
+    # Change of the level from photograph to photograph; cameras have it where it matters (`PinholeCamera.tide`). None
+    # where it is not known
     tide: Tide | None = field(default=None, compare=False, repr=False)
-    # Dry ground of an earlier survey, on which the block is placed
+    # Dry ground of an earlier survey, to which the block is aligned
     ground: StableGround | None = field(default=None, compare=False, repr=False)
-    # Of the water from its plane; None where nothing is said of it
+    # Departure of the water from its plane; None where none is given
     departure: Departure | None = field(default=None, compare=False, repr=False)
 
 
@@ -85,20 +86,20 @@ class Observations:
 class Provenance:
     """Sources of poses, level and index of a survey, and their fit to the photographs."""
 
-    # The program that adjusted the poses of the poses file on straight rays; None where there is no file, or it does
-    # not say
+    # The program that adjusted the poses of the poses file on straight rays; None where there is no file, or none is
+    # named
     tool: str | None = None
     # Reprojection error of the tie points of the poses file; None where there are none
     reprojection: TiePointMisfit | None = None
     # Reprojection misfit between photographs under the given poses [px]; below 0 where too little matches, None before
     # it is measured
     pose_misfit_px: float | None = None
-    # Where a sample of photographs contradicts the given water or lens, under poses that it confirms
+    # What a sample of photographs contradicts, of the given water or lens, under poses that it confirms
     contradiction: Contradiction | None = None
     is_adjusted: bool = False  # Whether views, water and points are those of an adjustment with bent rays
     is_level_known: bool = True  # Whether survey.toml gives the level of the water; else that of the survey is a guess
-    # Whether survey.toml says anything of the index of the water; else the settings have an assumed one, with the
-    # standard deviation of an assumed one
+    # Whether survey.toml determines the index of the water; else the settings have an assumed one with a matching
+    # standard deviation
     is_index_known: bool = True
 
 

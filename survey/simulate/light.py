@@ -32,7 +32,7 @@ class Light:
     overcast: bool = False  # A sky three times as bright at the zenith as at the horizon, instead of a uniform one
 
     def __post_init__(self):
-        # Straight above, both are a right angle, but for rounding.
+        # With the sun in the zenith and a disc of 180 degrees both are a right angle, up to rounding.
         if not 0.0 <= self.sun_radius <= self.elevation + 1e-9:
             raise ConfigError(
                 f"the sun is {math.degrees(2.0 * self.sun_radius):.4g} deg across and its middle "

@@ -25,12 +25,12 @@ class Sensor:
     """Sensor: from radiance to an image."""
 
     samples: int = 4  # Rays per pixel
-    by_chance: bool = False  # Whether they are random in the pixel, or on a regular square grid
-    noise: float = 0.0  # [grey levels]: standard deviation of the noise that is alike everywhere
-    photons_at_white: float = 0.0  # [-]: photons that a white pixel counts; 0 for no noise of counting
+    by_chance: bool = False  # Whether they are random in the pixel; else on a regular square grid
+    noise: float = 0.0  # [grey levels]: standard deviation of the signal-independent noise
+    photons_at_white: float = 0.0  # [-]: photons that a white pixel counts; 0 for no shot noise
     exposure: float = 1.0  # [-]: linear grey per radiance
     drift: float = 0.0  # [-]: step of the random walk that the logarithm of the exposure takes from image to image
-    blur_m: float = 0.0  # [m]: way that the camera flies, to the top of its image, while the shutter is open
+    blur_m: float = 0.0  # [m]: distance flown, toward the top of the image, while the shutter is open
 
     def photograph(self, eye: Eye, camera: PinholeCamera, lens: Lens, seed: tuple[int, int]) -> np.ndarray:
         """The image (height, width, 3) uint8 of a camera; `seed` is that of the scene and the number of the image."""
@@ -69,8 +69,8 @@ class Sensor:
     def _samples(self, turn: np.ndarray) -> Iterator[tuple[slice, np.ndarray]]:
         """Parts of the flattened image, with offsets (pixels, rays, 3) from the pixel's middle [px] and in time.
 
-        Time runs from -0.5 to 0.5 while the shutter is open. Where chance decides, it turns one even sequence for
-        each pixel, by (pixels, 3).
+        Time runs from -0.5 to 0.5 while the shutter is open. Random samples are one low-discrepancy sequence, shifted
+        for each pixel by ``turn`` (pixels, 3).
         """
         if self.by_chance:
             table = (np.arange(1, self.samples + 1)[:, None] * _STEPS % 1.0).astype(turn.dtype)
@@ -99,7 +99,7 @@ class Sensor:
 
 
 def _rays_of(lens: Lens, camera: PinholeCamera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Ways of view of the middles of pixels (pixels, 3), local, and their changes across and down a pixel."""
+    """Viewing rays of the middles of pixels (pixels, 3), local, and their changes across and down a pixel."""
     plane, change = normalised(lens)
     middle = np.concatenate([plane, np.ones((len(plane), 1))], axis=-1) @ camera.cam_from_local
     return middle, *(change[..., k] @ camera.cam_from_local[:2] for k in (0, 1))

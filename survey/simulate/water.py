@@ -1,6 +1,6 @@
 """The water of a scene: its level, in crs, and its surface in the local frame, still, with waves or as measured.
 
-Its colour comes of absorption, and of scattering into the path.
+Its colour results from absorption, and from scattering into the path.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def measured(path: Path, frame: LocalFrame, n_water: float) -> HeightFieldWater:
 
 @dataclass(frozen=True)
 class WaterOptics:
-    """Water as light sees it."""
+    """Optical properties of the water."""
 
     # (3,) [1/m]: of red, green and blue; the default is a lake with a little yellow substance
     absorption: tuple[float, float, float] = (0.17, 0.042, 0.055)
@@ -109,7 +109,7 @@ class WaterOptics:
         depth : (N,) [m]
             Of the ground: the path of the light down.
         in_water : (N,) [m]
-            Way of the ray up to the surface.
+            Path length of the ray up to the surface.
         """
         bed = dry * np.exp(-np.array(self.absorption) * (depth + in_water)[:, None])
         return bed + np.array(self.veil) * (1.0 - np.exp(-self.veiling * in_water))[:, None]

@@ -1,4 +1,4 @@
-"""A drawn scene: the shape of its bed, the bodies on it and their paint, and all made ready to be photographed."""
+"""A drawn scene: the shape of its bed, the bodies on it and their paint, staged for rendering."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ _WOOD, _CLAY = (0.42, 0.29, 0.18), (0.60, 0.33, 0.20)
 _STATED_NM = 589.3
 # Toward the sun where it glints: 72 degrees over the horizon, so that level views meet its mirror image too.
 _HIGH_SUN = (0.27, 0.18, 1.0)
-# From the first photograph to the last, where the water moves meanwhile [s].
+# Duration of the flight where the water level changes during it [s].
 FLIGHT_S = 3600.0
 
 
 def build_ground(scene: DrawnScene, cameras: Sequence[PinholeCamera], light: Light) -> Ground:
-    """The ground of a scene, as wide as cameras see."""
+    """The ground of a scene, as far as cameras see."""
     rng = np.random.default_rng([scene.seed, 2])
     west, south, east, north = seen_area(cameras, scene.size_m, -1.5 * scene.depth_m)
     cell, texel = scene.cell_m, scene.texel_m

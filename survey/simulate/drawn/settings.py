@@ -14,11 +14,11 @@ from survey.errors import SurveyError
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 # Tilt of the convergent views from the plumb line, least and most [rad].
 _TILTS = (math.radians(10.0), math.radians(35.0))
-# Of drones, and of their slowest sensors.
+# Limits of drones and their slowest sensors.
 _FASTEST_M_S, _LONGEST_READOUT_S = 30.0, 0.25
-# Beyond these nothing of the bed is left.
+# Beyond these the bed is no longer visible.
 _MOST_GLINT, _MOST_CONTRAST = 0.6, 1.5
-# Of the greatest tides, within an hour.
+# Change of the highest tides in an hour.
 _MOST_RISE_M = 3.0
 
 
@@ -50,18 +50,18 @@ class DrawnScene:
         Projected, in metres, with heights.
     origin : (easting, northing), in crs
     cell_m, texel_m : [m]
-        Between vertices of the bed, which the mesh of the truth has too, and between points of its texture, which
-        should be finer than any pixel.
+        Spacing of the vertices of the bed, and so of the true mesh; spacing of its texels, which should be finer than
+        any pixel.
     speed_m_s, readout_s : [m/s], [s]
-        How fast the camera flies at each photograph, each time in another level direction, and how long its rolling
-        shutter takes from the first to the last row; 0 for a global shutter.
+        Speed of the camera, at each photograph in another level direction, and readout time of its rolling shutter
+        from the first to the last row; 0 for a global shutter.
     glint_share : [-]
-        Of the pixels of all photographs: where the sun on the waves saturates them.
+        Share of the pixels of all photographs that the sun on the waves saturates.
     caustic_contrast : [-]
-        Standard deviation over mean of the light that waves focus on the bed, of each photograph other ones.
+        Standard deviation over mean of the light that waves focus on the bed, with other waves in each photograph.
     temperature_c : [deg C] or None
-        Of fresh water, whose index is then that of each channel (`refract.channel_indices`) in the photographs, that of
-        green in the truth, and that of the sodium line, with its wavelength, in survey.toml; ``n_water`` is not used.
+        Temperature of fresh water. Photographs then have an index per channel (`refract.channel_indices`), the truth
+        that of green, and survey.toml that of the sodium line, with its wavelength; ``n_water`` is not used.
     rise_m : [m]
         By how much the water rises from the first photograph to the last, an hour later; `level_m` is its mean.
     shore, objects, water : bool
@@ -166,7 +166,7 @@ class DrawnScene:
         return self.speed_m_s * np.stack([np.sin(toward), np.cos(toward), np.zeros(self.num_views)], axis=-1)
 
     def _look_down(self, x: float, y: float, row: int, rng: np.random.Generator) -> PinholeCamera:
-        """A view of a strip; drones turn at the ends of strips, and never hang quite still."""
+        """A nadir view of a strip, with the heading of its strip and some noise of position and attitude."""
         shake = 0.02 * rng.standard_normal(2)
         heading = math.pi * (row % 2) + 0.03 * rng.standard_normal()
         forward = np.array([*shake, -1.0])

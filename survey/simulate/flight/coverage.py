@@ -17,9 +17,9 @@ from survey.simulate.flight.patterns import Site
 _POINTS = 41
 # Simulated tie points along each axis.
 _TIES = 9
-# Changes of the level [m] and of a point [m] over which derivatives are taken: the projection is smooth over metres.
+# Step of level and point [m] for finite differences: the projection is smooth over metres.
 _STEP = 1e-3
-# What stays in pictures of calibrated cameras that no adjustment removes [px].
+# Systematic image errors of calibrated cameras that no adjustment removes [px].
 SYSTEMATIC_PX = 0.1
 # A level that systematic errors can shift by more than this is not observed [m]: the bed would follow by a third to a
 # half as much, beyond the vertical uncertainty of 0.25 m that IHO S-44 allows its special order at the surface.
@@ -37,13 +37,13 @@ class BedCoverage:
     east: np.ndarray
     north: np.ndarray
     num_views: np.ndarray  # (rows, columns): of a bed at its mean depth
-    # [px/m]: root mean square of what an error of one metre in the water level leaves between the rays of a point,
-    # after the point has moved to where they meet best. None for a dry block.
+    # [px/m]: root mean square residual of the rays of a point per metre of error in the water level, after the point
+    # has been intersected again. None for a dry block.
     level_px_per_m: float | None
 
     @property
     def level_hidden_m(self) -> float | None:
-        """Error of the level that hides in systematic errors of the images [m]."""
+        """Error of the level that systematic image errors can mask [m]."""
         return None if self.level_px_per_m is None else SYSTEMATIC_PX / max(self.level_px_per_m, 1e-9)
 
     @property
@@ -97,8 +97,8 @@ def _level_sensitivity(cameras: Sequence[PinholeCamera], site: Site) -> float:
 
     Notes
     -----
-    Per point, with J the derivatives of its pixels by its place and l those by the level: what the point cannot
-    follow is ``l - J (J'J)^-1 J' l``.
+    Per point, with J the derivatives of its pixels by its position and l those by the level, the residual is
+    ``l - J (J'J)^-1 J' l``.
     """
     half = 0.45 * np.array(site.size_m)
     x, y = (c.ravel() for c in np.meshgrid(*(np.linspace(-h, h, _TIES) for h in half)))

@@ -11,9 +11,10 @@ from refract import FlatWater, PinholeCamera
 from refract.lens import Lens
 from survey.errors import ConfigError, SurveyError
 
-# Least angle of an image's upper border below the horizon [rad]: water reflects there, and footprints are endless.
+# Least angle of an image's upper border below the horizon [rad]: nearer to it water reflects, and footprints are
+# endless.
 _BELOW_HORIZON = math.radians(10.0)
-# A thousand photographs a hectare are not a survey but a slip in an overlap.
+# More photographs than this are a mistake in an overlap.
 _MOST_VIEWS = 5000
 
 
@@ -38,7 +39,7 @@ class Site:
     def flying_height(self, flight: FlightSettings, focal_px: float) -> float:
         """Height of the cameras above the water [m].
 
-        Through water, the bed at depth h straight below looks as far as ``H + h / n``.
+        Through water, the bed at depth h straight below appears at the distance ``H + h / n``.
         """
         if flight.height_m is not None:
             return flight.height_m
@@ -190,19 +191,19 @@ def _extent(site: Site, axis: np.ndarray) -> float:
 class FlightSettings:
     """A block of photographs over an area; one of `poses`, `height_m` and `gsd_m` is given."""
 
-    # File of planned poses, as those of a survey; patterns and what they take are then not used
+    # File of planned poses, in a format of poses of surveys; the settings of patterns are then not used
     poses: str | None = None
     speed_m_s: float | None = None  # [m/s] or None: of the drone while it photographs
     # [m]: of the positions of its receiver, in each direction: 0.02 with corrections, 3 without
     position_std_m: float = 0.02
     height_m: float | None = None  # [m]: of the cameras above the water, or above the origin where there is none
     gsd_m: float | None = None  # [m]: of the bed straight below, seen through the water
-    # of "nadir", "five", "oblique", "outer": strips that look down; the same strips with four cameras more, that look
-    # ahead, back, left and right; rings that look at a point of interest; strips along the four sides, outside, that
-    # look in
+    # some of "nadir" (strips of nadir views), "five" (the same strips with four more cameras that look ahead, back,
+    # left and right), "oblique" (rings of views at a point of interest), "outer" (strips outside the four sides that
+    # look in)
     patterns: tuple[str, ...] = ("nadir", "oblique")
-    # forward_overlap, side_overlap [-]: share of a photograph's footprint on the bed that the next one, and the next
-    # strip, has too
+    # forward_overlap, side_overlap [-]: share of a photograph's footprint on the bed that the next photograph, and the
+    # next strip, covers again
     forward_overlap: float = 0.8
     side_overlap: float = 0.7
     heading_deg: float = 90.0  # [deg]: of the strips, clockwise from north
@@ -211,7 +212,7 @@ class FlightSettings:
     target: tuple[float, float] = (0.0, 0.0)
     ring_views: int = 8  # Views of each ring
     ring_tilts_deg: tuple[float, ...] = ()  # [deg]: one ring for each; default: one of `tilt_deg`
-    # [-]: what a real flight deviates from the plan, as a share of the height for places and in radians for angles
+    # [-]: deviation of the flight from the plan: of positions as a share of the height, of angles in radians
     wobble: float = 0.01
 
     def __post_init__(self):

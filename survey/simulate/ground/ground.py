@@ -49,7 +49,7 @@ class Material:
 
 @dataclass(frozen=True)
 class Ground:
-    """Everything solid in a scene; its appearance does not depend on the viewer."""
+    """Everything solid in a scene, with Lambertian appearance."""
 
     bed: BedGrid | TriangleMesh
     solids: tuple[Solid | TriangleMesh, ...]  # tuple of Solid or TriangleMesh: the bodies on the bed
@@ -120,7 +120,7 @@ def shade_beside_bed(solid: Solid | TriangleMesh, bed: BedGrid | TriangleMesh, l
 def seen_area(
     cameras: Sequence[PinholeCamera], size_m: tuple[float, float], lowest: float
 ) -> tuple[float, float, float, float]:
-    """West, south, east and north [m], local, of an area about the origin and all that cameras see of a plane.
+    """West, south, east and north [m], local, of an area about the origin and of everything that cameras see.
 
     Parameters
     ----------

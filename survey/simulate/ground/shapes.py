@@ -17,9 +17,9 @@ from igl.embree import EmbreeIntersector
 from scipy.ndimage import maximum_filter
 from scipy.spatial import ConvexHull
 
-# Blocks of cells, over which a ray falls freely while it stays above the highest vertex around.
+# Sizes of blocks of cells, which a ray skips while it stays above their highest vertex.
 _BLOCKS = (16, 4)
-# A coordinate this close to a line of the triangulation counts as on it [cells]: 2e-11 m, above rounding.
+# A coordinate this close to a line of the triangulation counts as on it [cells]: 2e-11 m, more than rounding.
 _ON_LINE = 1e-9
 # Coarse steps stop this close above the bound [m].
 _TOUCH_M = 1e-6
@@ -78,8 +78,8 @@ class BedGrid:
 
         Notes
         -----
-        Between two crossings of the lines x = i, y = j and x + y = k of the triangulation the bed is linear
-        along the ray: the sign of ray minus bed is looked at there, and the zero between is exact.
+        Between crossings of the lines x = i, y = j and x + y = k of the triangulation the bed is linear along the
+        ray: the sign of ray minus bed at these crossings brackets the root, which is then exact.
         """
         ray = self._rays(origin, direction)
         t = np.maximum((self.top - ray.z) / ray.dz, 0.0)
@@ -281,7 +281,7 @@ class TriangleMesh:
     @cached_property
     def _tree(self) -> EmbreeIntersector:
         tree = EmbreeIntersector()
-        # Near the middle of the body float32 steps least.
+        # Relative to the middle of the body, where float32 is finest.
         vertices = np.asfortranarray(self.vertices - self.centre, dtype=np.float32)
         tree.init(vertices, np.asfortranarray(self.faces, dtype=np.int32))
         return tree

@@ -1,4 +1,4 @@
-"""A scene made ready, and the sidecars of its photographs: survey.toml, cameras.csv, EXIF and XMP."""
+"""A staged scene, and the files that go with its photographs: survey.toml, cameras.csv, EXIF and XMP."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ GAUGE = "gauge.csv"
 
 @dataclass(frozen=True)
 class StagedScene:
-    """A scene with its cameras and its ground, ready to be photographed."""
+    """A scene with its cameras and ground, ready to be rendered."""
 
     # name, crs: As survey.toml has them
     name: str
@@ -81,7 +81,7 @@ class StagedScene:
         return self.sensor.photograph(eye, camera, self.lens, (self.seed, index))
 
     def at(self, index: int) -> tuple[DirectRenderer, PinholeCamera]:
-        """The renderer with the water as it stands when a photograph is taken, and the camera, without its tide."""
+        """The renderer with the water level at the time of a photograph, and the camera without its tide."""
         camera, water = self.cameras[index], self.renderer.water
         if camera.tide == 0.0 or not isinstance(water, FlatWater):
             return self.renderer, camera

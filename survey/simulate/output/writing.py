@@ -37,13 +37,13 @@ from survey.simulate.render.direct import DirectRenderer, depth_below
 
 # Candidates for visible points per square metre of ground.
 _POINTS_PER_M2 = 1000
-# A point is seen if the ray through its pixel ends this close to it [m]: far above the error of projection
-# (1e-9 m, more along faces that are seen edge on), far below the distance to anything in front of it.
+# A point is seen if the ray through its pixel ends this close to it [m]: far more than the error of projection
+# (1e-9 m, more along faces that are seen edge on), far less than the distance to anything in front of it.
 _SAME_POINT_M = 1e-4
 # Rays flatter than this fall [-] count as seeing any distance.
 _LEAST_FALL = 0.05
 MARKER = "simulated.json"
-# As many cameras have to see a point for it to count as visible.
+# Number of cameras that have to see a point for it to count as visible.
 _MIN_VIEWS = 3
 # Code that determines the photographs of a survey.
 CODE = Path(__file__).parent.parent
@@ -218,7 +218,7 @@ def _mark(settings: dict) -> str:
 def _replace(folder: Path, work: Path) -> None:
     """Replace `folder` by work/new, and move files that were not simulated back into it."""
     new, old = work / "new", work / "old"
-    # Left by an earlier try that was killed between the two names.
+    # Left by an earlier run that was killed between the two renames.
     if old.exists() and not folder.exists():
         old.rename(folder)
     if folder.exists():

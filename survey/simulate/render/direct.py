@@ -28,14 +28,14 @@ class Hits:
     # body, face (N,): body of the ground, `BED` for the bed, `NOTHING` for none, and the face of it
     body: np.ndarray
     face: np.ndarray
-    # (N,) [m]: way in water; zero for points above it, infinite for a ray that meets nothing in it
+    # (N,) [m]: path length in water; zero for points above it, infinite for a ray that meets nothing in it
     in_water: np.ndarray
     incidence: np.ndarray  # (N,): cosine of the angle of incidence at the water surface
 
 
 @dataclass(frozen=True)
 class DirectRenderer:
-    """Looks at a ground, through water if there is any.
+    """Renderer of a ground, seen through water if there is any.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ class DirectRenderer:
 
 
 def _cross(water: WaterSurface, origin: np.ndarray, direction: np.ndarray):
-    """Way to the surface (N,) [m], direction below it (N, 3), and cosine of incidence (N,)."""
+    """Distance to the surface (N,) [m], direction below it (N, 3), and cosine of incidence (N,)."""
     if not isinstance(water, FlatWater):
         paths = trace(origin, direction, water)
         along = np.einsum("ij,ij->i", paths.water_direction, direction)
@@ -114,7 +114,7 @@ def _cross(water: WaterSurface, origin: np.ndarray, direction: np.ndarray):
     with np.errstate(divide="ignore"):
         in_air = (origin - water.point) @ normal / falling
     in_air = np.where(falling > 0.0, in_air, np.inf)
-    # Snell: the component along the surface shrinks by the index, the other fills up to unit length.
+    # Snell: the component along the surface is divided by the index, the other follows from unit length.
     along = (direction + falling[:, None] * normal) / water.n_water
     bent = along - np.sqrt(1.0 - np.sum(along**2, axis=1, keepdims=True)) * normal
     return in_air, bent, np.abs(falling)
@@ -143,7 +143,7 @@ def _incidence(cosine_of_bend: np.ndarray, n: float) -> np.ndarray:
 
 
 def _fresnel(cosine: np.ndarray, n: float) -> np.ndarray:
-    """Share (N,) of unpolarised light that the surface mirrors."""
+    """Reflectance (N,) of the surface for unpolarised light."""
     inside = np.sqrt(1.0 - (1.0 - cosine**2) / n**2)
     across = ((cosine - n * inside) / (cosine + n * inside)) ** 2
     along = ((n * cosine - inside) / (n * cosine + inside)) ** 2

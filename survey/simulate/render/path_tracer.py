@@ -1,4 +1,4 @@
-"""Light followed from the camera to the sky, through the surface of the water and between bed and water.
+"""Path tracing from the camera to sky and sun, through the water surface and between bed and water.
 
 Path tracing (Kajiya 1986; Veach 1997) on shapes and materials of Mitsuba 3, with its own treatment of the sun: a
 scattered path rarely hits a disc of half a degree, and when it does, a single pixel becomes far too bright; Mitsuba's
@@ -20,8 +20,8 @@ at ground after a reflection by the water                  not at all
 A path that ground or water has scattered therefore adds nothing when it ends in the disc of the sun. The direct
 connection is exact for still water, level or tilted: flux through the surface, less Fresnel reflection, absorption
 and scattering along the way. Two biases remain. Under waves there are no caustics: the sunlight in the water is that
-under the mean plane. And the last row is missing everywhere. Light of the sky, and sunlight after its first
-scattering, follows every wave.
+under the mean plane. And light of the last row is missing. Skylight, and sunlight after its first scattering, is
+refracted by every wave.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ import numpy as np
 from survey.simulate.light import Light
 from survey.simulate.water import WaterOptics
 
-# Russian roulette starts after as many bounces.
+# Russian roulette starts after this many bounces.
 _SURE_BOUNCES = 4
-# Of the size of coordinates: some roundings of float32, as Mitsuba's own rays keep clear.
+# Offset of rays from surfaces, relative to coordinates: some roundings of float32, as in Mitsuba.
 _CLEAR = 1e-5
 
 
@@ -48,7 +48,7 @@ class Sunlight:
     ----------
     mi : the Mitsuba module, with its variant set
     solids : Mitsuba scene
-        What throws shadows.
+        The geometry that casts shadows.
     plane : (point, normal, index) or None
         Mean plane of the water: (3,) [m], (3,), [-].
     pixel : [rad]
@@ -104,20 +104,20 @@ class Sunlight:
         return toward, dr.select(free, power, 0.0)
 
     def _of_disc(self, drawn):
-        """Directions uniform over a disc about z; by half angles, which float32 resolves however small they are."""
+        """Directions uniform over a disc about z, by half angles, which float32 resolves even if tiny."""
         half = dr.sqrt(drawn.x) * math.sin(0.5 * self.light.sun_radius)
         sine, angle = 2.0 * half * dr.sqrt(1.0 - half * half), 2.0 * math.pi * drawn.y
         return self.mi.Vector3f(sine * dr.cos(angle), sine * dr.sin(angle), 1.0 - 2.0 * half * half)
 
 
 def absorbed(mi: ModuleType, colour: WaterOptics, way):
-    """Share of light, per channel, that is left after a way [m] through water; nothing after one without end."""
+    """Transmittance per channel of a path [m] through water; zero for an infinite one."""
     left = mi.Color3f(*(dr.exp(-a * way) for a in colour.absorption))
     return dr.select(dr.isfinite(way), left, mi.Color3f(0.0))
 
 
 def not_(mask):
-    """The other way round; ``~`` would make a number of the plain bool that the scalar variant has."""
+    """Logical not; ``~`` would turn the plain bool of the scalar variant into a number."""
     return mask ^ True
 
 
@@ -127,7 +127,7 @@ def _clearance(place):
 
 
 def _fresnel(cosine, inside, n: float):
-    """Share of unpolarised light that the surface mirrors, by the cosines in air and water."""
+    """Reflectance of the surface for unpolarised light, by the cosines in air and water."""
     across = (cosine - n * inside) / (cosine + n * inside)
     along = (n * cosine - inside) / (n * cosine + inside)
     return 0.5 * (across * across + along * along)
@@ -174,8 +174,8 @@ class PathTracer:
     def _follow(self, sampler, ray):
         """Radiance along rays.
 
-        The state of a path: the share of light that comes through it so far, whether it is in water, whether it was
-        only mirrored and bent since the camera, and whether the sun was counted at its last reflection.
+        The state of a path: its throughput, whether it is in water, whether it was only reflected and refracted since
+        the camera, and whether the sun was counted at its last reflection.
         """
         mi = self.mi
         light, share = mi.Color3f(0.0), mi.Color3f(1.0)
@@ -229,7 +229,7 @@ class PathTracer:
         return ground, surface, dr.select(at_surface, surface.t, t), at_surface
 
     def _thinned(self, sampler, share, bounce, active):
-        """Russian roulette: faint paths end and others count for them; the new shares, and the paths that go on."""
+        """Russian roulette: faint paths end and others are weighted up; the new throughputs, and which paths go on."""
         keep = dr.minimum(dr.max(share), 0.95)
         late = bounce > _SURE_BOUNCES
         goes_on = active & (not_(late) | (sampler.next_1d(active) < keep))
@@ -243,7 +243,7 @@ class PathTracer:
         return surface.spawn_ray(surface.to_world(sample.wo)), mi.Color3f(through), bent
 
     def _glint(self, surface, active):
-        """Radiance of the sun that the water mirrors into rays from above, where nothing hides the sun."""
+        """Radiance of the sun that the water reflects into rays from above, where nothing hides the sun."""
         mi = self.mi
         toward = surface.to_world(mi.Vector3f(-surface.wi.x, -surface.wi.y, surface.wi.z))
         active &= self.sun.seen(toward)

@@ -1,15 +1,15 @@
 """Caustics and glint: the sun on the waves of one photograph.
 
 The waves are a tile of a random surface that repeats, with slopes of equal variance in each octave of wavelengths.
-Rays of view are not bent by them, so that the ground truth is that of still water. Symbols: ``n`` index, ``d`` depth,
-``s`` slopes, ``E`` irradiance of the sun on a surface that faces it.
+Viewing rays are not refracted by them, so that the ground truth is that of still water. Symbols: ``n`` index, ``d``
+depth, ``s`` slopes, ``E`` irradiance of the sun on a surface that faces it.
 
-Caustics: a ray of the sun that enters where the surface slopes by ``s`` ends ``(1 - 1 / n) d s`` beside its place
-under still water. Rays through all of the tile are counted on a grid at several depths, blurred by the disc of the sun;
-between these depths the pattern is interpolated. It multiplies the light of the bed.
+Caustics: a ray of the sun that enters where the surface slopes by ``s`` ends ``(1 - 1 / n) d s`` away from where it
+would under still water. Rays through all of the tile are counted on a grid at several depths, blurred by the disc of
+the sun; between these depths the pattern is interpolated. It multiplies the light of the bed.
 
-Glint: below a pixel of the tile lie ripples, Gaussian slopes of standard deviation ``r`` about ``s``. With ``h``
-halfway between the ways to the camera and to the sun, and ``p`` the density of ripples whose normal is ``h``, the
+Glint: ripples smaller than a cell of the tile have Gaussian slopes of standard deviation ``r`` about ``s``. With ``h``
+the half vector between the directions to camera and sun, and ``p`` the density of ripples whose normal is ``h``, the
 radiance is ``R E p / (4 cos(view) cos(h)^4)``, R by Fresnel (Cox and Munk, Journal of the Optical Society of America
 44(11), 838-850, 1954).
 """
@@ -37,7 +37,7 @@ _SLOPE_STD, _SLOPE_PER_SHARE = 0.09, 0.25
 _LAYERS, _RAYS = 12, 3
 # Light on the bed is at least this share of its mean: the sky shines everywhere.
 _LEAST_LIGHT = 0.1
-# Rays of a photograph that tell how much of it glints, along each axis; the sun is not brighter than this.
+# Rays along each axis that sample the glint of a photograph; the largest brightness of the sun.
 _PROBES, _BRIGHTEST = (40, 30), 1000.0
 
 
@@ -57,7 +57,7 @@ class SunOnWaves:
     glint: float  # [-]: brightness of the reflected sun as a multiple of the formula's; 0 for none
 
     def on_bed(self, points: np.ndarray, depth: np.ndarray) -> np.ndarray:
-        """Light (N,) on points (N, 3) [m], local, at depths (N,) [m], over what still water lets pass."""
+        """Light (N,) on points (N, 3) [m], local, at depths (N,) [m], relative to that under still water."""
         if not len(self.net):
             return np.ones(len(points))
         sun = self.light.sun[:2] / self.plane.n_water
@@ -74,7 +74,7 @@ class SunOnWaves:
         return gain
 
     def reflected(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """Radiance (N,) of the sun that the surface mirrors into rays from origins in unit directions (N, 3)."""
+        """Radiance (N,) of the sun that the surface reflects into rays from origins in unit directions (N, 3)."""
         return self.glint * self._mirrored(origin, direction) if self.glint > 0.0 else np.zeros(len(direction))
 
     def _mirrored(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
@@ -108,8 +108,8 @@ def suns_of(
     depth_m : [m]
         Mean depth of the bed.
     glint_share : [-]
-        Of the pixels of all photographs together, how many the mirrored sun alone saturates. The sun is made as bright
-        against the bed as this takes.
+        Share of the pixels of all photographs that the reflected sun alone saturates. The brightness of the sun is set
+        to reach it.
     contrast : [-]
         Standard deviation over mean of the light on the bed at ``depth_m``; other depths follow.
 

@@ -1,4 +1,4 @@
-"""`bathynerf check` before the flight: what a planned flight promises for the bed of a scene file."""
+"""`bathynerf check` before the flight: predicted accuracy of a planned flight over the bed of a scene file."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ from survey.simulate.flight.coverage import coverage
 from survey.simulate.scene_file import read_scene
 from survey.simulate.staging.planning import ScenePlan, plan_scene
 
-# Of the area, seen by fewer than three photographs: good, and fair.
+# Shares of the area seen by fewer than three photographs, up to which coverage is good, and fair.
 _UNSEEN = 0.0, 0.05
 _LOOKS_DOWN_DEG = 7.0
-# Shorter flights are said in seconds.
+# Shorter flights are given in seconds.
 _SHORT_S = 120.0
-# Hours of a day are asked in such steps, while the sun is high enough to light the bed.
+# The day is sampled in these steps, while the sun is high enough to light the bed.
 _STEP_MIN, _LOWEST_SUN_DEG = 15, 15.0
 _NO_TIME = 'unknown: give [light] time, e.g. time = "2026-07-14T09:30+02:00"'
 
@@ -50,7 +50,7 @@ def check_plan(path: Path, *, quality: str, device: str, wind_m_s: float) -> lis
     quality, device : str
         Of the run that is estimated.
     wind_m_s : [m/s]
-        For the glitter of the sun.
+        For sun glitter.
 
     Raises
     ------

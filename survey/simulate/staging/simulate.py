@@ -1,6 +1,6 @@
 """The verb simulate: a scene file becomes a survey folder, or the plan of its flight.
 
-`stage_scene` goes from the plan of a scene to the scene: bed and bodies set, water poured, light switched on.
+`stage_scene` builds the planned scene: bed, bodies, water and light.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def simulate(
     mode : "direct" or "physical", optional
         Instead of that of the scene file.
     preview : bool
-        One ray per pixel, without care for noise.
+        One ray per pixel, which is noisy.
     again : bool
         Start again even if the same survey, or a part of it, is there.
 
@@ -126,7 +126,7 @@ def _changed(settings: SceneSettings, mode: str | None, preview: bool) -> SceneS
 
 
 def _say_of(plan: ScenePlan, cover: BedCoverage) -> None:
-    """Report the figures of a flight, and what to improve."""
+    """Report the figures of a flight and warnings about it."""
     heights = [float(camera.centre[2]) - plan.site.level for camera in plan.cameras]
     height, focal = sum(heights) / len(heights), plan.lens.focal[0]
     gsd_cm = 100.0 * (height + plan.site.apparent_depth) / focal

@@ -8,7 +8,7 @@ import pytest
 
 from fields.device import choose_device
 from fields.occluded.agreement import FoundPoints, explained_above, surface_heights
-from fields.occluded.holes import BedLayer, Holes, KnownBed, StepBox, boxes_about, smooth
+from fields.occluded.holes import CONTEXT_GSD, SIDE_GSD, BedLayer, Holes, KnownBed, StepBox, boxes_about, smooth
 from fields.occluded.occluded import find_occluded, show_bed
 from fields.occluded.sightings import Colours, consensus
 from fields.sweep.block import Block
@@ -60,6 +60,16 @@ def test_where_the_bed_is_lower_than_the_layer_is_no_hole(half_gsd, depth_gsd):
     assert BedLayer.of(box, cloud).at(middle, middle) == pytest.approx(0.0, abs=0.5 * GSD)
     assert Holes.of(box, KnownBed(cloud, GSD)) is None
     assert Holes.of(box, KnownBed(cloud[~pit], GSD)) is not None
+
+
+@pytest.mark.parametrize("origin", [(0.0, 0.0), (-800.0, 300.0)])
+def test_points_about_a_box_are_those_within_its_surroundings(rng, origin):
+    cloud = np.column_stack([rng.uniform(0.0, 700.0 * GSD, (20_000, 2)) + origin, rng.normal(size=20_000)])
+    known = KnownBed(cloud, GSD)
+    corners = np.floor(cloud[:200, :2] / (SIDE_GSD * GSD)) * SIDE_GSD * GSD
+    for x, y in [*corners.tolist(), (origin[0] - 1e4 * SIDE_GSD * GSD, 0.0)]:
+        box = StepBox(x, y, GSD)
+        np.testing.assert_array_equal(known.about(box), cloud[box.around(cloud, CONTEXT_GSD)])
 
 
 def test_boxes_are_where_enough_steps_are():

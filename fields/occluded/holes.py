@@ -5,6 +5,7 @@ Beside a step a surface over the bed may hide some of it from some photographs.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -178,6 +179,31 @@ class KnownBed:
     gsd: float  # [m]: ground sampling distance
     area: tuple[float, float, float, float] | None = None  # (x0, y0, x1, y1) [m], local: where points are wanted
 
+    def about(self, box: StepBox) -> np.ndarray:
+        """Points (M, 3) within a box and its surroundings, in their order."""
+        order, squares, columns, low = self._by_square
+        column, row = (math.floor(each / (SIDE_GSD * self.gsd) + 0.5) for each in (box.x, box.y))
+        # The surroundings are narrower than a square.
+        first = (row + np.arange(-1, 2) - low[1]) * columns + column - low[0]
+        ends = np.searchsorted(squares, np.column_stack([first - 1, first + 2]))
+        number = np.sort(np.concatenate([order[begin:end] for begin, end in ends]))
+        near = self.xyz[number]
+        return near[box.around(near, CONTEXT_GSD)]
+
+    @cached_property
+    def _by_square(self) -> tuple[np.ndarray, np.ndarray, int, np.ndarray]:
+        """Numbers of the points by the square of a grid that they lie in, and these squares (N,), ascending.
+
+        A square of column x and row y has the number ``(y - y0) * columns + x - x0``, with the number of columns and
+        (x0, y0); columns are two more than there are, so that neighbours of the outermost have no numbers of others.
+        """
+        at = np.floor(self.xyz[:, :2] / (SIDE_GSD * self.gsd)).astype(np.int64)
+        low = at.min(axis=0, initial=0) - 1
+        columns = int(at[:, 0].max(initial=0) - low[0]) + 2
+        square = (at[:, 1] - low[1]) * columns + at[:, 0] - low[0]
+        order = np.argsort(square, kind="stable")
+        return order, square[order], columns, low
+
 
 @dataclass(frozen=True)
 class Holes:
@@ -203,14 +229,16 @@ class Holes:
     @staticmethod
     def of(box: StepBox, known: KnownBed) -> Holes | None:
         """Holes of a cloud in a box and in its area; None where few, or no bed is known."""
-        cloud, area = known.xyz, known.area
+        area = known.area
         x, y = box.places
         inside = np.zeros(x.shape, dtype=bool)
         inside[MARGIN_GSD:-MARGIN_GSD, MARGIN_GSD:-MARGIN_GSD] = True
         if area is not None:
             inside &= (x >= area[0]) & (y >= area[1]) & (x <= area[2]) & (y <= area[3])
-        near = cloud[box.around(cloud, CONTEXT_GSD)]
-        if not inside.any() or not len(near):
+        if not inside.any():
+            return None
+        near = known.about(box)
+        if not len(near):
             return None
         layer = BedLayer.of(box, near)
         if layer is None:

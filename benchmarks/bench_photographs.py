@@ -40,6 +40,8 @@ GROUND_OF_PHOTOGRAPH_M2 = 6.5
 SPAN = (0.6, 0.7)
 # Errors are those of this far around the middle [m]: the whole surface would take more memory than a run.
 MIDDLE_M = 8.0
+# Points whose errors are looked at, about.
+_POINTS = 1_000_000
 # Share of the extent of the true surface along its edges where errors are not looked at.
 _EDGE = 0.05
 
@@ -83,26 +85,31 @@ def draw(survey: Path, number: int) -> None:
 
 def row_of(survey: Path, number: int, quality: str, workers: int) -> dict:
     """A run of a survey, measured."""
+    tiles = round(number / PHOTOGRAPHS_OF_TILE)
+    words = ["--quality", quality, "--tiles", str(tiles), "--workers", str(workers)]
+    asked = {"photographs": number, "tiles": tiles, "quality": quality, "workers": workers}
+    return asked | measured_run(survey, words, survey / "truth" / "reference.ply")
+
+
+def measured_run(survey: Path, words: list[str], reference: Path) -> dict:
+    """Time, memory, points and errors of `bathynerf process` with these options."""
     with tempfile.TemporaryDirectory() as folder:
-        run, tiles = Path(folder) / "run", round(number / PHOTOGRAPHS_OF_TILE)
-        words = [*_BATHYNERF, "process", str(survey), "-o", str(run), "--quality", quality, "--tiles", str(tiles)]
+        run = Path(folder) / "run"
         start, before = time.monotonic(), os.times()
-        process = subprocess.Popen([*words, "--workers", str(workers), "-q"], stdout=subprocess.DEVNULL)
+        process = subprocess.Popen(
+            [*_BATHYNERF, "process", str(survey), "-o", str(run), "-q", *words], stdout=subprocess.DEVNULL
+        )
         memory = PeakMemory(process.pid)
         code = process.wait()
         memory.stop()
         wall, after = time.monotonic() - start, os.times()
         if code not in (0, 3):
-            raise SystemExit(f"the run of {number} photographs ended with exit code {code}; see its output above")
+            raise SystemExit(f"the run of {survey} ended with exit code {code}; see its output above")
         cloud = read_cloud(RunDir(run).cloud_path)
-        off, count = errors_of(survey, cloud.points), len(cloud.points)
+        off, count = errors_of(survey, cloud.points, reference), len(cloud.points)
         timings = json.loads((run / "report.json").read_text(encoding="utf-8"))["timings_s"]
     inner = off[np.abs(off) <= np.quantile(np.abs(off), 0.9)]
     return {
-        "photographs": number,
-        "tiles": tiles,
-        "quality": quality,
-        "workers": workers,
         "processor_s": after.children_user - before.children_user + after.children_system - before.children_system,
         "wall_s": wall,
         "memory_bytes": memory.own,
@@ -114,16 +121,15 @@ def row_of(survey: Path, number: int, quality: str, workers: int) -> dict:
     }
 
 
-def errors_of(folder: Path, points: np.ndarray) -> np.ndarray:
+def errors_of(folder: Path, points: np.ndarray, reference: Path) -> np.ndarray:
     """Signed distances [m] of the points in the middle of a survey to the true surface there."""
-    frame, mesh = load_survey(folder).frame, read_reference(folder / "truth" / "reference.ply")
+    frame, mesh = load_survey(folder).frame, read_reference(reference)
     xyz, vertices = frame.local_from_crs(points), frame.local_from_crs(mesh.vertices)
     # The true surface lies about the middle of the scene, which is not the origin of the survey's local frame.
     low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
     margin = _EDGE * (high - low)
     here = xyz[((xyz[:, :2] > low + margin) & (xyz[:, :2] < high - margin)).all(axis=1)]
-    faces = mesh.faces
-    return distance_to_mesh(here, vertices, faces).signed
+    return distance_to_mesh(here[:: len(here) // _POINTS + 1], vertices, mesh.faces).signed
 
 
 def main() -> None:

@@ -74,7 +74,8 @@ def test_points_about_a_box_are_those_within_its_surroundings(rng, origin):
 
 def test_boxes_are_where_enough_steps_are():
     places = np.concatenate([np.full((40, 2), 0.5), np.full((3, 2), 9.0)])
-    assert boxes_about([places, np.empty((0, 2))], GSD) == [StepBox(0.0, 0.0, GSD)]
+    for parts in ([places, np.empty((0, 2))], [places[:20], places[20:]]):
+        assert boxes_about(parts, GSD) == [StepBox(0.0, 0.0, GSD)]
     assert boxes_about([], GSD) == []
 
 

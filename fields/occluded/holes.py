@@ -6,7 +6,8 @@ Beside a step a surface over the bed may hide some of it from some photographs.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -24,6 +25,8 @@ from refract import FlatWater, PinholeCamera
 SIDE_GSD, MARGIN_GSD, CONTEXT_GSD = 100, 20, 80
 # A step is a rise by more than this, in ground sampling distances, within so many pixels of a height map.
 _STEP_GSD, _REACH_PX = 8.0, 6
+# Pixels beside steps whose rays are bent at a time, of some 500 bytes each.
+_AT_ONCE = 200_000
 # Pixels beside steps that make a box.
 _LEAST_PIXELS = 30
 # Side of the cells of the layer, half the width of what may stand over the bed, and the thickness of the bed in a
@@ -66,23 +69,29 @@ class StepBox:
         return (east >= low) & (east < high) & (north >= low) & (north < high)
 
 
-def step_places(camera: PinholeCamera, water: FlatWater | None, height_map: HeightMap, gsd: float) -> np.ndarray:
-    """Places (N, 2) [m], local, of trusted pixels of a map beside which it rises steeply."""
-    part = np.s_[: camera.height, : camera.width]
-    sure, height = trusted(height_map)[part], height_map.height[part]
+def step_places(
+    camera: PinholeCamera, water: FlatWater | None, height_map: HeightMap, gsd: float
+) -> Iterator[np.ndarray]:
+    """Places [m], local, of trusted pixels of a map beside which it rises steeply, in parts (N, 2)."""
+    shape = np.s_[: camera.height, : camera.width]
+    sure, height = trusted(height_map)[shape], height_map.height[shape]
     side = 2 * _REACH_PX + 1
     highest = cv2.dilate(np.where(sure, height, np.float32(-np.inf)), np.ones((side, side), np.uint8))
-    row, column = np.nonzero(sure & (highest - height > _STEP_GSD * gsd))
-    path = camera.paths(np.column_stack([column + 0.5, row + 0.5]), water)
-    return path.at_height(height[row, column].astype(np.float64), water)[:, :2]
+    pixels = np.flatnonzero(sure & (highest - height > _STEP_GSD * gsd))
+    for first in range(0, len(pixels), _AT_ONCE):
+        row, column = np.divmod(pixels[first : first + _AT_ONCE], camera.width)
+        path = camera.paths(np.column_stack([column + 0.5, row + 0.5]), water)
+        yield path.at_height(height[row, column].astype(np.float64), water)[:, :2]
 
 
 def boxes_about(places: Iterable[np.ndarray], gsd: float) -> list[StepBox]:
     """Boxes that hold enough of such places, each part of the ground in one of them at most."""
-    side = SIDE_GSD * gsd
-    found = [np.floor(each / side).astype(np.int64) for each in places]
-    corners, count = np.unique(np.concatenate([np.empty((0, 2), dtype=np.int64), *found]), axis=0, return_counts=True)
-    return [StepBox(float(x * side), float(y * side), gsd) for x, y in corners[count >= _LEAST_PIXELS].tolist()]
+    side, pixels = SIDE_GSD * gsd, Counter[tuple[int, int]]()
+    for part in places:
+        corners, count = np.unique(np.floor(part / side).astype(np.int64), axis=0, return_counts=True)
+        pixels.update(dict(zip(map(tuple, corners.tolist()), count.tolist(), strict=True)))
+    enough = sorted(corner for corner, count in pixels.items() if count >= _LEAST_PIXELS)
+    return [StepBox(float(x * side), float(y * side), gsd) for x, y in enough]
 
 
 class BedLayer:

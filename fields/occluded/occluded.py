@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 
@@ -63,11 +63,14 @@ def find_occluded(
     advance : callable
         Gets the share of the work that is done since the last call.
     """
-    views, places = [], []
-    for m in maps:
-        views.append(m.view)
-        places.append(step_places(block.cameras[m.view], block.water, m, known.gsd))
-    sample, others = _sample(boxes_about(places, known.gsd))
+    views = []
+
+    def places() -> Iterator[np.ndarray]:
+        for m in maps:
+            views.append(m.view)
+            yield from step_places(block.cameras[m.view], block.water, m, known.gsd)
+
+    sample, others = _sample(boxes_about(places(), known.gsd))
     with ThreadPoolExecutor(_THREADS) as pool:
 
         def holes_in(boxes: list[StepBox]) -> list[Holes]:

@@ -13,7 +13,7 @@ from survey.errors import SurveyError
 from survey.plan import tile_choice
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
-from survey.plan.tile_choice import choose_tiles, with_free_cores
+from survey.plan.tile_choice import choose_tiles, window_pixels, with_free_cores
 from survey.plan.tiling import Tiling, ground_of, inside, ray_skew_px, tile_warnings
 from survey.plan.workload import workload_of
 from survey.water.surface import Departure
@@ -217,3 +217,16 @@ def test_tiles_larger_than_a_local_frame_serves_for_are_warned_of(planned):
     assert not tile_warnings(survey, plan, Tiling((0.0, 1000.0, 2000.0), (0.0, 500.0), 0.2))
     (warning,) = tile_warnings(survey, plan, Tiling((0.0, 1500.0, 3000.0), (0.0, 500.0), 0.2))
     assert warning.startswith(f"tiles are {length(1500.0)} wide, expected at most {length(1000.0)}")
+
+
+def test_windows_are_as_large_as_the_ground_that_they_show(planned):
+    survey, plan, _ = planned
+    small, wide = (window_pixels(survey, plan, sides) for sides in ((1.0, 1.0), (4.0, 1.0)))
+    # A cell of the ground is a pixel; relief and tilt make boxes of it larger, never smaller.
+    cell_px = plan.gsd_m**-2
+    assert (small > 0.7 * cell_px).all()
+    assert np.median(small) < 6.0 * cell_px
+    assert (wide > small).all()
+    whole = window_pixels(survey, plan, (1000.0, 1000.0))
+    camera = survey.views[0].camera
+    assert (whole == camera.width * camera.height).all()

@@ -10,10 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fields.sweep.views import ground_points
 from survey import machine
 from survey.display.quantities import bytes_of, length, room, size
 from survey.errors import SurveyError
+from survey.plan.area import flattened
 from survey.plan.decisions import Decision
+from survey.plan.heights import dry_ground
+from survey.plan.sweep_block import camera_of
 from survey.plan.tiling import FRAME_M, MOST_ASIDE_PX, RIM_GSD, Area, Tiling, ground_of, ray_skew_px
 from survey.plan.workload import POINT_BYTES, amounts_of, memory_of
 
@@ -36,6 +40,12 @@ _FEW = 12
 _CORES_OF_WORKER = 4
 # What a run without Dask is told.
 NO_DASK = "--workers and --scheduler need Dask, which is not installed: pip install 'bathynerf[cluster]'"
+# Photographs that stand for all where the size of windows is looked at.
+_SAMPLE = 50
+# Heights of the bed span about this share of the flying height; they are not known yet.
+_RELIEF = 0.1
+# Windows beside the middle of photographs, with their margins, may take a quarter more than those that are looked at.
+_MORE = 1.25
 # Beside the points while bed and report are made.
 _REPORT_BYTES = 480e6
 
@@ -237,12 +247,40 @@ def _memory(survey: Survey, plan: Plan, tiling: Tiling) -> float:
     pixels, chosen, num_cells = amounts_of(survey, plan)
     whole = np.array([tiling.x[-1] - tiling.x[0], tiling.y[-1] - tiling.y[0]])
     own = np.array([tiling.x[1] - tiling.x[0], tiling.y[1] - tiling.y[0]]) + 2.0 * tiling.rim
-    footprint = np.array(plan.footprint_m)
+    footprint, window = np.array(plan.footprint_m), window_pixels(survey, plan, (float(own[0]), float(own[1])))
     # Photographs are spread over the ground; those that show a tile begin half a footprint beyond it.
     share = float(np.prod(np.minimum((own + footprint) / (whole + footprint), 1.0)))
-    window = float(np.max(pixels)) * float(np.prod(np.minimum(own / footprint, 1.0)))
     views, maps = (max(int(np.ceil(share * count)), 1) for count in (len(pixels), len(chosen)))
     largest = max(view.lens.width * view.lens.height for view in survey.views)
     solves = plan.field == "solver"
-    of_tile = memory_of(np.full(views, window), np.full(maps, window), largest, num_cells / len(tiling), 0.0, solves)
-    return max(of_tile, _REPORT_BYTES + POINT_BYTES * num_cells)
+    of_tile = memory_of(
+        np.resize(window, views), np.resize(window, maps), largest, num_cells / len(tiling), 0.0, solves
+    )
+    return max(_MORE * of_tile, _REPORT_BYTES + POINT_BYTES * num_cells)
+
+
+def window_pixels(survey: Survey, plan: Plan, sides: tuple[float, float]) -> np.ndarray:
+    """Pixels (K,) of the windows in which some photographs show a rectangle of the ground in their middle.
+
+    Parameters
+    ----------
+    sides : (east, north) [m]
+        Of the rectangle; bounding boxes of it are larger in photographs that are turned or tilted.
+    """
+    survey = flattened(survey)
+    views = [survey.views[k] for k in np.unique(np.linspace(0, len(survey.views) - 1, _SAMPLE).astype(int))]
+    cameras = [camera_of(view, plan) for view in views]
+    if survey.water is None:
+        level = dry_ground(survey).height
+    else:
+        level = float(np.median([survey.water.height(*camera.centre[:2]) for camera in cameras]))
+    middles = ground_points(cameras, level)
+    outline = np.array([(x, y, z) for z in (0.0, -1.0) for x in (-0.5, 0.0, 0.5) for y in (-0.5, 0.0, 0.5)])
+    found = []
+    for camera, middle in zip(cameras, middles, strict=True):
+        around = outline * (*sides, _RELIEF * (camera.centre[2] - level))
+        pixels, size = camera.project(middle + around, survey.water), (camera.width, camera.height)
+        box = np.clip(pixels.max(axis=0), 0.0, size) - np.clip(pixels.min(axis=0), 0.0, size)
+        # All of a photograph whose middle shows no ground, or where something of the rectangle cannot be projected.
+        found.append(float(np.prod(box)) if np.isfinite(pixels).all() else float(np.prod(size)))
+    return np.array(found)

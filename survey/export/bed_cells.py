@@ -1,11 +1,10 @@
 """The bed as a raster of heights, with the attributes of each cell.
 
-Gaps are filled up to a width, with a mask and a standard deviation of filled cells. A gap is filled where a square of
-the stated width does not fit into it. The height is the mean of the known cells around, weighted by the inverse square
-of their distance; it is as uncertain as the bed changes over that distance: by the root mean square slope of the known
-cells near by.
+Gaps are filled up to a stated width: where a square of that width does not fit into them. Filled cells are marked in a
+mask. Their height is the mean of the known cells around, weighted by the inverse square of the distance; its standard
+deviation is that distance times the root mean square slope of the known cells near by.
 
-The square cells of a raster in plan: where they lie, and which point is in which.
+Also the geometry of the cells in plan: their position, and which point lies in which cell.
 """
 
 from __future__ import annotations
@@ -23,18 +22,18 @@ from geo.crs import height_unit_m
 from geo.projection import ground_units_m
 from survey.errors import SurveyError
 
-# What a raster may hold: more is a resolution by mistake, or a stray point far away.
+# Largest raster: more cells result from a mistaken resolution, or from stray points far away.
 _MOST_CELLS = 4_000_000_000
-# A point on the outer edge lies in the last cell, and a cell's edge is where it was meant to be, to rounding.
+# Tolerance [cells] for points on the outer edge, which lie in the last cell, and for rounding of cell edges.
 _ON_EDGE = 1e-6
 # Steps of resolutions that are chosen, times a power of ten.
 _ROUND = (1.0, 2.0, 2.5, 5.0, 10.0)
-# A plane of the local frame is one in crs but for the curvature of the Earth and of the map: a paraboloid.
+# Points for the paraboloid of the water: a plane of the local frame is curved in crs by Earth and map projection.
 _MOST_POINTS = 20_000
 _TILE = 512
-# Known cells that a filled one is made of.
+# Known cells from which a gap cell is interpolated.
 _NEIGHBOURS = 12
-# Where nothing is known of the slope [-].
+# Slope to assume where none is known [-].
 _ANY_SLOPE = 1.0
 
 
@@ -238,7 +237,7 @@ def fill_gaps(grid: Gridded, width_m: float) -> None:
         if len(gaps):
             corner = np.array([around.top, around.left])
             found.append((tuple((gaps + corner).T), _interpolated(grid, known, around, gaps)))
-    # All of them are made from points before any is set.
+    # All are interpolated from measured cells before any is set.
     for place, values in found:
         grid.height[place], grid.std[place], grid.common[place], grid.incidence[place] = values
         grid.known[place] = 2
@@ -246,9 +245,9 @@ def fill_gaps(grid: Gridded, width_m: float) -> None:
 
 def _closed(known: np.ndarray, width: int) -> np.ndarray:
     """Known cells, and those in whose gap no square of more than ``width`` cells fits."""
-    # Beyond the raster nothing is known: the gap goes on there.
+    # Beyond the raster nothing is known, so that gaps continue there.
     gap = np.pad(~known, width + 1, constant_values=True)
-    # Along one axis after the other, so that wide gaps cost no more than narrow ones.
+    # Separable, so that wide gaps cost no more than narrow ones.
     opened = ndimage.grey_opening(gap.astype(np.uint8), size=width + 1, mode="constant", cval=0)
     return (opened == 0)[width + 1 : -width - 1, width + 1 : -width - 1]
 

@@ -1,8 +1,8 @@
 """A surface of the bed, in triangles with colours, trimmed where no point supports it.
 
-By Delaunay triangles between the surest points of cells in plan (2.5D), or as a screened Poisson surface by Open3D (the
-extra ``mesh``), of points with normals from the planes through their neighbours. Closed with walls and a bottom for
-programs that want a body: 3D printing, volumes.
+By Delaunay triangles between the most certain points of cells in plan (2.5D), or as a screened Poisson surface by
+Open3D (the extra ``mesh``) of points with normals from planes through their neighbours. Optionally closed with walls
+and a bottom, for 3D printing and volumes.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from survey.export.plan_triangles import surest, triangles
 METHODS = ("delaunay", "poisson")
 _NEIGHBOURS = 12
 _CHUNK = 50_000
-# The side goes from a point to its neighbours in each: enough for walls a hundred points high.
+# Orientation spreads by one point per round: enough for walls a hundred points high.
 _ROUNDS = 100
-# Of the cube over the cloud, against its largest extent.
+# Size of the Poisson cube relative to the largest extent of the cloud.
 _SCALE = 1.1
-# Deeper octrees than this exceed the memory before they show more.
+# Deeper octrees exceed the memory without showing more.
 _DEEPEST = 13
 # Vertices farther from every point than this, in spacings, are guesses.
 TRIM = 2.0
@@ -97,9 +97,8 @@ def bed_surface(
 def oriented_normals(points: np.ndarray) -> np.ndarray:
     """Unit normals (N, 3) of points (N, 3) [m], z up, N at least 13.
 
-    Cameras look down through the water, so normals point up. On walls that says little, and neighbours decide: in
-    rounds, each point takes the side of those around it, the more the more level they lie and the more parallel they
-    are.
+    Cameras look down through the water, so normals point up. On walls that does not decide, and neighbours vote: in
+    rounds, each point takes the orientation of those around it, weighted by how level and how parallel they are.
     """
     tree = cKDTree(points)
     count = min(_NEIGHBOURS + 1, len(points))
@@ -157,7 +156,7 @@ def poisson_surface(points: np.ndarray, spacing_m: float, path: str | Path) -> t
     cloud.normals = vector(oriented_normals(points))
     cells = _SCALE * float(np.ptp(points, axis=0).max()) / spacing_m
     depth = min(max(math.ceil(math.log2(max(cells, 2.0))), 5), _DEEPEST)
-    # One thread: with several, the order of sums decides on the last digits.
+    # One thread: with several, the last digits would depend on the order of sums.
     mesh, _ = open3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
         cloud, depth=depth, scale=_SCALE, n_threads=1
     )
@@ -167,7 +166,7 @@ def poisson_surface(points: np.ndarray, spacing_m: float, path: str | Path) -> t
 
 
 def solid_of(vertices: np.ndarray, faces: np.ndarray, thickness_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The surface on a block: walls down from every rim, to a bottom below the lowest vertex.
+    """A closed solid under the surface: walls down from every rim to a bottom below the lowest vertex.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """The cameras of a run for other programs to train on: a COLMAP model, and nerfstudio's transforms.json.
 
-Both know straight rays only. The poses are the true ones, so the ray of a pixel is right as far as the water: there it
-bends, which the files say with the plane and the index. A program that traces straight rays sees the bed about a
-quarter too shallow, and blurred, as each camera sees it elsewhere.
+Both formats assume straight rays. The poses are the true ones, so the ray of a pixel is right down to the water. There
+it bends; the files state the plane and the index. A program that traces straight rays sees the bed about a quarter too
+shallow, and blurred, since each camera sees it elsewhere.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from survey.run.flight import Flight
 
 _MARK = "# bathynerf\n"
-# What trainers start from; more take them longer and help little.
+# Initial points for training; more take longer and help little.
 _MOST_POINTS = 200_000
 _KIND = "cameras that bathynerf wrote"
 
@@ -81,7 +81,7 @@ def _write_colmap(path: Path, run: LoadedRun, _options: ExportOptions) -> None:
 
 
 def _points(run: LoadedRun) -> str:
-    """points3D.txt: points of the bed where they are, not where straight rays see them, without tracks."""
+    """points3D.txt: true (not apparent) positions of points of the bed, without tracks."""
     bed = run.bed.bed
     every = -(-len(bed) // _MOST_POINTS)
     head = "# points of the bed, true places; no tracks\n"

@@ -1,20 +1,18 @@
-"""Heights of cells from the points in them: a plane by least squares in each, and how well its mean is known.
+"""Heights of cells from the points in them: a least-squares plane in each, with the standard deviation of its mean.
 
-Each point has a standard deviation s. In a cell whose points scatter about their plane by more than that, the excess is
-taken as relief of variance t², and a point's weight is 1 / (s² + t²): where a wall cuts the cell all points weigh
-alike, as the mean over its area asks, and elsewhere a point that is badly known weighs little. Points that stand apart
-from the others of their cell weigh less (P. Huber 1964). The slope of a plane is held by a weak prior, so that a cell
-whose points lie on one side of it has a height, and a standard deviation that tells. Relief makes a mean uncertain only
-as far as points do not sample it all over the cell. The part of a cell that has no points may lie off the plane by as
-much as the bed rises and scatters where it has some; a cell of which points cover less than a third has no
-height.
+Each point has a standard deviation s. Where points scatter about the plane of their cell by more than that, the excess
+is taken as relief of variance t², and the weight of a point is 1 / (s² + t²). So where a wall cuts the cell all points
+weigh alike, as the mean over the area requires, and elsewhere uncertain points weigh little. Outliers are downweighted
+(P. Huber 1964). A weak prior on the slope gives a height, with a realistic standard deviation, to cells whose points
+lie on one side. Relief makes a mean uncertain only where points do not sample it. The uncovered part of a cell may
+depart from the plane by as much as the bed rises and scatters in the covered part; cells that points cover by less than
+a third have no height.
 
-Correlation area of the errors of neighbouring points, estimated from a cloud.
-
-Least squares over photographs smooth a bed that is smooth more than one that is rough, so that the area differs from
-survey to survey. Points whose heights differ by less than their standard deviations say must err alike: where
-differences between points a distance apart have the variance D, the errors have a correlation of 1 - D / (s1² + s2²) at
-least, as relief can only add to D.
+Also estimates the area over which errors of neighbouring points are correlated, from the cloud itself. Least squares
+over photographs smooth a smooth bed more than a rough one, so that this area differs from survey to survey. Points
+whose heights differ by less than their standard deviations must have correlated errors: where differences between
+points at some distance have the variance D, the correlation is at least 1 - D / (s1² + s2²), since relief can only add
+to D.
 """
 
 from __future__ import annotations
@@ -24,22 +22,22 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-# What is known beforehand of a slope: 45 degrees either way.
+# Prior standard deviation of a slope: 45 degrees.
 _SLOPE_STD = 1.0
-# Beyond so many standard deviations a point weighs less.
+# Huber's limit in standard deviations.
 _HUBER = 2.5
-# A cell is divided into squares, at most so many along a side; those with points are covered.
+# For coverage a cell is divided into squares, at most this many along a side; those with points are covered.
 _MOST_SQUARES = 4
 _LEAST_COVERED = 1.0 / 3.0
 _STEPS = 3
 _MAD_TO_STD = 1.4826
-# Errors of neighbouring points are alike: so many points [px²] say as much as one, at least. Of rough beds 5 to 12.
+# Least correlation area [px²]: this many points are worth one independent point. On rough beds it is 5 to 12.
 LEAST_PX2 = 15.0
-# Windows of a cloud that are looked at, how far they reach, and how many points of each [px].
+# Sample windows of a cloud: number, radius [px], most and fewest points in each.
 _WINDOWS, _RADIUS_PX, _MOST_POINTS, _FEWEST_POINTS = 60, 9.0, 300, 60
-# Farther apart than this, what is left of the relief in a window hides what errors have in common [px].
+# At larger distances, remaining relief in a window hides the correlation of errors [px].
 _REACH_PX = 4
-# Squared differences count up to this many times their variance.
+# Squared differences are clipped at this many times their variance.
 _LARGEST = 9.0
 _SEED = 0
 
@@ -75,7 +73,7 @@ def fit_cells(points: CellPoints, *, side: float, pixel: float, correlated: floa
     side, pixel : [m]
         Of a cell, and what a pixel of the photographs covers.
     correlated : [px²]
-        Area over which points say as much as one, see `survey.export.cell_fit`.
+        Correlation area, see `correlated_px2`.
     """
     order = np.argsort(points.cell, kind="stable")
     covered = _covered(points.cell[order], points.offset[order])
@@ -144,7 +142,7 @@ def _planes(
 
 
 def correlated_px2(plan: np.ndarray, height: np.ndarray, std: np.ndarray, pixel: float) -> float:
-    """The area [px²] over which points say as much as one.
+    """Correlation area [px²] of the errors of points: points in it are worth one independent point.
 
     Parameters
     ----------
@@ -183,6 +181,6 @@ def correlated_px2(plan: np.ndarray, height: np.ndarray, std: np.ndarray, pixel:
 
 
 def _less_relief(x: np.ndarray, y: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """Heights (N,) [m] less a surface of second degree."""
+    """Heights (N,) [m] minus a fitted surface of second degree."""
     design = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
     return height - design @ np.linalg.lstsq(design, height, rcond=None)[0]

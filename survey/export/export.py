@@ -1,6 +1,6 @@
-"""`bathynerf export`: products of a finished run, written whole, and only those that are not up to date.
+"""`bathynerf export`: products of a finished run. Each is written completely or not at all, and only if out of date.
 
-A record in the run folder tells which are up to date.
+A record in the run folder states which products are up to date.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def export(run: str | Path, *, options: ExportOptions | None = None, **files: st
     run : Path
         Folder that `bathynerf process` made.
     options : ExportOptions, optional
-        What is asked of the products.
+        Options of the products.
     **files : Path, optional
         The file of each wanted product, by its option, e.g. ``laz="bed.laz"``; see `survey.export.registry`.
 

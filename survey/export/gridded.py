@@ -3,10 +3,10 @@
 Cells are worked on in tiles of about two million points; the rasters lie in files, so that they may be larger than the
 memory.
 
-A terrain model has one height per place, the highest. Points are binned into squares of about a pixel. A point that
-lies well below the highest ones of its own and the neighbouring squares is under a roof (a hull, a deck) or on a wall,
-which covers no area in plan. Where the bed drops down such a wall, matching leaves it uncertain by a pixel or two where
-exactly, so that a point beside it may be wrong by the whole drop.
+A terrain model has one height per place, the highest. Points are binned into squares of about a pixel. A point well
+below the highest ones of its own and the neighbouring squares is under a roof (a hull, a deck) or on a wall, which
+covers no area in plan; it is left out. The position of a wall is uncertain by a pixel or two, so that a point beside it
+may be wrong by the whole drop.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _SQUARE_PX = 1.25
 _STEEPEST = 3.0
 # Squares over which the place of a wall is uncertain, to either side.
 _WALL_SQUARES = 2
-# Standard deviations by which a point's height is lowered before it counts as a roof: a badly known one is none.
+# Standard deviations by which a point is lowered before it counts as a roof, so that uncertain points are none.
 _STD_OF_ROOF = 2.0
 # Squares around a tile that decide about its points.
 MARGIN_SQUARES = _WALL_SQUARES + 1

@@ -33,7 +33,7 @@ _Made = TypeVar("_Made")
 
 
 class LoadedRun:
-    """The result that stands in a run folder, for use in a ``with`` block, which removes what it left on the disk.
+    """The result in a run folder, for use in a ``with`` block, which removes temporary files at its end.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class LoadedRun:
 
         if crs not in self._ways:
             places = None
-            # A run of an early version kept no frame: regional operations are then those of the whole world.
+            # Runs of early versions stored no frame; no area then restricts the choice of the operation.
             with suppress(SurveyError):
                 places = np.array([self.flight.frame.origin])
             self._ways[crs] = Reprojection.between(self.place.crs, crs, where="--crs", places=places)

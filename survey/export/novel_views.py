@@ -36,16 +36,16 @@ _PRIOR_M2 = 0.1**2
 def image_based_field(
     run: LoadedRun, survey: str | None, cameras: Sequence[PinholeCamera], *, dry: bool, advance: Callable[[], object]
 ) -> ImageBasedField:
-    """The photographs of a run as other cameras see them, those that some cameras need at a common exposure.
+    """The photographs of a run as an image-based field, brought to a common exposure, for given cameras.
 
     Parameters
     ----------
     survey : str or None
         Folder of the survey, if it was moved since the run.
     cameras : sequence of PinholeCamera
-        That are to be rendered, local.
+        Cameras to render, local.
     dry : bool
-        They look through air alone.
+        Render without water.
     advance : callable
         Called after each of the photographs that are compared.
 
@@ -116,8 +116,9 @@ def _some(points: np.ndarray) -> np.ndarray:
 def _gains(
     field: ImageBasedField, numbers: Sequence[int], points: np.ndarray, advance: Callable[[], object]
 ) -> np.ndarray:
-    """Factors (V, 3) that bring the colours of some photographs to their common exposure, by what they show at points
-    (N, 3), local. What the water takes along an oblique path is not an exposure, and stays."""
+    """Factors (V, 3) that bring photographs to a common exposure, from their colours at points (N, 3), local.
+
+    Attenuation along oblique paths in water is not part of the exposure, and stays."""
     heights = heights_over(points, field.water)
     shown = np.full((len(numbers), len(points), 3), np.nan, dtype=np.float32)
     lengths = np.zeros(shown.shape[:2], dtype=np.float32)
@@ -152,9 +153,9 @@ def per_metre(shown: np.ndarray, lengths: np.ndarray) -> np.ndarray:
 
     Notes
     -----
-    Least squares with a colour for each point and an exposure for each view beside the change: what colours have in
-    common with the lengths that neither point nor view explains (Frisch-Waugh-Lovell). Where lengths are those of the
-    views alone, exposures explain all.
+    Least squares with unknown colours of points and exposures of views: the regression of colours on path lengths after
+    removal of point and view effects from both (Frisch-Waugh-Lovell). Where lengths depend on the view alone, exposures
+    explain everything.
     """
     known = np.isfinite(shown[..., 0]).astype(np.float64)
     length = _without_points_and_views(known, lengths)

@@ -1,14 +1,14 @@
 """Photographs in the cells of the bed: projection, occlusion, exposure compensation, and their mosaic.
 
-The heights of the bed are projected into the photograph. A cell is hidden where the bed at its pixel is seen higher:
-cameras look from above, so that along a ray the higher bed is the nearer one.
+The heights of the bed are projected into the photograph. A cell is hidden where a higher part of the bed falls on the
+same pixel: cameras look from above, so that along a ray the higher point is the nearer one.
 
-Exposures are compensated by the cells of the bed that several photographs show.
+Exposures are compensated by means of cells that several photographs show.
 
-The way through the water is solved at every sixteenth cell and at three heights; between these the pixel changes so
-evenly that linear steps in plan and parabolas in height leave a hundredth of a pixel.
+Refraction is solved at every sixteenth cell and at three heights. Between these, linear interpolation in plan and
+quadratic interpolation in height are accurate to a hundredth of a pixel.
 
-Where views are about equally steep they fade into each other.
+Views of similar steepness are blended.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ WINDOW = 512
 _STEP = 16
 # Heights of one window differ by this at least, so that there is a parabola through them [m].
 _LEAST_RELIEF_M = 0.01
-# A cell is hidden where the bed that is seen at its pixel is higher by so many cells.
+# A cell is hidden where the bed at its pixel is higher by this many cells.
 _HIDDEN_CELLS = 3.0
-# Side of the blocks of pixels that are told apart, in cells of the bed: so that each has one.
+# Side of the blocks of the height buffer, in cells of the bed: large enough to contain one each.
 _BLOCK_CELLS = 1.5
 # Cells that are compared at most, about, and rounds of medians.
 _COMPARED, _ROUNDS = 20_000, 6
-# Over this difference of the squared tangent of their angles one view takes over from another.
+# Difference of the squared tangent of their angles over which one view blends into another.
 _FADING = 0.004
-# Towards the border of a photograph it fades out [px].
+# Width over which a photograph fades out at its border [px].
 _BORDER_PX = 24.0
 
 
@@ -92,7 +92,7 @@ class Windows:
 
 @dataclass(frozen=True)
 class _Knots:
-    """The places of a window at which ways through the water are solved."""
+    """The knots of a window at which refraction is solved."""
 
     window: CellWindow
     # middle, half [m]: the heights are ``middle - half``, ``middle``, ``middle + half``
@@ -116,7 +116,7 @@ class _Knots:
         return _Knots(window, middle, half, across, along, _local(flight, cells, points))
 
     def seen_by(self, camera: PinholeCamera, water: FlatWater | None) -> np.ndarray | None:
-        """Values of `CellProjection` (4, 3, knots, knots) at the knots; None where surely no cell is seen."""
+        """Values of `CellProjection` (4, 3, knots, knots) at the knots; None where certainly no cell is seen."""
         pixels, size = camera.project(self.points, water), np.array([camera.width, camera.height])
         with np.errstate(invalid="ignore"):
             # A window is larger than a photograph where its cells are larger than pixels: then knots lie around it.
@@ -151,7 +151,7 @@ def _local(flight: Flight, cells: PlanCells, points: np.ndarray) -> np.ndarray:
 
 
 def _knots(count: int) -> np.ndarray:
-    """Cells at which ways are solved, the first and the last among them."""
+    """Cells that are knots, the first and the last among them."""
     return np.unique(np.append(np.arange(0, count, _STEP), [count - 1]))
 
 
@@ -280,7 +280,7 @@ class Mosaic:
 
 
 def log_weight(sight: CellProjection, camera: PinholeCamera) -> np.ndarray:
-    """Logarithm of the weight (rows, columns) of a view: the steeper the more, and little at its border."""
+    """Logarithm of the weight (rows, columns) of a view: higher for steep rays, low at the border of the image."""
     u, v = sight.u, sight.v
     border = np.minimum(np.minimum(u, camera.width - u), np.minimum(v, camera.height - v))
     return -sight.lean / _FADING + np.log(np.clip(border / _BORDER_PX, 1e-3, 1.0))

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from survey.export.product import ExportOptions
     from survey.run.stored import StoredBed
 
-# What a cell without a point is; 0 is everything else: bed found, dry ground, or seen by no view.
+# Codes of cells without a point; 0 is everything else: bed found, dry ground, or seen by no view.
 TWO_VIEWS, ONE_VIEW = 1, 2
 REASONS = {
     TWO_VIEWS: "two or more views, no bed found: turbid, too deep, glint, or without texture",
@@ -40,12 +40,12 @@ REASONS = {
 }
 CLASS_WATER_SURFACE, CLASS_NO_BOTTOM = 41, 45
 _PLACES_OF_SIDE = 12
-# Of the search for the place where a ray meets the bed; the last moves it by less than a cell.
+# Iterations for the intersection of a ray with the bed; the last one moves it by less than a cell.
 _STEPS = 30
 # Shorter lines, in cells, are noise of single cells.
 SHORTEST = 8.0
 _ABOUT = 10
-# More are an interval by mistake.
+# More contours result from a mistaken interval.
 _MOST_LEVELS = 1000
 _ROUND = (1.0, 2.0, 5.0, 10.0)
 
@@ -180,7 +180,7 @@ def _on_bed(camera: PinholeCamera, water: FlatWater | None, cells: SeenCells) ->
             return None
         bed = cells.height[cells.index(places)]
         over = bed if water is None else bed - water.height(places[:, 0], places[:, 1])
-        # Half a step: on steep ground a whole one jumps to and fro.
+        # Damped by half: full steps oscillate on steep ground.
         height = 0.5 * (height + over)
     return np.concatenate([places, places[:1]])
 

@@ -1,4 +1,4 @@
-"""Delaunay triangles in plan between the surest points of cells, by bands of rows of cells, for less memory.
+"""Delaunay triangles in plan between the most certain points of cells, in bands of rows to limit memory.
 
 Triangles between the points of a band and its rim are those of the whole where no other point lies in their
 circumcircle, which defines them. All of the whole are among them whose vertices lie there: a circle without a point of

@@ -13,11 +13,11 @@ from survey.errors import SurveyError
 if TYPE_CHECKING:
     from survey.export.loaded import LoadedRun
 
-# What --resolution may be [m]: no photograph from the air shows a tenth of a millimetre, and no survey is so wide.
+# Limits of --resolution [m]: no aerial photograph resolves the first, and no survey is as wide as the second.
 _LEAST_SIDE, _LARGEST_SIDE = 1e-4, 1e5
 # Finer cells repeat their neighbours, and fill the disk [px].
 _FINEST_PX = 0.05
-# Enough for the marks that writers leave near the beginning of their files.
+# Bytes at the beginning of a file that are searched for the mark of its writer.
 _HEAD_BYTES = 1 << 16
 
 
@@ -71,7 +71,7 @@ def require_lengths(options: ExportOptions) -> None:
 
 
 def require_not_too_fine(side_m: float, pixel_m: float) -> None:
-    """Raise SurveyError where cells of a side [m] are so fine that pixels [m] on the ground tell nothing of most."""
+    """Raise SurveyError where cells of a side [m] are far smaller than pixels [m] on the ground."""
     if side_m < _FINEST_PX * pixel_m:
         raise SurveyError(
             f"--resolution {side_m:g} is metres, and a pixel covers {1000.0 * pixel_m:.3g} mm, expected at least "
@@ -91,8 +91,8 @@ class Product:
     takes: tuple[str, ...]  # Fields of `ExportOptions` that it follows
     # callable: whether an existing file is one that this product wrote, and may be replaced
     is_ours: Callable[[Path], bool]
-    # callable: writes the file, whole or not at all. What it needs of slow modules it imports itself: the command line
-    # reads the registry.
+    # callable: writes the file, whole or not at all. It imports slow modules itself, since the command line imports the
+    # registry.
     write: Callable[[Path, LoadedRun, ExportOptions], None]
     # Whether it is a folder of files, which is made where it is not there, and always written anew
     is_folder: bool = False

@@ -1,7 +1,4 @@
-"""`bathynerf profile`: the profiles of a file of lines, and what is written of them.
-
-Tables, pictures and lines of text.
-"""
+"""`bathynerf profile`: profiles along the lines of a file, written as tables, pictures and DXF."""
 
 from __future__ import annotations
 
@@ -63,7 +60,7 @@ class Profile:
     bed : (K,), in the heights of crs
         Median of the points near the place.
     std, std_common : (K,) [m]
-        Of a point there by errors of its own, and of what all heights have in common; NaN where the cloud has none.
+        Standard deviation of a point there by its own errors, and by those common to all heights; NaN where unknown.
     num_points : (K,) int
     water, reference : (K,), in the heights of crs
         NaN for a dry survey, and without a reference.
@@ -92,7 +89,7 @@ class Profile:
 
 
 class Bed:
-    """A cloud of the bed, looked up by place, and the reference beside it.
+    """A cloud of the bed with its optional reference, for queries by place.
 
     Parameters
     ----------

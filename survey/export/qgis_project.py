@@ -34,7 +34,7 @@ class _Layer(NamedTuple):
 
     @property
     def key(self) -> str:
-        # QGIS gives shorter ones another name.
+        # QGIS replaces shorter keys.
         return f"bathynerf_{self.name.replace(' ', '_')}"
 
 

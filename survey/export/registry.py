@@ -43,7 +43,7 @@ DOCUMENTS = (
         write=_write,
     ),
 )
-# By the panel of help that a product stands in.
+# Products by the panel of the help text.
 FAMILIES: dict[str, tuple[Product, ...]] = {
     "Points": (*CLOUDS, *SOUNDINGS),
     "Rasters": (*TERRAIN, *HYDROGRAPHY, *ORTHOPHOTO),

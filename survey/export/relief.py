@@ -12,7 +12,7 @@ _SUN_HEIGHT, _SUN_AZIMUTH = math.radians(45.0), math.radians(315.0)
 def gradient(height: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray]:
     """Rise to the east and to the north [-] of heights (rows, columns), NaN where there is none.
 
-    Between the neighbours on both sides (L. Zevenbergen and C. Thorne 1987), or from the cell to the one that there is.
+    Central differences (L. Zevenbergen and C. Thorne 1987), or one-sided ones where a neighbour is missing.
     """
     return _differences(height, side), -_differences(height.T, side).T
 
@@ -33,7 +33,7 @@ def slope_deg(height: np.ndarray, side: float) -> np.ndarray:
 
 
 def hillshade(height: np.ndarray, side: float) -> np.ndarray:
-    """Light on a relief (rows, columns) uint8 from the north-west at 45 degrees, 1 to 255; 0 where unknown."""
+    """Hillshade (rows, columns) uint8 with light from the north-west at 45 degrees, 1 to 255; 0 where unknown."""
     east, north = gradient(height, side)
     toward = east * math.sin(_SUN_AZIMUTH) + north * math.cos(_SUN_AZIMUTH)
     light = (math.sin(_SUN_HEIGHT) - math.cos(_SUN_HEIGHT) * toward) / np.sqrt(1.0 + east**2 + north**2)

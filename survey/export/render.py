@@ -1,4 +1,4 @@
-"""`bathynerf render`: what other cameras would see of the bed of a run."""
+"""`bathynerf render`: views of the bed of a run from other cameras."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def render(
     survey: str | None = None,
     device: str = "auto",
 ) -> list[Path]:
-    """Write what cameras would see of the bed of a run.
+    """Render views of the bed of a run for other cameras.
 
     The run's photographs are warped along bent rays onto its height maps, and blended (`fields.image_based`);
     or its `trained` field is rendered.
@@ -70,9 +70,9 @@ def render(
     output : Path
         Folder, made if need be.
     dry : bool
-        Take the water away: straight rays, and the bed's own colour where the run has it (``--true-colour``).
+        Without water: straight rays, and the colour of the bed where the run has it (``--true-colour``).
     trained : bool
-        Of the field that ``process --field slab`` trained, in place of the photographs.
+        Render the field that ``process --field slab`` trained, instead of the photographs.
     survey : str, optional
         Folder of the survey, if it was moved since the run.
     device : "auto", "cpu", "cuda" or "torch"
@@ -165,7 +165,7 @@ def _inputs(folder: RunDir, cameras: Path) -> ReadFiles:
         inputs += poses_inputs(cameras)
     for place in {folder.path.absolute().parent, cameras.absolute().parent}:
         if (place / FILE_NAME).is_file():
-            # A survey that cannot be read is not needed either: the run has its own settings.
+            # An unreadable survey is skipped: the run has its own settings.
             with suppress(ConfigError):
                 inputs += survey_inputs(place)
     return inputs

@@ -1,4 +1,4 @@
-"""Styles of QGIS beside rasters and clouds (.qml): QGIS takes that of a file's own name when the file is opened."""
+"""QGIS styles (.qml) next to rasters and clouds: QGIS applies the one with the name of the file when it opens it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     import numpy as np
     from matplotlib.colors import Colormap
 
-# QGIS leaves comments out when it saves a style: one that somebody changed is kept.
+# QGIS drops comments when it saves a style, so a style with this mark is unchanged and may be replaced.
 _MARK = "<!-- made by bathynerf -->"
 _HEAD = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"
 _NUM_COLOURS = 8
@@ -23,7 +23,7 @@ Style = Callable[[Path], str]
 
 
 def write_style(path: Path, style: Style) -> None:
-    """Write the style of a raster or cloud beside it, unless there is one of somebody else."""
+    """Write the style of a raster or cloud next to it, unless there is one that bathynerf did not write."""
     from geo.files import write_whole
     from survey.progress import current
 

@@ -1,4 +1,4 @@
-"""The bed as rasters: heights with their uncertainty (DEM), slope, and light on the relief."""
+"""The bed as rasters: heights with their uncertainty (DEM), slope, and hillshade."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _UNCERTAINTY = (
 
 
 def raster_form(grid: Gridded, *bands: RasterBand, said: dict[str, str], **form) -> RasterForm:
-    """Metadata of a raster of a gridded bed; ``said`` are tags of the product beside those of every one."""
+    """Metadata of a raster of a gridded bed; ``said`` are additional tags of the product."""
     from geo.raster import RasterForm
 
     tags = {

@@ -1,7 +1,7 @@
 """Search volume of a survey: its area in plan, heights over one plane, and sample places of the bed with their views.
 
-Bounds of which no part is seen by two photographs are refused. A survey of kilometres is flattened for what is planned
-once for all of it: overlap, heights, amounts of work.
+Bounds that no two photographs see any part of are refused. A survey of kilometres is flattened for whatever is planned
+for all of it at once: overlap, heights, amounts of work.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ from survey.plan.heights import dry_ground, height_range
 if TYPE_CHECKING:
     from geo.frames import LocalFrame
 
-# Level ground that falls by less than this [m] is one plane: over a kilometre it falls by 2 cm.
+# A survey over which the level surface falls by less than this [m] needs no flattening; over a kilometre it is 2 cm.
 _LEAST_DROP_M = 0.05
 # The cloud ends this far beyond the area, so that heights at its border have points on all sides.
 AREA_MARGIN_M = 0.5
-# Places along each side of the bounds and of a photograph, and heights of the bed, that are tried.
+# Sample places along each side of the bounds and of a photograph, and sample heights of the bed.
 _PLACES, _HEIGHTS = 16, 5
-# Rays nearer to the horizon than this sine leave the survey: footprints end before.
+# Rays nearer to the horizon than this sine leave the survey; footprints are cut there.
 _LEAST_FALL = 0.05
-# Depth of the bed under the water, where nothing tells it [m].
+# Assumed depth of the bed where nothing is known [m].
 ASSUMED_DEPTH_M = 2.0
-# Views of a block that are looked at: its middle is then as stiff as that of a larger one, and it takes seconds.
+# Largest number of views of a block that is analysed: its middle is as stable as that of a larger block.
 _MOST_VIEWS = 100
 
 
 def flattened(survey: Survey) -> Survey:
-    """The survey with photographs and matched points as high over local z = 0 as they are in crs.
+    """The survey with heights in crs as local z of photographs and matched points.
 
-    Away from the origin level ground falls below z = 0: 10 km on by 7.8 m, more than some drones fly over it. The same
-    survey where it falls by less than 5 cm.
+    Away from the origin level ground falls below z = 0, by 7.8 m at 10 km, which is more than the height of some
+    flights. Unchanged where it falls by less than 5 cm.
     """
     centres = _raised(survey, np.array([view.camera.centre for view in survey.views]))
     if not np.isfinite(centres).all() or _drop_of_ground(survey, centres) < _LEAST_DROP_M:
@@ -152,7 +152,7 @@ def require_seen(survey: Survey) -> None:
     level = flattened(survey)
     area = grown(area, AREA_MARGIN_M)
     footprints = [_footprint(view, level) for view in level.views]
-    # Small bounds hold no place of a photograph's grid, and large ones no footprint between the places of theirs.
+    # Both samples are needed: small bounds may contain no sample of a photograph, and a footprint none of large bounds.
     inside = (places[within(places, area)] for places in footprints)
     for places in chain(_places(level, area), inside):
         if _is_seen_twice(level, places):

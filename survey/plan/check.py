@@ -49,12 +49,12 @@ class Checked:
     found: Found
     survey: Survey | None  # None where structure from motion has to find the poses first
     warnings: tuple[str, ...]  # sentences
-    # a sentence, or None: why the photographs will hardly tell the level of the water, where none is given
+    # a sentence, or None: why the photographs will hardly determine the level of the water, where none is given
     level_warning: str | None = None
 
     @property
     def ordered_warnings(self) -> tuple[str, ...]:
-        """All warnings, the one that will leave the run without a cloud first."""
+        """All warnings; first the one about a run that would end without a cloud."""
         return self.warnings if self.level_warning is None else (self.level_warning, *self.warnings)
 
 
@@ -76,7 +76,7 @@ def require_processable(folder: Path) -> Checked:
 
 
 def unnamed_water(found: Found) -> list[str]:
-    """A warning that names photographs which look as if they showed water, where none is given.
+    """A warning that names photographs that seem to show water, where [water] is not given.
 
     Raises
     ------
@@ -108,7 +108,7 @@ def check_survey(
     Parameters
     ----------
     checked : Checked, optional
-        What `require_processable` found in the folder, where it has looked already.
+        Result of `require_processable` for the folder, if it was called already.
     slowness : float, optional
         See `Workload.slowness`; default for idle cores.
     chooses_workers : bool
@@ -138,7 +138,7 @@ def check_survey(
     except SurveyError as error:
         if survey.provenance.reprojection is None:
             raise
-        # Where tie points prove the poses, what they say is worth printing, though nothing can be made of them.
+        # The tie points are still reported, though the survey cannot be processed.
         workload = f"process refuses this survey: {error}"
     room = room_warnings(workload, folder / RUN_FOLDER) if isinstance(workload, Workload) else [workload]
     warnings = (*checked.ordered_warnings, *of_water, *room)

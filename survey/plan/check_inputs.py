@@ -1,6 +1,6 @@
-"""Rows of `check` about the observations besides tie points, their source and accuracy, and its verdicts.
+"""Rows of `check` about observations other than tie points, with source, accuracy and verdicts.
 
-Pre-analysis of a level that is not given: whether the directions of view determine it.
+Also tests whether viewing directions can determine a level that is not given.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from survey.settings.config import WaterConfig
 from survey.water.level import STAFF_STD_M
 from survey.water.level_observation import LevelObservation
 
-# Views within this angle of the vertical look straight down. Of blocks of these alone the adjustment leaves the level
-# uncertain by 0.1 to 3 m, where 0.05 m would be of use; with a tenth of oblique views it begins to tell it
+# Views within this angle of the vertical count as nadir. With nadir views alone the adjustment leaves the level
+# uncertain by 0.1 to 3 m, where 0.05 m is needed; from a tenth of oblique views on it becomes observable
 # (docs/adjustment.md).
 DOWN_DEG, FEWEST_OBLIQUE = 10.0, 0.1
 GIVE_LEVEL = (
@@ -82,7 +82,7 @@ def _stds(control: FoundControl) -> str:
 
 
 def water_stds(water: WaterConfig, levels: Sequence[LevelObservation], *, is_index_known: bool = True) -> str:
-    """Standard deviations of the water with their sources, as text after its level; empty where none is known."""
+    """Standard deviations of the water parameters with their sources, as text; empty where none is known."""
     known = {"level": water.level_std_m, "index": water.index_std, "slopes": water.slope_std}
     said = [f"{name} to {std:.3g}{' m' if name == 'level' else ''}" for name, std in known.items() if std is not None]
     by = FILE_NAME
@@ -106,7 +106,7 @@ class Verdict(StrEnum):
 
 
 def verdict_by_limits(value: float, good: float, fair: float) -> Verdict:
-    """The verdict on a value by the limits up to which it is good or fair; where good > fair, from which on."""
+    """Verdict on a value by its limits: good or fair up to them, or, where good > fair, from them on."""
     sign = 1.0 if good <= fair else -1.0
     if sign * value <= sign * good:
         return Verdict.good
@@ -124,7 +124,7 @@ def level_warning(found: Found, survey: Survey | None) -> str | None:
     Parameters
     ----------
     survey : Survey or None
-        None where the poses are not known yet: XMP may have the attitudes of the cameras.
+        None where the poses are not known yet; attitudes are then those in XMP.
     """
     water = found.config.water
     is_given = water is None or water.level_m is not None or water.sources.clicks is not None

@@ -24,16 +24,16 @@ from survey.plan.check_inputs import Verdict, verdict_by_limits, verdict_text
 from survey.plan.glitter import USUAL_WIND_M_S, Glitter, GlitterOfFlight
 from survey.plan.plan import make_plan
 
-# Of the photographs of a place, lost to glitter: up to these shares it is good, or fair. Where no places are known, of
-# a photograph.
+# Shares of the photographs of a place that glitter spoils, up to which it is good, or fair; where no places are known,
+# shares of a photograph.
 LOST_GOOD, LOST_FAIR = 0.15, 0.4
-# Motion while the shutter is open [px]: matches are good to a sixth of a pixel, and lose that first.
+# Motion blur [px]: matches have a precision of a sixth of a pixel, which suffers first.
 BLUR_GOOD_PX, BLUR_FAIR_PX = 0.5, 1.0
-# Against the other photographs: natural ones differ by 0.8, and motion by four pixels leaves less than this.
+# Least relative sharpness: sharp photographs vary down to 0.8; motion by four pixels gives less than this.
 LEAST_SHARP = 0.75
 # At most so many photographs are decoded, evenly through the flight [Mpx].
 _MOST_MPX = 150.0
-# Beside them so many whose files have less than this of the bytes that others have for a pixel.
+# In addition, up to this many whose files have less than this share of the usual bytes per pixel.
 _MOST_SMALL, _SMALL = 10, 0.6
 # Blurred and white photographs are named up to this number.
 _MOST_NAMED = 6
@@ -90,7 +90,7 @@ def glitter_text(glitter: Glitter, highest_sun: float, wind_m_s: float, *, is_fl
 
 
 def lost_share(glitter: Glitter) -> float:
-    """Share of the photographs of a place that show it in glitter; of a photograph, where no place is known."""
+    """Share of the photographs of a place that glitter spoils; of a photograph, where no place is known."""
     if glitter.views is None or glitter.free_views is None:
         return glitter.share[0]
     return 1.0 - glitter.free_views[1] / max(glitter.views[1], 1.0)
@@ -102,7 +102,7 @@ def motion_text(speed: float | None, exposure: float | None, pixel: float | None
     Parameters
     ----------
     speed : [m/s] or None
-        Of the photograph that moves most; None where nothing tells it, as for the others.
+        Of the photograph with the most motion; None where it is unknown, as for the next two.
     exposure : [s] or None
     pixel : [m] or None
         What a pixel covers on the ground.
@@ -122,7 +122,7 @@ def motion_text(speed: float | None, exposure: float | None, pixel: float | None
 
 
 def sharpness_text(found: Found) -> str:
-    """The verdict on photographs that are mostly white, and on those that are blurred against the others."""
+    """The verdict on photographs that are mostly white, and on those less sharp than the others."""
     names = _some(found)
     images = [image_detail(found.images[name]) for name in names]
     of = f"of {len(names)} photographs" + ("" if len(names) == len(found.images) else f" (of {len(found.images)})")
@@ -172,7 +172,7 @@ def _named(worst: list[tuple[str, str]]) -> str:
 def _some(found: Found) -> list[str]:
     """Names of a sample of photographs, evenly spaced over the flight, and those whose files are small for their size.
 
-    What shows nothing takes few bytes to say so.
+    Photographs that show nothing compress to few bytes.
     """
     names = sorted(found.images)
     mpx = np.median([head.size_px[0] * head.size_px[1] for head in found.heads.values()]) / 1e6
@@ -184,7 +184,7 @@ def _some(found: Found) -> list[str]:
 
 
 def _motion(found: Found, survey: Survey | None) -> tuple[float | None, float | None, float | None, str]:
-    """Speed, exposure and pixel of the photograph that moves most, and of how many photographs they are known."""
+    """Speed, exposure time and pixel size of the photograph with the most motion, and for how many they are known."""
     if survey is not None:
         velocities = survey.observations.velocities
     else:

@@ -1,4 +1,4 @@
-"""Options of a run; light to import, since the command line offers the same."""
+"""Options of a run, in a module that is quick to import, since the command line needs it."""
 
 from __future__ import annotations
 
@@ -72,5 +72,5 @@ class Choices:
             raise SurveyError(f"--workers is {self.workers}, expected a number from 1 on")
 
 
-# Where nothing was chosen.
+# The defaults.
 USUAL = Choices()

@@ -17,10 +17,10 @@ from survey.plan.area import beyond_bounds
 from survey.plan.choices import Poses
 
 FULL = "--plan full"
-# Errors of poses that add less than this are lost in the noise of matching, of about a third of a pixel. Drawn surveys
-# with exact poses have 0.001 to 0.08, with errors of 1 cm and 0.01 degrees 0.14 to 0.23 (docs/adjustment.md).
+# Pose errors that add less than this are negligible against the noise of matching, about a third of a pixel. Simulated
+# surveys with exact poses have 0.001 to 0.08, with errors of 1 cm and 0.01 degrees 0.14 to 0.23 (docs/adjustment.md).
 MOST_MISFIT_PX = 0.1
-# A sample of windows needs a block about it.
+# The check of poses needs at least this many views.
 _FEWEST_VIEWS = 12
 _UNSTATED = "poses from a file without position_std_m count as exact"
 
@@ -144,7 +144,7 @@ def pose_choice(survey: Survey, asked: str, *, free_water: bool) -> tuple[str, s
     if free_water:
         return "refine", "--calibrate-water estimates the water together with poses and lens"
     if provenance.tool is not None and survey.water is not None:
-        # Poses that lean on wrong rays cannot witness against the water.
+        # Poses that were adjusted without refraction cannot be used to test the water.
         return (
             "refine",
             f"{provenance.tool} ignored refraction: poses, lens and water are adjusted with bent rays",

@@ -1,10 +1,10 @@
 """Sun glitter on the water: affected photographs, and places of the bed that are seen free of it.
 
-Facets of the water mirror the sun wherever they lean halfway between the direction to the sun and that to the camera.
-C. Cox and W. Munk (Journal of the Optical Society of America 44, 1954, 838-850) measured how they lean: a slope s has
-the density ``exp(-s^2 / v) / (pi v)`` with ``v = 0.003 + 0.00512 W``, W the wind [m/s] 12.5 m above the sea. Glitter is
-taken to reach to where they are a tenth as frequent as level ones. On rivers and ponds, where the wind has no way to
-raise waves, it is narrower.
+Facets of the water reflect the sun into the camera where their normal is halfway between the directions to the sun and
+to the camera. C. Cox and W. Munk (Journal of the Optical Society of America 44, 1954, 838-850) measured their slopes: a
+slope s has the density ``exp(-s^2 / v) / (pi v)`` with ``v = 0.003 + 0.00512 W``, W the wind [m/s] 12.5 m above the
+sea. Glitter is taken to end where facets are a tenth as frequent as level ones. On rivers and ponds, where fetch is
+short, it is narrower.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from survey.plan.area import ASSUMED_DEPTH_M, Places, places_of
 
 # A light breeze, in which most surveys of clear shallow water are flown [m/s].
 USUAL_WIND_M_S = 3.0
-# Glitter ends where facets are so much rarer than level ones.
+# Glitter ends where facets are this frequent, relative to level ones.
 _RAREST = 0.1
 _MOST_PLACES = 400
-# Of the longer side of a frame.
+# Samples along the longer side of a frame.
 _STEPS = 24
 
 
@@ -32,10 +32,10 @@ class Glitter:
     """Effect of sun glitter on a flight."""
 
     num_views: int
-    num_mirrored: int  # Photographs whose frame has the mirror image of the sun on level water
+    num_mirrored: int  # Photographs whose frame contains the mirror image of the sun on level water
     share: tuple[float, float]  # (median, largest): share of a photograph within the glitter
-    # views, free_views (low, median) or None: photographs that a place is in, and those of them that show it free of
-    # glitter: of the lowest tenth of the places, and the median. None where too few views overlap to tell.
+    # views, free_views (low, median) or None: photographs of a place, and those that show it free of glitter: 10 %
+    # quantile over the places, and median. None where too few views overlap.
     views: tuple[float, float] | None
     free_views: tuple[float, float] | None
 
@@ -106,9 +106,9 @@ class GlitterOfFlight:
         return Glitter(len(shares), num_mirrored, (float(np.median(shares)), max(shares)), every, free)
 
     def highest_sun(self, wind_m_s: float) -> float:
-        """Largest elevation [rad] of the sun with the steep views free of glitter; below 0 where there is none."""
+        """Largest elevation [rad] of the sun that keeps steep views free of glitter; negative where there is none."""
         widest = max(float(np.arccos(np.clip(-(rays @ self._up), -1.0, 1.0)).max()) for rays in self._steep())
-        # The ray that glitters leans by twice the lean of its facet.
+        # A reflected ray turns by twice the slope of the facet.
         return 0.5 * math.pi - widest - 2.0 * widest_lean(wind_m_s)
 
     def _steep(self) -> list[np.ndarray]:

@@ -25,8 +25,8 @@ from survey.folder.plausible import GroundHeight, ground_below
 if TYPE_CHECKING:
     from survey.folder.survey import Survey
 
-# Search limits in flying heights: up above the water, and down below it. Drones fly 8 m over 10 m of clear water, and
-# beside banks that nearly reach them.
+# Search limits in flying heights: above the water, and below it. Drones fly 8 m above 10 m of clear water, and beside
+# banks nearly as high as they are.
 HIGHEST, DEEPEST = 0.8, 1.5
 # Over dry ground without points the flying height is only estimated from the overlap: a third of it to three times it.
 _DRY_NEAREST, _DRY_FARTHEST = 1.0 / 3.0, 3.0
@@ -38,7 +38,7 @@ _FEWEST_POINTS = 200
 _MARGIN_SPAN, _MARGIN_FLYING = 0.5, 0.1
 # Views of a point nearer to the horizon than this do not determine its height.
 _GRAZING_DEG = 80.0
-# Fewer tie points do not tell a height: some of them may be wrong.
+# Fewer tie points are not used for a height: some of them may be wrong.
 _FEWEST_TIE_POINTS = 50
 
 

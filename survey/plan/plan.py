@@ -55,12 +55,12 @@ class Plan:
     field : "solver", "slab" or "off"
         What refines the heights of the sweep.
     boxes : bool
-        Whether the bed beside and under edges is looked for in boxes: `fields.occluded`.
+        Whether the bed beside and under depth steps is searched in boxes: `fields.occluded`.
     device_asked : "auto", "cpu" or "cuda"
     poses : ("refine", "fixed" or "check", reason)
         Whether poses, lens and water are adjusted first, or only if a sample of photographs contradicts the poses.
     skips : Skips
-        What the scene does not need; all on, or all off with ``--plan full``.
+        Work to skip that the scene does not need; nothing with ``--plan full``.
     """
 
     quality: str
@@ -174,7 +174,7 @@ def has_boxes(field: str, asked: str, *, aimed: bool) -> bool:
 
 
 def _boxes(field: str, *, asked: str, aimed: bool) -> tuple[Decision, ...]:
-    """Decision on boxes, where photographs are compared pixel by pixel; none where neither asked for nor usual."""
+    """Decision on boxes, in which photographs are compared pixel by pixel; none unless asked for or usual."""
     if has_boxes(field, asked, aimed=aimed):
         reason = (
             "windows cover both an edge and the bed beside it, single pixels do not; a box of some metres takes about "

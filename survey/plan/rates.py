@@ -11,21 +11,21 @@ from dataclasses import dataclass
 from fields.occluded.holes import SIDE_GSD
 from fields.sweep.passes import PASSES, POINTS_SHARE, Pass, before_solver
 
-# The first pass of the sweep tries as many heights as its bound holds.
+# Usual number of height hypotheses of the first pass of the sweep.
 FIRST_HYPOTHESES = 25
-# Pixels times heights times neighbours of the sweep that one core compares in a second, by Dr.Jit on LLVM, with the
-# search beside steps.
+# Samples of the sweep (pixels x hypotheses x neighbours) per core and second, by Dr.Jit on LLVM, including the search
+# beside steps.
 STEPS_PER_CORE_S = 55e6
-# Imports and hashes, and the report: of any run; kernels, which are made by all cores.
+# Imports and hashes, and the report, of any run; compilation of kernels, on all cores.
 _START_S, _REPORT_S, _KERNELS_S = 2.5, 2.0, 2.0
-# Check of the poses of so many photographs, and adjustment of all, at no more than so many megapixels each: once, and
-# per megapixel.
+# Check of poses with this many photographs, and adjustment with all, at most at this size [Mpx]; times once, and per
+# megapixel.
 _CHECKED, _MOST_MPX = 10, 6.0
 _CHECK_S, _ADJUST_S = (2.5, 0.1), (2.0, 2.0)
-# Windows of an adjustment: decoding and range of heights, once; searching for those of a photograph in the others, by
-# all cores. An adjustment, once and per photograph; there are two, of matches and of all.
+# Windows of an adjustment: decoding and height range, once; matching the windows of a photograph in the others, on all
+# cores. Solving, once and per photograph; there are two, with matches and with all observations.
 _WINDOWS_S, _SEARCH_S, _SOLVING_S = 2.5, 0.4, (1.0, 0.25)
-# Structure from motion: features of a megapixel and a pair, by all cores; a photograph that is placed, by one.
+# Structure from motion: features per megapixel and matching per pair, on all cores; mapping per photograph, on one.
 _FEATURES_S, _PAIR_S, _PLACING_S = 0.6, 0.1, 0.1
 # Parts that a run in tiles has once for each.
 _OF_TILES = ("Sweep", "Solver", "Bed", "Boxes beside edges")

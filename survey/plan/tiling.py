@@ -1,9 +1,9 @@
-"""Tiles of a survey: rectangles of the ground that are worked on one after the other, so that memory is bounded.
+"""Tiles of a survey: rectangles of the ground that are processed one after the other, so that memory is bounded.
 
-Of water that is no plane each tile has a plane of its own. Rays that are bent at a plane which lies d beside the water
-meet (n - 1) d off, which is put right where points are made (`survey.run.stage_bed`). But oblique rays shift by
-more than steep ones: by ``d (tan a - n tan b)`` aside, with ``sin a = n sin b``. Where that exceeds a share of a pixel,
-photographs no longer match.
+Where the water is not a plane, each tile has its own plane. Rays that are bent at a plane a distance d away from the
+water intersect (n - 1) d too high or low, which is corrected when points are made (`survey.run.stage_bed`). In addition
+they shift sideways by ``d (tan a - n tan b)``, with ``sin a = n sin b``, oblique rays more than steep ones. Where that
+exceeds a share of a pixel, photographs no longer match.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 
 Area = tuple[float, float, float, float]
 
-# Maps reach this far beyond a tile [ground sampling distances]: windows of the solver with their halo (8), and points
-# about which neighbours are counted (4). Windows of the sweep come on top, in pixels of each photograph.
+# Overlap of maps beyond a tile [ground sampling distances]: windows of the solver with their halo (8), and the
+# neighbourhood of points (4). Windows of the sweep are added, in pixels of each photograph.
 RIM_GSD = 8.0
-# Distance at which rays of a point may be skew to each other [ground sampling distances].
+# Largest distance between the rays of a point [ground sampling distances].
 MOST_ASIDE_PX = 0.25
 # A local frame is used for no more than this [m] along a side.
 FRAME_M = 1000.0
@@ -110,7 +110,7 @@ def places_of(ground: Area) -> np.ndarray:
 def ray_skew_px(
     survey: Survey, plan: Plan, ground: Area, tilings: Iterable[Tiling | None]
 ) -> Iterator[tuple[Tiling | None, float]]:
-    """Each of some tilings of a ground, and how far [px] rays of a point are skew at most in its tiles."""
+    """Each of several tilings of a ground, with the largest distance [px] between rays of a point in its tiles."""
     departure = survey.observations.departure
     if survey.water is None or departure is None:
         return
@@ -128,7 +128,7 @@ def ray_skew_px(
 
 
 def tile_warnings(survey: Survey, plan: Plan, tiling: Tiling | None) -> tuple[str, ...]:
-    """Warnings where a plane or a local frame does not serve for a tile, or none."""
+    """Warnings where a plane or a local frame is not accurate enough for a tile."""
     return (*_water_warnings(survey, plan, tiling), *_frame_warnings(tiling))
 
 
@@ -145,7 +145,7 @@ def _frame_warnings(tiling: Tiling | None) -> tuple[str, ...]:
 
 
 def _water_warnings(survey: Survey, plan: Plan, tiling: Tiling | None) -> tuple[str, ...]:
-    """A warning where the planes of the tiles do not serve, or none."""
+    """A warning where the planes of the tiles do not approximate the water well enough."""
     if survey.water is None or survey.observations.departure is None:
         return ()
     _, px = next(ray_skew_px(survey, plan, ground_of(survey, plan), [tiling]))

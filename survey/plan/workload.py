@@ -30,14 +30,14 @@ from survey.plan.sweep_block import camera_of
 from survey.progress import rough
 from survey.sfm.settings import FEATURES_PX, pairs_about
 
-# In it the samples of the height hypotheses, as many at a time whatever the survey.
+# Libraries and kernels, with the samples of height hypotheses, whose number at a time is fixed.
 _BASE_BYTES = 480e6
 # Per pixel of every view, its grey image; of its colours, and these at most; whole photographs while they are decoded.
 _BYTES_OF_VIEW, _BYTES_OF_COLOURS, _MOST_COLOURS, _BYTES_OF_DECODING = 1, 3, 100e6, 14
-# Images in float32 that were read last, and packed ones or height maps that are compared: per pixel, at most in all
-# but not fewer than so many images.
+# Cached images in float32, and packed images or height maps that are compared: bytes per pixel, at most in all, least
+# number of images.
 _READ, _COMPARED, _SURFACES = (4, 30e6, 2), (4, KEPT_BYTES, FEWEST_KEPT), (5, 200e6, 21)
-# Per pixel of all height maps while they are worked on, and of these at most in memory.
+# Per pixel of all height maps during the sweep, and the most pixels in memory.
 _BYTES_OF_MAPS, _MOST_MAPS = 18, 75e6
 # Arrays of a view that is worked on, per pixel, of the two that take turns where heights are fused; tiles that are
 # solved at a time.
@@ -54,9 +54,9 @@ _DISK_OF_MAP, _DISK_OF_CELL, _DISK_AT_LEAST, _DISK_OF_SFM = 18, 140, 30e6, 4e6
 _MOST_VIEWS = 2000
 # Views that stand for all where heights of the first pass are counted.
 _SAMPLE = 5
-# Of real photographs with noise, glitter or little texture, whose windows have to be wider than those of drawn ones.
+# For real photographs with noise, glitter or little texture, which need wider windows than simulated ones.
 _BADLY = "three to five times as long"
-# Without poses: cells of the bed per pixel; with the usual overlap a place is seen ten times or more.
+# Without poses: cells of the bed per pixel, since with the usual overlap a place is seen ten times or more.
 _OWN_GROUND = 0.1
 
 

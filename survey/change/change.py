@@ -1,9 +1,9 @@
 """`change`: differences of two surveys, cut and fill with their uncertainty, written as JSON, GeoTIFF and picture.
 
-The second survey is shifted by the mean difference there. What both surveys have in common in all their cells then
-counts no more: in place of it stands the standard deviation of that mean, by the errors of its cells. What of
-``std_common`` grows over a survey, by a tilt or with the depth, stays: its square beyond the least of the survey, at a
-cell and on the stable ground, as independent errors.
+On stable ground, the second survey is shifted by the mean difference there. Errors common to all cells then cancel;
+they are replaced by the standard deviation of that mean. The part of ``std_common`` that varies over a survey, by a
+tilt or with the depth, remains: the excess of its square over the least of the survey, at a cell and on the stable
+ground, as independent errors.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from survey.files.json_values import write_json
 from survey.files.outputs import ReadFiles, is_json, require_file
 from survey.progress import current
 
-# Fewer cells than this say too little of a mean, and of which of them changed all the same.
+# Fewer cells than this do not determine a mean, nor reveal which of them changed.
 FEWEST_CELLS = 30
 _NODATA = -9999.0
 _PNG = b"\x89PNG"
@@ -54,7 +54,7 @@ class Alignment:
 
 
 def aligned(differences: Differences, stable: np.ndarray, correlation: Correlation) -> tuple[Differences, Alignment]:
-    """The differences after the second survey was put onto the first, and by how much.
+    """The differences after the second survey was aligned to the first in height, with the shift.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def aligned(differences: Differences, stable: np.ndarray, correlation: Correlati
 
 
 def _growing(differences: Differences, used: np.ndarray) -> np.ndarray:
-    """Standard deviation (rows, columns) [m] of common errors that are not the same in all cells."""
+    """Standard deviation (rows, columns) [m] of the part of common errors that varies from cell to cell."""
     variances = [each**2 - np.nanmin(each[differences.is_known]) ** 2 for each in differences.common]
     first, second = (np.sqrt(np.maximum(each, 0.0) + max(float(each[used].mean()), 0.0)) for each in variances)
     return np.sqrt(np.maximum(first**2 + second**2 - 2.0 * differences.shared * first * second, 0.0))
@@ -99,7 +99,7 @@ class ChangeOptions:
     """Options of `change_between`."""
 
     area: Path | None = None  # GeoJSON or GeoPackage of polygons; None: all that both surveys cover
-    # The same, of ground that did not change, on which the second survey is put in height; None: as it lies
+    # Polygons of unchanged ground, to which the second survey is aligned in height; None: no alignment
     stable: Path | None = None
     resolution_m: float | None = None  # Side of a cell; None: by the spacing of the points
     correlation_length_m: float | None = None  # Of errors of cells; None: measured

@@ -40,9 +40,9 @@ from survey.run.folder import RunDir
 # Of a normal deviate: two-sided, 95 %.
 Z95 = 1.959964
 MAD_TO_STD = 1.4826
-# Differences beyond so many robust standard deviations have changed.
+# Cells with differences beyond this many robust standard deviations have changed.
 CHANGED = 3.0
-# Lags are looked at up to this share of the shorter side: of longer ones there are few independent pairs.
+# Lags are evaluated up to this share of the shorter side; longer ones have few independent pairs.
 _LONGEST_LAG = 0.25
 _FEWEST_CELLS = 100
 _NUM_LENGTHS = 60

@@ -1,6 +1,6 @@
 """gcp_list.txt of OpenDroneMap: a line with the CRS, then ``x y z px py image [name] [role]``.
 
-The centre of its first pixel is 0, 0. Lines without a name are of one point where they have the same coordinates.
+The centre of its first pixel is 0, 0. Lines without a name belong to the same point if they have the same coordinates.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from survey.photos.exif import SUFFIXES
 
 _FORM = "x y z px py image name"
 _NUMBERS = ("x", "y", "z", "px", "py")
-# From its pixels, the first of which has its centre at 0, 0, to ours.
+# Offset from its pixels, whose first centre is at 0, 0, to ours.
 _HALF_A_PIXEL = 0.5
 
 
@@ -105,7 +105,7 @@ def _require_whole_name(image: str, words: list[str], where: str) -> None:
 
 
 def _is_check(word: str) -> bool:
-    # What follows the name has no fixed meaning: only a word for a role counts.
+    # Words after the name have no fixed meaning; only roles are recognised.
     try:
         return is_check_role(word, "")
     except ControlError:

@@ -1,6 +1,6 @@
 """Markers as Metashape exports them to XML: coordinates in its reference, marks in photographs.
 
-The centre of its first pixel is 0.5, 0.5, as ours. A point that is not ticked in its reference is a check point.
+The centre of its first pixel is 0.5, 0.5, as here. A marker that is not enabled in the reference pane is a check point.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def _point(marker: Element, reference: Element, path: Path, crs: CRS | None) -> 
 def _mark(
     marker: Element, location: Element, path: Path, names: dict[str, str], images: dict[str, str]
 ) -> GivenMark | None:
-    """A mark; None where Metashape only guesses it from the poses."""
+    """A mark; None where Metashape only predicted it from the poses."""
     if not (_is_true(location, "pinned") and _is_true(location, "valid")):
         return None
     key = marker.get("marker_id") or marker.get("id") or ""

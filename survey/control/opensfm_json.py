@@ -15,7 +15,7 @@ from survey.files.csv_table import shortened
 from survey.files.json_values import finite_number, finite_numbers, read_foreign_json
 
 _LONGITUDE, _LATITUDE, _ALTITUDE = "longitude", "latitude", "altitude"
-# OpenSfM measures by such points, and does not adjust to them.
+# OpenSfM's role of check points.
 _CHECK = "metrics_only"
 _FORM = '{"points": [{"id": ..., "position": {...}, "observations": [...]}]}'
 

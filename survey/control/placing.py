@@ -1,4 +1,4 @@
-"""Control and check points checked against the camera positions, and taken into the local frame."""
+"""Control and check points: checked against the camera positions, and transformed to the local frame."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from survey.control.reading import Gathered, swapped
 from survey.display.quantities import named
 from survey.errors import ControlError
 
-# No photograph of a survey of shallow water shows a point further away.
+# Photographs of shallow water do not show points farther away.
 _FARTHEST_M = 3000.0
-# A height is far from the others beyond so many times what is usual among them, and this length [m].
+# A height is far from the others beyond this many times their usual spread, and this length [m].
 _FAR, _FAR_HEIGHT_M, _FEWEST = 10.0, 30.0, 4
 
 
 def require_near(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) -> list[str]:
-    """Warnings about heights of points that their cameras can hardly see; none of no points.
+    """Warnings about implausible heights of points.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ class ControlPoint:
     local: np.ndarray  # (3,) float64 [m]
     std: np.ndarray  # (3,) float64 [m]: of `local`: east, north, up
     is_check: bool = False  # Whether the file calls it a check point: it has marks, but is not to be adjusted to
-    # [m]: what of `std` all points of its file have in common, by a transformation of datums
+    # [m]: the part of `std` common to all points of its file, from a transformation of datums
     common_plan_std: float = 0.0
 
 
@@ -69,15 +69,15 @@ class GivenPoint:
 
     name: str
     where: str  # File and line, for messages
-    # (easting or longitude, northing or latitude, height): horizontally in `crs`; the height is one in the crs of the
-    # survey, or in the unit that the file says
+    # (easting or longitude, northing or latitude, height): horizontally in `crs`; the height has the datum of the crs
+    # of the survey, in the unit that the file states
     place: tuple[float, float, float]
     crs: CRS | None = None  # None where it is that of the survey
     # (east, north, up) [m] or None: None where the file does not say it
     std_m: tuple[float, float, float] | None = None
     is_check: bool = False
-    as_read: GivenPoint | None = None  # The point as its file has it, once `place` was taken to the crs of the survey
-    datum_std_m: float = 0.0  # What that way adds in plan, alike for all points of a file
+    as_read: GivenPoint | None = None  # The point as in its file, once `place` is in the crs of the survey
+    datum_std_m: float = 0.0  # Std that this transformation adds in plan, common to all points of a file
     units: Units = field(default_factory=Units)  # That the file gives its coordinates beside a CRS
 
 
@@ -118,7 +118,7 @@ class ControlFormat:
     read: Callable[[Path], Content]  # callable: the content of such a file; raises ControlError
 
 
-# What the columns of roles are filled with, in lower case.
+# Words for roles, in lower case.
 _CHECK, _CONTROL = ("check", "checkpoint", "check point", "cp"), ("control", "gcp", "ground control", "")
 
 

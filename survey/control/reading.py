@@ -1,4 +1,4 @@
-"""Files of control of any known format, and all of them put together and checked against the photographs."""
+"""Control files of any known format, merged and checked against the photographs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from survey.files.column_units import Units
 from survey.files.csv_table import text_lines
 from survey.photos.names import ImageNames
 
-# Asked in this order which of them a file is of; COORDINATES takes every .csv that MARKS does not.
+# Tried in this order to recognise a file; COORDINATES takes every .csv that MARKS does not.
 FORMATS = (metashape_xml.FORMAT, opensfm_json.FORMAT, gcp_list.FORMAT, tables.MARKS, tables.COORDINATES)
 # Two files may round the coordinates of one point differently.
 _SAME_M, _SAME_DEG = 1e-3, 1e-8
@@ -32,7 +32,7 @@ _ENOUGH = 3
 def in_crs(points: Sequence[GivenPoint], crs: CRS) -> tuple[list[GivenPoint], Findings]:
     """Points with their coordinates in the crs of a survey; heights keep their datum.
 
-    The findings say what was transformed, and how little well known a transformation is.
+    The findings state what was transformed, with warnings about inaccurate transformations.
 
     Raises
     ------

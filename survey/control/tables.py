@@ -14,7 +14,7 @@ from survey.files.column_units import Units, crs_of_comment
 from survey.files.csv_table import Row, column_names, read_table, shortened
 from survey.files.point_table import PLACE, STDS, SYNONYMS, has_depths, read_points, require_exact, units_said
 
-# What other programs call the columns.
+# Names of the columns in other programs.
 _MARK_SYNONYMS = {
     **dict.fromkeys(("photo", "photograph", "file", "filename", "camera", "image_name"), "image"),
     **dict.fromkeys(("label", "point", "gcp", "marker", "point name", "point_name"), "name"),
@@ -68,7 +68,7 @@ def read_checkpoints(path: Path, level: float | None = None, survey_crs: CRS | N
     """
     crs, units = crs_of_comment(path, ControlError), None
     if survey_crs is not None and has_depths(path):
-        # Depths become heights of the survey, others have the unit that the file says.
+        # Depths become heights of the survey; heights have the unit that the file states.
         crs = None if crs is None else horizontal_crs(crs)
         units = Units(Units.of(crs or survey_crs).plan_m, Units.of(survey_crs).height_m)
     rows = read_points(path, level=level, give_level="give [water] level_m", units=units, error=ControlError)
@@ -89,7 +89,7 @@ def read_checkpoints(path: Path, level: float | None = None, survey_crs: CRS | N
 
 
 def _point(row: Row, crs: CRS | None) -> GivenPoint:
-    # Metashape adjusts to the points that are ticked, and reports on the others.
+    # Metashape adjusts to enabled points, and uses the others as check points.
     is_ticked = row.cells.get("enable", "").casefold() not in ("0", "false")
     is_check = is_check_role(row.cells.get("role", ""), row.where) or not is_ticked
     return GivenPoint(row.text("name"), row.where, _place(row), crs, std_m=_std(row), is_check=is_check)

@@ -33,9 +33,9 @@ if TYPE_CHECKING:
     from survey.compare.figures import Figures
     from survey.compare.options import CompareOptions
 
-# Of the product, in the order of its bands.
+# Names of the bands of the product, in order.
 _BANDS = ("height", "std", "std_common", "num_points", "depth", "origin")
-# Of the report, the first that is there: for notebooks.
+# Pictures of the report for notebooks; the first that exists is shown.
 _PICTURES = ("depth.png", "orthophoto.png", "std.png")
 # Places (K, 2) of a line in the CRS of the run: easting or longitude first.
 Places = Sequence[Sequence[float]] | np.ndarray

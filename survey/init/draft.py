@@ -1,4 +1,4 @@
-"""The text of survey.toml for a folder: what its files tell, and a comment at every value that is not certain."""
+"""A draft of survey.toml for a folder, from its files, with a comment at every uncertain value."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from survey.pose_files import find_poses, read_poses
 from survey.settings.config import SurveyConfig, parse_config
 from survey.sfm.gps import is_whole
 
-# As the extensions of editors for TOML find it (Taplo, Even Better TOML, Tombi).
+# The form in which TOML extensions of editors find a schema (Taplo, Even Better TOML, Tombi).
 SCHEMA_NAME = "survey.schema.json"
 SCHEMA_LINE = f"#:schema {SCHEMA_NAME}\n"
-# Names of files as people give them, by the key of [water] that they are for; the first that is there counts.
-# Fewer photographs do not tell the level of the water.
+# Fewer photographs cannot determine the level of the water.
 _FEWEST_FOR_LEVEL = 3
+# Usual names of files by their key in [water]; the first that exists is used.
 _WATER_FILES = {
     "gauge": ("gauge", "tide", "tides", "waterlevel", "water_level"),
     "gnss_points": ("gnss_points", "surface", "water_surface"),
@@ -166,6 +166,6 @@ def _named(folder: Path, stems: tuple[str, ...]) -> str | None:
 
 
 def require_level_and_dry_apart(answers: Answers) -> None:
-    """Raise ConfigError where there is a level of no water."""
+    """Raise ConfigError where both a level and --dry are given."""
     if answers.is_dry and answers.level_m is not None:
         raise ConfigError("--dry says that there is no water, and --level gives its height; keep one")

@@ -30,13 +30,13 @@ from survey.words import GEO_TXT
 # Asks a person; returns the answer, which may be empty.
 Ask = Callable[[str], str]
 _EGM96_HEIGHT, _WGS84_3D = 5773, 4979
-# Positions by GPS are explained by poses in metres, east, north and up, but for this share of their variance.
+# Poses fit GPS positions if at most this share of the variance remains after a shift.
 _UNEXPLAINED = 0.1
 
 
 @dataclass(frozen=True)
 class Answers:
-    """Answers on the command line."""
+    """Answers from options of the command line, or by a person at the terminal."""
 
     crs: str | None = None
     level_m: float | None = None

@@ -1,7 +1,7 @@
 """Points and marks of a survey, edited one at a time in the files that hold them.
 
-The files are the state: each is read again where it has changed, a mark is put into what is there, and the whole file
-is replaced, so that what another program writes meanwhile stays.
+The files are the state: a file is read again if it has changed, the mark is changed in its content, and the whole file
+is replaced, so that changes by other programs are kept.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from survey.settings.config import SurveyConfig
 GCP_LIST, CLICKS = "gcp_list.txt", "clicks.csv"
 # Kinds of points: of known coordinates, or spots where the water ends.
 GROUND, WATER = "ground", "water"
-# In files the first are told from the others by white space, comments and quotes.
+# Characters that files use as separators, comments and quotes.
 _NOT_IN_NAMES = set('\t\r\n,;"#')
 
 Pixel = tuple[float, float]
@@ -55,7 +55,7 @@ class _Cached:
 
 
 class Book:
-    """Points, their marks, and the files that these go to.
+    """Points, their marks, and the files in which they are stored.
 
     Attributes
     ----------
@@ -137,7 +137,7 @@ class Book:
         SurveyError
             If there is no such point or photograph, or the pixel is outside of it.
         UnwritableFile
-            If the system refuses.
+            If the file cannot be written.
         """
         if key not in self.points() or image not in self._sizes:
             raise SurveyError(f"there is no point {key.name[:40]}, or no photograph {image[:60]}; load the page again")
@@ -261,7 +261,7 @@ class Book:
 
 
 def _control_name(folder: Path, config: SurveyConfig) -> str:
-    """The gcp_list.txt that [control] names, there or not yet; else the usual name."""
+    """The gcp_list.txt that [control] names, whether or not it exists; else the usual name."""
     for name in config.control.gcp_files:
         path = folder / name
         if gcp_list.FORMAT.recognises(path) if path.is_file() else path.suffix.lower() == ".txt":

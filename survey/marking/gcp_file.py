@@ -50,7 +50,7 @@ def with_marks(path: Path, marks: Iterable[ControlMark], crs: CRS, images: Itera
     ControlError
         If the file is damaged.
     GeoError
-        If its CRS and that of the survey have no way between them.
+        If PROJ knows no transformation between its CRS and that of the survey.
     """
     if path.is_file():
         lines = [line for _, line in text_lines(path, ControlError)]
@@ -123,7 +123,7 @@ def _words(mark: ControlMark) -> list[str]:
 def header_of(crs: CRS) -> str:
     """The first line of a gcp_list.txt in the CRS of a survey: its horizontal part, as OpenDroneMap reads it.
 
-    Where plan and heights have different units, only the whole CRS tells that of the heights.
+    Where plan and heights have different units, the whole CRS is written, which alone states that of the heights.
     """
     plan = horizontal_crs(crs)
     try:

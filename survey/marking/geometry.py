@@ -1,4 +1,4 @@
-"""Predicted places and epipolar curves of marks through the water, by the poses of a run or of a file."""
+"""Predicted positions and epipolar curves of marks through the water, by the poses of a run or of a file."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from survey.words import RUN_FOLDER
 
 # Samples of a ray; the curves are smooth, and a photograph is some thousand pixels wide.
 _SAMPLES = 400
-# Nearer to its camera than this share of the distance to the water, or to the other camera, nothing is looked for.
+# Curves begin at this share of the distance from the camera to the water, or to the other camera.
 _NEAREST = 0.1
-# A dry ray is followed to this multiple of the distance to the other camera, where it is at infinity for all purposes.
+# A dry ray is followed to this multiple of the distance to the other camera, practically to infinity.
 _FARTHEST = 300.0
-# Of the leg under water [m]: no bed is seen through more.
+# Longest leg under water [m]: no bed is seen through more.
 _DEEPEST_M = 60.0
 # Without marks a place is taken as known to this [m], so that a first mark has something to add to.
 _UNKNOWN_M = 1.0
@@ -88,7 +88,7 @@ def crossing(view: View, pixel: tuple[float, float], water: FlatWater) -> np.nda
 def by_gain(
     views: Iterable[View], place: np.ndarray, water: FlatWater | None, marked: Sequence[View], std_px: float
 ) -> list[str]:
-    """Names of the photographs that show a place and have no mark of it, by what a mark in each would add.
+    """Names of the photographs that show a place and have no mark of it, ordered by the information of such a mark.
 
     The first is the one after whose mark the trace of the covariance of the place is smallest.
     """
@@ -122,7 +122,7 @@ class PosedSurvey:
 
 
 def survey_to_mark(folder: Path) -> tuple[SurveyConfig, Found]:
-    """The settings of a survey, and what its folder holds but for control and clicks, which need not be there yet."""
+    """The settings and contents of a survey folder, without control and clicks, which need not exist yet."""
     if not folder.is_dir():
         what = "is a file" if folder.exists() else "does not exist"
         raise SurveyError(f"the survey folder {folder} {what}; expected a folder with photographs")
@@ -136,7 +136,7 @@ def survey_to_mark(folder: Path) -> tuple[SurveyConfig, Found]:
 
 
 def poses_to_mark(found: Found, run: Path | None) -> tuple[PosedSurvey | None, str | None]:
-    """The best poses that there are, None where there are none, and then a note of what lacks.
+    """The best available poses; where there are none, None and a note on what is missing.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """The page of `bathynerf mark` and its data, served to a browser on the same machine or at the end of a tunnel.
 
-Who does not know the token gets nothing: the page has it from the address that the command prints, and sends it with
-every request in a header, which pages of other origins cannot.
+Requests need a token: the page takes it from the address that the command prints, and sends it in a header, which pages
+of other origins cannot.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _SAFE = {
 }
 TILE_PX = 512
 _QUALITY = 92
-# Of decoded photographs that are kept: some of 45 megapixels, hundreds of small ones.
+# Cache of decoded photographs: a few of 45 megapixels, hundreds of small ones.
 _KEPT_BYTES = 600e6
 
 

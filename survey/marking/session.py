@@ -20,7 +20,7 @@ from survey.water.clicks import CLICK_STD_PX
 
 _Points = Mapping[PointKey, GivenPoint | None]
 _Marks = Mapping[PointKey, Mapping[str, Pixel]]
-# A mark that misses the place of its point by this many standard deviations is shown as doubtful.
+# A mark with a residual beyond this many standard deviations is shown as doubtful.
 _MOST_MISS = 3.0
 # Of epipolar curves in one photograph: more hide it.
 _MOST_CURVES = 6

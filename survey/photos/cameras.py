@@ -1,8 +1,8 @@
 """Photographs with their cameras in the local frame: spatial intersection, and rotations and models of other programs.
 
-Intersection gives the place that marks in several photographs show, by least squares of pixels. The residuals are those
-of the collinearity equations; under water the ray of each is bent, as `PinholeCamera.project` has it. A COLMAP model is
-text, and binary too where names have spaces, at which readers of the text cut them.
+Intersection determines a point from its marks in several photographs, by least squares of pixels. Residuals are those
+of the collinearity equations; under water rays are bent, see `PinholeCamera.project`. COLMAP models are written as
+text, and also in binary where names have spaces, since readers of the text split names there.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def level_from_yaw_pitch_roll(yaw: float, pitch: float, roll: float) -> np.ndarr
 
 
 def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
-    """The rotation (3, 3) nearest to a matrix that is one but for rounding (by its singular values)."""
+    """The rotation (3, 3) nearest to a rotation with rounding errors (by singular values)."""
     u, _, vt = np.linalg.svd(matrix)
     return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
 
@@ -106,7 +106,7 @@ class Intersection:
 
     place: np.ndarray  # (3,) [m], local
     covariance: np.ndarray  # (3, 3) [m^2]: Propagated from the standard deviations of the marks
-    residuals: np.ndarray  # (N, 2) [px]: marks less where the photographs show the place
+    residuals: np.ndarray  # (N, 2) [px]: marks minus projections of the place
 
 
 def intersect(

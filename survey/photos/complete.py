@@ -1,11 +1,12 @@
 """Completeness of an image file, by its structure, by its checksums, and in JPEG by the count of its blocks.
 
-Pixels that were lost are zeros: to the end of the data, or in sectors of a disk. Black borders of mosaics, circles of
-fisheye lenses and masks are zeros too. They begin and end where a row does, or row by row at other columns; what was
-lost begins within a row, below one that has pixels there, and goes on for rows.
+Lost pixels are zeros: to the end of the data, or in sectors of a disk. Black borders of mosaics, circles of fisheye
+lenses and masks are zeros too, but begin and end with rows, or at columns that change from row to row. Lost data begins
+within a row, below one that has pixels there, and continues over rows.
 
-HEIC is read by its boxes (ISO/IEC 14496-12, 23008-12). A decoder of HEVC conceals what it cannot read. But three zero
-bytes never follow each other in a unit of its stream (23008-2, 7.3.1.1: a byte of 3 is put in), so that more were lost.
+HEIC is parsed by its boxes (ISO/IEC 14496-12, 23008-12). HEVC decoders conceal unreadable data. But a stream unit never
+contains three zero bytes in a row (23008-2, 7.3.1.1: an emulation prevention byte is inserted), so longer runs are lost
+data.
 """
 
 from __future__ import annotations
@@ -34,14 +35,14 @@ _ZEROS, _SECTOR = bytes(64), bytes(512)
 _ZEROS_SAID = "compressed pixels are overwritten by zeros"
 _ZEROS_OF_PIXELS = "pixels are zeros from the middle of a row on"
 _WEBP_BEGIN, _WEBP_LOSSLESS, _WEBP_LOSSY = b"RIFF", b"VP8L", b"VP8 "
-# A sector of zeros is so many equal pixels at least where it is whole: of a flat photograph, in codes of a few bits.
+# An intact sector of zeros encodes at least this many equal pixels, in a flat photograph with codes of a few bits.
 _EQUAL_PIXELS = 1024
 # With loss a flat photograph takes a byte for 550 pixels.
 _EQUAL_FOR_ZERO = 100
 # Channels of a PNG by the type of its colours, and how much of it is decompressed at once.
 _PNG_CHANNELS, _AT_ONCE = {2: 3, 4: 2, 6: 4}, 1 << 24
 _TIFF_PIXELS = ((273, 279), (324, 325))
-# Disks and file systems lose multiples of so many bytes.
+# Disks and file systems lose multiples of this many bytes.
 _SECTOR_BYTES = 512
 # Least share of a row above lost pixels that is not black.
 _LEAST_BRIGHT = 0.5
@@ -55,7 +56,7 @@ _WITH_TYPES = 2
 def fault_of(path: Path) -> str | None:
     """Damage within an image file, in words: sectors that became zeros, parts of another file; None for none.
 
-    Where a file is cut off, `is_complete` tells it too.
+    `is_complete` also detects files that are cut off.
 
     Raises
     ------
@@ -185,7 +186,7 @@ def _has_lost_pixels(image: Image.Image, tags: Mapping, file: BinaryIO) -> bool:
 
 
 def is_complete(path: Path) -> bool:
-    """Whether the structure of an image file says that nothing is cut off; False where it does not say so.
+    """Whether the structure of an image file proves that nothing is cut off.
 
     Raises
     ------

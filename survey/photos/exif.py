@@ -44,7 +44,7 @@ from survey.photos.xmp import (
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", *HEIC_SUFFIXES)
 
 _LONGEST_XMP = 1_000_000
-# Longer ones stand in files whose camera writes a filler.
+# Longer exposure times are fillers that some cameras write.
 _LONGEST_EXPOSURE_S = 60.0
 # Clocks on Earth differ from UTC by up to 14 hours.
 _MOST_OFFSET_H = 14
@@ -92,14 +92,14 @@ class Exif:
     # By the camera's own clock, to the fraction of a second that it has: for the time between photographs
     clock: datetime | None = None
     exposure_s: float | None = None  # How long the shutter was open [s]
-    gps_fault: str = ""  # What EXIF lacks for a GPS position, of which it has a part
-    # What the file says that its position is on, where that is not WGS 84 or alike; empty otherwise
+    gps_fault: str = ""  # What EXIF lacks for a complete GPS position, where it has a part of one
+    # Datum of the position by the file, where that is not WGS 84 or equivalent; empty otherwise
     gps_datum: str = ""
-    # Whether the receiver says that it measured no position, and gives an earlier one (GPSStatus V)
+    # Whether the receiver had no fix and repeats an earlier position (GPSStatus V)
     is_void: bool = False
     focal_warning: str = ""  # why it may be that of another image: `survey.photos.exif_position.focal_warning`
     serial: str = ""  # Serial number of the camera; empty where it is not known
-    # Where a table gives the position, which then counts instead of that of the file itself
+    # Position by a table, which replaces that of the file itself
     table_place: TablePlace | None = None
 
 
@@ -159,7 +159,7 @@ def _read_exif(path: Path, _changed: int, _size: int) -> Exif:
 def without_void_fixes(heads: Mapping[str, Exif]) -> dict[str, Exif]:
     """Heads of photographs by name, without the positions that receivers call void, where their camera has others.
 
-    A camera most of whose positions are void says so of all: they are kept.
+    Cameras that mark most of their positions as void do so wrongly: these positions are kept.
     """
     void = Counter(head.serial for head in heads.values() if head.is_void)
     known = Counter(head.serial for head in heads.values() if head.lat_lon_height is not None)
@@ -199,8 +199,8 @@ def _taken(gps: dict, details: dict, changed: Any) -> datetime | None:
 def _offsets(details: dict, local: str, changed: Any) -> list[str]:
     """Offsets of the camera's clock from UTC in EXIF, as "+02:00"; the standard's own tag comes first.
 
-    The offsets of DateTimeDigitized and DateTime are that of the exposure where these are the time of the exposure:
-    a program that changed the file writes its own.
+    Offsets of DateTimeDigitized and DateTime are used only if these equal the time of exposure: programs that change a
+    file write their own.
     """
     digitized = plain(details.get(ExifTags.Base.DateTimeDigitized))
     found = [plain(details.get(ExifTags.Base.OffsetTimeOriginal))]

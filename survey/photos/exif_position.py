@@ -10,7 +10,7 @@ from PIL import ExifTags
 
 from survey.photos.xmp import horizontal_datum, number, xmp_number, xmp_place
 
-# Frames within 2 m of WGS 84, as a receiver's corrections have them, by the beginning of their bare names.
+# Reference frames within 2 m of WGS 84, which receivers with corrections use, by the beginning of their bare names.
 _LIKE_WGS84 = (
     *("WGS84", "WGS1984", "GCSWGS1984", "DWGS1984", "WORLDGEODETICSYSTEM1984", "ITRF"),
     *("4326", "EPSG4326", "4979", "EPSG4979"),
@@ -21,7 +21,7 @@ _LIKE_WGS84 = (
 _HIGHEST_M = 20_000.0
 # Of GPSAltitudeRef: below the ellipsoid, below the sea.
 _BELOW = (1, 3)
-# A position in XMP that differs from that in EXIF by less (a tenth of a second and half) is the same with more digits.
+# A position in XMP within this of that in EXIF (a tenth of a second and a half) is the same with more digits.
 _SAME_PLACE_DEG = 1.5 * 0.1 / 3600.0
 _LONGEST_WORDS = 60
 # The film that "focal length in 35 mm film" refers to [mm].
@@ -34,7 +34,7 @@ _OFF_CENTRE = 0.1
 
 
 def position_of(gps: dict, xmp: str) -> tuple[tuple[float, float, float] | None, str]:
-    """The position, by EXIF, or by XMP where that has more digits or EXIF none; and what EXIF lacks for one."""
+    """The position by EXIF, or by XMP if it has more digits or EXIF has none; and what EXIF lacks for a position."""
     by_exif, fault = position_of_gps(gps)
     by_xmp = xmp_place(xmp)
     if by_xmp is None:
@@ -165,7 +165,7 @@ def focal_px(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -> flo
 
 
 def focal_warning(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -> str:
-    """Reason why the focal length may be that of another image than the stored one; empty where nothing says so."""
+    """Reason why the focal length may not apply to the stored image size; empty where there is none."""
     zoom = number(details.get(ExifTags.Base.DigitalZoomRatio))
     # Cameras differ in whether the 35 mm equivalent has it.
     said = f"a digital zoom of {zoom:g} by EXIF, which its focal length may leave out" if zoom > 1.0 else ""
@@ -173,7 +173,7 @@ def focal_warning(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -
 
 
 def _resized_warning(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -> str:
-    """Doubt where calibration and 35 mm equivalent belong to images of different sizes; empty otherwise."""
+    """Reason where calibration and 35 mm equivalent belong to images of different sizes; empty otherwise."""
     calibrated, used = xmp_number(xmp, "CalibratedFocalLength"), focal_px(size, details, xmp)
     if not calibrated or calibrated <= 0.0:
         return ""

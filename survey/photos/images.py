@@ -28,7 +28,7 @@ from survey.progress import current
 _STEPS = 257.0
 # Weights of red, green and blue in the grey that is matched: luma, as JPEG has it.
 LUMA = (0.299, 0.587, 0.114)
-# Visible folders of thumbnails that Synology, QNAP, macOS' archives and Windows make.
+# Visible folders without photographs that Synology, QNAP, macOS archives and Windows create.
 _NOT_OF_CAMERAS = (
     *("@eadir", "@__thumb", "__macosx", "thumbnails", "thumbs", "system volume information", "lost+found"),
     *("$recycle.bin", "#recycle", "@recycle", "#snapshot", "@recently-snapshot"),
@@ -38,7 +38,7 @@ _MOST_AT_ONCE = 8
 _LOSSY = (".jpg", ".jpeg")
 # At either end of a file.
 _COMPARED_BYTES = 65_536
-# Of the memory that is free when a store is made, and at most: decoding once more costs 15 ms a megapixel.
+# Cache size as a share of the free memory, and at most; decoding again costs 15 ms per megapixel.
 _SHARE_OF_FREE, _MOST_BYTES = 0.25, 100_000_000
 
 
@@ -237,14 +237,14 @@ class ImageStore:
 
 # Tags of the photographs that were fetched, by name.
 _RECORD = ".fetched.json"
-# Fetched side by side; what is finished when a fetch is interrupted is a multiple of them.
+# Number of photographs fetched at a time; an interrupted fetch has finished a multiple of it.
 _TOGETHER = 16
 
 
 def fetch_images(url: str, folder: Path) -> None:
-    """Let a folder hold the photographs, and their masks, that lie below a URL.
+    """Fetch the photographs and masks below a URL into a folder.
 
-    Where this is not reached and all were fetched before, these are used, with a warning.
+    If the URL cannot be reached and all were fetched before, these are used, with a warning.
 
     Raises
     ------

@@ -1,15 +1,15 @@
 """Completeness of the compressed pixels of a JPEG, by the count of its blocks (`survey.photos.pixels` decodes them).
 
-A decoder that runs out of data, or has some left, goes on without an error: what is missing becomes grey. Here the one
-scan of a sequential JPEG is decoded from a stream that tells how much of it was asked for: all blocks have to be there
-when the scan ends, and not before. Between restart markers, after which a decoder finds its way again, each part is
-decoded by itself. What is replaced by other data of just as many blocks leaves a seam. Of
-several scans, as progressive ones have them, the headers tell whether one is missing, and libjpeg's warnings whether
-one has other bytes than its blocks need; for single scans these warnings are not evidence, as some cameras add bytes.
+A decoder that runs out of data, or has some left, continues without an error; missing parts become grey. Here the
+single scan of a sequential JPEG is decoded from a stream that records how much was requested: the last block must be
+decoded exactly at the end of the scan. Parts between restart markers, at which decoders resynchronise, are decoded
+separately. Data replaced by other data with the same number of blocks leaves a seam. For several scans, as in
+progressive JPEG, the headers show whether one is missing, and libjpeg's warnings whether one has more or fewer bytes
+than its blocks need; for single scans these warnings are no evidence, since some cameras add bytes.
 
-Two streams joined where both have used the same number of blocks decode without a fault. But the rows of pixels that
-meet there belong to different places: right of one block in its row of blocks, and left of it in the next row. Joined
-at the begin of a row of blocks they look like pictures one over the other, or over a bar, and are not told from them.
+Two streams joined after the same number of blocks decode without a fault. But the pixel rows that meet there belong to
+different scenes: right of one block in its row of blocks, and left of it in the next row. Streams joined at the
+beginning of a row of blocks cannot be distinguished from two pictures above each other, or a picture above a bar.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from survey.photos.pixels import open_stream
 # Differences between rows are compared by so many parts of the width.
 _PARTS = 16
 _FEWEST_ROWS = 8
-# Grey levels that differences of less say nothing about.
+# Smaller differences [grey levels] are not significant.
 _QUIET = 1.0
 # Mean logarithm of how much larger a difference is than those of the rows beside it, and the same in robust standard
 # deviations. 2,580 whole photographs: above 0.3 up to 4.8, else up to 6.2; 120 that were joined: from 0.51 and 8.7.
@@ -54,7 +54,7 @@ _ZEROS, _SECTOR = bytes(64), bytes(512)
 _ZEROS_SAID = "compressed pixels are overwritten by zeros"
 _BLOCK = 8
 _MOST_TO_GREY = 3
-# What libjpeg says where a few bytes stand before the end mark. Whether this is there is not asked here.
+# libjpeg's warning about a few bytes before the end marker, which is ignored here.
 _OF_THE_END = re.compile(r"Corrupt JPEG data: \d extraneous bytes before marker 0xd9")
 _END = bytes([0xFF, _EOI])
 _SEAM_SAID = "from one row of blocks on it shows another scene, as if parts of two files were joined"

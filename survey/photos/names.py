@@ -1,4 +1,4 @@
-"""Names of photographs as files write them: in other case, with other slashes, with or without folder and suffix."""
+"""Matching of names of photographs in files, which may differ in case, slashes, folder and suffix."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def name_key(name: str) -> str:
 
 
 class ImageNames:
-    """The photographs of a survey, found by what one file calls them: by the longest common tail of their paths."""
+    """The photographs of a survey, looked up by the names in a file: by the longest common tail of the paths."""
 
     def __init__(self, names: Iterable[str]):
         self._names = frozenset(names)
@@ -49,7 +49,7 @@ class ImageNames:
         image = called if called in self._names else self._longest_tail(called, where)
         if image is None:
             return None
-        # The longer one of two names of one photograph has more to contradict.
+        # Of two names of one photograph the longer one is kept, since it has more folders to contradict.
         before = self._called.setdefault(image, called)
         if not _agree(_parts(before)[:-1], _parts(called)[:-1]):
             raise ImageError(

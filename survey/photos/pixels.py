@@ -1,11 +1,11 @@
 """Decoding of image files (JPEG, PNG, TIFF, WebP, HEIC): pixels as stored, with 8 or 16 bits for each channel.
 
-Pillow decodes what has 8 bits, as JPEG has. It opens 16 bits of three channels too and drops half of them without a
-word, so that OpenCV decodes those; pillow-heif does in HEIC. Both, and Pillow in TIFF, turn pixels by the tag of the
-orientation, which is undone here: poses and sizes are those of the stored pixels.
+Pillow decodes images of 8 bits, such as JPEG. It silently drops half of the bits of images with three channels of 16
+bits, so that OpenCV decodes those, and pillow-heif HEIC. Both, and Pillow for TIFF, rotate pixels by the orientation
+tag, which is undone here: poses and sizes are those of the stored pixels.
 
-Pillow refuses images of more than 179 Mpx whatever the machine is, and photographs of 200 Mpx exist. The limit here:
-an image may take half of the memory while it is decoded.
+Pillow refuses images of more than 179 Mpx on any machine, but photographs of 200 Mpx exist. Here an image may take half
+of the memory while it is decoded.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _BYTES_PER_PIXEL = 14
 _SHARE_OF_MEMORY = 0.5
 # Smaller images fit in any memory that the program runs in; to find out how much there is takes 2 ms.
 _FITS_PX = 10_000_000
-# What Pillow and OpenCV raise about files that do not hold what their heads promise.
+# Errors of Pillow and OpenCV about files whose content contradicts their header.
 _DAMAGE = (
     OSError,
     SyntaxError,
@@ -49,9 +49,9 @@ _one_at_a_time = threading.RLock()
 HEIC_SUFFIXES = (".heic", ".heif")
 _WIDTH, _HEIGHT, _BITS, _ORIENTATION, _PLANES = 256, 257, 258, 274, 284
 _SEPARATE_PLANES = 2
-# What a band beyond the colours is: 0 is unspecified, 1 and 2 are transparency that colours are multiplied with or not.
+# Tag for bands beyond the colours: 0 is unspecified, 1 and 2 are premultiplied and straight transparency.
 _EXTRA_SAMPLES, _ALPHA = 338, ((1,), (2,))
-# Transparency is all or nothing but for edges, and a picture is not: a share of pixels.
+# Transparency is 0 or full except at edges; a band with more intermediate pixels than this share is a picture.
 _MOST_BETWEEN = 0.5
 _ALPHA_MODES = ("RGBA", "LA", "PA")
 # From pixels that were turned for the eye back to those of the file, by the value of the tag.
@@ -93,9 +93,9 @@ def open_image(path: Path) -> Iterator[Image.Image]:
 
 @contextmanager
 def damage_named(said: str) -> Iterator[None]:
-    """Around calls of a decoder: all that damaged or hostile files make it raise becomes an ImageError.
+    """Context manager that turns errors of a decoder about damaged or hostile files into ImageError.
 
-    Errors of the disk have an errno, those of decoders about damaged files have none.
+    Errors of the disk, which have an errno, pass through.
     """
     try:
         yield
@@ -111,7 +111,7 @@ def damage_named(said: str) -> Iterator[None]:
 
 
 def open_stream(file: BinaryIO, *formats: str) -> Image.Image:
-    """Opened without Pillow's own limit, which is one number for the whole process; of all formats, or of some."""
+    """An image opened without Pillow's size limit, which is global to the process; of all formats, or of some."""
     with without_complaints():
         limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
         try:
@@ -122,7 +122,7 @@ def open_stream(file: BinaryIO, *formats: str) -> Image.Image:
 
 @contextmanager
 def without_complaints() -> Iterator[None]:
-    """Without the warnings of Pillow about damaged tags: what they cost, e.g. a position, is found missing later."""
+    """Context manager that silences Pillow's warnings about damaged tags; missing data is reported later."""
     # Filters of warnings are those of the whole process too.
     with _one_at_a_time, warnings.catch_warnings():
         warnings.simplefilter("ignore")

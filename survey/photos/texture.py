@@ -1,17 +1,17 @@
 """Texture and sharpness of photographs: weights of the colour channels, places that look like water, white pixels.
 
-Matching compares grey, ``g = sum of w c`` over the channels c with the weights w of luma. A channel that is shifted by
-a little moves the best match of g by its share ``w <dc, dg> / <dg, dg>`` of that, d for derivatives along the rows and
-the columns. Products are taken between neighbours across the derivative, where white noise has none in common. In deep
-water red has no texture left and its share is nothing.
+Matching compares grey, ``g = sum of w c`` over the channels c with the weights w of luma. If a channel is shifted, the
+best match of g shifts by the share ``w <dc, dg> / <dg, dg>`` of that, d for derivatives along rows and columns.
+Products are taken between neighbours across the derivative, so that white noise cancels. In deep water red has no
+texture left, and a share of zero.
 
-Single signs do not identify water: dry dunes have larger areas without texture, shade on a road is bluer
-(`benchmarks/water_by_colour.py`). Asphalt, bare soil and shade may look alike: places found here are only reported,
-and never count as water. Clear water over a bed with texture is not found.
+Colour and texture alone do not identify water: dry dunes have larger areas without texture, shade on a road is bluer
+(`benchmarks/water_by_colour.py`), and asphalt and bare soil look similar. So places found here are only reported, and
+never treated as water. Clear water over a textured bed is not found.
 
-Sharpness compares the finest with coarser detail. A scene has detail of its own, so that no number says by itself that
-a photograph is blurred; of photographs of one bed by one camera, one whose ratio is lower than that of the others is.
-Motion takes detail along its direction alone, so that each of four directions counts by itself.
+Sharpness is the ratio of the finest to coarser detail. It depends on the scene, so that a photograph is blurred only
+relative to others of the same bed by the same camera. Motion removes detail along its direction alone, so that four
+directions are evaluated separately.
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ def matched_light(views: Sequence[View]) -> MatchedLight:
     total = float(products.sum())
     if total <= count * _FAINT**2:
         return MatchedLight()
-    # A channel without texture may come out a little below zero by its noise.
+    # Noise may make the share of a channel without texture slightly negative.
     shares = np.maximum(products, 0.0)
     red, green, blue = (float(share) for share in shares / shares.sum())
     return MatchedLight((red, green, blue), is_measured=True)
@@ -199,7 +199,7 @@ def texture_of(pixels: np.ndarray) -> tuple[np.ndarray, int]:
 def _smaller(view: View) -> np.ndarray:
     """A photograph in grey levels, of a quarter of its width and height, NaN where it is masked or white.
 
-    Glint has the colour of the sun, and would count as texture of all channels.
+    White pixels are left out because glint has the colour of the sun, and would count as texture of all channels.
     """
     pixels = load_pixels(view)
     size = (max(pixels.shape[1] // _SMALLER, 1), max(pixels.shape[0] // _SMALLER, 1))

@@ -1,8 +1,8 @@
 """XMP of an exposure: accuracy and datum of the position, attitudes of drone and camera, speed, shutter.
 
-DJI, Parrot, Autel and Skydio have namespaces of their own; senseFly, Parrot, older Autel and many others write that of
-Pix4D, `Camera`; programs that rewrite XMP put the position into that of EXIF. Texts are searched, not parsed as XML:
-there are no entities to expand, and damaged XMP costs what it lacks.
+DJI, Parrot, Autel and Skydio have their own namespaces; senseFly, Parrot, older Autel and many others use that of
+Pix4D, `Camera`; programs that rewrite XMP put the position into that of EXIF. The text is searched, not parsed as XML,
+so that there are no entities to expand, and damaged XMP loses only the damaged values.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 _DJI, _AUTEL, _PARROT, _PIX4D, _SKYDIO, _EXIF = "drone-dji", "drone", "drone-parrot", "Camera", "drone-skydio", "exif"
-# What the addresses of namespaces contain, and the end of Adobe's, whatever prefix a program gives them.
+# Namespaces by a part of their address, whatever prefix a program uses.
 _ADDRESSES = {
     "drone-dji": _DJI,
     "autel": _AUTEL,
@@ -23,7 +23,7 @@ _ADDRESSES = {
     "pix4d.com/camera": _PIX4D,
     "skydio": _SKYDIO,
 }
-# Others go on behind it, as that of lenses does (aux/).
+# The address must end here: that of lenses continues (aux/).
 _ADOBE_EXIF = "ns.adobe.com/exif/1.0/"
 _PREFIX = re.compile(r"xmlns:([\w-]{1,40})\s*=\s*[\"']([^\"'<>]{1,200})[\"']")
 # Degrees, minutes and perhaps seconds, with the hemisphere behind them.

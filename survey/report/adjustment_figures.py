@@ -15,9 +15,9 @@ from survey.display.quantities import length
 from survey.folder.survey import Survey
 from survey.report.checkpoints import CE90, LE90
 
-# Standard deviations below this are those of parameters that were not to move.
+# Parameters with a smaller standard deviation were held fixed.
 HELD_STD = 1e-7
-# Of a camera for each photograph, as some programs write it, pictures would be wider than can be drawn.
+# Some programs write a camera per photograph, for which pictures would become too wide.
 MOST_LENSES = 4
 Axes = tuple[float, float, float]
 
@@ -29,7 +29,7 @@ class KindFigures:
     name: str  # "matches", "windows" or "marks"
     num: int
     std_px: float  # Of a pixel coordinate
-    factor: float  # On its variance, for what neighbours share
+    factor: float  # Variance inflation for correlated errors of neighbours
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class PositionFigures:
 
     num: int
     used_std_m: Axes | None  # (east, north, up) [m] or None: median standard deviation with which they were used
-    rms_m: Axes  # (east, north, up) [m]: of adjusted less given, and less what the heights have in common
+    rms_m: Axes  # (east, north, up) [m]: of adjusted minus given positions, without the common height error
     # largest_m, largest_name [m], str: the largest distance, and its photograph
     largest_m: float
     largest_name: str

@@ -37,7 +37,7 @@ _LABELS = {"height_m": "level", "slope_x": "slope east", "slope_y": "slope north
 # An arrow of the length that the subtitle names is as long as this share of the map.
 _LONGEST = 0.125
 _MARGIN = 0.14
-# A point that is off by so many times the median sets no scale: its arrow is cut, and its name says by how much it is.
+# A point with this many times the median residual sets no scale: its arrow is shortened, and its label has the factor.
 _FAR, _CUT = 10.0, 1.5
 
 
@@ -187,7 +187,7 @@ def _label(name: str, *, several: bool) -> str:
 
 @dataclass(frozen=True)
 class Residual:
-    """A point with what the survey has it off by."""
+    """A control or check point with its residual."""
 
     name: str
     place: tuple[float, float]  # (easting, northing), in crs
@@ -215,7 +215,7 @@ def residuals_of(
 
 
 def draw_residuals(path: Path, survey: Survey, residuals: Sequence[Residual]) -> Picture:
-    """Points in plan: an arrow for what they are off in plan, one along the map's north for the height."""
+    """Residuals of points: an arrow for the plan, and one along the map's north for the height."""
     crs = survey.frame.crs
     places = np.array([each.place for each in residuals])
     off = np.array([each.off_m for each in residuals])

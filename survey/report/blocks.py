@@ -26,7 +26,7 @@ class Rows:
 
 @dataclass(frozen=True)
 class Table:
-    """A table with a line of titles; all but the first ``num_texts`` columns hold numbers."""
+    """A table with a header row; all but the first ``num_texts`` columns hold numbers."""
 
     kind: ClassVar[str] = "table"
     titles: tuple[str, ...]  # With the unit of the column

@@ -25,14 +25,14 @@ _NOTE = (
     "compared, which check points or a reference would do. An order of IHO S-44 (Ed. 6.1.0) also asks for horizontal "
     "uncertainty, coverage and feature detection."
 )
-# Points of the cloud within this many ground sampling distances count. They lie 1.2 apart or so: within one, three
-# places of five have fewer than three points.
+# Points of the cloud within this many ground sampling distances are used. They lie about 1.2 apart; within one, three
+# places of five would have fewer than three points.
 WITHIN_GSD = 5.0
-# A difference of more standard deviations, of the cloud as it states them, is named.
+# Differences beyond this many stated standard deviations of the cloud are named in a warning.
 _MOST_STD = 3.0
-# Points of the cloud are looked at within so many times the distance at which they count.
+# Candidates are searched within this multiple of that distance.
 _ENOUGH = 4.0
-# Nearest points of the cloud whose standard deviations tell that at a check point.
+# Number of nearest points whose standard deviations give that at a check point.
 _NEAREST = 8
 
 
@@ -47,7 +47,7 @@ class StatedOrder:
 
 @dataclass(frozen=True)
 class StatedFigures:
-    """Uncertainty that the cloud states of the heights of its points."""
+    """Stated uncertainty of the heights of the cloud."""
 
     # [m]: median of 1.645 standard deviations, random and shared: the error of a height that 90 % are below
     le90_m: float

@@ -81,12 +81,12 @@ class ReportFacts:
     sweep_comparison: Comparison | None = None
     notes: tuple[str, ...] = ()  # Further sentences for the reader
     versions: dict[str, str] = field(default_factory=dict)  # dict: of what computed, by name
-    verdict: RunVerdict | None = None  # Whether the cloud may be used unseen
+    verdict: RunVerdict | None = None  # The quality gates
     adjustment: Adjustment | None = None  # None where poses and water were used as they came
     std_common: np.ndarray | None = None  # (N,) [m] or None: of the heights of the points, by water, lens and poses
     light: MatchedLight | None = None  # To which the index of the water belongs; None in a dry survey
-    photographs: tuple[PhotographFigures, ...] = ()  # What of each was left out; none where nobody has looked
-    # dict of name to Exif: of the photographs that are used; empty where nobody has read them
+    photographs: tuple[PhotographFigures, ...] = ()  # Shares of each that were left out; empty where not computed
+    # dict of name to Exif: of the photographs that are used; empty where they were not read
     heads: Mapping[str, Exif] = field(default_factory=dict)
     # What of the water was seen; None for a dry survey, or where nobody has looked
     coverage: CoverageFigures | None = None

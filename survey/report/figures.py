@@ -153,8 +153,8 @@ class HeightStd:
     """Standard deviation of the height of a point; medians over the points [m]."""
 
     whole: float  # Random and shared
-    shared: float | None  # Alike for large parts of the cloud, by water, lens and poses; None where nobody knows
-    random: float  # Of each point for itself
+    shared: float | None  # Common to large parts of the cloud, by water, lens and poses; None where unknown
+    random: float  # Independent for each point
 
 
 @dataclass(frozen=True)

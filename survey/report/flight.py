@@ -24,7 +24,7 @@ from survey.report.raster import Picture
 
 _OBLIQUE_DEG = 15.0
 _CELLS = 150
-# So many times the usual time between exposures is a pause: another line or another flight.
+# An interval of this many times the usual one is a pause: another line or another flight.
 _PAUSE = 4.0
 # With more outlines than this each is drawn fainter.
 _FEW_OUTLINES = 20
@@ -98,14 +98,14 @@ def _draw_lines(axes: Axes, facts: ReportFacts, centres: np.ndarray) -> None:
 
 
 def flight_lines(seconds: np.ndarray, centres: np.ndarray) -> np.ndarray:
-    """Ways (K, 2, 2) between cameras (N, 2), taken at seconds (N,), in the order of time; none over a pause."""
+    """Segments (K, 2, 2) between successive cameras (N, 2) at times (N,) [s]; none across a pause."""
     order = np.argsort(seconds, kind="stable")
     along, gaps = centres[order], np.diff(seconds[order])
     return np.stack([along[:-1], along[1:]], axis=1)[gaps <= _PAUSE * np.median(gaps)]
 
 
 def _draw_cameras(axes: Axes, survey: Survey, centres: np.ndarray, length: np.ndarray) -> None:
-    """Dots for cameras, and lines of up to ``length`` (2,) in crs that say where oblique ones look."""
+    """Dots for cameras, and lines of up to ``length`` (2,) in crs in the viewing directions of oblique ones."""
     looks = np.array([view.camera.cam_from_local[2] for view in survey.views])
     is_oblique = np.degrees(np.arccos(np.clip(-looks[:, 2], -1.0, 1.0))) > _OBLIQUE_DEG
     lines = np.stack([centres, centres + looks[:, :2] * length], axis=1)[is_oblique]

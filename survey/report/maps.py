@@ -28,13 +28,13 @@ from survey.report.seen_cells import SeenCells, cells_of
 if TYPE_CHECKING:
     from fields.sweep.maps import HeightMap
 
-# Of a height map, along its longer side, at most.
+# The most pixels of a height map along its longer side.
 _PIXELS = 2000
 _OF_SOLVER = "from the normal matrix of the solver"
 _OF_SWEEP = "from how far the views that agree differ around it, and how the bed bends there"
 # Views that a point of the bed needs.
 _FEWEST_VIEWS = 2
-# Code of a cell, its colour and what it is; 0 is what no view sees.
+# Codes of cells with their colour and meaning; 0 is what no view sees.
 _FOUND, _NOT_FOUND, _ONE_VIEW = 1, 2, 3
 _LEGEND = {
     _FOUND: (WATER, "has points"),
@@ -123,11 +123,11 @@ def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
 
 
 def draw_view(path: Path, facts: ReportFacts, height_maps: Sequence[HeightMap]) -> Picture:
-    """Photograph beside its height map as depths, of those that there are."""
+    """A photograph next to its height map, shown as depths."""
     height_map = height_maps[representative(height_maps)]
     view = facts.survey.views[height_map.view]
     share_confirmed = float((height_map.agreeing > 0).mean())
-    # Of a large map every so manieth pixel: matplotlib takes some 100 bytes for each.
+    # Large maps are subsampled: matplotlib takes some 100 bytes per pixel.
     every = -(-max(height_map.height.shape) // _PIXELS)
     thin = np.s_[::every, ::every]
     rows, columns = height_map.height[thin].shape

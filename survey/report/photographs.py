@@ -16,10 +16,10 @@ from survey.photos.texture import MOSTLY_WHITE
 from survey.report.blocks import Block, Folded, Rows, Table
 from survey.settings.config import ReportConfig
 
-# A photograph that shows the bed correlates with the others there as they do with each other; one whose pose is wrong
-# does not: 0.7 to 0.9 and 0.03 in drawn surveys. Fewer points of the bed than this in a frame tell nothing.
+# A photograph with a correct pose correlates with the others on the bed (0.7 to 0.9 in simulated surveys), one with a
+# wrong pose does not (0.03). With fewer points of the bed than this in a frame nothing can be said.
 _LEAST_OF_MEDIAN, _FEWEST_POINTS = 0.25, 100
-# A photograph with so much less contrast than the median is blurred.
+# A photograph with less than this share of the median contrast is blurred.
 _BLURRED = 0.3
 # Worth a row in the page; all are in report.json.
 _NOTABLE_WHITE, _NOTABLE_OUTLYING, _MOST_ROWS = 0.02, 0.15, 20
@@ -35,10 +35,10 @@ class PhotographFigures:
 
     name: str
     saturated: float  # [-]: share of its pixels that are white or beside white: left out
-    # [-] or None: of the points of the bed in it, those where it shows what no other photograph does, so that its
-    # weight is less than half there; None where the solver did not run, or it shows no point
+    # [-] or None: share of its points of the bed at which it contradicts the others, so that its weight is below half;
+    # None where the solver did not run, or it shows no point
     outlying: float | None
-    useless: str = ""  # Why the photograph gives nothing to the cloud; empty where it does
+    useless: str = ""  # Why the photograph contributes nothing to the cloud; empty where it does
 
 
 def photographs_of(
@@ -53,7 +53,7 @@ def photographs_of(
 
 
 def _useless(consistency: Mapping[str, Consistency]) -> dict[str, str]:
-    """Reasons why photographs give nothing to the cloud, by their names."""
+    """Reasons why photographs contribute nothing to the cloud, by their names."""
     known = [each for each in consistency.values() if each.correlation is not None]
     if not known:
         return {}

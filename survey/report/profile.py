@@ -21,7 +21,7 @@ from survey.report.raster import Picture
 if TYPE_CHECKING:
     from survey.compare.figures import Comparison
 
-# The strip that is looked at, and the steps along it, in ground sampling distances; steps at most.
+# Width of the strip, and steps along it, in ground sampling distances; the most steps.
 _STRIP_GSD, _STEP_GSD, _MOST_STEPS = 4.0, 2.0, 600
 # A profile needs points in so many steps, and in this share of all along its line.
 _FEWEST_STEPS, _LEAST_SHARE = 10, 0.2

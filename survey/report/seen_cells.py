@@ -61,7 +61,7 @@ def cells_seen(
     xyz: np.ndarray,
     gsd_m: float,
 ) -> SeenCells:
-    """Look at the ground with every camera, at the heights of points (N, 3) [m], local, N at least 1.
+    """Cells of the ground at the heights of points (N, 3) [m], local, N at least 1, and how many views see each.
 
     Parameters
     ----------

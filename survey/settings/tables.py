@@ -1,8 +1,8 @@
 """[process], [control] and [field] of survey.toml, and the standard deviations of all tables.
 
-[process] is what is asked of a run, and [field] how `bathynerf field` trains a radiance field on it: options of the
-commands and the environment ask the same, one over the other. [control] names points of known coordinates, their marks,
-check points, and an earlier survey.
+[process] has the options of a run, [field] those of `bathynerf field`, which trains a radiance field on a run; options
+of the command line take precedence over the environment, and both over these tables. [control] names files of control
+points, their marks, check points, and an earlier survey.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def per_axis(value: Std) -> tuple[float, float, float]:
     return value if isinstance(value, tuple) else (value, value, value)
 
 
-# A quality, a field and an image scale are a recipe; an aim chooses its own.
+# An aim chooses quality, field and image scale itself, so that both kinds exclude each other.
 _RECIPE, _AIM = ("quality", "field", "image_scale"), ("target_std_m", "time_budget_s")
 _WORDS = {"quality": Quality, "device": Device, "field": Field, "poses": Poses, "plan": Plan}
 
@@ -73,7 +73,7 @@ class ProcessConfig:
     scheduler: str | None = key(None, "the address of a Dask scheduler, such as tcp://host:8786")
 
     def over(self, lower: ProcessConfig) -> ProcessConfig:
-        """These, and what `lower` says of those that are open; an aim displaces a recipe, and a recipe an aim."""
+        """These options completed from `lower`; options of an aim and those of a recipe exclude each other."""
         displaced: tuple[str, ...] = ()
         if self._says(_AIM):
             displaced += _RECIPE
@@ -106,7 +106,7 @@ class ProcessConfig:
             )
 
 
-# Of a point measured by GNSS with corrections or by a total station; of a mark set by hand.
+# Default std of points measured by GNSS with corrections or a total station, and of marks set by hand.
 DEFAULT_STD_M, DEFAULT_MARKS_STD_PX = 0.01, 0.5
 
 
@@ -168,7 +168,7 @@ def per_direction(std_m: float | tuple[float, float] | None) -> tuple[float, flo
 
 @dataclass(frozen=True)
 class LossesConfig:
-    """[field.losses]: weights of what is minimised beside the squared error of the colours; 0 leaves a term out."""
+    """[field.losses]: weights of the terms added to the squared error of the colours; 0 leaves a term out."""
 
     transparency: float = 0.0  # light that passes the bed
     distortion: float = 0.0  # spread of the weights along a ray (mip-NeRF 360)

@@ -1,8 +1,7 @@
 """Water level from marks of the waterline in photographs: intersection of their rays.
 
-A place is on the surface itself, where the water ends: its rays run in air alone and are straight. One photograph does
-not determine it, for its ray meets a plane at any height; so each place has a name, and is marked in two photographs
-or more.
+A place on the waterline is on the surface itself, so that its rays run in air alone and are straight. One photograph
+cannot determine its height; so each place has a name, and is marked in two photographs or more.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from survey.water.level_observation import LevelObservation
 
 # Of a click [px]: the edge of water is rarely sharp.
 CLICK_STD_PX = 2.0
-# A place whose clicks miss it by this many standard deviations is not one place.
+# Clicks with residuals beyond this many standard deviations are not of one place.
 _MOST_MISS = 5.0
 
 

@@ -18,9 +18,9 @@ from geo.values import is_mark_of_no_data
 from survey.errors import ConfigError
 
 _LARGEST_BYTES = 100_000_000
-# Where programs put the height of what has two coordinates, e.g. of a contour line.
+# Properties in which programs store the height of 2D geometries, e.g. of contour lines.
 _HEIGHT_NAMES = ("level", "height", "elevation", "elev", "ele", "z", "altitude")
-# Parts of names that may stand for a height, of unknown subject or unit.
+# Parts of names of properties that may be heights, of an unknown kind or unit.
 _LIKE_HEIGHTS = (
     *_HEIGHT_NAMES[:4],
     "alt",
@@ -53,7 +53,7 @@ def points_of_geojson(path: Path, crs: CRS) -> tuple[np.ndarray, tuple[str, ...]
     ConfigError
         If the file cannot be read, is no GeoJSON, or has a vertex without a height, with several, or off the map.
     GeoError
-        If it cannot be taken to crs: see `geo.transformation.transformed`.
+        If it cannot be transformed to crs: see `geo.transformation.transformed`.
     """
     content = _content(path)
     vertices = list(_vertices(path, content, {}, 0))

@@ -6,9 +6,9 @@
     image_levels             CSV with image, level
     clicks                   CSV with image, x, y, name: places of the waterline where rays meet
 
-Each is converted to level_m, its standard deviation (and slopes) of [water] when the survey is read; clicks when its
-poses are known. `survey.water.level_observation` has the measurements themselves, `survey.water.tides` how the level
-moved from photograph to photograph.
+Each is converted to level_m, its standard deviation and slopes of [water] when the survey is read; clicks once poses
+are known. The measurements themselves are in `survey.water.level_observation`, the level at each photograph in
+`survey.water.tides`.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ _FEW = 6
 _LEAST_STD_M = 1e-3
 # Points of a surface that are no farther apart count as one place [m].
 _ONE_PLACE_M = 0.1
-# Points of a surface so far beyond the cameras, in flying heights, count for its plane.
+# Points of a surface up to this far beyond the cameras, in flying heights, are used for its plane.
 _UNDER_VIEWS = 0.5
 _IN_WORDS = {1: "one", 3: "three"}
 
@@ -76,7 +76,7 @@ class SurfaceFit:
 def with_level(
     folder: Path, config: SurveyConfig, heads: Mapping[str, Exif], crs: CRS
 ) -> tuple[SurveyConfig, tuple[LevelObservation, ...], Tide | None, Findings]:
-    """Settings with the water level read from the file that [water] names, what was measured, and how it moved.
+    """Settings with the water level from the file that [water] names, the measurements, and the tide.
 
     Clicks are left for `with_level_of_clicks`.
 
@@ -117,7 +117,7 @@ def with_level(
 
 
 def _require_apart(path: Path, points: Sequence[LevelObservation], crs: CRS) -> None:
-    """Raise ConfigError where all points of a surface lie at one place, and nothing tells the water about it."""
+    """Raise ConfigError where all points of a surface lie at one place, and so do not determine a surface."""
     places = np.array([each.place for each in points if each.place is not None]).reshape(-1, 2)
     if not len(places):
         return
@@ -273,7 +273,7 @@ def _of_tide(
 ) -> tuple[WaterConfig, Findings]:
     """The water with the mean level over the photographs, and a sentence on it.
 
-    Its standard deviation has that of a reading, and the zero from which all of them count.
+    Its standard deviation includes that of a reading and that of the gauge zero.
     """
     source = found[0].source
     std = math.hypot(float(np.median([each.std_m for each in found])), COMMON_STD_M[source])

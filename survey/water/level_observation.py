@@ -7,9 +7,9 @@ gauge                    CSV with time, level (and std)
 image_levels             CSV with image, level (and std): `survey.water.tides`
 clicks                   CSV with image, x, y, name: `survey.water.clicks`
 
-Whether points lie on a plane is tested by polynomials on top of it, fitted to either half of them. What both halves
-show alike is a departure; the scatter of points, and a single wrong one, are not in both. The mean product of the two
-is its square without bias.
+Whether points lie on a plane is tested by fitting polynomials in addition to it, to each half of the points. A
+departure appears in both halves; scatter, or a single wrong point, does not. The mean product of the two is an unbiased
+estimate of its square.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ from survey.water.geojson import points_of_geojson
 # Standard deviation of a measurement whose file gives none [m]: GNSS with corrections on the surface, and at the
 # waterline, which waves move; a reading.
 STD_M = {"shoreline": 0.03, "gnss_points": 0.02, "surface": 0.02, "gauge": 0.01, "image_levels": 0.01}
-# Std of the error that all measurements of a source share, which no average reduces [m]: height of the base and the
-# antenna; land that is wet above the level; the zero of the gauge, from which levels of photographs count as well.
+# Std of the error that all measurements of a source share, which averaging does not reduce [m]: base station and
+# antenna height; wet land above the level; gauge zero, also for levels of photographs.
 COMMON_STD_M = {
     "shoreline": 0.02, "gnss_points": 0.015, "surface": 0.015, "gauge": 0.01, "image_levels": 0.01, "clicks": 0.0,
 }  # fmt: skip
@@ -51,8 +51,8 @@ _MOST_CELLS, _FINER = 40_000, 0.8
 # Std of a cell relative to its neighbours; the error that they share is common.
 _CELL_STD_M = 0.002
 _MOST_STD_M = 10.0
-# From the nearest camera: beyond the first, places are not of this survey, as cameras would not be; beyond the second
-# they may be of another water.
+# Distances from the nearest camera: beyond the first, places are not of this survey; beyond the second, they may be on
+# another water body.
 FARTHEST_M, DOUBTFUL_M = 20e3, 2e3
 
 
@@ -233,14 +233,14 @@ def _distances_m(crs: CRS, cameras: np.ndarray, places: np.ndarray) -> np.ndarra
 _LEAST_POINTS, _ENOUGH_FOR_ALL = 16, 32
 # Significance: share of sets of points on a plane that seem to depart from it by their scatter alone.
 _FALSE_ALARMS = 1e-3
-# Nearer to the vertical than this the bed moves by n - 1 of an error of the level, and more for oblique rays.
+# Shift of the bed per error of the level: n - 1 for rays near the vertical, more for oblique ones.
 _BED_PER_LEVEL = 0.333
 # Huber's constant: 95 % of the efficiency of least squares where errors are normal (P. J. Huber 1964).
 _HUBER = 1.345
 # The median of the absolute value of a normal deviate of unit standard deviation.
 MEDIAN_DEVIATION = 0.6745
 _ROUNDS = 50
-# Narrower points, as a share of their length, are a line.
+# Points narrower than this share of their length form a line.
 _LINE = 0.1
 
 

@@ -1,9 +1,9 @@
 """Water that is not a plane: its height over the plane of the survey, as measured or by the curvature of the Earth.
 
-Local regression (W. S. Cleveland 1979): at each place a surface of second order is fitted to the nearest points, those
-nearer and better known with more weight. How many points that takes is found by leaving each of them out in turn. A
-raster, points anywhere on the surface and a line of levels along a river are all the same to it: across a line the
-slope is that of the plane.
+Local regression (W. S. Cleveland 1979): at each place a surface of second order is fitted to the nearest points,
+weighted by distance and accuracy. The number of points is chosen by leave-one-out cross-validation. It works for
+rasters, points anywhere on the surface, and lines of levels along a river; across a line the slope is that of the
+plane.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Area = tuple[float, float, float, float]
 SURFACE = "surface"
 # Numbers of nearest points to choose from, half of all at most; else the surface is one plane.
 _NUMBERS = (12, 20, 30, 50, 80, 120)
-# The smoothest surface counts whose squared errors are at most so many times the least: noise bends rays, too.
+# The smoothest surface is chosen whose squared errors are at most this many times the least, as noise also bends rays.
 _AS_GOOD = 1.1
 # Points that are left out in turn, for each number of neighbours.
 _LEFT_OUT = 400
@@ -38,12 +38,12 @@ _RIDGE = (1e-2, 1e-2, 2e-3, 2e-3, 2e-3)
 _LEAST_STD_M = 1e-3
 # Nodes of a raster at most, and of a batch.
 _MOST_NODES, _AT_ONCE = 200_000, 20_000
-# Nodes beyond an area, which cubic pieces need.
+# Nodes beyond an area that bicubic interpolation needs.
 _BEYOND = 3
 # Points whose spread across a line is less than this share of that along it do not determine a slope across it.
 _LINE = 0.05
 EARTH = "curvature of the Earth"
-# Least drop [m] that is followed, of 250 m: depths change by it, and heights of the bed by n - 1 of it, 1.7 mm.
+# Least drop [m] that is modelled, reached at 250 m: it changes depths by as much, and heights of the bed by 1.7 mm.
 _LEAST_DROP_M = 5e-3
 # Places along each side at which its height is computed.
 _NODES = 13
@@ -53,7 +53,7 @@ _NODES = 13
 class Departure:
     """Height of the water over the plane of a survey, from points on it.
 
-    Where an adjustment moves the plane the water moves with it.
+    If an adjustment moves the plane, the water moves with it.
     """
 
     source: ClassVar[str] = "[water] surface"  # str: what departs from the plane, in words
@@ -191,7 +191,7 @@ def height_above(plane: FlatWater, departure: Departure | None, places: np.ndarr
 
 
 def plane_under(plane: FlatWater | None, departure: Departure | None, centre: np.ndarray) -> FlatWater | None:
-    """The plane that fits the water best as far around a camera at (3,) [m], local, as this flies over it."""
+    """The plane that fits the water best around a camera at (3,) [m], local, within a radius of its flying height."""
     if plane is None or departure is None:
         return plane
     reach = max(float(height_above(plane, departure, centre[None])[0]), 1.0)

@@ -4,8 +4,8 @@
     image_levels          CSV with image, level (and std)
     level_rate_m_per_h    beside any other level, which is that of the mean time of the photographs, or of level_time
 
-Each photograph has its level over that of `[water] level_m`; `PinholeCamera.tide` takes it from there. Heights of the
-bed, and depths, count from level_m for all photographs alike.
+Each photograph has its level relative to `[water] level_m`, which becomes `PinholeCamera.tide`. Depths and heights over
+the water count from level_m in all photographs.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from survey.photos.names import ImageNames
 from survey.settings.water import WaterConfig
 from survey.water.level_observation import LevelObservation, moment_of, std_of
 
-# The level of a photograph without a time is the mean of the others, if these differ by no more than this [m]: it moves
+# A photograph without a time gets the mean level of the others, if these differ by no more than this [m], which moves
 # the bed by less than 2 mm.
 _MOST_UNKNOWN_M = 0.005
-# Levels that move images by less than this count as one: as for errors of poses (`survey.plan.decisions`), larger ones
-# exceed the noise of matching.
+# Levels that move images by less than this are treated as one level: like pose errors (`survey.plan.decisions`), they
+# are negligible against the noise of matching.
 MOST_SHIFT_PX = 0.1
 # Rays nearer to the horizon are not used for the bed.
 GRAZING_DEG = 70.0
@@ -40,9 +40,9 @@ GRAZING_DEG = 70.0
 class Tide:
     """Level of the water over the time of the flight."""
 
-    source: str  # The key of [water] that tells it
+    source: str  # The key of [water] that it comes from
     over: Mapping[str, float]  # name to float: level at each photograph [m] over `[water] level_m`
-    # name to float: time of each photograph [h] after that at which `level_m` holds; empty where times play no part
+    # name to float: time of each photograph [h] after that of `level_m`; empty where times are not used
     hours: Mapping[str, float]
     # By how much the largest of `over` moves what a view of the survey shows; 0 before views are known
     shift_px: float = 0.0

@@ -1,6 +1,6 @@
 """Canvases of pictures: plots, maps true to scale with a scale bar, colour bars.
 
-Drawn without a display, on figures of their own: nothing of matplotlib's global state is used or changed.
+Drawn without a display, on separate figures: matplotlib's global state is neither used nor changed.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _MAP_IN = (4.8, 5.4)
 # Margins left, right, below and above: for ticks and labels, a bar of colours, a title of two lines.
 _MARGINS_IN = (1.0, 1.05, 0.6, 0.6)
 _TICK_PT = 8.5
-# Share of |d| that the colours and the histogram span; the rest has the colour of the end.
+# Share of |d| that the colours and the histogram span; the rest is clipped to the end.
 _SHOWN = 0.98
 # Height over width of a map; long narrow surveys get empty margins, so that title and ticks have room.
 _FLATTEST, _TALLEST = 0.3, 1.5

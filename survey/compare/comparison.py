@@ -1,6 +1,6 @@
-"""`bathynerf compare`: a cloud against a reference, in numbers and pictures; nothing is aligned.
+"""`bathynerf compare`: a cloud against a reference, in numbers and pictures, without alignment.
 
-Without faces distances are those between clouds: to the nearest point, both ways, and by M3C2.
+If the reference has no faces, distances are heights over local planes through its points.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _CORE_POINTS = 20_000
 # Half the length of its cylinders in radii.
 _REACH = 10.0
 
-# Of the points; fewer move no figure of the inner 90 %.
+# Share of points beside the mesh that is reported; fewer do not change figures of the inner 90 %.
 _BESIDE_SHARE = 0.01
 
 
@@ -90,7 +90,7 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
     paths = InputPaths(Path(cloud), Path(reference), None if options.visible is None else Path(options.visible))
     places = None if options.checkpoints is None else Path(options.checkpoints)
     if places is None and is_table(paths.reference):
-        # Measured points, between which nothing is known: the cloud is asked at each of them, too.
+        # Between measured points nothing is known, so that the cloud is also evaluated at each of them.
         places = paths.reference
     for path in (paths.cloud, paths.reference, paths.visible):
         if path is not None:
@@ -204,7 +204,7 @@ def _without_outliers(inputs: Inputs, options: CompareOptions) -> tuple[Inputs, 
 
 
 def _visibility_note(inputs: Inputs) -> list[str]:
-    """A note where it is not known which parts of a mesh cameras see."""
+    """A note where it is not known which parts of a mesh the cameras see."""
     if not isinstance(inputs.reference, Mesh) or inputs.visible is not None:
         return []
     return [

@@ -27,7 +27,7 @@ from survey.files.point_table import PLACE, read_points
 GIVE_LEVEL = "give --water-level"
 # Names that programs give the depth of a point.
 DEPTH_NAMES = ("depth", "depth_m")
-# Levels over the points of a cloud that differ by less are one: rounding, no slope of a river.
+# Water levels over the points of a cloud that differ by less are equal: rounding, not the slope of a river.
 _ONE_LEVEL_M = 0.02
 # The class of LAS of points that have none.
 _UNCLASSIFIED = 1.0
@@ -138,7 +138,7 @@ class Inputs:
     visible: Mesh | Cloud | None
     crs: CRS | None  # Of all coordinates; None if no file has one
     frame: LocalFrame | ShiftedFrame  # Near the points that are compared
-    notes: tuple[str, ...]  # What was taken to be so without a file saying it
+    notes: tuple[str, ...]  # Assumptions, where files state nothing
 
 
 def load_inputs(paths: InputPaths, bounds: Bounds | None, water_level: float | None = None) -> Inputs:
@@ -166,7 +166,7 @@ def load_inputs(paths: InputPaths, bounds: Bounds | None, water_level: float | N
     notes += of_crs
     for path, shape in ({paths.cloud: compared} | given).items():
         if shape.crs is None and crs is not None and is_geographic(crs):
-            # Only now it is known that they are degrees, of which a tenth of a metre is six decimals.
+            # Check the rounding again as degrees, in which a tenth of a metre is six decimals.
             notes += rounded_coordinates(vertices_of(shape), crs, path)
     compared, of_unit = _in_common_unit(compared, paths.cloud, crs)
     cloud, of_mesh = _as_cloud(compared, paths.cloud)

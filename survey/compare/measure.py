@@ -188,7 +188,7 @@ def reached_at(scene: ComparedScene, tolerance_m: float) -> Reach:
 def bed_depth(scene: ComparedScene, nearest: np.ndarray, water_level: float | None) -> np.ndarray | None:
     """Depth (N,) [m] of the nearest point of the reference; None if neither a level nor the cloud gives it.
 
-    The depth in the cloud alone would sort its points by their errors; its sum with the height is the water surface,
+    Depths of the cloud itself would sort its points by their errors. The sum of depth and height is the water surface,
     which does not depend on the bed.
     """
     inputs = scene.inputs
@@ -242,7 +242,7 @@ def uncertainty(
 
     None where no depth is known.
     """
-    said = "vertical difference to the reference; at walls an offset to the side counts whole"
+    said = "vertical difference to the reference; at walls a horizontal offset counts in full"
     if errors is None:
         errors, said = distances.signed, "height over the plane through the nearest points of the reference"
     iho = None if depth is None else iho_s44(errors, depth, distances.reference_std)

@@ -29,8 +29,8 @@ _POINTS_PER_CELL, _SAMPLES_PER_CELL = 3.0, 6.0
 _CELLS = 500
 # A map of no points: a cell without a value, somewhere.
 _NOWHERE = np.full((1, 1), np.nan), (0.0, 1.0, 0.0, 1.0)
-# Bands of fewer points say nothing: only their number is shown. Those of a smaller share of the points than this may
-# reach beyond the axis, so that the others can be distinguished.
+# Of bands with fewer points only the number is shown. Bands with less than this share of the points may reach beyond
+# the axis, so that the others can be distinguished.
 _FEWEST, _SHOWN_WHOLE = 20, 0.001
 
 

@@ -68,7 +68,7 @@ def _bands(bands: tuple[Band, ...], unit: str) -> list[tuple[str, str]]:
 
 
 def _overall(figures: Figures) -> list[tuple[str, str]]:
-    """All points together, at the first tolerance, and what was compared how."""
+    """Figures of all points, at the first tolerance, with the method."""
     distances, scores = figures.summary.distances, figures.summary.scores
     return _known([
         ("points", str(distances.n_points)),

@@ -1,4 +1,4 @@
-"""The cloud in one browser: nodes of the octree are sent as its camera sees them, the coarse ones first."""
+"""The cloud in one browser: octree nodes are sent by what its camera sees, coarse ones first."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def node_arrays(shown: Shown, node: int, style: Style) -> tuple[np.ndarray, np.n
 
 
 class CloudInBrowser:
-    """A thread that keeps the cloud in one browser as fine as it shows, until `close`."""
+    """A thread that keeps the cloud in one browser at the level of detail that it shows, until `close`."""
 
     def __init__(self, client: viser.ClientHandle, shown: Shown, style: Style):
         self._client, self._shown, self._style = client, shown, style
@@ -84,7 +84,7 @@ class CloudInBrowser:
             self._draw()
 
     def _draw(self) -> None:
-        """Send what is missing; ends early where there is news, with at least one node more than before."""
+        """Send missing nodes; stops early on new requests, after at least one node."""
         style, tree, view = self._style, self._shown.tree, viewpoint_of(self._client.camera)
         wanted = select_nodes(tree, view) if style.is_shown else np.empty(0, dtype=np.int64)
         self._make_room(wanted)

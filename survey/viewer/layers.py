@@ -25,11 +25,12 @@ if TYPE_CHECKING:
 
 _WATER, _OPACITY = (79, 148, 173), 0.3
 _CAMERA = (34, 48, 60)
-# Size of a camera to its distance from the bed.
+# Size of a camera relative to its distance from the bed.
 _CAMERA_SHARE = 0.04
-# From where a browser looks first: directions from the middle of the cloud, in its extents.
+# Initial viewpoint, relative to the middle of the cloud, in units of its extent.
 _FROM = np.array([0.0, -0.55, 0.6])
-# Cells of a terrain model and of a mesh along the extent of the cloud: about as many triangles as a browser likes.
+# Cells of a terrain model and of a mesh along the extent of the cloud, for a number of triangles that browsers can
+# draw.
 _MOST_CELLS = 500
 # A cell has this many ground sampling distances at least: some points, so that few are empty.
 _CELL_GSD = 2.0
@@ -64,7 +65,7 @@ def wxyz_of(rotation: np.ndarray) -> np.ndarray:
 
 
 def add_cameras(server: viser.ViserServer, shown: Shown) -> tuple[viser.FrameHandle, Thumbnails | None]:
-    """The cameras, below one node, and what fills them with their photographs, where the files are there.
+    """The cameras, below one node, and the thread that adds their photographs, where the files exist.
 
     A click on a camera looks through it.
     """
@@ -109,7 +110,7 @@ def _add_camera(server: viser.ViserServer, view: View, size: float) -> viser.Cam
 
 
 class Thumbnails:
-    """A thread that puts the photographs into their cameras, until it is done or `close`."""
+    """A thread that adds the photographs to their cameras, until it is done or `close`."""
 
     def __init__(self, handles: list[tuple[View, viser.CameraFrustumHandle]]):
         self._handles, self._is_closed = handles, False
@@ -298,7 +299,7 @@ class Panel:
         self._apply(kind=kind, limits=limits)
 
     def _set_limits(self, event: viser.GuiEvent) -> None:
-        """A range that somebody typed; where the program set it, all is done already."""
+        """Apply a range that a user typed; changes by the program are already applied."""
         low, high = self._limits.value
         if event.client is None or not low < high or self.style.limits is None:
             return

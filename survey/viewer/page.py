@@ -1,4 +1,4 @@
-"""The server that a browser talks to (viser), of this machine alone, and a run as one HTML file."""
+"""The server for browsers (viser), for this machine alone unless asked otherwise, and a run as one HTML file."""
 
 from __future__ import annotations
 
@@ -66,10 +66,10 @@ def open_server(host: str, port: int, title: str) -> viser.ViserServer:
 
 @contextmanager
 def _own_pages_only(host: str) -> Iterator[list[Any]]:
-    """While a server of viser starts, its connections are made to be refused to pages of other sites.
+    """Context in which a server of viser starts that refuses connections from pages of other sites.
 
-    A browser opens a WebSocket to this machine for any page; viser answers each, and has no hook for it. Yields the
-    list of what was made so: empty where viser no longer serves by this function.
+    Browsers open a WebSocket to this machine for any page, and viser accepts all and has no hook to refuse. Yields the
+    list of guarded servers, which is empty if viser no longer serves by this function.
     """
     from websockets.asyncio import server as websockets
 
@@ -94,7 +94,7 @@ def _own_pages_only(host: str) -> Iterator[list[Any]]:
 def is_own_page(headers: Mapping[str, str], host: str) -> bool:
     """Whether a request comes from a page of this server, or from no page; by its headers.
 
-    A server of this machine alone answers to names of this machine alone, so that no other name can be led here.
+    A server on a loopback address only answers requests to loopback names, against DNS rebinding.
     """
     named, origin = headers.get("Host") or "", headers.get("Origin")
     if host in _LOOPBACK and urlsplit(f"//{named}").hostname not in _LOOPBACK:
@@ -136,7 +136,7 @@ def require_page(path: Path, inputs: ReadFiles) -> None:
 
 
 def write_page(path: Path, shown: Shown) -> None:
-    """Write water, cameras and the cloud by all that is known of it; of a large cloud a thinned part.
+    """Write water, cameras and the cloud coloured by each of its columns; large clouds are thinned.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""`bathynerf view`: a finished run in a browser, or one that `process` works on, with its height maps as they come."""
+"""`bathynerf view`: a finished run in a browser, or a running one with its height maps as they are finished."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     import viser
 
 HOST, PORT = "localhost", 8080
-# Between two looks at a run that is being processed [s].
+# Polling interval of a run that is being processed [s].
 _EVERY_S = 1.0
 # Size of points to the distance of the cameras from the bed.
 _SIZE_SHARE = 0.002
@@ -204,7 +204,7 @@ class ViewSession:
 
 
 def serve(run: str | Path, options: ViewOptions, say: Callable[[str], None]) -> None:
-    """Show a run in browsers until Ctrl-C, which is how one leaves; one without a result as `process` works on it.
+    """Show a run in browsers until Ctrl-C; one without a result while `process` is running.
 
     Parameters
     ----------

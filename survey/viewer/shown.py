@@ -34,9 +34,9 @@ Render = Callable[[PinholeCamera, bool], "NovelView"]
 _SOME = 200_000
 _FIELD = "field"
 _COLUMNS = ("xyz", "rgb", "std", "std_common", "num_views", "depth")
-# Of values that are not known.
+# Colour of unknown values.
 UNKNOWN = (128, 128, 128)
-# Values beyond these shares do not stretch the colours; of errors a tenth is beyond, that at rims and walls.
+# Quantiles at the ends of the colours; for errors the ends leave out a tenth, at rims and walls.
 _SHARES, _OF_ERRORS = (0.02, 0.98), 0.9
 # Points by which a range is found.
 _SOME_VALUES = 200_000
@@ -49,14 +49,14 @@ class TrainedField:
     Parameters
     ----------
     name : str
-        As the panel has it.
+        Shown in the panel.
     load : callable
-        Gives what renders it; gets a function that is told what there is to note.
+        Returns its render function; called with a function that takes notes for the user.
 
     Attributes
     ----------
     notes : list of str
-        What there was to note when it was loaded.
+        Notes for the user from loading.
     """
 
     def __init__(self, name: str, load: Callable[[Callable[[str], None]], Render]):
@@ -179,7 +179,7 @@ SCALES = {
 
 @dataclass
 class Shown:
-    """A run as the viewer has it."""
+    """The data of a run in the viewer."""
 
     folder: Path
     name: str  # Of the survey
@@ -198,7 +198,7 @@ class Shown:
     high: np.ndarray = field(init=False)
 
     def __post_init__(self):
-        # Some stray points do not count for what the camera looks at first.
+        # Stray points do not affect the initial view.
         some = self.tree.points[:: len(self.tree.points) // _SOME + 1]
         self.low, self.high = np.quantile(some, [0.005, 0.995], axis=0)
 

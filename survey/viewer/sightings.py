@@ -27,15 +27,15 @@ from survey.viewer.tree import CloudTree, is_blocked, pick
 if TYPE_CHECKING:
     import viser
 
-# Longer side of a photograph that stands in its camera [px].
+# Longer side of a thumbnail in its camera [px].
 THUMBNAIL_PX = 160
-# Side of a window of a photograph, how much it is enlarged, and windows beside each other.
+# Side of a window of a photograph, its enlargement, and windows per row.
 WINDOW_PX, ENLARGED, _BESIDE = 48, 3, 3
 # Bytes of decoded photographs that are kept for the next click.
 _MOST_BYTES = 500_000_000
 _LINE, _CROSS = 16, 6
-# Points so near to a ray block it, and those so near to its point do not, in ground sampling distances: a ray 35
-# degrees off nadir leaves a bed of that slope within them.
+# In ground sampling distances: points this near to a ray block it, unless they are this near to its end, within which a
+# ray 35 degrees off nadir leaves a bed of that slope.
 _BLOCKS_GSD, _FREE_GSD = 1.0, 6.0
 _INK, _PAPER, _MARK = (34, 48, 60), (255, 255, 255), (255, 230, 0)
 RAYS, DISTANCE, SLICE = "shows its rays", "measures a distance", "cuts a slice"
@@ -75,7 +75,7 @@ def sightings_of(views: Sequence[View], point: np.ndarray, water: FlatWater | No
 def unhidden(seen: Sequence[PointSighting], tree: CloudTree, gsd_m: float) -> list[PointSighting]:
     """The sightings whose rays no point of the cloud blocks, in the water and in the air.
 
-    Within some ground sampling distances of the point the bed that it lies on is not told from what blocks it.
+    Points within some ground sampling distances of the end of the ray are ignored: they are the bed itself.
     """
     width, free = _BLOCKS_GSD * gsd_m, _FREE_GSD * gsd_m
 
@@ -107,7 +107,7 @@ def thumbnail(view: View, longer_px: int = THUMBNAIL_PX) -> np.ndarray:
     with open_image(view.path) as image:
         if image.format == "JPEG":
             with damage_named(f"{view.path} is damaged or cut off"):
-                # A JPEG gives an eighth of its size without the work for the rest.
+                # JPEGs are decoded at an eighth of their size, which is much faster.
                 image.draft("RGB", size)
                 return np.asarray(image.convert("RGB").resize(size))
     return load_image(view, scale=scale)

@@ -57,7 +57,7 @@ def test_the_camera_stands_where_the_page_says(frame, camera):
 
 def test_the_path_bends_as_the_page_says(camera, water):
     path = camera.paths(np.array(PIXEL), water)
-    np.testing.assert_allclose(path.air_direction, told("made a unit vector:"), atol=1e-6)
+    np.testing.assert_allclose(path.air_direction, told("undistorted and normalised:"), atol=1e-6)
     np.testing.assert_allclose(path.crossing, told("it meets the water at"), atol=1e-5)
     np.testing.assert_allclose(path.water_direction, told("the ray continues along"), atol=1e-6)
     assert f"After {path.air_length:.5f} m it meets" in TEXT
@@ -70,9 +70,9 @@ def test_the_path_bends_as_the_page_says(camera, water):
 
 def test_the_point_lies_where_the_page_says(frame, camera, water):
     point = camera.paths(np.array(PIXEL), water).at_height(np.array(HEIGHT), water)
-    np.testing.assert_allclose(point, told("in float64 to its height,"), atol=1e-5)
+    np.testing.assert_allclose(point, told("is computed in float64,"), atol=1e-5)
     stored = frame.crs_from_local(point)
-    np.testing.assert_allclose(stored, told("and from there to"), atol=1e-4)
+    np.testing.assert_allclose(stored, told("and from there"), atol=1e-4)
     assert "| x, y, z | " + ", ".join(f"{c:.3f}" for c in stored) in TEXT
     assert f"| depth | {SCENE.level_m - stored[2]:.3f} |" in TEXT
 

@@ -2,14 +2,14 @@
 
     python benchmarks/bench_field.py WORK [--objects wreck ship hull] [--models vm dw m mdw ...] [--seeds N]
                                      [--steps N | --seconds S] [--scale S] [--cells N_MAX] [--rays N]
-                                     [--device auto|cpu|cuda|torch] [--write ablation|models]
+                                     [--device auto|cpu|cuda|torch] [--write ablation|models|seeds]
 
 VM (planes times vectors, TensoRF's decomposition), DW, M and MDW-NeRF are one code with four settings, compared with
 TensoRF as published, NeRF, TinyNeRF, hash grids with proposals (Nerfacto, and one for processors) and a signed
 distance (as NeuS). All see the same photographs and paths and sample alike (hash grids by their proposals), for as many
 steps, or with --seconds for as many as take that time here. One photograph in eight is held out. Every row is a file in
-WORK; what is there is not computed again. With --write one of the two tables of docs/notes/field.md is replaced, and
-the pictures with it. The defaults are for two cores; full size is --scale 1 --cells 256 --steps 30000 --rays 4096.
+WORK; what is there is not computed again. With --write one of the tables of docs/notes/field.md is replaced, and with
+the ablation its pictures. The defaults are for two cores; full size is --scale 1 --cells 256 --steps 30000 --rays 4096.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ BASELINES = ("mdw-printed", "tensorf", "nerf", "tinynerf", "nerfacto", "hash", "
 # Steps of each model in turn, to compare their times: (rounds, steps of a round). After the switch from coarse to fine
 # density, where a model has one: most steps of a training are such.
 TIMED = (4, POOL_STEPS)
-# Renderings whose memory is measured: one may take twice that of another, as the allocator and its threads go.
+# Trainings whose memory is measured: one may take twice that of another, as the allocator and its threads go.
 MEMORY_RUNS = 3
 # Fewer steps show nothing.
 LEAST_STEPS = 50
@@ -176,28 +176,27 @@ def step_times(models: tuple[str, ...], scene: ObjectScene, options) -> dict[str
     return {model: statistics.median(s) for model, s in seconds.items()}
 
 
-def inference_mb(model: str, scene: str, options) -> float:
-    """Memory [MB] to render a view, with parameters: median over separate processes."""
-    numbers = [f"--{name}={getattr(options, name)}" for name in ("scale", "cells", "samples", "steps", "device")]
+def steps_mb(model: str, scene: str, options) -> float:
+    """Memory [MB] that steps of a training take, with parameters: median over separate processes."""
+    names = ("scale", "cells", "rays", "samples", "steps", "device")
+    numbers = [f"--{name}={getattr(options, name)}" for name in names]
     command = [sys.executable, __file__, str(options.work), "--memory", scene, model, *numbers]
     runs = [subprocess.run(command, check=True, capture_output=True, text=True) for _ in range(MEMORY_RUNS)]
     return statistics.median(float(run.stdout.split()[-1]) for run in runs)
 
 
 def print_memory(scene: str, model: str, options) -> None:
-    """For `inference_mb`: the most that was held while a view was rendered, over what was held before."""
+    """For `steps_mb`: the most that was held during steps of the fine stage, over what was held before."""
     loaded = scene_of(scene, options)
-    camera = replace(loaded.held.cameras[0], width=64, height=64)
+    training = Training(steps=POOL_STEPS, rays=options.rays, samples=options.samples, refresh=())
     # Compilers and libraries are loaded once, for all models alike.
     tiny = build("mdw", loaded, argparse.Namespace(**(vars(options) | {"cells": 16})), steps=options.steps)
-    render_volume(tiny, camera, None, Cells.everywhere(loaded.box, 16), samples=options.samples)
+    train_volume(tiny, loaded.train, replace(training, rays=64), lambda share: None)
     before = _resident_mb("VmRSS")
     Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
     built = build(model, loaded, options, steps=options.steps)
     switch_to_fine(built)
-    render_volume(
-        built, loaded.held.cameras[0], loaded.held.water, Cells.everywhere(loaded.box, 32), samples=options.samples
-    )
+    train_volume(built, loaded.train, training, lambda share: None)
     sys.stdout.write(f"{_resident_mb('VmHWM') - before:.1f}\n")
 
 
@@ -237,8 +236,8 @@ def measure(options) -> list[dict]:
             memory = None
             if of_model[0]["train_mb"] is None:
                 path = options.work / f"{name}_{model}_memory.json"
-                memory = kept(path, lambda m=model, n=name: {"mb": inference_mb(m, n, options)})["mb"]
-            rows += [each | {"inference_mb": memory, "step_s": times[model]} for each in of_model]
+                memory = kept(path, lambda m=model, n=name: {"mb": steps_mb(m, n, options)})["mb"]
+            rows += [each | {"steps_mb": memory, "step_s": times[model]} for each in of_model]
     return rows
 
 

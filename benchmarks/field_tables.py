@@ -33,6 +33,10 @@ ABLATION_HEAD = (
     "| object | model | held-out PSNR | Chamfer distance | parameters | a step | rays/s rendered |",
     "|---|---|---|---|---|---|---|",
 )
+SEEDS_HEAD = (
+    "| object | model | held-out PSNR | Chamfer distance | parameters | a step |",
+    "|---|---|---|---|---|---|",
+)
 CONFIDENCE = 0.95
 
 
@@ -93,8 +97,17 @@ def _seeds(rows: list[dict]) -> str:
     return f"{', '.join(f'{v:.1f}' for v in psnr)} dB; {', '.join(f'{v:.0f}' for v in distance)} mm"
 
 
+def seeds_table(rows: list[dict]) -> list[str]:
+    """Lines of the table `seeds` of the page: as `table_of`, without what is the same in all rows."""
+    lines = [*SEEDS_HEAD]
+    for each in table_of(rows).splitlines()[len(HEAD) :]:
+        *figures, _memory, _steps, step, _speed = each.split(" | ")
+        lines.append(" | ".join([*figures, step]) + " |")
+    return lines
+
+
 # Tables of the page, by the names of their marks.
-PAGE = {"ablation": ablation_table, "models": models_table}
+PAGE = {"ablation": ablation_table, "models": models_table, "seeds": seeds_table}
 
 
 def _columns(rows: list[dict], base: list[dict] | None) -> list[str]:
@@ -103,7 +116,7 @@ def _columns(rows: list[dict], base: list[dict] | None) -> list[str]:
     if base is not None:
         gain = f" ({interval([r - b['held_out_psnr_db'] for r, b in zip(psnr, base, strict=True)], 2, sign=True)})"
         ratio = f" (x {interval([1e-3 * r / b['chamfer_m'] for r, b in zip(distance, base, strict=True)], 2)})"
-    memory = statistics.fmean(r["train_mb"] or r["inference_mb"] for r in rows)
+    memory = statistics.fmean(r["train_mb"] or r["steps_mb"] for r in rows)
     return [
         f"{interval(psnr, 2)} dB{gain}",
         f"{interval(distance, 1)} mm{ratio}",
@@ -125,8 +138,10 @@ def interval(values: list[float], digits: int, *, sign: bool = False) -> str:
 
 
 def write_page(name: str, work: Path, rows: list[dict]) -> None:
-    """Replace a table of docs/notes/field.md, one of `PAGE`, and the pictures."""
+    """Replace a table of docs/notes/field.md, one of `PAGE`; with the ablation its pictures."""
     publish(DOCS / "notes" / "field.md", name, PAGE[name](rows))
+    if name != "ablation":
+        return
     for each in dict.fromkeys(r["object"] for r in rows):
         of = {r["model"]: r for r in rows if r["object"] == each and r["seed"] == 0}
         draw_row(work, each, of, DOCS / "img" / f"field_{each}.png")

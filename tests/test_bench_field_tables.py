@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-ROW = {"seed": 0, "parameters_mb": 1.7, "step_s": 0.054, "train_mb": None, "inference_mb": 1.0, "steps": 1000,
+ROW = {"seed": 0, "parameters_mb": 1.7, "step_s": 0.054, "train_mb": None, "steps_mb": 61.0, "steps": 1000,
        "rays_per_s": 54e3}  # fmt: skip
 
 
@@ -49,7 +49,16 @@ def test_all_models_stand_in_a_row_each_with_their_seeds_side_by_side(tables):
     assert found[:2] == on_page("models")[:2]
     assert found[2] == "| VM | 31.8 dB; 122 mm | 28.3, 28.5 dB; 46, 45 mm | 34.3, 35.0 dB; 60, 58 mm | 1.75 MB |"
     assert found[3] == "| Nerfacto | not run | not run | 39.7 dB; 61 mm | 33.70 MB |"
-    assert set(tables.PAGE) == {"ablation", "models"}
+    assert set(tables.PAGE) == {"ablation", "models", "seeds"}
+
+
+def test_of_several_seeds_stand_the_mean_and_its_interval(tables):
+    rows = [row("ship", "vm", 28.0, 0.046), row("ship", "vm", 29.0, 0.046, seed=1)]
+    rows += [row("ship", "mdw", 29.0, 0.046), row("ship", "mdw", 30.0, 0.046, seed=1)]
+    found = tables.seeds_table(rows)
+    assert found[:2] == on_page("seeds")[:2]
+    assert found[2] == "| ship | VM | 28.50 ± 6.35 dB | 46.0 ± 0.0 mm | 1.70 MB | 54.0 ms |"
+    assert found[3].startswith("| ship | MDW | 29.50 ± 6.35 dB (+1.00 ± 0.00) | 46.0 ± 0.0 mm (x 1.00 ± 0.00) |")
 
 
 def test_a_scale_bar_is_a_round_length_of_a_quarter_of_the_picture_at_most(monkeypatch):

@@ -6,6 +6,9 @@
     f_l  = the features at the 8 nodes about a sample, weighted linearly along x, y and z                         (3)
 
 Nodes lie at cell corners. Cells are nearly cubes: a flat box has fewer along its height, and more dense levels.
+
+Of Nerfacto are left out the contraction of space, in place of which is the shell (`fields.volume.shell`), and the
+refinement of poses: those of the run are adjusted with bent rays.
 """
 
 from __future__ import annotations

@@ -100,7 +100,9 @@ def choose_tiles(
             return TileChoice(None, Decision("tiles", "1", "set by --tiles"), one)
         tiling = Tiling.of(ground_of(survey, plan), chosen.tiles, rim)
         reason = f"set by --tiles, {_size_of(tiling)} each"
-        choice = TileChoice(tiling, Decision("tiles", str(chosen.tiles), reason), _memory(survey, plan, tiling))
+        choice = TileChoice(
+            tiling, Decision("tiles", str(chosen.tiles), reason), _memory(survey, plan, tiling, workload)
+        )
         return _with_workers(choice, chosen)
     least = 1 if chosen.scheduler is None else 2
     least = max(least, chosen.workers or 1)
@@ -128,7 +130,7 @@ def choose_tiles(
     # About square ones may all be fewer than there are workers.
     for count in [each for each in counts if each >= least] or ([least] if least > 1 else []):
         tiling = Tiling.of(ground, count, rim)
-        memory = _memory(survey, plan, tiling)
+        memory = _memory(survey, plan, tiling, workload)
         if best.tiling is None or memory < 0.98 * best.memory_bytes:
             reason = f"{needed}; in tiles of {_size_of(tiling)} about {size(memory)}"
             best = TileChoice(tiling, Decision("tiles", str(count), reason), memory)
@@ -242,9 +244,9 @@ def _size_of(tiling: Tiling) -> str:
     return f"{length(width)} x {length(height)}"
 
 
-def _memory(survey: Survey, plan: Plan, tiling: Tiling) -> float:
+def _memory(survey: Survey, plan: Plan, tiling: Tiling, workload: Workload) -> float:
     """Memory at the peak of a run in tiles [bytes]."""
-    pixels, chosen, num_cells = amounts_of(survey, plan)
+    pixels, chosen, num_cells = workload.counted or amounts_of(survey, plan)
     whole = np.array([tiling.x[-1] - tiling.x[0], tiling.y[-1] - tiling.y[0]])
     own = np.array([tiling.x[1] - tiling.x[0], tiling.y[1] - tiling.y[0]]) + 2.0 * tiling.rim
     footprint, window = np.array(plan.footprint_m), window_pixels(survey, plan, (float(own[0]), float(own[1])))

@@ -7,7 +7,7 @@ Time is that of `survey.plan.rates`, memory that of the arrays which docs/notes/
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +77,9 @@ class Workload:
     slowness: float | None = None  # How many times as long as on idle cores the seconds are; None for idle ones
     # Of structure from motion, where it is a part of the run; the seconds are not a bound then
     sfm_seconds: float | None = None
+    # What the estimate is made of, where poses are known: of the run, and as `amounts_of` finds it
+    amounts: Amounts | None = field(default=None, repr=False)
+    counted: tuple[np.ndarray, list[int], float] | None = field(default=None, repr=False, compare=False)
 
     def on_loaded_cores(self, slowness: float) -> Workload:
         """The same on cores that take ``slowness`` times as long as idle ones."""
@@ -124,10 +127,10 @@ def workload_of(survey: Survey, plan: Plan) -> Workload:
     pixels, chosen, num_cells = amounts_of(survey, plan)
     largest = max(view.lens.width * view.lens.height for view in survey.views)
     amounts = _amounts(survey, plan, pixels, chosen, num_cells)
-    field, solves = amounts.field_cells, amounts.solves
     seconds = run_s(amounts, machine.num_cores()) if plan.device == "llvm" else None
-    found = _workload(pixels, pixels[chosen], largest, num_cells, field, solves)
-    return replace(found, seconds=seconds, is_bound=len(pixels) > _MOST_VIEWS)
+    found = _workload(pixels, pixels[chosen], largest, num_cells, amounts.field_cells, amounts.solves)
+    counted = pixels, chosen, num_cells
+    return replace(found, seconds=seconds, is_bound=len(pixels) > _MOST_VIEWS, amounts=amounts, counted=counted)
 
 
 def amounts_of_run(survey: Survey, plan: Plan) -> Amounts:

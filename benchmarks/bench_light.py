@@ -66,7 +66,12 @@ def measure(folder: Path, seed: int, row: str, name: str, quality: str) -> Row:
     """Draw, process and compare one survey."""
     place = folder / f"{seed:02d}_{row.replace(' ', '').replace('%', '').replace(',', '_')}"
     draw_survey(place, scene_of(seed, ROWS[row]))
-    run, home = place / name, folder / "home"
+    return figures(place, place / name, folder, quality)
+
+
+def figures(place: Path, run: Path, folder: Path, quality: str) -> Row:
+    """Those of a survey in its run, which is made if it is not there; compiled kernels are kept in ``folder``."""
+    home = folder / "home"
     home.mkdir(exist_ok=True)
     if not (run / "cloud.las").is_file():
         code, _, words = run_bathynerf(["process", str(place), "-o", str(run), "--quality", quality], home)
@@ -85,7 +90,8 @@ def text(name: str, rows: list[Row]) -> str:
     return f"| {name} | {mean:.1f} mm | {std:.1f} mm | {at_02:.2f} % | {at_005:.2f} % | {covered:.1f} % |"
 
 
-def _seeds(words: str) -> list[int]:
+def seeds_of(words: str) -> list[int]:
+    """Seeds from first to last, as `1-3`."""
     first, _, last = words.partition("-")
     return list(range(int(first), int(last or first) + 1))
 
@@ -95,7 +101,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--rows", nargs="+", default=list(ROWS), choices=list(ROWS), metavar="ROW")
-    parser.add_argument("--seeds", type=_seeds, default=_seeds("1-3"))
+    parser.add_argument("--seeds", type=seeds_of, default=seeds_of("1-3"))
     parser.add_argument("--run", default="run")
     parser.add_argument("--quality", default="standard")
     given = parser.parse_args()

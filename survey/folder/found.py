@@ -5,7 +5,7 @@ Image headers are checked here as well: rotation, several pages.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from geo.area_of_use import require_at
 from geo.crs import height_unit_m, parse_crs
 from geo.operations import use_grids
 from survey.display.quantities import named
-from survey.errors import FILE_NAME, ConfigError, PosesError, SurveyError
+from survey.errors import FILE_NAME, ConfigError, Findings, PosesError, SurveyError
 from survey.files.outputs import ReadFiles
 from survey.files.remote import is_url
 from survey.folder import infer
@@ -29,7 +29,7 @@ from survey.pose_files import find_poses, find_unread, pose_files
 from survey.settings.config import SurveyConfig, read_config
 from survey.settings.tables import ProcessConfig
 from survey.sfm.datum import EXACT, DatumStd, least, plan_std
-from survey.sfm.gps import datum_warnings, transforms_into_crs
+from survey.sfm.gps import PositionTransform, datum_warnings, transforms_into_crs
 from survey.water.level import with_level
 from survey.water.level_observation import LevelObservation, water_place_warnings
 from survey.water.tides import Tide
@@ -84,63 +84,77 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
     if config is None:
         config = read_config(toml) if toml.is_file() else infer.config_of_folder(folder)
     poses_path, assumption = _poses_path(folder, config)
-    assumptions = [] if assumption is None else [assumption]
+    findings = Findings(() if assumption is None else (assumption,))
     place = folder / config.images.local_dir
     if is_url(config.images.dir):
         fetch_images(config.images.dir, place)
     images = list_images(place, deep=config.images.dir != ".")
-    warnings: list[str] = []
     heads = {name: read_exif(path) for name, path in images.items()}
     table = find_geo_txt(folder, place)
     if table is not None:
-        heads, said = with_positions(table, heads)
-        assumptions += said.assumptions
-        warnings += said.warnings
+        heads, added = with_positions(table, heads)
+        findings += added
     heads = without_void_fixes(heads)
     if not toml.is_file() or (config.crs is None and infer.says_no_place(config)):
-        config, said = infer.config_of_images(folder, config, heads, poses_path)
-        assumptions += said.assumptions
+        config, added = infer.config_of_images(folder, config, heads, poses_path)
+        findings += added
     if config.crs is None:
         raise ConfigError(f"{toml}: crs is missing; {infer.crs_advice(heads)}")
     use_grids(folder / GRIDS_FOLDER)
     crs = parse_crs(config.crs, where=f"crs in {toml}" if toml.is_file() else "the inferred crs")
-    config, levels, tide, said = with_level(folder, config, heads, crs)
-    assumptions += said.assumptions
-    warnings += said.warnings
+    config, levels, tide, added = with_level(folder, config, heads, crs)
+    findings += added
     if poses_path is not None and config.water is not None:
         config.water.require_level()
-    warnings += head_warnings(heads)
-    warnings += [
-        f"{' and '.join(names[:4])} are copies of one photograph, which agree wherever they are compared: keep one"
-        for names in same_files(images)
-    ]
+    ways: list[PositionTransform] = []
     if poses_path is None:
-        at_exif = [head.lat_lon_height[1::-1] for head in heads.values() if head.lat_lon_height is not None]
-        exif_places = np.array(at_exif).reshape(-1, 2)
-        require_at(crs, exif_places, f"the GPS positions in {position_sources(heads)}", f"crs in {FILE_NAME}")
-        warnings += water_place_warnings(crs, exif_places, config.water, levels)
-    if config.water is None and not config.dry:
-        warnings.append(infer.NO_WATER)
-    ways = transforms_into_crs(heads, crs, config.cameras.gps_height) if poses_path is None else []
-    if poses_path is None:
-        warnings += [*datum_warnings(ways), *find_unread(folder)]
-    has_attitudes = any(head.motion.gimbal_deg is not None for head in heads.values())
-    if config.cameras.rotation_std_deg is not None and poses_path is None and not has_attitudes:
-        warnings.append(
-            "[cameras] rotation_std_deg is not used: it is that of poses from a file or of attitudes in XMP, and there "
-            "are neither; remove it, or name the poses in [cameras] poses"
-        )
-    if not config.control.gcp_files and (folder / GCP_LIST).is_file():
-        warnings.append(f'{GCP_LIST} is not used; for its control points write gcps = "{GCP_LIST}" in [control]')
-    control = None
-    if config.control.files:
-        control, said = find_control(folder, config.control, crs, heads, _one_level(config, crs))
-        assumptions += said.assumptions
-        warnings += said.warnings
-        config = replace(config, control=control.config)
+        sources = f"the GPS positions in {position_sources(heads)}"
+        require_at(crs, _exif_places(heads), sources, f"crs in {FILE_NAME}")
+        ways = transforms_into_crs(heads, crs, config.cameras.gps_height)
     datum = least([DatumStd(plan_std(way.plan), way.up_std_m) for way in ways])
-    sentences = tuple(assumptions), tuple(warnings)
-    return Found(folder, config, crs, images, heads, poses_path, *sentences, control, levels, tide, datum)
+    found = Found(folder, config, crs, images, heads, poses_path, (), (), levels=levels, tide=tide, datum=datum)
+    findings += Findings(warnings=tuple(_warnings_of(found, ways)))
+    if config.control.files:
+        control, added = find_control(folder, config.control, crs, heads, _one_level(config, crs))
+        findings += added
+        found = replace(found, control=control, config=replace(config, control=control.config))
+    return replace(found, assumptions=findings.assumptions, warnings=findings.warnings)
+
+
+def _exif_places(heads: Mapping[str, Exif]) -> np.ndarray:
+    """Longitudes and latitudes (n, 2) [deg] of the photographs that have a position."""
+    places = [head.lat_lon_height[1::-1] for head in heads.values() if head.lat_lon_height is not None]
+    return np.array(places).reshape(-1, 2)
+
+
+def _warnings_of(found: Found, ways: Sequence[PositionTransform]) -> Iterator[str]:
+    """Warnings about photographs, positions and unused settings, before control is read.
+
+    Parameters
+    ----------
+    ways : sequence of PositionTransform
+        Of the GPS positions into crs; none where a file has the poses.
+    """
+    config, heads = found.config, found.heads
+    yield from head_warnings(heads)
+    for names in same_files(found.images):
+        copies = " and ".join(names[:4])
+        yield f"{copies} are copies of one photograph, which agree wherever they are compared: keep one"
+    if found.poses_path is None:
+        yield from water_place_warnings(found.crs, _exif_places(heads), config.water, found.levels)
+    if config.water is None and not config.dry:
+        yield infer.NO_WATER
+    if found.poses_path is None:
+        yield from datum_warnings(ways)
+        yield from find_unread(found.folder)
+        has_attitudes = any(head.motion.gimbal_deg is not None for head in heads.values())
+        if config.cameras.rotation_std_deg is not None and not has_attitudes:
+            yield (
+                "[cameras] rotation_std_deg is not used: it is that of poses from a file or of attitudes in XMP, and "
+                "there are neither; remove it, or name the poses in [cameras] poses"
+            )
+    if not config.control.gcp_files and (found.folder / GCP_LIST).is_file():
+        yield f'{GCP_LIST} is not used; for its control points write gcps = "{GCP_LIST}" in [control]'
 
 
 def _one_level(config: SurveyConfig, crs: CRS) -> float | None:

@@ -186,34 +186,33 @@ def load_survey(
     """
     found = find_survey(Path(folder)) if found is None else found
     if found.poses_path is None:
-        placed, said = views_of_photographs(found, workspace, report)
+        placed, added = views_of_photographs(found, workspace, report)
     else:
-        placed, said = views_of_file(found, found.poses_path)
-    assumptions, warnings = [*found.assumptions, *said.assumptions], [*found.warnings, *said.warnings]
+        placed, added = views_of_file(found, found.poses_path)
+    findings = Findings(found.assumptions, found.warnings) + added
     found, frame = placed.found, placed.frame
     places = {view.name: view.camera.centre for view in placed.views}
     velocities = velocities_of(places, found.heads, found.config.cameras.speed_m_s)
-    views, said = with_motion(placed.views, velocities, found.config.cameras)
-    warnings += said.warnings
+    views, added = with_motion(placed.views, velocities, found.config.cameras)
+    findings += added
     if found.poses_path is not None:
         # Held against the GPS positions already where structure from motion finds the poses.
         centres = frame.crs_from_local(np.array([view.camera.centre for view in views]))
-        warnings += water_place_warnings(found.crs, lon_lat(found.crs, centres), found.config.water, found.levels)
-    config, water, is_level_known, levels, said = _water(placed, views)
-    assumptions += said.assumptions
-    warnings += said.warnings
+        warnings = water_place_warnings(found.crs, lon_lat(found.crs, centres), found.config.water, found.levels)
+        findings += Findings(warnings=tuple(warnings))
+    config, water, is_level_known, levels, added = _water(placed, views)
+    findings += added
     departure = Departure.of(levels, frame, water)
     if departure is None and water is not None:
         departure = still_water(frame, water, _seen(placed, views))
     if is_level_known:
-        placed, views, said = lifted_over_water(placed, views, water, departure)
-        warnings += said.warnings
+        placed, views, added = lifted_over_water(placed, views, water, departure)
+        findings += added
     views, tide = with_tides(views, found.tide, water)
     seen = _seen(placed, views)
     above_water = None if water is None else partial(height_above, water, departure)
-    ground, said = read_ground(found.folder, config, frame, seen, above_water, is_level_known=is_level_known)
-    assumptions += said.assumptions
-    warnings += said.warnings
+    ground, added = read_ground(found.folder, config, frame, seen, above_water, is_level_known=is_level_known)
+    findings += added
     require_true(
         frame,
         views,
@@ -222,7 +221,7 @@ def load_survey(
         found.heads,
         see_points=placed.reprojection is not None,
     )
-    warnings += _warnings(replace(found, config=config), frame, views, water, above_water, placed.control)
+    warnings = _warnings(replace(found, config=config), frame, views, water, above_water, placed.control)
     if found.poses_path is not None:
         warnings += checkpoint_warnings(placed.checkpoints, views, water, departure)
     config = _with_poses_name(config, found)
@@ -251,7 +250,7 @@ def load_survey(
             is_level_known=is_level_known,
             is_index_known=placed.found.config.water is None or placed.found.config.water.states_index,
         ),
-        findings=Findings(tuple(assumptions), tuple(warnings)),
+        findings=findings + Findings(warnings=tuple(warnings)),
     )
 
 

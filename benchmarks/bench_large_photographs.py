@@ -2,7 +2,7 @@
 
     python benchmarks/bench_large_photographs.py FOLDER [--memory 3GB] [--workers 1] [--number 100] [-o FILE.json]
 
-Enlarges the photographs of data/wreck_water that are nearest to its middle to 5168 x 3876 px in FOLDER/large, once,
+Enlarges the photographs of data/wreck_water that are nearest to its middle to 5168 x 3876 px in FOLDER/large_100, once,
 with an area of 12 x 12 m there, and processes them at `--image-scale 1`, quality standard, poses as given. Enlarged
 photographs cost what such photographs cost, and show nothing more. Without `--memory` the run takes what is free.
 Prints and writes what bench_photographs.py does. Linux alone tells the memory.
@@ -66,7 +66,7 @@ def main() -> None:
     parser.add_argument("--number", type=int, default=100)
     parser.add_argument("-o", "--output", type=Path)
     asked = parser.parse_args()
-    survey = asked.folder / "large"
+    survey = asked.folder / f"large_{asked.number}"
     if not (survey / "survey.toml").exists():
         enlarge(SOURCE, survey, asked.number)
     words = ["--quality", "standard", "--image-scale", "1", "--workers", str(asked.workers)]

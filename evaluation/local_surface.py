@@ -19,7 +19,7 @@ _REACH = 1.1
 # Above this leverage a height is less certain than a single point of the reference: an extrapolation.
 _MOST_LEVERAGE = 1.0
 # A place is in a gap where its nearest point is farther away than this many times the distance from such points to
-# their fourth neighbour: on a grid the ratio is at most 0.7; among random points 2 in 10,000 places exceed this.
+# their fourth neighbour: on a grid the ratio is at most 0.7; among random points 2 in 10,000 places exceed the limit.
 _GAP = 1.5
 # Neighbours whose spread across is less than this share of their spacing along lie on a line, as echo soundings do: the
 # slope across is unknown, and heights are valid up to half a spacing to either side.

@@ -155,8 +155,8 @@ def iho_s44(errors: np.ndarray, depth_m: np.ndarray, reference_std_m: np.ndarray
     if not use.any():
         return None
     size, depth = np.abs(errors[use]), depth_m[use].astype(np.float64)
-    warning = np.zeros(len(size)) if reference_std_m is None else TO_95 * reference_std_m[use]
-    orders = tuple(_order(*row, size, depth, warning) for row in TVU)
+    reference_error = np.zeros(len(size)) if reference_std_m is None else TO_95 * reference_std_m[use]
+    orders = tuple(_order(*row, size, depth, reference_error) for row in TVU)
     return IhoS44(len(size), float(np.quantile(size, _TVU_SHARE)), orders)
 
 
@@ -181,9 +181,9 @@ def _strictest(meets: list[np.ndarray], std_m: np.ndarray, depth_m: np.ndarray) 
     return np.where(np.isfinite(std_m) & (depth_m > 0.0), orders, 0).astype(np.uint8)
 
 
-def _order(name: str, a: float, b: float, size: np.ndarray, depth: np.ndarray, warning: np.ndarray) -> TvuOrder:
+def _order(name: str, a: float, b: float, size: np.ndarray, depth: np.ndarray, reference_error: np.ndarray) -> TvuOrder:
     tvu = np.hypot(a, b * depth)
-    within, possible = size <= tvu, size <= tvu + warning
+    within, possible = size <= tvu, size <= tvu + reference_error
     band = np.searchsorted(DEPTH_EDGES_M, depth, side="right") - 1
     bands = []
     for i in np.unique(band):

@@ -227,6 +227,15 @@ def test_windows_are_as_large_as_the_ground_that_they_show(planned):
     assert (small > 0.7 * cell_px).all()
     assert np.median(small) < 6.0 * cell_px
     assert (wide > small).all()
+    # Turned by 45 degrees, the box about a square is twice as large.
+    half = np.sqrt(0.5)
+    turn = np.array([[half, half, 0.0], [-half, half, 0.0], [0.0, 0.0, 1.0]])
+    level = np.diag([1.0, -1.0, -1.0])
+    of_yaw = []
+    for rotation in (level, turn @ level):
+        views = (replace(v, camera=replace(v.camera, cam_from_local=rotation)) for v in survey.views)
+        of_yaw.append(np.median(window_pixels(replace(survey, views=tuple(views)), plan, (2.0, 2.0))))
+    assert of_yaw[1] / of_yaw[0] == pytest.approx(2.0, rel=0.05)
     whole = window_pixels(survey, plan, (1000.0, 1000.0))
     camera = survey.views[0].camera
     assert (whole == camera.width * camera.height).all()

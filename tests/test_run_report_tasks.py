@@ -25,6 +25,9 @@ class PickledCalls:
         function, given = pickle.loads(pickle.dumps((function, given)))
         return lambda: function(*given)
 
+    def on_each(self, function):
+        function()
+
 
 @pytest.fixture(scope="module")
 def facts(tmp_path_factory):
@@ -48,6 +51,8 @@ def test_workers_draw_the_same_pictures(facts, tmp_path, units, foot):
         expected = list(draw_pictures(alone, facts))
     found = list(draw_on(PickledCalls(), tmp_path, together, facts))
     assert [(each.title, each.caption) for each in found] == [(each.title, each.caption) for each in expected]
+    assert [each.path for each in found] == [together / each.path.name for each in expected]
+    assert report_tasks._drawings.cache_info().currsize == 0
     for picture in expected:
         assert (together / picture.path.name).read_bytes() == picture.path.read_bytes()
 
@@ -56,11 +61,12 @@ def test_columns_on_the_disk_are_pickled_as_references(rng, tmp_path):
     path, there = tmp_path / "columns.npz", np.asfortranarray(rng.normal(size=(1000, 3)))
     save_arrays(path, whole=there, empty=np.zeros((0, 3)))
     mapped = mapped_arrays(path)
-    part = mapped["whole"][5:10]
+    parts = mapped["whole"][5:10], np.asarray(mapped["whole"].base[5:8])
     stream = BytesIO()
-    report_tasks._Pickler(stream).dump((mapped, part))
+    report_tasks._Pickler(stream).dump((mapped, parts))
     assert len(stream.getvalue()) < 2000
-    found, found_part = pickle.loads(stream.getvalue())
+    found, found_parts = pickle.loads(stream.getvalue())
     np.testing.assert_array_equal(found["whole"], there)
-    np.testing.assert_array_equal(found_part, there[5:10])
+    np.testing.assert_array_equal(found_parts[0], there[5:10])
+    np.testing.assert_array_equal(found_parts[1], there[5:8])
     assert found["empty"].shape == (0, 3)

@@ -199,6 +199,10 @@ class KnownBed:
         near = self.xyz[number]
         return near[box.around(near, CONTEXT_GSD)]
 
+    def sort(self) -> None:
+        """Sort the points by square, once for all threads that will ask for some."""
+        _ = self._by_square
+
     @cached_property
     def _by_square(self) -> tuple[np.ndarray, np.ndarray, int, np.ndarray]:
         """Numbers of the points by the square of a grid that they lie in, and these squares (N,), ascending.

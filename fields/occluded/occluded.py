@@ -71,6 +71,8 @@ def find_occluded(
             yield from step_places(block.cameras[m.view], block.water, m, known.gsd)
 
     sample, others = _sample(boxes_about(places(), known.gsd))
+    if sample:
+        known.sort()
     with ThreadPoolExecutor(_THREADS) as pool:
 
         def holes_in(boxes: list[StepBox]) -> list[Holes]:

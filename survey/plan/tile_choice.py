@@ -19,7 +19,7 @@ from survey.plan.decisions import Decision
 from survey.plan.heights import dry_ground
 from survey.plan.sweep_block import camera_of
 from survey.plan.tiling import FRAME_M, MOST_ASIDE_PX, RIM_GSD, Area, Tiling, ground_of, ray_skew_px
-from survey.plan.workload import POINT_BYTES, amounts_of, memory_of
+from survey.plan.workload import POINT_BYTES, Counted, amounts_of, memory_of
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey
@@ -75,10 +75,11 @@ def choose_tiles(
     *,
     is_aimed: bool,
     earlier: int | None = None,
+    counted: Counted | None = None,
 ) -> TileChoice:
     """Tiles of a survey by its memory, and as many processes for them as are asked for.
 
-    ``earlier`` is the number of tiles of an unfinished run that goes on.
+    ``earlier`` is the number of tiles of an unfinished run that goes on; ``counted`` that of `amounts_of`, where known.
 
     Raises
     ------
@@ -94,6 +95,7 @@ def choose_tiles(
         _refuse_workers(chosen, f"a run {whole} is in one piece")
         return TileChoice(None, Decision("tiles", "1", f"a run {whole} is in one piece"), one)
     rim = RIM_GSD * plan.gsd_m
+    counted = amounts_of(survey, plan) if counted is None else counted
     if chosen.tiles is not None:
         if chosen.tiles == 1:
             _refuse_workers(chosen, "--tiles 1 is one piece")
@@ -101,7 +103,7 @@ def choose_tiles(
         tiling = Tiling.of(ground_of(survey, plan), chosen.tiles, rim)
         reason = f"set by --tiles, {_size_of(tiling)} each"
         choice = TileChoice(
-            tiling, Decision("tiles", str(chosen.tiles), reason), _memory(survey, plan, tiling, workload)
+            tiling, Decision("tiles", str(chosen.tiles), reason), _memory(survey, plan, tiling, counted)
         )
         return _with_workers(choice, chosen)
     least = 1 if chosen.scheduler is None else 2
@@ -130,7 +132,7 @@ def choose_tiles(
     # About square ones may all be fewer than there are workers.
     for count in [each for each in counts if each >= least] or ([least] if least > 1 else []):
         tiling = Tiling.of(ground, count, rim)
-        memory = _memory(survey, plan, tiling, workload)
+        memory = _memory(survey, plan, tiling, counted)
         if best.tiling is None or memory < 0.98 * best.memory_bytes:
             reason = f"{needed}; in tiles of {_size_of(tiling)} about {size(memory)}"
             best = TileChoice(tiling, Decision("tiles", str(count), reason), memory)
@@ -244,21 +246,21 @@ def _size_of(tiling: Tiling) -> str:
     return f"{length(width)} x {length(height)}"
 
 
-def _memory(survey: Survey, plan: Plan, tiling: Tiling, workload: Workload) -> float:
+def _memory(survey: Survey, plan: Plan, tiling: Tiling, counted: Counted) -> float:
     """Memory at the peak of a run in tiles [bytes]."""
-    pixels, chosen, num_cells = workload.counted or amounts_of(survey, plan)
+    pixels, chosen, num_cells = counted
     whole = np.array([tiling.x[-1] - tiling.x[0], tiling.y[-1] - tiling.y[0]])
     own = np.array([tiling.x[1] - tiling.x[0], tiling.y[1] - tiling.y[0]]) + 2.0 * tiling.rim
-    footprint, window = np.array(plan.footprint_m), window_pixels(survey, plan, (float(own[0]), float(own[1])))
+    footprint = np.array(plan.footprint_m)
+    window = np.minimum(_MORE * window_pixels(survey, plan, (float(own[0]), float(own[1]))), np.max(pixels))
     # Photographs are spread over the ground; those that show a tile begin half a footprint beyond it.
     share = float(np.prod(np.minimum((own + footprint) / (whole + footprint), 1.0)))
     views, maps = (max(int(np.ceil(share * count)), 1) for count in (len(pixels), len(chosen)))
     largest = max(view.lens.width * view.lens.height for view in survey.views)
     solves = plan.field == "solver"
-    of_tile = memory_of(
-        np.resize(window, views), np.resize(window, maps), largest, num_cells / len(tiling), 0.0, solves
-    )
-    return max(_MORE * of_tile, _REPORT_BYTES + POINT_BYTES * num_cells)
+    of_views, of_maps = (np.quantile(window, np.linspace(1.0, 0.0, count)) for count in (views, maps))
+    of_tile = memory_of(of_views, of_maps, largest, num_cells / len(tiling), 0.0, solves)
+    return max(of_tile, _REPORT_BYTES + POINT_BYTES * num_cells)
 
 
 def window_pixels(survey: Survey, plan: Plan, sides: tuple[float, float]) -> np.ndarray:

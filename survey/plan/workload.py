@@ -7,7 +7,7 @@ Time is that of `survey.plan.rates`, memory that of the arrays which docs/notes/
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +60,10 @@ _BADLY = "three to five times as long"
 _OWN_GROUND = 0.1
 
 
+# Pixels of each view, the views that get a height map, and cells of one ground sampling distance, at most.
+Counted = tuple[np.ndarray, list[int], float]
+
+
 @dataclass(frozen=True)
 class Workload:
     """Estimated time, memory and disk space of a run."""
@@ -77,9 +81,6 @@ class Workload:
     slowness: float | None = None  # How many times as long as on idle cores the seconds are; None for idle ones
     # Of structure from motion, where it is a part of the run; the seconds are not a bound then
     sfm_seconds: float | None = None
-    # What the estimate is made of, where poses are known: of the run, and as `amounts_of` finds it
-    amounts: Amounts | None = field(default=None, repr=False)
-    counted: tuple[np.ndarray, list[int], float] | None = field(default=None, repr=False, compare=False)
 
     def on_loaded_cores(self, slowness: float) -> Workload:
         """The same on cores that take ``slowness`` times as long as idle ones."""
@@ -116,32 +117,36 @@ def load_in_words(slowness: float) -> str:
     return f"as busy as now ({slowness:.1f} times as long as idle)"
 
 
-def workload_of(survey: Survey, plan: Plan) -> Workload:
+def workload_of(survey: Survey, plan: Plan, counted: Counted | None = None) -> Workload:
     """The estimate for a survey whose poses are known.
+
+    Parameters
+    ----------
+    counted : optional
+        Of `amounts_of`, where it is known.
 
     Raises
     ------
     SurveyError
         If no view looks down.
     """
-    pixels, chosen, num_cells = amounts_of(survey, plan)
+    pixels, chosen, num_cells = amounts_of(survey, plan) if counted is None else counted
     largest = max(view.lens.width * view.lens.height for view in survey.views)
     amounts = _amounts(survey, plan, pixels, chosen, num_cells)
     seconds = run_s(amounts, machine.num_cores()) if plan.device == "llvm" else None
     found = _workload(pixels, pixels[chosen], largest, num_cells, amounts.field_cells, amounts.solves)
-    counted = pixels, chosen, num_cells
-    return replace(found, seconds=seconds, is_bound=len(pixels) > _MOST_VIEWS, amounts=amounts, counted=counted)
+    return replace(found, seconds=seconds, is_bound=len(pixels) > _MOST_VIEWS)
 
 
-def amounts_of_run(survey: Survey, plan: Plan) -> Amounts:
-    """Amounts of work of a run.
+def amounts_of_run(survey: Survey, plan: Plan, counted: Counted | None = None) -> Amounts:
+    """Amounts of work of a run; ``counted`` as for `workload_of`.
 
     Raises
     ------
     SurveyError
         If no view looks down.
     """
-    return _amounts(survey, plan, *amounts_of(survey, plan))
+    return _amounts(survey, plan, *(amounts_of(survey, plan) if counted is None else counted))
 
 
 def _amounts(survey: Survey, plan: Plan, pixels: np.ndarray, chosen: list[int], num_cells: float) -> Amounts:
@@ -182,7 +187,7 @@ def _first_hypotheses(survey: Survey, plan: Plan) -> float:
     return float(np.median(counts)) if counts else FIRST_HYPOTHESES
 
 
-def amounts_of(survey: Survey, plan: Plan) -> tuple[np.ndarray, list[int], float]:
+def amounts_of(survey: Survey, plan: Plan) -> Counted:
     """Pixels of each view, the views that get a height map, and cells of one ground sampling distance, at most.
 
     Raises

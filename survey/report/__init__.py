@@ -37,6 +37,9 @@ def write_report(
         That of the run.
     advance : callable
         Called after each picture.
+    draw : callable
+        Draws the pictures.
+
     Returns
     -------
     ReportFigures

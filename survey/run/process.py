@@ -31,7 +31,14 @@ from survey.plan.rates import parts_in_tiles, parts_s
 from survey.plan.recipe import aim_and_choices
 from survey.plan.tile_choice import SHARED, TileChoice, choose_tiles, require_dask, with_free_cores
 from survey.plan.tiling import tile_warnings
-from survey.plan.workload import parts_of_found, require_room, workload_of, workload_of_found
+from survey.plan.workload import (
+    amounts_of,
+    amounts_of_run,
+    parts_of_found,
+    require_room,
+    workload_of,
+    workload_of_found,
+)
 from survey.progress import Progress, opened
 from survey.run.aimed_run import AimedRun
 from survey.run.clock import Clock
@@ -256,9 +263,10 @@ def _announce(
     for text in survey.findings.warnings:
         progress.warn(text)
     earlier = run.found_before(SHARED).get("tiles")
-    in_one = workload_of(survey, plan)
+    counted = amounts_of(survey, plan)
+    in_one = workload_of(survey, plan, counted)
     is_aimed = aimed is not None
-    tiles = choose_tiles(survey, plan, chosen, in_one, is_aimed=is_aimed, earlier=earlier)
+    tiles = choose_tiles(survey, plan, chosen, in_one, is_aimed=is_aimed, earlier=earlier, counted=counted)
     tiles = with_free_cores(tiles, chosen) if chooses_workers else tiles
     for decision in (*plan.decisions, *tiles.decisions):
         progress.note(f"plan: {decision.name}: {decision.choice} ({decision.reason})")
@@ -268,8 +276,8 @@ def _announce(
         workload = workload_of(survey, top).on_loaded_cores(aimed.rates.slow)
     else:
         workload = replace(in_one, memory_bytes=int(tiles.memory_bytes))
-        if progress.forecast is not None and in_one.amounts is not None and plan.device == "llvm":
-            parts = parts_s(in_one.amounts, machine.num_cores())
+        if progress.forecast is not None and plan.device == "llvm":
+            parts = parts_s(amounts_of_run(survey, plan, counted), machine.num_cores())
             progress.forecast.expect(parts if tiles.tiling is None else parts_in_tiles(parts, len(tiles.tiling)))
             slowness = progress.forecast.slowness
             workload = workload if slowness < _BUSY else workload.on_loaded_cores(slowness)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import shutil
 import time
+import uuid
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ import numpy as np
 from fields.sweep.maps import HeightMap
 from fields.sweep.photo_consistency import Consistency
 from geo.e57 import write_e57
+from geo.files import reporting_disk_errors
 from geo.las import write_cloud
 from geo.ply import write_ply
 from geo.reading import write_verified
@@ -117,8 +119,11 @@ def write_products(
             written: Callable[[], None] = pool.submit(write_bed_las, cloud, stored).result
             draw: Draw = draw_pictures
         else:
-            written = workers.submit(_write_cloud, cloud.absolute(), done["bed"].absolute(), loaded_code())
-            draw = partial(draw_on, workers, run.scratch_path)
+            place = run.scratch_path.absolute() / f"cloud-{uuid.uuid4().hex}.las"
+            under_way = workers.submit(_write_cloud, place, done["bed"].absolute(), loaded_code())
+            written = cache(lambda: _move(under_way(), cloud))
+            # A comparison holds the points again, which workers would each load.
+            draw = draw_pictures if truth.reference is not None else partial(draw_on, workers, run.scratch_path)
         if truth.reference is not None:
             written()
         with lengths_in_feet(foot_m(job.survey.config.report.units, stored.crs)):
@@ -127,10 +132,16 @@ def write_products(
     return verdict
 
 
-def _write_cloud(path: Path, bed: Path, code: str) -> None:
+def _write_cloud(path: Path, bed: Path, code: str) -> Path:
     """Write the cloud of the bed in a folder, on a worker."""
     require_code(code)
     write_bed_las(path, load_bed(bed))
+    return path
+
+
+def _move(path: Path, target: Path) -> None:
+    with reporting_disk_errors(target):
+        path.replace(target)
 
 
 def _write_report(

@@ -7,15 +7,16 @@ from __future__ import annotations
 
 import pickle
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from mmap import mmap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geo.files import write_whole
+from geo.files import reporting_disk_errors, write_whole
 from survey.display.quantities import foot_m, lengths_in_feet
 from survey.report.facts import ReportFacts
 from survey.report.pictures import drawings_of
@@ -24,6 +25,8 @@ from survey.run.worker_task import loaded_code, require_code, with_absolute_path
 
 if TYPE_CHECKING:
     from survey.run.workers import Workers
+
+_FACTS = "facts.pickle"
 
 
 def draw_on(workers: Workers, scratch: Path, folder: Path, facts: ReportFacts) -> Iterator[Picture]:
@@ -34,18 +37,40 @@ def draw_on(workers: Workers, scratch: Path, folder: Path, facts: ReportFacts) -
     scratch : Path
         Folder for the file that the workers read.
     """
-    path = scratch.absolute() / f"report-{uuid.uuid4().hex}.pickle"
-    with write_whole(path) as stream:
-        _Pickler(stream).dump(replace(facts, survey=with_absolute_paths(facts.survey)))
+    place = scratch.absolute() / f"report-{uuid.uuid4().hex}"
+    with reporting_disk_errors(place):
+        place.mkdir()
     names, code = list(drawings_of(facts)), loaded_code()
-    under_way = [workers.submit(_draw, path, folder.absolute() / f"{name}.png", code) for name in names]
-    return (result() for result in under_way)
+    sent = replace(facts, survey=with_absolute_paths(facts.survey))
+    # Found already, from all points.
+    sent.__dict__["checkpoints"] = facts.checkpoints
+    with write_whole(place / _FACTS) as stream:
+        _Pickler(stream).dump(sent)
+    under_way = [workers.submit(_draw, place / f"{name}.png", code) for name in names]
+    return _moved(under_way, folder, workers)
 
 
-def _draw(facts: Path, picture: Path, code: str) -> Picture:
-    """Draw the picture of this name."""
+def _moved(
+    under_way: Sequence[Callable[[], Picture]], folder: Path, workers: Workers
+) -> Generator[Picture, None, None]:
+    """The pictures in their folder: what a worker of an earlier run still writes does not reach it."""
+    try:
+        for result in under_way:
+            picture = result()
+            path = folder / picture.path.name
+            with reporting_disk_errors(path):
+                picture.path.replace(path)
+            yield replace(picture, path=path)
+    finally:
+        # Workers of a cluster outlive the run, and would keep its files open.
+        workers.on_each(_forget)
+        _forget()
+
+
+def _draw(picture: Path, code: str) -> Picture:
+    """Draw the picture of this name from the facts beside it."""
     require_code(code)
-    foot, drawings = _drawings(facts)
+    foot, drawings = _drawings(picture.with_name(_FACTS))
     with lengths_in_feet(foot):
         return drawings[picture.stem](picture)
 
@@ -57,6 +82,10 @@ def _drawings(path: Path) -> tuple[float | None, dict[str, Callable[[Path], Pict
     foot = foot_m(facts.survey.config.report.units, facts.survey.frame.crs)
     with lengths_in_feet(foot):
         return foot, drawings_of(facts)
+
+
+def _forget() -> None:
+    _drawings.cache_clear()
 
 
 class _Pickler(pickle.Pickler):
@@ -72,8 +101,8 @@ class _Pickler(pickle.Pickler):
 
 
 def _is_whole(array: np.ndarray, mapped: np.memmap) -> bool:
-    """Whether an array is all of what is mapped."""
-    return array.__array_interface__ == mapped.__array_interface__
+    """Whether an array is all of what is mapped, and not a part of something mapped."""
+    return isinstance(mapped.base, mmap) and array.__array_interface__ == mapped.__array_interface__
 
 
 def _mapped(path: Path, dtype: np.dtype, offset: int, shape: tuple[int, ...], order: Any) -> np.ndarray:

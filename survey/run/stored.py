@@ -142,7 +142,8 @@ class StoredArrays:
     """
 
     def __init__(self, path: str | Path):
-        self._path = Path(path)
+        # Workers open it by this path, whatever their working directory.
+        self._path = Path(path).absolute()
         try:
             with zipfile.ZipFile(self._path) as archive:
                 self._members = {each.filename.removesuffix(".npy"): each for each in archive.infolist()}

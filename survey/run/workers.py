@@ -16,6 +16,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
@@ -199,21 +200,26 @@ class Workers:
     def submit(self, function: Callable[..., Result], *given: Any) -> Callable[[], Result]:
         """Begin a call on a worker; returns a function that waits for its result.
 
-        What no worker can compute this process does.
+        What no worker computes this process does.
         """
         future = self._client.submit(function, *given, pure=False)
 
+        @cache
         def result() -> Result:
-            from distributed import KilledWorker
-            from distributed.comm.core import CommClosedError
-
             try:
-                return future.result()
-            except (KilledWorker, CancelledError, CommClosedError, SurveyError, GeoError, OSError) as error:
+                return next(self._as_they_end({future})).result()
+            except Exception as error:  # Whatever a worker lacks, this process may have.
+                with suppress(Exception):
+                    self._client.cancel([future])
                 current().detail(f"a worker could not do its part of the report ({error}); this process does")
                 return function(*given)
 
         return result
+
+    def on_each(self, function: Callable[[], None]) -> None:
+        """Call a function on each worker that is there, whatever comes of it."""
+        with suppress(Exception):
+            self._client.run(function, on_error="return")
 
     def _submit(self, job: Path | str, task: Task, among: list[str] | None = None) -> Any:
         """The future of a task, on any worker, or on one ``among`` these."""

@@ -40,6 +40,8 @@ _GHOST_OVER_GSD = 6.0
 # A point of a surface is held by so many other maps. A piece of the surface has so many of them at least, and at most,
 # within so many ground sampling distances.
 _WELL_HELD, _LEAST_POINTS, _MOST_POINTS, _REACH_GSD = 4, 8, 30, 6.0
+# Points that are compared with it at a time, of 3 kB each.
+_AT_ONCE = 50_000
 # The piece is flat where its standard deviation from its plane is less than this, and a surface, not a line, where that
 # along its shorter side is more: in ground sampling distances.
 _FLAT_GSD, _WIDE_GSD = 0.8, 0.8
@@ -151,8 +153,19 @@ def are_off_surface(points: np.ndarray, holding: np.ndarray, about: np.ndarray, 
     surface, held = about[held >= _WELL_HELD].astype(np.float64), held[held >= _WELL_HELD]
     if len(surface) < _LEAST_POINTS:
         return np.zeros(len(points), dtype=bool)
+    tree, off_surface = cKDTree(surface), np.zeros(len(points), dtype=bool)
+    for first in range(0, len(points), _AT_ONCE):
+        part = np.s_[first : first + _AT_ONCE]
+        off_surface[part] = _are_off(points[part], holding[part], surface, held, tree)
+    return off_surface
+
+
+def _are_off(
+    points: np.ndarray, holding: np.ndarray, surface: np.ndarray, held: np.ndarray, tree: cKDTree
+) -> np.ndarray:
+    """`are_off_surface` of well held points (M, 3)."""
     most = min(_MOST_POINTS, len(surface))
-    distance, near = cKDTree(surface).query(points, k=most, distance_upper_bound=_REACH_GSD)
+    distance, near = tree.query(points, k=most, distance_upper_bound=_REACH_GSD)
     known = np.isfinite(distance)
     near[~known] = 0
     weight = known * np.exp(-((np.where(known, distance, 0.0) / (0.5 * _REACH_GSD)) ** 2))

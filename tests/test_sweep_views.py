@@ -124,6 +124,18 @@ def test_neighbours_are_others_that_overlap_at_most_as_many_as_asked_the_best_an
     assert views.neighbours(cameras, seen, cells, 0, [0, 1, 3, 4], 8) == [1]
 
 
+def test_each_part_of_a_view_has_neighbours_where_any_view_sees_it():
+    cameras = [look((0.0, 0.0, 10.0), (0.0, 0.0, -2.0))] * 12
+    # All but two see nine tenths of the first view, these two little more than the last tenth.
+    seen = np.ones((12, 40), dtype=bool)
+    seen[1:10, 36:] = False
+    seen[10:, :30] = False
+    cells = np.column_stack([np.linspace(-2.0, 2.0, 40), np.zeros(40), np.full(40, -2.0)])
+    found = views.neighbours(cameras, csr_array(seen), cells, 0, list(range(12)), 8)
+    assert {10, 11} & set(found)
+    assert len(found) == 8
+
+
 def test_neighbours_stand_around_the_view():
     cameras = ring(8)
     seen, cells = views.coverage(cameras, WATER, -2.0)

@@ -17,6 +17,8 @@ from refract import BentPaths, FlatWater, PinholeCamera, crossing_point
 # the best trade-off is flat around 15 to 20 degrees.
 BEST_ANGLE_DEG = 18.0
 ANGLE_WIDTH_DEG = 10.0
+# Least share of a view that a neighbour sees; and weight of a cell for the next neighbour, by each that sees it.
+_LEAST_OVERLAP, _SEEN_AGAIN = 0.05, 0.7
 # A view is steep where its ray is nearer to the vertical than this.
 STEEP_DEG = 25.0
 # Cells of the ground grid along each axis at least, and so many that a grid is whole; and across the narrow side of a
@@ -192,31 +194,33 @@ def overlaps(seen: csr_array, view: int) -> np.ndarray:
 def neighbours(
     cameras: list[PinholeCamera], seen: csr_array, cells: np.ndarray, view: int, among: list[int], count: int
 ) -> list[int]:
-    """The ``count`` best neighbours of a view among others by overlap, intersection angle and spread of directions."""
-    centres = np.array([c.centre for c in cameras])
-    others = [o for o in among if o != view]
+    """The ``count`` best neighbours of a view among others by overlap, intersection angle and spread of directions.
+
+    Greedy: each is the best beside those before it, in directions and in the parts of the view that it sees.
+    """
     mine = cells_of(seen, view)
     if not len(mine):
         return []
-    middle = cells[mine].mean(axis=0)
-    overlap = overlaps(seen, view)[others]
-    rays = centres - middle
+    overlap = overlaps(seen, view)
+    others = [o for o in among if o != view and overlap[o] >= _LEAST_OVERLAP]
+    shared = seen[others][:, mine].astype(np.float64)
+    # Cells that chosen neighbours see count less for the next ones: else corners of a view may have none.
+    weight = np.full(len(mine), 1.0 / len(mine))
+    centres = np.array([c.centre for c in cameras])
+    rays = centres - cells[mine].mean(axis=0)
     rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     angle = np.degrees(np.arccos(np.clip(rays[others] @ rays[view], -1.0, 1.0)))
-    score = overlap * np.exp(-0.5 * ((angle - BEST_ANGLE_DEG) / ANGLE_WIDTH_DEG) ** 2)
-    score[overlap < 0.05] = 0.0
+    suitable = np.exp(-0.5 * ((angle - BEST_ANGLE_DEG) / ANGLE_WIDTH_DEG) ** 2)
     direction = rays[others] - rays[view]
     direction /= np.linalg.norm(direction, axis=1, keepdims=True) + 1e-12
-    chosen: list[int] = []
-    for _ in range(count):
-        spread = np.ones(len(others))
-        for c in chosen:
-            spread *= 1.0 - 0.5 * np.clip(direction @ direction[c], 0.0, 1.0) ** 2
-        value = score * spread
-        value[chosen] = 0.0
-        if not len(value) or value.max() <= 0.0:
-            break
-        chosen.append(int(value.argmax()))
+    spread, chosen = np.ones(len(others)), list[int]()
+    while len(chosen) < min(count, len(others)):
+        value = (shared @ weight) * suitable * spread
+        value[chosen] = -1.0
+        best = int(value.argmax())
+        chosen.append(best)
+        spread *= 1.0 - 0.5 * np.clip(direction @ direction[best], 0.0, 1.0) ** 2
+        weight[shared[[best]].indices] *= _SEEN_AGAIN
     return [others[c] for c in chosen]
 
 

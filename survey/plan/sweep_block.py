@@ -15,6 +15,7 @@ from refract import PinholeCamera
 from survey.errors import SurveyError
 from survey.photos.images import ImageStore, load_mask
 from survey.photos.texture import saturated
+from survey.plan.area import AREA_MARGIN_M, grown, local_area
 from survey.plan.heights import dry_ground
 
 if TYPE_CHECKING:
@@ -47,7 +48,9 @@ def load_block(
 
     bed = 0.0 if survey.water is not None else dry_ground(survey).height
     try:
-        return Block(backend(plan), cameras, GreyImages(images(), keep), survey.water, bed, whites, plan.skips)
+        area = local_area(survey)
+        ground = None if area is None else grown(area, AREA_MARGIN_M)
+        return Block(backend(plan), cameras, GreyImages(images(), keep), survey.water, bed, whites, plan.skips, ground)
     except ValueError as error:
         raise SurveyError(str(error)) from error
 

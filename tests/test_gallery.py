@@ -57,7 +57,7 @@ def test_the_errors_of_both_networks_are_those_that_the_page_states(networks, pa
 
 def test_the_small_angle_correction_fails_where_the_page_says(page):
     angles = re.search(
-        r"good to 1 % of the depth up to (\d+)° or (\d+)° of incidence and 5 % off at (\d+)° or (\d+)°", page
+        r"good to 1 % of the depth up to (\d+)° or (\d+)° of incidence, and 5 % off at (\d+)° or (\d+)°", page
     )
     expected = dict(zip(((1, 0), (1, 1), (5, 0), (5, 1)), map(float, angles.groups()), strict=True))
     for (percent, kind), degrees in expected.items():
@@ -71,7 +71,7 @@ def test_curves_colours_and_errors_of_the_water_are_those_of_the_page(networks, 
 
     bent, straight = drawn.epipolar_places()
     beside = drawn.beside_line(bent, straight)
-    assert "2 px beside the line at a depth of 2 m and 4 px at 4 m" in page
+    assert "2 px from the line at a depth of 2 m and 4 px at 4 m" in page
     np.testing.assert_allclose(np.interp([2.0, 4.0], drawn.DEPTHS, beside), [2.0, 4.0], atol=0.5)
     assert "0.4 px and 0.2 px beside green" in page
     degrees = np.linspace(0.0, 40.0, 201)

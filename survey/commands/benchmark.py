@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from survey.commands.console import command
-from survey.commands.options import Quiet, Verbose, words_of
+from survey.commands.options import Quiet, Verbose, grouped, words_of
 from survey.words import Device, Quality
 
 EXAMPLES = """
@@ -18,51 +20,39 @@ EXAMPLES = """
         --against before/results.json
 """
 FOLDER = Path("benchmark")
+_measured = partial(typer.Option, rich_help_panel="What is measured")
 
 
+@dataclass(frozen=True)
+class RunOptions:
+    """Options of the surveys and runs."""
+
+    drawn: Annotated[
+        list[str] | None,
+        _measured(metavar="D,P,N", help="Also draw one: depth [m], nadir or oblique, images; or all. Repeatable."),
+    ] = None
+    method: Annotated[
+        list[str] | None,
+        _measured(metavar="NAME", help="full, sweep, slab, straight, times_index, per_camera; default: all."),
+    ] = None
+    quality: Annotated[
+        list[Quality] | None,
+        _measured(metavar=words_of(Quality), help="Repeatable; default: all."),
+    ] = None
+    poses: Annotated[list[str] | None, _measured(metavar="given|images", help="Repeatable; default: given.")] = None
+    device: Annotated[
+        list[Device] | None, _measured(metavar=words_of(Device), help="Repeatable; default: all that are present.")
+    ] = None
+    repeats: Annotated[int, _measured(metavar="N", help="Rounds; times get intervals from three on.")] = 1
+
+
+@grouped
 def run(
     surveys: Annotated[
         list[Path] | None, typer.Argument(metavar="SURVEY", help="Survey folders with reference.ply.")
     ] = None,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for all results.")] = FOLDER,
-    drawn: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="D,P,N",
-            help="Also draw one: depth [m], nadir or oblique, images; or all. Repeatable.",
-            rich_help_panel="What is measured",
-        ),
-    ] = None,
-    method: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="full, sweep, slab, straight, times_index, per_camera; default: all.",
-            rich_help_panel="What is measured",
-        ),
-    ] = None,
-    quality: Annotated[
-        list[Quality] | None,
-        typer.Option(metavar=words_of(Quality), help="Repeatable; default: all.", rich_help_panel="What is measured"),
-    ] = None,
-    poses: Annotated[
-        list[str] | None,
-        typer.Option(metavar="given|images", help="Repeatable; default: given.", rich_help_panel="What is measured"),
-    ] = None,
-    device: Annotated[
-        list[Device] | None,
-        typer.Option(
-            metavar=words_of(Device),
-            help="Repeatable; default: all that are present.",
-            rich_help_panel="What is measured",
-        ),
-    ] = None,
-    repeats: Annotated[
-        int,
-        typer.Option(
-            metavar="N", help="Rounds; times get intervals from three on.", rich_help_panel="What is measured"
-        ),
-    ] = 1,
+    measured: RunOptions = RunOptions(),
     against: Annotated[
         Path | None, typer.Option(metavar="FILE", help="An earlier results.json: say what became better or worse.")
     ] = None,
@@ -78,13 +68,13 @@ def run(
         # Read before hours are spent.
         earlier = None if against is None else read_results(against)
         settings = Settings(
-            methods=tuple(method or METHODS),
-            qualities=tuple(choice.value for choice in quality or Quality),
-            poses=tuple(poses or ("given",)),
-            devices=tuple(choice.value for choice in device or ()) or present_devices(),
-            repeats=repeats,
+            methods=tuple(measured.method or METHODS),
+            qualities=tuple(choice.value for choice in measured.quality or Quality),
+            poses=tuple(measured.poses or ("given",)),
+            devices=tuple(choice.value for choice in measured.device or ()) or present_devices(),
+            repeats=measured.repeats,
         )
-        found = benchmark(surveys or [], output, drawn=drawn or [], settings=settings)
+        found = benchmark(surveys or [], output, drawn=measured.drawn or [], settings=settings)
         for line in table(found) + ([] if earlier is None else ["", *comparison(found, earlier)]):
             results.line(line)
         results.line(output / RESULTS)

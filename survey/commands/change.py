@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from survey.commands.console import command
-from survey.commands.options import FILES, Quiet, Verbose
+from survey.commands.options import FILES, Quiet, Verbose, grouped
 
 EXAMPLES = """
     bathynerf change spring/bathynerf autumn/bathynerf
@@ -19,63 +21,56 @@ EXAMPLES = """
     bathynerf change a.las b.laz --std 0.05 --std-common 0
 """
 
-_STD = "Uncertainty"
+_where = partial(typer.Option, rich_help_panel="Where")
+_uncertainty = partial(typer.Option, rich_help_panel="Uncertainty")
+_written = partial(typer.Option, rich_help_panel=FILES)
 
 
+@dataclass(frozen=True)
+class GroundOptions:
+    """Options of the ground and its cells."""
+
+    area: Annotated[
+        Path | None, _where(metavar="FILE", help="Polygons as GeoJSON or GeoPackage; default: all in common.")
+    ] = None
+    stable: Annotated[
+        Path | None,
+        _where(metavar="FILE", help="Polygons of unchanged ground, to which the later survey is aligned in height."),
+    ] = None
+    resolution: Annotated[
+        float | None, _where(metavar="M", help="Side of a cell [m]; default: by the spacing of the points.")
+    ] = None
+
+
+@dataclass(frozen=True)
+class StdOptions:
+    """Options of the standard deviations and their correlations."""
+
+    correlation_length: Annotated[
+        float | None, _uncertainty(metavar="M", help="Correlation length of errors [m]; default: measured.")
+    ] = None
+    common_correlation: Annotated[
+        float,
+        _uncertainty(
+            metavar="R", help="Correlation of the two std_common: 0 independent, 1 with shared level and control."
+        ),
+    ] = 0.0
+    std: Annotated[float | None, _uncertainty(metavar="M", help="std of heights, for clouds without one [m].")] = None
+    std_common: Annotated[
+        float | None,
+        _uncertainty(metavar="M", help="std common to all heights, for clouds without std_common [m]."),
+    ] = None
+
+
+@grouped
 def run(
     run_a: Annotated[Path, typer.Argument(metavar="RUN_A", help="Run folder, LAS, LAZ or COPC: the earlier survey.")],
     run_b: Annotated[Path, typer.Argument(metavar="RUN_B", help="The later survey.")],
-    area: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Polygons as GeoJSON or GeoPackage; default: all in common.", rich_help_panel="Where"
-        ),
-    ] = None,
-    stable: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Polygons of unchanged ground, to which the later survey is aligned in height.",
-            rich_help_panel="Where",
-        ),
-    ] = None,
-    resolution: Annotated[
-        float | None,
-        typer.Option(
-            metavar="M", help="Side of a cell [m]; default: by the spacing of the points.", rich_help_panel="Where"
-        ),
-    ] = None,
-    correlation_length: Annotated[
-        float | None,
-        typer.Option(metavar="M", help="Correlation length of errors [m]; default: measured.", rich_help_panel=_STD),
-    ] = None,
-    common_correlation: Annotated[
-        float,
-        typer.Option(
-            metavar="R",
-            help="Correlation of the two std_common: 0 independent, 1 with shared level and control.",
-            rich_help_panel=_STD,
-        ),
-    ] = 0.0,
-    std: Annotated[
-        float | None,
-        typer.Option(metavar="M", help="std of heights, for clouds without one [m].", rich_help_panel=_STD),
-    ] = None,
-    std_common: Annotated[
-        float | None,
-        typer.Option(
-            metavar="M", help="std common to all heights, for clouds without std_common [m].", rich_help_panel=_STD
-        ),
-    ] = None,
-    json: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="JSON file for the numbers.", rich_help_panel=FILES)
-    ] = None,
-    tif: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="GeoTIFF of differences and detection.", rich_help_panel=FILES)
-    ] = None,
-    picture: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="PNG of the differences.", rich_help_panel=FILES)
-    ] = None,
+    ground: GroundOptions = GroundOptions(),
+    uncertainty: StdOptions = StdOptions(),
+    json: Annotated[Path | None, _written(metavar="FILE", help="JSON file for the numbers.")] = None,
+    tif: Annotated[Path | None, _written(metavar="FILE", help="GeoTIFF of differences and detection.")] = None,
+    picture: Annotated[Path | None, _written(metavar="FILE", help="PNG of the differences.")] = None,
     verbose: Verbose = 0,
     quiet: Quiet = 0,
 ) -> None:
@@ -89,12 +84,12 @@ def run(
         from survey.change.differences import StatedStd
 
         options = ChangeOptions(
-            area=area,
-            stable=stable,
-            resolution_m=resolution,
-            correlation_length_m=correlation_length,
-            shared=common_correlation,
-            stated=StatedStd(std, std_common),
+            area=ground.area,
+            stable=ground.stable,
+            resolution_m=ground.resolution,
+            correlation_length_m=uncertainty.correlation_length,
+            shared=uncertainty.common_correlation,
+            stated=StatedStd(uncertainty.std, uncertainty.std_common),
             json_path=json,
             tif_path=tif,
             picture_path=picture,

@@ -3,78 +3,58 @@
 from __future__ import annotations
 
 import inspect
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from survey.commands.console import command
-from survey.commands.options import Quiet, RunFolder, Verbose
+from survey.commands.options import Quiet, RunFolder, Verbose, grouped
 from survey.export.product import ExportOptions, Product
 from survey.export.registry import FAMILIES, PRODUCTS
 
-_HOW = "How they are made"
-_MESHES = "Meshes"
+_made = partial(typer.Option, rich_help_panel="How they are made")
+_mesh = partial(typer.Option, rich_help_panel="Meshes")
 EXAMPLES = "".join(f"bathynerf export RUN {product.example}\n" for product in PRODUCTS)
 
 
-def run(
-    run: RunFolder,
+@dataclass(frozen=True)
+class ProductOptions:
+    """Options of how products are made."""
+
     resolution: Annotated[
-        float | None,
-        typer.Option(
-            metavar="M", help="Side of a cell [m]; default: by the density of the points.", rich_help_panel=_HOW
-        ),
-    ] = None,
+        float | None, _made(metavar="M", help="Side of a cell [m]; default: by the density of the points.")
+    ] = None
     crs: Annotated[
         str | None,
-        typer.Option(
-            metavar="CRS",
-            help="CRS of products, e.g. EPSG:32632; heights are kept unless it has a vertical part.",
-            rich_help_panel=_HOW,
-        ),
-    ] = None,
+        _made(metavar="CRS", help="CRS of products, e.g. EPSG:32632; heights are kept unless it has a vertical part."),
+    ] = None
     fill: Annotated[
-        float,
-        typer.Option(
-            metavar="M", help="Fill gaps up to this width [m]; default: none.", show_default=False, rich_help_panel=_HOW
-        ),
-    ] = 0.0,
+        float, _made(metavar="M", help="Fill gaps up to this width [m]; default: none.", show_default=False)
+    ] = 0.0
     mesh_method: Annotated[
-        str,
-        typer.Option(
-            metavar="METHOD",
-            help="delaunay: one height per place; poisson: with overhangs (extra mesh).",
-            rich_help_panel=_MESHES,
-        ),
-    ] = "delaunay",
-    watertight: Annotated[
-        bool, typer.Option("--watertight", help="Close the mesh with walls and a bottom.", rich_help_panel=_MESHES)
-    ] = False,
+        str, _mesh(metavar="METHOD", help="delaunay: one height per place; poisson: with overhangs (extra mesh).")
+    ] = "delaunay"
+    watertight: Annotated[bool, _mesh("--watertight", help="Close the mesh with walls and a bottom.")] = False
     interval: Annotated[
         float | None,
-        typer.Option(metavar="M", help="Contour interval [m]; default: about ten contours.", rich_help_panel=_HOW),
-    ] = None,
+        _made(metavar="M", help="Contour interval [m]; default: about ten contours."),
+    ] = None
     no_bed: Annotated[
-        bool,
-        typer.Option(
-            "--no-bed",
-            help="Add water without a bed to LAS, LAZ, COPC: class 45, and 41 above it.",
-            rich_help_panel=_HOW,
-        ),
-    ] = False,
+        bool, _made("--no-bed", help="Add water without a bed to LAS, LAZ, COPC: class 45, and 41 above it.")
+    ] = False
     thin: Annotated[
-        str,
-        typer.Option(
-            metavar="none|shoal|mean",
-            help="Thinning of soundings to one per cell; none: keep all.",
-            rich_help_panel=_HOW,
-        ),
-    ] = "none",
-    survey: Annotated[
-        str | None,
-        typer.Option(metavar="DIR", help="Survey folder, if it was moved since the run.", rich_help_panel=_HOW),
-    ] = None,
+        str, _made(metavar="none|shoal|mean", help="Thinning of soundings to one per cell; none: keep all.")
+    ] = "none"
+    survey: Annotated[str | None, _made(metavar="DIR", help="Survey folder, if it was moved since the run.")] = None
+
+
+@grouped
+def run(
+    run: RunFolder,
+    made: ProductOptions = ProductOptions(),
     verbose: Verbose = 0,
     quiet: Quiet = 0,
     **files: Path | None,
@@ -87,15 +67,15 @@ def run(
         from survey.export.export import export
 
         options = ExportOptions(
-            crs=crs,
-            resolution_m=resolution,
-            fill_m=fill,
-            mesh_method=mesh_method,
-            watertight=watertight,
-            interval_m=interval,
-            no_bed=no_bed,
-            survey=survey,
-            thin=thin,
+            crs=made.crs,
+            resolution_m=made.resolution,
+            fill_m=made.fill,
+            mesh_method=made.mesh_method,
+            watertight=made.watertight,
+            interval_m=made.interval,
+            no_bed=made.no_bed,
+            survey=made.survey,
+            thin=made.thin,
         )
         for path in export(run, options=options, **files):
             results.line(path)

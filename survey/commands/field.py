@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from survey.commands.console import command
-from survey.commands.options import DeviceOption, Quiet, RunFolder, Verbose
+from survey.commands.options import DeviceOption, Quiet, RunFolder, Verbose, grouped
 from survey.plan.choices import Device
 from survey.words import Drop
 
@@ -21,7 +23,9 @@ EXAMPLES = """
         --cameras cameras.csv
 """
 
-_TRAINING, _SCENE, _SHOWN = "Training", "Training data", "Results"
+_training = partial(typer.Option, rich_help_panel="Training")
+_scene = partial(typer.Option, rich_help_panel="Training data")
+_shown = partial(typer.Option, rich_help_panel="Results")
 
 
 class Model(StrEnum):
@@ -50,91 +54,67 @@ class Rule(StrEnum):
     density = "density"
 
 
+@dataclass(frozen=True)
+class TrainingOptions:
+    """Options of the model and its training."""
+
+    model: Annotated[Model | None, _training(metavar="NAME", help=f"{', '.join(Model)}; default: mdw.")] = None
+    steps: Annotated[int | None, _training(metavar="N", help="Training steps; default: 2000.")] = None
+    rays: Annotated[int | None, _training(metavar="N", help="Rays per step; default: 4096.")] = None
+    samples: Annotated[int | None, _training(metavar="N", help="Samples per ray; default: 48.")] = None
+    cells: Annotated[
+        int | None, _training(metavar="N", help="Cells along the longest edge, finest scale; default: 256.")
+    ] = None
+    appearance: Annotated[bool | None, _training("--appearance", help="Learn an appearance per photograph.")] = None
+    submodules: Annotated[str | None, _training(metavar="NxM", help="Ground cells with a field each; or N.")] = None
+    shell: Annotated[bool | None, _training("--shell", help="Learn what lies beyond the box.")] = None
+    from_scratch: Annotated[bool | None, _training("--from-scratch", help="Begin without the bed of the run.")] = None
+    monocular: Annotated[
+        Path | None,
+        _training(metavar="DIR", help="Monocular depth and normals to learn from."),
+    ] = None
+    straight: Annotated[bool, _training("--straight", help="Do not refract rays, like other programs.")] = False
+    seed: Annotated[int, _training(metavar="N", help="Seed of random numbers.")] = 0
+
+
+@dataclass(frozen=True)
+class DataOptions:
+    """Options of the photographs and the part of the bed."""
+
+    bounds: Annotated[
+        tuple[float, float, float, float] | None, _scene(metavar="E0 N0 E1 N1", help="Part of the bed, in crs.")
+    ] = None
+    image_scale: Annotated[
+        float | None, _scene(metavar="S", help="Scale of photographs, 0 to 1; default: 2 pixels a cell.")
+    ] = None
+    held_every: Annotated[int | None, _scene(metavar="N", help="Hold out every Nth photograph for testing.")] = None
+    survey: Annotated[str | None, _scene(metavar="DIR", help="Survey folder, if it was moved since the run.")] = None
+
+
+@dataclass(frozen=True)
+class ResultOptions:
+    """Options of the results: surface, comparison and views."""
+
+    extract: Annotated[Rule, _shown(metavar="RULE", help="Surface by median, mode or density.")] = Rule.median
+    density: Annotated[float | None, _shown(metavar="D", help="Least density of the surface [1/m].")] = None
+    drop: Annotated[
+        Drop | None,
+        _shown(metavar="HOW", help="How views drop submodules: geometry, network, none."),
+    ] = None
+    reference: Annotated[Path | None, _shown(metavar="FILE", help="Mesh or cloud to compare with.")] = None
+    cameras: Annotated[Path | None, _shown(metavar="FILE", help="Poses of views to render.")] = None
+    dry: Annotated[bool, _shown("--dry", help="Render without the water.")] = False
+
+
+@grouped
 def run(
     run: RunFolder,
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="DIR", help="New folder, or that of this training to resume.")
     ],
-    model: Annotated[
-        Model | None, typer.Option(metavar="NAME", help=f"{', '.join(Model)}; default: mdw.", rich_help_panel=_TRAINING)
-    ] = None,
-    steps: Annotated[
-        int | None, typer.Option(metavar="N", help="Training steps; default: 2000.", rich_help_panel=_TRAINING)
-    ] = None,
-    rays: Annotated[
-        int | None, typer.Option(metavar="N", help="Rays per step; default: 4096.", rich_help_panel=_TRAINING)
-    ] = None,
-    samples: Annotated[
-        int | None, typer.Option(metavar="N", help="Samples per ray; default: 48.", rich_help_panel=_TRAINING)
-    ] = None,
-    cells: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N", help="Cells along the longest edge, finest scale; default: 256.", rich_help_panel=_TRAINING
-        ),
-    ] = None,
-    appearance: Annotated[
-        bool | None,
-        typer.Option("--appearance", help="Learn an appearance per photograph.", rich_help_panel=_TRAINING),
-    ] = None,
-    submodules: Annotated[
-        str | None,
-        typer.Option(metavar="NxM", help="Ground cells with a field each; or N.", rich_help_panel=_TRAINING),
-    ] = None,
-    shell: Annotated[
-        bool | None,
-        typer.Option("--shell", help="Learn what lies beyond the box.", rich_help_panel=_TRAINING),
-    ] = None,
-    from_scratch: Annotated[
-        bool | None,
-        typer.Option("--from-scratch", help="Begin without the bed of the run.", rich_help_panel=_TRAINING),
-    ] = None,
-    monocular: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Monocular depth and normals to learn from.", rich_help_panel=_TRAINING),
-    ] = None,
-    straight: Annotated[
-        bool, typer.Option("--straight", help="Do not refract rays, like other programs.", rich_help_panel=_TRAINING)
-    ] = False,
-    seed: Annotated[int, typer.Option(metavar="N", help="Seed of random numbers.", rich_help_panel=_TRAINING)] = 0,
-    bounds: Annotated[
-        tuple[float, float, float, float] | None,
-        typer.Option(metavar="E0 N0 E1 N1", help="Part of the bed, in crs.", rich_help_panel=_SCENE),
-    ] = None,
-    image_scale: Annotated[
-        float | None,
-        typer.Option(
-            metavar="S", help="Scale of photographs, 0 to 1; default: 2 pixels a cell.", rich_help_panel=_SCENE
-        ),
-    ] = None,
-    held_every: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Hold out every Nth photograph for testing.", rich_help_panel=_SCENE),
-    ] = None,
-    survey: Annotated[
-        str | None,
-        typer.Option(metavar="DIR", help="Survey folder, if it was moved since the run.", rich_help_panel=_SCENE),
-    ] = None,
-    extract: Annotated[
-        Rule,
-        typer.Option(metavar="RULE", help="Surface by median, mode or density.", rich_help_panel=_SHOWN),
-    ] = Rule.median,
-    density: Annotated[
-        float | None,
-        typer.Option(metavar="D", help="Least density of the surface [1/m].", rich_help_panel=_SHOWN),
-    ] = None,
-    drop: Annotated[
-        Drop | None,
-        typer.Option(metavar="HOW", help="How views drop submodules: geometry, network, none.", rich_help_panel=_SHOWN),
-    ] = None,
-    reference: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Mesh or cloud to compare with.", rich_help_panel=_SHOWN),
-    ] = None,
-    cameras: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Poses of views to render.", rich_help_panel=_SHOWN)
-    ] = None,
-    dry: Annotated[bool, typer.Option("--dry", help="Render without the water.", rich_help_panel=_SHOWN)] = False,
+    training: TrainingOptions = TrainingOptions(),
+    data: DataOptions = DataOptions(),
+    shown: ResultOptions = ResultOptions(),
     device: DeviceOption = Device.auto,
     verbose: Verbose = 0,
     quiet: Quiet = 0,
@@ -151,31 +131,31 @@ def run(
         from survey.volume.settings import field_config, volume_options
 
         asked = FieldConfig(
-            model=None if model is None else model.value,
-            steps=steps,
-            rays=rays,
-            samples=samples,
-            cells=cells,
-            image_scale=image_scale,
-            held_every=held_every,
-            appearance=appearance,
-            shell=shell,
-            submodules=submodules,
-            drop=None if drop is None else drop.value,
-            from_scratch=from_scratch,
-            monocular=None if monocular is None else str(monocular.absolute()),
+            model=None if training.model is None else training.model.value,
+            steps=training.steps,
+            rays=training.rays,
+            samples=training.samples,
+            cells=training.cells,
+            image_scale=data.image_scale,
+            held_every=data.held_every,
+            appearance=training.appearance,
+            shell=training.shell,
+            submodules=training.submodules,
+            drop=None if shown.drop is None else shown.drop.value,
+            from_scratch=training.from_scratch,
+            monocular=None if training.monocular is None else str(training.monocular.absolute()),
         )
         options = volume_options(
-            asked.over(field_config(run, survey)),
-            bounds=bounds,
-            straight=straight,
-            rule=SurfaceRule(extract.value),
-            density=density,
-            reference=reference,
-            cameras=cameras,
-            dry=dry,
-            survey=survey,
+            asked.over(field_config(run, data.survey)),
+            bounds=data.bounds,
+            straight=training.straight,
+            rule=SurfaceRule(shown.extract.value),
+            density=shown.density,
+            reference=shown.reference,
+            cameras=shown.cameras,
+            dry=shown.dry,
+            survey=data.survey,
             device=device.value,
-            seed=seed,
+            seed=training.seed,
         )
         results.columns(None, rows_of(train_field(run, output, options), output))

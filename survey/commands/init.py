@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -17,34 +18,21 @@ EXAMPLES = """
     bathynerf init my_survey --level 12.34
     bathynerf init my_survey --crs EPSG:25832+7837 --schema
 """
+_told = partial(typer.Option, rich_help_panel="What no file tells")
 
 
 def run(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder with photographs, in images/ or itself.")],
     level: Annotated[
-        float | None,
-        typer.Option(
-            metavar="M", help="Height of the water in the heights of the CRS [m].", rich_help_panel="What no file tells"
-        ),
+        float | None, _told(metavar="M", help="Height of the water in the heights of the CRS [m].")
     ] = None,
     crs: Annotated[
-        str | None,
-        typer.Option(
-            metavar="CRS",
-            help="Horizontal and vertical, e.g. EPSG:25832+7837; default: found.",
-            rich_help_panel="What no file tells",
-        ),
+        str | None, _told(metavar="CRS", help="Horizontal and vertical, e.g. EPSG:25832+7837; default: found.")
     ] = None,
-    dry: Annotated[
-        bool, typer.Option("--dry", help="There is no water.", rich_help_panel="What no file tells")
-    ] = False,
+    dry: Annotated[bool, _told("--dry", help="There is no water.")] = False,
     origin: Annotated[
         tuple[float, float, float] | None,
-        typer.Option(
-            metavar="E N H",
-            help="Zero point of poses in a local frame, in the CRS.",
-            rich_help_panel="What no file tells",
-        ),
+        _told(metavar="E N H", help="Zero point of poses in a local frame, in the CRS."),
     ] = None,
     schema: Annotated[
         bool, typer.Option("--schema", help="Also write survey.schema.json, by which editors complete and check keys.")

@@ -100,7 +100,10 @@ Quiet = Annotated[
 
 
 def grouped(command: Callable[..., None]) -> Callable[..., None]:
-    """Decorator of a command: each parameter whose type is a dataclass becomes options, one for each field."""
+    """Decorator of a command: each parameter whose type is a dataclass becomes options, one for each field.
+
+    Their defaults are those of the record that is the parameter's default.
+    """
     hints = get_type_hints(command, include_extras=True)
     groups = {name: hint for name, hint in hints.items() if is_dataclass(hint) and isinstance(hint, type)}
     parameters = []
@@ -110,7 +113,9 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
             continue
         own = get_type_hints(groups[name], include_extras=True)
         parameters += [
-            inspect.Parameter(field.name, parameter.kind, default=field.default, annotation=own[field.name])
+            parameter.replace(
+                name=field.name, default=getattr(parameter.default, field.name), annotation=own[field.name]
+            )
             for field in fields(groups[name])
         ]
 

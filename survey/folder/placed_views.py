@@ -211,8 +211,8 @@ def _with_images(found: Found, views: list[View], masks: Path | None) -> tuple[l
 
 
 def lifted_over_water(
-    placed: PlacedViews, views: list[View], water: FlatWater | None, departure: Departure | None
-) -> tuple[PlacedViews, list[View], Findings]:
+    placed: PlacedViews, water: FlatWater | None, departure: Departure | None
+) -> tuple[PlacedViews, Findings]:
     """Views shifted in height where all cameras lie under the water or far above it.
 
     Only if positions share an unknown height error, which the adjustment estimates from the water. A warning says by
@@ -220,20 +220,19 @@ def lifted_over_water(
 
     Parameters
     ----------
-    views : list of View
-        Those of `placed`, with all else that is known of them.
     water : FlatWater or None
         Whose level is known.
     departure : Departure or None
         Of the water from this plane.
     """
     if water is None or placed.ties is None or placed.control is not None or common_up_std(placed.priors) == 0.0:
-        return placed, views, Findings()
+        return placed, Findings()
+    views = placed.views
     centres = np.array([view.camera.centre for view in views])
     over = height_above(water, departure, centres)
     most_m = most_over_water([view.camera for view in views])
     if over.min() > 0.0 and over.max() < most_m:
-        return placed, views, Findings()
+        return placed, Findings()
     x, y, _ = np.median(centres, axis=0).tolist()
     level = float(water.height(x, y)) + (0.0 if departure is None else float(departure.at(np.array([[x, y]]))[0][0]))
     up = level - over_points(placed.ties.start, centres)
@@ -245,4 +244,4 @@ def lifted_over_water(
     shift = np.array([0.0, 0.0, up])
     ties = replace(placed.ties, start=placed.ties.start + shift)
     views = [replace(view, camera=replace(view.camera, centre=view.camera.centre + shift)) for view in views]
-    return replace(placed, ties=ties, points=ties.start), views, Findings(warnings=(warning,))
+    return replace(placed, views=views, ties=ties, points=ties.start), Findings(warnings=(warning,))

@@ -190,87 +190,89 @@ def load_survey(
     else:
         placed, added = views_of_file(found, found.poses_path)
     findings = Findings(found.assumptions, found.warnings) + added
-    found, frame = placed.found, placed.frame
+    found, cameras = placed.found, placed.found.config.cameras
     places = {view.name: view.camera.centre for view in placed.views}
-    velocities = velocities_of(places, found.heads, found.config.cameras.speed_m_s)
-    views, added = with_motion(placed.views, velocities, found.config.cameras)
+    velocities = velocities_of(places, found.heads, cameras.speed_m_s)
+    views, added = with_motion(placed.views, velocities, cameras)
+    placed, findings = replace(placed, views=views), findings + added
+    water, added = _local_water(placed)
     findings += added
-    if found.poses_path is not None:
-        # Held against the GPS positions already where structure from motion finds the poses.
-        centres = frame.crs_from_local(np.array([view.camera.centre for view in views]))
-        warnings = water_place_warnings(found.crs, lon_lat(found.crs, centres), found.config.water, found.levels)
-        findings += Findings(warnings=tuple(warnings))
-    config, water, is_level_known, levels, added = _water(placed, views)
-    findings += added
-    departure = Departure.of(levels, frame, water)
-    if departure is None and water is not None:
-        departure = still_water(frame, water, _seen(placed, views))
-    if is_level_known:
-        placed, views, added = lifted_over_water(placed, views, water, departure)
+    if water.is_level_known:
+        placed, added = lifted_over_water(placed, water.plane, water.departure)
         findings += added
-    views, tide = with_tides(views, found.tide, water)
-    seen = _seen(placed, views)
-    above_water = None if water is None else partial(height_above, water, departure)
-    ground, added = read_ground(found.folder, config, frame, seen, above_water, is_level_known=is_level_known)
-    findings += added
-    require_true(
-        frame,
-        views,
-        None if above_water is None else above_water(np.array([view.camera.centre for view in views])),
-        config,
-        found.heads,
-        see_points=placed.reprojection is not None,
+    views, tide = with_tides(placed.views, found.tide, water.plane)
+    placed = replace(placed, views=views)
+    ground, added = read_ground(
+        found.folder, water.config, placed.frame, _seen(placed), water.above, is_level_known=water.is_level_known
     )
-    warnings = _warnings(replace(found, config=config), frame, views, water, above_water, placed.control)
-    if found.poses_path is not None:
-        warnings += checkpoint_warnings(placed.checkpoints, views, water, departure)
-    config = _with_poses_name(config, found)
+    findings += added
+    findings += Findings(warnings=tuple(_warnings(placed, water)))
     return Survey(
         name=found.config.name or found.folder.resolve().name,
         folder=found.folder,
-        frame=frame,
-        views=tuple(views),
-        water=water,
-        config=config,
+        frame=placed.frame,
+        views=tuple(placed.views),
+        water=water.plane,
+        config=_with_poses_name(water.config, found),
         observations=Observations(
             placed.points,
             placed.ties,
             placed.priors,
             placed.control,
             placed.checkpoints,
-            levels,
+            water.levels,
             velocities,
             tide,
             ground,
-            departure,
+            water.departure,
         ),
         provenance=Provenance(
             placed.tool,
             placed.reprojection,
-            is_level_known=is_level_known,
-            is_index_known=placed.found.config.water is None or placed.found.config.water.states_index,
+            is_level_known=water.is_level_known,
+            is_index_known=found.config.water is None or found.config.water.states_index,
         ),
-        findings=findings + Findings(warnings=tuple(warnings)),
+        findings=findings,
     )
 
 
-def _water(
-    placed: PlacedViews, views: list[View]
-) -> tuple[SurveyConfig, FlatWater | None, bool, tuple[LevelObservation, ...], Findings]:
-    """Settings with the water filled in, water plane, whether its level is known, and its measurements."""
-    found, frame = placed.found, placed.frame
+@dataclass(frozen=True)
+class _LocalWater:
+    """The water of a survey in its local frame."""
+
+    config: SurveyConfig  # The settings with its level, place and index filled in
+    plane: FlatWater | None  # None for a dry survey
+    departure: Departure | None  # From the plane; None where none is given
+    levels: tuple[LevelObservation, ...]  # Measurements of its level
+    is_level_known: bool  # Else the level is a guess by the points
+
+    @property
+    def above(self) -> Callable[[np.ndarray], np.ndarray] | None:
+        """Heights (N,) [m] of places (N, 3) [m], local, above the water; None for a dry survey."""
+        return None if self.plane is None else partial(height_above, self.plane, self.departure)
+
+
+def _local_water(placed: PlacedViews) -> tuple[_LocalWater, Findings]:
+    """The water, from settings, measurements, clicks or points."""
+    found, frame, views = placed.found, placed.frame, placed.views
     config, is_level_known, levels, said = found.config, True, found.levels, Findings()
     if found.poses_path is None:
         # A poses file has placed the clicks already.
         config, clicked, said = with_level_of_clicks(found.folder, config, views, frame)
         levels += clicked
+    else:
+        # Held against the GPS positions already where structure from motion finds the poses.
+        cameras = lon_lat(found.crs, frame.crs_from_local(_centres(views)))
+        said = Findings(warnings=tuple(water_place_warnings(found.crs, cameras, config.water, levels)))
     if config.water is not None and config.water.level_m is None:
         (config, of_points), is_level_known = place.with_level_of_points(config, frame, views, placed.points), False
         said += of_points
     config, of_surface = with_plane_of_surface(config, levels, views, frame)
-    said += of_surface
-    config, water, of_water = place.water_in_local(config, frame, views)
-    return config, water, is_level_known, levels, said + of_water
+    config, plane, of_plane = place.water_in_local(config, frame, views)
+    departure = Departure.of(levels, frame, plane)
+    if departure is None and plane is not None:
+        departure = still_water(frame, plane, _seen(placed))
+    return _LocalWater(config, plane, departure, levels, is_level_known), said + of_surface + of_plane
 
 
 def _with_poses_name(config: SurveyConfig, found: Found) -> SurveyConfig:
@@ -281,28 +283,28 @@ def _with_poses_name(config: SurveyConfig, found: Found) -> SurveyConfig:
     return replace(config, cameras=replace(config.cameras, poses=poses_name))
 
 
-def _seen(placed: PlacedViews, views: list[View]) -> np.ndarray:
+def _centres(views: list[View]) -> np.ndarray:
+    """Cameras (V, 3) [m], local."""
+    return np.array([view.camera.centre for view in views])
+
+
+def _seen(placed: PlacedViews) -> np.ndarray:
     """Cameras and matched points (N, 3) [m], local: as far as a survey reaches."""
-    centres = np.array([view.camera.centre for view in views])
+    centres = _centres(placed.views)
     return centres if placed.points is None else np.concatenate([centres, placed.points])
 
 
-def _warnings(
-    found: Found,
-    frame: LocalFrame,
-    views: list[View],
-    water: FlatWater | None,
-    above_water: Callable[[np.ndarray], np.ndarray] | None,
-    control: Control | None,
-) -> list[str]:
-    """Warnings about probable mistakes; a focal length comes first, as others follow from it.
+def _warnings(placed: PlacedViews, water: _LocalWater) -> list[str]:
+    """Warnings about probable mistakes; raises where the survey cannot be as it is given.
 
-    What does not need poses was held against the GPS positions before structure from motion already.
+    A focal length comes first, as others follow from it. What does not need poses was held against the GPS positions
+    before structure from motion already.
     """
-    posed = found.poses_path is not None
-    warnings = require_focal_lengths({view.name: view.lens for view in views}, found.heads) if posed else []
-    centres = np.array([view.camera.centre for view in views])
-    above = None if above_water is None else above_water(centres)
+    found, frame, views = placed.found, placed.frame, placed.views
+    centres, is_posed = _centres(views), found.poses_path is not None
+    above = None if water.above is None else water.above(centres)
+    require_true(frame, views, above, water.config, found.heads, see_points=placed.reprojection is not None)
+    warnings = require_focal_lengths({view.name: view.lens for view in views}, found.heads) if is_posed else []
     warnings += require_apart(views, above) + place_warnings(frame, views, above, found.heads)
     if len(views) == 2:
         warnings.append(
@@ -310,31 +312,30 @@ def _warnings(
             "under water are means of wide windows, much coarser than a pixel, and errors by what moved between the "
             "exposures may remain"
         )
-    if not posed:
+    if not is_posed:
         return warnings
     heights = frame.crs_from_local(centres)[:, 2] * height_unit_m(frame.crs)
     warnings += far_from_others(np.array([view.name for view in views]), centres[:, :2], heights, "pose")
     heads = {view.name: found.heads[view.name] for view in views}
-    warnings += shutter_warnings(found.config.cameras, heads, metres_per_px(views, water))
-    if control is not None:
-        warnings += mark_warnings(control, views, water)
+    warnings += shutter_warnings(water.config.cameras, heads, metres_per_px(views, water.plane))
+    if placed.control is not None:
+        warnings += mark_warnings(placed.control, views, water.plane)
     if above is not None:
         over_water = dict(zip((view.name for view in views), above.tolist(), strict=True))
-        warnings += _height_warnings(found, frame, views, over_water)
-    return warnings
+        warnings += _height_warnings(placed, water.config.water, over_water)
+    return warnings + checkpoint_warnings(placed.checkpoints, views, water.plane, water.departure)
 
 
-def _height_warnings(found: Found, frame: LocalFrame, views: list[View], over_water: Mapping[str, float]) -> list[str]:
+def _height_warnings(placed: PlacedViews, water: WaterConfig | None, over_water: Mapping[str, float]) -> list[str]:
     """Warnings where heights of cameras over the water [m] contradict other heights."""
-    if found.config.water is None:
+    if water is None:
         return []
-    level_m, crs = found.config.water.known_level_m, frame.crs
-    centres = frame.crs_from_local(np.array([view.camera.centre for view in views]))
-    at, heads = place_of(crs, np.median(centres, axis=0)), {view.name: found.heads[view.name] for view in views}
+    found, crs = placed.found, placed.frame.crs
+    centres = placed.frame.crs_from_local(_centres(placed.views))
+    at, heads = place_of(crs, np.median(centres, axis=0)), {name: found.heads[name] for name in over_water}
     heights_m = dict(zip(heads, (centres[:, 2] * height_unit_m(crs)).tolist(), strict=True))
-    warnings = low_flight_warnings(np.array(list(over_water.values())), level_m, at, crs)
     return [
-        *warnings,
-        *start_height_warnings(over_water, found.heads, level_m, at, crs),
+        *low_flight_warnings(np.array(list(over_water.values())), water.known_level_m, at, crs),
+        *start_height_warnings(over_water, found.heads, water.known_level_m, at, crs),
         *exif_height_warnings(heights_m, heads),
     ]

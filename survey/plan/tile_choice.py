@@ -61,6 +61,11 @@ class TileChoice:
     # None where there is one piece, or one process because nothing else was asked for
     of_workers: Decision | None = None
 
+    @staticmethod
+    def in_one_piece(workload: Workload, reason: str) -> TileChoice:
+        """No tiles, for a reason."""
+        return TileChoice(None, Decision("tiles", "1", reason), float(workload.memory_bytes))
+
     @property
     def decisions(self) -> tuple[Decision, ...]:
         """Lines of the plan."""
@@ -87,58 +92,64 @@ def choose_tiles(
         If tiles, or workers for them, are asked for where a run is in one piece, or workers where Dask is missing.
     """
     require_dask(chosen)
-    one = float(workload.memory_bytes)
     whole = "with an aim" if is_aimed else "with --field slab" if plan.field == "slab" else None
     if whole is not None:
+        reason = f"a run {whole} is in one piece"
         if chosen.tiles is not None and chosen.tiles > 1:
-            raise SurveyError(f"--tiles {chosen.tiles}, but a run {whole} is in one piece; leave one out")
-        _refuse_workers(chosen, f"a run {whole} is in one piece")
-        return TileChoice(None, Decision("tiles", "1", f"a run {whole} is in one piece"), one)
-    rim = RIM_GSD * plan.gsd_m
+            raise SurveyError(f"--tiles {chosen.tiles}, but {reason}; leave one out")
+        _refuse_workers(chosen, reason)
+        return TileChoice.in_one_piece(workload, reason)
+    if chosen.tiles == 1:
+        _refuse_workers(chosen, "--tiles 1 is one piece")
+        return TileChoice.in_one_piece(workload, "set by --tiles")
     counted = amounts_of(survey, plan) if counted is None else counted
-    if chosen.tiles is not None:
-        if chosen.tiles == 1:
-            _refuse_workers(chosen, "--tiles 1 is one piece")
-            return TileChoice(None, Decision("tiles", "1", "set by --tiles"), one)
-        tiling = Tiling.of(ground_of(survey, plan), chosen.tiles, rim)
-        reason = f"set by --tiles, {_size_of(tiling)} each"
-        choice = TileChoice(
-            tiling, Decision("tiles", str(chosen.tiles), reason), _memory(survey, plan, tiling, counted)
-        )
-        return _with_workers(choice, chosen)
-    least = 1 if chosen.scheduler is None else 2
-    least = max(least, chosen.workers or 1)
-    for_water, why = _for_water(survey, plan)
-    ground = ground_of(survey, plan)
-    if (for_frames := _for_frames(ground)) > for_water:
-        for_water, why = for_frames, "a local frame serves for a kilometre"
+    if chosen.tiles is None:
+        return _with_workers(_as_needed(survey, plan, chosen, workload, counted, earlier), chosen)
+    tiling = Tiling.of(ground_of(survey, plan), chosen.tiles, RIM_GSD * plan.gsd_m)
+    decision = Decision("tiles", str(chosen.tiles), f"set by --tiles, {_size_of(tiling)} each")
+    return _with_workers(TileChoice(tiling, decision, _memory(survey, plan, tiling, counted)), chosen)
+
+
+def _as_needed(
+    survey: Survey, plan: Plan, chosen: Choices, workload: Workload, counted: Counted, earlier: int | None
+) -> TileChoice:
+    """As few tiles as memory, workers, water and local frames allow; one piece where it serves for all of them."""
+    ground, one = ground_of(survey, plan), float(workload.memory_bytes)
+    for_workers = max(1 if chosen.scheduler is None else 2, chosen.workers or 1)
+    for_geometry, why = _for_water(survey, plan)
+    if (for_frames := _for_frames(ground)) > for_geometry:
+        for_geometry, why = for_frames, "a local frame serves for a kilometre"
     budget, source = _budget(chosen)
-    needed = f"in one piece the run takes about {size(one)} of memory, and {room(budget)} {source}"
-    if one <= budget and max(least, for_water) == 1:
+    in_one = f"in one piece the run takes about {size(one)} of memory"
+    if one <= budget and max(for_workers, for_geometry) == 1:
         # How much is free changes from one moment to the next, the plan of a survey does not.
         is_free = "free" if chosen.memory is None else f"within the {room(budget)} of --memory"
-        fits = f"in one piece the run takes about {size(one)} of memory, which is {is_free}"
-        return TileChoice(None, Decision("tiles", "1", fits), one)
-    if least > 1:
-        needed = "one for each worker at least" if one <= budget else needed
-        # Workers of a scheduler have memory of their own.
-        budget /= 1 if chosen.scheduler is not None else chosen.workers or 1
-    if for_water > least:
-        needed, least = why, for_water
-    most = max(_most_tiles(ground, plan, _LEAST_FOR_MEMORY), least)
-    best = TileChoice(None, Decision("tiles", "1", f"{needed}; the ground is too small for tiles"), one)
-    of_water = [for_water] if for_water == least > 1 else []
-    counts = [*([] if earlier is None else [earlier]), *of_water, *_counts(ground, most)]
-    # About square ones may all be fewer than there are workers.
-    for count in [each for each in counts if each >= least] or ([least] if least > 1 else []):
-        tiling = Tiling.of(ground, count, rim)
+        return TileChoice.in_one_piece(workload, f"{in_one}, which is {is_free}")
+    needed = "one for each worker at least" if one <= budget else f"{in_one}, and {room(budget)} {source}"
+    if for_geometry > for_workers:
+        needed = why
+    # Workers of a scheduler have memory of their own.
+    budget /= 1 if chosen.scheduler is not None else chosen.workers or 1
+    best = TileChoice.in_one_piece(workload, f"{needed}; the ground is too small for tiles")
+    for count in _candidates(ground, plan, for_workers, for_geometry, earlier):
+        tiling = Tiling.of(ground, count, RIM_GSD * plan.gsd_m)
         memory = _memory(survey, plan, tiling, counted)
         if best.tiling is None or memory < 0.98 * best.memory_bytes:
             reason = f"{needed}; in tiles of {_size_of(tiling)} about {size(memory)}"
             best = TileChoice(tiling, Decision("tiles", str(count), reason), memory)
         if memory <= budget:
             break
-    return _with_workers(best, chosen)
+    return best
+
+
+def _candidates(ground: Area, plan: Plan, for_workers: int, for_geometry: int, earlier: int | None) -> list[int]:
+    """Numbers of tiles to try, in this order: that of an unfinished run, the least for the geometry, square ones."""
+    least = max(for_workers, for_geometry)
+    most = max(_most_tiles(ground, plan, _LEAST_FOR_MEMORY), least)
+    of_geometry = [for_geometry] if for_geometry == least > 1 else []
+    counts = [*([] if earlier is None else [earlier]), *of_geometry, *_counts(ground, most)]
+    # About square ones may all be fewer than there are workers.
+    return [count for count in counts if count >= least] or ([least] if least > 1 else [])
 
 
 def _most_tiles(ground: Area, plan: Plan, least_footprints: float = _LEAST_FOOTPRINTS) -> int:

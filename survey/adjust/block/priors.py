@@ -83,61 +83,32 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> PriorKn
         those of an adjusted block; so they do where photographs bear them out and contradict the water, or the lens,
         which then counts as that of a data sheet.
     """
-    views = survey.views
-    lenses, lens_of, focals = lenses_of(views)
-    flow, readout_std = _flow(survey), survey.config.cameras.rolling_shutter_std_s
-    tides = np.array([view.camera.tide for view in views])
-    layout = Layout(
-        lens_of,
-        np.array([lens.focal[1] / lens.focal[0] for lens in lenses]),
-        flow,
-        finds_readouts=flow is not None and readout_std is not None,
-        tides=tides if tides.any() else None,
-        hours=_hours(survey),
-        departure=_departure(survey),
-        has_ground=survey.observations.ground is not None,
-        finds_focals=len(focals) > 0,
-    )
-    readouts = np.full(0 if flow is None else len(lenses), survey.config.cameras.rolling_shutter_s, dtype=np.float64)
-    centres = np.array([view.camera.centre for view in views])
-    rotations = np.array([view.camera.cam_from_local for view in views])
-    start = np.array([parameters_of(lens) for lens in lenses])
-    sheet = np.array([_data_sheet(survey, lens) for lens in lenses])
-    none = np.zeros((0, 3))
-    state = State(
-        _with_reference_under_cameras(survey, centres),
-        np.zeros(RELIEF),
-        start,
-        centres,
-        rotations,
-        none,
-        readouts,
-        shift=np.zeros(SHIFT if layout.has_ground else 0),
-        focals=focals,
-    )
+    lenses, lens_of, focals = lenses_of(survey.views)
+    layout = _layout(survey, lenses, lens_of, finds_focals=len(focals) > 0)
+    state = _start(survey, layout, lenses, focals)
     contradiction = survey.provenance.contradiction
     exact = (free_water or contradiction is not None) and survey.observations.ties is None
     calibrated = exact and not (contradiction is not None and contradiction.is_of_lens)
     common_up = 0.0 if free_water else _common_up_std(survey)
-    positions, position_std, unknown = _positions(survey, centres, exact=exact, shares_height=common_up > 0.0)
+    positions, position_std, unknown = _positions(survey, state.centres, exact=exact, shares_height=common_up > 0.0)
     rotation_std, unknown_rotations = _rotations(survey, exact=exact)
     rolls = rolls_of(survey)
     mean = replace(
         state,
-        lenses=sheet,
+        lenses=np.array([_data_sheet(survey, lens) for lens in lenses]),
         centres=positions,
-        rotations=rolled_by_attitudes(rotations, rolls),
+        rotations=rolled_by_attitudes(state.rotations, rolls),
         focals=np.zeros(len(focals)),
     )
-    of_given = _GIVEN_LENS if len(views) == 2 and survey.config.cameras.distortion is not None else 1.0
     of_water = _water_std(survey, free=free_water)
     of_water[0] = math.hypot(of_water[0], common_up)
+    readout_std = survey.config.cameras.rolling_shutter_std_s
     std = np.concatenate(
         [
             of_water,
             np.full(RELIEF, _RELIEF_GSD * gsd),
             _shift_std(survey),
-            *(_lens_std(lens) * (_CALIBRATED if calibrated else of_given) for lens in lenses),
+            _lenses_std(survey, lenses, calibrated=calibrated),
             np.full(layout.first_rate - layout.first_readout, readout_std, dtype=np.float64),
             np.full(layout.first_focal - layout.first_rate, _rate_std(survey), dtype=np.float64),
             _focals_std(lens_of, focals, calibrated=calibrated),
@@ -145,6 +116,39 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> PriorKn
         ]
     )
     return PriorKnowledge(layout, lenses, state, mean, std, unknown, unknown_rotations, common_up, rolls)
+
+
+def _layout(survey: Survey, lenses: tuple[Lens, ...], lens_of: np.ndarray, *, finds_focals: bool) -> Layout:
+    """The unknowns of a survey."""
+    flow, tides = _flow(survey), np.array([view.camera.tide for view in survey.views])
+    return Layout(
+        lens_of,
+        np.array([lens.focal[1] / lens.focal[0] for lens in lenses]),
+        flow,
+        finds_readouts=flow is not None and survey.config.cameras.rolling_shutter_std_s is not None,
+        tides=tides if tides.any() else None,
+        hours=_hours(survey),
+        departure=_departure(survey),
+        has_ground=survey.observations.ground is not None,
+        finds_focals=finds_focals,
+    )
+
+
+def _start(survey: Survey, layout: Layout, lenses: tuple[Lens, ...], focals: np.ndarray) -> State:
+    """The state that a survey comes with, without points; ``focals`` as of `lenses_of`."""
+    centres = np.array([view.camera.centre for view in survey.views])
+    num_readouts = 0 if layout.flow is None else len(lenses)
+    return State(
+        _with_reference_under_cameras(survey, centres),
+        np.zeros(RELIEF),
+        np.array([parameters_of(lens) for lens in lenses]),
+        centres,
+        np.array([view.camera.cam_from_local for view in survey.views]),
+        np.zeros((0, 3)),
+        np.full(num_readouts, survey.config.cameras.rolling_shutter_s, dtype=np.float64),
+        shift=np.zeros(SHIFT if layout.has_ground else 0),
+        focals=focals,
+    )
 
 
 def priors_for(
@@ -249,6 +253,13 @@ def _data_sheet(survey: Survey, lens: Lens) -> np.ndarray:
     given_by_name = dict(zip([name for name in names if name[0] in "kp"], cameras.distortion or (), strict=False))
     coefficients = [given_by_name.get(name, 0.0) for name in LENS_NAMES[3:]]
     return np.array([given[0] if focal is None else focal, *middle, *coefficients])
+
+
+def _lenses_std(survey: Survey, lenses: tuple[Lens, ...], *, calibrated: bool) -> np.ndarray:
+    """Std of the parameters of all lenses (8 L,), by a data sheet, a calibration or the settings."""
+    is_given = len(survey.views) == 2 and survey.config.cameras.distortion is not None
+    share = _CALIBRATED if calibrated else _GIVEN_LENS if is_given else 1.0
+    return np.concatenate([share * _lens_std(lens) for lens in lenses])
 
 
 def _lens_std(lens: Lens) -> np.ndarray:

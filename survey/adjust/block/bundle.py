@@ -266,9 +266,51 @@ def _weighted_system(
     outliers : callable, optional
         Takes them to those whose curvature along the residual is reduced, (N,) bool.
     """
-    ties, priors = problem.ties, problem.priors
-    linear = linearise(problem.layout, state, ties, problem.sides, problem.rows)
-    residuals = ties.pixel - linear.pixels
+    linear, priors = _linearised(problem, state, weights_of, outliers), problem.priors
+    planes = None if priors.planes is None else priors.planes.of_points(state.points, state.shift)
+    own, right = _of_points(problem, state, linear, planes)
+    root = np.linalg.inv(np.linalg.cholesky(_damped(own)))
+    free = np.einsum("mij,mj->mi", root, right)
+    strength = np.where(np.isfinite(priors.std), priors.std, np.inf) ** -2.0
+    if problem.holds_parameters:
+        fixed = csr_array((free.size, len(strength)))
+        return System(NormalMatrix.of(diags_array(strength)), np.zeros(len(strength)), root, free, fixed)
+    mixed = _mixed(problem, linear, root, planes)
+    whole = csr_array(linear.design.multiply(np.repeat(linear.weights, 2)[:, None]))
+    normal = linear.design.T @ whole - mixed.T @ mixed + diags_array(strength)
+    deviation = priors.deviation(problem.layout, state)
+    gradient = whole.T @ linear.residuals.ravel() - mixed.T @ free.ravel() - strength * deviation
+    if planes is not None:
+        shift, (on_plane, to_plane) = problem.layout.shift, planes
+        normal = normal + _in_block(on_plane.sum(axis=0), shift, len(strength))
+        gradient[shift] -= to_plane.sum(axis=0)
+    found = NormalMatrix.of(normal, problem.order)
+    if priors.rows is not None and priors.signs is not None:
+        found = found.with_rows(priors.rows, priors.signs)
+        gradient -= priors.rows.T @ (priors.signs * (priors.rows @ deviation))
+    return System(found, gradient, root, free, mixed)
+
+
+@dataclass(frozen=True)
+class _Linearised:
+    """Observations linearised at a state, with their weights."""
+
+    residuals: np.ndarray  # (N, 2) [px]
+    weights: np.ndarray  # (N,) [1/px^2]
+    by_point: np.ndarray  # (N, 2, 3): X
+    weighted: np.ndarray  # (N, 2, 3): w X
+    design: csr_array  # (2 N, P): B
+
+
+def _linearised(
+    problem: Problem,
+    state: State,
+    weights_of: Callable[[np.ndarray], np.ndarray],
+    outliers: Callable[[np.ndarray], np.ndarray] | None,
+) -> _Linearised:
+    """The observations at a state; those of weight 0 have no derivatives."""
+    linear = linearise(problem.layout, state, problem.ties, problem.sides, problem.rows)
+    residuals = problem.ties.pixel - linear.pixels
     weights = weights_of(residuals)
     usable = weights > 0.0
     residuals = np.where(usable[:, None], residuals, 0.0)
@@ -285,41 +327,36 @@ def _weighted_system(
         by_point = reduced @ by_point
         values = reduced @ design.data.reshape(len(residuals), 2, -1)
         design = csr_array((values.ravel(), design.indices, design.indptr), shape=design.shape)
-    weighted = by_point * weights[:, None, None]
-    precision = priors.point_std**-2.0
-    own = _sum(ties, np.einsum("nai,naj->nij", weighted, by_point))
+    return _Linearised(residuals, weights, by_point, by_point * weights[:, None, None], design)
+
+
+def _of_points(
+    problem: Problem, state: State, linear: _Linearised, planes: tuple[np.ndarray, np.ndarray] | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Normal matrices (M, 3, 3) and right sides (M, 3) of the points alone; ``planes`` as of `Planes.of_points`."""
+    precision = problem.priors.point_std**-2.0
+    own = _sum(problem.ties, np.einsum("nai,naj->nij", linear.weighted, linear.by_point))
     own[:, range(3), range(3)] += precision
-    right = _sum(ties, np.einsum("nai,na->ni", weighted, residuals))
-    right = right - precision * np.nan_to_num(state.points - priors.state.points)
-    if priors.planes is not None:
-        on_plane, to_plane = priors.planes.of_points(state.points, state.shift)
-        own, right = own + on_plane, right + to_plane
-    root = np.linalg.inv(np.linalg.cholesky(_damped(own)))
-    free = np.einsum("mij,mj->mi", root, right)
-    strength = np.where(np.isfinite(priors.std), priors.std, np.inf) ** -2.0
-    if problem.holds_parameters:
-        fixed = csr_array((free.size, len(strength)))
-        return System(NormalMatrix.of(diags_array(strength)), np.zeros(len(strength)), root, free, fixed)
-    # With the root of the points' own matrices as left factor, the elimination is one product.
-    rooted = np.einsum("nij,naj->nia", root[ties.point], weighted)
+    right = _sum(problem.ties, np.einsum("nai,na->ni", linear.weighted, linear.residuals))
+    right = right - precision * np.nan_to_num(state.points - problem.priors.state.points)
+    return (own, right) if planes is None else (own + planes[0], right + planes[1])
+
+
+def _mixed(
+    problem: Problem, linear: _Linearised, root: np.ndarray, planes: tuple[np.ndarray, np.ndarray] | None
+) -> csr_array:
+    """Mixed matrix (3 M, P) of points and parameters, with the root of the points' own matrices as left factor.
+
+    With that factor, the elimination is one product.
+    """
+    ties = problem.ties
+    rooted = np.einsum("nij,naj->nia", root[ties.point], linear.weighted)
     starts = np.searchsorted(ties.point, np.arange(len(ties) + 1))
     left = bsr_array((rooted, np.arange(len(ties.view)), starts), shape=(3 * len(ties), 2 * len(ties.view)))
-    mixed = csr_array(left.tocsr() @ design)
-    if priors.planes is not None:
-        mixed = mixed + _in_columns(-(root @ on_plane).reshape(-1, SHIFT), problem.layout.shift, mixed.shape)
-    whole = csr_array(design.multiply(np.repeat(weights, 2)[:, None]))
-    normal = design.T @ whole - mixed.T @ mixed + diags_array(strength)
-    deviation = priors.deviation(problem.layout, state)
-    gradient = whole.T @ residuals.ravel() - mixed.T @ free.ravel() - strength * deviation
-    if priors.planes is not None:
-        shift = problem.layout.shift
-        normal = normal + _in_block(on_plane.sum(axis=0), shift, len(strength))
-        gradient[shift] -= to_plane.sum(axis=0)
-    found = NormalMatrix.of(normal, problem.order)
-    if priors.rows is not None and priors.signs is not None:
-        found = found.with_rows(priors.rows, priors.signs)
-        gradient -= priors.rows.T @ (priors.signs * (priors.rows @ deviation))
-    return System(found, gradient, root, free, mixed)
+    mixed = csr_array(left.tocsr() @ linear.design)
+    if planes is None:
+        return mixed
+    return mixed + _in_columns(-(root @ planes[0]).reshape(-1, SHIFT), problem.layout.shift, mixed.shape)
 
 
 def _only_rows(design: csr_array, keep: np.ndarray) -> csr_array:

@@ -87,24 +87,7 @@ def compare_files(cloud: str | Path, reference: str | Path, *, options: CompareO
 def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> Comparison:
     """The comparison itself, with its distances; writes nothing. Parameters as `compare_files`."""
     check_options(options)
-    paths = InputPaths(Path(cloud), Path(reference), None if options.visible is None else Path(options.visible))
-    places = None if options.checkpoints is None else Path(options.checkpoints)
-    if places is None and is_table(paths.reference):
-        # Between measured points nothing is known, so that the cloud is also evaluated at each of them.
-        places = paths.reference
-    for path in (paths.cloud, paths.reference, paths.visible):
-        if path is not None:
-            existing_file(path)
-    # Before the clouds and meshes, which take longer to read.
-    if places is not None:
-        # Units and depths need the cloud.
-        read_checkpoints(places, 0.0)
-    with current().stage("Reading"):
-        inputs = load_inputs(paths, options.bounds, options.water_level)
-    checkpoints = None
-    if places is not None:
-        level = level_of_cloud(inputs.cloud) if options.water_level is None else options.water_level
-        checkpoints = read_checkpoints(places, level, inputs.crs, Units.of(inputs.crs))
+    inputs, checkpoints = _read(cloud, reference, options)
     inputs, is_left, of_outliers = _without_outliers(inputs, options)
     scene = ComparedScene.of(inputs, options.bounds, is_left, max(options.tolerances_m))
     distances, surface, of_distances = measure.distances_of(scene, options.sign)
@@ -122,8 +105,8 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
     ]
     notes += _edge_note(inputs, errors)
     found = None
-    if places is not None and checkpoints is not None:
-        found, of_checkpoints = checkpoint_accuracy(scene, checkpoints, places)
+    if checkpoints is not None:
+        found, of_checkpoints = checkpoint_accuracy(scene, *checkpoints)
         notes += of_checkpoints
     figures = Figures(
         summary=summarise(
@@ -147,6 +130,28 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
     )
     points, targets = inputs.cloud.points[inputs.inside], inputs.frame.crs_from_local(scene.targets)
     return Comparison(figures, points, distances.signed, distances.nearest, depth, targets, first.targets, inputs)
+
+
+def _read(cloud: Path, reference: Path, options: CompareOptions) -> tuple[Inputs, tuple[np.ndarray, Path] | None]:
+    """Cloud and reference, and check points (K, 4) with their file, where there are any."""
+    paths = InputPaths(Path(cloud), Path(reference), None if options.visible is None else Path(options.visible))
+    places = None if options.checkpoints is None else Path(options.checkpoints)
+    if places is None and is_table(paths.reference):
+        # Between measured points nothing is known, so that the cloud is also evaluated at each of them.
+        places = paths.reference
+    for path in (paths.cloud, paths.reference, paths.visible):
+        if path is not None:
+            existing_file(path)
+    # Before the clouds and meshes, which take longer to read.
+    if places is not None:
+        # Units and depths need the cloud.
+        read_checkpoints(places, 0.0)
+    with current().stage("Reading"):
+        inputs = load_inputs(paths, options.bounds, options.water_level)
+    if places is None:
+        return inputs, None
+    level = level_of_cloud(inputs.cloud) if options.water_level is None else options.water_level
+    return inputs, (read_checkpoints(places, level, inputs.crs, Units.of(inputs.crs)), places)
 
 
 def _reaches(scene: ComparedScene, tolerances_m: Sequence[float]) -> list[measure.Reach]:

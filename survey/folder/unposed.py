@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pyproj import CRS
@@ -49,6 +50,9 @@ from survey.sfm.gps_fit import HOLD_THE_ROLL, MIN_STD_M, contradicted, line_of
 from survey.sfm.marked import BlockControl
 from survey.sfm.settings import one_focal, require_mapper, require_size, require_solver
 from survey.words import RUN_FOLDER, SFM_FOLDER
+
+if TYPE_CHECKING:
+    from survey.sfm.poses import UnposedPhotographs
 
 # Heights in EXIF are not off by more standard deviations of what they have in common.
 _MOST_STD = 3.0
@@ -204,26 +208,16 @@ def solve_views(found: Found, workspace: Path | None, report: Callable[[str], No
     """
     warnings = require_solvable(found)
     # Slow to import, and needed only without poses.
-    from survey.sfm.poses import UnposedPhotographs, image_names, solve_poses
+    from survey.sfm.poses import image_names, solve_poses
 
     names = {path.absolute(): name for name, path in found.images.items()}
     name_of = {called: names[path] for called, path in image_names(list(found.images.values())).items()}
+    views_of = {name: called for called, name in name_of.items()}
     control = placing_control(found)
     # Of blocks that fall apart, positions may place one and control another.
     spare = control_of_block(found) if control is None else None
-    views_of = {name: called for called, name in name_of.items()}
-    cameras = found.config.cameras
-    photographs = UnposedPhotographs(
-        list(found.images.values()),
-        {path: found.heads[name] for name, path in found.images.items()},
-        cameras.gps_height,
-        cameras.size_px,
-        cameras.focal_px,
-        cameras.mapper,
-        None if found.config.water is None else found.config.water.level_m,
-    )
     result = solve_poses(
-        photographs,
+        _photographs(found),
         found.crs,
         workspace or found.folder / RUN_FOLDER / SFM_FOLDER,
         control=None if control is None else control.with_views(views_of),
@@ -242,20 +236,37 @@ def solve_views(found: Found, workspace: Path | None, report: Callable[[str], No
     solved = {view.name for view in views}
     without = [name for name in found.images if name not in solved]
     warnings += named(without, "image", "without a pose, left out")
-    residuals = result.gps_residual_m
-    rejected = {
+    rejected = _rejected_positions(views, result.gps_residual_m)
+    said = [f"{name} (by {metres:.1f} m)" for name, metres in rejected.items()]
+    warnings += named(said, "GPS position", "that the block contradicts, left out")
+    return SolvedViews(
+        result.frame, tuple(views), result.ties, tuple(result.notes), tuple(warnings), frozenset(rejected)
+    )
+
+
+def _photographs(found: Found) -> UnposedPhotographs:
+    """The photographs of a survey as structure from motion takes them."""
+    from survey.sfm.poses import UnposedPhotographs
+
+    cameras, water = found.config.cameras, found.config.water
+    return UnposedPhotographs(
+        list(found.images.values()),
+        {path: found.heads[name] for name, path in found.images.items()},
+        cameras.gps_height,
+        cameras.size_px,
+        cameras.focal_px,
+        cameras.mapper,
+        None if water is None else water.level_m,
+    )
+
+
+def _rejected_positions(views: list[View], residuals: np.ndarray) -> dict[str, float]:
+    """Distance [m] of each GPS position that the block contradicts, by name; ``residuals`` (V, 3) [m]."""
+    return {
         view.name: float(np.linalg.norm(residual))
         for view, residual, is_wrong in zip(views, residuals, contradicted(residuals), strict=True)
         if is_wrong
     }
-    warnings += named(
-        [f"{name} (by {metres:.1f} m)" for name, metres in rejected.items()],
-        "GPS position",
-        "that the block contradicts, left out",
-    )
-    return SolvedViews(
-        result.frame, tuple(views), result.ties, tuple(result.notes), tuple(warnings), frozenset(rejected)
-    )
 
 
 def require_focal(found: Found) -> None:

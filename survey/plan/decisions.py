@@ -113,12 +113,11 @@ def pose_choice(survey: Survey, asked: str, *, free_water: bool) -> tuple[str, s
     SurveyError
         If the water, its level, or the place of the block is to be found with poses that are to be kept.
     """
-    provenance = survey.provenance
-    if provenance.is_adjusted:
+    if survey.provenance.is_adjusted:
         return "refine", "adjusted with lens and water; see adjustment.json"
     if free_water and asked == Poses.fixed:
         raise SurveyError("--calibrate-water estimates the water together with the poses; leave out --poses fixed")
-    if asked == Poses.fixed and not provenance.is_level_known:
+    if asked == Poses.fixed and not survey.provenance.is_level_known:
         raise SurveyError(
             "[water] has no level, and --poses fixed leaves out the adjustment that would estimate it; give level_m, "
             "or leave out --poses fixed"
@@ -126,34 +125,42 @@ def pose_choice(survey: Survey, asked: str, *, free_water: bool) -> tuple[str, s
     require_placeable(survey.config.control.reference, asked)
     if asked != Poses.auto:
         return asked, "set by --poses"
-    if survey.observations.ties is not None:
-        return "refine", "structure from motion ignores refraction: poses, lens and water are adjusted with bent rays"
-    if survey.observations.control is not None:
-        return "refine", "there are control points to adjust to"
-    if survey.observations.ground is not None:
-        return "refine", "there is an earlier survey to place the block on"
-    sources = {prior.source for prior in survey.observations.priors.values()}
+    reason = _reason_to_refine(survey, free_water=free_water)
+    return _choice_by_check(survey) if reason is None else ("refine", reason)
+
+
+def _reason_to_refine(survey: Survey, *, free_water: bool) -> str | None:
+    """What a survey has, or asks to estimate, that takes an adjustment; None where a check is to decide."""
+    given, cameras, water = survey.observations, survey.config.cameras, survey.config.water
+    if given.ties is not None:
+        return "structure from motion ignores refraction: poses, lens and water are adjusted with bent rays"
+    if given.control is not None:
+        return "there are control points to adjust to"
+    if given.ground is not None:
+        return "there is an earlier survey to place the block on"
+    sources = {prior.source for prior in given.priors.values()}
     if "survey.toml" in sources:
-        return "refine", "adjusted within the accuracy that survey.toml states for them"
-    if survey.config.cameras.rolling_shutter_std_s is not None:
-        return "refine", "rolling_shutter_std_s asks to estimate the readout time of the shutter"
-    if survey.config.water is not None and survey.config.water.rate.level_rate_std_m_per_h is not None:
-        return "refine", "level_rate_std_m_per_h asks to estimate the rate of the level"
+        return "adjusted within the accuracy that survey.toml states for them"
+    if cameras.rolling_shutter_std_s is not None:
+        return "rolling_shutter_std_s asks to estimate the readout time of the shutter"
+    if water is not None and water.rate.level_rate_std_m_per_h is not None:
+        return "level_rate_std_m_per_h asks to estimate the rate of the level"
     if BY_FILE in sources:
-        return "refine", "adjusted within the accuracy that the poses file states for the positions"
+        return "adjusted within the accuracy that the poses file states for the positions"
     if free_water:
-        return "refine", "--calibrate-water estimates the water together with poses and lens"
-    if provenance.tool is not None and survey.water is not None:
+        return "--calibrate-water estimates the water together with poses and lens"
+    tool = survey.provenance.tool
+    if tool is not None and survey.water is not None:
         # Poses that were adjusted without refraction cannot be used to test the water.
-        return (
-            "refine",
-            f"{provenance.tool} ignored refraction: poses, lens and water are adjusted with bent rays",
-        )
-    if len(survey.views) < _FEWEST_VIEWS:
-        return (
-            "fixed",
-            f"{_UNSTATED}; a check needs at least {_FEWEST_VIEWS} views, and there are {len(survey.views)}",
-        )
+        return f"{tool} ignored refraction: poses, lens and water are adjusted with bent rays"
+    return None
+
+
+def _choice_by_check(survey: Survey) -> tuple[str, str]:
+    """Choice by the misfit between photographs under the given poses, and its reason."""
+    provenance, num = survey.provenance, len(survey.views)
+    if num < _FEWEST_VIEWS:
+        return "fixed", f"{_UNSTATED}; a check needs at least {_FEWEST_VIEWS} views, and there are {num}"
     if provenance.pose_misfit_px is None:
         return "check", f"{_UNSTATED}, unless photographs contradict them"
     if provenance.pose_misfit_px < 0.0:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fields.solver.solver import SolvedMap
-from fields.sweep.maps import HeightMap
+from fields.sweep.maps import HeightMap, views_of
 from survey.errors import SurveyError
 from survey.run.stored import load_arrays, mapped_arrays, save_arrays
 from survey.run.stored_maps import Stored, map_store, save_maps
@@ -25,6 +25,28 @@ def test_height_maps_come_back_as_they_were_whatever_their_sizes(tmp_path, rng):
         for name in ("height", "score", "agreeing", "spread"):
             assert getattr(old, name).dtype == getattr(new, name).dtype
             np.testing.assert_array_equal(getattr(old, name), getattr(new, name))
+
+
+def test_stored_maps_stay_in_memory_where_there_is_room_and_cannot_be_changed_there(tmp_path, rng):
+    maps = [SolvedMap(np.arange(3), *rng.normal(size=(2, 3)).astype(np.float32)) for _ in range(2)]
+    save_maps(tmp_path / "solved.npz", SolvedMap, maps)
+    kept = Stored(tmp_path / "solved.npz", SolvedMap, in_memory=maps[0].pixels.nbytes + 24)
+    assert (kept[0] is kept[0], kept[1] is kept[1]) == (True, False)
+    np.testing.assert_array_equal(kept[0].height, maps[0].height)
+    with pytest.raises(ValueError, match="read-only"):
+        kept[0].height[0] = 0.0
+
+
+def test_views_of_stored_maps_are_known_without_reading_them(tmp_path, rng):
+    sizes = {7: (4, 6), 3: (3, 5)}
+    maps = [
+        HeightMap(view, *rng.normal(size=(2, *size)), np.zeros(size, np.uint8), np.zeros(size))
+        for view, size in sizes.items()
+    ]
+    save_maps(tmp_path / "maps.npz", HeightMap, maps)
+    stored = Stored(tmp_path / "maps.npz", HeightMap)
+    (tmp_path / "maps.npz").unlink()
+    assert views_of(stored) == views_of(maps) == [7, 3]
 
 
 @pytest.mark.parametrize(("in_memory", "num_files"), [(0, 2), (48, 1), (96, 0)])

@@ -33,7 +33,7 @@ from fields.solver.views import WORKERS, TileTask, Views
 from fields.solver.visibility import Sightings
 from fields.sweep.block import Block
 from fields.sweep.kernels.arrays import sharing_cores
-from fields.sweep.maps import HeightMap, OrderedMaps, small_sample_factor
+from fields.sweep.maps import HeightMap, OrderedMaps, small_sample_factor, views_of
 from fields.sweep.planes import gradient_of
 
 # What a survey is like is learned from so many tiles of this side, spread over those that are nearly as full as the
@@ -180,8 +180,8 @@ def solve_maps(
 def count_in_squares(block: Block, maps: Sequence[HeightMap], kept: Sequence[np.ndarray]) -> list[list[int]]:
     """Kept pixels in each square of `SAMPLE_PX` of each map that has some; none of maps that no other view overlaps."""
     return [
-        requested_in_squares(wanted, SAMPLE_PX) if block.neighbours(m.view, 1) else []
-        for m, wanted in zip(maps, kept, strict=True)
+        requested_in_squares(wanted, SAMPLE_PX) if block.neighbours(view, 1) else []
+        for view, wanted in zip(views_of(maps), kept, strict=True)
     ]
 
 

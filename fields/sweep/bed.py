@@ -15,7 +15,7 @@ from fields.sweep.block import Block
 from fields.sweep.kernels.arrays import free_unused
 from fields.sweep.kernels.backend import kernels
 from fields.sweep.kernels.stack import ViewStack, largest
-from fields.sweep.maps import HeightMap, confirmed, height_std, trusted
+from fields.sweep.maps import HeightMap, confirmed, height_std, trusted, views_of
 from fields.sweep.overhangs import add_points_beneath, pixels_beside_steps
 from fields.sweep.planes import SteepPixels, filter_steep_pixels, half_range, steep_and_wall_pixels
 from fields.sweep.views import Footprint
@@ -106,7 +106,7 @@ def unique_pixels(block: Block, maps: Sequence[HeightMap], gsd: float) -> Masks:
     -------
     Masks (height, width), in the order of `maps`
     """
-    chosen = [m.view for m in maps]
+    chosen = views_of(maps)
     cameras = [block.cameras[view] for view in chosen]
     shapes: list[tuple[int, ...]] = [(camera.height, camera.width) for camera in cameras]
     kept, claimed, walls, steep, sure, fit, beside = (Masks(list(shapes)) for _ in range(7))
@@ -124,10 +124,10 @@ def unique_pixels(block: Block, maps: Sequence[HeightMap], gsd: float) -> Masks:
     heights = ViewStack.build(block.device, cameras, images, block.water)
     for place, index in enumerate(order):
         # A masked pixel of the photograph has a height of its surroundings, but neither colour nor match.
-        shown = np.isfinite(block.images[chosen[index]])
+        shown, m = np.isfinite(block.images[chosen[index]]), maps[index]
         kept[index] = keep = sure[index] & shown & ~claimed[index]
-        fit[index] = walls[index] & shown & confirmed(maps[index], WALL_NCC)
-        beside[index] = shown & (maps[index].agreeing > 0) & pixels_beside_steps(maps[index].height, gsd)
+        fit[index] = walls[index] & shown & confirmed(m, WALL_NCC)
+        beside[index] = shown & (m.agreeing > 0) & pixels_beside_steps(m.height, gsd)
         if not keep.any():
             continue
         rays, own = kernels(block.device).rays_and_heights(heights, index, np.flatnonzero(keep))

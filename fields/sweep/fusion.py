@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from fields.sweep.images import image_backend
 from fields.sweep.kernels.arrays import host
 from fields.sweep.kernels.backend import Job, Launch, kernels, run_jobs
 from fields.sweep.kernels.stack import ViewStack, largest
-from fields.sweep.maps import HeightMap, Keep, Maps, OrderedMaps, trusted
+from fields.sweep.maps import HeightMap, Keep, Maps, OrderedMaps, trusted, views_of
 from fields.sweep.passes import MATCHED_NCC
 
 # Number of agreeing peers, fused heights and their spread: images of `fields.sweep.images.image_backend`.
@@ -142,7 +143,10 @@ def num_comparable(block: Block, maps: Sequence[HeightMap]) -> Iterator[np.ndarr
 
     It is infinite where no peer shows the point masked or white, and None where no photograph of a peer is so anywhere.
     """
-    chosen = [m.view for m in maps]
+    if block.images.are_unmasked:
+        yield from repeat(None, len(maps))
+        return
+    chosen = views_of(maps)
     cameras = [block.cameras[view] for view in chosen]
 
     def shown(number: int) -> np.ndarray:
@@ -179,7 +183,7 @@ def remove_free_space_violations(block: Block, maps: Sequence[HeightMap], keep: 
     keep : callable
         Factory of the store of the maps returned.
     """
-    chosen, found = [m.view for m in maps], keep()
+    chosen, found = views_of(maps), keep()
     cameras = [block.cameras[view] for view in chosen]
 
     def heights(number: int) -> np.ndarray:

@@ -70,6 +70,12 @@ class OrderedMaps(Sequence):
         self._maps.clear()
 
 
+def views_of(maps: Sequence[HeightMap]) -> list[int]:
+    """Views of maps in their order; those on the disk are not read where the sequence has a list ``views``."""
+    known = getattr(maps, "views", None)
+    return [m.view for m in maps] if known is None else list(known)
+
+
 class ByView(Mapping[int, Kind]):
     """Mapping of views to maps, or to values per map, from a sequence."""
 

@@ -20,7 +20,7 @@ from fields.image_store import LazyImages, Masks
 from fields.sweep.block import Block
 from fields.sweep.kernels.stack import ViewStack, largest
 from fields.sweep.map_points import MapPoints, far_from, points_of_pixels, thin_out
-from fields.sweep.maps import HeightMap, trusted
+from fields.sweep.maps import HeightMap, trusted, views_of
 
 # A pixel is beside a step where its map rises by more than this, in ground sampling distances, within so many pixels.
 _STEP_GSD, _REACH_PX = 12.0, 6
@@ -121,7 +121,7 @@ def without_ghosts(block: Block, maps: Sequence[HeightMap], kept: Masks, gsd: fl
     gsd : [m]
         Ground sampling distance.
     """
-    cameras = [block.cameras[m.view] for m in maps]
+    cameras = [block.cameras[view] for view in views_of(maps)]
     shapes = [(camera.height, camera.width) for camera in cameras]
     sure, beside, left = (Masks(list(shapes)) for _ in range(3))
     for index, m in enumerate(maps):

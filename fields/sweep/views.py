@@ -220,7 +220,7 @@ def neighbours(
         best = int(value.argmax())
         chosen.append(best)
         spread *= 1.0 - 0.5 * np.clip(direction @ direction[best], 0.0, 1.0) ** 2
-        weight[shared[[best]].indices] *= _SEEN_AGAIN
+        weight[shared.indices[shared.indptr[best] : shared.indptr[best + 1]]] *= _SEEN_AGAIN
     return [others[c] for c in chosen]
 
 

@@ -21,7 +21,7 @@ from survey.run.stage_bed import in_crs, points_of_bed
 from survey.run.stage_solver import SIGHTINGS, SOLVED, solve_with
 from survey.run.stage_sweep import BOUND, CONSISTENCY, MAPS, SATURATED, SWEPT, look_at_bed, sweep_views
 from survey.run.stored import Column, mapped_arrays, save_arrays, write_arrays
-from survey.run.stored_maps import Stored, save_maps
+from survey.run.stored_maps import IN_MEMORY, Stored, save_maps
 from survey.run.tile_job import KEPT, MASKS, OWN, StoredMasks, TileJob, pack_masks
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def sweep_tile(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
         write_json(folder / SQUARES, {"pixels": []})
         return
     sweep_views(tile, folder, {})
-    maps = Stored(folder / MAPS, HeightMap)
+    maps = Stored(folder / MAPS, HeightMap, IN_MEMORY)
     kept, own = [], []
     beside = grown(tile.cell, _BESIDE_GSD * tile.plan.gsd_m)
     for m, unique in zip(maps, unique_pixels(tile.block, maps, tile.plan.gsd_m), strict=True):

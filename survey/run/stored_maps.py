@@ -135,6 +135,11 @@ def save_maps(path: str | Path, kind: type[Kind], maps: Iterable[Kind]) -> None:
 class Stored(Sequence[Kind]):
     """The maps of a file of `save_maps`, in their order; each is read when it is asked for.
 
+    Parameters
+    ----------
+    in_memory : int
+        Bytes of the maps that are kept after their first reading, read-only.
+
     Attributes
     ----------
     views : list of int
@@ -146,8 +151,9 @@ class Stored(Sequence[Kind]):
         If the file is missing or damaged, or was changed since.
     """
 
-    def __init__(self, path: str | Path, kind: type[Kind]):
+    def __init__(self, path: str | Path, kind: type[Kind], in_memory: int = 0):
         self._arrays, self._kind = StoredArrays(path), kind
+        self._room, self._held = _Room(in_memory), dict[int, Kind]()
         self.views = [int(view) for view in self._arrays["views"]]
         for number in range(len(self.views)):
             for name in _names(kind):
@@ -159,7 +165,15 @@ class Stored(Sequence[Kind]):
 
     def __getitem__(self, number):
         """The map at a place in the order."""
-        return _made(self._kind, self.views[number], lambda name: self._arrays[f"{name}_{number}"])
+        if number in self._held:
+            return self._held[number]
+        found = _made(self._kind, self.views[number], lambda name: self._arrays[f"{name}_{number}"])
+        if _bytes_of(found) <= self._room.left:
+            for name in _names(self._kind):
+                getattr(found, name).flags.writeable = False
+            self._room.left -= _bytes_of(found)
+            self._held[number] = found
+        return found
 
 
 def _names(kind: type) -> list[str]:

@@ -131,10 +131,9 @@ def _report(job: Job, run: Path, folder: Path) -> Callable[[], None]:
     (folder / "result").mkdir()
     # The cloud has a row of its own.
     products.write_bed_las = lambda path, stored: None
-    return lambda: (
-        products.write_products(folder / "result", RunDir(run), job, done | {"bed": folder / "bed"}, Truth(None, None))
-        and None
-    )
+    stages = done | {"bed": folder / "bed"}
+    finished = products.FinishedRun(RunDir(run), job, stages, Truth(None, None), folder / "result")
+    return lambda: products.write_products(finished) and None
 
 
 if __name__ == "__main__":

@@ -303,9 +303,10 @@ def _to_the_end(run: RunDir, job: Job, resume: bool, truth: Truth) -> int:
     result = run.open_result(job.plan.quality)
     with workers_of(job, run) as workers:
         done = run_stages(job, run, workers, resume=resume, compares_sweep=truth.reference is not None)
-        from survey.run.products import write_products
+        from survey.run.products import FinishedRun, write_products
 
-        verdict = write_products(result, run, job, done, truth, None if workers is None else workers.started)
+        finished = FinishedRun(run, job, done, truth, result)
+        verdict = write_products(finished, None if workers is None else workers.started)
     run.publish(result, quality=job.plan.quality, stages=done)
     job.progress.detail(f"report: {run.report_html_path}")
     for gate in verdict.gates:

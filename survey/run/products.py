@@ -8,7 +8,7 @@ import uuid
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -97,21 +97,27 @@ def write_bed_e57(path: Path, stored: StoredBed) -> None:
     write_verified(path, lambda copy: write_e57(copy, points, crs, rgb=rgb), points, None, crs)
 
 
-def write_products(
-    folder: Path, run: RunDir, job: Job, done: Mapping[str, Path], truth: Truth, workers: Workers | None = None
-) -> RunVerdict:
+@dataclass(frozen=True)
+class FinishedRun:
+    """A run whose stages are finished."""
+
+    run: RunDir
+    job: Job
+    stages: Mapping[str, Path]  # Their folders, by name
+    truth: Truth
+    result: Path  # Folder of the new result; it takes its place in the run afterwards
+
+
+def write_products(finished: FinishedRun, workers: Workers | None = None) -> RunVerdict:
     """Write all results of a run.
 
     Parameters
     ----------
-    folder : Path
-        Of the new result; it takes its place in the run afterwards.
-    done : mapping
-        Folders of the finished stages, by name.
     workers : Workers, optional
         That write the cloud and draw pictures.
     """
-    stored, cloud = load_bed(done["bed"]), folder / "cloud.las"
+    bed, scratch = finished.stages["bed"], finished.run.scratch_path
+    stored, cloud = load_bed(bed), finished.result / "cloud.las"
     with ExitStack() as stack:
         # Beside the report, which reads it only to compare it.
         if workers is None:
@@ -119,15 +125,15 @@ def write_products(
             written: Callable[[], None] = pool.submit(write_bed_las, cloud, stored).result
             draw: Draw = draw_pictures
         else:
-            place = run.scratch_path.absolute() / f"cloud-{uuid.uuid4().hex}.las"
-            under_way = workers.submit(_write_cloud, place, done["bed"].absolute(), loaded_code())
+            place = scratch.absolute() / f"cloud-{uuid.uuid4().hex}.las"
+            under_way = workers.submit(_write_cloud, place, bed.absolute(), loaded_code())
             written = cache(lambda: _move(under_way(), cloud))
             # A comparison holds the points again, which workers would each load.
-            draw = draw_pictures if truth.reference is not None else partial(draw_on, workers, run.scratch_path)
-        if truth.reference is not None:
+            draw = draw_pictures if finished.truth.reference is not None else partial(draw_on, workers, scratch)
+        if finished.truth.reference is not None:
             written()
-        with lengths_in_feet(foot_m(job.survey.config.report.units, stored.crs)):
-            verdict = _write_report(folder, run, job, done, truth, stored, draw)
+        with lengths_in_feet(foot_m(finished.job.survey.config.report.units, stored.crs)):
+            verdict = _write_report(finished, stored, draw)
         written()
     return verdict
 
@@ -144,32 +150,53 @@ def _move(path: Path, target: Path) -> None:
         path.replace(target)
 
 
-def _write_report(
-    folder: Path, run: RunDir, job: Job, done: Mapping[str, Path], truth: Truth, stored: StoredBed, draw: Draw
-) -> RunVerdict:
+def _write_report(finished: FinishedRun, stored: StoredBed, draw: Draw) -> RunVerdict:
     """Write the report and all results but the cloud."""
-    survey, plan = job.survey, job.plan
-    options = options_of(job, truth)
+    folder, job, progress = finished.result, finished.job, finished.job.progress
+    options = options_of(job, finished.truth)
     (folder / "settings.toml").write_text(settings_text(job, options), encoding="utf-8")
-    write_json(folder / "plan.json", plan.as_dict())
-    save_flight(folder, survey)
-    job.progress.note(f"{len(stored.bed):,} points of the bed")
+    write_json(folder / "plan.json", job.plan.as_dict())
+    save_flight(folder, job.survey)
+    progress.note(f"{len(stored.bed):,} points of the bed")
+    cells = cells_of(job.survey, stored.bed.xyz, job.plan.gsd_m)
+    verdict = _verdict(job, stored, cells)
+    facts = _facts(finished, stored, options, cells, verdict)
+    for text in (*dry_warnings(job.survey, stored.bed), *photograph_warnings(facts.photographs)):
+        progress.warn(text)
+    for text in summary(facts.photographs):
+        progress.note(text)
+    with progress.stage("Report", NUM_STEPS) as stage:
+        figures = write_report(folder, facts, stage.advance, draw)
+    for text in checkpoint_warnings(figures.checkpoints):
+        progress.warn(text)
+    if (std := figures.height_std) is not None:
+        shared = "" if std.shared is None else f", of which {length(std.shared)} are shared by large parts of the cloud"
+        progress.note(f"height, one sigma, all included: {length(std.whole)} (median){shared}")
+    for text in figures.notes:
+        progress.note(text)
+    return verdict
+
+
+def _verdict(job: Job, stored: StoredBed, cells: SeenCells) -> RunVerdict:
+    """The quality gates, with that of the standard deviation that was asked for."""
+    verdict = verdict_of(job.survey, stored, job.plan.gsd_m, cells)
+    aim = None if job.aimed is None else job.aimed.aim
+    if aim is None or aim.std_m is None:
+        return verdict
+    return RunVerdict((*verdict.gates, asked_gate(stored, aim.std_m)))
+
+
+def _facts(
+    finished: FinishedRun, stored: StoredBed, options: dict, cells: SeenCells, verdict: RunVerdict
+) -> ReportFacts:
+    """The inputs of the report; compares the cloud, and copies the files of the adjustment."""
+    survey, plan, done = finished.job.survey, finished.job.plan, finished.stages
     start = time.monotonic()
-    comparison, of_sweep = _comparisons(folder, run, job, done, truth)
-    timings = _timings(run, survey, done)
+    comparison, of_sweep = _comparisons(finished)
+    timings = _timings(finished.run, survey, done)
     if comparison is not None:
         timings["comparison"] = time.monotonic() - start
-    cells = cells_of(survey, stored.bed.xyz, plan.gsd_m)
-    verdict = verdict_of(survey, stored, plan.gsd_m, cells)
-    aim = None if job.aimed is None else job.aimed.aim
-    if aim is not None and aim.std_m is not None:
-        verdict = RunVerdict((*verdict.gates, asked_gate(stored, aim.std_m)))
-    photographs = _photographs(done)
-    for text in (*dry_warnings(survey, stored.bed), *photograph_warnings(photographs)):
-        job.progress.warn(text)
-    for text in summary(photographs):
-        job.progress.note(text)
-    facts = ReportFacts(
+    return ReportFacts(
         survey=survey,
         plan=plan,
         # What [process] asks is in the options in effect.
@@ -182,25 +209,15 @@ def _write_report(
         sweep_comparison=of_sweep,
         versions=_versions(done),
         verdict=verdict,
-        adjustment=adjustment_of(folder, done),
+        adjustment=adjustment_of(finished.result, done),
         std_common=stored.std_common,
-        photographs=photographs,
+        photographs=_photographs(done),
         light=None if survey.water is None else matched_light(survey.views),
         coverage=_coverage(survey, stored, cells),
         cells=cells,
         heads={view.name: read_exif(view.path) for view in survey.views},
-        notes=tile_warnings(survey, plan, job.tiling),
+        notes=tile_warnings(survey, plan, finished.job.tiling),
     )
-    with job.progress.stage("Report", NUM_STEPS) as stage:
-        figures = write_report(folder, facts, stage.advance, draw)
-    for text in checkpoint_warnings(figures.checkpoints):
-        job.progress.warn(text)
-    if (std := figures.height_std) is not None:
-        shared = "" if std.shared is None else f", of which {length(std.shared)} are shared by large parts of the cloud"
-        job.progress.note(f"height, one sigma, all included: {length(std.whole)} (median){shared}")
-    for text in figures.notes:
-        job.progress.note(text)
-    return verdict
 
 
 def _coverage(survey: Survey, stored: StoredBed, cells: SeenCells) -> CoverageFigures | None:
@@ -257,10 +274,9 @@ def _timings(run: RunDir, survey: Survey, done: Mapping[str, Path]) -> dict[str,
     return timings if seconds is None else {"structure from motion": seconds} | timings
 
 
-def _comparisons(
-    folder: Path, run: RunDir, job: Job, done: Mapping[str, Path], truth: Truth
-) -> tuple[Comparison | None, Comparison | None]:
+def _comparisons(finished: FinishedRun) -> tuple[Comparison | None, Comparison | None]:
     """The cloud against the reference, and the cloud that the sweep alone would give; None where there is none."""
+    job, folder, truth = finished.job, finished.result, finished.truth
     if truth.reference is None:
         return None, None
     say = job.progress.note
@@ -271,12 +287,12 @@ def _comparisons(
     say(f"comparison of the cloud with {truth.reference.name}")
     found = compare_surfaces(folder / "cloud.las", truth.reference, options)
     # The final path, not that of the folder in which the result is written.
-    circumstances = replace(found.figures.circumstances, cloud=str(run.cloud_path))
+    circumstances = replace(found.figures.circumstances, cloud=str(finished.run.cloud_path))
     found = replace(found, figures=replace(found.figures, circumstances=circumstances))
-    if "bed_of_sweep" not in done:
+    if "bed_of_sweep" not in finished.stages:
         return found, None
     cloud = folder / "sweep.las"
-    write_bed_las(cloud, load_bed(done["bed_of_sweep"]))
+    write_bed_las(cloud, load_bed(finished.stages["bed_of_sweep"]))
     say(f"comparison of what the sweep alone gives with {truth.reference.name}")
     of_sweep = compare_surfaces(cloud, truth.reference, options)
     cloud.unlink()

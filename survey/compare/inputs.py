@@ -153,15 +153,8 @@ def load_inputs(paths: InputPaths, bounds: Bounds | None, water_level: float | N
     CompareError
         If no point is within the bounds, or the heights cannot be of one place.
     """
-    notes: list[str] = []
-    compared = read_shape(paths.cloud, water_level, _crs_of(paths.reference) if is_table(paths.cloud) else None)
-    level = level_of_cloud(compared) if water_level is None else water_level
-    given = {
-        path: read_shape(path, level, compared.crs) for path in (paths.reference, paths.visible) if path is not None
-    }
-    for path, other in given.items():
-        require_same_crs(compared.crs, other.crs, str(paths.cloud), str(path))
-    notes += [note for shape in (compared, *given.values()) for note in shape.notes]
+    compared, given = _read_shapes(paths, water_level)
+    notes = [note for shape in (compared, *given.values()) for note in shape.notes]
     crs, of_crs = _common_crs(compared, paths.cloud, given)
     notes += of_crs
     for path, shape in ({paths.cloud: compared} | given).items():
@@ -180,19 +173,7 @@ def load_inputs(paths: InputPaths, bounds: Bounds | None, water_level: float | N
     reference, visible = others[paths.reference], None if paths.visible is None else others[paths.visible]
     for path, other in others.items():
         require_same_place(cloud.points, vertices_of(other), str(paths.cloud), str(path))
-    if bounds is not None and (meant := bounds_in_other_order(bounds, cloud.points)) is not None:
-        raise CompareError(
-            f"--bounds is {as_text(bounds)}, which is in the order E0 E1 N0 N1, expected E0 N0 E1 N1: give "
-            f"--bounds {as_text(meant)}"
-        )
-    cropped = ~within(cloud.points, bounds)
-    if cropped.all():
-        low, high = cloud.points.min(axis=0), cloud.points.max(axis=0)
-        raise CompareError(
-            f"none of the {len(cloud.points)} points of {paths.cloud} lies within the bounds "
-            f"{as_text(bounds)}; it reaches from {as_text(low[:2])} to {as_text(high[:2])}: correct "
-            "--bounds (E0 N0 E1 N1 in its CRS)"
-        )
+    cropped = _cropped(cloud, bounds, paths.cloud)
     ground, of_ground = _is_ground(cloud, paths.cloud)
     inside = ~cropped & ground
     kept = cloud.points[inside]
@@ -204,6 +185,36 @@ def load_inputs(paths: InputPaths, bounds: Bounds | None, water_level: float | N
     frame = ShiftedFrame(origin) if crs is None else LocalFrame(crs, origin)
     notes += of_ground + _height_warnings(kept, vertices_of(reference), paths, frame)
     return Inputs(paths, cloud, inside, int(cropped.sum()), reference, visible, crs, frame, tuple(notes))
+
+
+def _read_shapes(paths: InputPaths, water_level: float | None) -> tuple[Mesh | Cloud, dict[Path, Mesh | Cloud]]:
+    """What is compared as its file has it, and reference and visible points by their paths, in the same CRS."""
+    compared = read_shape(paths.cloud, water_level, _crs_of(paths.reference) if is_table(paths.cloud) else None)
+    level = level_of_cloud(compared) if water_level is None else water_level
+    given = {
+        path: read_shape(path, level, compared.crs) for path in (paths.reference, paths.visible) if path is not None
+    }
+    for path, other in given.items():
+        require_same_crs(compared.crs, other.crs, str(paths.cloud), str(path))
+    return compared, given
+
+
+def _cropped(cloud: Cloud, bounds: Bounds | None, path: Path) -> np.ndarray:
+    """Mask (N,) of the points beyond the bounds; raise CompareError where that is all of them."""
+    if bounds is not None and (meant := bounds_in_other_order(bounds, cloud.points)) is not None:
+        raise CompareError(
+            f"--bounds is {as_text(bounds)}, which is in the order E0 E1 N0 N1, expected E0 N0 E1 N1: give "
+            f"--bounds {as_text(meant)}"
+        )
+    cropped = ~within(cloud.points, bounds)
+    if cropped.all():
+        low, high = cloud.points.min(axis=0), cloud.points.max(axis=0)
+        raise CompareError(
+            f"none of the {len(cloud.points)} points of {path} lies within the bounds "
+            f"{as_text(bounds)}; it reaches from {as_text(low[:2])} to {as_text(high[:2])}: correct "
+            "--bounds (E0 N0 E1 N1 in its CRS)"
+        )
+    return cropped
 
 
 def _crs_of(path: Path) -> CRS | None:

@@ -166,18 +166,8 @@ def write_copc(
     # laspy adds the points of each portion of records to the counts in their header.
     header = deepcopy(header)
     header.partial_reset()
-    places = [np.empty(count, dtype=np.int32) for _ in "XYZ"]
-    for first in range(0, count, portion):
-        part = slice(first, first + portion)
-        points = records(part).points
-        header.grow(points)
-        for place, axis in zip(places, "XYZ", strict=True):
-            place[part] = points.array[axis]
+    tree = _grown(header, records, count, portion)
     header.are_points_compressed = True
-    finest = header.scales.min()
-    per_step = np.round(header.scales / finest).astype(np.int64)
-    tree = build_octree(places, per_step)
-    del places
     laz = lazrs.LazVlr.new_for_compression(
         header.point_format.id, header.point_format.num_extra_bytes, use_variable_size_chunks=True
     )
@@ -195,21 +185,25 @@ def write_copc(
     page_at = stream.tell()
     stream.write(page)
     header.start_of_first_evlr, header.number_of_evlrs = end, 1
-    low = header.offsets + tree.corner * finest
-    half = 0.5 * tree.side * finest
-    info.record_data = struct.pack(
-        _INFO_LAYOUT,
-        *(low + half),
-        half,
-        2.0 * half / CELLS,
-        page_at,
-        len(page),
-        header.min_gps_time,
-        header.max_gps_time,
-    )
+    half = 0.5 * tree.side * header.scales.min()
+    centre = header.offsets + tree.corner * header.scales.min() + half
+    times = header.min_gps_time, header.max_gps_time
+    info.record_data = struct.pack(_INFO_LAYOUT, *centre, half, 2.0 * half / CELLS, page_at, len(page), *times)
     stream.seek(start)
     header.write_to(stream, ensure_same_size=True)
     stream.seek(0, 2)
+
+
+def _grown(header: laspy.LasHeader, records: Records, count: int, portion: int) -> Octree:
+    """The octree over the points, which are added to the counts and bounds of the header."""
+    places = [np.empty(count, dtype=np.int32) for _ in "XYZ"]
+    for first in range(0, count, portion):
+        part = slice(first, first + portion)
+        points = records(part).points
+        header.grow(points)
+        for place, axis in zip(places, "XYZ", strict=True):
+            place[part] = points.array[axis]
+    return build_octree(places, np.round(header.scales / header.scales.min()).astype(np.int64))
 
 
 def _write_chunks(stream: BinaryIO, laz: lazrs.LazVlr, records: Records, tree: Octree) -> None:

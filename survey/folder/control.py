@@ -271,15 +271,7 @@ def read_ground(
         if not inside.any():
             raise ControlError(f"no point of {path} lies in the polygons of {given.stable}; correct them or their CRS")
         cloud = part_of(cloud, inside)
-    # Two corners give the box in metres of the map, whatever its units.
-    around = frame.crs_from_local(_box(places))
-    low, high = around.min(axis=0)[:2], around.max(axis=0)[:2]
-    cloud = part_of(cloud, ((cloud.points[:, :2] >= low) & (cloud.points[:, :2] <= high)).all(axis=1))
-    if len(cloud.points) > _MOST_POINTS:
-        chosen = np.random.default_rng(0).choice(len(cloud.points), _MOST_POINTS, replace=False)
-        keep = np.zeros(len(cloud.points), dtype=bool)
-        keep[chosen] = True
-        cloud = part_of(cloud, keep)
+    cloud = _near(cloud, frame, places)
     local = frame.local_from_crs(cloud.points)
     dry = np.ones(len(local), dtype=bool)
     if above_water is not None and is_level_known:
@@ -293,6 +285,20 @@ def read_ground(
         )
     std, said = _shared_std(given.reference_std_m, part_of(cloud, dry), given.reference)
     return StableGround(local[dry], (math.hypot(std[0], way_std[0]), math.hypot(std[1], way_std[1]))), of_file + said
+
+
+def _near(cloud: Cloud, frame: LocalFrame, places: np.ndarray) -> Cloud:
+    """Points of a cloud near places (N, 3) [m], local; a sample of `_MOST_POINTS` where there are more."""
+    # Two corners give the box in metres of the map, whatever its units.
+    around = frame.crs_from_local(_box(places))
+    low, high = around.min(axis=0)[:2], around.max(axis=0)[:2]
+    cloud = part_of(cloud, ((cloud.points[:, :2] >= low) & (cloud.points[:, :2] <= high)).all(axis=1))
+    if len(cloud.points) <= _MOST_POINTS:
+        return cloud
+    chosen = np.random.default_rng(0).choice(len(cloud.points), _MOST_POINTS, replace=False)
+    keep = np.zeros(len(cloud.points), dtype=bool)
+    keep[chosen] = True
+    return part_of(cloud, keep)
 
 
 def _box(places: np.ndarray) -> np.ndarray:

@@ -136,14 +136,7 @@ def adjust(known: PriorKnowledge, seen: Observed, sizes, marks_std_px: float) ->
         seen = kept.at(state.points)
         # The covariance of 2,000 photographs takes 1.2 GB.
         del problem, solution, on_ground
-    stds = []
-    for roll in _open_rolls(known, seen):
-        solution, std = minimise_over_roll(problem, solution, factors[kind], roll)
-        stds.append((roll, std))
-    if known.common_up_std > 0.0:
-        solution = replace(solution, covariance=covariance_over_shore(problem, solution))
-    for roll, std in stds:
-        solution = replace(solution, covariance=inflate_roll(problem, solution.covariance, roll, std))
+    solution = _with_open_parameters(known, seen, problem, solution, factors[kind])
     placed = None if on_ground is None else alignment_on(on_ground, problem, solution)
     solution = replace(solution, std_px=np.sqrt(_mean_by_kind(found[kind] ** 2, seen.kind)))
     return Adjusted(known, seen, solution, _mean_by_kind(factors[kind], seen.kind), blunders, placed)
@@ -170,6 +163,21 @@ def _solve_once(
             if moves.max() <= _STEADY_ON_GROUND * float(np.median(planes.strength[used] ** -0.5)):
                 break
     return problem, solution, on_ground
+
+
+def _with_open_parameters(
+    known: PriorKnowledge, seen: Observed, problem: Problem, solution: Solution, inflation: np.ndarray
+) -> Solution:
+    """The solution at the least over the rolls that nothing holds, with the covariance of these and of a free level."""
+    stds = []
+    for roll in _open_rolls(known, seen):
+        solution, std = minimise_over_roll(problem, solution, inflation, roll)
+        stds.append((roll, std))
+    if known.common_up_std > 0.0:
+        solution = replace(solution, covariance=covariance_over_shore(problem, solution))
+    for roll, std in stds:
+        solution = replace(solution, covariance=inflate_roll(problem, solution.covariance, roll, std))
+    return solution
 
 
 def _open_rolls(known: PriorKnowledge, seen: Observed) -> list[Roll]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +12,7 @@ from survey.commands.console import command
 from survey.commands.options import Quiet, RunFolder, Verbose
 from survey.errors import SurveyError
 
-_SERVED = "Where it is served"
+_served = partial(typer.Option, rich_help_panel="Where it is served")
 EXAMPLES = """
     bathynerf view my_survey/bathynerf
     bathynerf view RUN --reference lidar.ply --port 9000
@@ -32,20 +33,10 @@ def run(
         Path | None, typer.Option(metavar="FILE", help="Write one HTML file that opens without a server, and end.")
     ] = None,
     host: Annotated[
-        str,
-        typer.Option(
-            metavar="HOST", help="Address to listen on; 0.0.0.0: for other machines too.", rich_help_panel=_SERVED
-        ),
+        str, _served(metavar="HOST", help="Address to listen on; 0.0.0.0: for other machines too.")
     ] = "localhost",
     port: Annotated[
-        int,
-        typer.Option(
-            metavar="PORT",
-            help="Port; the next free one if it is taken.",
-            min=1,
-            max=65535,
-            rich_help_panel=_SERVED,
-        ),
+        int, _served(metavar="PORT", help="Port; the next free one if it is taken.", min=1, max=65535)
     ] = 8080,
     survey: Annotated[
         str | None, typer.Option(metavar="DIR", help="Survey folder, if it was moved since the run.")

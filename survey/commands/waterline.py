@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -16,28 +17,16 @@ EXAMPLES = """
     bathynerf waterline my_survey
     bathynerf waterline my_survey --start-level 12.3
 """
+_start = partial(typer.Option, rich_help_panel="Where it starts")
 
 
 def run(
     survey: SurveyFolder,
     device: DeviceOption = Device.auto,
-    nadir_only: Annotated[
-        bool,
-        typer.Option("--nadir-only", help="Use only views that look straight down.", rich_help_panel="Where it starts"),
-    ] = False,
-    start_level: Annotated[
-        float | None, typer.Option(metavar="M", help="Start from this level [m].", rich_help_panel="Where it starts")
-    ] = None,
-    start_index: Annotated[
-        float | None,
-        typer.Option(metavar="N", help="Start from this refractive index.", rich_help_panel="Where it starts"),
-    ] = None,
-    poses_of: Annotated[
-        Path | None,
-        typer.Option(
-            "--run", metavar="RUN", help="Use the poses computed by this run.", rich_help_panel="Where it starts"
-        ),
-    ] = None,
+    nadir_only: Annotated[bool, _start("--nadir-only", help="Use only views that look straight down.")] = False,
+    start_level: Annotated[float | None, _start(metavar="M", help="Start from this level [m].")] = None,
+    start_index: Annotated[float | None, _start(metavar="N", help="Start from this refractive index.")] = None,
+    poses_of: Annotated[Path | None, _start("--run", metavar="RUN", help="Use the poses computed by this run.")] = None,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for all results.")] = None,
     verbose: Verbose = 0,
     quiet: Quiet = 0,

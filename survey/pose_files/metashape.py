@@ -139,16 +139,8 @@ def read_metashape(path: Path) -> PoseFile:
         given = _given(camera, sensors[sensor], where, crs)
         poses[name] = _pose(name, matrix, transforms[component], lenses[sensor], given, where)
         components.add(component)
-    if nameless and not poses:
-        raise PosesError(
-            f"{path}: no camera that is aligned has a label, expected the name of its image; name the cameras, then "
-            f"{_EXPORT}"
-        )
     if not poses:
-        raise PosesError(
-            f"{path} has no camera that is enabled, aligned and georeferenced; align the photos, set the reference of "
-            f"the chunk and update it, then {_EXPORT}"
-        )
+        raise _without_poses(path, are_nameless=bool(nameless))
     warnings = (
         *named(disabled, "camera", f"disabled in {path.name}, left out"),
         *named(unplaced, "camera", f"not aligned in {path.name}, left out"),
@@ -158,6 +150,18 @@ def read_metashape(path: Path) -> PoseFile:
     is_earth = _is_on_earth(poses.values(), crs, path)
     frame = PoseFrame.GEOCENTRIC if is_earth else PoseFrame.LOCAL
     return PoseFile(tuple(poses.values()), frame, crs, "Metashape", warnings=warnings)
+
+
+def _without_poses(path: Path, *, are_nameless: bool) -> PosesError:
+    if are_nameless:
+        return PosesError(
+            f"{path}: no camera that is aligned has a label, expected the name of its image; name the cameras, then "
+            f"{_EXPORT}"
+        )
+    return PosesError(
+        f"{path} has no camera that is enabled, aligned and georeferenced; align the photos, set the reference of "
+        f"the chunk and update it, then {_EXPORT}"
+    )
 
 
 def _name(camera: Element) -> str:

@@ -88,8 +88,12 @@ def boxes_about(places: Iterable[np.ndarray], gsd: float) -> list[StepBox]:
     """Boxes that hold enough of such places, each part of the ground in one of them at most."""
     side, pixels = SIDE_GSD * gsd, Counter[tuple[int, int]]()
     for part in places:
-        corners, count = np.unique(np.floor(part / side).astype(np.int64), axis=0, return_counts=True)
-        pixels.update(dict(zip(map(tuple, corners.tolist()), count.tolist(), strict=True)))
+        column, row = np.floor(part / side).astype(np.int64).T
+        # One number for each corner: rows of an array take twenty times as long to sort.
+        number, count = np.unique((row << 32) + column, return_counts=True)
+        column = (number + 2**31) % 2**32 - 2**31
+        row = (number - column) >> 32
+        pixels.update(dict(zip(zip(column.tolist(), row.tolist(), strict=True), count.tolist(), strict=True)))
     enough = sorted(corner for corner, count in pixels.items() if count >= _LEAST_PIXELS)
     return [StepBox(float(x * side), float(y * side), gsd) for x, y in enough]
 

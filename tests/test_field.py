@@ -29,8 +29,7 @@ from survey.settings.config import parse_config
 from survey.settings.tables import FieldConfig, LossesConfig
 from survey.volume.field import train_field
 from survey.volume.monocular import monocular_priors
-from survey.volume.options import VolumeOptions
-from survey.volume.settings import field_config, volume_options
+from survey.volume.options import VolumeOptions, field_config, volume_options
 
 # A signed distance begins with a level surface in the middle of the box.
 SHORT = VolumeOptions(model="neus", steps=4, rays=32, samples=8, cells=32, held_every=4, image_scale=0.5)

@@ -128,7 +128,7 @@ def run(
         from fields.volume.surface import Rule as SurfaceRule
         from survey.settings.tables import FieldConfig
         from survey.volume.field import rows_of, train_field
-        from survey.volume.settings import field_config, volume_options
+        from survey.volume.options import field_config, volume_options
 
         asked = FieldConfig(
             model=None if training.model is None else training.model.value,

@@ -1,9 +1,9 @@
-"""Options of `bathynerf field`: of a training, and of what is made of it."""
+"""Options of `bathynerf field`: of a training and its results, from the command line and from [field]."""
 
 from __future__ import annotations
 
 import re
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +12,10 @@ import numpy as np
 from fields.volume.losses import Losses, PatchWeights, PriorWeights
 from fields.volume.models import MODELS
 from fields.volume.surface import Rule
-from survey.errors import SurveyError
-from survey.export.loaded import LoadedRun
-from survey.settings.tables import LossesConfig
+from survey.errors import FILE_NAME, SurveyError
+from survey.export.loaded import LoadedRun, survey_folder
+from survey.settings.config import read_config
+from survey.settings.tables import FieldConfig, LossesConfig
 from survey.volume.monocular import priors_hash
 from survey.volume.recipe import VolumeRecipe
 from survey.volume.scene import SceneOptions
@@ -117,3 +118,33 @@ class VolumeOptions:
             patches=PatchWeights(of.patch_px, of.ncc, of.ssim, of.smooth_normals, of.virtual_patches),
             priors=PriorWeights(depth=depth, normal=normal, predicted_normal=of.predicted_normal),
         )
+
+
+def field_config(run: str | Path, survey: str | None) -> FieldConfig:
+    """[field] of the survey that a run is of, as its survey.toml has it now; paths in it are absolute.
+
+    Parameters
+    ----------
+    survey : str, optional
+        Folder of the survey, if it was moved since the run.
+
+    Raises
+    ------
+    SurveyError, ConfigError
+        If the run or its survey.toml cannot be read.
+    """
+    with LoadedRun(run) as loaded:
+        folder = survey_folder(loaded, survey)
+    toml = folder / FILE_NAME
+    config = read_config(toml).field if toml.is_file() else FieldConfig()
+    if config.monocular is None:
+        return config
+    return replace(config, monocular=str((folder / config.monocular).absolute()))
+
+
+def volume_options(config: FieldConfig, **others: Any) -> VolumeOptions:
+    """`VolumeOptions` of what a configuration says; what it leaves open has its default."""
+    said = {each.name: value for each in fields(config) if (value := getattr(config, each.name)) is not None}
+    if config.monocular is not None:
+        said["monocular"] = Path(config.monocular)
+    return VolumeOptions(**said, **others)

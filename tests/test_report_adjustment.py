@@ -182,7 +182,7 @@ def test_a_block_that_falls_apart_has_a_table_and_a_picture_of_its_parts(facts, 
     found, _ = cut(facts.adjustment)
     apart = replace(facts, adjustment=found)
     page = render_page(figures_of(apart), [draw_parts(tmp_path / "parts.png", apart.survey, found)])
-    assert "Parts that share no points" in page
+    assert "Parts without common tie points" in page
     assert "Parts of the block without common points" in page
     with Image.open(tmp_path / "parts.png") as image:
         assert np.asarray(image.convert("L")).std() > 5.0

@@ -46,7 +46,7 @@ def _parts(found: AdjustmentFigures) -> list[Block]:
         f"less that of part 1, 1 sigma [{unit.name}]",
     )  # fmt: skip
     said = "No point is seen by photographs of two parts: positions, control and water alone hold these together."
-    return [Text(said), Table(titles, rows, num_texts=2, heading="Parts that share no points")]
+    return [Text(said), Table(titles, rows, num_texts=2, heading="Parts without common tie points")]
 
 
 def parameter_table(parameters: Sequence[Parameter]) -> Table:

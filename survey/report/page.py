@@ -29,10 +29,10 @@ from survey.report.raster import Picture
 # Headings of the pictures with the names of their files.
 _GROUPS = (
     ("The bed", ("depth", "orthophoto", "profile")),
-    ("How sure it is", ("unseen", "views", "std", "histograms")),
-    ("Against the reference", ("error", "completeness", "error_histogram", "error_depth", "error_bands")),
-    ("What the adjustment left", ("parts", "control", "residuals_ground", "residuals_image", "correlation")),
-    ("The flight", ("view", "plan")),
+    ("Uncertainty and coverage", ("unseen", "views", "std", "histograms")),
+    ("Comparison with the reference", ("error", "completeness", "error_histogram", "error_depth", "error_bands")),
+    ("Residuals of the adjustment", ("parts", "control", "residuals_ground", "residuals_image", "correlation")),
+    ("Flight", ("view", "plan")),
 )
 # These show several things side by side and take the whole width.
 _WIDE = ("view", "profile", "error_bands")
@@ -93,24 +93,24 @@ def _sections(figures: ReportFigures) -> list[Section]:
     comparison, survey = figures.comparison, figures.survey
     uncertainty = None if comparison is None else comparison.uncertainty
     return [
-        Section("Limits", limits(figures)),
-        Section("What was seen of the water", seen(figures)),
-        Section("Against the reference", tables.comparison(comparison)),
-        Section("At the check points", tables.checkpoints(figures.checkpoints)),
+        Section("Limitations", limits(figures)),
+        Section("Coverage of the water", seen(figures)),
+        Section("Comparison with the reference", tables.comparison(comparison)),
+        Section("Check points", tables.checkpoints(figures.checkpoints)),
         Section("Vertical uncertainty (IHO S-44)", tables.iho_s44(uncertainty)),
-        Section("Uncertainty as the cloud states it", checkpoints.table(figures.stated)),
+        Section("Stated uncertainty of the cloud", checkpoints.table(figures.stated)),
         Section("Adjustment", adjustment_tables.adjustment(figures.adjustment)),
-        Section("What refraction would cost if ignored", tables.baselines(figures.baselines)),
-        Section("The cloud", tables.cloud(figures.cloud, survey.crs)),
-        Section("Who, when, with what", photographs.taken_table(figures.taken)),
+        Section("Baselines: refraction ignored or approximated", tables.baselines(figures.baselines)),
+        Section("Point cloud", tables.cloud(figures.cloud, survey.crs)),
+        Section("Acquisition", photographs.taken_table(figures.taken)),
         Section("Survey and water", tables.survey(survey, figures.water, figures.plan)),
         Section("Photographs", photographs.table(figures.photographs, figures.left_out)),
-        Section("What was done, and why", tables.decisions(figures.plan.decisions)),
+        Section("Processing decisions", tables.decisions(figures.plan.decisions)),
         Section("Assumptions", _listed(figures.assumptions)),
         Section("Warnings", _listed(figures.warnings)),
         Section("Notes", _listed(figures.notes)),
-        Section("Time", tables.timings(figures.timings_s, figures.total_s)),
-        Section("Versions", [Rows(list(figures.versions.items()))] if figures.versions else []),
+        Section("Run time", tables.timings(figures.timings_s, figures.total_s)),
+        Section("Software versions", [Rows(list(figures.versions.items()))] if figures.versions else []),
     ]
 
 

@@ -54,12 +54,12 @@ def _distributions(found: CloudFigures) -> list[Table]:
         rows.append((f"standard deviation [{unit.name}]", "", unit.number(std.median), unit.number(std.p95), ""))
     if (std := found.std_common_m) is not None:
         unit = LengthUnit.of([std.median, std.p95])
-        name = f"the same by water, lens and poses, in common [{unit.name}]"
+        name = f"common standard deviation: water, lens, poses [{unit.name}]"
         rows.append((name, "", unit.number(std.median), unit.number(std.p95), ""))
     if found.plan_std_common_m:
         unit = LengthUnit.of_heights()
         shift = unit.number(found.plan_std_common_m)
-        rows.append((f"places in plan, in common, by the change of datums [{unit.name}]", "", shift, shift, ""))
+        rows.append((f"common shift in plan: datum transformation [{unit.name}]", "", shift, shift, ""))
     if (views := found.views_per_point) is not None:
         rows.append(("views per point", number(views.min, 0), number(views.median, 0), "", number(views.max, 0)))
     if (angle := found.incidence_deg) is not None:
@@ -209,8 +209,8 @@ def _interval(interval: tuple[float, float] | None, unit: LengthUnit) -> str:
 def _completeness(tolerances: tuple[Scores, ...]) -> Table:
     """Completeness, accuracy share and F-score at each tolerance."""
     is_visible = any(is_known(scores.completeness_visible) for scores in tolerances)
-    titles = ("tolerance [m]", "reference reached [%]", *(["of what cameras see [%]"] if is_visible else []),
-              "points this near [%]", "F-score [%]")  # fmt: skip
+    titles = ("tolerance [m]", "completeness [%]", *(["of what cameras see [%]"] if is_visible else []),
+              "accuracy [%]", "F-score [%]")  # fmt: skip
     rows = []
     for scores in tolerances:
         visible = [scores.completeness_visible] if is_visible else []
@@ -295,7 +295,11 @@ def checkpoints(found: CheckpointAccuracy | None) -> list[Block]:
         f"std stated [{unit.name}]",
         "",
     )
-    return [Text(method), *([Table(statistics, groups)] if groups else []), Table(each, rows, heading="Each")]
+    return [
+        Text(method),
+        *([Table(statistics, groups)] if groups else []),
+        Table(each, rows, heading="Each check point"),
+    ]
 
 
 def baselines(found: Baselines | None) -> list[Block]:

@@ -97,13 +97,7 @@ def sighting_of(
     x1, y1 = np.ceil(reached.max(axis=(0, 1))).astype(int) + 3
     layer = _height(points, water)
     over = np.where(inside, height_map.height[row, column] - layer, 0.0)
-    sure = trusted(height_map)[row, column] & inside
-    standing = (inside & (over > _ABOVE_GSD * holes.gsd)).reshape(shape).astype(np.uint8)
-    standing = cv2.morphologyEx(standing, cv2.MORPH_OPEN, _disc(_STRAY_CELLS))
-    beside = cv2.dilate(standing, _disc(_SHOWN_CELLS)) > 0
-    on_layer = (sure & (np.abs(over) < _ON_GSD * holes.gsd)).reshape(shape)
-    confirmed = (height_map.agreeing[row, column] >= _CONFIRMED_BY) & (height_map.score[row, column] > _CONFIRMED_NCC)
-    covered = (inside & confirmed & (over > _ON_GSD * holes.gsd)).reshape(shape)
+    hidden, shown, beside = _visibility(height_map, holes, (row, column), inside, over)
     is_inside = (inside & known[row, column]).reshape(shape)
     path = camera.paths(np.mean(middle[inside], axis=0)[None], water)
     at = float(np.median(layer[inside]))
@@ -115,12 +109,36 @@ def sighting_of(
         (pixel - (x0 + 0.5, y0 + 0.5)).reshape(*shape, 2).astype(np.float32),
         (np.where(inside[:, None], high - low, 0.0) / (2.0 * reach)).reshape(*shape, 2).astype(np.float32),
         is_inside,
-        (covered | (cv2.erode(standing, _disc(_HIDDEN_CELLS)) > 0)) & is_inside,
-        on_layer & ~beside,
+        hidden & is_inside,
+        shown,
         beside & is_inside,
         float(np.arccos(np.clip(-(path.air_direction[0] @ normal), -1.0, 1.0))),
         (above - below)[:2] / (above - below)[2],
     )
+
+
+def _visibility(
+    height_map: HeightMap, holes: Holes, at: tuple[np.ndarray, np.ndarray], inside: np.ndarray, over: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """See `Sighting.hidden`, `shown` and `beside`, by the height map of the photograph.
+
+    Parameters
+    ----------
+    at : two of (N,) int
+        Row and column of each cell in the height map.
+    inside, over : (N,) bool, (N,) [m]
+        Cells in the photograph, and the height of the map over the layer there.
+    """
+    shape, gsd = holes.shape, holes.gsd
+    raised = (inside & (over > _ABOVE_GSD * gsd)).reshape(shape).astype(np.uint8)
+    standing = cv2.morphologyEx(raised, cv2.MORPH_OPEN, _disc(_STRAY_CELLS))
+    beside = cv2.dilate(standing, _disc(_SHOWN_CELLS)) > 0
+    sure = trusted(height_map)[at] & inside
+    on_layer = (sure & (np.abs(over) < _ON_GSD * gsd)).reshape(shape)
+    confirmed = (height_map.agreeing[at] >= _CONFIRMED_BY) & (height_map.score[at] > _CONFIRMED_NCC)
+    covered = (inside & confirmed & (over > _ON_GSD * gsd)).reshape(shape)
+    hidden = covered | (cv2.erode(standing, _disc(_HIDDEN_CELLS)) > 0)
+    return hidden, on_layer & ~beside, beside
 
 
 def _height(points: np.ndarray, water: FlatWater | None) -> np.ndarray:

@@ -98,8 +98,7 @@ def inverse(matrix: np.ndarray) -> np.ndarray:
 
 def adjusted(survey: Survey) -> Adjusted:
     known = known_of(survey, 0.02)
-    sizes = [(view.lens.width, view.lens.height) for view in survey.views]
-    return adjust(known, observed([(MATCH, survey.observations.ties)], None, survey, known), sizes, 0.5)
+    return adjust(known, observed([(MATCH, survey.observations.ties)], None, survey, known))
 
 
 @pytest.mark.parametrize("common_up_std", [80.0, 0.3])

@@ -201,9 +201,8 @@ def test_a_lens_is_not_compared_with_every_other(drifted, monkeypatch):
 def test_a_block_that_does_not_converge_with_them_keeps_one_focal_length(drifted):
     survey = drifted[1]
     known = known_of(survey, 0.02)
-    sizes = [(view.lens.width, view.lens.height) for view in survey.views]
     seen = observed([(MATCH, survey.observations.ties)], survey.observations.control, survey, known)
-    alone = adjust(known, seen, sizes, 0.5)
+    alone = adjust(known, seen)
 
     def adjusted(_known):
         raise NotConvergedError("")

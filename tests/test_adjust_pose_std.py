@@ -43,8 +43,7 @@ def by_file(block: DrawnBlock, std_m: float, std_deg: float, tool: str | None = 
 def stds_of(survey) -> np.ndarray:
     """Standard deviations (V, 6) [m, rad] of its poses as the adjustment used them."""
     known = known_of(survey, 0.02)
-    sizes = [(view.lens.width, view.lens.height) for view in survey.views]
-    done = adjust(known, observed([(MATCH, survey.observations.ties)], None, survey, known), sizes, 0.5)
+    done = adjust(known, observed([(MATCH, survey.observations.ties)], None, survey, known))
     return done.known.std[done.known.layout.first_pose :].reshape(-1, 6)
 
 

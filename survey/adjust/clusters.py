@@ -23,6 +23,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from survey.adjust.block.bundle import Solution
+from survey.adjust.block.observed import Sizes
 from survey.adjust.block.prediction import linearise
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import WATER, State
@@ -43,7 +44,7 @@ _PLACES = 8
 _AT_A_TIME = 64
 
 
-def inflation(ties: TiePoints, residuals: np.ndarray, std_px: np.ndarray, kind: np.ndarray, sizes) -> np.ndarray:
+def inflation(ties: TiePoints, residuals: np.ndarray, std_px: np.ndarray, kind: np.ndarray, sizes: Sizes) -> np.ndarray:
     """Factors (N,), at least 1, on the variances of observations.
 
     Parameters
@@ -53,7 +54,6 @@ def inflation(ties: TiePoints, residuals: np.ndarray, std_px: np.ndarray, kind: 
         Standard deviation of a pixel coordinate of each kind.
     kind : (N,)
         Each kind has one factor.
-    sizes : (width, height) [px] of each photograph
     """
     length = np.linalg.norm(residuals, axis=1, keepdims=True)
     bound = _MOST * std_px[kind][:, None]
@@ -82,12 +82,11 @@ def _design_effect(view: np.ndarray, pixel: np.ndarray, normal: np.ndarray, side
     return 1.0 + (float((count**2).sum() / count.sum()) - 1.0) * max(correlation, 0.0)
 
 
-def terrain_design_effect(problem: Problem, solution: Solution, sizes, kinds: np.ndarray) -> float:
+def terrain_design_effect(problem: Problem, solution: Solution, sizes: Sizes, kinds: np.ndarray) -> float:
     """Design effect on the variance of height, tilt and shift of the whole block, over its normal equations.
 
     Parameters
     ----------
-    sizes : (width, height) [px] of each photograph
     kinds : (N,) bool
         Observations that count.
 
@@ -150,7 +149,7 @@ def _followed(ties: TiePoints, weights: np.ndarray, by_point: np.ndarray, change
     return change - np.einsum("nai,ni->na", by_point, step[ties.point])
 
 
-def _footprint(problem: Problem, state: State, sizes) -> float:
+def _footprint(problem: Problem, state: State, sizes: Sizes) -> float:
     """Footprint of the longer side of a photograph on the ground [m], with straight rays."""
     ties, layout = problem.ties, problem.layout
     away = np.linalg.norm(state.points[ties.point] - state.centres[ties.view], axis=1)

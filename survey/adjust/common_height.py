@@ -16,7 +16,7 @@ import numpy as np
 
 from refract import FlatWater
 from survey.adjust.block.bundle import NotConvergedError, Solution, cost, solve
-from survey.adjust.block.observed import KINDS, MARK, Observed, original_rows
+from survey.adjust.block.observed import Observed, original_rows
 from survey.adjust.block.prediction import relief_sides
 from survey.adjust.block.priors import PriorKnowledge, priors_for, shared_height_std
 from survey.adjust.block.problem import Problem
@@ -44,7 +44,7 @@ class CommonHeight:
     level_std: float  # [m]: of the height of the water over the block, by photographs
 
 
-def water_start(known: PriorKnowledge, seen: Observed, marks_std_px: float) -> tuple[PriorKnowledge, np.ndarray]:
+def water_start(known: PriorKnowledge, seen: Observed) -> tuple[PriorKnowledge, np.ndarray]:
     """Initial state of a block whose positions do not determine its height over the water, and its points (M, 3) [m].
 
     The cost may have one minimum with all points under water and another with some of them: the adjustment is started
@@ -57,7 +57,7 @@ def water_start(known: PriorKnowledge, seen: Observed, marks_std_px: float) -> t
         water = with_parameters(known.state.water, parameters)
         state = replace(known.state, water=water, points=seen.ties.start)
         try:
-            problem = _problem(known, seen, state, marks_std_px)
+            problem = _problem(known, seen, state)
             found.append((problem, solve(problem, state)))
         except NotConvergedError:
             continue
@@ -75,12 +75,10 @@ def _candidate_levels(known: PriorKnowledge, seen: Observed) -> tuple[float, ...
     return float(known.state.water_parameters()[0]), over, float(np.median(points[:, 2]))
 
 
-def _problem(known: PriorKnowledge, seen: Observed, state: State, marks_std_px: float) -> Problem:
-    given = np.full(len(KINDS), np.nan)
-    given[MARK] = marks_std_px
+def _problem(known: PriorKnowledge, seen: Observed, state: State) -> Problem:
     sides = relief_sides(state, seen.ties)
     rows = original_rows(seen.ties, known.lenses, known.layout.lens_of)
-    return Problem(known.layout, seen.ties, seen.kind, priors_for(known, seen.ties), given, sides, rows)
+    return Problem(known.layout, seen.ties, seen.kind, priors_for(known, seen.ties), seen.given_std_px, sides, rows)
 
 
 def height_warnings(survey: Survey, done: Adjusted) -> list[str]:

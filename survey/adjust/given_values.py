@@ -25,7 +25,7 @@ import numpy as np
 
 from refract import FlatWater
 from survey.adjust.block.bundle import NotConvergedError, System, solve, system_at
-from survey.adjust.block.observed import Observed
+from survey.adjust.block.observed import Observed, Sizes, sizes_of
 from survey.adjust.block.priors import HELD, PriorKnowledge, known_of, priors_for
 from survey.adjust.block.problem import Problem, std_of_kinds
 from survey.adjust.block.state import LENS_NAMES, WATER, WATER_PARAMETERS, Layout, State, is_held
@@ -68,10 +68,10 @@ class _Linearised:
     state: State
     system: System
     std_px: np.ndarray  # (kinds,) [px]: standard deviations of the observations at the state
-    sizes: list[tuple[int, int]]  # list of (width, height) [px]: of the photographs
+    sizes: Sizes
 
     @staticmethod
-    def at(problem: Problem, state: State, sizes: list[tuple[int, int]]) -> _Linearised:
+    def at(problem: Problem, state: State, sizes: Sizes) -> _Linearised:
         """The problem linearised at a state."""
         std_px = std_of_kinds(problem, problem.residuals(state), 0.0)
         return _Linearised(problem, state, system_at(problem, state, std_px), std_px, sizes)
@@ -139,7 +139,7 @@ def check_given_values(
     least = dict(zip(focals.tolist(), _FOCAL_SHARE * state.lenses[:, 0], strict=True))
     std[tested] = np.inf
     problem = replace(problem, priors=replace(priors_for(known, problem.ties), state=state, std=std))
-    block = _Linearised.at(problem, state, [(view.lens.width, view.lens.height) for view in survey.views])
+    block = _Linearised.at(problem, state, sizes_of(survey))
     contradictions = []
     for number in tested:
         name, value = _name_and_value(survey, known, number)
@@ -263,9 +263,7 @@ def dry_bed_error(level: Contradiction, way_out: str) -> SurveyError:
     )
 
 
-def check_dry_block(
-    survey: Survey, known: PriorKnowledge, seen: Observed, done: Adjusted, marks_std_px: float
-) -> Contradiction | None:
+def check_dry_block(survey: Survey, known: PriorKnowledge, seen: Observed, done: Adjusted) -> Contradiction | None:
     """The level that an adjusted block shows where the given one leaves all of it dry; None where it shows none.
 
     Parameters
@@ -276,8 +274,6 @@ def check_dry_block(
         All of it.
     done : Adjusted
         The block.
-    marks_std_px : float
-        As for `survey.adjust.rounds.adjust`.
     """
     if not _is_dry(done.solution.state):
         return None
@@ -285,10 +281,8 @@ def check_dry_block(
     std[LEVEL] = BAROMETER_STD_M
     free = replace(known, std=std, common_up_std=BAROMETER_STD_M)
     with suppress(NotConvergedError):
-        start, points = water_start(free, seen, marks_std_px)
-        wet = adjust(
-            start, seen.at(points), [(view.lens.width, view.lens.height) for view in survey.views], marks_std_px
-        )
+        start, points = water_start(free, seen)
+        wet = adjust(start, seen.at(points))
         water, covariance = _water(wet.solution.state), wet.solution.covariance
         over = float(np.median(water.depth(wet.solution.state.points)))
         if over > MOST_SIGMAS * std_over_points(wet.solution.system, covariance):

@@ -59,9 +59,7 @@ class Unobservable:
     reason: str
 
 
-def adjust_free(
-    survey: Survey, known: PriorKnowledge, seen: Observed, sizes, marks_std_px: float
-) -> tuple[Adjusted, dict[str, Unobservable]]:
+def adjust_free(survey: Survey, known: PriorKnowledge, seen: Observed) -> tuple[Adjusted, dict[str, Unobservable]]:
     """Adjust a block with free water (`known`); also returns its unobservable parameters by name.
 
     Raises
@@ -71,13 +69,13 @@ def adjust_free(
     """
 
     def under_given_water(unobservable: dict[str, Unobservable]) -> tuple[Adjusted, dict[str, Unobservable]]:
-        return adjust(_held_priors(known, np.arange(WATER), HELD), seen, sizes, marks_std_px), unobservable
+        return adjust(_held_priors(known, np.arange(WATER), HELD), seen), unobservable
 
     few = _too_few(replace(known.state, points=seen.ties.start))
     if few is not None:
         return under_given_water(none_observable(few))
     try:
-        done = adjust(known, seen, sizes, marks_std_px)
+        done = adjust(known, seen)
     except NotConvergedError as error:
         return under_given_water(none_observable(str(error)))
     few = _too_few(done.solution.state)
@@ -100,7 +98,7 @@ def adjust_free(
         )
         known = _held_priors(done.known, np.array([worst]), _HELD_STD[worst])
         known = replace(known, state=replace(done.solution.state, points=np.zeros((0, 3))))
-        done = adjust(known, done.used, sizes, marks_std_px)
+        done = adjust(known, done.used)
         std = water_std(survey, done)
     return done, unobservable
 
@@ -199,7 +197,7 @@ def _place(name: str, layout: Layout) -> int:
     return layout.lens(number).start + LENS_NAMES.index(parameter)
 
 
-def adjusted_with(done: Adjusted, held: np.ndarray, stated_std: np.ndarray, sizes, marks_std_px: float) -> Adjusted:
+def adjusted_with(done: Adjusted, held: np.ndarray, stated_std: np.ndarray) -> Adjusted:
     """The block with parameters (P,) bool held at their given values.
 
     Parameters
@@ -209,8 +207,6 @@ def adjusted_with(done: Adjusted, held: np.ndarray, stated_std: np.ndarray, size
     held : (P,) bool
     stated_std : (P,)
         Of the given values.
-    sizes, marks_std_px
-        As for `survey.adjust.rounds.adjust`.
     """
     known, covariance = done.known, done.solution.covariance
     kept = replace(
@@ -218,7 +214,7 @@ def adjusted_with(done: Adjusted, held: np.ndarray, stated_std: np.ndarray, size
         state=done.solution.state.moved(known.layout, *_step(done, held)),
         std=np.where(held, HELD * known.std, known.std),
     )
-    again = adjust(kept, done.used.at(kept.state.points), sizes, marks_std_px)
+    again = adjust(kept, done.used.at(kept.state.points))
     follow = covariance[:, held] @ np.linalg.inv(covariance[np.ix_(held, held)])
     more = np.diag(stated_std[held] ** 2) - covariance[np.ix_(held, held)]
     solution = replace(again.solution, covariance=covariance + follow @ more @ follow.T)

@@ -17,7 +17,7 @@ from survey.adjust.applied import at_state
 from survey.adjust.assembling import assemble_result
 from survey.adjust.block.bundle import NotConvergedError
 from survey.adjust.block.control_check import contradicted_points, contradiction_warning, has_unchecked_control
-from survey.adjust.block.observed import CELLS, MATCH, PER_CELL, WINDOW, Observed, observed, thinned
+from survey.adjust.block.observed import CELLS, MATCH, PER_CELL, WINDOW, Observed, observed, sizes_of, thinned
 from survey.adjust.block.on_ground import moved_by, shift_onto
 from survey.adjust.block.priors import PriorKnowledge, known_of
 from survey.adjust.block.state import POSE, WATER, WATER_PARAMETERS
@@ -52,7 +52,6 @@ from survey.plan.plan import make_plan
 from survey.plan.rates import adjustment_s
 from survey.plan.workload import amounts_of_run
 
-_MARKS_STD_PX = 0.5
 # Windows are measured up to four times as well as matches, and are as many.
 _MOST_GAIN = 6.0
 # Of the shift onto the ground before the adjustment.
@@ -153,7 +152,7 @@ def _adjusted(survey: Survey, known: PriorKnowledge, windows: TiePoints | None, 
     if not free_water:
         done, drift = gathered.with_focals(done)
         done, contradictions = gathered.without_contradictions(done)
-    water = None if survey.water is not None else find_unnamed_water(done, gathered.marks_std)
+    water = None if survey.water is not None else find_unnamed_water(done)
     notes = roll_notes(survey, done, make_plan(survey).gsd_m) if done.known.rolls and not free_water else []
     found = gathered.result(done, contradictions)
     if not survey.provenance.is_level_known and found.parameter("level_m").status == UNKNOWN:
@@ -209,9 +208,6 @@ class _BlockAdjustment:
 
     def __init__(self, survey: Survey, known: PriorKnowledge, free_water: bool):
         self._survey, self.known, self._free_water = survey, known, free_water
-        self._sizes = [(view.lens.width, view.lens.height) for view in survey.views]
-        control = survey.observations.control
-        self.marks_std = _MARKS_STD_PX if control is None else control.marks_std_px
         self._parts: list[tuple[int, TiePoints]] = []
         self._unobservable: dict[str, Unobservable] = {}
         self._is_against_positions = False
@@ -222,19 +218,19 @@ class _BlockAdjustment:
 
     def add_ties(self, kind: int, ties: TiePoints, start: PriorKnowledge) -> Adjusted:
         """Add tie points, thinned to those that are needed, and adjust."""
-        needed = ties.only(np.isin(ties.point, thinned(ties, self._sizes, CELLS, PER_CELL)))
+        needed = ties.only(np.isin(ties.point, thinned(ties, sizes_of(self._survey), CELLS, PER_CELL)))
         ground = self._survey.observations.ground
         if ground is not None and not self._parts:
             start, needed = self._shift_onto_ground(ground, kind, needed, start)
         self._parts.append((kind, needed))
         if self._free_water:
-            done, self._unobservable = adjust_free(self._survey, start, self._observed, self._sizes, self.marks_std)
+            done, self._unobservable = adjust_free(self._survey, start, self._observed)
             return done
         if start.common_up_std > 0.0 and len(self._parts) == 1:
             return self._at_level(start)
-        done = adjust(start, self._observed, self._sizes, self.marks_std)
+        done = adjust(start, self._observed)
         if len(self._parts) == 1 and self._survey.provenance.is_level_known:
-            level = check_dry_block(self._survey, start, self._observed, done, self.marks_std)
+            level = check_dry_block(self._survey, start, self._observed, done)
             if level is not None:
                 raise dry_bed_error(level, "leave out [water] if the bed is dry")
         return done
@@ -254,7 +250,7 @@ class _BlockAdjustment:
         start = replace(start, shared_std=shared)
         alone = replace(observed([(kind, ties)], self._survey.observations.control, self._survey, start), ground=None)
         try:
-            done = adjust(start, alone, self._sizes, self.marks_std)
+            done = adjust(start, alone)
             state, points = replace(done.solution.state, points=np.zeros((0, 3))), done.solution.state.points
             points = points[: len(done.used.ties) - len(done.used.control)]
         except NotConvergedError:
@@ -273,16 +269,16 @@ class _BlockAdjustment:
 
     def _at_level(self, start: PriorKnowledge) -> Adjusted:
         """Adjust where the level of the water, or else the positions, say how high the block lies."""
-        start, points = water_start(start, self._observed, self.marks_std)
+        start, points = water_start(start, self._observed)
         kind, ties = self._parts[0]
         # Without those of check points, which come last.
         self._parts[0] = (kind, replace(ties, start=points[: len(ties)]))
-        done = adjust(start, self._observed, self._sizes, self.marks_std)
+        done = adjust(start, self._observed)
         held = None if self._has_stated_positions else drop_common_height(self.known, done)
         if held is None:
             return done
         self.known = replace(held, state=self.known.state)
-        return adjust(held, self._observed, self._sizes, self.marks_std)
+        return adjust(held, self._observed)
 
     @property
     def _has_stated_positions(self) -> bool:
@@ -294,7 +290,7 @@ class _BlockAdjustment:
         if self._survey.observations.ground is not None:
             return done, None
         seen = self._observed
-        done, drift = with_focals(self.known, done, lambda start: adjust(start, seen, self._sizes, self.marks_std))
+        done, drift = with_focals(self.known, done, lambda start: adjust(start, seen))
         if drift is not None:
             self.known = with_focal_std(self.known, done, drift.std)
         return done, drift
@@ -310,7 +306,7 @@ class _BlockAdjustment:
                 break
             contradictions.append(each)
             start = release(_restarted(done.known, done), each)
-            done = adjust(start, self._observed, self._sizes, self.marks_std)
+            done = adjust(start, self._observed)
         return done, contradictions
 
     def against_control(self) -> list[str]:
@@ -328,7 +324,7 @@ class _BlockAdjustment:
             free = apply_level_datum(_BlockAdjustment(alone, known, free_water=False).add_ties(kind, ties, known))[0]
         except NotConvergedError:
             return []
-        contradictions = contradicted_points(control, self.marks_std, self._survey.views, free.known, free.solution)
+        contradictions = contradicted_points(control, self._survey.views, free.known, free.solution)
         return [contradiction_warning(contradictions)] if contradictions else []
 
     def result(self, done: Adjusted, contradictions: Sequence[Contradiction]) -> Adjustment:
@@ -340,7 +336,7 @@ class _BlockAdjustment:
         placed, common = apply_level_datum(done)
 
         def hold(held: np.ndarray) -> Adjusted:
-            return apply_level_datum(adjusted_with(done, held, self.known.std, self._sizes, self.marks_std))[0]
+            return apply_level_datum(adjusted_with(done, held, self.known.std))[0]
 
         used = {WATER_PARAMETERS.index(each.name) for each in contradictions} | (set() if common is None else {LEVEL})
         found = self._on_ground(

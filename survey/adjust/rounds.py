@@ -8,7 +8,7 @@ import numpy as np
 
 from survey.adjust.block.bundle import NotConvergedError, Solution, System, solve, system_with
 from survey.adjust.block.control_check import checked_points, stated_points
-from survey.adjust.block.observed import KINDS, MARK, Observed, original_rows
+from survey.adjust.block.observed import KINDS, MARK, Observed, Sizes, original_rows
 from survey.adjust.block.on_ground import GroundAlignment, OnGround, alignment_on, planes_under
 from survey.adjust.block.pose_std import reestimate_pose_std
 from survey.adjust.block.prediction import relief_sides
@@ -86,12 +86,8 @@ class Adjusted:
     alignment: GroundAlignment | None = None  # On the ground of an earlier survey
 
 
-def adjust(known: PriorKnowledge, seen: Observed, sizes, marks_std_px: float) -> Adjusted:
+def adjust(known: PriorKnowledge, seen: Observed) -> Adjusted:
     """Adjust a block, and again without outliers until none is left.
-
-    Parameters
-    ----------
-    sizes : (width, height) [px] of each photograph
 
     Raises
     ------
@@ -103,15 +99,14 @@ def adjust(known: PriorKnowledge, seen: Observed, sizes, marks_std_px: float) ->
     state = replace(known.state, points=seen.ties.start)
     blunders = np.zeros((len(known.unknown_positions), 2), dtype=bool)
     factors = np.ones(len(KINDS) * (1 + _STRATA))
-    given = np.full(len(factors), np.nan)
-    given[MARK :: len(KINDS)] = marks_std_px
+    given = np.tile(seen.given_std_px, 1 + _STRATA)
     coordinates, remaining = stated_points(seen), _ROUNDS
     most = _ROUNDS + len(coordinates)
     while True:
         kind = _by_depth(seen, state)
         problem, solution, on_ground = _solve_once(known, seen, state, kind, given, factors[kind])
         found = solution.std_px
-        before, factors = factors, _factors(problem, solution, sizes, factors)
+        before, factors = factors, _factors(problem, solution, seen.sizes, factors)
         poses, known_blunders = reestimate_pose_std(known, solution, blunders), blunders
         known, blunders = poses.known, poses.blunders
         checked = checked_points(problem, solution, seen, coordinates)
@@ -187,7 +182,7 @@ def _open_rolls(known: PriorKnowledge, seen: Observed) -> list[Roll]:
     return [roll for roll in known.rolls if not roll.num_attitudes]
 
 
-def _factors(problem: Problem, solution: Solution, sizes, before: np.ndarray) -> np.ndarray:
+def _factors(problem: Problem, solution: Solution, sizes: Sizes, before: np.ndarray) -> np.ndarray:
     """Factors (kinds,) on variances, for what neighbours share; ``before`` are those of the solution."""
     kind = problem.kind
     shared = inflation(problem.ties, solution.residuals, solution.std_px, kind, sizes)

@@ -19,7 +19,7 @@ import numpy as np
 
 from refract import FlatWater
 from survey.adjust.block.bundle import NotConvergedError, cost, solve
-from survey.adjust.block.observed import KINDS, MARK, Observed, original_rows
+from survey.adjust.block.observed import Observed, original_rows
 from survey.adjust.block.prediction import relief_sides
 from survey.adjust.block.priors import PriorKnowledge, priors_for
 from survey.adjust.block.problem import Problem
@@ -62,15 +62,13 @@ class UnnamedWater:
         )
 
 
-def find_unnamed_water(done: Adjusted, marks_std_px: float) -> UnnamedWater | None:
+def find_unnamed_water(done: Adjusted) -> UnnamedWater | None:
     """Water that a block shows which was adjusted without any; None where it shows none, or cannot tell.
 
     Parameters
     ----------
     done : Adjusted
         Of a survey without water.
-    marks_std_px : float
-        As for `survey.adjust.rounds.adjust`.
     """
     known, seen, dry = done.known, done.used, done.solution.state
     if dry.water is not None or len(seen.ties) < FEWEST_WET:
@@ -78,24 +76,22 @@ def find_unnamed_water(done: Adjusted, marks_std_px: float) -> UnnamedWater | No
     shared = done.factor[seen.kind]
     for level in _candidate_levels(dry):
         with suppress(NotConvergedError):
-            found = _gain_over(known, seen, dry, level, shared, marks_std_px)
+            found = _gain_over(known, seen, dry, level, shared)
             if found is not None and found[0] > _LEAST_GAIN:
                 return found[1]
     return None
 
 
 def _gain_over(
-    known: PriorKnowledge, seen: Observed, dry: State, level: float, shared: np.ndarray, marks_std_px: float
+    known: PriorKnowledge, seen: Observed, dry: State, level: float, shared: np.ndarray
 ) -> tuple[float, UnnamedWater] | None:
     """Gain of bent rays in units of variances, and the water; None where too little of it is sure."""
     x, y = dry.centres[:, :2].mean(axis=0).tolist()
     water, std = FlatWater((x, y, level), n_water=_INDEX), known.std.copy()
     std[:4] = [_LEVEL_STD_M, _SLOPE_STD, _SLOPE_STD, _INDEX_STD]
     under = replace(known, std=std, mean=replace(known.mean, water=water))
-    given = np.full(len(KINDS), np.nan)
-    given[MARK] = marks_std_px
     start = replace(dry, water=water)
-    problem = _problem(under, seen, start, given)
+    problem = _problem(under, seen, start, seen.given_std_px)
     wet = solve(problem, start, inflation=shared)
     depth = _water(wet.state).depth(wet.state.points)
     is_wet = depth > 0.0

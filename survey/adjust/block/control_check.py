@@ -220,13 +220,12 @@ def has_unchecked_control(survey: Survey) -> bool:
 
 
 def contradicted_points(
-    control: Control, marks_std_px: float, views: Sequence[View], known: PriorKnowledge, solution: Solution
+    control: Control, views: Sequence[View], known: PriorKnowledge, solution: Solution
 ) -> list[ControlContradiction]:
     """The control points that a block without control contradicts.
 
     Parameters
     ----------
-    marks_std_px : [px]
     views : sequence of View
         That the marks are in.
     known, solution
@@ -252,7 +251,7 @@ def contradicted_points(
         by_point = linear.by_point.reshape(-1, 3)
         by_parameters = linear.by_parameters.toarray()
         variance = (by_point * np.asarray(point.std) ** 2) @ by_point.T
-        variance += by_parameters @ covariance @ by_parameters.T + marks_std_px**2 * np.eye(len(residual))
+        variance += by_parameters @ covariance @ by_parameters.T + control.marks_std_px**2 * np.eye(len(residual))
         square = float(residual @ np.linalg.solve(variance, residual))
         if chdtrc(len(residual), square) < _LEAST_PROBABILITY:
             level = np.linalg.pinv(by_point[:, :2])

@@ -18,9 +18,12 @@ from survey.photos.poses import TiePoints
 if TYPE_CHECKING:
     from survey.folder.survey import Survey
 
+Sizes = Sequence[tuple[int, int]]  # (width, height) [px] of each photograph
 # Kinds of observations, each with a standard deviation of its own.
 MATCH, WINDOW, MARK = range(3)
 KINDS = ("matches", "windows", "marks")
+# Of marks set by hand [px], where no control says it.
+MARKS_STD_PX = 0.5
 # How many points an adjustment takes: of each of so many cells along a photograph, so many.
 CELLS, PER_CELL = 8, 3
 
@@ -34,6 +37,8 @@ class Observed:
     # (M, 3) [m]: of the points that are known beforehand, at `TiePoints.start`; infinite for all others
     point_std: np.ndarray
     control: tuple[str, ...]  # Names of the control points, which come last
+    sizes: Sizes
+    marks_std_px: float = MARKS_STD_PX  # [px]: of the marks
     ground: StableGround | None = None  # On which dry tie points lie
 
     def only(self, keep: np.ndarray) -> Observed:
@@ -52,7 +57,14 @@ class Observed:
             pixel=self.ties.pixel[keep],
         )
         control = tuple(name for name, kept in zip(self.control, enough[first_control:], strict=True) if kept)
-        return Observed(ties, self.kind[keep], self.point_std[enough], control, self.ground)
+        return replace(self, ties=ties, kind=self.kind[keep], point_std=self.point_std[enough], control=control)
+
+    @property
+    def given_std_px(self) -> np.ndarray:
+        """Standard deviations (kinds,) [px] that are given: that of marks; NaN for those that the block shows."""
+        given = np.full(len(KINDS), np.nan)
+        given[MARK] = self.marks_std_px
+        return given
 
     def at(self, points: np.ndarray) -> Observed:
         """The same with other approximate points (M, 3); those of control stay."""
@@ -84,7 +96,13 @@ def observed(
         ]
     if names and known.common_up_std > 0.0:
         ties = replace(ties, start=_at_height_of_nearest(ties.start, len(ties) - len(names)))
-    return Observed(ties, kind, point_std, names, survey.observations.ground)
+    marks_std_px = MARKS_STD_PX if control is None else control.marks_std_px
+    return Observed(ties, kind, point_std, names, sizes_of(survey), marks_std_px, survey.observations.ground)
+
+
+def sizes_of(survey: Survey) -> Sizes:
+    """Sizes (width, height) [px] of the photographs."""
+    return tuple((view.lens.width, view.lens.height) for view in survey.views)
 
 
 def _at_height_of_nearest(start: np.ndarray, first: int) -> np.ndarray:
@@ -142,7 +160,7 @@ def _straightened(ties: TiePoints, known: PriorKnowledge) -> np.ndarray:
     return pixel
 
 
-def thinned(ties: TiePoints, sizes: Sequence[tuple[int, int]], cells: int, per_cell: int) -> np.ndarray:
+def thinned(ties: TiePoints, sizes: Sizes, cells: int, per_cell: int) -> np.ndarray:
     """Tie-point thinning: numbers of the points (K,) to keep, ascending; long tracks first, spread evenly.
 
     A block of 30 photographs has some 10,000 matches in each. Neighbours share errors of waves, relief and lens, so

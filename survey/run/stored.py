@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import os
 import shutil
 import struct
@@ -15,7 +16,7 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from io import BytesIO
+from io import BufferedReader
 from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -161,10 +162,10 @@ class StoredArrays:
             with self._path.open("rb") as stream:
                 member = self._members[name]
                 _to_array(stream, member.header_offset)
-                content = stream.read(member.file_size)
-            if zlib.crc32(content) != member.CRC:
+                array, checksum = _read_array(stream, member.file_size)
+            if checksum != member.CRC:
                 raise unreadable(self._path, f"the checksum of its array {name} differs")
-            return np.load(BytesIO(content), allow_pickle=False)
+            return array
         except (OSError, ValueError, EOFError, struct.error) as error:
             raise unreadable(self._path, error) from error
 
@@ -173,6 +174,24 @@ def _to_array(stream: IO[bytes], start: int) -> None:
     """Go to an array of a zip file that does not compress, whose local header begins there."""
     stream.seek(start + LENGTHS_AT)
     stream.seek(sum(struct.unpack("<HH", stream.read(4))), os.SEEK_CUR)
+
+
+def _read_array(stream: BufferedReader, num_bytes: int) -> tuple[np.ndarray, int]:
+    """An array in the format of numpy at the place of a stream, read where it stays, and the checksum of its bytes."""
+    start = stream.tell()
+    np.lib.format.read_magic(stream)
+    shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(stream)
+    length = stream.tell() - start
+    stream.seek(start)
+    header = stream.read(length)
+    size = dtype.itemsize * math.prod(shape)
+    if dtype.hasobject or length + size != num_bytes:
+        raise ValueError(f"an array of {size} bytes, of which the file has {num_bytes - length}")
+    array = np.empty(shape, dtype, "F" if is_fortran else "C")
+    content = array.reshape(-1, order="A").view(np.uint8).data
+    if stream.readinto(content) != array.nbytes:
+        raise EOFError("the file ends within an array")
+    return array, zlib.crc32(content, zlib.crc32(header))
 
 
 def mapped_arrays(path: str | Path, names: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:

@@ -79,7 +79,7 @@ def _llvm() -> Device | None:
 
 @cache
 def memory_bytes(device: Device) -> int:
-    """Memory of a device that is apart, as its driver says; 0 where that does not tell."""
+    """Memory [bytes] of a device with memory of its own, by its driver; 0 where it is unknown."""
     if device.place != "cuda":
         return 0
     number, found = ctypes.c_int(), ctypes.c_size_t()

@@ -96,7 +96,7 @@ def build_octree(columns: Sequence[np.ndarray], per_unit: Sequence[int] = (1, 1,
 
 
 def _taken(code: np.ndarray, bits: int, level: int, rng: np.random.Generator) -> np.ndarray:
-    """Which sorted points (N,) the nodes of a level take: one of each cell, or all that are left."""
+    """Mask (N,) of the sorted points that the nodes of a level take: one of each cell, or all that are left."""
     if level == bits:
         return np.ones(len(code), dtype=bool)
     node = _starts(code >> 3 * (bits - level))

@@ -46,7 +46,7 @@ _DESCRIPTOR = "<2xBB32s4x8s16x8s16x8s16x48x32s"
 
 
 def length_fault(path: Path) -> str | None:
-    """What in a LAS header contradicts the length of the file; None if nothing does.
+    """Contradiction between a LAS header and the length of its file; None where there is none.
 
     Checked before laspy reads: a damaged count of records would keep it busy for hours.
     """
@@ -70,7 +70,7 @@ def length_fault(path: Path) -> str | None:
 
 
 def _fault_of_chunks(path: Path, start: int, count: int, size: int) -> str | None:
-    """What in the chunk table of a LAZ file contradicts the length of the file; None if nothing does.
+    """Contradiction between the chunk table of a LAZ file and its length; None where there is none.
 
     The decoder allocates memory for as many chunks as the table says, and ends the process if that fails.
     """

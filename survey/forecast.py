@@ -120,7 +120,7 @@ class Forecast:
     _tells_itself: bool = False
 
     def expect(self, expected_s: Mapping[str, float]) -> None:
-        """Take in what parts take by stated rates [s], in their order; those that have begun keep what was expected."""
+        """Add parts with their expected time [s], in order; those that have begun keep theirs."""
         begun = {name: part for name, part in self._parts.items() if part.began is not None}
         self._parts = begun | {name: _Part(seconds) for name, seconds in expected_s.items() if name not in begun}
 

@@ -80,7 +80,7 @@ class Step:
 
     @property
     def is_underway(self) -> bool:
-        """Whether so much of it is done that its own pace tells more than what was expected."""
+        """Whether enough is done that its own pace predicts better than the stated rates."""
         return self.total is not None and self.done >= LEAST_SHARE * self.total
 
     @property

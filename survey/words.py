@@ -18,7 +18,7 @@ GCP_LIST = "gcp_list.txt"
 
 
 class Quality(StrEnum):
-    """Qualities, by the time that is spent; `survey.plan.recipe` says what each means."""
+    """Qualities, by run time; `survey.plan.recipe` defines them."""
 
     draft = "draft"
     standard = "standard"
@@ -59,7 +59,7 @@ class Poses(StrEnum):
 
 
 class Drop(StrEnum):
-    """How submodules of a trained field are found that a view does without."""
+    """Methods by which the submodules are found that a view leaves out."""
 
     geometry = "geometry"
     network = "network"

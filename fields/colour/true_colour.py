@@ -59,7 +59,7 @@ def true_colours(
 def without_water(
     rgb: np.ndarray, depth: np.ndarray, incidence: np.ndarray, n_water: float, column: WaterColumn
 ) -> np.ndarray:
-    """Linear radiance (N, 3) of the bed, 1 for white, from what photographs stored of it.
+    """Linear radiance (N, 3) of the bed, 1 for white, from the stored values of photographs.
 
     Parameters
     ----------

@@ -64,7 +64,7 @@ def samples_by_mass(bin_edges: Tensor, mass: Tensor, num: int, jitter: bool, *, 
 
 @dataclass
 class Cells:
-    """The cells of a box that may hold a surface: all at first, then those about what is opaque."""
+    """Cells of a box that may hold a surface: all at first, then those near opaque ones."""
 
     box: Box
     occupied: Tensor  # (nx, ny, nz) bool

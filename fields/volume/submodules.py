@@ -134,7 +134,7 @@ def render_submodules(
     samples: int = 48,
     dry: bool = False,
 ) -> View:
-    """What submodules show a camera, blended by their weights as in equation (1).
+    """View of submodules from a camera, blended by their weights as in equation (1).
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How visible a volume is: a small network of the transmittance of its paths, asked before it is rendered.
+"""Visibility of a volume: a small network of the transmittance of its paths, asked before it is rendered.
 
 In Block-NeRF (Tancik et al. 2022), and after it in the NeRF of tidal flats, a submodule has a perceptron f of position
 and direction beside its field. With the samples i of the training's paths it minimises

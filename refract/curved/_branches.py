@@ -131,7 +131,7 @@ def _halved(owner, mid_x, mid_y, lo, hi):
 
 
 def _polished(surface, path_slope, camera, point, x, y):
-    """Newton's steps to the last bits, from the middle of what encloses the root."""
+    """Newton's steps to the last bits, from the middle of the interval about the root."""
     for _ in range(_POLISH):
         (gx, gy), (hxx, hxy, hyy) = path_slope(surface, camera, point, x, y)
         determinant = hxx * hyy - hxy * hxy

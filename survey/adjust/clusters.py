@@ -176,7 +176,7 @@ class _Changed:
     design: csr_array  # (2 N, P)
 
     def ratios(self, square: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-        """Squares (K,) of the sums over squares of ground, over what independent errors would give on average.
+        """Ratios (K,) of the squared sums over squares of ground to their expectation for independent errors.
 
         Parameters
         ----------

@@ -101,7 +101,7 @@ class _Linearised:
 
 
 def most_contradicted(told: Sequence[Contradiction]) -> Contradiction | None:
-    """The parameter that photographs contradict the most, if any; ``told`` as `check_given_values` has it."""
+    """The parameter that photographs contradict the most, if any; ``told``: those of `check_given_values`."""
     worst = max(told, key=lambda each: each.sigmas, default=None)
     return worst if worst is not None and worst.sigmas > MOST_SIGMAS_OF_FOUR else None
 

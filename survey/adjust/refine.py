@@ -176,7 +176,7 @@ def _shares(survey: Survey, device: str) -> list[float]:
 
 
 def _require_level(survey: Survey, done: Adjusted) -> None:
-    """Raise where an adjustment of matches leaves the level so uncertain that windows cannot tell it either."""
+    """Raise where an adjustment of matches leaves the level so uncertain that windows cannot determine it either."""
     std = float(water_std(survey, done)[0])
     if not std <= _MOST_GAIN * MOST_STD_LEVEL_M:
         raise _level_error(survey, std)
@@ -268,7 +268,7 @@ class _BlockAdjustment:
         return start, replace(ties, start=ties.start + shift)
 
     def _at_level(self, start: PriorKnowledge) -> Adjusted:
-        """Adjust where the level of the water, or else the positions, say how high the block lies."""
+        """Adjust a block whose height the level of the water determines, or else the positions."""
         start, points = water_start(start, self._observed)
         kind, ties = self._parts[0]
         # Without those of check points, which come last.
@@ -282,7 +282,7 @@ class _BlockAdjustment:
 
     @property
     def _has_stated_positions(self) -> bool:
-        """Whether anything says how good positions are."""
+        """Whether the accuracy of any position is stated."""
         return any(prior.position_std is not None for prior in self._survey.observations.priors.values())
 
     def with_focals(self, done: Adjusted) -> tuple[Adjusted, FocalDrift | None]:

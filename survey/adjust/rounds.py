@@ -183,7 +183,7 @@ def _open_rolls(known: PriorKnowledge, seen: Observed) -> list[Roll]:
 
 
 def _factors(problem: Problem, solution: Solution, sizes: Sizes, before: np.ndarray) -> np.ndarray:
-    """Factors (kinds,) on variances, for what neighbours share; ``before`` are those of the solution."""
+    """Factors (kinds,) on variances, for correlated errors of neighbours; ``before``: those of the solution."""
     kind = problem.kind
     shared = inflation(problem.ties, solution.residuals, solution.std_px, kind, sizes)
     is_tie = kind % len(KINDS) != MARK
@@ -197,7 +197,7 @@ def _factors(problem: Problem, solution: Solution, sizes: Sizes, before: np.ndar
 
 
 def _by_depth(seen: Observed, state: State) -> np.ndarray:
-    """Kinds (N,) of observations, told apart by depth: waves displace what lies deep by more.
+    """Kinds (N,) of observations, divided by depth: waves displace deep points more.
 
     The kind of dry observations is their own; those of the strata of wet ones follow.
     """

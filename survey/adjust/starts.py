@@ -119,7 +119,7 @@ def _are_apart(one: Adjustment, other: Adjustment) -> bool:
 
 
 def _misfit(survey: Survey, found: Adjustment, other: Adjustment) -> float:
-    """-2 ln of the likelihood up to what both share: a point of two photographs has one residual.
+    """-2 ln of the likelihood, up to a common constant; a point of two photographs has one residual.
 
     Observations that only the other solution has count as rejected.
     """

@@ -63,7 +63,7 @@ class UnnamedWater:
 
 
 def find_unnamed_water(done: Adjusted) -> UnnamedWater | None:
-    """Water that a block shows which was adjusted without any; None where it shows none, or cannot tell.
+    """Water that a block adjusted without any shows; None where it shows none, or is not decisive.
 
     Parameters
     ----------

@@ -294,7 +294,7 @@ def _measure(job: _Job, folder: Path, found: dict[tuple[str, ...], Record]) -> l
 
 
 def _with_errors(record: Record, job: _Job, method: Method, run: Path, folder: Path) -> Record:
-    """The record with what its cloud is worth; its words say why there is none."""
+    """The record with the errors of its cloud; its words give the reason where there are none."""
     cloud = run / _CLOUD
     if not cloud.is_file():
         return record

@@ -178,7 +178,7 @@ class ChangeError(SurveyError):
 
 @dataclass(frozen=True)
 class StatedStd:
-    """Standard deviations [m] for clouds that do not carry them: of a height, and of what all heights share."""
+    """Standard deviations [m] for clouds without them: of a single height, and common to all."""
 
     own_m: float | None = None
     common_m: float | None = None

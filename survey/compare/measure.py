@@ -214,7 +214,7 @@ def parts(scene: ComparedScene, distances: Distances, depth: np.ndarray | None, 
 
 
 def reached_by_slope_of(scene: ComparedScene, reaches: list[Reach]) -> tuple[ReachedBand, ...]:
-    """Completeness in bands of slope, of what cameras see where that is known; nothing of a reference of points."""
+    """Completeness in bands of slope, of the visible part where it is known; nothing for a reference of points."""
     if not isinstance(scene.inputs.reference, Mesh):
         return ()
     with current().stage("Slopes", len(scene.targets)) as stage:

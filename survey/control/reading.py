@@ -80,7 +80,7 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS) -> tuple[list[GivenPoint], Fi
 
 
 def _height_scale(first: GivenPoint, source: CRS, crs: CRS) -> float:
-    """Units of height of crs in one of a file, of which this is a point, by what its header and its CRS say."""
+    """Units of height of crs in one unit of a file, by its header and its CRS; ``first`` is a point of it."""
     where = Path(first.where)
     units = first.units.meant(Units.of(source))
     fault = units.plan_fault(Units.of(source))

@@ -178,7 +178,7 @@ def _fit_tile(grid: Gridded, low: np.ndarray, side: int, correlated: float, poin
 
 
 def _tile_side(num_points: int, cells: PlanCells, margin: float) -> int:
-    """Cells along a tile of about `_POINTS_PER_TILE` points; a neighbouring one holds at least the margin [cells]."""
+    """Cells along a tile of about `_POINTS_PER_TILE` points, and at least those of the margin."""
     per_cell = num_points / (cells.shape[0] * cells.shape[1])
     return max(min(int(math.sqrt(_POINTS_PER_TILE / per_cell)), _LARGEST_TILE), math.ceil(margin))
 

@@ -107,7 +107,7 @@ def _heights(grid: Gridded, cells: PlanCells, window: CellWindow) -> np.ndarray:
 
 
 def _colour_of(run: LoadedRun, grid: Gridded, cells: PlanCells) -> ColourOf:
-    """Colours as the mosaic has them, of what a photograph shows: as they are, or without the water."""
+    """Function of the colours of a photograph that gives those of the mosaic: the same, or without the water."""
     from survey.export.loaded import colours_without_water
 
     without_water, level = colours_without_water(run), grid.level

@@ -122,7 +122,7 @@ def _write_relief(
     of: Callable[[np.ndarray, float], np.ndarray],
     form: Callable[[Gridded], RasterForm],
 ) -> None:
-    """A raster of what the heights around each cell, and the side of cells, say."""
+    """Write a raster of a function of the heights around each cell and the side of cells."""
     from geo.raster import write_cog
     from survey.export.gridded import gridded
 

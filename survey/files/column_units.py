@@ -38,7 +38,7 @@ _FORM = 'e.g. "EPSG:25832", "WGS84 UTM 32N" or "+proj=utm +zone=32 +datum=WGS84"
 
 
 class BareFoot(float):
-    """A foot [m] that does not say which of the two it is; international where nothing tells it."""
+    """A foot [m] of unknown kind, international or US survey; international where nothing decides."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Units:
 
     @staticmethod
     def of(crs: CRS | None, heights: CRS | None = None) -> Units:
-        """Units of a CRS, with those of another one's heights where it has none; metres where nothing says them."""
+        """Units of a CRS, with those of another one's heights where it has none; metres by default."""
         heights = crs if heights is None or (crs is not None and has_height(crs)) else heights
         height = height_unit_m(heights) if heights is not None and has_height(heights) else 1.0
         if crs is None:
@@ -59,7 +59,7 @@ class Units:
         return Units(None if is_geographic(crs) else horizontal_unit(crs), height)
 
     def meant(self, target: Units) -> Units:
-        """These, where a foot that does not say which is that of the target, if the target has one of the two."""
+        """These units, with a foot of unknown kind taken as that of the target, where the target has feet."""
 
         def one(said: float | None, own: float | None) -> float | None:
             is_foot = own is not None and any(same_unit(own, foot) for foot in _FEET)
@@ -96,7 +96,7 @@ def same_unit(a: float, b: float) -> bool:
 def common_unit_m(
     units: Mapping[str, float | None], names: tuple[str, str], path: Path, error: type[SurveyError]
 ) -> float | None:
-    """The one unit [m] of two columns, by what their names say of each; None where they say none.
+    """The common unit [m] of two columns, by their names; None where they name none.
 
     Raises
     ------

@@ -86,11 +86,11 @@ class Remote:
         self._threads = _AT_ONCE if is_path or self._store.async_impl else 1
 
     def files(self, name: str = "") -> dict[str, str]:
-        """Files below a name, with what tells their content from another; empty where there are none."""
+        """Files below a name, each with a tag that changes with its content; empty where there are none."""
         return {each: _tag(info) for each, info in self._listed(name).items()}
 
     def tag(self, name: str) -> str | None:
-        """What `files` has for a file; None where it is not there."""
+        """Tag of a file, as of `files`; None where it is not there."""
         with _refusals(self.url):
             self._store.invalidate_cache()
             try:
@@ -99,7 +99,7 @@ class Remote:
                 return None
 
     def sizes(self, name: str) -> dict[str, int | None]:
-        """Files below a name, with their sizes [bytes]; None where the store does not say."""
+        """Files below a name, with their sizes [bytes]; None where the store states none."""
         return {each: info.get("size") for each, info in self._listed(name).items()}
 
     def _listed(self, name: str) -> dict[str, Mapping[str, Any]]:
@@ -137,7 +137,7 @@ class Remote:
         self._at_once(self._put, paths.items())
 
     def fetch_folder(self, name: str, folder: Path, *, last: str | None = None) -> None:
-        """Fetch all files below a name; that which says that they are whole as the last, where there is one."""
+        """Fetch all files below a name; ``last``, the mark that they are complete, after all others."""
         files = {f"{name}/{each}": folder / each for each in self.files(name)}
         end = files.pop(f"{name}/{last}", None)
         self.fetch(files)
@@ -145,7 +145,7 @@ class Remote:
             self.fetch({f"{name}/{last}": end})
 
     def put_folder(self, folder: Path, name: str, *, last: str | None = None) -> None:
-        """Put all files of a folder; that which says that it is whole as the last, where there is one."""
+        """Put all files of a folder; ``last``, the mark that it is complete, after all others."""
         files = {f"{name}/{path.relative_to(folder).as_posix()}": path for path in files_below(folder)}
         end = files.pop(f"{name}/{last}", None)
         self.put(files)

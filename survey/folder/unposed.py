@@ -270,7 +270,7 @@ def _rejected_positions(views: list[View], residuals: np.ndarray) -> dict[str, f
 
 
 def require_focal(found: Found) -> None:
-    """Raise ImageError where nothing tells the focal length of two photographs: over flat ground they do not."""
+    """Raise ImageError where two photographs have no focal length: over flat ground they do not determine it."""
     known = one_focal(found.config.cameras.focal_px) is not None
     lacking = [name for name, head in found.heads.items() if head.focal_px is None]
     if len(found.heads) == 2 and lacking and not known:
@@ -281,7 +281,7 @@ def require_focal(found: Found) -> None:
 
 
 def require_scale(found: Found) -> None:
-    """Raise PosesError where two GPS positions are too near to each other, as good as they are, to tell the scale."""
+    """Raise PosesError where two GPS positions are too close, for their accuracy, to determine the scale."""
     if len(found.heads) != 2:
         return
     cameras = found.config.cameras

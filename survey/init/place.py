@@ -115,7 +115,7 @@ class FolderPhotographs:
 
     @property
     def lat_lon(self) -> tuple[float, float] | None:
-        """Latitude and longitude of the survey [deg], by EXIF, else by geocentric poses; None where neither tells."""
+        """Latitude and longitude of the survey [deg], by EXIF, else by geocentric poses; None without both."""
         places = [head.lat_lon_height[:2] for head in self.heads.values() if head.lat_lon_height is not None]
         if places:
             lat, lon = np.median(np.array(places), axis=0).tolist()

@@ -232,7 +232,7 @@ class Book:
         return contents
 
     def _coordinate_files(self) -> list[str]:
-        """The files of control that tell how accurate points are, or have points without marks."""
+        """Control files that state the accuracy of points, or have points without marks."""
         folder, found = self._found.folder, []
         for name in self._config.control.gcp_files:
             if folder / name != self.control_path and not read_control(folder / name).marks:

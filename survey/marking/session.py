@@ -146,7 +146,7 @@ class MarkingSession:
         return [name for name in order if name != image][:_MOST_NEXT]
 
     def _point(self, key: PointKey, point: GivenPoint | None, own: Mapping[str, Pixel]) -> dict:
-        """A point with its marks, and what these say: residuals [px], standard deviation and error of the place [m]."""
+        """A point with its marks: residuals [px], standard deviation and error of its place [m]."""
         said: dict = {
             "kind": key.kind,
             "name": key.name,

@@ -110,7 +110,7 @@ def altitude_reference(gps: dict) -> int | None:
 
 
 def _step_deg(gps: dict) -> float:
-    """The step [deg] of the coarser coordinate, as the denominators of degrees, minutes and seconds tell."""
+    """Step [deg] of the coarser coordinate, by the denominators of degrees, minutes and seconds."""
     steps = [1.0 / 3600.0]
     for tag in (ExifTags.GPS.GPSLatitude, ExifTags.GPS.GPSLongitude):
         try:

@@ -78,7 +78,7 @@ def is_mask_of_another(path: Path, names: set[Path]) -> bool:
 
 
 def require_complete(path: Path) -> None:
-    """Raise ImageError where an image is cut off or damaged within; decoded only where its structure does not tell."""
+    """Raise ImageError where an image is cut off or damaged; decoded only where its structure is not conclusive."""
     fault = fault_of(path)
     if fault is not None:
         raise ImageError(f"{path} is damaged or cut off ({fault}); copy it again or remove it")

@@ -195,7 +195,7 @@ def checkpoints_of(
 
 
 def checkpoint_warnings(found: CheckpointAccuracy | None) -> list[str]:
-    """A warning that names the check points whose difference is not explained by what the cloud states."""
+    """A warning that names the check points whose difference the stated uncertainty does not explain."""
     if found is None:
         return []
     far = [

@@ -44,7 +44,7 @@ class PhotographFigures:
 def photographs_of(
     saturated: Mapping[str, float], sightings: Mapping[str, list[int]], consistency: Mapping[str, Consistency]
 ) -> tuple[PhotographFigures, ...]:
-    """The photographs, by what the stages of sweep and solver counted by their names."""
+    """Figures of the photographs, from the counts of sweep and solver by their names."""
     found, useless = [], _useless(consistency)
     for name, white in saturated.items():
         seen, outlying = sightings.get(name, (0, 0))

@@ -111,7 +111,7 @@ def survey(taken: SurveyFigures, water: WaterFigures | None, plan: Plan) -> list
 
 
 def _light(light: LightFigures) -> str:
-    """To which light the index belongs, and what another convention would move."""
+    """Wavelength that the index belongs to, and the change of depth by another convention."""
     shares = ", ".join(
         f"{name} {share(value)}" for name, value in (("red", light.red), ("green", light.green), ("blue", light.blue))
     )

@@ -345,7 +345,7 @@ def _incremental_options() -> pycolmap.IncrementalPipelineOptions:
 
 
 def _for_a_pair(options: pycolmap.IncrementalPipelineOptions) -> None:
-    """Let two photographs alone make a block; over flat ground they do not tell their focal length, which stays."""
+    """Allow a block of two photographs; over flat ground they do not determine their focal length, which is held."""
     options.min_model_size = 2
     options.ba_refine_focal_length = False
     options.mapper.init_min_tri_angle = options.mapper.filter_min_tri_angle = _PAIR_ANGLE_DEG

@@ -149,7 +149,7 @@ def require_consistent_marks(control: BlockControl, views: Mapping[str, Posed], 
 
 
 def spread_of(places: np.ndarray, std: np.ndarray) -> tuple[float, float, float]:
-    """Extent of control points (K, 3) [m] along their line and across, and the least across that tells the tilt."""
+    """Extent [m] of control points (K, 3) along their line and across, and the least one across that fixes the tilt."""
     along, across, _ = np.linalg.svd(places - places.mean(axis=0), compute_uv=False) / np.sqrt(len(places))
     least = max(_LINE_SHARE * along, _LINE_STD * float(np.median(std[:, :2])) / np.sqrt(len(places)))
     return float(along), float(across), float(least)

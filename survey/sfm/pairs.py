@@ -51,7 +51,7 @@ class Place:
 
     @property
     def axis(self) -> np.ndarray:
-        """Where the camera looks, (3,); down where its attitude is not known, or no height that it would matter for."""
+        """Viewing direction (3,); down where attitude or height are unknown."""
         down = np.array([0.0, 0.0, -1.0])
         return down if self.cam_from_local is None or self.height_m is None else self.cam_from_local[2]
 

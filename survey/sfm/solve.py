@@ -32,7 +32,7 @@ GIVE_POSES = f"give poses made elsewhere in [cameras] poses in {FILE_NAME}"
 
 @dataclass(frozen=True)
 class Photographs:
-    """Photographs that structure from motion is to place, with what is known before."""
+    """Photographs for structure from motion, with prior knowledge of them."""
 
     # images, heads: mapping of name to Path, to Exif; in order of names
     images: Mapping[str, Path]
@@ -56,7 +56,7 @@ class Photographs:
         return found
 
     def _heights(self) -> dict[str, float]:
-        """Heights of the cameras over ground or water [m], about, each its own; empty where nothing tells them."""
+        """Approximate height [m] of each camera over ground or water; empty where they are unknown."""
         up = {name: float(position[2]) for name, position in self.positions.items()}
         started = {name: height for name in up if (height := self.heads[name].above_start_m) is not None}
         known: list[dict[str, float]] = []

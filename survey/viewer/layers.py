@@ -81,7 +81,7 @@ def median_height(views: Sequence[View]) -> float:
 def add_frusta(
     server: viser.ViserServer, views: Sequence[View], height_m: float
 ) -> tuple[viser.FrameHandle, list[tuple[View, viser.CameraFrustumHandle]]]:
-    """Cameras that look at a bed so far below them, as one node and each."""
+    """Frusta of cameras over a bed ``height_m`` below them, as one node and each."""
     top = server.scene.add_frame("/cameras", show_axes=False)
     return top, [(view, _add_camera(server, view, _CAMERA_SHARE * abs(height_m))) for view in views]
 

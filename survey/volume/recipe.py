@@ -1,4 +1,4 @@
-"""What a field in a folder is rebuilt from: its recipe and state; and its views."""
+"""Recipe and state from which a trained field is rebuilt, and its views."""
 
 from __future__ import annotations
 

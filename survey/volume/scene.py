@@ -171,7 +171,7 @@ def held_in(ground: Ground, flight: Flight, options: SceneOptions) -> Named:
 
 
 def _held_of(options: SceneOptions) -> slice:
-    """Which of the photographs that show the box are left out."""
+    """Slice of the photographs that show the box which is held out."""
     every = options.held_every
     return slice(0, 0) if every is None else slice(every // 2, None, every)
 

@@ -67,7 +67,7 @@ class StoredVolume:
     def load(
         self, device: str = "auto", note: Callable[[str], None] = lambda said: current().note(said)
     ) -> Callable[[PinholeCamera, bool], NovelView]:
-        """Renderer of the field, with the water or (True) without it; ``note`` is told of one half trained.
+        """Renderer of the field, with the water or, ``dry``, without it; ``note`` gets a sentence on one half trained.
 
         Raises
         ------

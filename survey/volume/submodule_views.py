@@ -78,7 +78,7 @@ class SubmoduleViews:
         self._visibility = cache(self._load_visibility)
 
     def unfinished(self) -> list[str]:
-        """What is not trained yet: cells with a bed that were not left out, and steps."""
+        """Sentences on what is not trained yet: cells with a bed that were not left out, and steps."""
         said, report = [], self.folder / REPORT
         left_out = read_json_object(report).get("left_out", {}) if report.is_file() else {}
         cells = sum(name not in left_out for name in self._with_bed)
@@ -107,7 +107,7 @@ class SubmoduleViews:
         return network, Cells(box, saved["occupied"])
 
     def visible(self, camera: PinholeCamera, water: FlatWater | None) -> np.ndarray:
-        """How visible each submodule is to a camera, (M,), 1 where nothing is asked."""
+        """Visibilities (M,) of the submodules to a camera; 1 where none is left out."""
         if self.drop == Drop.geometry:
             return ground_shares(self.grid, self.ground.bed, camera, water)[list(self.folders)]
         if self.drop == Drop.network:
@@ -116,7 +116,7 @@ class SubmoduleViews:
         return np.ones(len(self.folders))
 
     def view(self, camera: PinholeCamera, dry: bool = False) -> NovelView:
-        """What they show a camera, with the water or (True) without it."""
+        """View of a camera, with the water or, ``dry``, without it."""
         water = None if dry else self.ground.bent
         weights = pose_weights(camera.centre, list(self.boxes.values()))
         numbers = list(self.folders)

@@ -33,7 +33,7 @@ class Trained:
     options: VolumeOptions
 
     def view(self, camera: PinholeCamera, dry: bool) -> NovelView:
-        """What it shows a camera, with the water or (True) without it."""
+        """View of a camera, with the water or, ``dry``, without it."""
         of = self.options.recipe
         return view_of(self.renderer, self.cells, of, self.flight.water, camera, dry=dry)
 
@@ -49,7 +49,7 @@ class Trained:
 
 @dataclass(frozen=True)
 class Made:
-    """What a field is reported, compared and rendered by."""
+    """Results of a trained field, for its report, comparison and views."""
 
     surface: Surface
     bed: np.ndarray  # (N, 3) [m], local: of the run

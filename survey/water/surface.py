@@ -106,7 +106,7 @@ class Departure:
         return replace(plane, point=(x, y, z), slope_x=plane.slope_x + slope_x, slope_y=plane.slope_y + slope_y)
 
     def over(self, plane: FlatWater, other: FlatWater) -> Departure:
-        """The same water over another plane than that which heights count from."""
+        """The same water with heights over another plane."""
         points = self.points.copy()
         points[:, 2] += plane.height(*points[:, :2].T) - other.height(*points[:, :2].T)
         return type(self)(points, self.stds)

@@ -165,5 +165,5 @@ def _of_poses(known: PriorKnowledge, values: np.ndarray) -> np.ndarray:
 
 
 def _scale(scaled: np.ndarray) -> np.ndarray:
-    """Robust standard deviation per coordinate of residuals in units of what is expected."""
+    """Robust standard deviation per coordinate of residuals, in units of the expected one."""
     return np.maximum(1.4826 * np.median(scaled, axis=0), 1e-3)

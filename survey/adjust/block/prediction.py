@@ -180,7 +180,7 @@ def relief_sides(state: State, ties: TiePoints) -> np.ndarray:
 def _ends(
     layout: Layout, state: State, ties: TiePoints, sides: np.ndarray, rows: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Cameras and points (N, 3) each, lowered by the tide and by what the water stands over its plane there."""
+    """Cameras and points (N, 3) each, lowered by the tide and by the departure of the water from its plane there."""
     centres, points = _centres(layout, state, ties, rows), _points_of_observations(state, ties, sides)
     tides = state.tides(layout)
     if (tides is None and layout.departure is None) or state.water is None:

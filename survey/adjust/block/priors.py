@@ -294,7 +294,7 @@ def _water_std(survey: Survey, *, free: bool) -> np.ndarray:
 
 
 def shared_height_std(survey: Survey) -> float:
-    """Standard deviation [m] of what heights of positions have in common, where nothing but they holds the block."""
+    """Common standard deviation [m] of the heights of positions, where these alone determine that of the block."""
     given = survey.observations
     is_held = given.control is not None and any(not point.is_check for point in given.control.points)
     is_held = is_held or given.ground is not None

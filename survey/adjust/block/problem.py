@@ -96,7 +96,7 @@ class Problem:
 
     @cached_property
     def order(self) -> EliminationOrder | None:
-        """In which the parameters are eliminated; None where the normal matrix is best taken as dense."""
+        """Order in which the parameters are eliminated; None where the normal matrix is best taken as dense."""
         return elimination_order(self.ties.point, self.ties.view, self.layout.photograph_of_parameters())
 
     def residuals(self, state: State) -> np.ndarray:

@@ -276,7 +276,7 @@ def _use(words: str, std: float, limit: float) -> str:
 
 
 def _heights_text(main: HeightStds, by_depth: Sequence[HeightStds]) -> str:
-    """Standard deviations by depth, and what S-44 says of those at the main depth."""
+    """Standard deviations by depth, and the order of S-44 that those at the main depth meet."""
     each = [f"{_mm(std.of_point_m)} / {_mm(std.of_all_m)} mm at {std.depth_m:.2g} m of depth" for std in by_depth]
     said = ", ".join(each) or f"{_mm(main.of_point_m)} / {_mm(main.of_all_m)} mm"
     total = TO_95 * math.hypot(main.of_point_m, main.of_all_m)

@@ -203,38 +203,15 @@ def read_raster(path: str | Path) -> Mesh:
         heights of its CRS, of depths or of red.
     """
     path = existing_file(path)
-    # It takes a while to load, and most references are meshes or clouds.
-    import rasterio
-    from rasterio.enums import ColorInterp
-
-    try:
-        with rasterio.open(path) as raster:
-            stored = raster.read(1, masked=True)
-            heights = stored.astype(np.float64).filled(np.nan) * raster.scales[0] + raster.offsets[0]
-            t, wkt = raster.transform, raster.crs.to_wkt() if raster.crs else None
-            unit_name = raster.units[0]
-            band, is_picture = raster.descriptions[0] or "", raster.colorinterp[0] == ColorInterp.red
-    except rasterio.errors.RasterioError as error:
-        said = str(error).splitlines()[0][:100]
-        raise UnreadableFile(f"{path} cannot be read as a GeoTIFF ({said}); export it again.") from error
-    if is_picture:
-        raise UnreadableFile(f"{path} is a picture, whose first band is red; expected heights in its first band.")
-    if "depth" in band.casefold():
-        raise UnreadableFile(
-            f"the first band of {path} is called {band[:40]!r}; expected heights: subtract the depths from the level "
-            "that they count from."
-        )
-    try:
-        crs = CRS(wkt) if wkt else None
-    except CRSError:
-        crs = None
+    band = _read_band(path)
+    heights, t, crs = band.heights, band.transform, band.crs
     rows, columns = np.mgrid[0 : heights.shape[0], 0 : heights.shape[1]] + 0.5
     east, north = t.a * columns + t.b * rows + t.c, t.d * columns + t.e * rows + t.f
-    unit = unit_named(unit_name)
+    unit = unit_named(band.unit)
     notes: tuple[str, ...] = ()
-    if unit is None and unit_name:
-        notes = (f"{path} gives its heights in {unit_name[:40]!r}, which is not a known unit of length.",)
-    height_unit = checked_height_unit(crs, unit, path, f"the unit of its band, {unit_name},")
+    if unit is None and band.unit:
+        notes = (f"{path} gives its heights in {band.unit[:40]!r}, which is not a known unit of length.",)
+    height_unit = checked_height_unit(crs, unit, path, f"the unit of its band, {band.unit},")
     faces = _triangles(np.isfinite(heights))
     # From south to north, or mirrored, the triangles would face down.
     if t.a * t.e - t.b * t.d > 0.0:
@@ -245,6 +222,42 @@ def read_raster(path: str | Path) -> Mesh:
     used, corners = np.unique(faces, return_inverse=True)
     vertices = np.stack([east.ravel(), north.ravel(), heights.ravel()], axis=1)[used]
     return Mesh(vertices, corners.reshape(faces.shape), crs=crs, height_unit_m=height_unit, notes=notes)
+
+
+@dataclass(frozen=True)
+class _Band:
+    """The first band of a GeoTIFF."""
+
+    heights: np.ndarray  # (rows, columns) float64, NaN without data
+    transform: rasterio.Affine
+    crs: CRS | None  # None where the file has none, or none that is understood
+    unit: str | None  # As the file names it
+
+
+def _read_band(path: Path) -> _Band:
+    """The first band of a file; raises UnreadableFile where it is damaged, or has no heights."""
+    try:
+        with rasterio.open(path) as raster:
+            stored = raster.read(1, masked=True)
+            heights = stored.astype(np.float64).filled(np.nan) * raster.scales[0] + raster.offsets[0]
+            transform, wkt = raster.transform, raster.crs.to_wkt() if raster.crs else None
+            unit = raster.units[0]
+            name, is_picture = raster.descriptions[0] or "", raster.colorinterp[0] == ColorInterp.red
+    except RasterioError as error:
+        said = str(error).splitlines()[0][:100]
+        raise UnreadableFile(f"{path} cannot be read as a GeoTIFF ({said}); export it again.") from error
+    if is_picture:
+        raise UnreadableFile(f"{path} is a picture, whose first band is red; expected heights in its first band.")
+    if "depth" in name.casefold():
+        raise UnreadableFile(
+            f"the first band of {path} is called {name[:40]!r}; expected heights: subtract the depths from the level "
+            "that they count from."
+        )
+    try:
+        crs = CRS(wkt) if wkt else None
+    except CRSError:
+        crs = None
+    return _Band(heights, transform, crs, unit)
 
 
 def _triangles(known: np.ndarray) -> np.ndarray:

@@ -82,16 +82,20 @@ def far_from_others(
         # Poses that also share their rotation are reported where poses are read.
         warnings += _again(names, np.column_stack([plan, height]), seconds)
     with_height = np.isfinite(height)
-    heights = height[with_height]
+    return warnings + _far_in_height(names[with_height], height[with_height], by)
+
+
+def _far_in_height(names: np.ndarray, heights: np.ndarray, by: str) -> list[str]:
+    """Warnings that name the photographs whose height (N,) [m] is far from the others."""
     if len(heights) < _FEWEST:
-        return warnings
+        return []
     away = np.abs(heights - np.median(heights))
     far = away > max(_FAR * float(np.median(away)), _FAR_HEIGHT_M)
     # Exactly 0 is what receivers write without a height: no other flight, however many have it.
     no_height = far & (heights == 0.0)
     low, high = heights[~far].min(), heights[~far].max()
-    said = np.array([f"{name} ({of_it:.1f} m)" for name, of_it in zip(names[with_height], heights, strict=True)])
-    return warnings + named(
+    said = np.array([f"{name} ({of_it:.1f} m)" for name, of_it in zip(names, heights, strict=True)])
+    return named(
         said[no_height].tolist() + _few(said, far & ~no_height),
         "image",
         f"far from the others by its {by} height, which are at {low:.1f} to {high:.1f} m",

@@ -135,15 +135,18 @@ class CheckedControl:
     move: Similarity | None  # Transforms the block to its control, where its positions contradict the control
 
 
-def checked_parts(
-    found: Found,
-    frame: LocalFrame,
-    views: list[View],
-    ties: TiePoints,
-    control: Control,
-    priors: Mapping[str, PosePrior],
-) -> tuple[list[View], TiePoints, Control | None, Mapping[str, PosePrior], Findings]:
-    """Views, tie points, control and priors of a survey, with control held against each part of its block by itself.
+@dataclass(frozen=True)
+class ControlledBlock:
+    """A block of structure from motion with its control."""
+
+    views: list[View]
+    ties: TiePoints
+    control: Control | None  # None without any, or where none is left
+    priors: Mapping[str, PosePrior]  # By name of view
+
+
+def checked_parts(found: Found, frame: LocalFrame, block: ControlledBlock) -> tuple[ControlledBlock, Findings]:
+    """The block with its control tested against each of its parts by itself, and moved to it where it has to be.
 
     Parts share no points: each has a place, a tilt and a scale of its own.
 
@@ -152,9 +155,12 @@ def checked_parts(
     ControlError
         If the control fits none of the parts that it is marked in, or lies elsewhere.
     """
+    views, ties, control = block.views, block.ties, block.control
+    if control is None:
+        return block, Findings()
     # Views that share no point with two others have no part of their own.
     part = np.maximum(parts_of(len(views), ties.point, ties.view), 0)
-    moved_views, priors, marks = list(views), dict(priors), []
+    moved_views, priors, marks = list(views), dict(block.priors), []
     refusals: list[ControlError] = []
     said = Findings()
     for number in range(int(part.max()) + 1):
@@ -184,7 +190,8 @@ def checked_parts(
     points = tuple(point for point in control.points if point.name in kept)
     order = {mark: place for place, mark in enumerate(control.marks)}
     marks.sort(key=order.__getitem__)
-    return moved_views, ties, replace(control, points=points, marks=tuple(marks)) if points else None, priors, said
+    left = replace(control, points=points, marks=tuple(marks)) if points else None
+    return ControlledBlock(moved_views, ties, left, priors), said
 
 
 def _of_views(control: Control, names: set[str]) -> Control:

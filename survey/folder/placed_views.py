@@ -16,7 +16,7 @@ from refract import FlatWater
 from survey.control.points import Checkpoint, Control
 from survey.display.quantities import named
 from survey.errors import Findings, ImageError
-from survey.folder.checked_control import checked_parts
+from survey.folder.checked_control import ControlledBlock, checked_parts
 from survey.folder.control import place_control
 from survey.folder.found import Found
 from survey.folder.pairing import read_file_poses, require_image
@@ -181,19 +181,18 @@ def views_of_photographs(
         Where something is missing, damaged or contradictory, or the photographs do not make a block.
     """
     solved = solve_views(found, workspace, report)
-    frame, points = solved.frame, solved.ties.start
+    frame = solved.frame
     views = sorted(solved.views, key=lambda view: view.name)
     ties = solved.ties.renumbered(np.array([views.index(view) for view in solved.views]))
     views, of_images = _with_images(found, views, None)
     priors: Mapping[str, PosePrior] = priors_of_gps(found, frame, views, solved.rejected)
     control, checkpoints, of_control = place_control(found.control, frame, [view.name for view in views])
     said = Findings(tuple(solved.assumptions), tuple(solved.warnings)) + of_images + of_control
-    placed = PlacedViews(found, frame, views, points, ties, None, None, priors, control, checkpoints)
-    if control is None:
-        return placed, said
-    priors = _held_by_control(priors)
-    views, ties, control, priors, of_parts = checked_parts(found, frame, views, ties, control, priors)
-    placed = replace(placed, views=views, points=ties.start, ties=ties, control=control, priors=priors)
+    priors = priors if control is None else _held_by_control(priors)
+    block, of_parts = checked_parts(found, frame, ControlledBlock(views, ties, control, priors))
+    placed = PlacedViews(
+        found, frame, block.views, block.ties.start, block.ties, None, None, block.priors, block.control, checkpoints
+    )
     return placed, said + of_parts
 
 

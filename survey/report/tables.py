@@ -256,7 +256,6 @@ def checkpoints(found: CheckpointAccuracy | None) -> list[Block]:
     if found is None:
         return []
     unit = LengthUnit.of([row.difference_m for row in found.rows])
-    deep = replace(LengthUnit.of_heights(), decimals=3)
     num_outside = sum(row.is_outside and row.difference_m is None for row in found.rows)
     num_without = sum(row.difference_m is None for row in found.rows) - num_outside
     method = (
@@ -267,39 +266,31 @@ def checkpoints(found: CheckpointAccuracy | None) -> list[Block]:
         method += f" {num_without} of {len(found.rows)} have no value: the cloud does not surround them."
     if num_outside:
         method += f" {num_outside} of {len(found.rows)} lie outside [area] bounds."
-    groups = [
-        (
-            group.name,
-            count(group.num),
-            *(unit.number(value) for value in (group.mean_m, group.rms_m, group.largest_m, group.le90_m)),
-        )
-        for group in found.groups
-    ]
+    return [Text(method), *_checkpoint_statistics(found, unit), _each_checkpoint(found, unit)]
+
+
+def _checkpoint_statistics(found: CheckpointAccuracy, unit: LengthUnit) -> list[Table]:
     rows = [
-        (
-            row.name,
-            number(row.height, 3),
-            deep.number(row.depth_m),
-            unit.number(row.difference_m),
-            unit.number(row.stated_m),
-            "outside bounds" if row.is_outside else "",
-        )
+        (group.name, count(group.num),
+         *(unit.number(value) for value in (group.mean_m, group.rms_m, group.largest_m, group.le90_m)))
+        for group in found.groups
+    ]  # fmt: skip
+    names = ("mean", "RMS", "largest", "LE90")
+    return [Table(("check points", "compared", *(f"{name} [{unit.name}]" for name in names)), rows)] if rows else []
+
+
+def _each_checkpoint(found: CheckpointAccuracy, unit: LengthUnit) -> Table:
+    deep = replace(LengthUnit.of_heights(), decimals=3)
+    rows = [
+        (row.name, number(row.height, 3), deep.number(row.depth_m), unit.number(row.difference_m),
+         unit.number(row.stated_m), "outside bounds" if row.is_outside else "")
         for row in found.rows
-    ]
-    statistics = ("check points", "compared", *(f"{name} [{unit.name}]" for name in ("mean", "RMS", "largest", "LE90")))
-    each = (
-        "check point",
-        "height in crs",
-        f"depth [{deep.name}]",
-        f"difference [{unit.name}]",
-        f"std stated [{unit.name}]",
-        "",
-    )
-    return [
-        Text(method),
-        *([Table(statistics, groups)] if groups else []),
-        Table(each, rows, heading="Each check point"),
-    ]
+    ]  # fmt: skip
+    titles = (
+        "check point", "height in crs", f"depth [{deep.name}]", f"difference [{unit.name}]",
+        f"std stated [{unit.name}]", "",
+    )  # fmt: skip
+    return Table(titles, rows, heading="Each check point")
 
 
 def baselines(found: Baselines | None) -> list[Block]:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from survey.export.bed_cells import CellWindow, Gridded, PlanCells
     from survey.export.loaded import LoadedRun
     from survey.export.occlusion import CellProjection, Mosaic
+    from survey.run.flight import Flight
 
     ColourOf = Callable[[np.ndarray, CellWindow, np.ndarray, CellProjection], np.ndarray]
 
@@ -47,8 +48,6 @@ def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
     """The photographs on the bed, in cells of a side [m]."""
     import numpy as np
 
-    from survey.errors import SurveyError
-    from survey.export.bed_cells import round_side
     from survey.export.gridded import gridded
     from survey.export.loaded import at_scale, flight_of
     from survey.export.occlusion import HeightBuffer, Mosaic, Windows, common_exposure, log_weight
@@ -61,13 +60,7 @@ def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
         grid = gridded(run, options)
     flight = flight_of(run, options.survey)
     scale = min(1.0, grid.pixel_m / side_m)
-    shortest = min(min(view.camera.width, view.camera.height) for view in flight.views)
-    if scale * shortest < _FEWEST_PX:
-        raise SurveyError(
-            f"--resolution {side_m:g} is metres, and a photograph would have {scale * shortest:.1f} of such pixels "
-            f"along its shorter side, expected at least {_FEWEST_PX}; give e.g. --resolution "
-            f"{round_side(run.place.gsd_m):g}"
-        )
+    _require_pixels(flight, scale, side_m, run.place.gsd_m)
     photographs = at_scale(flight, scale)
     cells = grid.cells.finer(side_m)
     mosaic, colour_of = Mosaic.empty(cells, run.scratch), _colour_of(run, grid, cells)
@@ -86,6 +79,19 @@ def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
                 mosaic.add(window, weight, colour_of(colour, window, height, seen))
             stage.advance()
     return mosaic
+
+
+def _require_pixels(flight: Flight, scale: float, side_m: float, gsd_m: float) -> None:
+    """Raise SurveyError where photographs at a scale have too few pixels."""
+    from survey.errors import SurveyError
+    from survey.export.bed_cells import round_side
+
+    shortest = min(min(view.camera.width, view.camera.height) for view in flight.views)
+    if scale * shortest < _FEWEST_PX:
+        raise SurveyError(
+            f"--resolution {side_m:g} is metres, and a photograph would have {scale * shortest:.1f} of such pixels "
+            f"along its shorter side, expected at least {_FEWEST_PX}; give e.g. --resolution {round_side(gsd_m):g}"
+        )
 
 
 def _heights(grid: Gridded, cells: PlanCells, window: CellWindow) -> np.ndarray:

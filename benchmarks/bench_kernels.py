@@ -32,7 +32,7 @@ from fields.sweep.kernels.arrays import floats
 from fields.sweep.kernels.stack import Hypotheses
 from fields.sweep.passes import PASSES
 from fields.sweep.sweep import sweep
-from fields.sweep.view_pass import Search, view_passes
+from fields.sweep.view_pass import SweepSettings, view_passes
 from survey.folder.survey import load_survey
 from survey.plan.area import limits, local_area
 from survey.plan.choices import Choices
@@ -83,7 +83,7 @@ def stage_table(block: Block, chosen: list[int], bound: tuple[float, float], hei
     samples = sum(each.samples for of_pass in work for each in of_pass)
     for name, run, number in (
         ("range of heights", partial(height_range.find_range, block, heights), None),
-        ("sweep", partial(sweep, block, chosen, Search(bound), lambda done: None), samples),
+        ("sweep", partial(sweep, block, chosen, SweepSettings(bound), lambda done: None), samples),
     ):
         spent: Counter = Counter()
         start = time.process_time()
@@ -144,7 +144,7 @@ def main() -> None:
     job = Job(load_survey(options.survey), Choices(quality=options.quality, device="cpu"), current())
     heights, block = limits(job.survey), job.block
     bound = height_range.find_range(block, heights)
-    block.judge_overlap_at(0.5 * (bound[0] + bound[1]))
+    block.set_overlap_height(0.5 * (bound[0] + bound[1]))
     chosen = block.cover(*RECIPES[options.quality].times_seen, local_area(job.survey))
     sys.stdout.write(stage_table(block, chosen, bound, heights) + "\n\n")
     # In processor time too: other programs on the machine do not count.

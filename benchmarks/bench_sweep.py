@@ -30,7 +30,7 @@ from fields.sweep.height_range import find_range
 from fields.sweep.maps import HeightMap, trusted
 from fields.sweep.passes import PASSES, Pass
 from fields.sweep.sweep import sweep
-from fields.sweep.view_pass import Search
+from fields.sweep.view_pass import SweepSettings
 from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.folder.survey import load_survey
 from survey.plan.area import limits, local_area
@@ -44,7 +44,7 @@ from survey.run.stored import StoredBed
 from survey.simulate.drawn import DrawnScene, draw_survey
 
 # Without the search beside steps, which would hide what the passes themselves find.
-START = (PASSES[0], replace(PASSES[1], search=None), replace(PASSES[2], hypotheses=9, search=None))
+START = (PASSES[0], replace(PASSES[1], discontinuities=None), replace(PASSES[2], hypotheses=9, discontinuities=None))
 # A pass at full size that averages the heights of the views that agree.
 WIDE, NARROW = Pass(1.0, 2, 5, 0.25, 8, True), Pass(1.0, 1, 3, 0.25, 12, True)
 AFTER_START = {
@@ -81,7 +81,7 @@ class Case:
         self.job = Job(load_survey(folder), Choices(quality=quality), current())
         self.survey, self.plan, self.block = self.job.survey, self.job.plan, self.job.block
         self.bound = find_range(self.block, limits(self.survey))
-        self.block.judge_overlap_at(0.5 * (self.bound[0] + self.bound[1]))
+        self.block.set_overlap_height(0.5 * (self.bound[0] + self.bound[1]))
         self.chosen = self.block.cover(*RECIPES[quality].times_seen, local_area(self.survey))
 
     def maps(
@@ -90,7 +90,7 @@ class Case:
         """Height maps, without heights that other views contradict if ``checked``, and the seconds that they took."""
         start = time.monotonic()
         chosen = self.chosen if chosen is None else chosen
-        maps = sweep(self.block, chosen, Search(self.bound, passes), lambda done: None)
+        maps = sweep(self.block, chosen, SweepSettings(self.bound, passes), lambda done: None)
         if checked:
             maps = remove_free_space_violations(self.block, maps)
         return maps, time.monotonic() - start
@@ -154,7 +154,7 @@ def steps_table(case: Case) -> dict[str, dict]:
     """Where heights are searched between those around a pixel."""
     rows = {}
     for name, searched in SEARCHED.items():
-        passes = tuple(p if p.scale in searched else replace(p, search=None) for p in PASSES)
+        passes = tuple(p if p.scale in searched else replace(p, discontinuities=None) for p in PASSES)
         maps, seconds = case.maps(passes)
         rows[name] = case.figures(case.points(maps)) | {"seconds": seconds}
     return rows

@@ -86,7 +86,7 @@ class GreyImages(LazyImages):
     ----------
     images : arrays (height, width)
         Of one size; read once, so that a generator need not hold all of them.
-    keep : callable, optional
+    store_array : callable, optional
         Stores an array (height, width) where it takes no memory; what it returns has the shape and gives parts of the
         array by slices of rows and columns. Default: in memory.
     of_one_size : bool
@@ -96,11 +96,11 @@ class GreyImages(LazyImages):
     def __init__(
         self,
         images: Iterable[np.ndarray],
-        keep: Callable[[np.ndarray], Any] | None = None,
+        store_array: Callable[[np.ndarray], Any] | None = None,
         *,
         of_one_size: bool = True,
     ):
-        kept = [_GreyImage(image, keep) for image in images]
+        kept = [_GreyImage(image, store_array) for image in images]
         shapes = {each.levels.shape for each in kept}
         if of_one_size and len(shapes) > 1:
             raise ValueError(f"expected images of one size, got {sorted(shapes)}")
@@ -135,7 +135,7 @@ class GreyImages(LazyImages):
 class _GreyImage:
     """Grey image: its levels as int8 and a mask where that loses nothing, as float32 otherwise."""
 
-    def __init__(self, image: np.ndarray, keep: Callable[[np.ndarray], Any] | None = None):
+    def __init__(self, image: np.ndarray, store_array: Callable[[np.ndarray], Any] | None = None):
         levels = np.asarray(image, dtype=np.float32)
         masked = np.isnan(levels)
         self.is_masked = bool(masked.any())
@@ -144,8 +144,9 @@ class _GreyImage:
         known = np.where(masked, np.float32(0.0), levels) if self.is_masked else levels
         if known.min() >= -128.0 and known.max() <= 127.0 and np.array_equal(small := known.astype(np.int8), known):
             self.levels, self.masked = small, np.packbits(masked, axis=1) if self.is_masked else None
-        if keep is not None:
-            self.levels, self.masked = keep(self.levels), None if self.masked is None else keep(self.masked)
+        if store_array is not None:
+            self.levels = store_array(self.levels)
+            self.masked = None if self.masked is None else store_array(self.masked)
 
     def whole(self) -> np.ndarray:
         """The whole image."""

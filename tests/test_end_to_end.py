@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 from fields.sweep.passes import PASSES
 from fields.sweep.sweep import sweep
-from fields.sweep.view_pass import Search
+from fields.sweep.view_pass import SweepSettings
 from geo import read_cloud, read_reference
 from refract import FlatWater
 from survey.commands.verbs import app
@@ -168,8 +168,8 @@ def test_index_one_gives_the_heights_of_the_dry_code(dry):
     for water in (None, FlatWater((0.0, 0.0, -4.0), n_water=1.0)):
         block.water = water
         plane = 0.0 if water is None else water.point[2]
-        block.judge_overlap_at(-8.2 - plane)
-        maps = sweep(block, [0, 5], Search((-8.6 - plane, -7.2 - plane), PASSES[:2]), lambda share: None)
+        block.set_overlap_height(-8.2 - plane)
+        maps = sweep(block, [0, 5], SweepSettings((-8.6 - plane, -7.2 - plane), PASSES[:2]), lambda share: None)
         heights.append(np.array([m.height for m in maps]) + plane)
     # float32 at 8 m has steps of 1e-6 m; a tie between hypotheses may fall to the other one.
     assert (np.abs(heights[0] - heights[1]) < 1e-4).mean() > 0.999

@@ -23,13 +23,13 @@ from fields.sweep.maps import trusted
 from fields.device import choose_device
 from fields.sweep.passes import Pass
 from fields.sweep.sweep import sweep
-from fields.sweep.view_pass import Search
+from fields.sweep.view_pass import SweepSettings
 from plane_survey import TILTED, PlaneBed, ring
 
 device = choose_device("torch")
 block = PlaneBed(TILTED, -2.0).block(device, ring(4))
 passes = (Pass(0.5, 2, None, 0.5, 4, True), Pass(1.0, 2, 5, 0.3, 4, True))
-maps = sweep(block, [0, 1, 2], Search((-2.3, -1.8), passes), lambda share: None)
+maps = sweep(block, [0, 1, 2], SweepSettings((-2.3, -1.8), passes), lambda share: None)
 kept = unique_pixels(block, maps, 0.05)
 assert all(trusted(m).mean() > 0.4 for m in maps)
 assert 0 < sum(k.sum() for k in kept) < sum(trusted(m).sum() for m in maps)

@@ -53,8 +53,8 @@ def test_views_of_stored_maps_are_known_without_reading_them(tmp_path, rng):
 def test_maps_that_are_worked_on_lie_in_a_folder_where_memory_has_no_room(tmp_path, rng, in_memory, num_files):
     maps = [SolvedMap(np.arange(3), *rng.normal(size=(2, 3)).astype(np.float32)) for _ in range(2)]
     assert maps[0].pixels.nbytes + maps[0].height.nbytes + maps[0].std.nbytes == 48
-    with map_store(tmp_path / "scratch", SolvedMap, in_memory) as keep:
-        first, second = keep(), keep()
+    with map_store(tmp_path / "scratch", SolvedMap, in_memory) as make_store:
+        first, second = make_store(), make_store()
         for place, solved in zip((first, second), maps, strict=True):
             place[4] = solved
             place[4] = solved

@@ -172,7 +172,9 @@ def test_tiles_choose_more_views_under_glitter(monkeypatch):
 
     class Tile(SimpleNamespace):
         block = SimpleNamespace(
-            saturated=(0.5, 0.5), cover=lambda *times: asked.append(times) or [0], judge_overlap_at=lambda height: None
+            saturated=(0.5, 0.5),
+            cover=lambda *times: asked.append(times) or [0],
+            set_overlap_height=lambda height: None,
         )
 
     def tile(*_):

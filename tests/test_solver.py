@@ -72,7 +72,7 @@ def survey(noise: float, slope: float, wrong_gsd: float = 0.6) -> tuple[Block, l
     images = [bed.photograph(c, random.uniform(0.8, 1.2), random.uniform(-5.0, 5.0)) for c in cameras]
     images = [image + (noise * random.standard_normal(image.shape)).astype(np.float32) for image in images]
     block = Block(choose_device("torch"), cameras, images, WATER, -DEPTH)
-    block.judge_overlap_at(-DEPTH)
+    block.set_overlap_height(-DEPTH)
     maps = []
     for view, seen_by in enumerate(cameras):
         truth = bed.heights_seen(seen_by)

@@ -11,7 +11,7 @@ from fields.sweep.maps import HeightMap, trusted, upsample_map
 from fields.sweep.passes import PASSES as USUAL
 from fields.sweep.passes import Pass, passes_from
 from fields.sweep.sweep import EarlierMaps, sweep
-from fields.sweep.view_pass import Search
+from fields.sweep.view_pass import SweepSettings
 
 BED = PlaneBed(TILTED, -2.0, slope=0.1)
 PASSES = (
@@ -31,7 +31,7 @@ def halved(device) -> tuple[tuple[float, float], list[HeightMap]]:
     truth = BED.true_height(cameras[0])
     bound = (float(truth.min()) - 0.3, float(truth.max()) + 0.4)
     block = BED.block(device, [camera.scaled(0.5) for camera in cameras], None)
-    return bound, sweep(block, list(range(7)), Search(bound, PASSES), lambda share: None)
+    return bound, sweep(block, list(range(7)), SweepSettings(bound, PASSES), lambda share: None)
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def gone_on(device, halved) -> tuple[Block, list[HeightMap], list[float]]:
     maps = sweep(
         block,
         list(range(7)),
-        Search(bound, PASSES),
+        SweepSettings(bound, PASSES),
         shares.append,
         earlier=EarlierMaps({m.view: m for m in before}, list(AGAIN)),
     )

@@ -15,9 +15,9 @@ from fields.sweep import device_filters, images_device
 from fields.sweep.block import Block
 from fields.sweep.kernels import arrays
 from fields.sweep.maps import HeightMap
-from fields.sweep.passes import Pass, StepSearch
+from fields.sweep.passes import DiscontinuitySearch, Pass
 from fields.sweep.sweep import DeviceMaps, EarlierMaps, device_map_store, sweep
-from fields.sweep.view_pass import Search
+from fields.sweep.view_pass import SweepSettings
 from refract import FlatWater
 
 WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.34)
@@ -25,8 +25,8 @@ LOW, HIGH = -2.0, -1.7
 # Each view is matched with all others; a ring of more adds time alone.
 VIEWS = tuple(range(5))
 PASSES = (
-    Pass(0.5, 2, None, 0.5, 6, False, StepSearch(2, 0.5, 16, 2.0, 5, 0.05)),
-    Pass(1.0, 2, 7, 0.4, 6, True, StepSearch(1, 0.75, 8, 1.6, 3, 0.5, walls=True)),
+    Pass(0.5, 2, None, 0.5, 6, False, DiscontinuitySearch(2, 0.5, 16, 2.0, 5, 0.05)),
+    Pass(1.0, 2, 7, 0.4, 6, True, DiscontinuitySearch(1, 0.75, 8, 1.6, 3, 0.5, walls=True)),
     Pass(1.0, 1, 3, 0.25, 8, True, points_only=True),
 )
 # Heights are the same but for rounding, which decides where two score alike [m]; a pixel is 1.5 cm.
@@ -60,7 +60,7 @@ def swept(device, *, holes: bool = False, room: int = PLENTY, passes=PASSES, are
     block = block_of(device, holes=holes)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("fields.sweep.sweep.memory_bytes", lambda device: room)
-        return list(sweep(block, list(VIEWS), Search((-2.4, -1.4), passes, area), lambda share: None, **options))
+        return list(sweep(block, list(VIEWS), SweepSettings((-2.4, -1.4), passes, area), lambda share: None, **options))
 
 
 def plain(apart):

@@ -13,7 +13,7 @@ from fields.sweep import images_device, images_host
 from fields.sweep.kernels import stack
 from fields.sweep.kernels.arrays import as_numpy, flatten, floats
 from fields.sweep.maps import HeightMap
-from fields.sweep.tiles import Tiles
+from fields.sweep.tiles import ImageTiles
 
 SHAPE = (45, 70)
 # Of heights of some metres in float32.
@@ -127,8 +127,8 @@ def test_tiles_have_the_same_pixels(apart, height, mask, rng):
     low, high = images_host.local_min_max(height, 3)
     bounds = images_host.tile_extents(mask, low, high, 8)
     slope = rng.normal(0.0, 0.1, (*bounds[0].shape, 2))
-    tiles = Tiles.of(mask, bounds, 0.1, 8, 2, slope)
-    on_device = Tiles.of(there(apart, mask), bounds, 0.1, 8, 2, slope)
+    tiles = ImageTiles.of(mask, bounds, 0.1, 8, 2, slope)
+    on_device = ImageTiles.of(there(apart, mask), bounds, 0.1, 8, 2, slope)
     lost = 2 * (tiles.side + 1)
     for part in (slice(0, 3), slice(5, len(tiles.counts))):
         pixels, others = (

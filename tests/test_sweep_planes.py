@@ -65,7 +65,7 @@ def test_heights_that_are_not_trusted_begin_the_next_pass_on_the_plane_of_those_
     block = bed.block(device, cameras, None)
     off = np.s_[30:37, 40:47]
 
-    def fused(goes_on: bool) -> np.ndarray:
+    def fused(is_intermediate: bool) -> np.ndarray:
         maps = {}
         for view, camera in enumerate(cameras):
             height = bed.true_height(camera).astype(np.float32)
@@ -75,10 +75,10 @@ def test_heights_that_are_not_trusted_begin_the_next_pass_on_the_plane_of_those_
             m = HeightMap(view, height, np.ones(height.shape, np.float16), nobody, nobody.astype(np.float16))
             maps[view] = image_backend(device).upload(device, m)
         peers = {view: fusion.ComparedViews([other for other in maps if other != view]) for view in maps}
-        fused = fusion.fuse(block, maps, 1.0, peers, goes_on=goes_on)[0]
+        fused = fusion.fuse(block, maps, 1.0, peers, is_intermediate=is_intermediate)[0]
         return image_backend(device).download(fused).height[off]
 
     truth = bed.true_height(cameras[0])[off]
     # True heights of a tilted plane are those of one in the image but for perspective.
-    np.testing.assert_allclose(fused(goes_on=True), truth, atol=1e-3)
-    assert (np.abs(fused(goes_on=False) - truth) > 0.5).any()
+    np.testing.assert_allclose(fused(is_intermediate=True), truth, atol=1e-3)
+    assert (np.abs(fused(is_intermediate=False) - truth) > 0.5).any()

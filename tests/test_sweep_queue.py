@@ -9,13 +9,13 @@ from plane_survey import TILTED, PlaneBed, ring
 from fields.sweep.images import image_backend
 from fields.sweep.kernels.arrays import floats
 from fields.sweep.kernels.backend import Launch, run_job, run_jobs
-from fields.sweep.passes import Pass, StepSearch
-from fields.sweep.view_pass import Search, match_pass, view_passes
+from fields.sweep.passes import DiscontinuitySearch, Pass
+from fields.sweep.view_pass import SweepSettings, match_pass, view_passes
 
 BED = PlaneBed(TILTED, -2.0, slope=0.1)
 PASSES = (
     Pass(0.5, 2, None, 0.5, 4, False),
-    Pass(1.0, 2, 5, 0.4, 4, True, StepSearch(1, 0.75, 8, 0.2, 3, 0.1, walls=True)),
+    Pass(1.0, 2, 5, 0.4, 4, True, DiscontinuitySearch(1, 0.75, 8, 0.2, 3, 0.1, walls=True)),
     Pass(1.0, 1, 3, 0.25, 6, True),
 )
 
@@ -78,10 +78,10 @@ def test_height_maps_are_the_same_one_view_at_a_time_and_two(device):
         block, maps = BED.block(device, ring(6)), {}
         for p in PASSES:
             jobs = (
-                match_pass(block, p, each, Search(bound), maps.get(each.view), 0)
+                match_pass(block, p, each, SweepSettings(bound), maps.get(each.view), 0)
                 for each in view_passes(block, [3, 0, 2, 5], p, None if maps else bound)
             )
-            maps = {m.view: m for m, _ in run_jobs(device, jobs, most)}
+            maps = {each.map.view: each.map for each in run_jobs(device, jobs, most)}
         found.append([image_backend(device).download(m) for m in maps.values()])
     for one, two in zip(*found, strict=True):
         assert one.view == two.view

@@ -16,8 +16,8 @@ from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.maps import HeightMap, trusted
 from fields.sweep.passes import PASSES, Pass, before_solver, passes_from
 from fields.sweep.sweep import predict_selected_pixels, sweep
-from fields.sweep.tiles import PART_SIDE_PX, Tiles
-from fields.sweep.view_pass import Search, match_pass, refine_part, view_passes
+from fields.sweep.tiles import PART_SIDE_PX, ImageTiles
+from fields.sweep.view_pass import SweepSettings, match_pass, refine_part, view_passes
 
 BED = PlaneBed(TILTED, -2.0, slope=0.1)
 REFINING = Pass(1.0, 1, 5, 0.25, 6, True, points_only=True)
@@ -88,13 +88,13 @@ def test_a_part_is_refined_as_the_whole_view_is_and_the_rest_stays(block):
     backend, before = image_backend(block.device), map_of(block, 0, OFF_M)
     (of_view,) = view_passes(block, [0], REFINING, None)
     placed = backend.upload(block.device, before)
-    whole, _ = run_job(block.device, match_pass(block, REFINING, of_view, Search((-3.0, -1.0)), placed, 0))
+    whole = run_job(block.device, match_pass(block, REFINING, of_view, SweepSettings((-3.0, -1.0)), placed, 0)).map
     part = np.zeros((SIZE[1] // 4, SIZE[0] // 4), dtype=bool)
     part[10:14, 12:20] = True
-    found, gather = run_job(block.device, refine_part(block, REFINING, of_view, placed, part))
-    height, complete = backend.to_host(found.height), backend.to_host(whole.height)
+    matched = run_job(block.device, refine_part(block, REFINING, of_view, placed, part))
+    height, complete = backend.to_host(matched.map.height), backend.to_host(whole.height)
     mask = np.zeros(height.size, dtype=bool)
-    mask[backend.to_host(gather)] = True
+    mask[backend.to_host(matched.refined_pixels)] = True
     assert mask.reshape(height.shape)[larger(part)].all()
     np.testing.assert_array_equal(height.ravel()[~mask], before.height.ravel()[~mask])
     off = np.abs(height - complete).ravel()[mask]
@@ -111,8 +111,8 @@ def test_what_is_left_out_of_a_photograph_scores_nothing_in_a_part_of_it_either(
     part = np.ones((SIZE[1] // 4, SIZE[0] // 4), dtype=bool)
     (of_view,) = view_passes(block, [0], REFINING, None)
     before = backend.upload(device, map_of(block, 0, OFF_M))
-    found, _ = run_job(device, refine_part(block, REFINING, of_view, before, part))
-    score = backend.to_host(found.score)
+    matched = run_job(device, refine_part(block, REFINING, of_view, before, part))
+    score = backend.to_host(matched.map.score)
     assert (score[hole] == -1.0).all()
     assert (score[4:40, 4:40] > 0.5).mean() > 0.9
 
@@ -138,7 +138,7 @@ def test_some_pixels_agree_as_they_do_among_all(block):
 def test_tiles_over_a_part_hold_all_of_it(block):
     random = np.random.default_rng(3)
     part = random.random((SIZE[1] // 4, SIZE[0] // 4)) < 0.02
-    tiles = Tiles.over(part, SIZE[::-1], 28, 2, 5)
+    tiles = ImageTiles.over(part, SIZE[::-1], 28, 2, 5)
     assert tiles.wanted.shape == SIZE[::-1]
     assert tiles.wanted[larger(part)].all()
     assert len(tiles.place) == len(np.unique(tiles.place, axis=0))
@@ -160,7 +160,7 @@ def test_points_of_a_sweep_that_refines_them_alone_are_as_near_to_the_bed(device
     passes = (Pass(0.5, 2, None, 0.5, 6, False), Pass(1.0, 2, 7, 0.4, 6, True), Pass(1.0, 1, 3, 0.25, 6, True))
     errors = []
     for chosen in (passes, before_solver(passes)):
-        maps = sweep(block, list(range(7)), Search(bound, chosen), lambda share: None)
+        maps = sweep(block, list(range(7)), SweepSettings(bound, chosen), lambda share: None)
         kept = unique_pixels(block, maps, gsd=0.015)
         off = [
             np.abs(m.height - BED.true_height(block.cameras[m.view]))[keep & trusted(m)]

@@ -18,7 +18,7 @@ from fields.sweep.block import Block
 from fields.sweep.maps import HeightMap, trusted
 from fields.sweep.passes import PASSES, POINTS_SHARE, Pass
 from fields.sweep.sweep import _samples, sweep
-from fields.sweep.view_pass import Search, ViewPass
+from fields.sweep.view_pass import SweepSettings, ViewPass
 from refract import FlatWater
 from refract.distortion import BROWN, Distortion
 from survey.simulate.drawn import DrawnScene, stage_drawing
@@ -66,7 +66,7 @@ def sweep_plane(device, bed: PlaneBed, *, cameras=None, images=None, chosen=None
     cameras = cameras or ring(6)
     block, truth = bed.block(device, cameras, images), bed.true_height(cameras[0])
     chosen = list(range(len(cameras))) if chosen is None else chosen
-    return block, sweep(block, chosen, Search((truth.min() - 0.3, truth.max() + 0.4), SMALL), ignore)
+    return block, sweep(block, chosen, SweepSettings((truth.min() - 0.3, truth.max() + 0.4), SMALL), ignore)
 
 
 def errors(block: Block, bed: PlaneBed, maps: list[HeightMap]) -> list[np.ndarray]:
@@ -122,7 +122,7 @@ def test_straight_rays_in_water_put_the_bed_too_high(device):
     bed = PlaneBed(FlatWater((0.0, 0.0, 0.0), n_water=1.34), -2.0)
     images = [bed.photograph(camera) for camera in ring(6)]
     dry = Block(device, ring(6), images, None, -1.5)
-    maps = sweep(dry, list(range(7)), Search((-2.3, -1.0), SMALL), ignore)
+    maps = sweep(dry, list(range(7)), SweepSettings((-2.3, -1.0), SMALL), ignore)
     height = np.median(np.concatenate([m.height[trusted(m)] for m in maps]))
     # At 14 deg of incidence, with cameras all around: between the tangential and the sagittal apparent depth.
     angle = np.arctan2(3.0, 10.0 + 2.0 / 1.34)
@@ -173,14 +173,14 @@ def test_a_view_that_overlaps_with_no_other_is_left_out(device):
 
 
 def test_maps_come_in_the_order_of_the_chosen_views(device):
-    maps = sweep(BEDS["dry"].block(device, ring(4)), [3, 0, 2], Search((-2.2, -1.8), SMALL[:2]), ignore)
+    maps = sweep(BEDS["dry"].block(device, ring(4)), [3, 0, 2], SweepSettings((-2.2, -1.8), SMALL[:2]), ignore)
     assert [m.view for m in maps] == [3, 0, 2]
     assert all(m.height.shape == SIZE[::-1] and m.height.dtype == np.float32 for m in maps)
 
 
 def test_only_the_first_pass_goes_without_its_own_number_of_hypotheses(device):
     with pytest.raises(ValueError, match="a pass after the first expects its own number of hypotheses"):
-        sweep(BEDS["dry"].block(device, ring(4)), [0, 1], Search((-2.2, -1.8), (SMALL[0], SMALL[0])), ignore)
+        sweep(BEDS["dry"].block(device, ring(4)), [0, 1], SweepSettings((-2.2, -1.8), (SMALL[0], SMALL[0])), ignore)
 
 
 def test_progress_is_the_share_of_the_samples_compared(device, monkeypatch):
@@ -192,7 +192,7 @@ def test_progress_is_the_share_of_the_samples_compared(device, monkeypatch):
 
     match_view = matching.match_view
     monkeypatch.setattr(matching, "match_view", counting)
-    sweep(BEDS["dry"].block(device, ring(4)), [3, 0, 2], Search((-4.5, -0.5), SMALL[:2]), shares.append)
+    sweep(BEDS["dry"].block(device, ring(4)), [3, 0, 2], SweepSettings((-4.5, -0.5), SMALL[:2]), shares.append)
     fusing = SIZE[0] * SIZE[1] * 3 * 2  # three views, each compared with the other two
     assert count_true[0] > 2 * count_true[3]  # the hypotheses of a wide bound is the longest part of the work
     np.testing.assert_allclose(shares, np.cumsum([*count_true, fusing]) / (sum(count_true) + fusing))
@@ -225,14 +225,14 @@ def test_torch_finds_what_dr_jit_finds_on_a_drawn_survey(drawn, greys):
     results = []
     for name in ("cpu", "torch"):
         block = Block(choose_device(name), list(drawn.cameras), greys, drawn.water, -1.2)
-        maps = sweep(block, [0, 2, 4, 5, 7], Search((-1.6, -0.6)), ignore)
+        maps = sweep(block, [0, 2, 4, 5, 7], SweepSettings((-1.6, -0.6)), ignore)
         results.append((maps, unique_pixels(block, maps, 0.029)))
     (ours, kept), (twins, twin_kept) = results
     for m, twin in zip(ours, twins, strict=True):
         sure = trusted(m)
         assert sure.mean() > 0.6
         assert (trusted(twin) != sure).mean() < 1e-3
-        step = PASSES[-1].step_px / block.parallax(m.view, block.neighbours(m.view, 12), -1.2)
+        step = PASSES[-1].spacing_px / block.parallax(m.view, block.neighbours(m.view, 12), -1.2)
         # Rounding moves places by 1e-4 px; few stand where two hypotheses score alike. Measured: 99 % within 6.1e-4,
         # and 4.9e-4 to 6.0e-4 where grey levels and hypotheses are rounded otherwise, at random: 2.5 times that.
         difference = np.abs(twin.height - m.height)[sure] / step

@@ -276,7 +276,7 @@ def test_overlap_is_judged_when_it_is_asked_for(monkeypatch):
     calls = []
     monkeypatch.setattr(views, "coverage", lambda *given: calls.append(given[2]) or (np.ones((2, 1), bool), None))
     overlap = Overlap(flight(2), WATER, -2.0)
-    overlap.judge_overlap_at(-3.0)
+    overlap.set_overlap_height(-3.0)
     assert calls == []
     assert overlap.seen.all()
     assert overlap.seen.all()

@@ -11,7 +11,7 @@ from rippled_pair import SIZE, rippled_pair
 from fields.sweep.bed import is_supported
 from fields.sweep.maps import HeightMap, OrderedMaps, height_std, trusted
 from fields.sweep.sweep import sweep
-from fields.sweep.view_pass import Search
+from fields.sweep.view_pass import SweepSettings
 from fields.sweep.wide_windows import averaged, wet_pairs, window_std, with_wide_windows
 
 SHAPE, NOISE_M = (170, 204), 0.5
@@ -81,7 +81,7 @@ def test_ripples_that_moved_leave_the_bed_in_its_place():
     inside, errors = [], []
     for seed in range(4):
         pair, bound = rippled_pair(seed), (-8.0, 4.0)
-        narrow = sweep(pair.block, [0, 1], Search(bound), lambda _share: None)
+        narrow = sweep(pair.block, [0, 1], SweepSettings(bound), lambda _share: None)
         wide = with_wide_windows(pair.block, narrow, bound, None)
         for before, after, truth in zip(narrow, wide, pair.truth, strict=True):
             tolerance = pair.block.agreement_tolerance(after.view, [1 - after.view], -pair.depth)

@@ -115,8 +115,8 @@ def solve_maps(
     kept: Sequence[np.ndarray],
     gsd: float,
     progress: Callable[[float], None],
-    goes_on: Callable[[], bool] = lambda: True,
-    keep: Callable[[], MutableMapping[int, SolvedMap]] = dict,
+    has_time: Callable[[], bool] = lambda: True,
+    make_store: Callable[[], MutableMapping[int, SolvedMap]] = dict,
     figures: SolverFigures | None = None,
 ) -> tuple[OrderedMaps, SolverFigures]:
     """Solve the kept pixels of all maps, about the heights of the sweep; some keep these (`rejects_update`).
@@ -130,9 +130,9 @@ def solve_maps(
     gsd : [m]
         Ground sampling distance.
     progress : called with the share done, 0 to 1
-    goes_on : callable
+    has_time : callable
         Called before each tile; tiles after the first False are left out.
-    keep : callable
+    make_store : callable
         Factory of the store of the solutions; default in memory.
     figures : SolverFigures, optional
         Of the survey that the block is a tile of; by default they are estimated from a sample of these maps.
@@ -146,7 +146,7 @@ def solve_maps(
     views = Views.of(block, maps)
     filled = _occupied_squares(views, kept)
     total, done = sum(map(sum, filled)), 0
-    solved = keep()
+    solved = make_store()
     for index in range(len(filled)):
         solved[index] = SolvedMap.empty()
     found = OrderedMaps(solved, list(range(len(filled))))
@@ -165,7 +165,7 @@ def solve_maps(
             )
 
         jobs = (job for index, wanted in enumerate(kept) for job in views.jobs(index, wanted))
-        begun = takewhile(lambda _job: goes_on(), jobs)
+        begun = takewhile(lambda _job: has_time(), jobs)
         for index, each in groupby(views.solved(begun, figures.roughness_m, pool, part), lambda pair: pair[0].index):
             parts = []
             for job, (piece, seen) in each:

@@ -52,10 +52,10 @@ class Overlap:
         ground: tuple[float, float, float, float] | None = None,
     ):
         self.cameras, self.water, self.ground = cameras, water, ground
-        self.judge_overlap_at(height)
+        self.set_overlap_height(height)
 
-    def judge_overlap_at(self, height: float) -> None:
-        """Judge overlap at another height [m] over the water plane."""
+    def set_overlap_height(self, height: float) -> None:
+        """Set the height [m] over the water plane at which overlap is judged; clears neighbours and coverage."""
         views.require_ground(self.cameras, self._z_of(height))
         self.height = height
         self.__dict__.pop("_coverage", None)
@@ -134,8 +134,7 @@ class Block(Overlap):
     water, height, ground :
         As `Overlap`.
     saturated : tuple of float
-        Share of each photograph that is masked as saturated; empty where it was not measured. Read after the images,
-        so that the source of the images may fill it.
+        Share of each photograph that is masked as saturated; empty where it was not measured.
 
     Raises
     ------

@@ -17,7 +17,7 @@ from fields.sweep.images import image_backend
 from fields.sweep.kernels.arrays import host
 from fields.sweep.kernels.backend import Job, Launch, kernels, run_jobs
 from fields.sweep.kernels.stack import ViewStack, largest
-from fields.sweep.maps import HeightMap, Keep, Maps, OrderedMaps, trusted, views_of
+from fields.sweep.maps import HeightMap, Maps, OrderedMaps, StoreFactory, trusted, views_of
 from fields.sweep.passes import MATCHED_NCC
 
 # Number of agreeing peers, fused heights and their spread: images of `fields.sweep.images.image_backend`.
@@ -41,21 +41,22 @@ def fuse(
     maps: Maps,
     scale: float,
     compared: Mapping[int, ComparedViews],
-    keep: Keep = dict,
+    make_store: StoreFactory = dict,
     *,
-    goes_on: bool = True,
+    is_intermediate: bool = True,
 ) -> Maps:
     """Fused maps: mean height over the peers that agree, their number and spread; the input is emptied.
 
-    A pixel that no other view confirms takes the median of its surroundings, and where a pass follows (``goes_on``) one
-    whose height is not trusted that of the plane through the trusted ones around it, where these lie in one: a better
-    start. A pixel that matched nothing confirms nothing either. Maps that are not compared keep what they have.
+    A pixel that no other view confirms takes the median of its surroundings. Where a pass follows
+    (``is_intermediate``), one whose height is not trusted takes that of the plane through the trusted ones around it,
+    where these lie in one: a better start. A pixel that matched nothing confirms nothing either. Maps that are not
+    compared keep what they have.
     """
-    fused, backend = keep(), image_backend(block.device)
+    fused, backend = make_store(), image_backend(block.device)
     for m, tolerance, (agreeing, height, spread) in _agreement(block, maps, scale, compared):
         height = backend.where(agreeing > 0, height, backend.median_blur(m.height, _SURROUNDINGS_PX))
         found = HeightMap(m.view, height, m.score, agreeing, backend.to_half(spread))
-        if goes_on:
+        if is_intermediate:
             found = replace(found, height=backend.extrapolate_planes(height, trusted(found), tolerance))
         fused[m.view] = found
     for view in set(maps) - set(fused):
@@ -78,8 +79,8 @@ def _agreement(
         m = maps[chosen[number]]
         return backend.where(m.score > MATCHED_NCC, m.height, math.nan)
 
-    surfaces = LazyImages(matched, len(chosen), largest(cameras), 1)
-    heights = ViewStack.build(block.device, cameras, surfaces, block.water)
+    images = LazyImages(matched, len(chosen), largest(cameras), 1)
+    heights = ViewStack.build(block.device, cameras, images, block.water)
 
     def job(view: int) -> Job[tuple[HeightMap, float, _Agreement]]:
         m, others, pixels = maps[view], compared[view].peers, compared[view].pixels
@@ -169,7 +170,9 @@ def num_comparable(block: Block, maps: Sequence[HeightMap]) -> Iterator[np.ndarr
         yield np.where(of_unmasked < of_all, of_unmasked, np.float32(np.inf)).reshape(m.height.shape)
 
 
-def remove_free_space_violations(block: Block, maps: Sequence[HeightMap], keep: Keep = dict) -> OrderedMaps:
+def remove_free_space_violations(
+    block: Block, maps: Sequence[HeightMap], make_store: StoreFactory = dict
+) -> OrderedMaps:
     """Maps in which heights are unconfirmed where as many views see through them (free space) as confirm them.
 
     A view sees through a point where its own trusted heights, in all four pixels about the point, are lower by more
@@ -180,10 +183,10 @@ def remove_free_space_violations(block: Block, maps: Sequence[HeightMap], keep: 
     ----------
     maps : sequence of HeightMap
         Of `fields.sweep.sweep.sweep`.
-    keep : callable
+    make_store : callable
         Factory of the store of the maps returned.
     """
-    chosen, found = views_of(maps), keep()
+    chosen, found = views_of(maps), make_store()
     cameras = [block.cameras[view] for view in chosen]
 
     def heights(number: int) -> np.ndarray:

@@ -37,7 +37,7 @@ from fields.sweep.kernels.arrays import (
 )
 from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.maps import HeightMap
-from fields.sweep.tiles import Tiles
+from fields.sweep.tiles import ImageTiles
 from refract import kernels
 
 # The rest of `fields.sweep.images.Images`.
@@ -130,10 +130,11 @@ def subtract(image: Any, by: float) -> Any:
     return unflatten(flat - scalar(flat, by), image.shape)
 
 
-def exceeds_parallax(low: Any, high: Any, parallax: float, least: float) -> Any:
-    """Pixels whose heights differ by more than a parallax [px]."""
+def exceeds_shift(low: Any, high: Any, parallax_px_m: float, least_px: float) -> Any:
+    """Pixels whose heights differ by so much that it shifts the image by more than ``least_px``."""
     low_flat, high_flat = flatten(low), flatten(high)
-    return unflatten((high_flat - low_flat) * scalar(low_flat, parallax) > scalar(low_flat, least), low.shape)
+    shift = (high_flat - low_flat) * scalar(low_flat, parallax_px_m)
+    return unflatten(shift > scalar(low_flat, least_px), low.shape)
 
 
 def any_true(mask: Any) -> bool:
@@ -171,12 +172,12 @@ def median_above(image: Any, least: float) -> float | None:
     return _median(gather(flat, above)) if size_of(above) else None
 
 
-def newly_visible(device: Device, height: Any, before: Any | None) -> np.ndarray:
-    """Pixels with a height that no earlier view has, dilated by a pixel; see the twin."""
+def newly_visible(device: Device, height: Any, num_agreeing: Any | None) -> np.ndarray:
+    """Pixels with a height that no steeper view has, dilated by a pixel; see the twin."""
     flat = flatten(height)
     there = ~kernels.namespace(flat).isnan(flat)
-    if before is not None:
-        there = there & (flatten(before) == 0.0)
+    if num_agreeing is not None:
+        there = there & (flatten(num_agreeing) == 0.0)
     mask = as_numpy(to_float(there)).reshape(height.shape)
     return cv2.dilate(mask, images_host.NEIGHBOURHOOD) > 0.0
 
@@ -252,7 +253,7 @@ def put(target: Any, pixels: Any, values: Any, mask: Any | None = None) -> None:
 
 
 def put_strip(target: Any, width: int, result: Any, part: tuple[slice, slice], strip: slice, radius: int) -> None:
-    """Set a part of flat pixels, of a width, (rows, columns), to the results of a strip that spans other columns."""
+    """Copy the wanted rows and columns of a strip's results into a flat image of ``width`` columns; see the twin."""
     rows, columns = part
     wide, left = strip.stop - strip.start, strip.start
     lost = radius * (wide + 1)
@@ -261,7 +262,7 @@ def put_strip(target: Any, width: int, result: Any, part: tuple[slice, slice], s
     scatter(target, _places(target, part, width), values)
 
 
-def _in_tiles(like: Any, tiles: Tiles, part: slice) -> tuple[Any, Place, Place]:
+def _in_tiles(like: Any, tiles: ImageTiles, part: slice) -> tuple[Any, Place, Place]:
     """Number of the tile, row and column in the image, and in the tile with its halo, of the pixels of tiles."""
     count, side = part.stop - part.start, tiles.side
     index = arange(like, count * side * side)
@@ -272,7 +273,7 @@ def _in_tiles(like: Any, tiles: Tiles, part: slice) -> tuple[Any, Place, Place]:
     return tile, (corner[0] + row, corner[1] + column), (row, column)
 
 
-def tile_indices(device: Device, tiles: Tiles, part: slice) -> Any:
+def tile_indices(device: Device, tiles: ImageTiles, part: slice) -> Any:
     """Flat indices of the pixels of tiles with their halo, tile by tile."""
     like = floats(device, np.zeros(1))
     _, (row, column), _ = _in_tiles(like, tiles, part)
@@ -281,7 +282,7 @@ def tile_indices(device: Device, tiles: Tiles, part: slice) -> Any:
     return found
 
 
-def tile_starts(device: Device, tiles: Tiles, part: slice) -> Any:
+def tile_starts(device: Device, tiles: ImageTiles, part: slice) -> Any:
     """Lowest hypotheses [m] of the same pixels."""
     like = floats(device, np.zeros(1))
     tile, place, _ = _in_tiles(like, tiles, part)
@@ -295,11 +296,11 @@ def tile_starts(device: Device, tiles: Tiles, part: slice) -> Any:
 
 
 def trim_halo(flat: Any, lost: int) -> Any:
-    """Pixels of tiles without so many at either end, as results have them."""
+    """Drop ``lost`` values at each end, as the kernels do."""
     return gather(flat, arange(flat, size_of(flat) - 2 * lost) + scalar(flat, lost))
 
 
-def own_pixels(device: Device, tiles: Tiles, part: slice, pixels: Any, lost: int) -> Any:
+def own_pixels(device: Device, tiles: ImageTiles, part: slice, pixels: Any, lost: int) -> Any:
     """Mask of the pixels that are wanted, in their own tile, and have a whole window in it."""
     like = floats(device, np.zeros(1))
     tile, place, local = _in_tiles(like, tiles, part)

@@ -17,7 +17,7 @@ from fields.sweep import planes
 from fields.sweep.kernels.arrays import host
 from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.maps import HeightMap
-from fields.sweep.tiles import Tiles, in_tiles
+from fields.sweep.tiles import ImageTiles, in_tiles
 
 # Side of the box filter of heights before their gradient is taken [px].
 SMOOTH_PX = 5
@@ -93,9 +93,9 @@ def subtract(image: np.ndarray, by: float) -> np.ndarray:
     return image - np.float32(by)
 
 
-def exceeds_parallax(low: np.ndarray, high: np.ndarray, parallax: float, least: float) -> np.ndarray:
-    """Pixels whose heights differ by more than a parallax [px]."""
-    return (high - low) * parallax > least
+def exceeds_shift(low: np.ndarray, high: np.ndarray, parallax_px_m: float, least_px: float) -> np.ndarray:
+    """Pixels whose heights differ by so much that it shifts the image by more than ``least_px``."""
+    return (high - low) * parallax_px_m > least_px
 
 
 def any_true(mask: np.ndarray) -> bool:
@@ -145,14 +145,15 @@ def masked_means(value: np.ndarray, counts: np.ndarray, shape: tuple[int, int]) 
     return np.where(share > 0.0, total / np.maximum(share, 1e-6), np.float32(np.nan)).astype(np.float32)
 
 
-def newly_visible(device: Device, height: np.ndarray, before: Any | None) -> np.ndarray:
-    """Pixels with a height that no earlier view has, dilated by a pixel: (height, width) bool.
+def newly_visible(device: Device, height: np.ndarray, num_agreeing: Any | None) -> np.ndarray:
+    """Pixels with a height that no steeper view has, dilated by a pixel: (height, width) bool.
 
-    Always in the memory of the host: it says which tiles are matched.
+    ``num_agreeing`` (height * width) is the number of steeper views that agree with it; None where there are none. The
+    mask is always in the memory of the host: it says which tiles are matched.
     """
     there = np.isfinite(height)
-    if before is not None:
-        there &= host(device, before).reshape(there.shape) == 0.0
+    if num_agreeing is not None:
+        there &= host(device, num_agreeing).reshape(there.shape) == 0.0
     return cv2.dilate(there.astype(np.uint8), NEIGHBOURHOOD).astype(bool)
 
 
@@ -231,31 +232,38 @@ def put(target: np.ndarray, pixels: np.ndarray, values: np.ndarray, mask: np.nda
 def put_strip(
     target: np.ndarray, width: int, result: np.ndarray, part: tuple[slice, slice], strip: slice, radius: int
 ) -> None:
-    """Set a part of flat pixels, of a width, (rows, columns), to the results of a strip that spans other columns.
+    """Copy the wanted rows and columns of a strip's results into a flat image of ``width`` columns.
 
-    These begin with the first whole window: ``radius`` pixels into the first row of the target.
+    Parameters
+    ----------
+    part : (rows, columns)
+        The wanted ones, in the image.
+    strip : slice
+        Columns of the image that the strip spans.
+    radius : [px]
+        Of the windows: results begin with the first whole one, so many pixels into the second row of the strip.
     """
     image = np.pad(result, radius).reshape(-1, strip.stop - strip.start)
     columns = part[1]
     target.reshape(-1, width)[part] = image[:, columns.start - strip.start : columns.stop - strip.start]
 
 
-def tile_indices(device: Device, tiles: Tiles, part: slice) -> np.ndarray:
+def tile_indices(device: Device, tiles: ImageTiles, part: slice) -> np.ndarray:
     """Flat indices of the pixels of tiles with their halo, tile by tile."""
     return tiles.pixels(part).ravel()
 
 
-def tile_starts(device: Device, tiles: Tiles, part: slice) -> np.ndarray:
+def tile_starts(device: Device, tiles: ImageTiles, part: slice) -> np.ndarray:
     """Lowest hypotheses [m] of the same pixels."""
     return tiles.starts(part).ravel()
 
 
 def trim_halo(flat: np.ndarray, lost: int) -> np.ndarray:
-    """Pixels of tiles without so many at either end, as results have them."""
+    """Drop ``lost`` values at each end, as the kernels do."""
     return flat[lost : len(flat) - lost]
 
 
-def own_pixels(device: Device, tiles: Tiles, part: slice, pixels: np.ndarray, lost: int) -> np.ndarray:
+def own_pixels(device: Device, tiles: ImageTiles, part: slice, pixels: np.ndarray, lost: int) -> np.ndarray:
     """Mask of the pixels that are wanted, in their own tile, and have a whole window in it."""
     return trim_halo(tiles.own(part, pixels.reshape(-1, tiles.side, tiles.side)).ravel(), lost)
 

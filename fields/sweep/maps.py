@@ -43,7 +43,19 @@ class HeightMap:
 # Store of maps by view: a dict, or one on the disk. A map that was changed has to be stored again.
 Maps = MutableMapping[int, HeightMap]
 # Factory of empty stores.
-Keep = Callable[[], Maps]
+StoreFactory = Callable[[], Maps]
+
+
+class MemoryBudget:
+    """Memory budget that several stores share.
+
+    Attributes
+    ----------
+    left : bytes that are not taken
+    """
+
+    def __init__(self, num_bytes: int):
+        self.left = num_bytes
 
 
 class OrderedMaps(Sequence):

@@ -15,7 +15,7 @@ from fields.sweep.kernels.arrays import floats
 from fields.sweep.kernels.backend import Job, Launch, kernels
 from fields.sweep.kernels.stack import Hypotheses, ViewStack
 from fields.sweep.passes import MATCHED_NCC
-from fields.sweep.tiles import Tiles
+from fields.sweep.tiles import ImageTiles
 
 # Height [m], score and curvature [1/m^2] of each pixel: images of `fields.sweep.images.image_backend`.
 Found = tuple[Any, Any, Any]
@@ -94,7 +94,7 @@ def match_view(reference: Reference, hypotheses: Hypotheses, columns: np.ndarray
 
 def match_tiles(
     reference: Reference,
-    tiles: Tiles,
+    tiles: ImageTiles,
     starts: Callable[[slice, Any], Any],
     step: float,
     take: Callable[[Any, Any, list[Any]], None],

@@ -11,11 +11,11 @@ REFINING = 3
 
 
 @dataclass(frozen=True)
-class StepSearch:
-    """Search for height steps after a pass."""
+class DiscontinuitySearch:
+    """Search at height discontinuities after a pass."""
 
     radius: int  # of the NCC window [px]
-    step_px: float  # parallax between two hypotheses [px at the scale of the pass]
+    spacing_px: float  # parallax between two hypotheses [px at the scale of the pass]
     # side of the tiles that share their hypotheses [px]: small ones share little, large ones hold heights that few of
     # their pixels need
     tile_px: int
@@ -41,10 +41,11 @@ class Pass:
     radius: int  # of the NCC window [px]
     # number of heights tried, odd; None for the first pass, which tries as many as the bound holds
     hypotheses: int | None
-    step_px: float  # parallax between two hypotheses [px at this scale]
+    spacing_px: float  # parallax between two hypotheses [px at this scale]
     neighbours: int  # number of views compared with
     fuse: bool  # after the pass, average each height with those of the views that agree
-    search: StepSearch | None = None  # after the pass, how heights beyond its hypotheses are searched; None: not at all
+    # after the pass, how heights beyond its hypotheses are searched; None: not at all
+    discontinuities: DiscontinuitySearch | None = None
     # whether only pixels predicted to become points take part: others confirm with the heights that they have
     points_only: bool = False
     # whether only pixels take part whose heights of the pass before lie in the area, not all that see it at some height
@@ -62,8 +63,8 @@ class Pass:
 # reach the least scores by chance in one of forty pixels: the better half of the neighbours among forty hypotheses.
 PASSES = (
     Pass(0.25, 2, None, 0.5, 8, False),
-    Pass(0.5, 2, 11, 0.4, 8, False, StepSearch(2, 0.5, 16, 2.0, 5, MATCHED_NCC)),
-    Pass(1.0, 2, 7, 0.4, 8, True, StepSearch(1, 0.75, 8, 1.6, 3, 0.68, walls=True)),
+    Pass(0.5, 2, 11, 0.4, 8, False, DiscontinuitySearch(2, 0.5, 16, 2.0, 5, MATCHED_NCC)),
+    Pass(1.0, 2, 7, 0.4, 8, True, DiscontinuitySearch(1, 0.75, 8, 1.6, 3, 0.68, walls=True)),
     Pass(1.0, 2, 5, 0.25, 8, True),
     Pass(1.0, 1, 3, 0.25, 12, True),
 )
@@ -75,9 +76,9 @@ def passes_from(share: float) -> tuple[Pass, ...]:
     Images of few pixels have to be searched at more than a quarter of their size (docs/targets.md).
     """
     if share > PASSES[1].scale:
-        return (replace(PASSES[2], hypotheses=None, step_px=PASSES[0].step_px, search=None), *PASSES[3:])
+        return (replace(PASSES[2], hypotheses=None, spacing_px=PASSES[0].spacing_px, discontinuities=None), *PASSES[3:])
     if share > PASSES[0].scale:
-        return (replace(PASSES[1], hypotheses=None, step_px=PASSES[0].step_px, search=None), *PASSES[2:])
+        return (replace(PASSES[1], hypotheses=None, spacing_px=PASSES[0].spacing_px, discontinuities=None), *PASSES[2:])
     return PASSES
 
 

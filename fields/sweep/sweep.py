@@ -21,10 +21,18 @@ from fields.sweep.fusion import PEERS, ComparedViews, confirm, fuse
 from fields.sweep.images import image_backend
 from fields.sweep.kernels.backend import Job, kernels, run_jobs
 from fields.sweep.kernels.stack import ViewStack, largest
-from fields.sweep.maps import HeightMap, Keep, Maps, OrderedMaps, trusted, upsample_map
+from fields.sweep.maps import HeightMap, Maps, MemoryBudget, OrderedMaps, StoreFactory, trusted, upsample_map
 from fields.sweep.passes import MATCHED_NCC, POINTS_SHARE, Pass
 from fields.sweep.tiles import PART_SIDE_PX
-from fields.sweep.view_pass import Search, ViewPass, match_pass, pixels_of, refine_part, view_passes
+from fields.sweep.view_pass import (
+    MatchedView,
+    SweepSettings,
+    ViewPass,
+    match_pass,
+    pixels_of,
+    refine_part,
+    view_passes,
+)
 from fields.sweep.views import Footprint
 
 # Share of the memory of a device that maps may take; a pixel of a map takes four float32.
@@ -35,44 +43,37 @@ _FINER = 1.2
 _SCALE = 0.25
 
 
-def device_map_store(device: Device, keep: Keep, room_bytes: int | None = None) -> Keep:
-    """Factory of map stores for the kernels of a device; ``keep`` is that of stores on the host.
+def device_map_store(device: Device, make_store: StoreFactory, budget_bytes: int | None = None) -> StoreFactory:
+    """Factory of map stores for the kernels of a device; ``make_store`` is that of stores on the host.
 
-    Maps on the device take ``room_bytes``, by default half of its memory.
+    Maps on the device take ``budget_bytes``, by default half of its memory.
     """
     if not device.apart:
-        return keep
-    room = _Budget(int(_SHARE * memory_bytes(device)) if room_bytes is None else room_bytes)
-    return lambda: DeviceMaps(device, keep(), room)
+        return make_store
+    budget = MemoryBudget(int(_SHARE * memory_bytes(device)) if budget_bytes is None else budget_bytes)
+    return lambda: DeviceMaps(device, make_store(), budget)
 
 
-def to_host_maps(device: Device, maps: Maps, keep: Keep) -> Maps:
+def to_host_maps(device: Device, maps: Maps, make_store: StoreFactory) -> Maps:
     """Maps moved to the memory of the host; the store on the device is emptied."""
     if not device.apart:
         return maps
-    found = keep()
+    found = make_store()
     for view in list(maps):
         found[view] = image_backend(device).download(maps.pop(view))
     return found
 
 
-class _Budget:
-    """Memory budget in bytes that several stores share."""
-
-    def __init__(self, num_bytes: int):
-        self.left = num_bytes
-
-
 class DeviceMaps(MutableMapping[int, HeightMap]):
-    """Maps by view, on the device while there is room, the others on the host.
+    """Maps by view, on the device while the budget lasts, the others on the host.
 
     Parameters
     ----------
     on_host : store of the maps that do not fit
     """
 
-    def __init__(self, device: Device, on_host: Maps, room: _Budget):
-        self._device, self._on_host, self._budget = device, on_host, room
+    def __init__(self, device: Device, on_host: Maps, budget: MemoryBudget):
+        self._device, self._on_host, self._budget = device, on_host, budget
         self._held: dict[int, HeightMap] = {}
 
     def __getitem__(self, view: int) -> HeightMap:
@@ -121,11 +122,11 @@ class EarlierMaps:
 def sweep(
     block: Block,
     chosen: list[int],
-    search: Search,
+    settings: SweepSettings,
     progress: Callable[[float], None],
     *,
     earlier: EarlierMaps | None = None,
-    keep: Keep = dict,
+    make_store: StoreFactory = dict,
 ) -> OrderedMaps:
     """Sweep the chosen views, coarse to fine.
 
@@ -134,7 +135,7 @@ def sweep(
     chosen : indices of the views that get a height map
     progress : called with the share done, 0 to 1
         Number of samples (pixels x hypotheses x compared views) of all passes, which take nearly all of the time.
-    keep : callable
+    make_store : callable
         Factory of the stores of maps between passes; default in memory.
 
     Returns
@@ -143,26 +144,26 @@ def sweep(
         Views that overlap with no other are left out.
     """
     earlier = EarlierMaps({}) if earlier is None else earlier
-    store = device_map_store(block.device, keep)
-    maps = store()
-    work = _begin(block, chosen, search, earlier, maps)
+    make_device_store = device_map_store(block.device, make_store)
+    maps = make_device_store()
+    work = _begin(block, chosen, settings, earlier, maps)
     views = sorted({each.view for of_pass in work for each in of_pass} | set(maps))
     peers = {view: block.neighbours(view, PEERS, among=views) for view in views}
-    state = _Sweep(block, search, work, peers, progress)
-    passes = search.passes
+    state = _Sweep(block, settings, work, peers, progress)
+    passes = settings.passes
     for number, pass_ in enumerate(passes):
         refined = state.match(number, maps)
         if state.fused[number]:
-            maps = state.fuse(number, maps, refined, store)
+            maps = state.fuse(number, maps, refined, make_device_store)
         if number + 1 == len(passes) or passes[number + 1].scale != pass_.scale:
             block.release(pass_.scale)
     confirm(block, maps, {view: peers[view] for view in set(maps) - state.views[-1]})
-    swept = to_host_maps(block.device, maps, keep)
+    swept = to_host_maps(block.device, maps, make_store)
     return OrderedMaps(swept, [view for view in chosen if view in swept])
 
 
 def _begin(
-    block: Block, chosen: list[int], search: Search, earlier: EarlierMaps, maps: Maps
+    block: Block, chosen: list[int], settings: SweepSettings, earlier: EarlierMaps, maps: Maps
 ) -> list[Sequence[ViewPass]]:
     """Views that take part in each pass; the maps that chosen views have from an earlier sweep go into ``maps``."""
     size = (block.cameras[0].width, block.cameras[0].height)
@@ -176,9 +177,9 @@ def _begin(
             block,
             [v for v in chosen if _takes_part(size, pass_, widths.get(v), v in again)],
             pass_,
-            None if n else search.bound,
+            None if n else settings.bound,
         )
-        for n, pass_ in enumerate(search.passes)
+        for n, pass_ in enumerate(settings.passes)
     ]
 
 
@@ -199,67 +200,66 @@ class _Sweep:
     def __init__(
         self,
         block: Block,
-        search: Search,
+        settings: SweepSettings,
         work: Sequence[Sequence[ViewPass]],
         peers: Mapping[int, list[int]],
         progress: Callable[[float], None],
     ):
-        self._block, self._search, self._work, self._peers, self._progress = block, search, work, peers, progress
+        self._block, self._settings, self._work, self._peers, self._progress = block, settings, work, peers, progress
         self.views = [{each.view for each in of_pass} for of_pass in work]
         self.fused = [
             sum(pixels_of(block, pass_, v) * len(peers[v]) for v in mine) if pass_.fuse else 0
-            for pass_, mine in zip(search.passes, self.views, strict=True)
+            for pass_, mine in zip(settings.passes, self.views, strict=True)
         ]
-        # Radius of the windows of each view less that of its pass [px].
-        self._wider = dict.fromkeys(peers, 0)
+        # Of each view, radius of its windows less that of the pass.
+        self._extra_radius_px = dict.fromkeys(peers, 0)
         self._wanted: dict[int, np.ndarray] = {}
         self._done, self._total, self._reported = 0.0, 0.0, 0.0
 
     def match(self, number: int, maps: Maps) -> dict[int, Any]:
         """Match the views of a pass into ``maps``; the refined pixels of views of which only parts were matched."""
-        block, pass_, work, wider = self._block, self._search.passes[number], self._work[number], self._wider
+        block, settings, work = self._block, self._settings, self._work[number]
+        pass_, extra_px = settings.passes[number], self._extra_radius_px
         if pass_.points_only and not self._wanted:
             self._wanted = predict_selected_pixels(block, maps)
         wanted, refined = self._wanted, dict[int, Any]()
-        parts = {each.view for each in work if each.view in wanted and not wider[each.view]}
-        to_do = sum(self.fused[number:]) + _samples(self._search.passes[number:], self._work[number:], wider)
+        to_do = sum(self.fused[number:]) + _samples(settings.passes[number:], self._work[number:], extra_px)
         self._total = self._done + to_do
         # A generator: each job holds a map.
-        jobs: Iterator[Job[tuple[HeightMap, Any]]] = (
+        jobs: Iterator[Job[MatchedView]] = (
             refine_part(block, pass_, each, maps[each.view], wanted[each.view])
-            if each.view in parts
-            else match_pass(block, pass_, each, self._search, maps.get(each.view), wider[each.view])
+            if each.view in wanted and not extra_px[each.view]
+            else match_pass(block, pass_, each, settings, maps.get(each.view), extra_px[each.view])
             for each in work
         )
-        found = run_jobs(block.device, jobs, _views_in_queue(block, pass_))
-        for each, (m, of_view) in zip(work, found, strict=True):
-            maps[each.view] = m
-            samples = _samples([pass_], [[each]], wider)
-            if each.view in parts:
-                refined[each.view] = of_view
-            else:
-                if of_view > wider[each.view]:
-                    # Matched again.
-                    self._done, self._total = self._done + samples, self._total + samples
-                wider[each.view] = of_view
+        for each, matched in zip(work, run_jobs(block.device, jobs, _views_in_queue(block, pass_)), strict=True):
+            maps[each.view] = matched.map
+            samples = _samples([pass_], [[each]], extra_px)
+            if matched.refined_pixels is not None:
+                refined[each.view] = matched.refined_pixels
+            elif matched.extra_radius_px > extra_px[each.view]:
+                # Matched again.
+                self._done, self._total = self._done + samples, self._total + samples
+                extra_px[each.view] = matched.extra_radius_px
             self._report(samples)
         return refined
 
-    def fuse(self, number: int, maps: Maps, refined: dict[int, Any], store: Keep) -> Maps:
-        """Maps after fusion of those of a pass; of views in ``refined`` these pixels alone take part."""
-        block, pass_, views = self._block, self._search.passes[number], self.views[number]
+    def fuse(self, number: int, maps: Maps, refined: Mapping[int, Any], make_store: StoreFactory) -> Maps:
+        """Maps after fusion of those of a pass, which are emptied; of views in ``refined`` these pixels take part."""
+        block, pass_, views = self._block, self._settings.passes[number], self.views[number]
         block.release(pass_.scale)
+        pixels = dict(refined)
         if pass_.in_area:
             # The others neither confirm nor are confirmed.
             for view in views - set(refined):
-                refined[view] = image_backend(block.device).indices_of(maps[view].score > MATCHED_NCC)
+                pixels[view] = image_backend(block.device).indices_of(maps[view].score > MATCHED_NCC)
         compared = {
-            view: ComparedViews(self._peers[view], refined.get(view))
+            view: ComparedViews(self._peers[view], pixels.get(view))
             for view in views
-            if view not in refined or len(refined[view])
+            if view not in pixels or len(pixels[view])
         }
-        goes_on = number + 1 < len(self._search.passes)
-        fused = fuse(block, maps, pass_.scale, compared, store, goes_on=goes_on)
+        is_intermediate = number + 1 < len(self._settings.passes)
+        fused = fuse(block, maps, pass_.scale, compared, make_store, is_intermediate=is_intermediate)
         self._report(self.fused[number])
         return fused
 
@@ -270,13 +270,13 @@ class _Sweep:
         self._progress(self._reported)
 
 
-def _samples(passes: Sequence[Pass], work: Sequence[Sequence[ViewPass]], wider: Mapping[int, int]) -> float:
+def _samples(passes: Sequence[Pass], work: Sequence[Sequence[ViewPass]], extra_radius_px: Mapping[int, int]) -> float:
     """Samples of passes as they count for the progress.
 
-    Views whose windows had to be ``wider`` are matched as a whole where others are in tiles about their points.
+    Views whose windows had to be wider are matched as a whole where others are in tiles about their points.
     """
     return sum(
-        each.samples * (POINTS_SHARE if pass_.points_only and not wider[each.view] else 1.0)
+        each.samples * (POINTS_SHARE if pass_.points_only and not extra_radius_px[each.view] else 1.0)
         for pass_, of_pass in zip(passes, work, strict=True)
         for each in of_pass
     )

@@ -14,7 +14,7 @@ PART_SIDE_PX = 32
 
 
 @dataclass(frozen=True)
-class Tiles:
+class ImageTiles:
     """Tiles of an image that hold the wanted pixels, sorted by number of hypotheses; N of them."""
 
     wanted: np.ndarray  # (height, width) bool
@@ -34,7 +34,7 @@ class Tiles:
         size: int,
         radius: int,
         slope: np.ndarray | None = None,
-    ) -> Tiles:
+    ) -> ImageTiles:
         """Tiles with hypotheses from below the lowest to above the highest height [m] of their wanted pixels.
 
         ``bounds`` (rows, columns) each are those that `extent` gives, ``slope`` (rows, columns, 2) [m/px] is that of
@@ -48,10 +48,10 @@ class Tiles:
         counts = np.ceil((most - least + 2.0 * margin) / step).astype(int) + 1
         counts = COUNT_STEP * -(-(counts - 1) // COUNT_STEP) + 1
         order = np.argsort(counts, kind="stable")
-        return Tiles(wanted, size, radius, place[order], (least - margin)[order], slope[order], counts[order])
+        return ImageTiles(wanted, size, radius, place[order], (least - margin)[order], slope[order], counts[order])
 
     @staticmethod
-    def over(part: np.ndarray, shape: tuple[int, int], size: int, radius: int, count: int) -> Tiles:
+    def over(part: np.ndarray, shape: tuple[int, int], size: int, radius: int, count: int) -> ImageTiles:
         """Whole tiles of an image (height, width) that hold some of a part of it, with so many hypotheses each.
 
         The part, (rows, columns) bool, has a share of the size of the image.
@@ -65,7 +65,7 @@ class Tiles:
         mask[tuple(place.T)] = True
         mask = mask.repeat(size, axis=0).repeat(size, axis=1)[: shape[0], : shape[1]]
         level = np.zeros((len(place), 2))
-        return Tiles(mask, size, radius, place, level[:, 0], level, np.full(len(place), count))
+        return ImageTiles(mask, size, radius, place, level[:, 0], level, np.full(len(place), count))
 
     @property
     def side(self) -> int:

@@ -12,14 +12,14 @@ import numpy as np
 
 from fields.sweep.block import Block
 from fields.sweep.corner_rays import Area, CornerRays, extremes_of_squares, squares_over_area
+from fields.sweep.discontinuities import search_discontinuities
 from fields.sweep.images import image_backend
 from fields.sweep.kernels.backend import Job
 from fields.sweep.kernels.stack import Hypotheses
 from fields.sweep.maps import HeightMap
 from fields.sweep.matching import LEAST_KNOWN, Reference, match_tiles, match_view, match_with_adaptive_windows
 from fields.sweep.passes import MATCHED_NCC, PASSES, Pass
-from fields.sweep.steps import search_steps
-from fields.sweep.tiles import PART_SIDE_PX, Tiles
+from fields.sweep.tiles import PART_SIDE_PX, ImageTiles
 from refract import FlatWater, PinholeCamera
 
 # Places along each side of the area: between them the outline of what is seen is straight to a fraction of a pixel.
@@ -29,8 +29,8 @@ _RIM_PX = 6
 
 
 @dataclass(frozen=True)
-class Search:
-    """Search of a sweep: range of heights, passes, area."""
+class SweepSettings:
+    """Settings of a sweep: range of heights, passes, area."""
 
     bound: tuple[float, float]  # (low, high) [m] over the water plane, spanned by the hypotheses of the first pass
     passes: tuple[Pass, ...] = PASSES
@@ -46,6 +46,16 @@ class ViewPass:
     neighbours: list[int]  # indices of the views that it is compared with
     count: int  # number of height hypotheses
     samples: int  # pixels x hypotheses x neighbours
+
+
+@dataclass(frozen=True)
+class MatchedView:
+    """Map of a view after a pass, and how it was matched."""
+
+    map: HeightMap
+    extra_radius_px: int = 0  # radius of its windows less that of the pass
+    # flat indices of the refined pixels, where `fields.sweep.images.image_backend` has them; None of a whole view
+    refined_pixels: Any | None = None
 
 
 def view_passes(block: Block, chosen: list[int], pass_: Pass, bound: tuple[float, float] | None) -> list[ViewPass]:
@@ -77,24 +87,23 @@ def pixels_of(block: Block, pass_: Pass, view: int) -> int:
 
 def _step(block: Block, pass_: Pass, view: int, neighbours: list[int], height: float) -> float:
     """Distance [m] between two hypotheses of a pass about a height [m]."""
-    return pass_.step_px / (pass_.scale * block.parallax(view, neighbours, height))
+    return pass_.spacing_px / (pass_.scale * block.parallax(view, neighbours, height))
 
 
 def match_pass(
     block: Block,
     pass_: Pass,
     of_view: ViewPass,
-    search: Search,
+    settings: SweepSettings,
     before: HeightMap | None,
-    wider: int,
-) -> Job[tuple[HeightMap, int]]:
+    extra_radius_px: int,
+) -> Job[MatchedView]:
     """Match a view in a pass, with the hypotheses of the bound or those about the heights of the pass before.
 
-    The radius of the windows is that of the pass and ``wider`` [px], or more where the scores ask for it. Returns the
-    map and the pixels by which its windows were wider.
+    The radius of the windows is that of the pass plus ``extra_radius_px``, or more where the scores ask for it.
     """
     stack, view, backend = block.stack(pass_.scale), of_view.view, image_backend(block.device)
-    bound, area = search.bound, search.area
+    bound, area = settings.bound, settings.area
     shape = (stack.height_of(view), stack.width_of(view))
     middle = 0.5 * (bound[0] + bound[1]) if before is None else backend.median(before.height)
     step = _step(block, pass_, view, of_view.neighbours, middle)
@@ -116,7 +125,7 @@ def match_pass(
             over_area.append(columns_over_area(block.cameras[view], shape, area, height, rays_of))
         return over_area[0]
 
-    radius = pass_.radius + wider
+    radius = pass_.radius + extra_radius_px
     reference = Reference(stack, view, of_view.neighbours, radius, _least_known(block))
     hypotheses = Hypotheses(start, step, of_view.count)
     if pass_.refines:
@@ -124,24 +133,24 @@ def match_pass(
     else:
         found, radius = yield from match_with_adaptive_windows(reference, hypotheses, columns)
     # The search has windows of its own, narrower than those that were too narrow here.
-    if pass_.search is not None and radius == pass_.radius:
+    if pass_.discontinuities is not None and radius == pass_.radius:
         among = _mask_of(columns(radius), shape[1]) if pass_.in_area else None
-        found = yield from search_steps(reference, found, pass_.step_px / step, pass_.search, among)
+        parallax = pass_.spacing_px / step
+        found = yield from search_discontinuities(reference, found, parallax, pass_.discontinuities, among)
     height, score, _ = found
-    return backend.new_map(view, height, _of_shown(block, pass_, view, score)), radius - pass_.radius
+    m = backend.new_map(view, height, _of_shown(block, pass_, view, score))
+    return MatchedView(m, extra_radius_px=radius - pass_.radius)
 
 
-def refine_part(
-    block: Block, pass_: Pass, of_view: ViewPass, before: HeightMap, part: np.ndarray
-) -> Job[tuple[HeightMap, Any]]:
-    """Match a part of a view in a pass, in tiles; returns the map and the flat indices of the matched pixels.
+def refine_part(block: Block, pass_: Pass, of_view: ViewPass, before: HeightMap, part: np.ndarray) -> Job[MatchedView]:
+    """Match a part of a view in a pass, in tiles.
 
     ``part`` (height, width) bool is at a share of the size. All tiles that hold some of it are matched; other pixels
     stay as they were ``before``.
     """
     stack, view, backend = block.stack(pass_.scale), of_view.view, image_backend(block.device)
     step = _step(block, pass_, view, of_view.neighbours, backend.median(before.height))
-    tiles = Tiles.over(part, before.height.shape, PART_SIDE_PX - 2 * pass_.radius, pass_.radius, of_view.count)
+    tiles = ImageTiles.over(part, before.height.shape, PART_SIDE_PX - 2 * pass_.radius, pass_.radius, of_view.count)
     tiles = replace(tiles, wanted=backend.to_device(block.device, tiles.wanted))
     height, score = backend.flat_copy(before.height), backend.flat_copy(before.score)
     lowest = backend.flat_view(backend.subtract(before.height, step * (of_view.count // 2)))
@@ -154,7 +163,8 @@ def refine_part(
     reference = Reference(stack, view, of_view.neighbours, pass_.radius, _least_known(block))
     yield from match_tiles(reference, tiles, lambda _, pixels: backend.values_at(lowest, pixels), step, take)
     height, score = (backend.reshaped(each, before.height.shape) for each in (height, score))
-    return replace(before, height=height, score=_of_shown(block, pass_, view, score)), backend.indices_of(tiles.wanted)
+    m = replace(before, height=height, score=_of_shown(block, pass_, view, score))
+    return MatchedView(m, refined_pixels=backend.indices_of(tiles.wanted))
 
 
 def _of_shown(block: Block, pass_: Pass, view: int, score: Any) -> Any:

@@ -16,10 +16,10 @@ import numpy as np
 
 from fields.sweep.block import Block
 from fields.sweep.fusion import PEERS
-from fields.sweep.maps import HeightMap, Keep, OrderedMaps, small_sample_factor, trusted, upsample_map
+from fields.sweep.maps import HeightMap, OrderedMaps, StoreFactory, small_sample_factor, trusted, upsample_map
 from fields.sweep.passes import Pass
 from fields.sweep.sweep import sweep
-from fields.sweep.view_pass import Area, Search
+from fields.sweep.view_pass import Area, SweepSettings
 
 # The widest windows that there are kernels for, at a quarter of the size: the first pass tries all heights, the last
 # resolves them.
@@ -52,7 +52,11 @@ def wet_pairs(block: Block, views: Collection[int]) -> list[int]:
 
 
 def with_wide_windows(
-    block: Block, maps: OrderedMaps, bound: tuple[float, float], area: Area | None, keep: Keep = dict
+    block: Block,
+    maps: OrderedMaps,
+    bound: tuple[float, float],
+    area: Area | None,
+    make_store: StoreFactory = dict,
 ) -> OrderedMaps:
     """Maps whose heights under water, where only two photographs show a place, are means of wide windows.
 
@@ -62,8 +66,9 @@ def with_wide_windows(
     pairs = wet_pairs(block, maps.views)
     if not pairs:
         return maps
-    wide = sweep(_smoothed(block), pairs, Search(bound, _PASSES, area), lambda _share: None, keep=keep)
-    found = keep()
+    settings = SweepSettings(bound, _PASSES, area)
+    wide = sweep(_smoothed(block), pairs, settings, lambda _share: None, make_store=make_store)
+    found = make_store()
     for number, view in enumerate(maps.views):
         found[view] = maps[number]
     for number, view in enumerate(wide.views):

@@ -28,16 +28,16 @@ def load_block(
     plan: Plan,
     advance: Callable[[float], None],
     store: ImageStore | None = None,
-    keep: Callable[[np.ndarray], Any] | None = None,
+    store_array: Callable[[np.ndarray], Any] | None = None,
 ) -> Block:
-    """Grey images and cameras at the plan's scale, as a block for `fields`; ``keep`` is that of `GreyImages`.
+    """Grey images and cameras at the plan's scale, as a block for `fields`; ``store_array`` is that of `GreyImages`.
 
     Images come through the store, where there is one, so that later stages need not decode them again. Those of several
     sizes are padded to the largest; padding, masked and saturated pixels are NaN, which matches nothing.
     """
     cameras = cameras_of_block(survey, plan)
     width, height = cameras[0].width, cameras[0].height
-    kept, whites = ImageStore(0) if store is None else store, []
+    kept, whites = ImageStore(0) if store is None else store, list[float]()
 
     def images() -> Iterator[np.ndarray]:
         for view in survey.views:
@@ -50,7 +50,8 @@ def load_block(
     try:
         area = local_area(survey)
         ground = None if area is None else grown(area, AREA_MARGIN_M)
-        return Block(backend(plan), cameras, GreyImages(images(), keep), survey.water, bed, whites, plan.skips, ground)
+        greys = GreyImages(images(), store_array)
+        return Block(backend(plan), cameras, greys, survey.water, bed, tuple(whites), plan.skips, ground)
     except ValueError as error:
         raise SurveyError(str(error)) from error
 

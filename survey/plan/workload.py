@@ -183,7 +183,7 @@ def _first_hypotheses(survey: Survey, plan: Plan) -> float:
         others = overlap.neighbours(view, PASSES[0].neighbours)
         if others:
             parallax = PASSES[0].scale * overlap.parallax(view, others, overlap.height)
-            counts.append((high - low) * parallax / PASSES[0].step_px + 1.0)
+            counts.append((high - low) * parallax / PASSES[0].spacing_px + 1.0)
     return float(np.median(counts)) if counts else FIRST_HYPOTHESES
 
 

@@ -133,8 +133,8 @@ class Job:
     def block(self) -> Block:
         """The grey images with their cameras, loaded when the first stage needs them."""
         with self.progress.stage("Images", len(self.survey.views)) as stage:
-            keep = None if self.tiling is None or self.scratch is None else ArrayFiles(self.scratch)
-            return load_block(self.survey, self.plan, stage.advance, self.photographs, keep)
+            store_array = None if self.tiling is None or self.scratch is None else ArrayFiles(self.scratch)
+            return load_block(self.survey, self.plan, stage.advance, self.photographs, store_array)
 
     @cached_property
     def cameras(self) -> list[PinholeCamera]:

@@ -50,15 +50,15 @@ def solve_with(job: Job, folder: Path, needs: Mapping[str, Path], figures: Solve
     for number, each in enumerate(carried):
         if each is not None:
             kept[number] = np.zeros_like(kept[number])
-    with job.progress.stage("Solver", 1.0) as stage, map_store(folder / SCRATCH, SolvedMap) as keep:
+    with job.progress.stage("Solver", 1.0) as stage, map_store(folder / SCRATCH, SolvedMap) as make_store:
         solved, figures = solve_maps(
             job.block,
             maps,
             kept,
             job.plan.gsd_m,
             shares(stage),
-            goes_on=lambda: _has_time_for_more(job),
-            keep=keep,
+            has_time=lambda: _has_time_for_more(job),
+            make_store=make_store,
             figures=figures,
         )
         both = (new if old is None else old for new, old in zip(solved, carried, strict=True))

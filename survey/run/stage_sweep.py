@@ -17,7 +17,7 @@ from fields.sweep.maps import ByView, HeightMap
 from fields.sweep.passes import PASSES, before_solver, in_area, passes_from
 from fields.sweep.photo_consistency import photo_consistency
 from fields.sweep.sweep import EarlierMaps, sweep
-from fields.sweep.view_pass import Search
+from fields.sweep.view_pass import SweepSettings
 from fields.sweep.wide_windows import with_wide_windows
 from survey.errors import SurveyError
 from survey.files.json_values import write_json
@@ -30,7 +30,7 @@ from survey.run.stored_maps import LiveMaps, Stored, map_store, save_maps
 
 if TYPE_CHECKING:
     from fields.sweep.block import Block
-    from fields.sweep.maps import Keep, OrderedMaps
+    from fields.sweep.maps import OrderedMaps, StoreFactory
     from survey.run.aimed_run import AimedRun
     from survey.run.job import Job
 
@@ -62,19 +62,20 @@ def sweep_views(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     block, images_s = job.block, time.monotonic() - start
     with job.progress.stage("Sweep", 1.0) as stage:
         low, high = job.bound
-        block.judge_overlap_at(0.5 * (low + high))
+        block.set_overlap_height(0.5 * (low + high))
         chosen = job.views_to_match()
         heights = (low, high) if job.plan.skips.heights else job.limits
         passes = PASSES if job.aimed is None else passes_from(job.aimed.first_search)
         passes = before_solver(passes) if job.plan.refines_points_only else passes
         passes = passes if job.tiling is None else in_area(passes)
         start = time.monotonic()
-        with map_store(folder / SCRATCH, HeightMap, show=_live(job, folder)) as keep:
-            search = Search(heights, passes, job.swept_ground)
-            maps = sweep(block, chosen, search, shares(stage), keep=keep)
+        with map_store(folder / SCRATCH, HeightMap, show=_live(job, folder)) as make_store:
+            settings = SweepSettings(heights, passes, job.swept_ground)
+            maps = sweep(block, chosen, settings, shares(stage), make_store=make_store)
             if not maps and job.tiling is None:
                 raise SurveyError("no two photographs overlap; check that the poses belong to the images")
-            swept = with_wide_windows(block, _finished(block, maps, keep), heights, job.swept_ground, keep)
+            finished = _finished(block, maps, make_store)
+            swept = with_wide_windows(block, finished, heights, job.swept_ground, make_store)
             took = _SweepCost(swept.views, job.plan.image_scale, time.monotonic() - start, images_s)
             _save(job, folder, swept, took, None)
     job.progress.note(f"bound: bed between {low:.2f} and {high:.2f} m over the {plane_name(job.survey)}")
@@ -86,9 +87,9 @@ def _live(job: Job, folder: Path) -> Callable[[HeightMap], None]:
     return LiveMaps(folder.parent.parent, job, folder.stem.strip(".")).show
 
 
-def _finished(block: Block, maps: OrderedMaps, keep: Keep) -> OrderedMaps:
+def _finished(block: Block, maps: OrderedMaps, make_store: StoreFactory) -> OrderedMaps:
     """Maps of a sweep without heights that other views contradict."""
-    found = remove_free_space_violations(block, maps, keep)
+    found = remove_free_space_violations(block, maps, make_store)
     maps.clear()
     return found
 
@@ -110,7 +111,7 @@ def _continue_round(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     start, aimed = time.monotonic(), job.aimed
     try:
         scratch = map_store(folder / SCRATCH, HeightMap, show=_live(job, folder))
-        with job.progress.stage("Sweep", 1.0) as stage, scratch as keep:
+        with job.progress.stage("Sweep", 1.0) as stage, scratch as make_store:
             report = shares(stage)
 
             def advance(share: float) -> None:
@@ -121,12 +122,12 @@ def _continue_round(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
             maps = sweep(
                 block,
                 before.views,
-                Search((bound["low_m"], bound["high_m"]), area=job.swept_ground),
+                SweepSettings((bound["low_m"], bound["high_m"]), area=job.swept_ground),
                 advance,
                 earlier=EarlierMaps(ByView(before, before.views), again),
-                keep=keep,
+                make_store=make_store,
             )
-            swept = _finished(block, maps, keep)
+            swept = _finished(block, maps, make_store)
             took = _SweepCost(again, job.plan.image_scale, time.monotonic() - start, images_s)
             _save(job, folder, swept, took, earlier_scale)
     except OutOfTimeError:
@@ -203,4 +204,4 @@ def _update_rates(aimed: AimedRun, found: dict) -> None:
 def look_at_bed(job: Job, folder: Path) -> None:
     """Let the block judge the overlap of views as at the end of the sweep, whether it ran now or in an earlier run."""
     bound = json.loads((folder / BOUND).read_text(encoding="utf-8"))
-    job.block.judge_overlap_at(0.5 * (bound["low_m"] + bound["high_m"]))
+    job.block.set_overlap_height(0.5 * (bound["low_m"] + bound["high_m"]))

@@ -33,7 +33,7 @@ def find_shared(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
         return
     with job.progress.stage("Range of heights"):
         low, high = job.bound
-    block.judge_overlap_at(0.5 * (low + high))
+    block.set_overlap_height(0.5 * (low + high))
     count = 1 if job.tiling is None else len(job.tiling)
     write_json(folder / SHARED, {"low_m": low, "high_m": high, "views": job.views_to_match(), "tiles": count})
 
@@ -52,7 +52,7 @@ def _of_tiles(job: Job, advance: Callable[[float], None]) -> tuple[list[tuple[fl
         if not tile.is_void:
             try:
                 found[number] = tile.range_of_heights()
-                tile.block.judge_overlap_at(0.5 * sum(found[number]))
+                tile.block.set_overlap_height(0.5 * sum(found[number]))
             except SurveyError as error:
                 why = error
             times = required_views(tile.block.saturated, job.plan.recipe.times_seen)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from fields.sweep.maps import HeightMap
+from fields.sweep.maps import HeightMap, MemoryBudget
 from geo.errors import GeoError
 from geo.files import reporting_disk_errors
 from survey.run.flight import FLIGHT, save_flight
@@ -28,15 +28,8 @@ IN_MEMORY = 75_000_000
 Kind = TypeVar("Kind")
 
 
-class _Room:
-    """Bytes of memory that several places for maps share."""
-
-    def __init__(self, num_bytes: int):
-        self.left = num_bytes
-
-
 class Scratch(MutableMapping[int, Kind]):
-    """Maps of one kind by number: in memory while there is room, the others each in a file of a folder of their own.
+    """Maps of one kind by number: in memory while the budget lasts, the others each in a file of a folder of their own.
 
     Those in files are read from there whenever they are asked for.
 
@@ -49,8 +42,10 @@ class Scratch(MutableMapping[int, Kind]):
         Called with each map that comes.
     """
 
-    def __init__(self, folder: Path, kind: type[Kind], room: _Room, show: Callable[[Kind], None] = lambda _: None):
-        self._folder, self._kind, self._room, self._show = folder, kind, room, show
+    def __init__(
+        self, folder: Path, kind: type[Kind], budget: MemoryBudget, show: Callable[[Kind], None] = lambda _: None
+    ):
+        self._folder, self._kind, self._budget, self._show = folder, kind, budget, show
         self._held: dict[int, Kind] = {}
         self._written: set[int] = set()
         with reporting_disk_errors(folder):
@@ -67,9 +62,9 @@ class Scratch(MutableMapping[int, Kind]):
     def __setitem__(self, number: int, each: Kind) -> None:
         self._show(each)
         if number in self._held:
-            self._room.left += _bytes_of(self._held.pop(number))
-        if number not in self._written and _bytes_of(each) <= self._room.left:
-            self._room.left -= _bytes_of(each)
+            self._budget.left += _bytes_of(self._held.pop(number))
+        if number not in self._written and _bytes_of(each) <= self._budget.left:
+            self._budget.left -= _bytes_of(each)
             self._held[number] = each
             return
         with reporting_disk_errors(self._path(number)), self._path(number).open("wb") as stream:
@@ -79,7 +74,7 @@ class Scratch(MutableMapping[int, Kind]):
 
     def __delitem__(self, number: int) -> None:
         if number in self._held:
-            self._room.left += _bytes_of(self._held.pop(number))
+            self._budget.left += _bytes_of(self._held.pop(number))
             return
         self._written.remove(number)
         with reporting_disk_errors(self._path(number)):
@@ -110,11 +105,11 @@ def map_store(
 
     ``show`` is called with each map that comes.
     """
-    number, room = count(), _Room(in_memory)
+    number, budget = count(), MemoryBudget(in_memory)
     with reporting_disk_errors(folder):
         folder.mkdir()
     try:
-        yield lambda: Scratch(folder / str(next(number)), kind, room, show)
+        yield lambda: Scratch(folder / str(next(number)), kind, budget, show)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -153,7 +148,7 @@ class Stored(Sequence[Kind]):
 
     def __init__(self, path: str | Path, kind: type[Kind], in_memory: int = 0):
         self._arrays, self._kind = StoredArrays(path), kind
-        self._room, self._held = _Room(in_memory), dict[int, Kind]()
+        self._budget, self._held = MemoryBudget(in_memory), dict[int, Kind]()
         self.views = [int(view) for view in self._arrays["views"]]
         for number in range(len(self.views)):
             for name in _names(kind):
@@ -168,10 +163,10 @@ class Stored(Sequence[Kind]):
         if number in self._held:
             return self._held[number]
         found = _made(self._kind, self.views[number], lambda name: self._arrays[f"{name}_{number}"])
-        if _bytes_of(found) <= self._room.left:
+        if _bytes_of(found) <= self._budget.left:
             for name in _names(self._kind):
                 getattr(found, name).flags.writeable = False
-            self._room.left -= _bytes_of(found)
+            self._budget.left -= _bytes_of(found)
             self._held[number] = found
         return found
 

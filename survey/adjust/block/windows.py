@@ -19,7 +19,7 @@ from fields.sweep.block import Block
 from fields.sweep.maps import HeightMap, trusted
 from fields.sweep.passes import PASSES
 from fields.sweep.sweep import sweep
-from fields.sweep.view_pass import Search, view_passes
+from fields.sweep.view_pass import SweepSettings, view_passes
 from fields.sweep.views import cells_of, overlaps
 from refract import FlatWater, PinholeCamera
 from survey.adjust.block.matching import RADIUS, match, prepare_image, window
@@ -33,7 +33,7 @@ from survey.plan.rates import STEPS_PER_CORE_S, search_s
 from survey.plan.sweep_block import camera_of, load_block
 
 # The coarse sweep: approximate heights of the bed. Beside steps, where there are no windows, nothing more is searched.
-_SWEPT = (PASSES[0], replace(PASSES[1], fuse=True, search=None))
+_SWEPT = (PASSES[0], replace(PASSES[1], fuse=True, discontinuities=None))
 # Least number of photographs with windows that see each place: steep ones, and oblique ones from each quarter.
 _TIMES_SEEN = (2, 1)
 # Most photographs in which a window is searched for, and the angles between directions of view: windows at wider angles
@@ -96,7 +96,7 @@ def measure(
     -------
     TiePoints, in the pixels of the block's images
     """
-    block.judge_overlap_at(0.5 * (bound[0] + bound[1]))
+    block.set_overlap_height(0.5 * (bound[0] + bound[1]))
     chosen, shares = block.cover(*_TIMES_SEEN, area), [0.0]
     of_sweep = _share_of_sweep(block, chosen, bound)
 
@@ -104,7 +104,7 @@ def measure(
         advance(of_sweep * (share - shares[-1]))
         shares.append(share)
 
-    maps = sweep(block, chosen, Search(bound, _SWEPT), swept)
+    maps = sweep(block, chosen, SweepSettings(bound, _SWEPT), swept)
     windows = [w for w in (_windows_of(block, height_map, area, density) for height_map in maps) if len(w.corners)]
     parts: list[list[tuple[np.ndarray, int, np.ndarray]]] = [
         [(np.arange(len(w.corners)), w.view, w.corners)] for w in windows

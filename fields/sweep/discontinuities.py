@@ -15,8 +15,8 @@ import numpy as np
 from fields.sweep.images import image_backend
 from fields.sweep.kernels.backend import Job
 from fields.sweep.matching import Found, Reference, match_tiles
-from fields.sweep.passes import MATCHED_NCC, StepSearch
-from fields.sweep.tiles import Tiles
+from fields.sweep.passes import MATCHED_NCC, DiscontinuitySearch
+from fields.sweep.tiles import ImageTiles
 from refract import FlatWater, PinholeCamera
 
 # Of the plumb line on which the image of a wall is found [m].
@@ -26,8 +26,8 @@ _STEP_M = 0.1
 _LEAST_COSINE = 0.3
 
 
-def search_steps(
-    reference: Reference, found: Found, parallax: float, search: StepSearch, among: np.ndarray | None = None
+def search_discontinuities(
+    reference: Reference, found: Found, parallax: float, search: DiscontinuitySearch, among: np.ndarray | None = None
 ) -> Job[Found]:
     """Height, score and curvature of a pass, with those of the search where heights around differ.
 
@@ -47,27 +47,27 @@ def search_steps(
     if typical is None or typical < search.least_score or min(height.shape) < search.tile_px + 2 * search.radius:
         return found
     low, high = backend.local_min_max(height, search.around_px)
-    wanted = backend.exceeds_parallax(low, high, parallax, search.reach_px)
+    wanted = backend.exceeds_shift(low, high, parallax, search.reach_px)
     if among is not None:
-        # Beyond what was matched heights continue, and lines between them look like steps.
+        # Heights continue beyond what was matched, and lines between them look like discontinuities.
         wanted = wanted & backend.to_device(stack.device, among)
     if not backend.any_true(wanted):
         return found
     nearby = Reference(stack, reference.view, reference.neighbours[: search.neighbours], search.radius)
-    step, least = search.step_px / parallax, backend.full(stack.device, height.shape, MATCHED_NCC)
+    spacing, least = search.spacing_px / parallax, backend.full(stack.device, height.shape, MATCHED_NCC)
     size, bounds = search.tile_px, backend.tile_extents(wanted, low, high, search.tile_px)
-    level = Tiles.of(wanted, bounds, step, size, search.radius)
-    found = yield from _best_of_tiles(nearby, found, level, step, least)
+    level = ImageTiles.of(wanted, bounds, spacing, size, search.radius)
+    found = yield from _best_of_tiles(nearby, found, level, spacing, least)
     if search.walls:
         width, gradients = 2.0 * search.radius + 1.0, backend.tile_gradients(height, wanted, size)
         slope = wall_slopes(stack.cameras[nearby.view], stack.water, gradients, bounds, size, width)
-        upright = Tiles.of(wanted, bounds, step, size, search.radius, slope)
-        found = yield from _best_of_tiles(nearby, found, upright, step, backend.pixelwise_max(least, found[1]))
+        upright = ImageTiles.of(wanted, bounds, spacing, size, search.radius, slope)
+        found = yield from _best_of_tiles(nearby, found, upright, spacing, backend.pixelwise_max(least, found[1]))
     return found
 
 
-def _best_of_tiles(reference: Reference, found: Found, tiles: Tiles, step: float, least: Any) -> Job[Found]:
-    """Heights replaced by those of tiles, with hypotheses a step [m] apart, where these score over ``least``."""
+def _best_of_tiles(reference: Reference, found: Found, tiles: ImageTiles, spacing: float, least: Any) -> Job[Found]:
+    """Heights replaced by those of tiles, with hypotheses ``spacing`` [m] apart, where these score over ``least``."""
     stack, backend = reference.stack, image_backend(reference.stack.device)
     better, worse = [backend.flat_copy(each) for each in found], backend.flat_view(least)
 
@@ -79,7 +79,7 @@ def _best_of_tiles(reference: Reference, found: Found, tiles: Tiles, step: float
     def starts(part: slice, _pixels: Any) -> Any:
         return backend.tile_starts(stack.device, tiles, part)
 
-    yield from match_tiles(reference, tiles, starts, step, take)
+    yield from match_tiles(reference, tiles, starts, spacing, take)
     height, score, curvature = (backend.reshaped(each, found[0].shape) for each in better)
     return height, score, curvature
 

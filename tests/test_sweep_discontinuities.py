@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from plane_survey import PlaneBed, found_by, look, ring, texture
 
+from fields.sweep.discontinuities import search_discontinuities
 from fields.sweep.images import image_backend
 from fields.sweep.kernels.backend import kernels
 from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.matching import Reference
-from fields.sweep.passes import StepSearch
-from fields.sweep.steps import search_steps
+from fields.sweep.passes import DiscontinuitySearch
 from refract import FlatWater
 
 WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.34)
 LOW, HIGH = -2.0, -1.6
-SEARCH = StepSearch(radius=1, step_px=0.5, tile_px=8, reach_px=2.0, around_px=5, least_score=0.6)
+SEARCH = DiscontinuitySearch(radius=1, spacing_px=0.5, tile_px=8, reach_px=2.0, around_px=5, least_score=0.6)
 # Too high pixels beside the edge, and the pixels at it whose windows hold both sides.
 FAT_PX, EDGE_PX = 4, 3
 
@@ -42,7 +42,9 @@ class Terrace:
 def searched_by(stack, neighbours, found, parallax, search, among=None):
     """What the search makes of height, score and curvature, all on the host."""
     placed = tuple(image_backend(stack.device).to_device(stack.device, each) for each in found)
-    return found_by(stack.device, search_steps(Reference(stack, 0, neighbours, 2), placed, parallax, search, among))
+    return found_by(
+        stack.device, search_discontinuities(Reference(stack, 0, neighbours, 2), placed, parallax, search, among)
+    )
 
 
 def searched(device, height, truth, *, score=0.9, search=SEARCH, among=None):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fields.device import choose_device
-from fields.occluded.agreement import FoundPoints, explained_above, surface_heights
+from fields.occluded.agreement import FoundPoints, explained_above, trial_heights
 from fields.occluded.holes import CONTEXT_GSD, SIDE_GSD, BedLayer, Holes, KnownBed, StepBox, boxes_about, smooth
 from fields.occluded.occluded import find_occluded, show_bed
 from fields.occluded.sightings import Colours, consensus
@@ -106,7 +106,7 @@ def test_what_other_photographs_see_over_the_layer_explains_those_that_agree_on_
 
     members = np.zeros((7, 64, 64), dtype=bool)
     members[:3] = True
-    explained = explained_above(slopes, colours(0.0), [colours(each) for each in surface_heights(1.0)], members, 1.0)
+    explained = explained_above(slopes, colours(0.0), [colours(each) for each in trial_heights(1.0)], members, 1.0)
     assert explained.mean() == (1.0 if height else 0.0)
 
 

@@ -1,7 +1,7 @@
 """Points of the bed in holes of a cloud, where photographs agree on colours and heights that nothing else explains.
 
-Photographs that nearly look along each other show the same colours on whatever lies behind what they see. If it is a
-surface over the layer, other photographs show those colours on it, too.
+Photographs that nearly look along each other show the same colours at whatever height is assumed for what they see. If
+that is an object over the layer, other photographs show those colours at its height, too: trial heights tell.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from fields.occluded.holes import Holes
-from fields.occluded.sightings import WINDOW, Colours, Sighting, consensus, windowed
+from fields.occluded.sightings import MISFIT_CLIP, WINDOW, Colours, Sighting, consensus, windowed
 
-# Heights over the layer at which other photographs are tested, in ground sampling distances: steps of a fourth.
-_SHEETS_GSD = (3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 13.0, 16.0, 20.0, 25.0, 32.0, 40.0, 50.0, 64.0)
-# In variances of the noise, the mean square up to which a photograph agrees; one cell counts at most so much.
-_AGREE, _MOST = 1.5, 30.0
-# Share of the other photographs that agree by chance at one of the heights.
+# Trial heights over the layer at which other photographs are tested, in ground sampling distances: steps of a fourth.
+_TRIAL_HEIGHTS_GSD = (3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 13.0, 16.0, 20.0, 25.0, 32.0, 40.0, 50.0, 64.0)
+# Largest misfit with which a photograph agrees at a trial height: mean square, in variances of the noise.
+_TRIAL_MISFIT = 1.5
+# Share of the other photographs that agree by chance at one of the trial heights.
 _BY_CHANCE = 0.3
 # Heights over the layer: steps of the search, how far it goes, and how far the layer may be off, beyond the roughness
 # of the bed (standard deviation): in ground sampling distances.
@@ -32,7 +32,7 @@ _WINDOW, _INDEPENDENT = 15, 0.012
 _MOST_VIEWS = 20
 # Photographs that have to agree on a point, and cells that have to hang together.
 LEAST_VIEWS, _LEAST_CELLS = 3, 6
-# Share of the cells on which photographs agree that surfaces over the layer may explain: beyond it the layer is no bed.
+# Share of the cells on which photographs agree that objects over the layer may explain: beyond it the layer is no bed.
 _MOST_EXPLAINED = 0.4
 # Fewest cells for the gain of a photograph, and photographs for a mean.
 _LEAST_SHOWN, _LEAST_MEAN = 100, 3
@@ -44,12 +44,12 @@ _LEAST_NOISE = 0.5
 def explained_above(
     slopes: np.ndarray,
     on_layer: Colours,
-    surfaces: Iterable[Colours],
+    on_trial: Iterable[Colours],
     members: np.ndarray,
     gsd: float,
     part: tuple[slice, slice] = np.s_[:, :],
 ) -> np.ndarray:
-    """Cells (rows, columns) bool whose colours other photographs show where the rays of the members pass over them.
+    """Cells bool whose agreement an object above the bed explains: non-members see the same colours there.
 
     Only of a ``part`` of the rows and columns.
 
@@ -59,8 +59,8 @@ def explained_above(
         How far the rays of each photograph move over the ground with the height [m/m].
     on_layer : Colours
         At the cells.
-    surfaces : iterable of Colours
-        At the heights `surface_heights` over the layer.
+    on_trial : iterable of Colours
+        At the `trial_heights` over the layer.
     members : (K, rows, columns) bool
         Photographs that agree on each cell.
     gsd : [m]
@@ -77,22 +77,22 @@ def explained_above(
     )
     variance = on_layer.noise**2 * (1.0 + 1.0 / count)[..., None]
     most = np.zeros(count.shape)
-    for height, sheet in zip(surface_heights(gsd), surfaces, strict=True):
+    for height, colours in zip(trial_heights(gsd), on_trial, strict=True):
         x, y = ((each + height * shift[..., axis]).astype(np.float32) for axis, each in enumerate((column, row)))
         agree, others = np.zeros(count.shape), np.zeros(count.shape)
-        for values, use, is_member in zip(sheet.values, sheet.use, members, strict=True):
+        for values, use, is_member in zip(colours.values, colours.use, members, strict=True):
             seen = cv2.remap(use.astype(np.uint8), x, y, cv2.INTER_NEAREST) > 0
             difference = cv2.remap(values, x, y, cv2.INTER_LINEAR) - mean
-            square = np.minimum((difference**2 / variance).mean(axis=-1), _MOST).astype(np.float32)
-            agree += seen & ~is_member & (windowed(square, seen) < _AGREE)
+            square = np.minimum((difference**2 / variance).mean(axis=-1), MISFIT_CLIP).astype(np.float32)
+            agree += seen & ~is_member & (windowed(square, seen) < _TRIAL_MISFIT)
             others += seen & ~is_member
         most = np.maximum(most, agree / np.maximum(others, 1.0))
     return most > _BY_CHANCE
 
 
-def surface_heights(gsd: float) -> list[float]:
+def trial_heights(gsd: float) -> list[float]:
     """Heights [m] over the layer at which other photographs are tested."""
-    return [gsd * each for each in _SHEETS_GSD]
+    return [gsd * each for each in _TRIAL_HEIGHTS_GSD]
 
 
 @dataclass(frozen=True)
@@ -110,13 +110,13 @@ class FoundPoints:
 def points_of_holes(holes: Holes, sightings: Sequence[Sighting]) -> FoundPoints | None:
     """Points where photographs agree in holes beside what stands over the layer.
 
-    None where none do, or where surfaces over the layer explain what they show.
+    None where none do, or where objects over the layer explain what they show.
     """
     if len(sightings) < LEAST_VIEWS:
         return None
-    wanted = holes.are_holes & np.any([each.beside for each in sightings], axis=0)
+    wanted = holes.are_holes & np.any([each.near_obstacle for each in sightings], axis=0)
     if len(sightings) > _MOST_VIEWS:
-        shown = [int((wanted & each.is_inside & ~each.hidden).sum()) for each in sightings]
+        shown = [int((wanted & each.is_inside & ~each.is_hidden).sum()) for each in sightings]
         sightings = [sightings[k] for k in np.sort(np.argsort(shown, kind="stable")[-_MOST_VIEWS:])]
     radiometry = _Radiometry.of(sightings) if wanted.any() else None
     if radiometry is None:
@@ -147,7 +147,7 @@ def _search(
     holes: Holes, sightings: Sequence[Sighting], radiometry: _Radiometry, context: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Heights (rows, columns) [m] over the layer by Gauss-Newton steps, their information [1/m2], and the members."""
-    use = np.stack([each.is_inside & ~each.hidden & context for each in sightings])
+    use = np.stack([each.is_inside & ~each.is_hidden & context for each in sightings])
     height, step = np.zeros(context.shape), _STEP_GSD * holes.gsd
     prior = 1.0 / ((_PRIOR_GSD * holes.gsd) ** 2 + holes.roughness**2)
     members = consensus(radiometry.colours(sightings, height, use)).members
@@ -170,14 +170,16 @@ def _unexplained(
     members: np.ndarray,
     kept: np.ndarray,
 ) -> np.ndarray:
-    """Kept cells (rows, columns) that no surface over the layer explains; none where many are explained."""
+    """Kept cells (rows, columns) that no object over the layer explains; none where many are explained."""
     inside = np.stack([each.is_inside for each in sightings])
-    surfaces = (radiometry.colours(sightings, each, inside) for each in surface_heights(holes.gsd))
+    on_trial = (radiometry.colours(sightings, each, inside) for each in trial_heights(holes.gsd))
     slopes, on_layer = np.array([each.slope for each in sightings]), radiometry.colours(sightings, height, inside)
     part = _extent(binary_dilation(kept, iterations=WINDOW))
-    found = np.zeros_like(kept)
-    found[part] = explained_above(slopes, on_layer, surfaces, members, holes.gsd, part)
-    return kept & ~found & (found[kept].mean() <= _MOST_EXPLAINED)
+    is_explained = np.zeros_like(kept)
+    is_explained[part] = explained_above(slopes, on_layer, on_trial, members, holes.gsd, part)
+    if is_explained[kept].mean() > _MOST_EXPLAINED:
+        return np.zeros_like(kept)
+    return kept & ~is_explained
 
 
 def _misfit(colours: Colours, members: np.ndarray) -> np.ndarray:
@@ -211,7 +213,7 @@ class _Radiometry:
     def of(sightings: Sequence[Sighting]) -> _Radiometry | None:
         """Gain, offset and noise from certain sightings of the bed; None where these are too few."""
         values = np.stack([each.colours(0.0) for each in sightings])
-        shown = np.stack([each.shown & each.is_inside for each in sightings])
+        shown = np.stack([each.is_shown & each.is_inside for each in sightings])
         values[~shown] = 0.0
         count = shown.sum(axis=0)
         mean, common = values.sum(axis=0) / np.maximum(count, 1)[..., None], count >= _LEAST_MEAN

@@ -203,8 +203,8 @@ class KnownBed:
         near = self.xyz[number]
         return near[box.around(near, CONTEXT_GSD)]
 
-    def sort(self) -> None:
-        """Sort the points by square, once for all threads that will ask for some."""
+    def prepare_index(self) -> None:
+        """Index the points by square, once for all threads that will ask for some."""
         _ = self._by_square
 
     @cached_property
@@ -237,8 +237,8 @@ class Holes:
         return self.are_holes.shape
 
     @cached_property
-    def corners(self) -> np.ndarray:
-        """Points (N, 3) along the border of the layer, to find the photographs that may see it."""
+    def probe_points(self) -> np.ndarray:
+        """Its outermost points to all four sides and a middle one, (5, 3), to find the photographs that may see it."""
         known = self.points[np.isfinite(self.points[..., 2])]
         east, north = known[:, 0], known[:, 1]
         return known[[east.argmin(), east.argmax(), north.argmin(), north.argmax(), len(known) // 2]]

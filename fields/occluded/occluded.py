@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from fields.occluded.holes import Holes, KnownBed, StepBox, boxes_about, step_pl
 from fields.occluded.sightings import Sighting, sighting_of
 from fields.sweep.bed import BedPoints
 from fields.sweep.block import Block
-from fields.sweep.maps import HeightMap
+from fields.sweep.maps import HeightMap, views_of
 
 # Boxes whose photographs are in memory together, of about 10 MB each, and threads.
 _TOGETHER, _THREADS = 8, 2
@@ -63,45 +63,69 @@ def find_occluded(
     advance : callable
         Gets the share of the work that is done since the last call.
     """
-    views = []
-
-    def places() -> Iterator[np.ndarray]:
-        for m in maps:
-            views.append(m.view)
-            yield from step_places(block.cameras[m.view], block.water, m, known.gsd)
-
-    sample, others = _sample(boxes_about(places(), known.gsd))
+    views = views_of(maps)
+    places = (part for m in maps for part in step_places(block.cameras[m.view], block.water, m, known.gsd))
+    sample, others = _split_off_sample(boxes_about(places, known.gsd))
     if sample:
-        known.sort()
+        known.prepare_index()
     with ThreadPoolExecutor(_THREADS) as pool:
+        search = _Search(block, maps, views, photograph, known, pool)
+        return search.search_boxes(sample, others, advance)
 
-        def holes_in(boxes: list[StepBox]) -> list[Holes]:
-            return [holes for holes in pool.map(lambda box: Holes.of(box, known), boxes) if holes is not None]
 
-        def most_first(found: list[Holes]) -> list[Holes]:
-            return sorted(found, key=lambda holes: -int(holes.are_holes.sum()))
+@dataclass(frozen=True)
+class _Search:
+    """Search of boxes for points: what it reads, and its threads."""
 
-        def points_in(found: list[Holes], share: float) -> list[FoundPoints]:
-            points: list[FoundPoints] = []
-            for first in range(0, len(found), _TOGETHER):
-                part = found[first : first + _TOGETHER]
-                seen = _sightings(block, maps, views, photograph, part)
-                points += [each for each in pool.map(points_of_holes, part, seen) if each is not None]
-                advance(share * len(part) / len(found))
-            return points
+    block: Block
+    maps: Sequence[HeightMap]
+    views: list[int]  # of the maps
+    photograph: Callable[[int], np.ndarray]
+    known: KnownBed
+    pool: Executor
 
-        found, share = most_first(holes_in(sample)), len(sample) / max(len(sample) + len(others), 1)
+    def search_boxes(
+        self, sample: list[StepBox], others: list[StepBox], advance: Callable[[float], None]
+    ) -> OccludedBed:
+        """Points in the boxes of a sample and, where these show the bed, in the others with the most holes."""
+        num_boxes = max(len(sample) + len(others), 1)
+        found = self._holes_in(sample)
+        points, num_searched = self._search_sample(found, advance, len(sample) / num_boxes)
+        # Few boxes do not speak for others; without others they speak for themselves.
+        is_telling = len(found) >= _FEWEST or not others
+        if points is None or (is_telling and len(points) < _LEAST_SHARE * len(found)):
+            return replace(_together(self.block, [], num_searched), is_no_bed=True)
+        more = self._holes_in(others)
+        most = max(_MOST_BOXES, len(self.views)) - len(found)
+        points += self._points_in(more[:most], advance, len(others) / num_boxes)
+        searched = _together(self.block, points, len(found) + len(more[:most]))
+        return replace(searched, num_left_out=len(more[most:]))
+
+    def _search_sample(
+        self, found: list[Holes], advance: Callable[[float], None], share: float
+    ) -> tuple[list[FoundPoints] | None, int]:
+        """Points in the holes of a sample and the number of boxes searched; None where the first boxes show no bed."""
         first, later = found[:_TOGETHER], found[_TOGETHER:]
-        points = points_in(first, share * len(first) / max(len(found), 1))
+        share_of_box = share / max(len(found), 1)
+        points = self._points_in(first, advance, share_of_box * len(first))
         if len(found) >= _FEWEST and not show_bed(first, points):
-            return replace(_together(block, [], len(first)), is_no_bed=True)
-        points += points_in(later, share * len(later) / max(len(found), 1))
-        if (len(found) >= _FEWEST or not others) and len(points) < _LEAST_SHARE * len(found):
-            return replace(_together(block, [], len(found)), is_no_bed=True)
-        more = most_first(holes_in(others))
-        most = max(_MOST_BOXES, len(views)) - len(found)
-        points += points_in(more[:most], len(others) / (len(sample) + max(len(others), 1)))
-    return replace(_together(block, points, len(found) + len(more[:most])), num_left_out=len(more[most:]))
+            return None, len(first)
+        return points + self._points_in(later, advance, share_of_box * len(later)), len(found)
+
+    def _holes_in(self, boxes: list[StepBox]) -> list[Holes]:
+        """Holes in boxes, the most cells first."""
+        found = [each for each in self.pool.map(lambda box: Holes.of(box, self.known), boxes) if each is not None]
+        return sorted(found, key=lambda holes: -int(holes.are_holes.sum()))
+
+    def _points_in(self, found: list[Holes], advance: Callable[[float], None], share: float) -> list[FoundPoints]:
+        """Points in holes; all of them are a ``share`` of the work."""
+        points: list[FoundPoints] = []
+        for first in range(0, len(found), _TOGETHER):
+            part = found[first : first + _TOGETHER]
+            seen = _sightings(self.block, self.maps, self.views, self.photograph, part)
+            points += [each for each in self.pool.map(points_of_holes, part, seen) if each is not None]
+            advance(share * len(part) / len(found))
+        return points
 
 
 def show_bed(found: Sequence[Holes], points: Sequence[FoundPoints]) -> bool:
@@ -110,7 +134,7 @@ def show_bed(found: Sequence[Holes], points: Sequence[FoundPoints]) -> bool:
     return sum(len(each.xyz) for each in points) >= _LEAST_FOUND * num_cells
 
 
-def _sample(boxes: list[StepBox]) -> tuple[list[StepBox], list[StepBox]]:
+def _split_off_sample(boxes: list[StepBox]) -> tuple[list[StepBox], list[StepBox]]:
     """Boxes from all over the ground, and the others."""
     chosen = set(np.linspace(0, len(boxes) - 1, min(_SAMPLE, len(boxes))).astype(int).tolist())
     return [boxes[k] for k in sorted(chosen)], [each for k, each in enumerate(boxes) if k not in chosen]
@@ -127,7 +151,7 @@ def _sightings(
     seen: list[list[Sighting]] = [[] for _ in found]
     for number, view in enumerate(views):
         camera = block.cameras[view]
-        shown = [camera.sees(camera.project(holes.corners, block.water)).any() for holes in found]
+        shown = [camera.sees(camera.project(holes.probe_points, block.water)).any() for holes in found]
         if not any(shown):
             continue
         rgb, known, height_map = photograph(view), np.isfinite(block.images[view]), maps[number]
@@ -145,6 +169,6 @@ def _together(block: Block, parts: Iterable[FoundPoints], num_boxes: int) -> Occ
     columns = {f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(FoundPoints)}
     xyz, view, water = columns["xyz"], columns.pop("view").astype(np.int32), block.water
     depth = np.full(len(xyz), np.nan) if water is None else water.height(xyz[:, 0], xyz[:, 1]) - xyz[:, 2]
-    # Of those that are not, NaN compares false.
+    # A dry survey has depth NaN, and NaN > 0 is False: no point is wet.
     points = BedPoints(**columns, depth=depth.astype(np.float32), wet=depth > 0.0, origin=np.ones(len(xyz), np.uint8))
     return OccludedBed(points, view, num_boxes)

@@ -30,9 +30,9 @@ _HIDDEN_CELLS, _SHOWN_CELLS = 6, 3
 _STRAY_CELLS = 2
 # Cells about one whose colours are compared together: a window of 3.
 WINDOW = 3
-# Mean square of the difference of two photographs, in variances of the noise, up to which they agree; beyond it their
-# agreement is zero. One cell counts at most so much.
-AGREE, _MOST = 1.2, 30.0
+# Largest misfit of two photographs that agree, the mean square of their difference in variances of the noise: beyond it
+# their agreement is zero. One cell counts at most so much.
+PAIR_MISFIT, MISFIT_CLIP = 1.2, 30.0
 
 
 @dataclass(frozen=True)
@@ -46,17 +46,16 @@ class Sighting:
     start: np.ndarray
     change: np.ndarray
     is_inside: np.ndarray  # (rows, columns) bool
-    # hidden, shown, beside (rows, columns) bool: where the height map says for sure that the layer is hidden, or seen,
-    # and where something stands near
-    hidden: np.ndarray
-    shown: np.ndarray
-    beside: np.ndarray
+    # is_hidden, is_shown (rows, columns) bool: where the height map says for sure that the layer is hidden, or seen
+    is_hidden: np.ndarray
+    is_shown: np.ndarray
+    near_obstacle: np.ndarray  # (rows, columns) bool: where something that stands over the layer is near
     incidence: float  # [rad]: of the ray in air, in the middle
     slope: np.ndarray  # (2,): how far the ray in the middle moves over the ground with the height [m/m]
 
     def part(self, cells: tuple[slice, slice]) -> Sighting:
         """The same photograph of some rows and columns of the cells."""
-        names = ("start", "change", "is_inside", "hidden", "shown", "beside")
+        names = ("start", "change", "is_inside", "is_hidden", "is_shown", "near_obstacle")
         return replace(self, **{name: getattr(self, name)[cells] for name in names})
 
     def colours(self, height: np.ndarray | float) -> np.ndarray:
@@ -97,7 +96,7 @@ def sighting_of(
     x1, y1 = np.ceil(reached.max(axis=(0, 1))).astype(int) + 3
     layer = _height(points, water)
     over = np.where(inside, height_map.height[row, column] - layer, 0.0)
-    hidden, shown, beside = _visibility(height_map, holes, (row, column), inside, over)
+    is_hidden, is_shown, near_obstacle = _visibility(height_map, holes, (row, column), inside, over)
     is_inside = (inside & known[row, column]).reshape(shape)
     path = camera.paths(np.mean(middle[inside], axis=0)[None], water)
     at = float(np.median(layer[inside]))
@@ -109,9 +108,9 @@ def sighting_of(
         (pixel - (x0 + 0.5, y0 + 0.5)).reshape(*shape, 2).astype(np.float32),
         (np.where(inside[:, None], high - low, 0.0) / (2.0 * reach)).reshape(*shape, 2).astype(np.float32),
         is_inside,
-        hidden & is_inside,
-        shown,
-        beside & is_inside,
+        is_hidden & is_inside,
+        is_shown,
+        near_obstacle & is_inside,
         float(np.arccos(np.clip(-(path.air_direction[0] @ normal), -1.0, 1.0))),
         (above - below)[:2] / (above - below)[2],
     )
@@ -120,7 +119,7 @@ def sighting_of(
 def _visibility(
     height_map: HeightMap, holes: Holes, at: tuple[np.ndarray, np.ndarray], inside: np.ndarray, over: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """See `Sighting.hidden`, `shown` and `beside`, by the height map of the photograph.
+    """`Sighting.is_hidden`, `is_shown` and `near_obstacle`, by the height map of the photograph.
 
     Parameters
     ----------
@@ -132,13 +131,13 @@ def _visibility(
     shape, gsd = holes.shape, holes.gsd
     raised = (inside & (over > _ABOVE_GSD * gsd)).reshape(shape).astype(np.uint8)
     standing = cv2.morphologyEx(raised, cv2.MORPH_OPEN, _disc(_STRAY_CELLS))
-    beside = cv2.dilate(standing, _disc(_SHOWN_CELLS)) > 0
-    sure = trusted(height_map)[at] & inside
-    on_layer = (sure & (np.abs(over) < _ON_GSD * gsd)).reshape(shape)
+    near_obstacle = cv2.dilate(standing, _disc(_SHOWN_CELLS)) > 0
+    is_trusted = trusted(height_map)[at] & inside
+    on_layer = (is_trusted & (np.abs(over) < _ON_GSD * gsd)).reshape(shape)
     confirmed = (height_map.agreeing[at] >= _CONFIRMED_BY) & (height_map.score[at] > _CONFIRMED_NCC)
     covered = (inside & confirmed & (over > _ON_GSD * gsd)).reshape(shape)
-    hidden = covered | (cv2.erode(standing, _disc(_HIDDEN_CELLS)) > 0)
-    return hidden, on_layer & ~beside, beside
+    is_hidden = covered | (cv2.erode(standing, _disc(_HIDDEN_CELLS)) > 0)
+    return is_hidden, on_layer & ~near_obstacle, near_obstacle
 
 
 def _height(points: np.ndarray, water: FlatWater | None) -> np.ndarray:
@@ -185,11 +184,11 @@ def consensus(colours: Colours) -> Consensus:
             continue
         difference = scaled[a] - scaled[b]
         square = np.einsum("ijc,ijc->ij", difference, difference)
-        misfit = windowed(np.minimum(square, _MOST), both)
-        kernel = np.where(both, np.exp(-0.5 * (misfit / AGREE) ** 2), np.float32(0.0))
+        misfit = windowed(np.minimum(square, MISFIT_CLIP), both)
+        kernel = np.where(both, np.exp(-0.5 * (misfit / PAIR_MISFIT) ** 2), np.float32(0.0))
         weight[a] += kernel
         weight[b] += kernel
-        agree[a, b] = agree[b, a] = both & (misfit < AGREE)
+        agree[a, b] = agree[b, a] = both & (misfit < PAIR_MISFIT)
     best = weight.argmax(axis=0)
     members = np.take_along_axis(agree, best[None, None], axis=0)[0]
     np.put_along_axis(members, best[None], True, axis=0)

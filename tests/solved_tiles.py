@@ -7,15 +7,15 @@ from scipy import ndimage
 
 from fields.solver.appearance import brightness_of
 from fields.solver.gauss_newton import Start, TileSolution, gradients_of, second_differences_of, stiffness_of
-from fields.solver.tile import Tile
+from fields.solver.tile import SolverTile
 
 
-def plain_tile(size: int) -> Tile:
+def plain_tile(size: int) -> SolverTile:
     """A square tile, all of which is asked for."""
-    return Tile(0, 0, np.ones((size, size), dtype=bool), np.ones(size * size, dtype=bool))
+    return SolverTile(0, 0, np.ones((size, size), dtype=bool), np.ones(size * size, dtype=bool))
 
 
-def level(information: float, roughness: float, size: int = 40) -> tuple[Tile, TileSolution]:
+def level(information: float, roughness: float, size: int = 40) -> tuple[SolverTile, TileSolution]:
     """A tile with the same information everywhere and level heights."""
     tile = plain_tile(size)
     differences, zero = second_differences_of(tile), np.zeros(len(tile), dtype=np.float32)
@@ -29,7 +29,7 @@ def level(information: float, roughness: float, size: int = 40) -> tuple[Tile, T
 
 def residuals(
     noise: np.ndarray, depth: float = 2.0, shift_px: float = 0.0, relief: np.ndarray | None = None
-) -> tuple[Tile, TileSolution]:
+) -> tuple[SolverTile, TileSolution]:
     """A textured tile whose photographs have this noise (K, 96, 96) and are shifted in waves, each in its own way.
 
     Its heights are level, whatever relief (96, 96) [m] the photographs show.

@@ -18,7 +18,7 @@ from fields.solver.appearance import appearance_of, brightness_of
 from fields.solver.gauss_newton import Start, TileSolution, second_differences_of, stiffness_of
 from fields.solver.roughness import roughness_of
 from fields.solver.solver import SolvedMap, SolverFigures, solve_maps
-from fields.solver.tile import Tile, tiles_of
+from fields.solver.tile import SolverTile, tiles_of
 from fields.solver.visibility import Occluder, Projector, lookup, lookup_window, project_tiles
 from fields.sweep.block import Block
 from fields.sweep.maps import HeightMap
@@ -172,7 +172,7 @@ def test_the_noise_of_each_photograph_is_measured_and_outliers_lose_their_weight
     np.testing.assert_allclose(found.minus_albedo(np.ones_like(values)), 0.0, atol=1e-5)
 
 
-def drawn(roughness: float, views: int = 12) -> tuple[Tile, TileSolution]:
+def drawn(roughness: float, views: int = 12) -> tuple[SolverTile, TileSolution]:
     """A tile whose photographs say, with noise, heights that bend as much as asked for, about level ones."""
     random, tile = np.random.default_rng(4), plain_tile(96)
     differences = second_differences_of(tile)
@@ -220,7 +220,7 @@ def test_nothing_kept_is_nothing_solved():
     block, maps, _ = survey(4.0, 0.2)
     found, figures = solve_maps(block, maps, [np.zeros((SIZE, SIZE), dtype=bool)] * 9, GSD, lambda share: None)
     assert [len(each.pixels) for each in found] == [0] * 9
-    assert np.isnan(figures.noise.heights)
+    assert np.isnan(figures.noise.height_variance_ratio)
 
 
 def test_a_position_outside_an_image_takes_no_value_from_those_beside_it(rng):

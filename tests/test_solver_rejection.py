@@ -11,11 +11,11 @@ from solved_tiles import level, residuals, white
 from fields.solver.appearance import brightness_of, log_likelihood_ratio
 from fields.solver.gauss_newton import Start
 from fields.solver.noise import NoiseShares
-from fields.solver.solver import rejects_update, sweep_slope_noise
+from fields.solver.solver import rejects_update, sweep_slope_noise_ratio
 from fields.solver.uncertainty import expected_variances
 
 TOLERANCE = 0.05
-NOISE = NoiseShares(response=1.0, heights=1.0, smoothing_changes=1.0, excess_relief=0.0)
+NOISE = NoiseShares(response=1.0, height_variance_ratio=1.0, smoothing_variance_ratio=1.0, excess_relief=0.0)
 
 
 def kept(slope: float = 0.0, gain: float = 0.0, by_noise: float = 1e-8, noise: NoiseShares = NOISE) -> np.ndarray:
@@ -43,7 +43,7 @@ def test_what_only_looks_steep_in_noise_is_solved():
 
 @pytest.mark.parametrize(("share", "limit"), [(0.5, 13.95), (1.0, 13.95), (2.5, 34.9)])
 def test_a_solved_height_that_the_photographs_refute_is_not_taken_and_shared_noise_refutes_less(share, limit):
-    noise = replace(NOISE, heights=share)
+    noise = replace(NOISE, height_variance_ratio=share)
     assert kept(gain=-1.01 * limit / 9.0, noise=noise).all()
     assert not kept(gain=-0.99 * limit / 9.0, noise=noise).any()
     assert not kept(gain=limit, noise=noise).any()
@@ -70,7 +70,7 @@ def test_slopes_by_noise_are_those_of_heights_that_are_noise_alone(rng):
     noisy[tile.number[30:33, 30:33].ravel()] = 5.0
     moved = replace(solved, start=Start(solved.height - noisy, noisy))
     # Of the plane through nine independent heights each component is known to the root of a sixth of their variance.
-    assert sweep_slope_noise([(tile, moved)], 0.01, NOISE) == pytest.approx(3.0 / np.sqrt(6.0), rel=0.06)
+    assert sweep_slope_noise_ratio([(tile, moved)], 0.01, NOISE) == pytest.approx(3.0 / np.sqrt(6.0), rel=0.06)
 
 
 def test_gain_is_large_where_photographs_came_to_agree_and_leaves_out_what_only_one_time_shows():

@@ -11,7 +11,7 @@ from solved_tiles import level, plain_tile, residuals, white
 
 from fields.solver.gauss_newton import CG_RESIDUAL, TileSolution, conjugate_gradients, gradient_response, normal_matrix
 from fields.solver.noise import NoiseShares, Shifts, median_response, noise_shares, null_solutions_of, shifts_of
-from fields.solver.tile import Tile
+from fields.solver.tile import SolverTile
 from fields.solver.uncertainty import (
     ExpectedVariances,
     effective_sample_weight,
@@ -66,7 +66,7 @@ def bed_of_the_prior(result: TileSolution, size: int) -> np.ndarray:
     return np.fft.ifft2(spectrum).real.ravel() / np.sqrt(result.stiffness[0])
 
 
-def relief(tile: Tile, result: TileSolution, bed: np.ndarray) -> tuple[np.ndarray, ExpectedVariances]:
+def relief(tile: SolverTile, result: TileSolution, bed: np.ndarray) -> tuple[np.ndarray, ExpectedVariances]:
     expected = expected_variances(tile, result, RESPONSE)
     change = smoothing_change(result, heights(result, bed), RESPONSE)
     return smoothed_relief(tile, change, expected, 1.0, 1.0), expected
@@ -115,10 +115,10 @@ def test_noise_of_its_own_in_each_pixel_counts_once_and_noise_that_neighbours_sh
         noise_shares(null_solutions_of([residuals(noise)], ROUGHNESS, 1.0), 1.0, STILL, is_wet=True)
         for noise in (white(8), shared / shared.std())
     )
-    assert alone.heights == pytest.approx(1.0, abs=0.25)
-    assert alone.smoothing_changes == pytest.approx(1.0, abs=0.25)
+    assert alone.height_variance_ratio == pytest.approx(1.0, abs=0.25)
+    assert alone.smoothing_variance_ratio == pytest.approx(1.0, abs=0.25)
     # Over long waves the signs of the texture take a part of it back.
-    assert more.heights > 1.25 * alone.heights
+    assert more.height_variance_ratio > 1.25 * alone.height_variance_ratio
 
 
 @pytest.mark.parametrize(("relief_m", "low", "high"), [(0.0, 0.0, 0.1), (0.03, 1.0, 1.0)])
@@ -132,8 +132,10 @@ def test_residuals_tell_whether_heights_follow_the_bed_from_pixel_to_pixel(relie
 
 def test_heights_have_no_more_noise_than_the_residuals_along_them():
     null_solutions = null_solutions_of([residuals(white(8))], ROUGHNESS, 1.0)
-    quieter = replace(null_solutions, residual=0.5 * null_solutions.left)
-    whole, half = (noise_shares(each, 1.0, STILL, is_wet=True).heights for each in (null_solutions, quieter))
+    quieter = replace(null_solutions, residual_squared=0.5 * null_solutions.remainder_squared)
+    whole, half = (
+        noise_shares(each, 1.0, STILL, is_wet=True).height_variance_ratio for each in (null_solutions, quieter)
+    )
     assert half == pytest.approx(0.5 * whole, rel=0.15)
 
 
@@ -156,7 +158,9 @@ def test_bends_beyond_noise_are_those_of_the_bed():
 
 def test_shifts_are_no_noise():
     null_solutions = null_solutions_of([residuals(white(8), shift_px=0.3)], ROUGHNESS, 1.0)
-    all_noise, rest = (noise_shares(null_solutions, 1.0, Shifts(px, 0.0), is_wet=True).heights for px in (0.0, 0.3))
+    all_noise, rest = (
+        noise_shares(null_solutions, 1.0, Shifts(px, 0.0), is_wet=True).height_variance_ratio for px in (0.0, 0.3)
+    )
     assert rest < 0.7 * all_noise
 
 
@@ -170,15 +174,15 @@ def test_two_photographs_tell_neither_noise_that_is_shared_nor_shifts():
 
 def test_shifts_of_photographs_are_measured_beyond_their_noise():
     still, moved = (shifts_of([residuals(white(8), shift_px=shift)], 1.0, is_wet=False) for shift in (0.0, 0.3))
-    assert still.anywhere_px < 0.03
-    assert moved.anywhere_px == pytest.approx(0.3, rel=0.25)
+    assert still.pose_std_px < 0.03
+    assert moved.pose_std_px == pytest.approx(0.3, rel=0.25)
 
 
 def test_shifts_that_grow_with_the_depth_are_those_of_waves():
     sample = [residuals(white(8), depth, 0.1 * depth) for depth in (0.0, 1.0, 3.0)]
     found = shifts_of(sample, 1.0, is_wet=True)
-    assert found.by_depth_px_m == pytest.approx(0.1, rel=0.25)
-    assert found.anywhere_px < 0.05
+    assert found.wave_std_px_per_m == pytest.approx(0.1, rel=0.25)
+    assert found.pose_std_px < 0.05
     assert (np.diff(found.variance(np.array([0.0, 1.0, 2.0]))) > 0.0).all()
 
 

@@ -9,10 +9,12 @@ import numpy as np
 from scipy import sparse
 
 from fields.median import median_reordering
-from fields.solver.tile import Tile
+from fields.solver.tile import SolverTile
 
-# The offset of a photograph (veil, reflected sky, vignetting) varies over some such blocks.
-BLOCK_PX, BLOCKS = 8, 2.5
+# The offset of a photograph (veil, reflected sky, vignetting) varies slowly: means over cells of this side, under a
+# Gauss filter of this standard deviation in cells.
+CELL_PX, SMOOTHING_STD_CELLS = 8, 2.5
+# Size of the filter in cells: four standard deviations to each side.
 _KERNEL = (21, 21)
 # A gain beyond these is not gain: the photograph shows something else.
 GAINS = (0.3, 3.0)
@@ -22,8 +24,8 @@ LEAST_PIXELS = 100
 LEAST_NOISE = 0.3
 # Residuals beyond this many times the noise lose their weight.
 OUTLIER = 3.0
-# Share of its weight that an outlier has left: at `OUTLIER` times the noise.
-_LOST = 0.5
+# Outliers have less than this share of their weight left, which a residual of `OUTLIER` times the noise has.
+_REMAINING_WEIGHT = 0.5
 # A median over this many pixels is good enough, of each photograph.
 _SAMPLE = 10_000
 
@@ -51,8 +53,8 @@ class Brightness:
 
     @property
     def outlying(self) -> np.ndarray:
-        """Outliers (K, N) bool: sightings with less than half of their weight left."""
-        return (self.weight > 0.0) & (self.weight * self.noise[:, None] ** 2 < _LOST)
+        """Outliers (K, N) bool: observations with less than half of their weight left."""
+        return (self.weight > 0.0) & (self.weight * self.noise[:, None] ** 2 < _REMAINING_WEIGHT)
 
     def minus_albedo(self, values: np.ndarray) -> np.ndarray:
         """Values (K, N) minus their weighted mean over the photographs: orthogonal to the albedo."""
@@ -72,7 +74,7 @@ def log_likelihood_ratio(before: Brightness, now: Brightness) -> np.ndarray:
     return 0.5 * OUTLIER**2 * np.where(both, misfit, np.float32(0.0)).sum(axis=0)
 
 
-def appearance_of(tile: Tile, grey: np.ndarray) -> Appearance:
+def appearance_of(tile: SolverTile, grey: np.ndarray) -> Appearance:
     """Photometric gain and smooth offset of each photograph against the mean, from grey values (K, N), NaN if not seen.
 
     Estimated twice: from all pixels, then without what one photograph alone shows, such as glint.
@@ -80,11 +82,11 @@ def appearance_of(tile: Tile, grey: np.ndarray) -> Appearance:
     """
     seen = np.isfinite(grey)
     values = np.where(seen, grey, np.float32(0.0))
-    gain, blocks = np.ones(len(grey), dtype=np.float32), _Blocks(tile)
+    gain, cells = np.ones(len(grey), dtype=np.float32), _Cells(tile)
     mean, inliers = values.sum(axis=0) / np.maximum(seen.sum(axis=0, dtype=np.float32), 1.0), seen
     for last in (False, True):
         gain = np.where(inliers.sum(axis=1) >= LEAST_PIXELS, _gains(values, mean, inliers), gain)
-        offset = blocks.smooth(values - gain[:, None] * mean, inliers)
+        offset = cells.smooth(values - gain[:, None] * mean, inliers)
         if not last:
             found = brightness_of((grey - offset) / gain[:, None])
             mean, inliers = found.albedo, seen & ~found.outlying
@@ -101,16 +103,16 @@ def _gains(values: np.ndarray, mean: np.ndarray, mask: np.ndarray) -> np.ndarray
     return np.clip(gain, *GAINS)
 
 
-class _Blocks:
-    """Block means of values of a tile, smoothed and interpolated back to the pixels."""
+class _Cells:
+    """Means of values over cells of a tile, smoothed and interpolated back to the pixels."""
 
-    def __init__(self, tile: Tile):
+    def __init__(self, tile: SolverTile):
         rows, columns = tile.places
-        self._shape = tuple(-(-size // BLOCK_PX) for size in tile.inside.shape)
-        block = (rows // BLOCK_PX) * self._shape[1] + columns // BLOCK_PX
+        self._shape = tuple(-(-size // CELL_PX) for size in tile.inside.shape)
+        cell = (rows // CELL_PX) * self._shape[1] + columns // CELL_PX
         places, shares = [], []
         for index, size in zip((rows, columns), self._shape, strict=True):
-            at = np.clip((index + 0.5) / BLOCK_PX - 0.5, 0.0, size - 1.0)
+            at = np.clip((index + 0.5) / CELL_PX - 0.5, 0.0, size - 1.0)
             first = np.minimum(at.astype(np.int32), max(size - 2, 0))
             share = (at - first).astype(np.float32)
             places.append((first, np.minimum(first + 1, size - 1)))
@@ -121,7 +123,7 @@ class _Blocks:
         number = np.arange(len(rows) + 1)
         shape = len(rows), self._shape[0] * self._shape[1]
         self._between = sparse.csr_matrix((share.ravel(), index.ravel(), 4 * number), shape=shape)
-        self._sums = sparse.csr_matrix((np.ones(len(rows), dtype=np.float32), block, number), shape=shape).T
+        self._sums = sparse.csr_matrix((np.ones(len(rows), dtype=np.float32), cell, number), shape=shape).T
 
     def smooth(self, values: np.ndarray, mask: np.ndarray) -> np.ndarray:
         """Local means (K, N) of values (K, N) within ``mask`` (K, N)."""
@@ -130,7 +132,9 @@ class _Blocks:
         both = np.empty((values.shape[1], 2 * num), dtype=np.float32)
         both[:, :num], both[:, num:] = np.where(mask, values, np.float32(0.0)).T, mask.T
         sums = (self._sums @ both).reshape(*self._shape, 2 * num)
-        smooth = cv2.GaussianBlur(sums, _KERNEL, BLOCKS, borderType=cv2.BORDER_REFLECT).reshape(-1, 2 * num)
+        smooth = cv2.GaussianBlur(sums, _KERNEL, SMOOTHING_STD_CELLS, borderType=cv2.BORDER_REFLECT).reshape(
+            -1, 2 * num
+        )
         mean = smooth[:, :num] / np.maximum(smooth[:, num:], 1e-9)
         return np.ascontiguousarray((self._between @ mean).T)
 

@@ -15,7 +15,7 @@ from scipy import ndimage, sparse
 
 from fields.image_store import GreyImages
 from fields.solver.appearance import Appearance, Brightness, appearance_of, brightness_of, log_likelihood_ratio
-from fields.solver.tile import Tile
+from fields.solver.tile import SolverTile
 from fields.solver.visibility import TileProjection
 from fields.sweep.planes import slope_of
 
@@ -61,7 +61,7 @@ class SecondDifferences:
         return self.transposed @ (stiffness * (self.matrix @ heights))
 
 
-def second_differences_of(tile: Tile) -> SecondDifferences:
+def second_differences_of(tile: SolverTile) -> SecondDifferences:
     """Second-difference operator of the pixels of a tile."""
     number, parts = tile.number, []
     along, cross = np.array([1.0, -2.0, 1.0]), np.sqrt(2.0) * np.array([1.0, -1.0, -1.0, 1.0])
@@ -92,13 +92,13 @@ def stiffness_of(differences: np.ndarray, roughness: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Start:
-    """Heights of the sweep (N,) float32 [m] at the pixels of a tile, and their slope (N,) [m/px] in its map."""
+    """Heights of the sweep at the pixels of a tile; N of them."""
 
-    height: np.ndarray
-    slope: np.ndarray
+    height: np.ndarray  # (N,) float32 [m]
+    height_slope: np.ndarray  # (N,) [m/px]: of the heights in their map
 
     @staticmethod
-    def of(tile: Tile, heights: np.ndarray) -> Start:
+    def of(tile: SolverTile, heights: np.ndarray) -> Start:
         """Start from a map (height, width) [m]."""
         window = np.ascontiguousarray(tile.window(heights), dtype=np.float32)
         return Start(window[tile.inside], slope_of(window)[tile.inside])
@@ -114,7 +114,7 @@ class TileSolution:
     stiffness: np.ndarray  # (M,) [1/m^2]: of the second differences
     differences: SecondDifferences
     brightness: Brightness
-    slope: np.ndarray  # (K, N) [grey/m]: change of each residual with the height
+    residual_by_height: np.ndarray  # (K, N) [grey/m]: derivative of each residual by the height
     motion: np.ndarray  # (K, 2, N) [px/m]: as `TileProjection` has it
     # Gradient response: change of the gradient by a step, relative to that expected from ``information``. Less than one
     # where robust weights drop it, more where the albedo is sharper than its gradients. NaN of no change.
@@ -125,7 +125,7 @@ class TileSolution:
 
 
 def solve(
-    tile: Tile,
+    tile: SolverTile,
     projected: TileProjection,
     images: GreyImages | Mapping[int, np.ndarray],
     start: Start,
@@ -153,9 +153,10 @@ def solve(
             appearance = appearance_of(tile, grey)
         brightness = brightness_of(appearance.albedo(grey))
         seen.append(brightness)
-        slope = _slopes(tile, projected, tile.window_of_view(images, projected.views[0]), brightness)
-        information = np.einsum("kn,kn,kn->n", brightness.weight, slope, slope)
-        gradient = np.einsum("kn,kn,kn->n", brightness.weight, slope, brightness.residual)
+        window = tile.window_of_view(images, projected.views[0])
+        by_height = _residuals_by_height(tile, projected, window, brightness)
+        information = np.einsum("kn,kn,kn->n", brightness.weight, by_height, by_height)
+        gradient = np.einsum("kn,kn,kn->n", brightness.weight, by_height, brightness.residual)
         if before is not None:
             response = gradient_response(*before, gradient)
         stiffness = stiffness_of(differences.matrix @ height, roughness)
@@ -169,8 +170,8 @@ def solve(
         height, before = height + step, (information, gradient, step)
     improvement = log_likelihood_ratio(seen[0], brightness)
     return TileSolution(
-        height, information, stiffness, differences, brightness, slope, projected.motion, response, start, improvement,
-        tuple(projected.views),
+        height, information, stiffness, differences, brightness, by_height, projected.motion, response, start,
+        improvement, tuple(projected.views),
     )  # fmt: skip
 
 
@@ -184,18 +185,20 @@ def gradient_response(
     return float((step * (gradient_after - gradient))[known].sum()) / expected if expected > 0.0 else np.nan
 
 
-def _slopes(tile: Tile, projected: TileProjection, image: np.ndarray, brightness: Brightness) -> np.ndarray:
+def _residuals_by_height(
+    tile: SolverTile, projected: TileProjection, image: np.ndarray, brightness: Brightness
+) -> np.ndarray:
     """Derivatives of the residuals by the height, (K, N) [grey/m]; ``image`` is the window of the tile's photograph.
 
     Gradients are those of the albedo, the mean of all photographs: those of single photographs are noisy, and their
     noise would count as texture.
     """
     across, down = _gradients(tile, image.astype(np.float32), brightness.albedo)
-    slope = projected.motion[:, 0] * across + projected.motion[:, 1] * down
-    return brightness.minus_albedo(np.where(np.isfinite(slope), slope, np.float32(0.0)))
+    by_height = projected.motion[:, 0] * across + projected.motion[:, 1] * down
+    return brightness.minus_albedo(np.where(np.isfinite(by_height), by_height, np.float32(0.0)))
 
 
-def gradients_of(tile: Tile, albedo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def gradients_of(tile: SolverTile, albedo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Gradients along columns and rows (N,) each [grey/px] of an albedo (N,), extended by its border values."""
     nearest = ndimage.distance_transform_edt(~tile.inside, return_distances=False, return_indices=True)
     image = np.zeros(tile.inside.shape, dtype=np.float32)
@@ -203,7 +206,7 @@ def gradients_of(tile: Tile, albedo: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return _gradients(tile, image[tuple(nearest)], albedo)
 
 
-def _gradients(tile: Tile, image: np.ndarray, albedo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _gradients(tile: SolverTile, image: np.ndarray, albedo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Gradients of an image of the window, in which the tile has an albedo (N,)."""
     image[tile.inside] = albedo
     across, down = (tile_filter(image, kernel)[tile.inside] for kernel in (_DERIVATIVE, _DERIVATIVE.T))

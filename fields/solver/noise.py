@@ -19,8 +19,15 @@ import numpy as np
 from scipy import ndimage
 
 from fields.solver.gauss_newton import CG_RESIDUAL, TileSolution, gradients_of, shift_information, stiffness_of
-from fields.solver.tile import Tile
-from fields.solver.uncertainty import ONE_STD, expected_variances, smoothing_change, solve_normal_equations
+from fields.solver.tile import SolverTile
+from fields.solver.uncertainty import (
+    ONE_STD,
+    QUANTILE_95,
+    SIGMAS_95,
+    expected_variances,
+    smoothing_change,
+    solve_normal_equations,
+)
 
 # Shifts are constant within a Gauss window of this standard deviation: shorter than waves, wide against noise.
 WINDOW_PX = 4.0
@@ -38,8 +45,6 @@ _LEAST_PIXELS = 2000
 _LEAST_SHARE = 0.05
 # A response beyond these is that of something else than texture.
 _RESPONSES = (0.3, 1.5)
-# Of normally distributed values, so many lie within so many standard deviations.
-_MOST, _WITHIN = 0.95, 1.96
 # Lower bound of the noise shares.
 _LEAST_NOISE = 0.05
 
@@ -48,12 +53,12 @@ _LEAST_NOISE = 0.05
 class Shifts:
     """Standard deviation of the shifts of photographs along each axis of the image."""
 
-    anywhere_px: float  # That of poses
-    by_depth_px_m: float  # [px/m]: that of waves, which grows with the depth of the water
+    pose_std_px: float  # By poses
+    wave_std_px_per_m: float  # By waves, for each metre of depth
 
     def variance(self, depth: np.ndarray) -> np.ndarray:
         """Variance (N,) [px^2] of the shifts at depths (N,) [m], 0 on dry ground."""
-        return self.anywhere_px**2 + (self.by_depth_px_m * depth) ** 2
+        return self.pose_std_px**2 + (self.wave_std_px_per_m * depth) ** 2
 
 
 def depth_of(height: np.ndarray, is_wet: bool) -> np.ndarray:
@@ -61,10 +66,10 @@ def depth_of(height: np.ndarray, is_wet: bool) -> np.ndarray:
     return np.maximum(-height, 0.0) if is_wet else np.zeros_like(height)
 
 
-def shifts_of(samples: list[tuple[Tile, TileSolution]], noise_share: float, is_wet: bool) -> Shifts:
+def shifts_of(samples: list[tuple[SolverTile, TileSolution]], noise_share: float, is_wet: bool) -> Shifts:
     """Shifts of a survey, from solved tiles; zero where too few pixels are seen by three photographs.
 
-    ``noise_share`` is that of heights in `fields.solver.noise.NoiseShares`: noise seems to be a shift too, and is
+    ``noise_share`` is the ratio of the variance of heights in `NoiseShares`: noise seems to be a shift too, and is
     taken off.
     """
     found = [_in_tile(tile, solved, noise_share) for tile, solved in samples]
@@ -79,11 +84,11 @@ def shifts_of(samples: list[tuple[Tile, TileSolution]], noise_share: float, is_w
     from scipy.optimize import nnls
 
     squares, depths = np.array(known).T
-    (anywhere, by_depth), _ = nnls(np.stack([np.ones_like(depths), depths], axis=-1), squares)
-    return Shifts(float(np.sqrt(anywhere)), float(np.sqrt(by_depth)))
+    (of_poses, of_waves), _ = nnls(np.stack([np.ones_like(depths), depths], axis=-1), squares)
+    return Shifts(float(np.sqrt(of_poses)), float(np.sqrt(of_waves)))
 
 
-def _in_tile(tile: Tile, solved: TileSolution, noise_share: float) -> tuple[np.ndarray, np.ndarray]:
+def _in_tile(tile: SolverTile, solved: TileSolution, noise_share: float) -> tuple[np.ndarray, np.ndarray]:
     """Variance [px^2] of the shifts along an axis, and the pixels (N,) bool that determine it."""
     brightness = solved.brightness
     across, down = gradients_of(tile, brightness.albedo)
@@ -110,7 +115,7 @@ def _in_tile(tile: Tile, solved: TileSolution, noise_share: float) -> tuple[np.n
     return (square / np.maximum(2.0 * count - 3.0, 1.0) - of_noise / (2.0 * np.maximum(count, 1.0)))[use], use
 
 
-def _local_mean(tile: Tile, values: np.ndarray) -> np.ndarray:
+def _local_mean(tile: SolverTile, values: np.ndarray) -> np.ndarray:
     """Local mean of values (N,) by a Gauss filter; 0 where there are none."""
     image = np.zeros(tile.inside.shape, dtype=np.float32)
     image[tile.inside] = values
@@ -119,18 +124,17 @@ def _local_mean(tile: Tile, values: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class NoiseShares:
-    """Variances by noise, relative to independent noise of the pixels."""
+    """Variances by noise, relative to those that independent noise of the pixels would give."""
 
     response: float  # Median of the response of `TileSolution`
-    # heights, smoothing_changes: Of the variance of heights by noise, and of their change by smoothing them once more
-    heights: float
-    smoothing_changes: float
+    height_variance_ratio: float  # Variance of the heights
+    smoothing_variance_ratio: float  # Variance of their change by smoothing them once more
     # Excess of the relief that the residuals show and the heights do not follow, over the relief that the prior should
     # smooth away, 0 to 1
     excess_relief: float
 
 
-def median_response(samples: list[tuple[Tile, TileSolution]]) -> float:
+def median_response(samples: list[tuple[SolverTile, TileSolution]]) -> float:
     """Median gradient response of solved tiles; one where none is known."""
     found = np.array([solved.response for _, solved in samples])
     known = found[np.isfinite(found)]
@@ -141,22 +145,22 @@ def median_response(samples: list[tuple[Tile, TileSolution]]) -> float:
 class NullSolutions:
     """Null solutions of all samples, heights that contrasts give, and their expected variances; N pixels."""
 
-    # square, expected (N,) [m^2]: of the heights; expected for independent noise
-    square: np.ndarray
-    expected: np.ndarray
-    # changed, expected_change (N,) [m^2]: of their change by smoothing them once more
-    changed: np.ndarray
-    expected_change: np.ndarray
-    # left, residual (N,): squared residuals of the contrast after its null solution, and of the photographs along the
-    # solved height; one for a pixel that has independent noise and is not solved
-    left: np.ndarray
-    residual: np.ndarray
-    relief: np.ndarray  # (N,): share of the latter by the relief that the prior should smooth away
-    shift: np.ndarray  # (N,): of a height, by a shift of each photograph by one pixel
+    null_squared: np.ndarray  # (N,) [m^2]: squared null solution
+    null_variance: np.ndarray  # (N,) [m^2]: its expectation for independent noise
+    change_squared: np.ndarray  # (N,) [m^2]: squared change of the null solution by smoothing it once more
+    change_variance: np.ndarray  # (N,) [m^2]: its expectation for independent noise
+    # remainder_squared, residual_squared (N,): squared residuals of the contrast after its null solution, and of the
+    # photographs along the solved height; one for a pixel that has independent noise and is not solved
+    remainder_squared: np.ndarray
+    residual_squared: np.ndarray
+    relief_squared: np.ndarray  # (N,): part of the latter by the relief that the prior should smooth away
+    shift_variance: np.ndarray  # (N,) [m^2/px^2]: of a height, over that of shifts of the photographs
     height: np.ndarray  # (N,) [m]: of the bed
 
 
-def null_solutions_of(samples: list[tuple[Tile, TileSolution]], roughness: float, response: float) -> NullSolutions:
+def null_solutions_of(
+    samples: list[tuple[SolverTile, TileSolution]], roughness: float, response: float
+) -> NullSolutions:
     """Null solutions of samples with the stiffness of a roughness [m]."""
     parts: list[list[np.ndarray]] = []
     for tile, each in samples:
@@ -186,31 +190,34 @@ def null_solution_of(solved: TileSolution, response: float) -> tuple[np.ndarray,
 
 
 def noise_shares(null_solutions: NullSolutions, response: float, shifts: Shifts, is_wet: bool) -> NoiseShares:
-    """Noise shares from the quantile `_MOST` of the null solutions; one where too few pixels are known.
+    """Noise shares from the quantile `QUANTILE_95` of the null solutions; one where too few pixels are known.
 
     Shifts of photographs move the null solutions like the heights; that is no noise. Nor is the noise of heights larger
     than that of the residuals along them, where contrasts of the photographs hold more than noise.
     """
-    if len(null_solutions.square) < _LEAST_PIXELS:
+    if len(null_solutions.null_squared) < _LEAST_PIXELS:
         return NoiseShares(response, 1.0, 1.0, 1.0)
-    by_shift = shifts.variance(depth_of(null_solutions.height, is_wet)) * null_solutions.shift
-    heights = np.quantile((null_solutions.square / _WITHIN**2 - by_shift) / null_solutions.expected, _MOST)
-    smoothing_changes = np.quantile(null_solutions.changed / null_solutions.expected_change, ONE_STD)
-    left, residual = (float(np.quantile(each, ONE_STD)) for each in (null_solutions.left, null_solutions.residual))
+    found = null_solutions
+    by_shift = shifts.variance(depth_of(found.height, is_wet)) * found.shift_variance
+    of_heights = np.quantile((found.null_squared / SIGMAS_95**2 - by_shift) / found.null_variance, QUANTILE_95)
+    of_smoothing = np.quantile(found.change_squared / found.change_variance, ONE_STD)
+    remainder, residual = (
+        float(np.quantile(each, ONE_STD)) for each in (found.remainder_squared, found.residual_squared)
+    )
     # What the prior should take is counted as that; more than it goes on below the pixel.
-    excess_relief = float(np.quantile((null_solutions.residual - left) / null_solutions.relief, ONE_STD)) - 1.0
-    heights *= min(residual / left, 1.0)
+    excess_relief = float(np.quantile((found.residual_squared - remainder) / found.relief_squared, ONE_STD)) - 1.0
+    of_heights *= min(residual / remainder, 1.0)
     return NoiseShares(
         response,
-        max(float(heights), _LEAST_NOISE),
-        max(float(smoothing_changes), _LEAST_NOISE),
+        max(float(of_heights), _LEAST_NOISE),
+        max(float(of_smoothing), _LEAST_NOISE),
         min(max(excess_relief, 0.0), 1.0),
     )
 
 
 def _residual_along_height(solved: TileSolution, response: float) -> np.ndarray:
     """Residuals along the solved heights (N,): 1 for independent noise alone where nothing is solved."""
-    gradient = np.einsum("kn,kn,kn->n", solved.brightness.weight, solved.slope, solved.brightness.residual)
+    gradient = np.einsum("kn,kn,kn->n", solved.brightness.weight, solved.residual_by_height, solved.brightness.residual)
     right = -gradient - solved.differences.gradient(solved.stiffness, solved.height)
     step = solve_normal_equations(solved, right, response, CG_RESIDUAL)
     information = np.maximum(solved.information, 1e-12)
@@ -220,14 +227,14 @@ def _residual_along_height(solved: TileSolution, response: float) -> np.ndarray:
 def _contrast(solved: TileSolution, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Contrast of the residuals of each pixel, of unit variance for independent noise, and where it is known, (N,).
 
-    Photographs are taken with slopes of random signs, less what is alike in all of them (the albedo), and less what the
-    height does.
+    Photographs are taken with their derivatives by the height, of random signs, less what is alike in all of them (the
+    albedo), and less what the height does.
     """
-    weight, slope = solved.brightness.weight, solved.slope
-    signs = random.permutation(np.where(np.arange(len(slope)) % 2, 1.0, -1.0)).astype(np.float32)
-    factor = solved.brightness.minus_albedo(signs[:, None] * slope)
-    along = np.einsum("kn,kn,kn->n", weight, factor, slope) / np.maximum(solved.information, 1e-12)
-    factor = factor - along * slope
+    weight, by_height = solved.brightness.weight, solved.residual_by_height
+    signs = random.permutation(np.where(np.arange(len(by_height)) % 2, 1.0, -1.0)).astype(np.float32)
+    factor = solved.brightness.minus_albedo(signs[:, None] * by_height)
+    along = np.einsum("kn,kn,kn->n", weight, factor, by_height) / np.maximum(solved.information, 1e-12)
+    factor = factor - along * by_height
     variance = np.einsum("kn,kn,kn->n", weight, factor, factor)
     known = variance > _LEAST_SHARE * solved.information
     value = np.einsum("kn,kn,kn->n", weight, factor, solved.brightness.residual)

@@ -26,7 +26,7 @@ from fields.solver.gauss_newton import (
     stiffness_of,
 )
 from fields.solver.noise import null_solution_of
-from fields.solver.tile import Tile
+from fields.solver.tile import SolverTile
 from fields.solver.uncertainty import (
     ONE_STD,
     PRIOR_SPECTRAL_SLOPE,
@@ -73,12 +73,12 @@ def split_halves(solved: TileSolution) -> tuple[Half, Half]:
     for first in (0, 1):
         weight = solved.brightness.weight[first::2]
         total = np.maximum(weight.sum(axis=0), 1e-12)
-        residual, slope = (
+        residual, by_height = (
             np.where(weight > 0.0, part - np.einsum("kn,kn->n", weight, part) / total, np.float32(0.0))
-            for part in (solved.brightness.residual[first::2], solved.slope[first::2])
+            for part in (solved.brightness.residual[first::2], solved.residual_by_height[first::2])
         )
-        information = np.einsum("kn,kn,kn->n", weight, slope, slope)
-        gradient = np.einsum("kn,kn,kn->n", weight, slope, residual)
+        information = np.einsum("kn,kn,kn->n", weight, by_height, by_height)
+        gradient = np.einsum("kn,kn,kn->n", weight, by_height, residual)
         found.append(Half(information, gradient))
     return found[0], found[1]
 
@@ -100,7 +100,7 @@ def heights_from_half(solved: TileSolution, half: Half, roughness: float) -> np.
     return height
 
 
-def roughness_of(samples: list[tuple[Tile, TileSolution]], gsd: float, pool: Executor) -> float:
+def roughness_of(samples: list[tuple[SolverTile, TileSolution]], gsd: float, pool: Executor) -> float:
     """Roughness [m] with which each half of the photographs predicts the other best.
 
     Of those that are worse by less than one standard error the smoothest is taken, as is usual in cross-validation.
@@ -159,7 +159,9 @@ def _error(values: np.ndarray) -> float:
     return float(inner.std() / ((1.0 - 2.0 * TRIM) * np.sqrt(len(values))))
 
 
-def _prediction_errors(tile: Tile, solved: TileSolution, halves: tuple[Half, Half], roughness: float) -> np.ndarray:
+def _prediction_errors(
+    tile: SolverTile, solved: TileSolution, halves: tuple[Half, Half], roughness: float
+) -> np.ndarray:
     """Prediction errors of each half by the other, summed over blocks of pixels."""
     total = sum(
         other.cost(heights_from_half(solved, half, roughness) - solved.height) for half, other in (halves, halves[::-1])
@@ -169,7 +171,7 @@ def _prediction_errors(tile: Tile, solved: TileSolution, halves: tuple[Half, Hal
     return np.bincount(number, np.where(tile.requested, total, 0.0), len(block))
 
 
-def spectral_slope_of(samples: list[tuple[Tile, TileSolution]], roughness: float, response: float) -> float:
+def spectral_slope_of(samples: list[tuple[SolverTile, TileSolution]], roughness: float, response: float) -> float:
     """Spectral slope of the bed: the exponent of its power over frequency in `fields.solver.uncertainty`.
 
     Parameters
@@ -180,12 +182,15 @@ def spectral_slope_of(samples: list[tuple[Tile, TileSolution]], roughness: float
     response : float
         Median gradient response, `fields.solver.noise.median_response`.
     """
-    parts = [_changes_of(tile, solved, roughness, response) for tile, solved in samples]
-    squares, log_ratio = (np.concatenate(each, axis=-1) for each in zip(*parts, strict=True))
+    parts = [_smoothing_changes(tile, _with_roughness(solved, roughness), response) for tile, solved in samples]
+    log_ratio = np.concatenate([each.log_ratio for each in parts])
     if len(log_ratio) < _LEAST_PIXELS:
         return PRIOR_SPECTRAL_SLOPE
     # Steps and edges do not move the rest.
-    power, by_noise = np.quantile(squares, ONE_STD, axis=-1)
+    power, by_noise = (
+        np.quantile(np.concatenate(each, axis=-1), ONE_STD, axis=-1)
+        for each in ([part.bed_squared for part in parts], [part.noise_squared for part in parts])
+    )
     middle = float(np.median(log_ratio))
     chance = np.sqrt(2.0 * spectral_means(middle, PRIOR_SPECTRAL_SLOPE).correlated_px / len(log_ratio))
     known = np.hypot(chance * power, np.hypot(chance, _NOISE_KNOWN) * by_noise)
@@ -199,17 +204,39 @@ def spectral_slope_of(samples: list[tuple[Tile, TileSolution]], roughness: float
     return float(_SPECTRAL_SLOPES[int(np.argmin(costs))])
 
 
-def _changes_of(tile: Tile, solved: TileSolution, roughness: float, response: float) -> tuple[np.ndarray, np.ndarray]:
-    """Squares (2, 2, N) [m^2] of the changes by smoothing once and twice more of heights and a null solution, and the
-    logarithm (N,) of the ratio of stiffness to effective information."""
-    solved = replace(solved, stiffness=stiffness_of(solved.differences.matrix @ solved.height, roughness))
-    brightness = solved.brightness
-    gradient = np.einsum("kn,kn,kn->n", brightness.weight, solved.slope, brightness.residual)
-    right = -gradient - solved.differences.gradient(solved.stiffness, solved.height)
-    height = solved.height + solve_normal_equations(solved, right, response, CG_RESIDUAL)
+@dataclass(frozen=True)
+class SmoothingChanges:
+    """Changes of a tile by smoothing once more, and of these changes by smoothing them in turn; N pixels."""
+
+    bed_squared: np.ndarray  # (2, N) [m^2]: squared changes of the heights
+    noise_squared: np.ndarray  # (2, N) [m^2]: of a null solution
+    log_ratio: np.ndarray  # (N,): logarithm of the ratio of stiffness to effective information
+
+
+def _smoothing_changes(tile: SolverTile, solved: TileSolution, response: float) -> SmoothingChanges:
     _, null_solution, known = null_solution_of(solved, response)
-    use, changes = known & tile.requested, []
-    for each in (height, null_solution):
-        once = smoothing_change(solved, each, response)
-        changes.append((once, smoothing_change(solved, once, response)))
-    return np.square(np.array(changes)[..., use]), effective_information(tile, solved, response)[1][use]
+    use = known & tile.requested
+    bed, noise = (
+        np.square(_changed_twice(solved, each, response))[:, use]
+        for each in (_solved_once_more(solved, response), null_solution)
+    )
+    return SmoothingChanges(bed, noise, effective_information(tile, solved, response)[1][use])
+
+
+def _with_roughness(solved: TileSolution, roughness: float) -> TileSolution:
+    """The solution with the stiffness of a roughness [m]."""
+    return replace(solved, stiffness=stiffness_of(solved.differences.matrix @ solved.height, roughness))
+
+
+def _solved_once_more(solved: TileSolution, response: float) -> np.ndarray:
+    """Heights (N,) [m] after another step with the stiffness of the solution."""
+    brightness = solved.brightness
+    gradient = np.einsum("kn,kn,kn->n", brightness.weight, solved.residual_by_height, brightness.residual)
+    right = -gradient - solved.differences.gradient(solved.stiffness, solved.height)
+    return solved.height + solve_normal_equations(solved, right, response, CG_RESIDUAL)
+
+
+def _changed_twice(solved: TileSolution, heights: np.ndarray, response: float) -> np.ndarray:
+    """Changes (2, N) [m] of heights (N,) by smoothing them once more, and of that change by smoothing it in turn."""
+    once = smoothing_change(solved, heights, response)
+    return np.array([once, smoothing_change(solved, once, response)])

@@ -21,8 +21,10 @@ from fields.solver.noise import (
     shifts_of,
 )
 from fields.solver.roughness import START_GSD, roughness_of, spectral_slope_of
-from fields.solver.tile import Tile, requested_in_squares
+from fields.solver.tile import SolverTile, requested_in_squares
 from fields.solver.uncertainty import (
+    QUANTILE_95,
+    SIGMAS_95,
     expected_variances,
     local_slope,
     smoothed_relief,
@@ -30,19 +32,17 @@ from fields.solver.uncertainty import (
     subpixel_relief,
 )
 from fields.solver.views import WORKERS, TileTask, Views
-from fields.solver.visibility import Sightings
+from fields.solver.visibility import VisibilityCounts
 from fields.sweep.block import Block
 from fields.sweep.kernels.arrays import sharing_cores
 from fields.sweep.maps import HeightMap, OrderedMaps, small_sample_factor, views_of
 from fields.sweep.planes import gradient_of
 
-# What a survey is like is learned from so many tiles of this side, spread over those that are nearly as full as the
-# fullest.
-SAMPLES, SAMPLE_PX, NEARLY = 6, 112, 0.7
+# What a survey is like is learned from so many tiles of this side, spread over those that hold this share of the kept
+# pixels of the fullest at least.
+SAMPLES, SAMPLE_PX, LEAST_FILL = 6, 112, 0.7
 # Noise alone makes one pixel in a billion as steep as this many standard deviations, or some more: its tails are long.
 _SIGNIFICANT = 6.0
-# Of normally distributed values, so many lie within so many standard deviations.
-_MOST, _WITHIN = 0.95, 1.96
 # Heights of the sweep come from windows of this side. Noise makes the photographs agree on nine heights that follow it
 # better than on the true ones by more than this logarithm in one window of a thousand (chi-square, nine degrees).
 _WINDOW_PX, _REFUTED = 3, 0.5 * 27.9
@@ -79,34 +79,30 @@ class SolverFigures:
     shifts: Shifts  # Between photographs: `fields.solver.noise.shifts_of`
     noise: NoiseShares  # Variances by noise: `fields.solver.noise.noise_shares`
     spectral_slope: float  # Of the bed: `fields.solver.roughness.spectral_slope_of`
-    slopes: float  # Of the noise of the sweep: `fields.solver.solver.sweep_slope_noise`
+    sweep_slope_noise_ratio: float  # `fields.solver.solver.sweep_slope_noise_ratio`
     # Of all points in all photographs; None where nothing was solved
-    sightings: Sightings | None = field(default=None, compare=False)
+    visibility: VisibilityCounts | None = field(default=None, compare=False)
 
     def __str__(self) -> str:
         return (
             f"roughness of the bed (second difference of heights): {1e3 * self.roughness_m:.1f} mm; local "
-            f"shifts of single photographs (poses, waves): {self.shifts.anywhere_px:.2f} px and "
-            f"{self.shifts.by_depth_px_m:.2f} px more for each metre of depth; variance of heights by noise, over that "
-            f"of noise without correlation: {self.noise.heights:.2f}; power of relief: frequency to "
-            f"{-2.0 * self.spectral_slope:.1f}"
+            f"shifts of single photographs (poses, waves): {self.shifts.pose_std_px:.2f} px and "
+            f"{self.shifts.wave_std_px_per_m:.2f} px more for each metre of depth; variance of heights by noise, "
+            f"over that of noise without correlation: {self.noise.height_variance_ratio:.2f}; power of relief: "
+            f"frequency to {-2.0 * self.spectral_slope:.1f}"
         )
 
 
 @dataclass(frozen=True)
 class _PartSolution:
-    """Solved pixels of a map, their heights, and the components of their variance.
+    """Solved pixels of a map, their heights, and the components of their variance; N of them."""
 
-    The variance by noise and by relief that is smoothed away or below the pixel [m^2], that of a shift of each
-    photograph by one pixel, and the rise of the bed from pixel to pixel [m].
-    """
-
-    pixels: np.ndarray
-    height: np.ndarray
-    noise: np.ndarray
-    relief: np.ndarray
-    shift: np.ndarray
-    rise: np.ndarray
+    pixels: np.ndarray  # (N,) int64: flat indices in the map
+    height: np.ndarray  # (N,) [m] over the water plane
+    noise: np.ndarray  # (N,) [m^2]: variance by noise
+    relief: np.ndarray  # (N,) [m^2]: variance by relief that is smoothed away, or below the pixel
+    shift: np.ndarray  # (N,) [m^2/px^2]: variance by a shift of each photograph, over that of the shift
+    rise: np.ndarray  # (N,) [m/px]: slope of the bed
 
 
 def solve_maps(
@@ -157,12 +153,11 @@ def solve_maps(
         if figures is None:
             figures = _estimate_figures(_solve_sample(views, kept, spread(filled), gsd, pool), gsd, pool, is_wet)
         shared = figures
-        sightings = Sightings.none(len(block.images))
+        visibility = VisibilityCounts.none(len(block.images))
 
-        def part(job: TileTask, each: TileSolution) -> tuple[_PartSolution, Sightings]:
-            return _solve_part(job, block.cameras[views.views[job.index]].width, each, shared), Sightings.of(
-                each.views, each.brightness, len(block.images)
-            )
+        def part(job: TileTask, each: TileSolution) -> tuple[_PartSolution, VisibilityCounts]:
+            piece = _solve_part(job, block.cameras[views.views[job.index]].width, each, shared)
+            return piece, VisibilityCounts.of(each.views, each.brightness, len(block.images))
 
         jobs = (job for index, wanted in enumerate(kept) for job in views.jobs(index, wanted))
         begun = takewhile(lambda _job: has_time(), jobs)
@@ -170,11 +165,11 @@ def solve_maps(
             parts = []
             for job, (piece, seen) in each:
                 parts.append(piece)
-                sightings += seen
+                visibility += seen
                 done += int(np.count_nonzero(job.tile.requested))
                 progress(done / total)
             solved[index] = _with_std(maps[index], _concatenate(parts), figures, is_wet)
-    return found, replace(figures, sightings=sightings)
+    return found, replace(figures, visibility=visibility)
 
 
 def count_in_squares(block: Block, maps: Sequence[HeightMap], kept: Sequence[np.ndarray]) -> list[list[int]]:
@@ -187,13 +182,13 @@ def count_in_squares(block: Block, maps: Sequence[HeightMap], kept: Sequence[np.
 
 def solve_sample(
     block: Block, maps: Sequence[HeightMap], kept: Sequence[np.ndarray], places: list[tuple[int, int]], gsd: float
-) -> list[tuple[Tile, TileSolution]]:
+) -> list[tuple[SolverTile, TileSolution]]:
     """Solved squares of a block, for `figures_of`, by their places of `spread`."""
     with ThreadPoolExecutor(WORKERS) as pool, sharing_cores(block.device, WORKERS):
         return _solve_sample(Views.of(block, maps), kept, places, gsd, pool)
 
 
-def figures_of(sample: list[tuple[Tile, TileSolution]], gsd: float, *, is_wet: bool) -> SolverFigures:
+def figures_of(sample: list[tuple[SolverTile, TileSolution]], gsd: float, *, is_wet: bool) -> SolverFigures:
     """Parameters of a survey, estimated from solved squares of one block or of several."""
     with ThreadPoolExecutor(WORKERS) as pool:
         return _estimate_figures(sample, gsd, pool, is_wet)
@@ -206,7 +201,7 @@ def spread(filled: list[list[int]]) -> list[tuple[int, int]]:
     """
     of_map = np.repeat(np.arange(len(filled)), [len(each) for each in filled])
     place, requested = (np.concatenate(each) for each in ([np.arange(len(each)) for each in filled], filled))
-    full = np.flatnonzero(requested >= NEARLY * requested.max())
+    full = np.flatnonzero(requested >= LEAST_FILL * requested.max())
     chosen = full[np.unique(np.linspace(0, len(full) - 1, SAMPLES).astype(int))]
     return list(zip(of_map[chosen].tolist(), place[chosen].astype(int).tolist(), strict=True))
 
@@ -217,27 +212,27 @@ def _occupied_squares(views: Views, kept: Sequence[np.ndarray]) -> list[list[int
 
 def _solve_sample(
     views: Views, kept: Sequence[np.ndarray], places: list[tuple[int, int]], gsd: float, pool: Executor
-) -> list[tuple[Tile, TileSolution]]:
+) -> list[tuple[SolverTile, TileSolution]]:
     jobs = [next(islice(views.jobs(index, kept[index], SAMPLE_PX), place, None)) for index, place in places]
     return [each for _, each in views.solved(jobs, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
 
 
 def _estimate_figures(
-    samples: list[tuple[Tile, TileSolution]], gsd: float, pool: Executor, is_wet: bool
+    samples: list[tuple[SolverTile, TileSolution]], gsd: float, pool: Executor, is_wet: bool
 ) -> SolverFigures:
     """Parameters of the survey, estimated from solved samples."""
     roughness, response = roughness_of(samples, gsd, pool), median_response(samples)
     null_solutions = null_solutions_of(samples, roughness, response)
     # Noise and shifts are confounded: first all counts as noise, then what remains without the shifts.
     all_noise = noise_shares(null_solutions, response, Shifts(0.0, 0.0), is_wet)
-    shifts = shifts_of(samples, all_noise.heights, is_wet)
+    shifts = shifts_of(samples, all_noise.height_variance_ratio, is_wet)
     noise = noise_shares(null_solutions, response, shifts, is_wet)
     return SolverFigures(
         roughness,
         shifts,
         noise,
         spectral_slope_of(samples, roughness, response),
-        sweep_slope_noise(samples, roughness, noise),
+        sweep_slope_noise_ratio(samples, roughness, noise),
     )
 
 
@@ -249,11 +244,13 @@ def _solve_part(job: TileTask, width: int, found: TileSolution, figures: SolverF
     of_shift = 1.0 / shift_information(found.brightness.weight, found.motion)
     expected = expected_variances(tile, found, noise.response, figures.spectral_slope)
     change = smoothing_change(found, found.height, noise.response)
-    relief = smoothed_relief(tile, change, expected, noise.heights, noise.smoothing_changes)
-    relief += subpixel_relief(found, expected, noise.heights, noise.excess_relief)
-    by_noise = noise.heights * expected.noise
+    relief = smoothed_relief(tile, change, expected, noise.height_variance_ratio, noise.smoothing_variance_ratio)
+    relief += subpixel_relief(found, expected, noise.height_variance_ratio, noise.excess_relief)
+    by_noise = noise.height_variance_ratio * expected.noise
     values = (found.height, by_noise, relief, of_shift, local_slope(tile, found.height))
-    taken = tile.requested & ~rejects_update(tile, found, by_noise, noise, figures.slopes, job.tolerance)
+    taken = tile.requested & ~rejects_update(
+        tile, found, by_noise, noise, figures.sweep_slope_noise_ratio, job.tolerance
+    )
     return _PartSolution(pixels[taken], *(each[taken].astype(np.float32) for each in values))
 
 
@@ -273,27 +270,34 @@ def _with_std(m: HeightMap, found: _PartSolution, figures: SolverFigures, is_wet
 
 
 def rejects_update(
-    tile: Tile, solved: TileSolution, by_noise: np.ndarray, noise: NoiseShares, slopes: float, tolerance: float
+    tile: SolverTile,
+    solved: TileSolution,
+    by_noise: np.ndarray,
+    noise: NoiseShares,
+    slope_noise_ratio: float,
+    tolerance: float,
 ) -> np.ndarray:
     """Pixels (N,) bool of a solved tile that keep the height of the sweep.
 
     Steep ones, on walls and edges: there a pixel shows so long a piece of the bed that other photographs look
     different, and the prior alone would move its height. Their slope is above the tolerance of agreement [m], and above
-    what noise makes of level ones: ``by_noise`` (N,) [m^2] is its variance in a solved height, ``slopes`` that of
-    `sweep_slope_noise`. And those about which the photographs agree better at the height of the sweep, by more than
-    noise explains, or of which too few photographs keep their weight (glint).
+    what noise makes of level ones: ``by_noise`` (N,) [m^2] is its variance in a solved height, ``slope_noise_ratio``
+    that of `sweep_slope_noise_ratio`. And those about which the photographs agree better at the height of the sweep,
+    by more than noise explains, or of which too few photographs keep their weight (glint).
     """
-    steep = solved.start.slope > np.maximum(tolerance, _SIGNIFICANT * slopes * np.sqrt(by_noise))
+    steep = solved.start.height_slope > np.maximum(tolerance, _SIGNIFICANT * slope_noise_ratio * np.sqrt(by_noise))
     image = np.zeros(tile.inside.shape, dtype=np.float32)
     image[tile.inside] = solved.improvement
     side = (_WINDOW_PX, _WINDOW_PX)
     window = cv2.boxFilter(image, -1, side, normalize=False, borderType=cv2.BORDER_CONSTANT)[tile.inside]
-    # Noise that neighbours share counts several times in a sum over pixels.
     silent = np.count_nonzero(solved.brightness.weight > 0.0, axis=0) < _FEWEST
-    return steep | silent | (window < -_REFUTED * max(noise.heights, 1.0))
+    # Noise that neighbours share counts several times in a sum over pixels.
+    return steep | silent | (window < -_REFUTED * max(noise.height_variance_ratio, 1.0))
 
 
-def sweep_slope_noise(samples: list[tuple[Tile, TileSolution]], roughness: float, noise: NoiseShares) -> float:
+def sweep_slope_noise_ratio(
+    samples: list[tuple[SolverTile, TileSolution]], roughness: float, noise: NoiseShares
+) -> float:
     """Standard deviation of the slopes by noise of the sweep, relative to that of a solved height by noise.
 
     From the changes of the heights of samples by the solver, mostly noise of the sweep; walls and edges are few. A
@@ -305,7 +309,7 @@ def sweep_slope_noise(samples: list[tuple[Tile, TileSolution]], roughness: float
         moved[tile.inside] = each.height - each.start.height
         whole = cv2.erode(tile.inside.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0)[tile.inside] > 0
         solved = replace(each, stiffness=stiffness_of(each.differences.matrix @ each.height, roughness))
-        by_noise = noise.heights * expected_variances(tile, solved, noise.response).noise
+        by_noise = noise.height_variance_ratio * expected_variances(tile, solved, noise.response).noise
         found += [np.abs(rise[tile.inside][whole]) / np.sqrt(by_noise[whole]) for rise in gradient_of(moved)]
     together = np.concatenate(found)
-    return float(np.quantile(together, _MOST)) / _WITHIN if len(together) else 1.0
+    return float(np.quantile(together, QUANTILE_95)) / SIGMAS_95 if len(together) else 1.0

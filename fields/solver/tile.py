@@ -21,7 +21,7 @@ AROUND_PX = 3
 
 
 @dataclass(frozen=True)
-class Tile:
+class SolverTile:
     """Pixels of one height map that are solved together; N of them."""
 
     # row, column: Of the first pixel of the window that holds them
@@ -70,7 +70,7 @@ class Tile:
         return slice(self.row, self.row + rows), slice(self.column, self.column + columns)
 
 
-def tiles_of(wanted: np.ndarray, confirmed: np.ndarray, side: int | None = None) -> Iterator[Tile]:
+def tiles_of(wanted: np.ndarray, confirmed: np.ndarray, side: int | None = None) -> Iterator[SolverTile]:
     """Tiles that contain every wanted pixel (height, width) bool once, with confirmed pixels around them.
 
     They are squares of ``side`` pixels, without their surroundings; without it, parts that are close about what is
@@ -85,7 +85,7 @@ def tiles_of(wanted: np.ndarray, confirmed: np.ndarray, side: int | None = None)
         window = np.s_[row : bottom + HALO_PX, column : right + HALO_PX]
         inside, requested = solved[window].copy(), np.zeros_like(solved[window])
         requested[top - row : bottom - row, left - column : right - column] = wanted[core]
-        yield Tile(row, column, inside, requested[inside])
+        yield SolverTile(row, column, inside, requested[inside])
 
 
 def requested_in_squares(wanted: np.ndarray, side: int) -> list[int]:

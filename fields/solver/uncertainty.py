@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from fields.solver.gauss_newton import LEAST_INFORMATION, TileSolution, conjugate_gradients, normal_matrix
-from fields.solver.tile import Tile
+from fields.solver.tile import SolverTile
 
 # Information and stiffness are taken as constant over about the range in which heights are correlated [px].
 _ALIKE_PX = 1.5
@@ -30,6 +30,8 @@ _WHOLE_AT_EDGES = 2.0
 _ONE_STD_BELOW = 0.1587
 # Of a normal distribution, the share within one standard deviation; large values of some do not move the rest.
 ONE_STD = 0.6827
+# Of a normal distribution, this share lies within so many standard deviations.
+QUANTILE_95, SIGMAS_95 = 0.95, 1.96
 # Changes are wanted to a few hundredths: conjugate gradients, relative to the start.
 _CHANGE_RESIDUAL = 0.01
 # Spectral slope of the bed, as an exponent of the power that the prior expects.
@@ -51,7 +53,7 @@ class ExpectedVariances:
 
 
 def expected_variances(
-    tile: Tile, solved: TileSolution, response: float, spectral_slope: float = PRIOR_SPECTRAL_SLOPE
+    tile: SolverTile, solved: TileSolution, response: float, spectral_slope: float = PRIOR_SPECTRAL_SLOPE
 ) -> ExpectedVariances:
     """Expected variances of the heights of a tile, for a normal matrix that is uniform around each pixel.
 
@@ -71,7 +73,7 @@ def expected_variances(
     )
 
 
-def effective_information(tile: Tile, solved: TileSolution, response: float) -> tuple[np.ndarray, np.ndarray]:
+def effective_information(tile: SolverTile, solved: TileSolution, response: float) -> tuple[np.ndarray, np.ndarray]:
     """Effective information of a height around each pixel (N,) [1/m^2], and the logarithm (N,) of the ratio of the
     stiffness to it."""
     # Compliances add up, as those of springs in series: one loose second difference frees a height.
@@ -96,7 +98,7 @@ def smoothing_change(solved: TileSolution, heights: np.ndarray, response: float)
 
 
 def smoothed_relief(
-    tile: Tile, change: np.ndarray, expected: ExpectedVariances, noise: float, changed_noise: float
+    tile: SolverTile, change: np.ndarray, expected: ExpectedVariances, noise: float, changed_noise: float
 ) -> np.ndarray:
     """Variance (N,) [m^2] of heights by the relief that the prior smooths away.
 
@@ -149,7 +151,7 @@ def subpixel_relief(
     return np.maximum(solved.differences.mean_at_heights(differences * differences) - by_noise, 0.0)
 
 
-def local_slope(tile: Tile, height: np.ndarray) -> np.ndarray:
+def local_slope(tile: SolverTile, height: np.ndarray) -> np.ndarray:
     """Slope (N,) [m/px] of heights (N,) [m] over the adjacent pixels."""
     beside = np.ones((3, 3), dtype=np.uint8)
     highest, lowest = (np.full(tile.inside.shape, bound, dtype=np.float32) for bound in (-np.inf, np.inf))
@@ -157,13 +159,13 @@ def local_slope(tile: Tile, height: np.ndarray) -> np.ndarray:
     return 0.5 * (cv2.dilate(highest, beside)[tile.inside] - cv2.erode(lowest, beside)[tile.inside])
 
 
-def _local_mean(tile: Tile, values: np.ndarray, alike_px: float) -> np.ndarray:
+def _local_mean(tile: SolverTile, values: np.ndarray, alike_px: float) -> np.ndarray:
     """Mean of values (N,) around each pixel of the tile."""
     total, weight = (_gaussian(tile, part, alike_px) for part in (values, np.ones(len(tile))))
     return total / np.maximum(weight, 1e-9)
 
 
-def _gaussian(tile: Tile, values: np.ndarray, alike_px: float) -> np.ndarray:
+def _gaussian(tile: SolverTile, values: np.ndarray, alike_px: float) -> np.ndarray:
     image = np.zeros(tile.inside.shape, dtype=np.float32)
     image[tile.inside] = values
     side = 2 * round(_TRUNCATED * alike_px) + 1

@@ -15,7 +15,7 @@ import numpy as np
 from fields.device import Device
 from fields.image_store import GreyImages, LruCache, num_cached
 from fields.solver.gauss_newton import Start, TileSolution, solve
-from fields.solver.tile import MOST_PX, Tile, tiles_of
+from fields.solver.tile import MOST_PX, SolverTile, tiles_of
 from fields.solver.visibility import Occluder, Projector, TileProjection, project_tiles
 from fields.sweep.block import Block
 from fields.sweep.maps import ByView, HeightMap
@@ -25,8 +25,8 @@ Used = TypeVar("Used")
 
 # Photographs that a tile is compared with.
 MOST_VIEWS = 20
-# Surfaces that are kept, in bytes of so many a pixel.
-_KEPT_BYTES, _SURFACE_BYTES = 200_000_000, 5
+# Occluders that are kept, in bytes of so many a pixel.
+_KEPT_BYTES, _OCCLUDER_BYTES = 200_000_000, 5
 # Tiles that are solved at a time, one on each core that there may be, and pixels of those that wait for it too.
 _CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 WORKERS = min(_CORES, 4)
@@ -38,15 +38,15 @@ class TileTask:
     """Tile of a height map and the photographs that it is compared with."""
 
     index: int  # Of the map
-    tile: Tile
+    tile: SolverTile
     others: tuple[int, ...]
     tolerance: float  # [m]: heights of the map that differ by less agree
 
 
-def surfaces_of(maps: Sequence[HeightMap], views: list[int]) -> ByView[Occluder]:
-    """Surfaces of maps by view; the last few are cached, so that each is read from its map a few times only."""
+def occluders_of(maps: Sequence[HeightMap], views: list[int]) -> ByView[Occluder]:
+    """Occluders of maps by view; the last few are cached, so that each is read from its map a few times only."""
     size = maps[0].height.size if len(maps) else 0
-    most = num_cached(_SURFACE_BYTES * size, _KEPT_BYTES, MOST_VIEWS + 1)
+    most = num_cached(_OCCLUDER_BYTES * size, _KEPT_BYTES, MOST_VIEWS + 1)
     return ByView(LruCache(lambda number: Occluder.of(maps[number]), most), views)
 
 
@@ -78,8 +78,8 @@ class Views:
         return Views(cameras, block.images, block.water, block.device, maps, views, others, tolerance)
 
     @cached_property
-    def _surfaces(self) -> ByView[Occluder]:
-        return surfaces_of(self.maps, self.views)
+    def _occluders(self) -> ByView[Occluder]:
+        return occluders_of(self.maps, self.views)
 
     @cached_property
     def _projector(self) -> Projector:
@@ -110,7 +110,7 @@ class Views:
         pixels = 0
         for batch in _batches(jobs):
             for job, projected in zip(batch, self._projected(batch), strict=True):
-                start = Start.of(job.tile, self._surfaces[self.views[job.index]].height)
+                start = Start.of(job.tile, self._occluders[self.views[job.index]].height)
                 waiting.append((job, pool.submit(one, job, projected, start)))
                 pixels += len(job.tile)
             while pixels > AHEAD_PX:
@@ -124,7 +124,7 @@ class Views:
         """Projections of the tiles of one map."""
         index = batch[0].index
         view, tolerance, tiles = self.views[index], batch[0].tolerance, [job.tile for job in batch]
-        return project_tiles(tiles, view, batch[0].others, self._surfaces, self._projector, tolerance)
+        return project_tiles(tiles, view, batch[0].others, self._occluders, self._projector, tolerance)
 
 
 def _batches(jobs: Iterable[TileTask]) -> Iterator[list[TileTask]]:

@@ -14,7 +14,7 @@ from fields.device import Device
 from fields.image_store import GreyImages
 from fields.skips import SKIPS
 from fields.solver.appearance import Brightness
-from fields.solver.tile import Tile
+from fields.solver.tile import SolverTile
 from fields.sweep.kernels.arrays import constant, floats, host
 from fields.sweep.kernels.rays import point_at, project, refracted_rays
 from fields.sweep.kernels.stack import CameraTerms, camera_table
@@ -26,6 +26,7 @@ from refract import FlatWater, PinholeCamera
 _STEP_PX = 1.0
 # Pixels about a position that a cubic lookup needs.
 _RIM_PX = 2.5
+# OpenCV looks up an image of positions, not a list: positions are laid out in lines of so many.
 _LINE = 2048
 # How far from the border a position has to be so that no pixel beyond it counts.
 _RIMS = {cv2.INTER_LINEAR: 0.5, cv2.INTER_CUBIC: 1.5}
@@ -35,14 +36,14 @@ _STEPS = 2
 
 @dataclass(frozen=True)
 class Occluder:
-    """Height map as an occluder: heights (height, width) float32 [m], and which of them any view confirms."""
+    """Height map as an occluder."""
 
-    height: np.ndarray
-    confirmed: np.ndarray
+    height: np.ndarray  # (height, width) float32 [m] over the water plane
+    agreeing_once: np.ndarray  # (height, width) bool: at least one other view agrees
 
     @staticmethod
     def of(m: HeightMap) -> Occluder:
-        """Surface of a height map."""
+        """Occluder of a height map."""
         return Occluder(m.height, m.agreeing > 0)
 
 
@@ -108,7 +109,7 @@ def lookup(image: np.ndarray, x: np.ndarray, y: np.ndarray, interpolation: int) 
 
 
 def project_tiles(
-    tiles: Sequence[Tile],
+    tiles: Sequence[SolverTile],
     view: int,
     others: Sequence[int],
     maps: Mapping[int, Occluder],
@@ -167,14 +168,14 @@ def _solve_2x2(right: np.ndarray, down: np.ndarray, change: np.ndarray) -> np.nd
     return np.stack([down[1] * change[0] - down[0] * change[1], right[0] * change[1] - right[1] * change[0]]) / size
 
 
-def _is_occluded(surface: Occluder, at: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """Occlusion mask: a surface at positions (2, N) [px] is above heights (N,) [m] and confirmed."""
+def _is_occluded(occluder: Occluder, at: np.ndarray, height: np.ndarray) -> np.ndarray:
+    """Occlusion mask (N,): at positions (2, N) [px] an occluder is above heights (N,) [m], and another view agrees."""
     x, y = at
     rows, columns = lookup_window(x, y)
     x, y = x - columns.start, y - rows.start
-    there = lookup(surface.height[rows, columns], x, y, cv2.INTER_LINEAR)
-    confirmed = lookup(surface.confirmed[rows, columns].astype(np.float32), x, y, cv2.INTER_LINEAR)
-    return (there > height) & (confirmed > 0.5)
+    there = lookup(occluder.height[rows, columns], x, y, cv2.INTER_LINEAR)
+    agreeing = lookup(occluder.agreeing_once[rows, columns].astype(np.float32), x, y, cv2.INTER_LINEAR)
+    return (there > height) & (agreeing > 0.5)
 
 
 class Projector:
@@ -224,26 +225,26 @@ def _compute(device: Device, *arrays) -> None:
 
 
 @dataclass(frozen=True)
-class Sightings:
+class VisibilityCounts:
     """Number of pixels of the bed that each photograph shows, and of outliers among them."""
 
-    # seen, outlying (photographs,) int64: All, and those whose residual lost most of its weight: glint, a shadow,
-    # something that moved
-    seen: np.ndarray
-    outlying: np.ndarray
+    seen: np.ndarray  # (photographs,) int64
+    outlying: (
+        np.ndarray
+    )  # (photographs,) int64: of residuals that lost most of their weight: glint, shadows, what moved
 
     @staticmethod
-    def none(photographs: int) -> Sightings:
+    def none(photographs: int) -> VisibilityCounts:
         """Zero counts."""
-        return Sightings(*np.zeros((2, photographs), dtype=np.int64))
+        return VisibilityCounts(*np.zeros((2, photographs), dtype=np.int64))
 
     @staticmethod
-    def of(views: Sequence[int], brightness: Brightness, photographs: int) -> Sightings:
+    def of(views: Sequence[int], brightness: Brightness, photographs: int) -> VisibilityCounts:
         """Counts of a tile solved in some views, of a survey of so many photographs."""
         found, chosen = np.zeros((2, photographs), dtype=np.int64), list(views)
         found[0, chosen] = np.count_nonzero(brightness.weight > 0.0, axis=1)
         found[1, chosen] = np.count_nonzero(brightness.outlying, axis=1)
-        return Sightings(*found)
+        return VisibilityCounts(*found)
 
-    def __add__(self, other: Sightings) -> Sightings:
-        return Sightings(self.seen + other.seen, self.outlying + other.outlying)
+    def __add__(self, other: VisibilityCounts) -> VisibilityCounts:
+        return VisibilityCounts(self.seen + other.seen, self.outlying + other.outlying)

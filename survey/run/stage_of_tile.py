@@ -121,7 +121,7 @@ def learn_figures(
                     tile.drop()
             figures = figures_of(sample, job.plan.gsd_m, is_wet=job.survey.water is not None)
             job.progress.detail(f"solver: {figures}")
-    stored = None if figures is None else asdict(replace(figures, sightings=None))
+    stored = None if figures is None else asdict(replace(figures, visibility=None))
     write_json(folder / FIGURES, {"figures": stored})
 
 

@@ -19,7 +19,7 @@ from survey.run.stored_maps import Stored, map_store, save_maps
 
 if TYPE_CHECKING:
     from fields.image_store import Masks
-    from fields.solver.visibility import Sightings
+    from fields.solver.visibility import VisibilityCounts
     from survey.run.job import Job
 
 SOLVED, SIGHTINGS = "solved.npz", "sightings.json"
@@ -62,11 +62,11 @@ def solve_with(job: Job, folder: Path, needs: Mapping[str, Path], figures: Solve
             figures=figures,
         )
         both = (new if old is None else old for new, old in zip(solved, carried, strict=True))
-        _save(job, folder, both, figures.sightings)
+        _save(job, folder, both, figures.visibility)
     job.progress.detail(f"solver: {figures}")
 
 
-def _save(job: Job, folder: Path, solved: Iterable[SolvedMap], found: Sightings | None) -> None:
+def _save(job: Job, folder: Path, solved: Iterable[SolvedMap], found: VisibilityCounts | None) -> None:
     save_maps(folder / SOLVED, SolvedMap, solved)
     names = [view.name for view in job.survey.views]
     seen, outlying = ([0] * len(names),) * 2 if found is None else (found.seen.tolist(), found.outlying.tolist())

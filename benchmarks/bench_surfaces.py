@@ -76,9 +76,9 @@ def best_time(task):
 
 def down(surface, camera, ray, depth):
     """Bed points ``depth`` [m] below where the rays meet the surface."""
-    crossing = kernels.along(camera, ray, surface.intersect(camera, ray))
+    crossing = kernels.point_at_distance(camera, ray, surface.intersect(camera, ray))
     leg = kernels.bend(ray, surface.normal(crossing[0], crossing[1]), 1.0, surface.n_water)
-    return kernels.along(crossing, leg, -depth / leg[2])
+    return kernels.point_at_distance(crossing, leg, -depth / leg[2])
 
 
 def main() -> None:

@@ -248,7 +248,7 @@ def draw_shifts(axes: Axes, water: WavyWater) -> None:
     axes.set(xlim=(-2.0, 2.0), ylim=(-27.0, 27.0))
     x = np.linspace(-2.0, 2.0, 801)
     bed = np.stack([x, 0.0 * x, 0.0 * x - OVER_BED], axis=-1)
-    several = project(bed, OVER_WAVES, water).solutions > 1
+    several = project(bed, OVER_WAVES, water).num_paths > 1
     axes.fill_between(x, -27.0, 27.0, where=several, color=ORANGE, alpha=0.3, lw=0)
 
 

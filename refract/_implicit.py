@@ -16,25 +16,25 @@ def along_ray(clearance, t, meets):
     """Distances t with derivatives, where rays meet a surface: ``clearance(t)`` is height over it and rate along it."""
     xp = namespace(t)
     over, rate = clearance(t)
-    firm = meets & (rate < -_GRAZING)
-    slope = xp.fixed(xp.where(firm, rate, -1.0))
+    is_regular = meets & (rate < -_GRAZING)
+    slope = xp.fixed(xp.where(is_regular, rate, -1.0))
     for order in range(xp.orders):
         if order > 0:
             over, _ = clearance(t)
-        t = t - xp.where(firm, over, 0.0) / slope
+        t = t - xp.where(is_regular, over, 0.0) / slope
     return t
 
 
-def over_surface(gradient, matrix, x, y, firm):
-    """Crossings x, y with derivatives, where firm: roots of ``gradient(x, y)`` with Jacobian ``matrix``."""
+def over_surface(gradient, matrix, x, y, is_regular):
+    """Crossings x, y with derivatives, where they are regular: roots of ``gradient(x, y)`` with Jacobian ``matrix``."""
     xp = namespace(x)
     rows = tuple(
-        tuple(xp.fixed(xp.where(firm, entry, unit)) for entry, unit in zip(row, units, strict=True))
+        tuple(xp.fixed(xp.where(is_regular, entry, unit)) for entry, unit in zip(row, units, strict=True))
         for row, units in zip(matrix, ((1.0, 0.0), (0.0, 1.0)), strict=True)
     )
     for _ in range(xp.orders):
         step_x, step_y = newton_step(gradient(x, y), rows)
-        x, y = x + xp.where(firm, step_x, 0.0), y + xp.where(firm, step_y, 0.0)
+        x, y = x + xp.where(is_regular, step_x, 0.0), y + xp.where(is_regular, step_y, 0.0)
     return x, y
 
 

@@ -110,7 +110,7 @@ def row_of(distortion: Distortion | None) -> tuple[float, ...]:
 
 
 def kinds_of(distortions) -> frozenset[str]:
-    """The kinds among distortions, of which some may be None; none has kinds if all are None.
+    """The kinds of some distortions, where None is a lens without any; empty if all are None.
 
     A lens without distortion is a polynomial of zeros, and a polynomial is a rational function over one, or an affine
     lens with two zeros.

@@ -48,7 +48,7 @@ def dot(a, b):
     return _fused(xp, a[0], b[0], _fused(xp, a[1], b[1], _fused(xp, a[2], b[2], 0.0)))
 
 
-def along(origin, direction, t):
+def point_at_distance(origin, direction, t):
     """The point at distance ``t`` from ``origin`` along ``direction``."""
     xp = namespace(t, *origin, *direction)
     return tuple(_fused(xp, t, d, o) for o, d in zip(origin, direction, strict=True))
@@ -59,7 +59,7 @@ def minus(a, b):
     return tuple(p if type(q) is float and q == 0.0 else p - q for p, q in zip(a, b, strict=True))
 
 
-def over_plane(position, plane_point, normal):
+def height_over_plane(position, plane_point, normal):
     """Signed height of a position over a plane, along its normal."""
     xp, height = namespace(*position, *plane_point, *normal), 0.0
     for p, q, m in reversed(tuple(zip(position, plane_point, normal, strict=True))):
@@ -68,11 +68,11 @@ def over_plane(position, plane_point, normal):
     return height
 
 
-def along_plane(vector, normal):
-    """The part of a vector along a plane."""
+def tangential_part(vector, normal):
+    """The part of a vector along a plane of a normal."""
     if all(type(m) is float for m in normal) and tuple(normal) == (0.0, 0.0, 1.0):
         return vector[0], vector[1], 0.0
-    return along(vector, normal, -dot(vector, normal))
+    return point_at_distance(vector, normal, -dot(vector, normal))
 
 
 def double(triple):
@@ -283,7 +283,7 @@ def crossing_of_point(camera, point, plane: WaterPlane, steps, like=None):
     """
     H, depth, way, straight, share = _shared_out(camera, point, plane, steps, like)
     # From the camera's side: the direction of view keeps its digits even just above the water.
-    crossing = along(along(camera, plane.normal, -H), way, share)
+    crossing = point_at_distance(point_at_distance(camera, plane.normal, -H), way, share)
     return chosen(straight, point, crossing), depth
 
 
@@ -305,9 +305,9 @@ def legs_of_point(camera, point, plane: WaterPlane, steps, like=None):
 def _shared_out(camera, point, plane: WaterPlane, steps, like):
     """Camera height, depth of the point, vector between them along the plane, whether straight, share in air."""
     plane_point, normal, n = plane
-    H, depth = over_plane(camera, plane_point, normal), -over_plane(point, plane_point, normal)
+    H, depth = height_over_plane(camera, plane_point, normal), -height_over_plane(point, plane_point, normal)
     straight = (depth <= 0.0) | (H <= CONTACT)
-    way = along_plane(minus(point, camera), normal)
+    way = tangential_part(minus(point, camera), normal)
     # Straight rays get harmless numbers, so that neither their values nor their gradients can be NaN.
     select = selector(straight)
     share = air_share(dot(way, way), select(1.0, H), select(0.0, depth), n, steps, like)
@@ -322,9 +322,9 @@ def at_height(origin, direction, height, plane_point, normal, n):
     height zero, and a far and deep point suffers one rounding instead of a chain of them.
     """
     xp = namespace(*origin, *direction, height)
-    H = over_plane(origin, plane_point, normal) + height * 0.0
+    H = height_over_plane(origin, plane_point, normal) + height * 0.0
     falling = -dot(direction, normal)
-    flat = along_plane(direction, normal)
+    flat = tangential_part(direction, normal)
     eta = 1.0 / n
     scaled = eta * falling
     in_water = xp.where(height < 0.0, -height, height * 0.0)
@@ -336,5 +336,5 @@ def at_height(origin, direction, height, plane_point, normal, n):
     squared = (1.0 - eta) * (1.0 + eta) * dot(direction, direction) + scaled * scaled
     fall_in_water = xp.sqrt(xp.where(bends, squared, one))
     run = xp.where(bends, H / fall + in_water * eta / fall_in_water, drop / fall)
-    points = along(along(origin, normal, -drop), flat, run)
+    points = point_at_distance(point_at_distance(origin, normal, -drop), flat, run)
     return chosen(reached, points, math.nan)

@@ -16,7 +16,7 @@ import numpy as np
 from refract import kernels
 from refract._array import common, components, namespace, quiet, root, spread, stack
 from refract._numbers import hold, least, moved, number, of_any_size
-from refract.snell import Regime, counts
+from refract.snell import Regime, regime_counts
 
 # Newton's steps: 12 reach the last bits of float64 over indices 1 to 1.6, layers of 1 mm to 1 km and points to 100
 # times as far aside (20 000 stacks); a housing takes 5.
@@ -61,13 +61,13 @@ class LayeredPath:
         t, _ = common(t=t, rays=self.lengths[0])
         xp, begin = namespace(t), 0.0
         valid, (origin, ray) = kernels.cleaned(components(self.origin), components(self.directions[0]))
-        points = kernels.along(origin, ray, t)
+        points = kernels.point_at_distance(origin, ray, t)
         for crossing, direction, length in zip(self.crossings, self.directions[1:], self.lengths, strict=True):
             begin = begin + length
             start, ray, past = components(crossing), components(direction), t > begin
             passes = past & ~xp.isnan(ray[0])
             start, ray = (kernels.chosen(passes, v, 0.0) for v in (start, ray))
-            here = kernels.along(start, ray, xp.where(passes, t - begin, 0.0))
+            here = kernels.point_at_distance(start, ray, xp.where(passes, t - begin, 0.0))
             points = kernels.chosen(past, kernels.chosen(passes, here, math.nan), points)
         return stack(*kernels.chosen(valid, points, math.nan))
 
@@ -76,9 +76,9 @@ class LayeredPath:
         up = (0.0, 0.0, by)
         return replace(self, origin=self.origin + up, crossings=tuple(c + up for c in self.crossings))
 
-    def counts(self) -> dict[str, int]:
+    def regime_counts(self) -> dict[str, int]:
         """Number of rays of each `Regime`, by its name in lower case."""
-        return counts(self.regime)
+        return regime_counts(self.regime)
 
 
 @final
@@ -168,7 +168,7 @@ class ParallelLayers:
         xp = namespace(*at)
         valid = kernels.is_unit(ray) & kernels.in_reach(at)
         at, ray = kernels.chosen(valid, at, 0.0), kernels.chosen(valid, ray, 0.0)
-        way = kernels.over_plane(at, self.point, self.normal)
+        way = kernels.height_over_plane(at, self.point, self.normal)
         valid = valid & (way >= 0.0)
         going, crossings, lengths = valid, [], []
         directions = [stack(*kernels.chosen(valid, ray, math.nan))]
@@ -180,7 +180,7 @@ class ParallelLayers:
             going = going & (falling > kernels.GRAZING)
             # Rays that go no farther get harmless numbers: their gradients are zero.
             length = way / xp.where(going, falling, 1.0)
-            at = kernels.along(at, ray, xp.where(going, length, 0.0))
+            at = kernels.point_at_distance(at, ray, xp.where(going, length, 0.0))
             lengths.append(xp.where(going, length, math.inf))
             crossings.append(stack(*kernels.chosen(going, at, math.nan)))
             bent = kernels.bend(ray, self.normal, n_from, n_to)
@@ -229,11 +229,11 @@ class ParallelLayers:
         xp = namespace(*point)
         valid = kernels.in_reach(camera, point)
         camera, point = kernels.chosen(valid, camera, 0.0), kernels.chosen(valid, point, 0.0)
-        H = kernels.over_plane(camera, self.point, self.normal)
-        rest = -kernels.over_plane(point, self.point, self.normal) - sum(self.thicknesses)
+        H = kernels.height_over_plane(camera, self.point, self.normal)
+        rest = -kernels.height_over_plane(point, self.point, self.normal) - sum(self.thicknesses)
         seen = valid & (H > 0.0) & (rest > 0.0)
         near, far = xp.where(seen, H, 1.0), xp.where(seen, rest, 1.0)
-        along = kernels.along_plane(kernels.minus(point, camera), self.normal)
+        along = kernels.tangential_part(kernels.minus(point, camera), self.normal)
         legs = (
             tuple(fall * (slope * a - m) for a, m in zip(along, self.normal, strict=True))
             for fall, slope in zip((near, far), self._slopes(kernels.dot(along, along), near, far), strict=True)

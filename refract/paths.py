@@ -10,7 +10,7 @@ from refract import kernels
 from refract._array import common, components, namespace, quiet, spread, stack
 from refract._numbers import in_library, of_any_size
 from refract.layers import LayeredPath, ParallelLayers
-from refract.snell import Regime, counts
+from refract.snell import Regime, regime_counts
 from refract.surfaces import FlatWater, WaterSurface, derivable, height_over, require_surface
 
 
@@ -41,9 +41,9 @@ class BentPaths:
         code = xp.where(self.wet & xp.isnan(components(self.water_direction)[0]), int(Regime.REFLECTED), code)
         return xp.where(xp.isnan(self.air_length), int(Regime.INVALID), code)
 
-    def counts(self) -> dict[str, int]:
+    def regime_counts(self) -> dict[str, int]:
         """Number of rays of each `Regime`, by its name in lower case."""
-        return counts(self.regime)
+        return regime_counts(self.regime)
 
     def raised(self, by: float) -> BentPaths:
         """The same paths with all places ``by`` [m] higher; heights keep their zero (numpy only).
@@ -69,7 +69,8 @@ class BentPaths:
         valid, (origin, air_direction, water_direction) = kernels.cleaned(*legs)
         in_air = (t <= air_length) | ~self.wet
         t_air = xp.where(in_air, t, air_length)
-        points = kernels.along(kernels.along(origin, air_direction, t_air), water_direction, t - t_air)
+        crossing = kernels.point_at_distance(origin, air_direction, t_air)
+        points = kernels.point_at_distance(crossing, water_direction, t - t_air)
         return stack(*kernels.chosen(valid, points, math.nan))
 
     @of_any_size
@@ -126,7 +127,7 @@ def trace(origin, direction, surface):
         A ray that never meets the water (it looks up, or runs along the surface) is straight and not wet, and
         only its crossing is NaN. A camera on or below the surface looks straight through the water; it counts
         as wet, with a crossing at the camera. A direction whose length is not one (by more than 5e-6) is invalid. A
-        single bad ray never raises; `BentPaths.counts` reports it.
+        single bad ray never raises; `BentPaths.regime_counts` reports it.
 
     Raises
     ------
@@ -154,7 +155,7 @@ def trace(origin, direction, surface):
         meets = valid & ~below & (t >= 0.0)
         wet = meets | below
         reach = kernels.selector(meets)(t, 0.0)
-        at = kernels.along(o, d, reach)
+        at = kernels.point_at_distance(o, d, reach)
         normal, n_water = surface.normal(at[0], at[1]), in_library(surface.n_water, o[0])
         # Where a ray does not meet the surface there may be none: a level one has harmless derivatives.
         zero = reach * 0.0

@@ -10,7 +10,7 @@ from refract import kernels
 from refract._array import common, components, namespace, quiet, spread, stack
 from refract._numbers import of_any_size
 from refract.layers import ParallelLayers
-from refract.snell import Regime, counts
+from refract.snell import Regime, regime_counts
 from refract.surfaces import FlatWater, WaterSurface, derivable, height_over, require_surface
 
 # Steps of a solver: more than any surface needs for full float64; a plane takes four at most (docs/optics.md).
@@ -40,7 +40,7 @@ class Projection:
     # without water
     depth: Any
     wet: Any  # (...) bool: the point is below the surface
-    solutions: Any  # (...) int: stationary paths that were found; the least optical one was taken
+    num_paths: Any  # (...) int: stationary paths that were found; the least optical one was taken
     under_water: Any  # (...) bool: the camera is on or below the surface
     # Where all is in reach; the point; the legs to the crossing and on to the point; `_measured` of the first.
     _valid: Any = field(repr=False)
@@ -85,9 +85,9 @@ class Projection:
         code = xp.where(xp.isnan(length), int(Regime.UNSEEN), code)
         return xp.where(xp.isnan(self.depth) | (length == 0.0), int(Regime.INVALID), code)
 
-    def counts(self) -> dict[str, int]:
+    def regime_counts(self) -> dict[str, int]:
         """Number of points of each `Regime`, by its name in lower case."""
-        return counts(self.regime)
+        return regime_counts(self.regime)
 
 
 def _measured(leg):
@@ -131,7 +131,7 @@ def project(points, camera, surface: WaterSurface | ParallelLayers | None, *, st
     Projection
         Rays to points above the water or beside it, from a camera on or below it, and without water are straight. A
         point that is NaN, farther out than 1e15 m, or in the camera, has a direction of NaN. A single bad ray never
-        raises; `counts` reports it.
+        raises; `regime_counts` reports it.
 
     Raises
     ------
@@ -144,14 +144,14 @@ def project(points, camera, surface: WaterSurface | ParallelLayers | None, *, st
     points, camera = common(points=points, camera=camera)
     point, centre = components(points), components(camera)
     valid, point, centre = _ends(point, centre, surface)
-    legs, depth, solutions, below = _legs(point, centre, surface, steps)
+    legs, depth, num_paths, below = _legs(point, centre, surface, steps)
     xp = namespace(depth)
     wet = valid & (depth > 0.0)
     squared, inverse = _measured(legs[0])
     seen = valid & ~(squared < _NO_LEG)
     direction = _stacked(seen, tuple(c * inverse for c in legs[0]), point[0])
     depth = xp.where(valid, xp.like(depth, point[0]), math.nan)
-    numbers = depth, wet, xp.where(valid, solutions, 0), valid & below
+    numbers = depth, wet, xp.where(valid, num_paths, 0), valid & below
     if xp.name != "drjit":
         numbers = spread(*numbers, direction[..., 0])[:4]
     return Projection(
@@ -179,15 +179,15 @@ def _legs(point, centre, surface, steps: int) -> tuple:
         return tuple(kernels.chosen(seen, leg, math.nan) for leg in legs), depth, xp.where(seen, 1, 0), seen & False
     below = height_over(surface, centre) <= kernels.CONTACT
     if isinstance(surface, FlatWater):
-        *legs, depth, solutions = surface.legs(centre, point, steps)
-        return legs, depth, solutions, below
-    seen, depth, solutions = surface.crossing(centre, point, steps)
+        *legs, depth, num_paths = surface.legs(centre, point, steps)
+        return legs, depth, num_paths, below
+    seen, depth, num_paths = surface.crossing(centre, point, steps)
     seen, xp = kernels.double(seen), namespace(*p)
     # Where the surface has no height there is no water.
     depth = xp.where(xp.isnan(depth), 0.0, depth)
     found = ~xp.isnan(seen[0])
     legs = tuple(kernels.chosen(found, leg, math.nan) for leg in (kernels.minus(seen, c), kernels.minus(p, seen)))
-    return legs, depth, solutions, below
+    return legs, depth, num_paths, below
 
 
 @of_any_size

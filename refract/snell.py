@@ -45,7 +45,7 @@ class Regime(IntEnum):
     """A coordinate is NaN or beyond 1e15 m (`kernels.REACH`), or camera and point coincide: NaN."""
 
 
-def counts(regime) -> dict[str, int]:
+def regime_counts(regime) -> dict[str, int]:
     """Number of rays of each `Regime`, by its name in lower case; `regime` is an array of any library."""
     found = np.bincount(as_numpy(regime).ravel().astype(np.int64), minlength=len(Regime))
     return {kind.name.lower(): int(found[kind]) for kind in Regime}
@@ -104,7 +104,7 @@ def _require_positive(n_from, n_to) -> None:
 @of_any_size
 @quiet
 def bend_regime(ray, normal, *, n_from, n_to):
-    """Regime of each ray in `bend`: an array (...) of codes, for `counts`. Arguments as for `bend`."""
+    """Regime of each ray in `bend`: an array (...) of codes, for `regime_counts`. Arguments as for `bend`."""
     ray, normal = common(ray=ray, normal=normal)
     _require_positive(n_from, n_to)
     ray, normal = components(ray), components(normal)

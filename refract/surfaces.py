@@ -69,7 +69,7 @@ def height_over(surface: WaterSurface, position):
     if not isinstance(surface, FlatWater):
         return position[2] - surface.height(position[0], position[1])
     point, up, _ = surface.plane(position)
-    return kernels.over_plane(_across(position, up), _across(point, up), up)
+    return kernels.height_over_plane(_across(position, up), _across(point, up), up)
 
 
 def _across(triple, up):
@@ -187,7 +187,7 @@ class FlatWater:
         """Depth below the surface [m] along its normal, positive in water, of points (..., 3) [m], local."""
         position = components(points)
         point, up, _ = self.plane(position)
-        return -kernels.over_plane(position, point, up)
+        return -kernels.height_over_plane(position, point, up)
 
     def _require_library_of(self, *triples) -> None:
         """TypeError unless rays come from where the numbers of the water do, if those are not plain."""
@@ -224,7 +224,7 @@ class FlatWater:
         """
         point, up, _ = self.plane(origin, direction)
         origin, direction, point = (_across(v, up) for v in (origin, direction, point))
-        H, falling = kernels.over_plane(origin, point, up), -kernels.dot(direction, up)
+        H, falling = kernels.height_over_plane(origin, point, up), -kernels.dot(direction, up)
         meets = (falling > GRAZING) & (H >= 0.0)
         select = kernels.selector(meets)
         return select(H / select(falling, 1.0), math.nan)
@@ -251,9 +251,9 @@ class FlatWater:
 class TidalWater:
     """A level from a gauge, in a right-handed frame with z up.
 
-    Between two readings the level is interpolated linearly. Of a tide with amplitude a and period T, read every dt
-    seconds, that misses at most ``a (pi dt / T)^2 / 2``: 0.9 mm per metre of amplitude for 10 minutes and the
-    half-daily tide of 12.42 h; 32 mm for hourly readings.
+    Between two readings the level is interpolated linearly. The error of that, for a tide of amplitude a and period T
+    read every dt seconds, is at most ``a (pi dt / T)^2 / 2``: with the half-daily tide of 12.42 h, for each metre of
+    amplitude, 0.9 mm for readings every 10 minutes and 32 mm for hourly ones.
 
     Parameters
     ----------

@@ -21,9 +21,9 @@ def falling_rays(rng, count, steepest_deg=0.0, flattest_deg=50.0):
 
 def bed_points(water, camera, ray, depth):
     """Where the rays end ``depth`` [m] (along the vertical) below their crossing."""
-    surface = kernels.along(camera, ray, water.intersect(camera, ray))
+    surface = kernels.point_at_distance(camera, ray, water.intersect(camera, ray))
     leg = kernels.bend(ray, water.normal(surface[0], surface[1]), 1.0, water.n_water)
-    return kernels.along(surface, leg, depth / -leg[2])
+    return kernels.point_at_distance(surface, leg, depth / -leg[2])
 
 
 def view_angle(camera, seen, ray):

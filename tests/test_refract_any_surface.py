@@ -50,7 +50,7 @@ def test_height_and_normal_are_enough(rng, name, library):
     np.testing.assert_allclose(path.crossing, expected[0].crossing, atol=NEAR_M)
     np.testing.assert_allclose(path.water_direction, expected[0].water_direction, atol=NEAR_M)
     np.testing.assert_allclose(seen.crossing, expected[1].crossing, atol=NEAR_M)
-    assert (np.asarray(seen.solutions) == 1).all()
+    assert (np.asarray(seen.num_paths) == 1).all()
 
 
 def test_drjit_needs_no_more_either(rng):
@@ -155,7 +155,7 @@ def test_what_lies_beside_a_raster_is_straight(kind):
     beside = np.array([[200.0, 0.0, -3.0], [3.0, 1.0, -3.0]])
     seen = project(beside, CENTRE, water)
     np.testing.assert_array_equal(seen.regime, [Regime.STRAIGHT, Regime.BENT])
-    assert (seen.depth[0], seen.solutions[0]) == (0.0, 1)
+    assert (seen.depth[0], seen.num_paths[0]) == (0.0, 1)
     np.testing.assert_array_equal(seen.crossing[0], beside[0])
     ray = (beside - CENTRE) / np.linalg.norm(beside - CENTRE, axis=-1, keepdims=True)
     np.testing.assert_array_equal(trace(CENTRE, ray, water).regime, [Regime.STRAIGHT, Regime.BENT])

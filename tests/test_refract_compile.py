@@ -52,7 +52,7 @@ def told(name, way):
         water = WATERS[name](level, n)
         if way == "project":
             seen = project(POINTS, centre, water)
-            return seen.direction, seen.crossing, seen.air_length, seen.water_length, seen.depth, seen.solutions
+            return seen.direction, seen.crossing, seen.air_length, seen.water_length, seen.depth, seen.num_paths
         path = trace(centre, RAYS, water)
         if name == "layers":
             return *path.directions, *path.crossings, *path.lengths

@@ -40,10 +40,10 @@ def test_project_after_trace_returns_the_ray(rng, name):
     assert path.wet.all()
     bed = path.at(path.air_length + rng.uniform(0.01, 8.0, 500))
     back = project(bed, camera, SURFACES[name])
-    one = back.solutions == 1
+    one = back.num_paths == 1
     assert one.mean() > 0.95  # a raster has ridges
     assert angle_between(back.direction, ray)[one].max() < RAY_RAD
-    assert back.counts()["bent"] == path.counts()["bent"] == 500
+    assert back.regime_counts()["bent"] == path.regime_counts()["bent"] == 500
 
 
 @pytest.mark.parametrize("name", SURFACES)
@@ -51,7 +51,7 @@ def test_torch_in_float32_returns_the_ray(rng, name):
     camera, ray = (torch.tensor(v, dtype=torch.float32) for v in rays(rng, 300))
     path = trace(camera, ray, SURFACES[name])
     back = project(path.at(path.air_length + 3.0), camera, SURFACES[name])
-    one = (back.solutions == 1).numpy()
+    one = (back.num_paths == 1).numpy()
     assert one.mean() > 0.95
     assert back.direction.dtype == torch.float32
     assert angle_between(back.direction.double().numpy(), ray.double().numpy())[one].max() < RAY_RAD_32
@@ -68,7 +68,7 @@ def test_drjit_in_float32_returns_the_ray(rng, name):
     centre, wrapped = Array3f(camera.T), Array3f(ray.T)
     path = trace(centre, wrapped, SURFACES[name])
     back = project(path.at(path.air_length + 3.0), centre, SURFACES[name])
-    assert np.all(np.asarray(back.solutions) == 1)
+    assert np.all(np.asarray(back.num_paths) == 1)
     assert angle_between(np.asarray(back.direction, dtype=np.float64).T, np.asarray(wrapped).T).max() < RAY_RAD_32
 
 
@@ -121,15 +121,15 @@ def random_sea(rng) -> WavyWater:
 
 @pytest.mark.slow
 def test_random_seas_give_the_ray_back_or_say_that_they_cannot(rng):
-    solutions = []
+    num_paths = []
     for _ in range(60):
         water = random_sea(rng)
         camera, ray = rays(rng, 40, rng.choice([30.0, 70.0, 89.0]))
         camera[:, 2] = sum(water.amplitudes) + 10.0 ** rng.uniform(-3, 3, 40)
         path = trace(camera, ray, water)
         back = project(path.at(path.air_length + 10.0 ** rng.uniform(-3, 1.5, 40)), camera, water)
-        one = (back.solutions == 1) & back.wet & path.wet
+        one = (back.num_paths == 1) & back.wet & path.wet
         assert angle_between(back.direction, ray)[one].max(initial=0.0) < RAY_RAD
-        np.testing.assert_array_equal(np.isnan(back.direction[:, 0]), back.solutions < 1)
-        solutions.append(back.solutions)
-    assert (np.concatenate(solutions) == -1).mean() < 0.02
+        np.testing.assert_array_equal(np.isnan(back.direction[:, 0]), back.num_paths < 1)
+        num_paths.append(back.num_paths)
+    assert (np.concatenate(num_paths) == -1).mean() < 0.02

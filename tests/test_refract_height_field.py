@@ -75,9 +75,9 @@ def test_the_first_meeting_is_never_skipped(rng, flattest_deg):
     )
     end = np.where(np.isfinite(found), found, rim)
     t = end * np.linspace(0.0, 1.0, 20_000, endpoint=False)[:, None]
-    x, y, z = kernels.along(camera, ray, t)
+    x, y, z = kernels.point_at_distance(camera, ray, t)
     assert np.all(z > steep.height(x.ravel(), y.ravel()).reshape(x.shape))
-    x, y, z = (c[np.isfinite(found)] for c in kernels.along(camera, ray, found))
+    x, y, z = (c[np.isfinite(found)] for c in kernels.point_at_distance(camera, ray, found))
     np.testing.assert_allclose(z, steep.height(x, y), atol=1e-13)
 
 

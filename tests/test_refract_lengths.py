@@ -30,8 +30,8 @@ def test_a_direction_whose_length_is_not_one_is_invalid(factor, water):
 
 def test_the_rounding_of_a_direction_is_not_its_length():
     ray = RAY.astype(np.float32)[None] * np.float32(1.0 + 3e-7)
-    assert trace(torch.tensor(CENTRE).float(), torch.tensor(ray), WATER).counts()["bent"] == 1
-    assert trace(CENTRE, RAY * (1.0 + 4e-6), WATER).counts()["bent"] == 1
+    assert trace(torch.tensor(CENTRE).float(), torch.tensor(ray), WATER).regime_counts()["bent"] == 1
+    assert trace(CENTRE, RAY * (1.0 + 4e-6), WATER).regime_counts()["bent"] == 1
 
 
 def test_bend_refuses_rays_and_normals_whose_length_is_not_one():
@@ -126,11 +126,11 @@ def test_one_bad_point_of_layers_leaves_the_gradients_of_the_others_alone():
         (path.direction.nansum() + path.crossings[1].nansum()).backward()
         gradients.append(camera.grad)
     assert torch.equal(*gradients)
-    assert seen.counts()["bent"] == 1
-    assert seen.counts()["invalid"] == 2
-    assert seen.counts()["unseen"] == 1
-    assert path.counts()["bent"] == 1
-    assert path.counts()["invalid"] == 3
+    assert seen.regime_counts()["bent"] == 1
+    assert seen.regime_counts()["invalid"] == 2
+    assert seen.regime_counts()["unseen"] == 1
+    assert path.regime_counts()["bent"] == 1
+    assert path.regime_counts()["invalid"] == 3
 
 
 def test_rays_through_layers_are_counted_by_what_stops_them():
@@ -173,17 +173,17 @@ def test_a_camera_in_water_looks_up_through_one_interface():
 @pytest.mark.parametrize("water", [WATER, None])
 def test_the_number_of_solutions_has_the_shape_of_the_points(points, water):
     seen = project(points - [0.0, 0.0, 2.0], CENTRE, water)
-    assert seen.solutions.shape == points.shape[:-1]
-    assert (seen.solutions == 1).all()
-    assert project(torch.tensor(points), torch.tensor(CENTRE), water).solutions.shape == points.shape[:-1]
+    assert seen.num_paths.shape == points.shape[:-1]
+    assert (seen.num_paths == 1).all()
+    assert project(torch.tensor(points), torch.tensor(CENTRE), water).num_paths.shape == points.shape[:-1]
 
 
 def test_empty_arrays_give_empty_answers():
-    assert trace(CENTRE, np.zeros((0, 3)), WATER).counts()["bent"] == 0
+    assert trace(CENTRE, np.zeros((0, 3)), WATER).regime_counts()["bent"] == 0
     assert project(torch.zeros(0, 3), torch.zeros(3), WATER).direction.shape == (0, 3)
     drjit = pytest.importorskip("drjit", reason="Dr.Jit is not installed")
     if not drjit.has_backend(drjit.JitBackend.LLVM):
         pytest.skip("Dr.Jit finds no LLVM; install libllvm19 or set DRJIT_LIBLLVM_PATH")
     from drjit.llvm.ad import Array3f64
 
-    assert trace(CENTRE, Array3f64(np.zeros((3, 0))), WATER).counts()["bent"] == 0
+    assert trace(CENTRE, Array3f64(np.zeros((3, 0))), WATER).regime_counts()["bent"] == 0

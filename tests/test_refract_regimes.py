@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from refract import FlatWater, Regime, bend, bend_regime, counts, project, trace
+from refract import FlatWater, Regime, bend, bend_regime, project, regime_counts, trace
 
 WATER = FlatWater((0.0, 0.0, 2.0), n_water=1.34)
 CENTRE = np.array([1.0, -2.0, 30.0])
@@ -62,7 +62,7 @@ LIBRARIES = ["numpy", "torch.float64", "torch.float32", "Array3f64", "Array3f"]
 def test_each_traced_ray_is_told_what_became_of_it(library):
     path = trace(CENTRE, vectors(RAYS, library), WATER)
     np.testing.assert_array_equal(np.asarray(path.regime), [kind for _, kind in RAYS])
-    assert path.counts() == {
+    assert path.regime_counts() == {
         "bent": 2, "straight": 1, "parallel": 1, "under_water": 0,
         "reflected": 0, "critical": 0, "unseen": 0, "invalid": 2,
     }  # fmt: skip
@@ -77,7 +77,7 @@ def test_each_traced_ray_is_told_what_became_of_it(library):
 def test_each_projected_point_is_told_what_became_of_it(library):
     seen = project(vectors(POINTS, library), CENTRE, WATER)
     np.testing.assert_array_equal(np.asarray(seen.regime), [kind for _, kind in POINTS])
-    assert seen.counts()["invalid"] == 3
+    assert seen.regime_counts()["invalid"] == 3
     np.testing.assert_array_equal(np.isnan(rows(seen.direction)).any(axis=-1), [k == Regime.INVALID for _, k in POINTS])
     np.testing.assert_array_equal(np.asarray(seen.wet)[:5], [True, True, False, False, False])
 
@@ -86,10 +86,10 @@ def test_each_projected_point_is_told_what_became_of_it(library):
 def test_a_camera_under_water_is_counted_and_looks_straight(library):
     low = np.array([0.0, 0.0, -1.0])
     path = trace(low, vectors(RAYS, library), WATER)
-    assert path.counts()["under_water"] == 4
-    assert path.counts()["invalid"] == 2
+    assert path.regime_counts()["under_water"] == 4
+    assert path.regime_counts()["invalid"] == 2
     seen = project(vectors(POINTS, library), low, WATER)
-    assert seen.counts()["under_water"] == 5
+    assert seen.regime_counts()["under_water"] == 5
     way = np.array([point for point, _ in POINTS[:4]]) - low
     length = np.linalg.norm(way, axis=-1)
     # float32: one rounding of the result
@@ -101,10 +101,10 @@ def test_a_camera_under_water_is_counted_and_looks_straight(library):
 @pytest.mark.parametrize("library", LIBRARIES)
 def test_without_water_all_rays_are_straight(library):
     path = trace(CENTRE, vectors(RAYS, library), None)
-    assert path.counts()["straight"] == 4
-    assert path.counts()["invalid"] == 2
+    assert path.regime_counts()["straight"] == 4
+    assert path.regime_counts()["invalid"] == 2
     seen = project(vectors(POINTS, library), CENTRE, None)
-    assert seen.counts()["straight"] == 4
+    assert seen.regime_counts()["straight"] == 4
     assert not np.asarray(seen.wet).any()
     np.testing.assert_array_equal(rows(seen.crossing)[:5], [point for point, _ in POINTS[:5]])
 
@@ -126,7 +126,7 @@ def test_rays_out_of_the_water_are_counted_by_what_stops_them(library):
 
 def test_counts_cover_every_ray_once():
     codes = np.array([[0, 0, 3], [7, 7, 7]])
-    found = counts(codes)
+    found = regime_counts(codes)
     assert sum(found.values()) == codes.size
     assert (found["bent"], found["under_water"], found["invalid"]) == (2, 1, 3)
 
@@ -136,5 +136,5 @@ def test_a_ray_that_would_pass_behind_the_camera_never_meets_the_water():
     water = FlatWater((0.0, 0.0, 0.0), n_water=1.34, slope_x=1.0)
     half = math.sqrt(0.5)
     path = trace(np.array([0.0, 0.0, 5.0]), np.array([[half, 0.0, half], [-half, 0.0, half]]), water)
-    assert path.counts()["parallel"] == 1
-    assert path.counts()["straight"] == 1
+    assert path.regime_counts()["parallel"] == 1
+    assert path.regime_counts()["straight"] == 1

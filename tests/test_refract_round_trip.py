@@ -65,7 +65,7 @@ def there_and_back(kind, n):
     centres, water = vector(np.stack([0.0 * H, 0.0 * H, H], axis=-1)), FlatWater((0.0, 0.0, 0.0), n_water=n)
     points = trace(centres, rays, water).at_height(number(-h), water)
     seen = project(points, centres, water)
-    assert seen.counts()["bent"] + seen.counts()["straight"] == H.size
+    assert seen.regime_counts()["bent"] + seen.regime_counts()["straight"] == H.size
     return back(rays), back(points), back(centres), back(seen.direction)
 
 

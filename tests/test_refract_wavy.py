@@ -49,12 +49,12 @@ def test_the_first_meeting_is_never_skipped(rng, flattest_deg):
     """Against a walk along the ray in 20 000 steps, a small part of a wave each, from the highest crest down."""
     camera, ray = cameras(rng, 60, (0.7, 3.0)), falling_rays(rng, 60, flattest_deg - 20.0, flattest_deg)
     found = ROUGH.intersect(camera, ray)
-    x, y, z = kernels.along(camera, ray, found)
+    x, y, z = kernels.point_at_distance(camera, ray, found)
     np.testing.assert_allclose(z, ROUGH.height(x, y), atol=1e-12)
     crest = POINT[2] + sum(ROUGH.amplitudes) + 0.002 * 40.0
     start = np.maximum((camera[2] - crest) / -ray[2], 0.0)
     t = start + (found - start) * np.linspace(0.0, 1.0, 20_000, endpoint=False)[:, None]
-    x, y, z = kernels.along(camera, ray, t)
+    x, y, z = kernels.point_at_distance(camera, ray, t)
     assert np.all(z > ROUGH.height(x, y))
 
 

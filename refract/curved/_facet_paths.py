@@ -164,7 +164,7 @@ def _on_edges(surface, camera, point, owner, triangle):
     way = along[1] - along[0]
     H, h = away
     tau = along[0] + way * kernels.air_share(way * way, H, h, surface.n_water, _FLAT_STEPS)
-    at = kernels.along(start, unit, tau)
+    at = kernels.point_at_distance(start, unit, tau)
     gradient = _gradient(surface.n_water, camera, point, at)
     keep = (tau >= 0.0) & (tau <= kinks.length[edge])
     for side in kinks.sides:
@@ -199,7 +199,7 @@ class Kinks:
     Attributes
     ----------
     trough : (triangles, 3) int
-        The edges of each triangle that lie in a trough, as places in what follows; -1 for the others.
+        Indices of the edges of each triangle that lie in a trough, into the arrays below; -1 for the others.
     start, unit : triples of (edges,) [m], unit
         Where the edges begin, and their directions.
     length : (edges,) [m]

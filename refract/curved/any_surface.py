@@ -85,7 +85,7 @@ class AnySurface(ABC):
 
     def _clearance(self, origin, direction, t):
         """Height [m] of a ray above the surface at distance t, and its rate [-]."""
-        x, y, z = kernels.along(origin, direction, t)
+        x, y, z = kernels.point_at_distance(origin, direction, t)
         slope_x, slope_y = self._slopes(x, y)
         return z - self.height(x, y), direction[2] - slope_x * direction[0] - slope_y * direction[1]
 
@@ -105,7 +105,7 @@ class AnySurface(ABC):
         return t, arrived
 
     def crossing(self, camera, point, steps: int):
-        """See `WaterSurface.crossing`; `solutions` is 1 where the steps arrive at a path, else -1: not proven."""
+        """See `WaterSurface.crossing`; `num_paths` is 1 where the steps arrive at a path, else -1: not proven."""
         camera, point = together(camera, point)
         xp = namespace(*point)
         depth = self.height(point[0], point[1]) - point[2]

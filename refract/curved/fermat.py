@@ -34,10 +34,10 @@ _CONVERGED = 1e-11
 _MOST_STEPS = 10
 # A path is left without gradient where the determinant of its curvature falls below this part of the squared norm:
 # it lies on a caustic, where the crossing moves infinitely fast. Grazing rays, too: 89.9 deg has 3e-6.
-_FIRM = 1e-9
+_LEAST_DETERMINANT = 1e-9
 
 
-class Relief(WaterSurface, Protocol):
+class SmoothSurface(WaterSurface, Protocol):
     """A smooth surface: what this module requires beyond `WaterSurface`."""
 
     def derivatives(self, x, y) -> tuple:
@@ -49,7 +49,7 @@ class Relief(WaterSurface, Protocol):
     def clear(self, camera, crossing, point):
         """True where the legs to the crossing meet the surface nowhere else (numpy)."""
 
-    def detached(self) -> Relief:
+    def detached(self) -> SmoothSurface:
         """The same surface with plain numbers and without gradients."""
 
     def anchor(self) -> tuple:
@@ -173,7 +173,7 @@ def _anchor(xp, surface, like):
     return x, y, xp.fixed(surface.height(x, y))
 
 
-def crossing(surface: Relief, camera, point):
+def crossing(surface: SmoothSurface, camera, point):
     """Crossing of the ray from a camera to a point: `refract.surfaces.WaterSurface.crossing`, in float64.
 
     Parameters
@@ -187,7 +187,7 @@ def crossing(surface: Relief, camera, point):
         surface, or the camera not above it); NaN where there is no path, or where the search proved nothing.
     depth : [m]
         Of the point under the surface, vertical.
-    solutions : whole numbers
+    num_paths : whole numbers
         Stationary paths; 1 where the ray is straight, 0 where there is none, -1 where the number is not proven.
 
     Notes
@@ -221,9 +221,9 @@ def _attached(surface, camera, point, crossing, found):
     camera, point = _harmless(xp, surface, camera, point, found)
     x, y = (xp.where(found, c, a) for c, a in zip(crossing, anchor, strict=True))
     _, (hxx, hxy, hyy) = path_slope(surface, camera, point, x, y)
-    firm = xp.abs(hxx * hyy - hxy * hxy) > _FIRM * (hxx * hxx + 2.0 * hxy * hxy + hyy * hyy)
+    is_regular = xp.abs(hxx * hyy - hxy * hxy) > _LEAST_DETERMINANT * (hxx * hxx + 2.0 * hxy * hxy + hyy * hyy)
 
     def gradient(x, y):
         return path_slope(surface, camera, point, x, y)[0]
 
-    return over_surface(gradient, ((hxx, hxy), (hxy, hyy)), x, y, firm)
+    return over_surface(gradient, ((hxx, hxy), (hxy, hyy)), x, y, is_regular)

@@ -36,7 +36,7 @@ class HeightFieldWater:
         Of the water at the points; NaN where there is none. A triangle with such a corner is dry: rays pass through.
         A tensor lets gradients flow to the heights; the rays must then be tensors as well.
     triangles : (triangles, 3) int
-        Corners, as places in `points`; together they fill the convex hull of the points.
+        Corners, as indices into `points`; together they fill the convex hull of the points.
     n_water : [-]
         Refractive index of the water relative to the air above it, at least 1.
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import refract
-from refract import FlatWater, ParallelLayers, bend, bend_regime, counts, crossing_point, project, trace
+from refract import FlatWater, ParallelLayers, bend, bend_regime, crossing_point, project, regime_counts, trace
 from refract.curved import AnySurface, BicubicWater, HeightFieldWater, SphericalWater, WavyWater
 
 
@@ -70,8 +70,8 @@ def over_water(water, none, numbers, one):
     """What `trace` and `project` say, of no rays from one camera, of no rays from no cameras and so on."""
     for camera, vectors in ((one, none), (none, none), (none, one)):
         path, seen = trace(camera, vectors, water), project(vectors, camera, water)
-        yield path, path.regime, path.counts(), path.at(numbers), path.at(2.0)
-        yield seen, seen.crossing, seen.air_length, seen.water_length, seen.regime, seen.counts()
+        yield path, path.regime, path.regime_counts(), path.at(numbers), path.at(2.0)
+        yield seen, seen.crossing, seen.air_length, seen.water_length, seen.regime, seen.regime_counts()
         yield crossing_point(vectors, camera, water)
         if water is None or isinstance(water, FlatWater):
             yield path.at_height(numbers, water), path.at_height(-2.0, water)
@@ -90,7 +90,7 @@ def test_of_no_rays_and_no_points_there_are_no_paths(name, library):
 FUNCTIONS = {
     "bend": lambda none, numbers, one: (
         bend(none, one, n_from=1.0, n_to=1.3), bend(none, none, n_from=1.3, n_to=1.0),
-        bend_regime(one, none, n_from=1.0, n_to=1.3), counts(numbers),
+        bend_regime(one, none, n_from=1.0, n_to=1.3), regime_counts(numbers),
     ),
     "depths": lambda none, numbers, one: (PLANE.depth(none), PLANE.height(numbers, numbers)),
     "layers": lambda none, numbers, one: (LAYERS.project(none, one), LAYERS.trace(one, none)),

@@ -80,7 +80,7 @@ def point_at(rays, z) -> tuple:
 def _centre_at_row(camera, v, terms: CameraTerms) -> tuple:
     """Camera centre [m], over its own water level, when the rolling shutter reads the row at v [px]."""
     centre = tuple(camera[9:12])
-    return kernels.along(centre, tuple(terms.motion(camera)), v - camera[15]) if terms.moves else centre
+    return kernels.point_at_distance(centre, tuple(terms.motion(camera)), v - camera[15]) if terms.moves else centre
 
 
 def project(camera, point, water: KernelWater, terms: CameraTerms, steps: int = CROSSING_STEPS) -> tuple:

@@ -105,7 +105,8 @@ def kernel_table(block: Block, bound: tuple[float, float], machine: Limits) -> s
     rows = min(stack.height, drjit_kernels.SAMPLES_PER_LAUNCH // (len(others) * count * stack.width))
     start = np.full((rows, stack.width), 0.5 * (bound[0] + bound[1]), np.float32)
     legs, grey = drjit_kernels.rays_of_rows(stack, view, 0, rows), floats(stack.device, stack.images[view][:rows])
-    values = drjit_kernels.buffers(device, len(others), start.size * count)
+    size = start.size * count
+    values, greys = drjit_kernels.buffers(device, len(others), size), drjit_kernels.reference_buffer(device, size)
     warp = partial(drjit_kernels.warp, values, stack, legs, Hypotheses(start, 0.05, count), others)
     samples = len(others) * count * rows * stack.width
     lines = ["| | a sample | operations | of the arithmetic limit | of the memory limit |", "|---|---|---|---|---|"]
@@ -119,7 +120,7 @@ def kernel_table(block: Block, bound: tuple[float, float], machine: Limits) -> s
     # Bytes a sample: W read, scores written.
     kernels: list[tuple[str, Callable, float]] = []
     for radius in (1, 2, 3):
-        scores = partial(scored, device, grey, values, stack.width, radius)
+        scores = partial(scored, device, grey, greys, values, stack.width, radius)
         kernels.append((f"scores, {2 * radius + 1} x {2 * radius + 1}", scores, 4 + 8 / len(others)))
     for name, run, num_bytes in kernels:
         found = shares(machine, run, samples, num_bytes)
@@ -130,9 +131,9 @@ def kernel_table(block: Block, bound: tuple[float, float], machine: Limits) -> s
     return "\n".join(lines)
 
 
-def scored(device, grey, values: list, width: int, radius: int):
+def scored(device, grey, greys, values: list, width: int, radius: int):
     """The score of all neighbours."""
-    windows = drjit_kernels.windows(device, grey, values, width, radius)
+    windows = drjit_kernels.prepare_windows(device, grey, greys, values, width, radius)
     return drjit_kernels.best_half(device, drjit_kernels.ncc(windows, radius))
 
 

@@ -102,9 +102,9 @@ def found_by(device: Device, job) -> tuple[np.ndarray, ...]:
 
 
 def buffers_of(device: Device, arrays) -> list:
-    """Buffers of `fields.sweep.kernels` that hold arrays of one size; Dr.Jit has one more, for the reference."""
+    """Buffers of `fields.sweep.kernels` that hold arrays of one size."""
     found = kernels(device).buffers(device, len(arrays), arrays[0].size)
-    for buffer, each in zip(found, arrays, strict=False):
+    for buffer, each in zip(found, arrays, strict=True):
         if device.module is None:
             buffer.copy_(floats(device, each))
         else:
@@ -113,6 +113,13 @@ def buffers_of(device: Device, arrays) -> list:
             drjit.scatter(buffer.array, floats(device, each), drjit.arange(device.module.UInt, each.size))
             drjit.eval(buffer.array)
     return found
+
+
+def windows_of(device: Device, reference, arrays, width: int, radius: int):
+    """Windows of a flat reference and of arrays of one size, for `ncc`."""
+    greys = kernels(device).reference_buffer(device, arrays[0].size)
+    values = buffers_of(device, arrays)
+    return kernels(device).prepare_windows(device, floats(device, reference), greys, values, width, radius)
 
 
 def held_in(device: Device, buffer, size: int) -> np.ndarray:

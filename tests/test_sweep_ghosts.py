@@ -18,8 +18,10 @@ SURFACE = np.stack([*(each.ravel() for each in np.meshgrid(SIDE, SIDE)), np.zero
 MIDDLE = 6.0, 6.0
 
 
-def is_off(place, holding: int = 0, surface: np.ndarray = SURFACE, held: int = 10) -> bool:
-    return bool(are_off_surface(np.array([place]), np.array([holding]), surface, np.full(len(surface), held))[0])
+def is_off(place, matching: int = 0, surface: np.ndarray = SURFACE, matching_about: int = 10) -> bool:
+    return bool(
+        are_off_surface(np.array([place]), np.array([matching]), surface, np.full(len(surface), matching_about))[0]
+    )
 
 
 @pytest.mark.parametrize(("off", "expected"), [(1.4, False), (1.6, True), (-1.6, True), (4.0, True), (6.1, False)])
@@ -32,9 +34,9 @@ def test_it_does_not_matter_how_the_surface_lies_in_space():
     assert is_off(np.array((*MIDDLE, 3.0)) @ turned, surface=SURFACE @ turned)
 
 
-@pytest.mark.parametrize(("holding", "expected"), [(2, True), (3, False)])
-def test_what_a_fourth_of_the_maps_of_the_surface_hold_is_no_ghost(holding, expected):
-    assert is_off([*MIDDLE, 3.0], holding) == expected
+@pytest.mark.parametrize(("matching", "expected"), [(2, True), (3, False)])
+def test_what_a_fourth_of_the_maps_of_the_surface_match_is_no_ghost(matching, expected):
+    assert is_off([*MIDDLE, 3.0], matching) == expected
 
 
 def test_beside_the_rim_of_the_surface_nothing_is_a_ghost():
@@ -44,7 +46,7 @@ def test_beside_the_rim_of_the_surface_nothing_is_a_ghost():
 def test_a_surface_that_few_maps_hold_or_a_line_or_rough_points_say_nothing():
     ghost = [*MIDDLE, 3.0]
     rough = SURFACE + [0.0, 0.0, 2.0] * np.random.default_rng(2).normal(size=(len(SURFACE), 1))
-    assert not is_off(ghost, held=3)
+    assert not is_off(ghost, matching_about=3)
     assert not is_off(ghost, surface=SURFACE[SURFACE[:, 1] == 6.0])
     assert not is_off(ghost, surface=rough)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from plane_survey import buffers_of, held_in
+from plane_survey import buffers_of, held_in, windows_of
 
 from fields.sweep.kernels import drjit_scoring
 from fields.sweep.kernels.arrays import ALIGNED_BYTES, Buffer, floats, host
@@ -31,8 +31,7 @@ def slow_ncc(reference: np.ndarray, image: np.ndarray, radius: int) -> np.ndarra
 
 def ncc_of(device, reference: np.ndarray, images: np.ndarray, radius: int, least_known: float = 1.0) -> np.ndarray:
     """NCC of images (count, height, width); `NOWHERE` before the first whole window and after the last."""
-    flat, width = floats(device, reference), reference.shape[1]
-    windows = kernels(device).windows(device, flat, buffers_of(device, [images]), width, radius)
+    windows = windows_of(device, reference, [images], reference.shape[1], radius)
     (score,) = kernels(device).ncc(windows, radius, least_known)
     lost = radius * (reference.shape[1] + 1)
     return np.pad(host(device, score), lost, constant_values=NOWHERE).reshape(images.shape)
@@ -44,7 +43,7 @@ def test_behind_a_room_there_is_memory_for_the_last_vector_of_a_view(device, siz
     room = Buffer.of(device, size)
     # The last vector of a view that ends where the room does begins at its last number at the latest.
     assert room.memory.nbytes >= 4 * (size - 1) + ALIGNED_BYTES
-    copy, _ = buffers_of(device, [np.arange(size, dtype=np.float32)])
+    (copy,) = buffers_of(device, [np.arange(size, dtype=np.float32)])
     # Waits for the kernel that fills it.
     assert (held_in(device, copy, size) == np.arange(size)).all()
     assert (copy.memory[:size] == np.arange(size)).all()

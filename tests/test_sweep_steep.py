@@ -86,7 +86,7 @@ def test_of_pixels_nearer_to_each_other_than_a_gap_one_is_added(device):
     assert kept[0][row].tolist() == [True, False, True]
 
 
-def test_maps_have_what_lies_between_heights_hold_what_is_at_one_and_look_through_what_lies_above(device, rng):
+def test_maps_span_what_lies_between_heights_match_what_is_at_one_and_see_through_what_lies_above(device, rng):
     stack = level_stack(device, [HEIGHT] * 3)
     heights = rng.uniform(-2.1, -1.9, SHAPE).astype(np.float32)
     stack = ViewStack.build(device, stack.cameras, [*stack.images[:2], heights], TILTED)

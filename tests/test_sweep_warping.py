@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plane_survey import TILTED, PlaneBed, buffers_of, held_in, look, ring
+from plane_survey import TILTED, PlaneBed, held_in, look, ring, windows_of
 
 from fields.device import choose_device
 from fields.sweep.kernels.arrays import floats, host
@@ -318,7 +318,7 @@ def test_the_twin_has_the_same_constants(both):
 def scored(device, reference: np.ndarray, images: np.ndarray) -> np.ndarray:
     """NCC of images with a reference over windows of 5 x 5."""
     width = reference.shape[1]
-    windows = kernels(device).windows(device, floats(device, reference), buffers_of(device, images), width, 2)
+    windows = windows_of(device, reference, images, width, 2)
     scores, lost = kernels(device).ncc(windows, 2), 2 * (width + 1)
     return np.stack([np.pad(host(device, score), lost).reshape(reference.shape) for score in scores])
 

@@ -15,7 +15,7 @@ from fields.sweep.block import Block
 from fields.sweep.kernels.arrays import free_unused
 from fields.sweep.kernels.backend import kernels
 from fields.sweep.kernels.stack import ViewStack, largest
-from fields.sweep.maps import HeightMap, confirmed, height_std, trusted, views_of
+from fields.sweep.maps import HeightMap, height_std, is_confirmed, trusted, views_of
 from fields.sweep.overhangs import add_points_beneath, pixels_beside_steps
 from fields.sweep.planes import SteepPixels, filter_steep_pixels, half_range, steep_and_wall_pixels
 from fields.sweep.views import Footprint
@@ -48,9 +48,7 @@ class BedPoints:
         return BedPoints(*(getattr(self, f.name)[keep] for f in fields(self)))
 
     @staticmethod
-    def concatenate_where(
-        parts: list[BedPoints], keep: Callable[[np.ndarray], np.ndarray]
-    ) -> tuple[BedPoints, np.ndarray]:
+    def consume_where(parts: list[BedPoints], keep: Callable[[np.ndarray], np.ndarray]) -> tuple[BedPoints, np.ndarray]:
         """Points of several views that ``keep`` selects by coordinates (N, 3), and its mask (N,) bool.
 
         The list of parts is emptied column by column, so that at most one part is in memory twice.
@@ -76,8 +74,10 @@ class BedPoints:
         return BedPoints(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(BedPoints)))
 
 
-# The same on walls, where photographs correlate less.
+# Least NCC of a height on a wall that a single other view confirms: photographs correlate less there than
+# `fields.sweep.maps.TRUSTED_NCC` asks for.
 WALL_NCC = 0.6
+# A point with fewer neighbours than this within so many ground sampling distances is an outlier.
 LEAST_NEIGHBOURS, NEIGHBOURHOOD_GSD = 4, 4.0
 # A height that no third view checks is compared with the confirmed pixels in a square of this side [px]: least share of
 # pixels that are confirmed, and of these that agree with it. Chance matches are sparse and scatter.
@@ -85,7 +85,9 @@ _SUPPORT_PX, _LEAST_CONFIRMED, _LEAST_AGREEING = 17, 0.4, 0.7
 # Pixels of a batch, of 300 bytes each.
 _POINTS_AT_ONCE = 500_000
 # Points of a batch, in a slab of the ground: their search takes 80 bytes each.
-POINTS_PER_SLAB, _A_LITTLE_MORE = 500_000, 1.001
+POINTS_PER_SLAB = 500_000
+# A slab is searched with its surroundings as far as this times the distance of neighbours, which is an upper bound.
+_UPPER_BOUND_FACTOR = 1.001
 # The range of heights, as a multiple of the half of it that `half_range` gives.
 _WHOLE_RANGE = 2.0
 # Least cosine of the incidence of a ray that shows the bed.
@@ -109,7 +111,7 @@ def unique_pixels(block: Block, maps: Sequence[HeightMap], gsd: float) -> Masks:
     chosen = views_of(maps)
     cameras = [block.cameras[view] for view in chosen]
     shapes: list[tuple[int, ...]] = [(camera.height, camera.width) for camera in cameras]
-    kept, claimed, walls, steep, sure, fit, beside = (Masks(list(shapes)) for _ in range(7))
+    kept, claimed, walls, steep, all_trusted, addable, beside = (Masks(list(shapes)) for _ in range(7))
     ground, tolerances = [], []
     for index, m in enumerate(maps):
         others = block.neighbours(m.view, 8, among=chosen)
@@ -118,26 +120,26 @@ def unique_pixels(block: Block, maps: Sequence[HeightMap], gsd: float) -> Masks:
         ground.append(Footprint.of(cameras[index], block.water, extent))
         tolerances.append(tolerance)
         steep[index], walls[index] = steep_and_wall_pixels(m.height, tolerance)
-        sure[index] = trusted(m)
+        all_trusted[index] = trusted(m)
     order = sorted(range(len(maps)), key=lambda i: cameras[i].cam_from_local[2][2])
     images = LazyImages(lambda index: maps[index].height, len(chosen), largest(cameras), 1)
     heights = ViewStack.build(block.device, cameras, images, block.water)
     for place, index in enumerate(order):
         # A masked pixel of the photograph has a height of its surroundings, but neither colour nor match.
         shown, m = np.isfinite(block.images[chosen[index]]), maps[index]
-        kept[index] = keep = sure[index] & shown & ~claimed[index]
-        fit[index] = walls[index] & shown & confirmed(m, WALL_NCC)
+        kept[index] = keep = all_trusted[index] & shown & ~claimed[index]
+        addable[index] = walls[index] & shown & is_confirmed(m, WALL_NCC)
         beside[index] = shown & (m.agreeing > 0) & pixels_beside_steps(m.height, gsd)
         if not keep.any():
             continue
         rays, own = kernels(block.device).rays_and_heights(heights, index, np.flatnonzero(keep))
         for later in order[place + 1 :]:
             if ground[index].meets(ground[later]):
-                same, near = kernels(block.device).find_duplicates(heights, rays, own, later, tolerances[index], gsd)
-                claimed.add(later, same & (near | ~walls[later].ravel()))
+                same, close = kernels(block.device).find_duplicates(heights, rays, own, later, tolerances[index], gsd)
+                claimed.add(later, same & (close | ~walls[later].ravel()))
         free_unused(block.device)
-    filter_steep_pixels(heights, SteepPixels(steep, fit, sure), kept, gsd)
-    add_points_beneath(heights, beside, sure, kept, gsd)
+    filter_steep_pixels(heights, SteepPixels(steep, addable, all_trusted), kept, gsd)
+    add_points_beneath(heights, beside, all_trusted, kept, gsd)
     return kept
 
 
@@ -183,7 +185,7 @@ def has_neighbours(xyz: np.ndarray, gsd: float) -> np.ndarray:
         mine = np.flatnonzero((x >= low) & (x < high))
         if not len(mine):
             continue
-        near = xyz[(x >= low - _A_LITTLE_MORE * reach) & (x < high + _A_LITTLE_MORE * reach)]
+        near = xyz[(x >= low - _UPPER_BOUND_FACTOR * reach) & (x < high + _UPPER_BOUND_FACTOR * reach)]
         distance, _ = cKDTree(near).query(xyz[mine], k=[LEAST_NEIGHBOURS + 1], distance_upper_bound=reach, workers=-1)
         found[mine] = np.isfinite(distance[:, 0])
     return found

@@ -61,19 +61,19 @@ class MapPoints:
     def __getitem__(self, which: np.ndarray) -> MapPoints:
         return MapPoints(self.number[which], self.pixel[which], self.xyz[:, which])
 
-    def votes(self, stack: ViewStack, sure: Masks, apart: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Number of other maps (N,) that contain the point, that see through it, and that hold it in a pixel."""
-        having, through, holding = (np.zeros(len(self.number), dtype=np.int32) for _ in range(3))
+    def votes(self, stack: ViewStack, trusted: Masks, apart: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Number of other maps (N,) that span the point, that see through it, and that match it in a pixel."""
+        spanning, through, matching = (np.zeros(len(self.number), dtype=np.int32) for _ in range(3))
         if not len(self.number):
-            return having, through, holding
+            return spanning, through, matching
         points = tuple(floats(stack.device, each) for each in self.xyz)
-        for number, mask in enumerate(sure):
+        for number, mask in enumerate(trusted):
             other = self.number != number
-            has, looks, holds = kernels(stack.device).vote_on_points(stack, points, number, apart, mask)
-            having += has & other
-            through += looks & other
-            holding += holds & other
-        return having, through, holding
+            spans, sees_through, matches = kernels(stack.device).vote_on_points(stack, points, number, apart, mask)
+            spanning += spans & other
+            through += sees_through & other
+            matching += matches & other
+        return spanning, through, matching
 
     def mark(self, masks: Masks, to: bool) -> None:
         """Set these pixels of masks."""

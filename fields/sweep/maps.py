@@ -110,10 +110,10 @@ class ByView(Mapping[int, Kind]):
 
 def trusted(height_map: HeightMap) -> np.ndarray:
     """Pixels (height, width) bool of a map whose height other views confirm."""
-    return confirmed(height_map, TRUSTED_NCC)
+    return is_confirmed(height_map, TRUSTED_NCC)
 
 
-def confirmed(height_map: HeightMap, least_ncc: float) -> np.ndarray:
+def is_confirmed(height_map: HeightMap, least_ncc: float) -> np.ndarray:
     """Pixels that two other views confirm, or one where the score is above a value."""
     once = (height_map.agreeing == 1) & (height_map.score > least_ncc)
     return (height_map.agreeing >= CONFIRMED_TWICE) | once

@@ -129,10 +129,11 @@ def _launch(reference: Reference, rays: Callable[[], Any], grey: Any, hypotheses
     stack, radius, neighbours = reference.stack, reference.radius, reference.neighbours
     device, backend = stack.device, kernels(stack.device)
     # Before anything is launched.
-    values = backend.buffers(device, len(neighbours), math.prod(hypotheses.start.shape) * hypotheses.count)
+    size = math.prod(hypotheses.start.shape) * hypotheses.count
+    values, greys = backend.buffers(device, len(neighbours), size), backend.reference_buffer(device, size)
     paths, levels, start = rays(), floats(device, grey), floats(device, hypotheses.start)
     backend.warp(values, stack, paths, hypotheses, neighbours)
-    windows = backend.windows(device, levels, values, width, radius)
+    windows = backend.prepare_windows(device, levels, greys, values, width, radius)
     mean = backend.best_half(device, backend.ncc(windows, radius, reference.least_known))
     found = backend.best_height(device, mean, start, hypotheses.step, hypotheses.count)
     return Launch(list(found), (paths, levels, windows, start))

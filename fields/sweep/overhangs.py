@@ -3,7 +3,7 @@
 Heights are compared along the rays of pixels. Beside a depth step a ray may pass near two surfaces of one height, of
 which only one becomes points; there the points that are kept are told apart in space.
 
-Ghost points beneath overhangs: few maps hold them, and they stand off a flat surface that many maps hold.
+Ghost points beneath overhangs: few maps match them, and they stand off a flat surface that many maps match.
 
 Windows of the sweep that cover an edge and what lies behind it leave heights between both.
 """
@@ -29,17 +29,17 @@ _CELL_GSD, _OVER_GSD = 3.0, 8.0
 # Least distance of points from each other, in ground sampling distances: those of neighbouring pixels of two maps of
 # the same surface lie 0.7 from each other at most.
 _APART_GSD = 0.75
-# Of the maps that contain a point so many, and this share, hold it in a pixel: windows over an edge leave heights
-# between both surfaces, which maps contain where they jump. At most this share of them see through it.
-_LEAST_HOLDING, _SHARE_HOLDING, _MOST_AGAINST = 2, 0.7, 0.25
-# Farther than this from all points, in ground sampling distances, one map that holds a point is enough, if at most as
-# many see through it as hold it.
+# Of the maps that span a point so many, and this share, match it in a pixel: windows over an edge leave heights between
+# both surfaces, which maps span where they jump. At most this share of them see through it.
+_LEAST_MATCHING, _SHARE_MATCHING, _MOST_AGAINST = 2, 0.7, 0.25
+# Farther than this from all points, in ground sampling distances, one map that matches a point is enough, if at most as
+# many see through it as match it.
 _ALONE_GSD = 1.5
 # How much higher a kept point of the same cell of the ground, or of one beside it, is: in ground sampling distances.
 _GHOST_OVER_GSD = 6.0
-# A point of a surface is held by so many other maps. A piece of the surface has so many of them at least, and at most,
-# within so many ground sampling distances.
-_WELL_HELD, _LEAST_POINTS, _MOST_POINTS, _REACH_GSD = 4, 8, 30, 6.0
+# A point of a surface is matched by so many other maps. A piece of the surface has so many of them at least, and at
+# most, within so many ground sampling distances.
+_WELL_MATCHED, _LEAST_POINTS, _MOST_POINTS, _REACH_GSD = 4, 8, 30, 6.0
 # Points that are compared with it at a time, of 3 kB each.
 _AT_ONCE = 50_000
 # The piece is flat where its standard deviation from its plane is less than this, and a surface, not a line, where that
@@ -47,8 +47,8 @@ _AT_ONCE = 50_000
 _FLAT_GSD, _WIDE_GSD = 0.8, 0.8
 # A ghost stands off the plane by more than the first, and lies beside the middle of the piece by less than the second.
 _OFF_GSD, _BESIDE_GSD = 1.5, 2.5
-# It is held by less than this share of the maps that hold the points of the piece, in the mean.
-_SHARE_HELD = 0.25
+# It is matched by less than this share of the maps that match the points of the piece, in the mean.
+_SHARE_OF_PIECE = 0.25
 
 
 def pixels_beside_steps(height: np.ndarray, gsd: float) -> np.ndarray:
@@ -57,18 +57,18 @@ def pixels_beside_steps(height: np.ndarray, gsd: float) -> np.ndarray:
     return cv2.dilate(height, np.ones((side, side), np.uint8)) - height > _STEP_GSD * gsd
 
 
-def add_points_beneath(stack: ViewStack, fit: Masks, sure: Masks, kept: Masks, gsd: float) -> None:
-    """Update the ``kept`` pixels: add those of ``fit`` that lie beneath kept points and apart from all of them.
+def add_points_beneath(stack: ViewStack, addable: Masks, trusted: Masks, kept: Masks, gsd: float) -> None:
+    """Update the ``kept`` pixels: add those of ``addable`` that lie beneath kept points and apart from all of them.
 
-    ``stack`` has the height maps, ``sure`` are all pixels whose heights count against a point.
+    ``stack`` has the height maps, ``trusted`` are all pixels whose heights count against a point.
     """
-    new = MapPoints.of(stack, (each & ~old for each, old in zip(fit, kept, strict=True)))
+    new = MapPoints.of(stack, (each & ~old for each, old in zip(addable, kept, strict=True)))
     new = new[far_from(stack, kept, new.xyz, _APART_GSD * gsd)]
     new = new[lie_beneath(stack, kept, new.xyz, gsd, _OVER_GSD)]
-    having, through, holding = new.votes(stack, sure, gsd)
-    held = (holding >= _LEAST_HOLDING) & (holding >= _SHARE_HOLDING * having)
-    _mark_thinned(new[held & (through <= _MOST_AGAINST * having)], kept, _APART_GSD * gsd)
-    alone = new[(holding >= 1) & (holding >= through)]
+    spanning, through, matching = new.votes(stack, trusted, gsd)
+    is_matched = (matching >= _LEAST_MATCHING) & (matching >= _SHARE_MATCHING * spanning)
+    _mark_thinned(new[is_matched & (through <= _MOST_AGAINST * spanning)], kept, _APART_GSD * gsd)
+    alone = new[(matching >= 1) & (matching >= through)]
     alone = alone[far_from(stack, kept, alone.xyz, _ALONE_GSD * gsd)]
     _mark_thinned(alone, kept, _ALONE_GSD * gsd)
 
@@ -123,47 +123,50 @@ def without_ghosts(block: Block, maps: Sequence[HeightMap], kept: Masks, gsd: fl
     """
     cameras = [block.cameras[view] for view in views_of(maps)]
     shapes = [(camera.height, camera.width) for camera in cameras]
-    sure, beside, left = (Masks(list(shapes)) for _ in range(3))
+    all_trusted, beside, left = (Masks(list(shapes)) for _ in range(3))
     for index, m in enumerate(maps):
-        sure[index], left[index] = trusted(m), kept[index]
+        all_trusted[index], left[index] = trusted(m), kept[index]
         beside[index] = left[index] & pixels_beside_steps(m.height, gsd)
     images = LazyImages(lambda index: maps[index].height, len(cameras), largest(cameras), 1)
     stack = ViewStack.build(block.device, cameras, images, block.water)
     points = MapPoints.of(stack, beside)
     points = points[lie_beneath(stack, kept, points.xyz, gsd, _GHOST_OVER_GSD, around=1)]
-    holding = points.votes(stack, sure, gsd)[2]
-    points, holding = points[holding < _WELL_HELD], holding[holding < _WELL_HELD]
-    if len(holding):
+    matching = points.votes(stack, all_trusted, gsd)[2]
+    points, matching = points[matching < _WELL_MATCHED], matching[matching < _WELL_MATCHED]
+    if len(matching):
         about = MapPoints.about(stack, kept, points.xyz, _REACH_GSD * gsd)
-        held = about.votes(stack, sure, gsd)[2]
-        points[are_off_surface(points.xyz.T / gsd, holding, about.xyz.T / gsd, held)].mark(left, False)
+        matching_about = about.votes(stack, all_trusted, gsd)[2]
+        points[are_off_surface(points.xyz.T / gsd, matching, about.xyz.T / gsd, matching_about)].mark(left, False)
     return left
 
 
-def are_off_surface(points: np.ndarray, holding: np.ndarray, about: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """Points (N, 3) that stand off a flat piece of those about them, which far more maps hold: (N,) bool.
+def are_off_surface(
+    points: np.ndarray, matching: np.ndarray, about: np.ndarray, matching_about: np.ndarray
+) -> np.ndarray:
+    """Points (N, 3) that stand off a flat piece of those about them, which far more maps match: (N,) bool.
 
     Parameters
     ----------
     points, about : (N, 3), (M, 3)
         In ground sampling distances.
-    holding, held : (N,), (M,)
-        Number of other maps that hold them.
+    matching, matching_about : (N,), (M,)
+        Number of other maps that match them.
     """
-    surface, held = about[held >= _WELL_HELD].astype(np.float64), held[held >= _WELL_HELD]
+    is_surface = matching_about >= _WELL_MATCHED
+    surface, of_surface = about[is_surface].astype(np.float64), matching_about[is_surface]
     if len(surface) < _LEAST_POINTS:
         return np.zeros(len(points), dtype=bool)
     tree, off_surface = cKDTree(surface), np.zeros(len(points), dtype=bool)
     for first in range(0, len(points), _AT_ONCE):
         part = np.s_[first : first + _AT_ONCE]
-        off_surface[part] = _are_off(points[part], holding[part], surface, held, tree)
+        off_surface[part] = _are_off(points[part], matching[part], surface, of_surface, tree)
     return off_surface
 
 
 def _are_off(
-    points: np.ndarray, holding: np.ndarray, surface: np.ndarray, held: np.ndarray, tree: cKDTree
+    points: np.ndarray, matching: np.ndarray, surface: np.ndarray, of_surface: np.ndarray, tree: cKDTree
 ) -> np.ndarray:
-    """`are_off_surface` of well held points (M, 3)."""
+    """`are_off_surface` of well matched points (M, 3)."""
     most = min(_MOST_POINTS, len(surface))
     distance, near = tree.query(points, k=most, distance_upper_bound=_REACH_GSD)
     known = np.isfinite(distance)
@@ -178,5 +181,5 @@ def _are_off(
     off = np.einsum("na,na->n", aside, normal)
     beside = np.linalg.norm(aside - off[:, None] * normal, axis=1)
     is_piece = (known.sum(axis=1) >= _LEAST_POINTS) & (thick < _FLAT_GSD) & (wide > _WIDE_GSD)
-    few = holding < _SHARE_HELD * np.einsum("nk,nk->n", weight, held[near])
+    few = matching < _SHARE_OF_PIECE * np.einsum("nk,nk->n", weight, of_surface[near])
     return is_piece & few & (np.abs(off) > _OFF_GSD) & (beside < _BESIDE_GSD)

@@ -21,7 +21,7 @@ _MOST_BENT = 0.4
 _NEAR_PX = 5
 # Rise from column to column of the plane through 3x3 heights.
 _RISE = np.tile(np.array([-1.0, 0.0, 1.0], dtype=np.float32) / 6.0, (3, 1))
-# A steep pixel is dropped if more maps see through its point than contain it. One is added if so many maps contain it
+# A steep pixel is dropped if more maps see through its point than span it. One is added if so many maps span it
 # and at most this share of them see through it.
 _LEAST_FOR, _MOST_AGAINST = 4, 0.25
 # Gaps that are filled have this radius, in ground sampling distances.
@@ -65,25 +65,25 @@ class SteepPixels:
     """Steep pixels of height maps."""
 
     steep: Masks
-    fit: Masks  # Those of them that may be added
-    sure: Masks  # All pixels, steep or not, whose heights count against a point
+    addable: Masks  # Those of them that may be added
+    trusted: Masks  # All pixels, steep or not, whose heights count against a point
 
 
 def filter_steep_pixels(stack: ViewStack, found: SteepPixels, kept: Masks, gsd: float) -> None:
     """Update the ``kept`` pixels: drop steep ones that other maps see through, add others that fill gaps on walls.
 
-    ``stack`` has the height maps. A map contains a point within ``gsd`` [m] of its heights there, and sees
-    through one farther above them.
+    ``stack`` has the height maps. A map spans a point within ``gsd`` [m] of its heights there, and sees through one
+    farther above them.
     """
     if not len(kept):
         return
     old = MapPoints.of(stack, (keep & steep for keep, steep in zip(kept, found.steep, strict=True)))
-    having, through, _ = old.votes(stack, found.sure, gsd)
-    old[through > having].mark(kept, False)
-    new = MapPoints.of(stack, (fit & ~keep for fit, keep in zip(found.fit, kept, strict=True)))
+    spanning, through, _ = old.votes(stack, found.trusted, gsd)
+    old[through > spanning].mark(kept, False)
+    new = MapPoints.of(stack, (each & ~keep for each, keep in zip(found.addable, kept, strict=True)))
     new = new[far_from(stack, kept, new.xyz, _GAP_GSD * gsd)]
-    having, through, _ = new.votes(stack, found.sure, gsd)
-    new = new[(having >= _LEAST_FOR) & (through <= _MOST_AGAINST * having)]
+    spanning, through, _ = new.votes(stack, found.trusted, gsd)
+    new = new[(spanning >= _LEAST_FOR) & (through <= _MOST_AGAINST * spanning)]
     new[thin_out(new.xyz.T, _GAP_GSD * gsd)].mark(kept, True)
 
 

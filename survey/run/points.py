@@ -108,7 +108,7 @@ def bed_points(
         sources.append(np.full(len(points), number, dtype=np.int32))
         tides.append(camera.tide)
         advance(1.0)
-    bed, is_kept = BedPoints.concatenate_where(parts, lambda xyz: has_neighbours(xyz, plan.gsd_m))
+    bed, is_kept = BedPoints.consume_where(parts, lambda xyz: has_neighbours(xyz, plan.gsd_m))
     return bed, np.array(tides)[np.concatenate(sources)[is_kept]], moved
 
 

@@ -37,7 +37,8 @@ from fields.sweep.kernels.stack import MASKED, CameraTerms, Hypotheses, ViewStac
 
 # The rest of `fields.sweep.kernels.backend.Kernels`.
 NOISE_VARIANCE = scoring.NOISE_VARIANCE
-buffers, windows, ncc = scoring.buffers, scoring.windows, scoring.ncc
+buffers, reference_buffer = scoring.buffers, scoring.reference_buffer
+prepare_windows, ncc = scoring.prepare_windows, scoring.ncc
 best_half, best_height = scoring.best_half, scoring.best_height
 # Views that one kernel projects into: several kernels take no longer, compile faster and serve any number.
 VIEWS_PER_KERNEL = 4
@@ -139,10 +140,10 @@ class _RayPoints:
 
 
 def warp(values: list[Buffer], stack: ViewStack, rays, hypotheses: Hypotheses, neighbours: list[int]) -> None:
-    """Fill ``values`` (`buffers`, of which there may be more) with W of each neighbour; NaN outside its image."""
+    """Fill ``values`` (`buffers`) with W of each neighbour; NaN outside its image."""
     start, step = hypotheses.start, hypotheses.step
     ray_points = _RayPoints(stack, rays, floats(stack.device, start), step)
-    arrays = [room.array for room in values[: len(neighbours)]]
+    arrays = [room.array for room in values]
     for part in segments(hypotheses.count):
         straddling = straddling_pixels(stack, start, step, part)
         if len(straddling) > _MANY * ray_points.size:
@@ -299,13 +300,13 @@ def find_duplicates(
 
 
 def vote_on_points(
-    stack: ViewStack, points: tuple, view: int, close_m: float, sure: np.ndarray
+    stack: ViewStack, points: tuple, view: int, close_m: float, trusted: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Votes of height map `view` on points (P): bool where it contains, sees through, and holds them.
+    """Votes of height map `view` on points (P): bool where it spans, sees through, and matches them.
 
-    A map contains points between the lowest and the highest of its four heights about them, or within `close_m` of
-    these. It sees through those above all four by more, if these are all ``sure`` (pixels) bool. It holds those within
-    `close_m` of one of the four that is sure: beside a step the others are between two surfaces. Points are in the
+    A map spans points between the lowest and the highest of its four heights about them, or within `close_m` of these.
+    It sees through those above all four by more, if these are all ``trusted`` (pixels) bool. It matches those within
+    `close_m` of one of the four that is trusted: beside a step the others are between two surfaces. Points are in the
     frame of the water plane.
     """
     Float, UInt, Byte = stack.device.module.Float, stack.device.module.UInt, stack.device.module.UInt8
@@ -314,7 +315,7 @@ def vote_on_points(
     width, reach, known = (
         dr.opaque(UInt, stack.width_of(view)),
         dr.opaque(Float, close_m),
-        Byte(sure.ravel().view(np.uint8)),
+        Byte(trusted.ravel().view(np.uint8)),
     )
     four = [corner + offset for offset in (0, 1, width, width + 1)]
     heights = [dr.gather(Float, stack.pixels[view], each, inside) for each in four]
@@ -322,12 +323,12 @@ def vote_on_points(
     for each in heights[2:]:
         low, high = dr.minimum(low, each), dr.maximum(high, each)
     below = high + reach < points[2]
-    shown, through, held = inside & ~below & (low - reach < points[2]), inside & below, inside & False
+    spans, through, matches = inside & ~below & (low - reach < points[2]), inside & below, inside & False
     for each, height in zip(four, heights, strict=True):
-        is_sure = dr.gather(Byte, known, each, inside) > 0
-        through &= is_sure
-        held |= is_sure & (dr.abs(height - points[2]) < reach)
-    found = [dr.select(each, Byte(1), Byte(0)) for each in (shown, through, held & inside)]
+        is_trusted = dr.gather(Byte, known, each, inside) > 0
+        through &= is_trusted
+        matches |= is_trusted & (dr.abs(height - points[2]) < reach)
+    found = [dr.select(each, Byte(1), Byte(0)) for each in (spans, through, matches & inside)]
     dr.eval(found)
-    shown, through, held = (each.numpy().view(bool) for each in found)
-    return shown, through, held
+    spans, through, matches = (each.numpy().view(bool) for each in found)
+    return spans, through, matches

@@ -69,8 +69,13 @@ class WideWindows:
 
 
 def buffers(device: Device, count: int, size: int) -> list[Buffer]:
-    """Memory for W of so many neighbours, of J * P each, and for the reference; allocate it before `warp`."""
-    return [Buffer.of(device, size) for _ in range(count + 1)]
+    """Memory for W of so many neighbours, of J * P each; allocate it before `warp`."""
+    return [Buffer.of(device, size) for _ in range(count)]
+
+
+def reference_buffer(device: Device, size: int) -> Buffer:
+    """Memory for the reference at each hypothesis, J * P; allocate it before `warp`."""
+    return Buffer.of(device, size)
 
 
 def _shifted(device: Device, room: Buffer, first: int, count: int):
@@ -81,20 +86,21 @@ def _shifted(device: Device, room: Buffer, first: int, count: int):
     return dr.gather(type(room.array), room.array, dr.arange(UInt, count) + dr.opaque(UInt, first))
 
 
-def windows(device: Device, reference, values: list[Buffer], width: int, radius: int) -> list[list] | WideWindows:
+def prepare_windows(
+    device: Device, reference, greys: Buffer, values: list[Buffer], width: int, radius: int
+) -> list[list] | WideWindows:
     """Pixels of all windows of the reference and of W of each neighbour, one array per place in the window.
 
-    Of wide ones the images alone. ``values`` are the `buffers` that `warp` has filled; the last of them, that of the
-    reference, is filled here.
+    Of wide ones the images alone. ``greys`` is the `reference_buffer`, which is filled from the ``reference`` (P);
+    ``values`` are the `buffers` that `warp` has filled.
     """
-    Float, (*values, greys) = device.module.Float, values
-    total = greys.size
+    Float, total = device.module.Float, greys.size
     index = dr.arange(device.module.UInt, total)
     grey = dr.gather(Float, reference, hypothesis_and_pixel(device, total, dr.width(reference))[1])
     dr.scatter(greys.array, grey, index)
     dr.eval(greys.array)
     if radius > _WIDEST_AT_ONCE:
-        return WideWindows(device, greys, values, buffers(device, _KNOWN_SUMS - 1, total), width, radius)
+        return WideWindows(device, greys, values, buffers(device, _KNOWN_SUMS, total), width, radius)
     side = 2 * radius + 1
     offsets = [row * width + column for row in range(side) for column in range(side)]
     count = total - offsets[-1]

@@ -19,7 +19,8 @@ from refract import FlatWater, PinholeCamera
 from refract.distortion import KINDS, kinds_of, row_of
 from refract.distortion import ROW as LENS_ROW
 
-_PINHOLE_ROW, _MOTION_ROW, _TIDE_ROW = 18, 3, 1
+# Numbers in a row of `camera_table`: rotation (9), centre (3) and six of the image; motion.
+_PINHOLE_ROW, _MOTION_ROW = 18, 3
 # The first level of a word of 16 bits a level where any of its four pixels is masked.
 MASKED = 2**16 - 1
 # Cache of packed images on a processor, in bytes, and at least so many: the neighbours of two views.
@@ -45,11 +46,6 @@ class CameraTerms:
             return CameraTerms(KINDS, True, True)
         moves, tides = any(c.motion is not None for c in cameras), any(c.tide != 0.0 for c in cameras)
         return CameraTerms(kinds_of(c.distortion for c in cameras), moves, tides)
-
-    @property
-    def row(self) -> int:
-        """Length of a row of the table of these cameras."""
-        return self._tide_at + (_TIDE_ROW if self.tides else 0) + (LENS_ROW if self.lenses else 0)
 
     @property
     def _tide_at(self) -> int:

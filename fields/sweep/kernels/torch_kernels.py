@@ -186,20 +186,20 @@ def find_duplicates(
 
 
 def vote_on_points(
-    stack: ViewStack, points: tuple, view: int, close_m: float, sure: np.ndarray
+    stack: ViewStack, points: tuple, view: int, close_m: float, trusted: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Votes of height map `view` on points (P); see the twin."""
     u, v, inside = project(stack.camera_rows[view], points, stack.kernel_water, stack.terms)
     corner, _, _ = _corner(stack, view, u, v, inside)
-    known = torch.from_numpy(sure.ravel()).to(corner.device)
+    known = torch.from_numpy(trusted.ravel()).to(corner.device)
     four = [corner + offset for offset in (0, 1, stack.width_of(view), stack.width_of(view) + 1)]
     heights = torch.stack([stack.pixels[view][each] for each in four])
     low, high = heights.amin(dim=0), heights.amax(dim=0)
     below = high + close_m < points[2]
-    is_sure = inside & torch.stack([known[each] for each in four])
-    shown, through = inside & ~below & (low - close_m < points[2]), is_sure.all(dim=0) & below
-    held = (is_sure & ((heights - points[2]).abs() < close_m)).any(dim=0)
-    return shown.cpu().numpy(), through.cpu().numpy(), held.cpu().numpy()
+    is_trusted = inside & torch.stack([known[each] for each in four])
+    spans, through = inside & ~below & (low - close_m < points[2]), is_trusted.all(dim=0) & below
+    matches = (is_trusted & ((heights - points[2]).abs() < close_m)).any(dim=0)
+    return spans.cpu().numpy(), through.cpu().numpy(), matches.cpu().numpy()
 
 
 def _window_means(images: Tensor, radius: int) -> Tensor:
@@ -219,7 +219,13 @@ def buffers(device: Device, count: int, size: int) -> list[Tensor]:
     return [torch.empty(size, device=device.place) for _ in range(count)]
 
 
-def windows(device: Device, reference: Tensor, values: list[Tensor], width: int, radius: int) -> tuple:
+def reference_buffer(device: Device, size: int) -> None:
+    """No memory: the reference is read where it is."""
+
+
+def prepare_windows(
+    device: Device, reference: Tensor, greys: None, values: list[Tensor], width: int, radius: int
+) -> tuple:
     """Windows for `ncc`: here none is laid out before it is needed."""
     return reference, values, width
 
@@ -287,7 +293,7 @@ def _best_half(score: Tensor, keep: int) -> Tensor:
 
 
 def best_height(device: Device, mean: Tensor, start: Tensor, step: float, count: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Best height [m], its score and its sharpness [1/m^2]; see the twin."""
+    """Best height [m], its score and curvature [1/m^2]; see the twin."""
     lost = len(start) * count - len(mean)
     start = start[lost // 2 : len(start) - lost // 2]
     # From hypothesis to hypothesis the same place is one strip farther.

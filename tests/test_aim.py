@@ -26,7 +26,7 @@ from survey.run.clock import Clock, OutOfTimeError
 
 GROUND = FullSizeAmounts(photographs_mpx=10.0, map_px=10e6, points=1e6, poses="fixed", num_views=10)
 # A machine on which all rates are easy to count with.
-PACE = RoundRates(sample_s=1e-8, images_s=1.0, slow=1.0, point_s=1e-5)
+PACE = RoundRates(sample_s=1e-8, images_s=1.0, slowness=1.0, point_s=1e-5)
 RECIPES = recipes_for([(1024, 768)])
 SCALES = (0.25, 0.25, 0.5, 0.5, 1.0, 1.0)
 
@@ -132,27 +132,33 @@ def test_a_target_in_a_time_goes_as_far_as_both_allow():
 
 
 def test_going_on_costs_only_the_passes_that_are_finer():
-    whole, later = samples(GROUND, 1.0, lowest=0.25), samples(GROUND, 1.0, lowest=0.25, before=0.5)
+    whole, later = samples(GROUND, 1.0, lowest_scale=0.25), samples(GROUND, 1.0, lowest_scale=0.25, earlier_scale=0.5)
     assert 0.5 * whole < later < whole
     # A round at a quarter, where the whole bound is searched at once, costs a quarter beside.
-    assert samples(GROUND, 0.25, lowest=0.25) + samples(GROUND, 1.0, lowest=0.25, before=0.25) < 1.3 * whole
+    assert (
+        samples(GROUND, 0.25, lowest_scale=0.25) + samples(GROUND, 1.0, lowest_scale=0.25, earlier_scale=0.25)
+        < 1.3 * whole
+    )
 
 
 def test_poses_that_are_checked_or_adjusted_take_time_first():
     least = {
-        poses: PACE.least_s(replace(GROUND, poses=poses), 0.25, lowest=0.25) for poses in ("fixed", "check", "refine")
+        poses: PACE.least_s(replace(GROUND, poses=poses), 0.25, lowest_scale=0.25)
+        for poses in ("fixed", "check", "refine")
     }
     assert least["fixed"] < least["check"] < least["refine"]
     # Only some photographs are checked, however many there are.
     many = replace(GROUND, photographs_mpx=1000.0, num_views=1000)
-    checked, fixed = (PACE.least_s(replace(many, poses=p), 0.25, lowest=0.25) for p in ("check", "fixed"))
+    checked, fixed = (PACE.least_s(replace(many, poses=p), 0.25, lowest_scale=0.25) for p in ("check", "fixed"))
     assert checked - fixed == pytest.approx(least["check"] - least["fixed"])
 
 
 def test_a_slow_machine_shows_in_the_first_round():
     slow = PACE.after_sweep(3.0 * PACE.sample_s * 1e6, 1e6, 2.0)
-    compared = samples(GROUND, 1.0, lowest=0.25, before=0.5)
-    assert slow.sweep_s(GROUND, 1.0, lowest=0.25, before=0.5) == pytest.approx(2.0 + 3.0 * compared * PACE.sample_s)
+    compared = samples(GROUND, 1.0, lowest_scale=0.25, earlier_scale=0.5)
+    assert slow.sweep_s(GROUND, 1.0, lowest_scale=0.25, earlier_scale=0.5) == pytest.approx(
+        2.0 + 3.0 * compared * PACE.sample_s
+    )
     assert slow.tail_s(GROUND, 1.0) == pytest.approx(3.0 * PACE.tail_s(GROUND, 1.0))
     assert slow.solver_s(GROUND, 1.0) == pytest.approx(3.0 * PACE.solver_s(GROUND, 1.0))
     assert PACE.after_solver(2.0 + 50.0, 1_000_000).solver_s(GROUND, 1.0) == pytest.approx(52.0)

@@ -17,7 +17,7 @@ from survey.photos.exif import read_exif
 from survey.photos.texture import detail_of, relative
 from survey.plan.check import require_processable
 from survey.plan.check_light import LEAST_SHARP, glitter_text, light_section, motion_text, sharpness_text, times_of
-from survey.plan.glitter import GlitterOfFlight, glitters, slope_variance, widest_lean
+from survey.plan.glitter import GlitterOfFlight, glitters, largest_facet_slope, slope_variance
 
 UP = np.array([0.0, 0.0, 1.0])
 DOWN = np.diag([1.0, -1.0, -1.0])
@@ -36,7 +36,7 @@ def sun(elevation_deg: float, azimuth_deg: float = 0.0) -> np.ndarray:
 def test_slopes_are_those_that_cox_and_munk_measured():
     # Their table: 10 m/s have a mean square slope of 0.054.
     assert slope_variance(10.0) == pytest.approx(0.054, abs=5e-4)
-    lean = widest_lean(5.0)
+    lean = largest_facet_slope(5.0)
     assert math.exp(-(math.tan(lean) ** 2) / slope_variance(5.0)) == pytest.approx(0.1)
 
 
@@ -44,7 +44,7 @@ def test_glitter_of_a_sun_overhead_is_a_disc_about_the_nadir_twice_as_wide_as_fa
     found = GlitterOfFlight([nadir()], UP).under(sun(90.0), 2.0)
     assert found.num_mirrored == 1
     # The disc has the radius f tan(2 lean) in the frame; the frame is looked at in squares of 50 pixels.
-    radius = 600.0 * math.tan(2.0 * widest_lean(2.0))
+    radius = 600.0 * math.tan(2.0 * largest_facet_slope(2.0))
     assert found.share[0] == pytest.approx(math.pi * radius**2 / 1200.0**2, rel=0.1)
     assert found.views is None
 

@@ -74,7 +74,7 @@ def kept(tmp_path_factory):
     folder = tmp_path_factory.mktemp("foreseen") / "tiny"
     draw_survey(folder, DrawnScene.tiny())
     survey = load_survey(folder)
-    assert make_plan(survey).poses[0] == "fixed"
+    assert make_plan(survey).pose_choice == "fixed"
     return survey
 
 

@@ -386,6 +386,7 @@ def test_the_plan_is_saved_as_plain_numbers_and_texts(tmp_path):
     plan = make_plan(load_survey(small_survey(tmp_path / "s")))
     again = json.loads(json.dumps(plan.as_dict()))
     assert again["gsd_m"] == plan.gsd_m
+    assert again["poses"] == [plan.pose_choice, plan.pose_reason]
     assert [each["name"] for each in again["decisions"][:2]] == ["poses", "refraction"]
     assert f"{LEVEL:g} m" in again["decisions"][1]["reason"]
 

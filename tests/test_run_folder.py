@@ -77,16 +77,19 @@ def test_the_record_of_a_stage_has_key_parts_seconds_and_versions(tmp_path):
 
 def test_a_run_says_why_a_stage_is_computed_again(tmp_path):
     with RunDir(tmp_path / "run") as run:
-        assert run.why_again("sweep", A) is None
+        assert run.recompute_reason("sweep", A) is None
         finish(run, "sweep", A, x=np.zeros(1))
-        assert run.why_again("sweep", B) == "the water changed"
-        assert run.why_again("sweep", Key({"water": "2", "code": "y"})) == "the water and the program changed"
+        assert run.recompute_reason("sweep", B) == "the water changed"
+        assert run.recompute_reason("sweep", Key({"water": "2", "code": "y"})) == "the water and the program changed"
         finish(run, "sweep", Key({"water": "2", "code": "y"}), x=np.zeros(1))
-        assert run.why_again("sweep", Key({"water": "2", "code": "z"})) == "the program changed"
-        assert run.why_again("bed", A) is None
+        assert run.recompute_reason("sweep", Key({"water": "2", "code": "z"})) == "the program changed"
+        assert run.recompute_reason("bed", A) is None
         bed = Key({"sweep": "sweep-1", "code": "x"})
         finish(run, "bed", bed, x=np.zeros(1))
-        assert run.why_again("bed", Key({"sweep": "sweep-2", "code": "x"})) == "the result of the stage sweep changed"
+        assert (
+            run.recompute_reason("bed", Key({"sweep": "sweep-2", "code": "x"}))
+            == "the result of the stage sweep changed"
+        )
 
 
 def test_results_of_other_settings_stand_side_by_side_until_a_result_replaces_them(tmp_path):

@@ -139,8 +139,8 @@ def test_the_number_of_tiles_that_a_run_began_with_is_known_elsewhere(url, tmp_p
     with RemoteRun(tmp_path / "cluster", Remote(url)) as run:
         # One that is not whole does not count.
         run.remote.write("stages/tiles-zz/shared.json", b'{"tiles": 8}')
-        assert run.found_before("shared.json") == {"tiles": 6}
-        assert run.found_before("other.json") == {}
+        assert run.latest_stage_json("shared.json") == {"tiles": 6}
+        assert run.latest_stage_json("other.json") == {}
 
 
 def test_a_result_replaces_the_one_before_and_a_copy_of_the_url_is_a_run(url, tmp_path):

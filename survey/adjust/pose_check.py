@@ -162,7 +162,7 @@ def deep_check(folder: Path, *, device: str = "auto") -> list[CheckSection]:
     progress = current()
     survey = load_survey(folder, report=progress.note)
     plan, checked = make_plan(survey, Choices(device=device)), PoseCheck(None)
-    if plan.poses[0] == "check":
+    if plan.pose_choice == "check":
         with progress.stage("Poses", 1.0) as stage, suppress(SurveyError):
             checked = check_of_windows(survey, plan, *load_photographs(survey, plan), stage.advance)
         checked.require_water()

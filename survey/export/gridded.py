@@ -85,11 +85,11 @@ def gridded(run: LoadedRun, options: ExportOptions) -> Gridded:
 
 
 def _gridded(run: LoadedRun, options: ExportOptions) -> Gridded:
-    pixel = run.place.gsd_m
+    pixel = run.bed_header.gsd_m
     if options.resolution_m is not None:
         require_not_too_fine(options.resolution_m, pixel)
     columns = run.columns(*_COLUMNS)
-    points, crs = columns["points_crs"], run.place.crs
+    points, crs = columns["points_crs"], run.bed_header.crs
     if options.crs is not None:
         way = run.transformation_to(options.crs)
         points, crs = way(points), way.crs

@@ -59,9 +59,9 @@ def _write_bag(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     form = RasterForm(crs, cells.transform, cells.shape, bands, nodata=_BAG_NODATA)
     filled = f"; gaps up to {options.fill_m:g} m are interpolated" if options.fill_m else ""
     said = {
-        "ABSTRACT": f"{run.place.name}: bed of shallow water from photographs, {_BAG_MARK.decode()}. Elevation [m]: "
-        f"mean of the bed over a cell around the node{filled}. Uncertainty [m]: one standard deviation of it, 1.96 of "
-        "which are 95 %.",
+        "ABSTRACT": f"{run.bed_header.name}: bed of shallow water from photographs, {_BAG_MARK.decode()}. Elevation "
+        f"[m]: mean of the bed over a cell around the node{filled}. Uncertainty [m]: one standard deviation of it, "
+        "1.96 of which are 95 %.",
         "PROCESS_STEP_DESCRIPTION": f"{SOFTWARE}: a plane by least squares through the points of each cell, seen from "
         "above",
     }

@@ -23,7 +23,7 @@ from survey.run.folder import RunDir
 
 if TYPE_CHECKING:
     from geo.reproject import Reprojection
-    from survey.run.stored import BedPlace, StoredBed
+    from survey.run.stored import BedHeader, StoredBed
     from survey.settings.config import SurveyConfig
 
 # The stage whose folder holds the cloud.
@@ -71,11 +71,11 @@ class LoadedRun:
         return load_bed(self._bed_folder)
 
     @cached_property
-    def place(self) -> BedPlace:
+    def bed_header(self) -> BedHeader:
         """CRS, name and ground sampling distance, without the points."""
-        from survey.run.stored import load_bed_place
+        from survey.run.stored import load_bed_header
 
-        return load_bed_place(self._bed_folder)
+        return load_bed_header(self._bed_folder)
 
     @cached_property
     def flight(self) -> Flight:
@@ -118,7 +118,7 @@ class LoadedRun:
             # Runs of early versions stored no frame; no area then restricts the choice of the operation.
             with suppress(SurveyError):
                 places = np.array([self.flight.frame.origin])
-            self._ways[crs] = Reprojection.between(self.place.crs, crs, where="--crs", places=places)
+            self._ways[crs] = Reprojection.between(self.bed_header.crs, crs, where="--crs", places=places)
         return self._ways[crs]
 
     def bed_in(self, crs: str | None) -> StoredBed:

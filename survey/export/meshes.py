@@ -58,7 +58,7 @@ def _mesh(path: Path, run: LoadedRun, options: ExportOptions) -> Mesh:
         bed.xyz,
         bed.rgb,
         bed.std,
-        spacing_m=options.resolution_m or run.place.gsd_m,
+        spacing_m=options.resolution_m or run.bed_header.gsd_m,
         method=options.mesh_method,
         watertight=options.watertight,
         path=path,

@@ -65,7 +65,7 @@ def image_based_field(
         load=load,
         mapped=frozenset(mapped),
         height=float(np.median(heights_over(points, flight.water))),
-        tolerance=_TOLERANCE_GSD * run.place.gsd_m,
+        tolerance=_TOLERANCE_GSD * run.bed_header.gsd_m,
         gains=np.ones((len(flight.views), 3)),
     )
     needed = sorted({number for camera in cameras for number in field.sources_of(camera, dry=dry)})

@@ -30,7 +30,7 @@ def _write_orthophoto(path: Path, run: LoadedRun, options: ExportOptions) -> Non
     from survey.export.bed_cells import round_side
     from survey.export.occlusion import WINDOW
 
-    side_m = options.resolution_m or round_side(run.place.gsd_m)
+    side_m = options.resolution_m or round_side(run.bed_header.gsd_m)
     mosaic = _mosaic(run, options, side_m)
     cells = mosaic.cells
     said = {
@@ -53,14 +53,14 @@ def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
     from survey.export.occlusion import HeightBuffer, Mosaic, Windows, common_exposure, log_weight
     from survey.progress import current
 
-    require_not_too_fine(side_m, run.place.gsd_m)
+    require_not_too_fine(side_m, run.bed_header.gsd_m)
     grid = gridded(run, replace(options, resolution_m=None))
     if side_m > grid.cells.side_m:
         # Heights need larger cells than colours do, but not larger ones than are asked for.
         grid = gridded(run, options)
     flight = flight_of(run, options.survey)
     scale = min(1.0, grid.pixel_m / side_m)
-    _require_pixels(flight, scale, side_m, run.place.gsd_m)
+    _require_pixels(flight, scale, side_m, run.bed_header.gsd_m)
     photographs = at_scale(flight, scale)
     cells = grid.cells.finer(side_m)
     mosaic, colour_of = Mosaic.empty(cells, run.scratch), _colour_of(run, grid, cells)

@@ -92,7 +92,7 @@ def _unseen(run: LoadedRun) -> Unseen:
     flight = run.flight
     cameras = [view.camera for view in flight.views]
     xyz, area = run.columns("xyz")["xyz"], local_area(flight)
-    cells = cells_seen(cameras, flight.water, flight.departure, area, xyz, run.place.gsd_m)
+    cells = cells_seen(cameras, flight.water, flight.departure, area, xyz, run.bed_header.gsd_m)
     places = cells.middles
     level = flight.level(places[..., :2])
     is_water = cells.height < level
@@ -146,7 +146,7 @@ def footprints(run: LoadedRun, options: ExportOptions) -> Layer:
     flight = run.flight
     cameras = [view.camera for view in flight.views]
     xyz = run.columns("xyz")["xyz"]
-    cells = cells_seen(cameras, flight.water, flight.departure, None, xyz, run.place.gsd_m)
+    cells = cells_seen(cameras, flight.water, flight.departure, None, xyz, run.bed_header.gsd_m)
     shapes, names, areas, lost = [], [], [], []
     for view in flight.views:
         ring = _on_bed(view.camera, plane_under(flight.water, flight.departure, view.camera.centre), cells)
@@ -215,7 +215,7 @@ def _in_crs(run: LoadedRun, options: ExportOptions, local: np.ndarray) -> np.nda
 
 
 def _crs(run: LoadedRun, options: ExportOptions) -> CRS:
-    return run.place.crs if options.crs is None else run.transformation_to(options.crs).crs
+    return run.bed_header.crs if options.crs is None else run.transformation_to(options.crs).crs
 
 
 def write_mask(path: Path, run: LoadedRun, options: ExportOptions) -> None:
@@ -225,7 +225,7 @@ def write_mask(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     """
     grid, unseen = gridded(run, options), unseen_of(run)
     corner = np.array([[grid.cells.west, grid.cells.north]])
-    back = Transformation.between(grid.cells.crs, run.place.crs, corner)
+    back = Transformation.between(grid.cells.crs, run.bed_header.crs, corner)
     level = float(unseen.frame.origin[2])
 
     def values(window: CellWindow) -> np.ndarray:
@@ -280,7 +280,7 @@ def shoreline(run: LoadedRun, options: ExportOptions) -> Layer:
     """
     grid = gridded(run, options)
     if grid.level is None:
-        raise SurveyError(f"{run.place.name} is a dry survey and has no shoreline; leave --shoreline out")
+        raise SurveyError(f"{run.bed_header.name} is a dry survey and has no shoreline; leave --shoreline out")
     lines = _lines(grid, grid.depths(_whole(grid)), 0.0)
     about = f"where the bed meets the water of the survey, in cells of {grid.cells.side_m:g} m"
     depths = [0.0] * len(lines)

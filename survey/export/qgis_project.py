@@ -56,7 +56,7 @@ def _write(path: Path, run: LoadedRun, options: ExportOptions) -> None:
         (path / _PHOTO).unlink(missing_ok=True)
         current().warn(f"{path / _PROJECT} has no orthophoto: {error}")
     with write_whole(path / _PROJECT) as stream:
-        stream.write(project(path, run.place.name).encode())
+        stream.write(project(path, run.bed_header.name).encode())
 
 
 def project(folder: Path, title: str) -> str:

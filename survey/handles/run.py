@@ -98,7 +98,7 @@ def dem_of(path: Path, options: ExportOptions) -> Dem:
     with LoadedRun(path) as run, TemporaryDirectory(prefix="bathynerf-dem-") as folder:
         file = Path(folder) / "dem.tif"
         product.write(file, run, options)
-        crs = run.place.crs if options.crs is None else run.transformation_to(options.crs).crs
+        crs = run.bed_header.crs if options.crs is None else run.transformation_to(options.crs).crs
         with rasterio.open(file) as raster:
             layers = dict(zip(_BANDS, raster.read(masked=True).filled(np.nan), strict=True))
             transform, (rows, columns) = raster.transform, raster.shape

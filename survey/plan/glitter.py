@@ -45,7 +45,7 @@ def slope_variance(wind_m_s: float) -> float:
     return 0.003 + 0.00512 * wind_m_s
 
 
-def widest_lean(wind_m_s: float) -> float:
+def largest_facet_slope(wind_m_s: float) -> float:
     """Largest slope angle [rad] of facets at the edge of the glitter."""
     return math.atan(math.sqrt(-math.log(_RAREST) * slope_variance(wind_m_s)))
 
@@ -55,7 +55,7 @@ def glitters(directions: np.ndarray, sun: np.ndarray, up: np.ndarray, wind_m_s: 
     facet = sun - directions
     with np.errstate(invalid="ignore"):
         lean = (facet @ up) / np.linalg.norm(facet, axis=-1)
-    return (lean >= math.cos(widest_lean(wind_m_s))) & (directions @ up < 0.0) & (sun @ up > 0.0)
+    return (lean >= math.cos(largest_facet_slope(wind_m_s))) & (directions @ up < 0.0) & (sun @ up > 0.0)
 
 
 class GlitterOfFlight:
@@ -109,7 +109,7 @@ class GlitterOfFlight:
         """Largest elevation [rad] of the sun that keeps steep views free of glitter; negative where there is none."""
         widest = max(float(np.arccos(np.clip(-(rays @ self._up), -1.0, 1.0)).max()) for rays in self._steep())
         # A reflected ray turns by twice the slope of the facet.
-        return 0.5 * math.pi - widest - 2.0 * widest_lean(wind_m_s)
+        return 0.5 * math.pi - widest - 2.0 * largest_facet_slope(wind_m_s)
 
     def _steep(self) -> list[np.ndarray]:
         """Frames of the steepest half of the views."""

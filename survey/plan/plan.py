@@ -57,8 +57,10 @@ class Plan:
     boxes : bool
         Whether the bed beside and under depth steps is searched in boxes: `fields.occluded`.
     device_asked : "auto", "cpu" or "cuda"
-    poses : ("refine", "fixed" or "check", reason)
+    pose_choice : "refine", "fixed" or "check"
         Whether poses, lens and water are adjusted first, or only if a sample of photographs contradicts the poses.
+    pose_reason : str
+        Why, in words.
     skips : Skips
         Work to skip that the scene does not need; nothing with ``--plan full``.
     """
@@ -74,7 +76,8 @@ class Plan:
     field: str = "off"
     boxes: bool = False
     device_asked: str = "auto"
-    poses: tuple[str, str] = ("fixed", "")
+    pose_choice: str = "fixed"
+    pose_reason: str = ""
     skips: Skips = SKIPS
 
     @property
@@ -84,7 +87,9 @@ class Plan:
 
     def as_dict(self) -> dict:
         """Plain numbers, texts and lists, to be saved with the run."""
-        return asdict(self)
+        values = asdict(self)
+        poses, skips = (values.pop("pose_choice"), values.pop("pose_reason")), values.pop("skips")
+        return {**values, "poses": poses, "skips": skips}
 
 
 def make_plan(survey: Survey, chosen: Choices = USUAL, *, recipe: Recipe | None = None) -> Plan:
@@ -141,7 +146,8 @@ def make_plan(survey: Survey, chosen: Choices = USUAL, *, recipe: Recipe | None 
         field=field.choice,
         boxes=has_boxes(field.choice, chosen.field, aimed=quality == AIMED),
         device_asked=chosen.device,
-        poses=(poses.choice, poses.reason),
+        pose_choice=poses.choice,
+        pose_reason=poses.reason,
         skips=skips,
     )
 

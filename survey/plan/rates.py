@@ -15,7 +15,7 @@ from fields.sweep.passes import PASSES, POINTS_SHARE, Pass, before_solver
 FIRST_HYPOTHESES = 25
 # Samples of the sweep (pixels x hypotheses x neighbours) per core and second, by Dr.Jit on LLVM, including the search
 # beside steps.
-STEPS_PER_CORE_S = 55e6
+SAMPLES_PER_CORE_S = 55e6
 # Imports and hashes, and the report, of any run; compilation of kernels, on all cores.
 _START_S, _REPORT_S, _KERNELS_S = 2.5, 2.0, 2.0
 # Check of poses with this many photographs, and adjustment with all, at most at this size [Mpx]; times once, and per
@@ -70,7 +70,7 @@ def parts_s(amounts: Amounts, num_cores: int) -> dict[str, float]:
     elif amounts.poses == "refine":
         parts = {"Adjustment": sum(adjustment_s(amounts, num_cores))} | parts
     passes = before_solver(PASSES) if amounts.solves else PASSES
-    shared = _KERNELS_S + _samples(amounts, passes) / STEPS_PER_CORE_S
+    shared = _KERNELS_S + _samples(amounts, passes) / SAMPLES_PER_CORE_S
     parts["Sweep"] = _RANGE_S * min(amounts.largest_px / _THUMBNAIL_PX, 1.0) + shared / num_cores
     if amounts.solves:
         parts["Solver"] = (_SOLVER_S[0] + _SOLVER_S[1] * amounts.map_px) / num_cores
@@ -100,7 +100,7 @@ def parts_in_tiles(parts: dict[str, float], count: int) -> dict[str, float]:
 def adjustment_s(amounts: Amounts, num_cores: int) -> tuple[float, float, float]:
     """Times [s] of an adjustment of matches, of windows, and of an adjustment of all."""
     solving = _SOLVING_S[0] + _SOLVING_S[1] * amounts.num_views
-    shared = _samples(amounts, PASSES[:2]) / STEPS_PER_CORE_S + search_s(amounts.num_views)
+    shared = _samples(amounts, PASSES[:2]) / SAMPLES_PER_CORE_S + search_s(amounts.num_views)
     return solving, _WINDOWS_S + _DECODING_S * amounts.photographs_mpx + shared / num_cores, solving
 
 

@@ -28,8 +28,8 @@ MAX_STD_GSD = 1.5
 # Of the standard deviation of a height with all that it shares: that of IHO S-44's strictest order in shallow water,
 # 77 mm, where one and a half ground sampling distances are less.
 STRICTEST_ORDER_M = TVU[0][1] / TO_95
-# Photographs of which less is shown than this see the sun, and no number of them sees the bed.
-_LEAST_SHOWN = 0.1
+# Least share of the photographs that is not white: with less, no number of them shows the bed.
+_LEAST_CLEAR_SHARE = 0.1
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,8 @@ RECIPES = {
 
 def required_views(white_shares: Sequence[float], times_seen: tuple[int, int]) -> tuple[int, int]:
     """Number of photographs, as `Recipe.times_seen`: more where shares of them are white, which show no bed."""
-    shown = max(1.0 - sum(white_shares) / max(len(white_shares), 1), _LEAST_SHOWN)
-    steep, oblique = (round(times / shown) for times in times_seen)
+    clear = max(1.0 - sum(white_shares) / max(len(white_shares), 1), _LEAST_CLEAR_SHARE)
+    steep, oblique = (round(times / clear) for times in times_seen)
     return steep, oblique
 
 
@@ -84,8 +84,8 @@ def max_height_std(gsd_m: float) -> float:
     return max(MAX_STD_GSD * gsd_m, STRICTEST_ORDER_M)
 
 
-# The standard deviation is asked for this share of the ground that has points.
-SHARE = 0.95
+# The target standard deviation holds for this share of the ground that has points: it is that quantile of the heights'.
+STD_QUANTILE = 0.95
 # Smaller images are not matched [px along the longer side]; a quarter of the smallest that any survey here has.
 _LEAST_SIDE_PX = 200
 # Three confirm each other, and one looks under from each quarter.
@@ -96,14 +96,14 @@ _TIMES_SEEN = (3, 1)
 class Aim:
     """Target of a run: a standard deviation, a time, or both."""
 
-    # Standard deviation of heights [m], each point's own without `std_common`, of `SHARE` of the ground
+    # Standard deviation of heights [m], each point's own without `std_common`, of `STD_QUANTILE` of the ground
     std_m: float | None = None
     seconds: float | None = None  # Wall clock of the whole run [s]
 
     def __str__(self) -> str:
         parts = []
         if self.std_m is not None:
-            parts.append(f"a standard deviation of {length(self.std_m)} on {100 * SHARE:g} % of the ground")
+            parts.append(f"a standard deviation of {length(self.std_m)} on {100 * STD_QUANTILE:g} % of the ground")
         if self.seconds is not None:
             parts.append(f"at most {self.seconds:g} s")
         return " in ".join(parts)

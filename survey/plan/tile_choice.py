@@ -18,8 +18,8 @@ from survey.plan.area import flattened
 from survey.plan.decisions import Decision
 from survey.plan.heights import dry_ground
 from survey.plan.sweep_block import camera_of
-from survey.plan.tiling import FRAME_M, MOST_ASIDE_PX, RIM_GSD, Area, Tiling, ground_of, ray_skew_px
-from survey.plan.workload import POINT_BYTES, Counted, amounts_of, memory_of
+from survey.plan.tiling import FRAME_M, MOST_SKEW_PX, RIM_GSD, Area, Tiling, ground_of, ray_skew_px
+from survey.plan.workload import POINT_BYTES, SurveyAmounts, memory_of, survey_amounts
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey
@@ -80,11 +80,11 @@ def choose_tiles(
     *,
     is_aimed: bool,
     earlier: int | None = None,
-    counted: Counted | None = None,
+    counted: SurveyAmounts | None = None,
 ) -> TileChoice:
     """Tiles of a survey by its memory, and as many processes for them as are asked for.
 
-    ``earlier`` is the number of tiles of an unfinished run that goes on; ``counted`` that of `amounts_of`, where known.
+    ``earlier`` is the number of tiles of an unfinished run that goes on; ``counted`` are `survey_amounts`, where known.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def choose_tiles(
     if chosen.tiles == 1:
         _refuse_workers(chosen, "--tiles 1 is one piece")
         return TileChoice.in_one_piece(workload, "set by --tiles")
-    counted = amounts_of(survey, plan) if counted is None else counted
+    counted = survey_amounts(survey, plan) if counted is None else counted
     if chosen.tiles is None:
         return _with_workers(_as_needed(survey, plan, chosen, workload, counted, earlier), chosen)
     tiling = Tiling.of(ground_of(survey, plan), chosen.tiles, RIM_GSD * plan.gsd_m)
@@ -111,7 +111,7 @@ def choose_tiles(
 
 
 def _as_needed(
-    survey: Survey, plan: Plan, chosen: Choices, workload: Workload, counted: Counted, earlier: int | None
+    survey: Survey, plan: Plan, chosen: Choices, workload: Workload, counted: SurveyAmounts, earlier: int | None
 ) -> TileChoice:
     """As few tiles as memory, workers, water and local frames allow; one piece where it serves for all of them."""
     ground, one = ground_of(survey, plan), float(workload.memory_bytes)
@@ -168,7 +168,7 @@ def _for_water(survey: Survey, plan: Plan) -> tuple[int, str]:
     tried = []
     for tiling, px in ray_skew_px(survey, plan, ground, chain([None], tilings)):
         tried.append((px, 1 if tiling is None else len(tiling)))
-        if px <= MOST_ASIDE_PX:
+        if px <= MOST_SKEW_PX:
             break
     return min(tried)[1], f"rays of a point bent at one plane are skew by up to {tried[0][0]:.2g} px"
 
@@ -257,21 +257,21 @@ def _size_of(tiling: Tiling) -> str:
     return f"{length(width)} x {length(height)}"
 
 
-def _memory(survey: Survey, plan: Plan, tiling: Tiling, counted: Counted) -> float:
+def _memory(survey: Survey, plan: Plan, tiling: Tiling, counted: SurveyAmounts) -> float:
     """Memory at the peak of a run in tiles [bytes]."""
-    pixels, chosen, num_cells = counted
+    pixels = counted.view_pixels
     whole = np.array([tiling.x[-1] - tiling.x[0], tiling.y[-1] - tiling.y[0]])
     own = np.array([tiling.x[1] - tiling.x[0], tiling.y[1] - tiling.y[0]]) + 2.0 * tiling.rim
     footprint = np.array(plan.footprint_m)
     window = np.minimum(_MORE * window_pixels(survey, plan, (float(own[0]), float(own[1]))), np.max(pixels))
     # Photographs are spread over the ground; those that show a tile begin half a footprint beyond it.
     share = float(np.prod(np.minimum((own + footprint) / (whole + footprint), 1.0)))
-    views, maps = (max(int(np.ceil(share * count)), 1) for count in (len(pixels), len(chosen)))
+    views, maps = (max(int(np.ceil(share * count)), 1) for count in (len(pixels), len(counted.matched_views)))
     largest = max(view.lens.width * view.lens.height for view in survey.views)
     solves = plan.field == "solver"
     of_views, of_maps = (np.quantile(window, np.linspace(1.0, 0.0, count)) for count in (views, maps))
-    of_tile = memory_of(of_views, of_maps, largest, num_cells / len(tiling), 0.0, solves)
-    return max(of_tile, _REPORT_BYTES + POINT_BYTES * num_cells)
+    of_tile = memory_of(of_views, of_maps, largest, counted.num_cells / len(tiling), 0.0, solves)
+    return max(of_tile, _REPORT_BYTES + POINT_BYTES * counted.num_cells)
 
 
 def window_pixels(survey: Survey, plan: Plan, sides: tuple[float, float]) -> np.ndarray:

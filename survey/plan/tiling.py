@@ -31,8 +31,8 @@ Area = tuple[float, float, float, float]
 # Overlap of maps beyond a tile [ground sampling distances]: windows of the solver with their halo (8), and the
 # neighbourhood of points (4). Windows of the sweep are added, in pixels of each photograph.
 RIM_GSD = 8.0
-# Largest distance between the rays of a point [ground sampling distances].
-MOST_ASIDE_PX = 0.25
+# Largest distance between the rays of a point: how far they are skew [px] (= ground sampling distances).
+MOST_SKEW_PX = 0.25
 # A local frame is used for no more than this [m] along a side.
 FRAME_M = 1000.0
 # Places along each side of a tile.
@@ -149,11 +149,11 @@ def _water_warnings(survey: Survey, plan: Plan, tiling: Tiling | None) -> tuple[
     if survey.water is None or survey.observations.departure is None:
         return ()
     _, px = next(ray_skew_px(survey, plan, ground_of(survey, plan), [tiling]))
-    if px <= MOST_ASIDE_PX:
+    if px <= MOST_SKEW_PX:
         return ()
     return (
         f"rays bent at {'one plane' if tiling is None else 'the planes of the tiles'} for the water of [water] surface "
-        f"are skew by up to {px:.2g} px, expected at most {MOST_ASIDE_PX:g}: heights there may be wrong or "
+        f"are skew by up to {px:.2g} px, expected at most {MOST_SKEW_PX:g}: heights there may be wrong or "
         "missing; take more tiles (--tiles), or photographs that look down more steeply",
     )
 

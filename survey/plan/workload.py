@@ -55,13 +55,18 @@ _MOST_VIEWS = 2000
 # Views that stand for all where heights of the first pass are counted.
 _SAMPLE = 5
 # For real photographs with noise, glitter or little texture, which need wider windows than simulated ones.
-_BADLY = "three to five times as long"
+_HARD_MATCHING_TIME = "three to five times as long"
 # Without poses: cells of the bed per pixel, since with the usual overlap a place is seen ten times or more.
 _OWN_GROUND = 0.1
 
 
-# Pixels of each view, the views that get a height map, and cells of one ground sampling distance, at most.
-Counted = tuple[np.ndarray, list[int], float]
+@dataclass(frozen=True)
+class SurveyAmounts:
+    """What the views of a survey and its bed are made of, at the scale of its plan."""
+
+    view_pixels: np.ndarray  # (V,): number of pixels of each view
+    matched_views: list[int]  # Views that get a height map
+    num_cells: float  # Cells of the bed, of one ground sampling distance, at most
 
 
 @dataclass(frozen=True)
@@ -90,13 +95,13 @@ class Workload:
         return replace(self, seconds=self.seconds * slowness, sfm_seconds=of_sfm, slowness=slowness)
 
     @property
-    def most(self) -> str:
+    def bound_words(self) -> str:
         """ "At most" for a bound, "about" for an estimate."""
         return "at most " if self.is_bound else "about "
 
     def __str__(self) -> str:
         """The workload in words, as `check` and `process` say it."""
-        rooms = f"{self.most}{size(self.memory_bytes)} of memory and {size(self.disk_bytes)} on the disk"
+        rooms = f"{self.bound_words}{size(self.memory_bytes)} of memory and {size(self.disk_bytes)} on the disk"
         maps = f"{self.num_maps} of {self.num_views} views get a height map"
         if self.seconds is None:
             return f"{rooms}; {maps}; no time was measured on such a device"
@@ -106,10 +111,9 @@ class Workload:
             state = f"{self.num_cores} {cores} {load_in_words(self.slowness)}"
         if self.sfm_seconds is not None:
             of_sfm = f"{rough(self.sfm_seconds)} of them for structure from motion"
-            return (
-                f"about {rough(self.seconds)} on {state}, {of_sfm}, and {_BADLY} where photographs match badly; {rooms}"
-            )
-        return f"{self.most}{rough(self.seconds)} on {state}, {rooms}; {maps}"
+            hard = f"{_HARD_MATCHING_TIME} where photographs match badly"
+            return f"about {rough(self.seconds)} on {state}, {of_sfm}, and {hard}; {rooms}"
+        return f"{self.bound_words}{rough(self.seconds)} on {state}, {rooms}; {maps}"
 
 
 def load_in_words(slowness: float) -> str:
@@ -117,28 +121,29 @@ def load_in_words(slowness: float) -> str:
     return f"as busy as now ({slowness:.1f} times as long as idle)"
 
 
-def workload_of(survey: Survey, plan: Plan, counted: Counted | None = None) -> Workload:
+def workload_of(survey: Survey, plan: Plan, counted: SurveyAmounts | None = None) -> Workload:
     """The estimate for a survey whose poses are known.
 
     Parameters
     ----------
     counted : optional
-        Of `amounts_of`, where it is known.
+        Of `survey_amounts`, where it is known.
 
     Raises
     ------
     SurveyError
         If no view looks down.
     """
-    pixels, chosen, num_cells = amounts_of(survey, plan) if counted is None else counted
+    counted = survey_amounts(survey, plan) if counted is None else counted
+    pixels, of_maps = counted.view_pixels, counted.view_pixels[counted.matched_views]
     largest = max(view.lens.width * view.lens.height for view in survey.views)
-    amounts = _amounts(survey, plan, pixels, chosen, num_cells)
+    amounts = amounts_of_run(survey, plan, counted)
     seconds = run_s(amounts, machine.num_cores()) if plan.device == "llvm" else None
-    found = _workload(pixels, pixels[chosen], largest, num_cells, amounts.field_cells, amounts.solves)
+    found = _workload(pixels, of_maps, largest, counted.num_cells, amounts.field_cells, amounts.solves)
     return replace(found, seconds=seconds, is_bound=len(pixels) > _MOST_VIEWS)
 
 
-def amounts_of_run(survey: Survey, plan: Plan, counted: Counted | None = None) -> Amounts:
+def amounts_of_run(survey: Survey, plan: Plan, counted: SurveyAmounts | None = None) -> Amounts:
     """Amounts of work of a run; ``counted`` as for `workload_of`.
 
     Raises
@@ -146,18 +151,16 @@ def amounts_of_run(survey: Survey, plan: Plan, counted: Counted | None = None) -
     SurveyError
         If no view looks down.
     """
-    return _amounts(survey, plan, *(amounts_of(survey, plan) if counted is None else counted))
-
-
-def _amounts(survey: Survey, plan: Plan, pixels: np.ndarray, chosen: list[int], num_cells: float) -> Amounts:
+    counted = survey_amounts(survey, plan) if counted is None else counted
+    pixels = counted.view_pixels
     return Amounts(
         num_views=len(pixels),
         photographs_mpx=sum(view.lens.width * view.lens.height for view in survey.views) / 1e6,
         largest_px=float(np.max(pixels)),
-        map_px=float(np.sum(pixels[chosen])),
-        points=num_cells,
-        field_cells=num_cells if plan.field == "slab" else 0.0,
-        poses=plan.poses[0],
+        map_px=float(np.sum(pixels[counted.matched_views])),
+        points=counted.num_cells,
+        field_cells=counted.num_cells if plan.field == "slab" else 0.0,
+        poses=plan.pose_choice,
         solves=plan.field == "solver",
         has_boxes=plan.boxes,
         first_hypotheses=_first_hypotheses(survey, plan),
@@ -187,8 +190,8 @@ def _first_hypotheses(survey: Survey, plan: Plan) -> float:
     return float(np.median(counts)) if counts else FIRST_HYPOTHESES
 
 
-def amounts_of(survey: Survey, plan: Plan) -> Counted:
-    """Pixels of each view, the views that get a height map, and cells of one ground sampling distance, at most.
+def survey_amounts(survey: Survey, plan: Plan) -> SurveyAmounts:
+    """Pixels of the views, views that get a height map and cells of the bed.
 
     Raises
     ------
@@ -213,7 +216,7 @@ def amounts_of(survey: Survey, plan: Plan) -> Counted:
     if area is not None:
         x0, y0, x1, y1 = grown(area, AREA_MARGIN_M)
         num_cells = min(num_cells, (x1 - x0) * (y1 - y0) / plan.gsd_m**2)
-    return pixels, chosen, num_cells
+    return SurveyAmounts(pixels, chosen, num_cells)
 
 
 def workload_of_found(found: Found, chosen: Choices) -> Workload:
@@ -288,8 +291,8 @@ def room_warnings(workload: Workload, run_folder: Path) -> list[str]:
     free = machine.free_memory_bytes()
     if workload.memory_bytes > free:
         warnings.append(
-            f"the run needs {workload.most}{size(workload.memory_bytes)} of memory, and {room(free)} are free: the "
-            "system may stop it; close other programs, use a lower --quality, or give [area] bounds"
+            f"the run needs {workload.bound_words}{size(workload.memory_bytes)} of memory, and {room(free)} are free: "
+            "the system may stop it; close other programs, use a lower --quality, or give [area] bounds"
         )
     return warnings
 
@@ -300,7 +303,7 @@ def _disk_warning(workload: Workload, run_folder: Path) -> str | None:
     if workload.disk_bytes <= free:
         return None
     return (
-        f"the run needs {workload.most}{size(workload.disk_bytes)} in {run_folder}, and {room(free)} are free "
+        f"the run needs {workload.bound_words}{size(workload.disk_bytes)} in {run_folder}, and {room(free)} are free "
         "there; free some, name a run folder elsewhere with -o, or use a lower --quality"
     )
 
@@ -310,8 +313,9 @@ def _limit_warning(workload: Workload) -> str | None:
     if workload.memory_bytes <= allowed:
         return None
     return (
-        f"the run needs {workload.most}{size(workload.memory_bytes)} of memory, and limits of this process leave "
-        f"{room(max(allowed, 0.0))} (ulimit -d, ulimit -v); raise them, use a lower --quality, or give [area] bounds"
+        f"the run needs {workload.bound_words}{size(workload.memory_bytes)} of memory, and limits of this process "
+        f"leave {room(max(allowed, 0.0))} (ulimit -d, ulimit -v); raise them, use a lower --quality, or give [area] "
+        "bounds"
     )
 
 

@@ -18,9 +18,9 @@ from fields.sweep.passes import PASSES, passes_from
 from survey import machine
 from survey.folder.survey import Survey
 from survey.plan.plan import Decision, Plan
-from survey.plan.rates import FIRST_HYPOTHESES, STEPS_PER_CORE_S, poses_s
-from survey.plan.recipe import RECIPES, SHARE, Aim, Recipe
-from survey.plan.workload import amounts_of
+from survey.plan.rates import FIRST_HYPOTHESES, SAMPLES_PER_CORE_S, poses_s
+from survey.plan.recipe import RECIPES, STD_QUANTILE, Aim, Recipe
+from survey.plan.workload import survey_amounts
 from survey.run.clock import Clock
 
 if TYPE_CHECKING:
@@ -46,32 +46,35 @@ _FINER = 1.2
 class FullSizeAmounts:
     """Amounts of work of a survey at full size."""
 
-    # photographs_mpx, map_px: Of all photographs [Mpx], and of the views that get a height map [px]
-    photographs_mpx: float
-    map_px: float
-    points: float  # One for each ground sampling distance squared that two views see
-    poses: str  # "check", "refine" or "fixed": what is done with them first
+    photographs_mpx: float  # [Mpx]: of all photographs
+    map_px: float  # [px]: of the views that get a height map
+    points: float  # Of the bed: one in each cell of a ground sampling distance that two views see
+    poses: str  # "check", "refine" or "fixed", as `Plan.pose_choice`
     num_views: int
 
     @staticmethod
     def of(survey: Survey, plan: Plan) -> FullSizeAmounts:
         """Amounts of a survey whose poses are known, from its plan at another scale."""
-        pixels, chosen, num_cells = amounts_of(survey, plan)
+        at_scale = survey_amounts(survey, plan)
         per_scale = plan.image_scale**-2
         whole = sum(view.lens.width * view.lens.height for view in survey.views) / 1e6
-        mapped = float(np.sum(pixels[chosen]))
-        return FullSizeAmounts(whole, mapped * per_scale, num_cells * per_scale, plan.poses[0], len(survey.views))
+        mapped = float(np.sum(at_scale.view_pixels[at_scale.matched_views]))
+        return FullSizeAmounts(
+            whole, mapped * per_scale, at_scale.num_cells * per_scale, plan.pose_choice, len(survey.views)
+        )
 
 
-def samples(amounts: FullSizeAmounts, scale: float, *, lowest: float, before: float | None = None) -> float:
+def samples(
+    amounts: FullSizeAmounts, scale: float, *, lowest_scale: float, earlier_scale: float | None = None
+) -> float:
     """Number of comparisons of a sweep at a scale: pixels x heights x neighbours.
 
-    From the heights of a smaller scale, ``before``; or from nothing, with the whole bound searched at the ``lowest``.
+    It starts from the heights of ``earlier_scale``, or else searches the whole bound at ``lowest_scale``.
     """
-    if before is not None:
-        passes = [p for p in PASSES if p.scale * scale > _FINER * before]
+    if earlier_scale is not None:
+        passes = [p for p in PASSES if p.scale * scale > _FINER * earlier_scale]
     else:
-        passes = list(passes_from(lowest / scale))
+        passes = list(passes_from(lowest_scale / scale))
     # The finer the first search, the more heights it tries.
     first = FIRST_HYPOTHESES / PASSES[0].scale
     steps = sum(p.scale**2 * (p.hypotheses or first * p.scale) * p.neighbours for p in passes)
@@ -84,43 +87,48 @@ class RoundRates:
 
     sample_s: float  # Of the sweep [s]
     images_s: float  # Reading all photographs [s]
-    slow: float  # How much longer the rest takes than on one core as stated
+    slowness: float  # Factor on the times of all else that are stated for one core
     point_s: float  # Of the solver [s]
 
     @staticmethod
-    def stated(amounts: FullSizeAmounts, slow: float = 1.0) -> RoundRates:
-        """Rates before the first measurement, on a machine that takes ``slow`` times as long as stated."""
-        per_core = slow / machine.num_cores()
-        images_s = slow * _DECODING_S * amounts.photographs_mpx
-        return RoundRates(per_core / STEPS_PER_CORE_S, images_s, slow, _POINT_S * per_core)
+    def stated(amounts: FullSizeAmounts, slowness: float = 1.0) -> RoundRates:
+        """Rates before the first measurement, on a machine that takes ``slowness`` times as long as stated."""
+        per_core = slowness / machine.num_cores()
+        images_s = slowness * _DECODING_S * amounts.photographs_mpx
+        return RoundRates(per_core / SAMPLES_PER_CORE_S, images_s, slowness, _POINT_S * per_core)
 
     def after_sweep(self, seconds: float, num_samples: float, images_s: float) -> RoundRates:
         """Rates with the measured time [s] of a round's sweep and of reading its photographs."""
         sample_s = seconds / num_samples
-        slow = max(self.slow * sample_s / self.sample_s, _FASTEST)
-        return RoundRates(sample_s, images_s, slow, self.point_s * slow / self.slow)
+        slowness = max(self.slowness * sample_s / self.sample_s, _FASTEST)
+        return RoundRates(sample_s, images_s, slowness, self.point_s * slowness / self.slowness)
 
     def after_solver(self, seconds: float, num_points: int) -> RoundRates:
         """Rates with the measured time [s] of the solver."""
-        return replace(self, point_s=max(seconds - _SOLVER_S * self.slow, _OF_POINTS * seconds) / num_points)
+        return replace(self, point_s=max(seconds - _SOLVER_S * self.slowness, _OF_POINTS * seconds) / num_points)
 
-    def sweep_s(self, amounts: FullSizeAmounts, scale: float, *, lowest: float, before: float | None = None) -> float:
+    def sweep_s(
+        self, amounts: FullSizeAmounts, scale: float, *, lowest_scale: float, earlier_scale: float | None = None
+    ) -> float:
         """Time [s] of a round's sweep and of reading its photographs; see `samples`."""
-        return self.images_s + samples(amounts, scale, lowest=lowest, before=before) * self.sample_s
+        return (
+            self.images_s
+            + samples(amounts, scale, lowest_scale=lowest_scale, earlier_scale=earlier_scale) * self.sample_s
+        )
 
     def solver_s(self, amounts: FullSizeAmounts, scale: float) -> float:
         """Time [s] of the solver over all points."""
-        return _SOLVER_S * self.slow + amounts.points * scale**2 * self.point_s
+        return _SOLVER_S * self.slowness + amounts.points * scale**2 * self.point_s
 
     def tail_s(self, amounts: FullSizeAmounts, scale: float) -> float:
         """Time [s] from the last round to the end of the run."""
-        return (_TAIL_S[0] + _TAIL_S[1] * amounts.points * scale**2) * self.slow
+        return (_TAIL_S[0] + _TAIL_S[1] * amounts.points * scale**2) * self.slowness
 
-    def least_s(self, amounts: FullSizeAmounts, scale: float, *, lowest: float) -> float:
+    def least_s(self, amounts: FullSizeAmounts, scale: float, *, lowest_scale: float) -> float:
         """Time [s] of a whole run whose only round is a sweep at a scale; see `samples`."""
         poses = poses_s(amounts.poses, amounts.photographs_mpx, amounts.num_views)
-        before = (_START_S + poses + _RANGE_S) * self.slow
-        return before + self.sweep_s(amounts, scale, lowest=lowest) + self.tail_s(amounts, scale)
+        before = (_START_S + poses + _RANGE_S) * self.slowness
+        return before + self.sweep_s(amounts, scale, lowest_scale=lowest_scale) + self.tail_s(amounts, scale)
 
 
 # Side of a cell in ground sampling distances.
@@ -169,10 +177,10 @@ class CellStd:
         """Share that was reached, in words."""
         if not len(self):
             return "no ground has points"
-        most = 1e3 * float(np.quantile(self.std, SHARE))
+        most = 1e3 * float(np.quantile(self.std, STD_QUANTILE))
         return (
             f"{100 * self.reached(std_m):.1f} % of the ground has a std of at most {1e3 * std_m:.1f} mm; "
-            f"{100 * SHARE:g} % of it has at most {most:.1f} mm"
+            f"{100 * STD_QUANTILE:g} % of it has at most {most:.1f} mm"
         )
 
 
@@ -223,9 +231,9 @@ class AimedRun:
         """Whether a recipe has the solver."""
         return self.recipes[number].field == "solver"
 
-    def samples(self, scale: float, before: float | None) -> float:
+    def samples(self, scale: float, earlier_scale: float | None) -> float:
         """Number of comparisons of a sweep at a scale that continues a smaller one, or starts anew."""
-        return samples(self.amounts, scale, lowest=self.scales[0], before=before)
+        return samples(self.amounts, scale, lowest_scale=self.scales[0], earlier_scale=earlier_scale)
 
     @property
     def first_search(self) -> float:
@@ -255,7 +263,7 @@ class AimedRun:
         sweep = (
             0.0
             if scale == self.scale
-            else self.rates.sweep_s(self.amounts, scale, lowest=self.scales[0], before=self.scale)
+            else self.rates.sweep_s(self.amounts, scale, lowest_scale=self.scales[0], earlier_scale=self.scale)
         )
         return (sweep + solver) * (1.0 + _SLACK) + self.rates.tail_s(self.amounts, scale)
 
@@ -272,7 +280,7 @@ class AimedRun:
         why = ""
         if cells is not None and self.aim.std_m is not None:
             why = cells.in_words(self.aim.std_m)
-            if cells.reached(self.aim.std_m) >= SHARE:
+            if cells.reached(self.aim.std_m) >= STD_QUANTILE:
                 return None, why
             later = self._towards(cells, self.aim.std_m)
             why += (
@@ -299,7 +307,7 @@ class AimedRun:
             for number in solving
         }
         for number in solving:
-            if foreseen[number] >= SHARE:
+            if foreseen[number] >= STD_QUANTILE:
                 return range(number, number + 1) if self.clock is None else range(self.number + 1, number + 1)
         if not solving or foreseen[solving[-1]] < cells.reached(std_m) + _LEAST_GAIN:
             return range(0)

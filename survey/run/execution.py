@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,7 +25,7 @@ from survey.plan.tile_choice import SHARED
 from survey.run.folder import RunDir
 from survey.run.job import Job
 from survey.run.merged import merge_points, merge_solved, merge_sweeps
-from survey.run.pipeline import ASSESSMENT, BED_OF_SWEEP, STAGES, Stage, finish, finished, run_stage
+from survey.run.pipeline import ASSESSMENT, BED_OF_SWEEP, STAGES, Stage, commit_result, reusable_result, run_stage
 from survey.run.remote_run import RemoteRun
 from survey.run.stage_of_tile import FIGURES, POINTS, SQUARES, find_points, learn_figures, solve_tile, sweep_tile
 from survey.run.stage_sweep import EARLIER_ASSESSMENT, EARLIER_SOLVER, EARLIER_SWEEP, MAPS
@@ -43,14 +43,23 @@ if TYPE_CHECKING:
 # Gets the job, the folder to write to, the tiles, the folders of their stages by name, and those of other stages.
 Merge = Callable[[Job, Path, Sequence[TileJob], Mapping[str, list[Path]], Mapping[str, Path]], None]
 
-_OF = {stage.name: stage for stage in STAGES}
-_TILES = Stage("tiles", (), (*_OF["sweep"].depends_on, "tiles"), (SHARED,), find_shared)
+_STAGE_BY_NAME = {stage.name: stage for stage in STAGES}
+_TILES = Stage("tiles", (), (*_STAGE_BY_NAME["sweep"].depends_on, "tiles"), (SHARED,), find_shared)
 # Of one tile, by the name of what they are a part of.
-_SWEEP = replace(_OF["sweep"], needs=(), files=(MAPS, MASKS, SQUARES), compute=sweep_tile, apply=None)
-_SOLVER = replace(_OF["solver"], needs=("sweep", "figures"), compute=solve_tile)
-_BED = replace(_OF["bed"], needs=("sweep", "solver"), files=(POINTS,), compute=find_points)
+_SWEEP = replace(_STAGE_BY_NAME["sweep"], needs=(), files=(MAPS, MASKS, SQUARES), compute=sweep_tile, apply=None)
+_SOLVER = replace(_STAGE_BY_NAME["solver"], needs=("sweep", "figures"), compute=solve_tile)
+_BED = replace(_STAGE_BY_NAME["bed"], needs=("sweep", "solver"), files=(POINTS,), compute=find_points)
 # Of a round, and the names under which the next one finds them.
 _EARLIER = {"sweep": EARLIER_SWEEP, "solver": EARLIER_SOLVER, ASSESSMENT: EARLIER_ASSESSMENT}
+
+
+@dataclass(frozen=True)
+class _MissingResult:
+    """Result of a stage of a tile that the run lacks, with the task that computes it."""
+
+    stage: Stage
+    key: Key
+    task: Task
 
 
 class TileWorkers:
@@ -67,7 +76,7 @@ class TileWorkers:
 
     def __init__(self, job: Job, run: RunDir):
         self._job, self._run = job, run
-        self._stack, self._said = ExitStack(), list[str]()
+        self._stack, self._messages_of_start = ExitStack(), list[str]()
         self._starter = ThreadPoolExecutor(1)
         self._starting: Future[Workers] | None = None
         loaded_code()
@@ -97,44 +106,61 @@ class TileWorkers:
 
         Results are stored as tasks end; messages follow in the order of the tiles.
         """
-        found: dict[str, Path] = {}
-        left, keys, tasks = [], [], []
+        reused, missing = self._reused_and_missing(parts, done, resume=resume)
+        if not missing:
+            return reused
+        workers = self._started()
+        saved = self._saved(shared, whole.name)
+        title = whole.name.capitalize()
+        names = [part_name(title, tile.number, len(parts)) for _, tile in parts]
+        title = f"{title} of {len(missing)} tiles"
+        if (forecast := self._job.progress.forecast) is not None:
+            forecast.join(names, title, len(missing) / len(parts))
+        computed, messages = self._compute(workers, saved, missing, title)
+        self._report(messages)
+        return reused | computed
+
+    def _reused_and_missing(
+        self, parts: Sequence[tuple[Stage, TileJob]], done: Mapping[str, Path], *, resume: bool
+    ) -> tuple[dict[str, Path], list[_MissingResult]]:
+        """Folders of results that the run has, by the name of their stage, and the results that it lacks."""
+        reused: dict[str, Path] = {}
+        missing = []
         for stage, tile in parts:
             if not stage.is_on(tile):
                 continue
             key = stage.key(tile, done)
-            folder = finished(stage, key, tile, self._run, resume=resume)
+            folder = reusable_result(stage, key, tile, self._run, resume=resume)
             if folder is not None:
-                found[stage.name] = folder
+                reused[stage.name] = folder
                 continue
             needs = {name: done[name].absolute() for name in stage.needs if name in done}
-            left.append((stage, tile))
-            keys.append(key)
-            tasks.append(Task(stage.name, tile.number, stage.compute, needs))
-        if not tasks:
-            return found
-        workers = self._started()
-        saved = self._saved(shared, whole.name)
-        said: dict[int, list[tuple[str, str]]] = {}
-        title = whole.name.capitalize()
-        names = [part_name(title, tile.number, len(parts)) for _, tile in parts]
-        title = f"{title} of {len(tasks)} tiles"
-        if (forecast := self._job.progress.forecast) is not None:
-            forecast.join(names, title, len(tasks) / len(parts))
+            missing.append(_MissingResult(stage, key, Task(stage.name, tile.number, stage.compute, needs)))
+        return reused, missing
+
+    def _compute(
+        self, workers: Workers, saved: Path | str, missing: Sequence[_MissingResult], title: str
+    ) -> tuple[dict[str, Path], dict[int, list[tuple[str, str]]]]:
+        """Folders of the results by the name of their stage, and messages by the number of the task."""
+        folders: dict[str, Path] = {}
+        messages: dict[int, list[tuple[str, str]]] = {}
         with (
-            self._job.progress.stage(title, len(tasks)) as step,
-            closing(workers.computed(saved, tasks)) as computed,
+            self._job.progress.stage(title, len(missing)) as step,
+            closing(workers.computed(saved, [each.task for each in missing])) as computed,
         ):
             for number, place, seconds, lines in computed:
-                stage, _ = left[number]
-                folder = self._fetched_result(stage, keys[number], place)
-                found[stage.name] = finish(stage, keys[number], self._run, folder, seconds)
-                said[number] = lines
+                stage, key = missing[number].stage, missing[number].key
+                folder = self._fetched_result(stage, key, place)
+                folders[stage.name] = commit_result(stage, key, self._run, folder, seconds)
+                messages[number] = lines
                 step.advance()
-        for number in sorted(said):
-            for kind, text in said[number]:
+        return folders, messages
+
+    def _report(self, messages: Mapping[int, Sequence[tuple[str, str]]]) -> None:
+        """Repeat the messages of tasks, kind and text, in the order of the tasks."""
+        for number in sorted(messages):
+            for kind, text in messages[number]:
                 getattr(self._job.progress, kind)(text)
-        return found
 
     @property
     def started(self) -> Workers | None:
@@ -169,8 +195,8 @@ class TileWorkers:
             with self._job.progress.stage("Workers"):
                 self._starting.result()
         workers = self._starting.result()
-        while self._said:
-            self._job.progress.note(self._said.pop(0))
+        while self._messages_of_start:
+            self._job.progress.note(self._messages_of_start.pop(0))
         return workers
 
     def _start(self) -> Workers:
@@ -183,7 +209,7 @@ class TileWorkers:
             takes_gpu=self._job.plan.device == "cuda",
             url=None if (run := self._remote) is None else run.remote.url,
         )
-        return self._stack.enter_context(workers_for(number, chosen.scheduler, needs, self._said.append))
+        return self._stack.enter_context(workers_for(number, chosen.scheduler, needs, self._messages_of_start.append))
 
 
 @contextmanager
@@ -286,7 +312,7 @@ def run_stages(
             done[stage.name] = run_stage(stage, job, run, done, resume=resume)
         number = 1
         while stage.name == ASSESSMENT and job.aimed is not None and job.aimed.following is not None:
-            _set_aside(done, number)
+            done = _after_round(done, number)
             for again in of_round:
                 if again.is_on(job):
                     done[again.name] = run_stage(again, job, run, done, resume=resume, explains=False)
@@ -301,10 +327,12 @@ def _begin_first_round(job: Job) -> None:
         job.plan_again()
 
 
-def _set_aside(done: dict[str, Path], number: int) -> None:
-    """Keep the stages of a round for the next one and in the record of the run."""
+def _after_round(done: Mapping[str, Path], number: int) -> dict[str, Path]:
+    """The folders of stages with those of a round renamed: as the next round and the record of the run name them."""
+    renamed = dict(done)
     for name, earlier in _EARLIER.items():
-        if earlier in done:
-            done[f"{name} of round {number - 1}"] = done.pop(earlier)
-        if name in done:
-            done[earlier] = done.pop(name)
+        if earlier in renamed:
+            renamed[f"{name} of round {number - 1}"] = renamed.pop(earlier)
+        if name in renamed:
+            renamed[earlier] = renamed.pop(name)
+    return renamed

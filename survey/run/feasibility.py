@@ -14,7 +14,7 @@ from survey.machine import Load
 from survey.plan.area import ASSUMED_DEPTH_M
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
-from survey.plan.recipe import SHARE, Aim, Recipe, recipes_for
+from survey.plan.recipe import STD_QUANTILE, Aim, Recipe, recipes_for
 from survey.progress import Progress
 from survey.run.aimed_run import ANY_RUN_S, AimedRun, FullSizeAmounts, RoundRates
 from survey.run.clock import Clock
@@ -61,7 +61,7 @@ def assess_feasibility(
     """
     recipes = recipes_for([(view.lens.width, view.lens.height) for view in survey.views])
     plans = [make_plan(survey, chosen, recipe=recipe) for recipe in recipes]
-    _require_meant(aim, plans[0].gsd_m, plans[-1].gsd_m)
+    _require_plausible_std(aim, plans[0].gsd_m, plans[-1].gsd_m)
     scales = tuple(plan.image_scale for plan in plans)
     amounts = FullSizeAmounts.of(survey, plans[-1])
     foreseen, at = foresee(survey, depth_m=depth_m, chosen=chosen), make_plan(survey, chosen).image_scale
@@ -76,7 +76,7 @@ def assess_feasibility(
     return Feasibility(recipes, scales, amounts, std, common, first, rates, load)
 
 
-def _require_meant(aim: Aim, largest_m: float, smallest_m: float) -> None:
+def _require_plausible_std(aim: Aim, largest_m: float, smallest_m: float) -> None:
     """Raise for a target std beyond the range that pixels of the smallest and the largest images [m] can give."""
     if aim.std_m is None:
         return
@@ -114,7 +114,7 @@ def aim_warnings(aim: Aim, found: Feasibility) -> list[str]:
 
 def shortest_s(found: Feasibility) -> float:
     """Shortest accepted time budget [s]."""
-    return _UNKNOWN_PACE * found.rates.least_s(found.amounts, found.scales[0], lowest=found.scales[0])
+    return _UNKNOWN_PACE * found.rates.least_s(found.amounts, found.scales[0], lowest_scale=found.scales[0])
 
 
 def require_some_time(aim: Aim | None) -> None:
@@ -187,13 +187,13 @@ def rows_of(
             continue
         std = found.point_std_m[number]
         heights = f"std of points about {length(std)} (median)" if math.isfinite(std) else "too few views overlap"
-        seconds = found.rates.least_s(found.amounts, scale, lowest=found.scales[0]) + found.rates.solver_s(
+        seconds = found.rates.least_s(found.amounts, scale, lowest_scale=found.scales[0]) + found.rates.solver_s(
             found.amounts, scale
         )
         rows.append((f"image scale {scale:g}", heights + (f", about {seconds:.0f} s" if is_timed else "")))
     if aim.std_m is not None:
         # Of all surveys in docs/targets.md whose images are not tiny.
-        within = f"{100 * SHARE:g} % of it stay within 1.7 to 5 times the median, on surveys so far; that counts"
+        within = f"{100 * STD_QUANTILE:g} % of it stay within 1.7 to 5 times the median, on surveys so far; that counts"
         rows.append(("of the ground", within))
     rows += [("", text) for text in aim_warnings(aim, found)]
     if aim.seconds is not None and is_timed:

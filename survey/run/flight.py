@@ -49,30 +49,30 @@ class Flight:
 def save_flight(folder: Path, survey: Survey) -> None:
     """Write what `load_flight` reads into the folder of a result."""
     water = None if survey.water is None else {name: getattr(survey.water, name) for name in _WATER}
-    said = {
+    record = {
         "crs_wkt": survey.frame.crs.to_wkt(),
         "origin": list(survey.frame.origin),
         "water": water,
         "bounds": survey.bounds,
-        "departure": _said_departure(survey.observations.departure),
+        "departure": _record_of_departure(survey.observations.departure),
         "views": [_record_of_view(view) for view in survey.views],
     }
     with write_whole(folder / FLIGHT) as stream:
-        stream.write(json.dumps(said, indent=1, ensure_ascii=False, default=_json_value).encode())
+        stream.write(json.dumps(record, indent=1, ensure_ascii=False, default=_json_value).encode())
 
 
-def _said_departure(departure: Departure | None) -> dict | None:
+def _record_of_departure(departure: Departure | None) -> dict | None:
     if departure is None:
         return None
     is_still = isinstance(departure, StillWater)
     return {"is_still": is_still, "points": departure.points, "stds": departure.stds}
 
 
-def _departure(said: dict | None) -> Departure | None:
-    if said is None:
+def _departure(record: dict | None) -> Departure | None:
+    if record is None:
         return None
-    kind = StillWater if said["is_still"] else Departure
-    return kind(np.array(said["points"]), np.array(said["stds"]))
+    kind = StillWater if record["is_still"] else Departure
+    return kind(np.array(record["points"]), np.array(record["stds"]))
 
 
 def _record_of_view(view: View) -> dict:
@@ -107,27 +107,27 @@ def load_flight(run: Path) -> Flight:
         If it is not there, or damaged.
     """
     path = run / FLIGHT
-    said = read_json_object(path)
+    record = read_json_object(path)
     try:
-        water = said["water"]
+        water = record["water"]
         return Flight(
-            LocalFrame(CRS.from_wkt(said["crs_wkt"]), tuple(said["origin"])),
+            LocalFrame(CRS.from_wkt(record["crs_wkt"]), tuple(record["origin"])),
             None if water is None else FlatWater(**{**water, "point": tuple(water["point"])}),
-            tuple(_view(entry) for entry in said["views"]),
-            None if said["bounds"] is None else tuple(said["bounds"]),
-            _departure(said.get("departure")),
+            tuple(_view(entry) for entry in record["views"]),
+            None if record["bounds"] is None else tuple(record["bounds"]),
+            _departure(record.get("departure")),
         )
     except (KeyError, TypeError, ValueError) as error:
-        why = "was made before runs kept their cameras" if not said else f"holds a {FLIGHT} that cannot be read"
+        why = "was made before runs kept their cameras" if not record else f"holds a {FLIGHT} that cannot be read"
         raise SurveyError(f"the run {run} {why}; run the same `bathynerf process` again") from error
 
 
-def _view(said: dict) -> View:
-    lens = Lens(said["model"], tuple(said["params"]), *said["size_px"])
-    camera = lens.camera(np.array(said["centre"]), np.array(said["cam_from_local"]))
-    camera = replace(camera, tide=said.get("tide_m", 0.0))
-    motion = said["motion_m_per_row"]
+def _view(record: dict) -> View:
+    lens = Lens(record["model"], tuple(record["params"]), *record["size_px"])
+    camera = lens.camera(np.array(record["centre"]), np.array(record["cam_from_local"]))
+    camera = replace(camera, tide=record.get("tide_m", 0.0))
+    motion = record["motion_m_per_row"]
     if motion is not None:
         camera = replace(camera, motion=np.array(motion))
-    mask = said["mask"]
-    return View(said["name"], Path(said["image"]), camera, lens, None if mask is None else Path(mask))
+    mask = record["mask"]
+    return View(record["name"], Path(record["image"]), camera, lens, None if mask is None else Path(mask))

@@ -194,12 +194,12 @@ class RunDir:
         is_whole = _record(folder).get("key") == key.digest and all((folder / leaf).is_file() for leaf in leaves)
         return folder if is_whole else None
 
-    def found_before(self, name: str) -> dict:
+    def latest_stage_json(self, name: str) -> dict:
         """Contents of a JSON file of the latest stage that has one; empty where none has."""
         found = [path for path in self.stages_path.glob(f"*/{name}") if path.parent.name[0] != "."]
         return read_json_object(max(found, key=lambda path: path.stat().st_mtime)) if found else {}
 
-    def why_again(self, name: str, key: Key) -> str | None:
+    def recompute_reason(self, name: str, key: Key) -> str | None:
         """Reason why a stage is computed again, in words; None if it never was.
 
         The finished result of this stage that has most in common with the key shows what changed.

@@ -17,7 +17,7 @@ import numpy as np
 
 from survey.display.column import ColumnStatistics
 from survey.display.quantities import NO_BREAK, length, share
-from survey.plan.recipe import MAX_STD_GSD, SHARE, max_height_std
+from survey.plan.recipe import MAX_STD_GSD, STD_QUANTILE, max_height_std
 from survey.report.collect import height_std
 from survey.report.facts import Gate, RunVerdict
 from survey.report.seen_cells import SeenCells, cells_of
@@ -48,12 +48,14 @@ def asked_gate(stored: StoredBed, std_m: float) -> Gate:
     bed = replace(stored.bed, std=stored.std_of_photographs()[:])
     cells = std_cells(bed, stored.gsd_m)
     reached = cells.reached(std_m)
-    sentence = f"{cells.in_words(std_m)}; required: {share(SHARE)} within the std asked for"
-    if reached < SHARE:
+    sentence = f"{cells.in_words(std_m)}; required: {share(STD_QUANTILE)} within the std asked for"
+    if reached < STD_QUANTILE:
         sentence += f"; the rest is limited by {cells.limit(std_m)}"
     if stored.std_common is not None and np.isfinite(stored.std_common).any():
         sentence += f"; std_common, {length(float(np.nanmedian(stored.std_common)))} (median), comes on top"
-    return Gate("ground within the std asked for", 100.0 * reached, 100.0 * SHARE, "%", reached >= SHARE, sentence)
+    return Gate(
+        "ground within the std asked for", 100.0 * reached, 100.0 * STD_QUANTILE, "%", reached >= STD_QUANTILE, sentence
+    )
 
 
 def _completeness(cells: SeenCells) -> Gate:

@@ -69,30 +69,32 @@ def run_stage(
     ``explains`` says why it is computed again where the run has results of it.
     """
     key = stage.key(job, done)
-    folder = finished(stage, key, job, run, resume=resume, explains=explains)
+    folder = reusable_result(stage, key, job, run, resume=resume, explains=explains)
     if folder is None:
         temp = run.open_stage(stage.name)
         stage.compute(job, temp, {name: done[name] for name in stage.needs if name in done})
-        folder = finish(stage, key, run, temp)
+        folder = commit_result(stage, key, run, temp)
         job.release()
     if stage.apply is not None:
         stage.apply(job, folder)
     return folder
 
 
-def finished(stage: Stage, key: Key, job: Job, run: RunDir, *, resume: bool, explains: bool = True) -> Path | None:
-    """The folder of a stage in the run where it is still right; None, and why, where it has to be computed."""
+def reusable_result(
+    stage: Stage, key: Key, job: Job, run: RunDir, *, resume: bool, explains: bool = True
+) -> Path | None:
+    """The folder of a stage in the run where its key still holds; None, and a note why, where it has to be computed."""
     folder = run.finished_stage(stage.name, key, stage.files) if resume else None
     if folder is not None:
         job.progress.note(f"{stage.name}: used again, nothing that it depends on has changed")
         return folder
-    why = run.why_again(stage.name, key) if resume else "--no-resume"
+    why = run.recompute_reason(stage.name, key) if resume else "--no-resume"
     if explains and why is not None:
         job.progress.note(f"{stage.name}: computed again: {why}")
     return None
 
 
-def finish(stage: Stage, key: Key, run: RunDir, temp: Path, seconds: float | None = None) -> Path:
+def commit_result(stage: Stage, key: Key, run: RunDir, temp: Path, seconds: float | None = None) -> Path:
     """Give what a stage has left in a folder its place in the run; ``seconds`` where a worker made it."""
     missing = [name for name in stage.files if not (temp / name).is_file()]
     if missing:
@@ -101,11 +103,11 @@ def finish(stage: Stage, key: Key, run: RunDir, temp: Path, seconds: float | Non
 
 
 def _adjusts(job: Job) -> bool:
-    return job.plan.poses[0] == "refine"
+    return job.plan.pose_choice == "refine"
 
 
 def _checks_poses(job: Job) -> bool:
-    return job.plan.poses[0] == "check"
+    return job.plan.pose_choice == "check"
 
 
 def _needs_colour(job: Job) -> bool:

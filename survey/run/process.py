@@ -32,10 +32,10 @@ from survey.plan.recipe import aim_and_choices
 from survey.plan.tile_choice import SHARED, TileChoice, choose_tiles, require_dask, with_free_cores
 from survey.plan.tiling import tile_warnings
 from survey.plan.workload import (
-    amounts_of,
     amounts_of_run,
     parts_of_found,
     require_room,
+    survey_amounts,
     workload_of,
     workload_of_found,
 )
@@ -262,8 +262,8 @@ def _announce(
         progress.note(f"assumed: {text}")
     for text in survey.findings.warnings:
         progress.warn(text)
-    earlier = run.found_before(SHARED).get("tiles")
-    counted = amounts_of(survey, plan)
+    earlier = run.latest_stage_json(SHARED).get("tiles")
+    counted = survey_amounts(survey, plan)
     in_one = workload_of(survey, plan, counted)
     is_aimed = aimed is not None
     tiles = choose_tiles(survey, plan, chosen, in_one, is_aimed=is_aimed, earlier=earlier, counted=counted)
@@ -273,7 +273,7 @@ def _announce(
     if aimed is not None:
         # An aim may come to need its largest recipe.
         top = make_plan(survey, chosen, recipe=aimed.recipes[-1])
-        workload = workload_of(survey, top).on_loaded_cores(aimed.rates.slow)
+        workload = workload_of(survey, top).on_loaded_cores(aimed.rates.slowness)
     else:
         workload = replace(in_one, memory_bytes=int(tiles.memory_bytes))
         if progress.forecast is not None and plan.device == "llvm":

@@ -1,10 +1,10 @@
 """A run at a URL: it works in a folder of this machine, and finished stages and the result are put to the URL whole.
 
-At the URL lie the files of a run folder; a copy of it is one. A stage is whole where its record is, which is put last,
-and removed first, and the result where result.json is. What is finished there is taken up, whatever machine it comes
-from. Marks in .unfinished/<quality>/ name the runs that have begun and the stages that they have finished: a result of
-another run leaves these. A result removes the marks of its quality that were there when its run began: as in a folder,
-it stands in for the runs that were interrupted.
+The URL has the files of a run folder, and a copy of it is a run folder. The record of a stage is its commit marker:
+uploaded last, deleted first. A stage without one is incomplete. The commit marker of a result is result.json. Complete
+stages are used again, whatever machine they come from. Marks in .unfinished/<quality>/ name the runs that have begun
+and the stages that they have finished: a result of another run leaves these. A result removes the marks of its quality
+that were there when its run began: as in a folder, it stands in for the runs that were interrupted.
 """
 
 from __future__ import annotations
@@ -100,9 +100,9 @@ class RemoteRun(RunDir):
                 shutil.rmtree(self.sfm_path, ignore_errors=True)
             self.remote.fetch_folder(SFM_FOLDER, self.sfm_path, last=_SOLVED)
 
-    def found_before(self, name: str) -> dict:
-        """As `RunDir.found_before`; where no stage here has the file, of any whole one at the URL."""
-        found = super().found_before(name)
+    def latest_stage_json(self, name: str) -> dict:
+        """As `RunDir.latest_stage_json`; where no stage here has the file, of any whole one at the URL."""
+        found = super().latest_stage_json(name)
         if found:
             return found
         there = self.remote.files(_STAGES)

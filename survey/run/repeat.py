@@ -19,7 +19,7 @@ def options_of(job: Job, truth: Truth) -> dict:
         "quality": plan.quality,
         "device": plan.device,
         "field": plan.field,
-        "poses": plan.poses[0],
+        "poses": plan.pose_choice,
         "plan": chosen.plan,
         "image_scale": plan.image_scale,
         "calibrate_water": chosen.calibrate_water,

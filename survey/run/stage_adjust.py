@@ -47,8 +47,7 @@ def use_misfit(job: Job, folder: Path) -> None:
     misfit_px = -1.0 if misfit is None else misfit
     provenance = replace(job.survey.provenance, pose_misfit_px=misfit_px, contradiction=found.contradiction)
     job.use_survey(replace(job.survey, provenance=provenance))
-    choice, reason = job.plan.poses
-    job.progress.note(f"plan: poses: {choice} ({reason})")
+    job.progress.note(f"plan: poses: {job.plan.pose_choice} ({job.plan.pose_reason})")
 
 
 FILES = (JSON, ARRAYS, CAMERAS, *MODEL)

@@ -21,7 +21,7 @@ from survey.run.aimed_run import CellStd, std_cells
 from survey.run.folder import seconds_of
 from survey.run.points import RefinedMaps, adjustment_of, bed_points, is_placed, with_std_of_block
 from survey.run.stage_solver import SOLVED
-from survey.run.stage_sweep import CELLS, MAPS, look_at_bed
+from survey.run.stage_sweep import CELLS, MAPS, restore_overlap_height
 from survey.run.stored import save_arrays
 from survey.run.stored_maps import Stored
 
@@ -70,7 +70,7 @@ def _update_rates(aimed: AimedRun, found: dict) -> None:
 def _cells(job: Job, needs: Mapping[str, Path], solved: Sequence[SolvedMap]) -> CellStd:
     """Std by cells of the points that the run would have if it ended now, those with heights of the sweep included."""
     maps = Stored(needs["sweep"] / MAPS, HeightMap)
-    look_at_bed(job, needs["sweep"])
+    restore_overlap_height(job, needs["sweep"])
     kept = job.unique_masks(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m))
     bed, _, _ = bed_points(job, RefinedMaps(maps, kept, solved), lambda _done: None, coloured=False)
     if not is_placed(job.survey):

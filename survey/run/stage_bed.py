@@ -32,7 +32,7 @@ from survey.plan.sweep_block import backend
 from survey.progress import shares
 from survey.run.points import RefinedMaps, adjustment_of, bed_points, is_placed, with_std_of_block
 from survey.run.stage_solver import SOLVED
-from survey.run.stage_sweep import MAPS, look_at_bed
+from survey.run.stage_sweep import MAPS, restore_overlap_height
 from survey.run.stored import BED_FILE, SURVEY_FILE, Column, StoredBed, columns_in, save_bed
 from survey.run.stored_maps import Stored
 from survey.run.water_colour import colour_of
@@ -209,7 +209,7 @@ def points_of_bed(job: Job, needs: Mapping[str, Path]) -> BedPoints:
     maps = Stored(needs["sweep"] / MAPS, HeightMap)
     field = _field_of(job, needs["field"]) if "field" in needs else None
     solved = Stored(needs["solver"] / SOLVED, SolvedMap) if "solver" in needs else None
-    look_at_bed(job, needs["sweep"])
+    restore_overlap_height(job, needs["sweep"])
     is_of_sweep = job.plan.field != "off" and field is None and solved is None
     with job.progress.stage("Bed of the sweep alone" if is_of_sweep else "Bed", len(maps)) as stage:
         kept = job.unique_masks(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m))

@@ -19,7 +19,7 @@ from survey.plan.area import grown
 from survey.plan.tiling import inside
 from survey.run.stage_bed import in_crs, points_of_bed
 from survey.run.stage_solver import SIGHTINGS, SOLVED, solve_with
-from survey.run.stage_sweep import BOUND, CONSISTENCY, MAPS, SATURATED, SWEPT, look_at_bed, sweep_views
+from survey.run.stage_sweep import BOUND, CONSISTENCY, MAPS, SATURATED, SWEPT, restore_overlap_height, sweep_views
 from survey.run.stored import Column, mapped_arrays, save_arrays, write_arrays
 from survey.run.stored_maps import IN_MEMORY, Stored, save_maps
 from survey.run.tile_job import KEPT, MASKS, OWN, StoredMasks, TileJob, pack_masks
@@ -53,7 +53,7 @@ def sweep_tile(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
         kept.append(unique & inside(places, beside))
         own.append(inside(places, tile.cell))
     save_arrays(folder / MASKS, **pack_masks({KEPT: kept, OWN: own}))
-    look_at_bed(tile, folder)
+    restore_overlap_height(tile, folder)
     write_json(folder / SQUARES, {"pixels": count_in_squares(tile.block, maps, _own(folder))})
 
 
@@ -114,7 +114,7 @@ def learn_figures(
             for tile, place in zip(tiles, swept, strict=True):
                 places = [(number, square) for of_tile, number, square in chosen if of_tile == tile.number]
                 if places:
-                    look_at_bed(tile, place)
+                    restore_overlap_height(tile, place)
                     sample += solve_sample(
                         tile.block, Stored(place / MAPS, HeightMap), _own(place), places, tile.plan.gsd_m
                     )

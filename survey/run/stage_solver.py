@@ -14,7 +14,7 @@ from fields.sweep.maps import ByView, HeightMap, upsample_map
 from fields.sweep.wide_windows import wet_pairs
 from survey.files.json_values import write_json
 from survey.progress import shares
-from survey.run.stage_sweep import EARLIER_SOLVER, EARLIER_SWEEP, MAPS, SCRATCH, look_at_bed, views_swept
+from survey.run.stage_sweep import EARLIER_SOLVER, EARLIER_SWEEP, MAPS, SCRATCH, restore_overlap_height, views_swept
 from survey.run.stored_maps import Stored, map_store, save_maps
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def solve_with(job: Job, folder: Path, needs: Mapping[str, Path], figures: Solve
         job.progress.note("solver: left out, there is no time for it")
         _save(job, folder, [SolvedMap.empty() for _ in maps], None)
         return
-    look_at_bed(job, needs["sweep"])
+    restore_overlap_height(job, needs["sweep"])
     kept = job.unique_masks(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m)).copy()
     pairs = wet_pairs(job.block, maps.views)
     for number, view in enumerate(maps.views):

@@ -105,7 +105,7 @@ def _continue_round(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         return
     start = time.monotonic()
     block, images_s = job.block, time.monotonic() - start
-    look_at_bed(job, folder)
+    restore_overlap_height(job, folder)
     again = _views_to_sweep_again(job, before.views, needs)
     job.progress.note(f"sweep: {len(again)} of {len(before)} views go on at image scale {job.plan.image_scale:g}")
     start, aimed = time.monotonic(), job.aimed
@@ -201,7 +201,7 @@ def _update_rates(aimed: AimedRun, found: dict) -> None:
         aimed.rates = aimed.rates.after_sweep(found["seconds"], found["samples"], found["images_s"])
 
 
-def look_at_bed(job: Job, folder: Path) -> None:
-    """Let the block judge the overlap of views as at the end of the sweep, whether it ran now or in an earlier run."""
+def restore_overlap_height(job: Job, folder: Path) -> None:
+    """Set the height of the bed at which a block counts overlap to that at the end of the sweep in a folder."""
     bound = json.loads((folder / BOUND).read_text(encoding="utf-8"))
     job.block.set_overlap_height(0.5 * (bound["low_m"] + bound["high_m"]))

@@ -15,7 +15,7 @@ from typing import Any
 from geo.files import reporting_disk_errors
 from survey.errors import SurveyError
 from survey.plan.tile_choice import NO_DASK
-from survey.run.task_at_url import sees_url
+from survey.run.task_at_url import require_reachable
 from survey.run.worker_task import ANOTHER_VERSION, loaded_code
 from survey.run.workers import ALLOWED_FAILURES, GPU, WORKER_TIMEOUT_S, Workers
 
@@ -191,7 +191,7 @@ def _resources(dask_worker: Any) -> dict[str, float]:
 
 
 def _seen_at(url: str, dask_worker: Any = None) -> tuple[str, bool, bool, dict[str, float]]:
-    sees_url(url)
+    require_reachable(url)
     return loaded_code(), True, True, _resources(dask_worker)
 
 

@@ -51,8 +51,8 @@ class Column:
 
 
 @dataclass(frozen=True)
-class BedPlace:
-    """A stored bed without its points; the attributes are those of `StoredBed`."""
+class BedHeader:
+    """What a stored bed has beside its points; the attributes are those of `StoredBed`."""
 
     crs: CRS
     name: str
@@ -72,7 +72,7 @@ class StoredBed:
     # `survey.adjust.result.std_common`; None: not known
     std_common: np.ndarray | None = None
     # (N,) float32 [m] or None: the part of the standard deviations in `bed` by how GPS or control has placed the block
-    # (`survey.adjust.result.std_of_block`); None where a file has
+    # (`survey.adjust.result.std_of_block`); None where nothing placed it, and of a file without that column
     std_placed: np.ndarray | None = None
 
     def std_of_photographs(self) -> np.ndarray | ComputedColumn:
@@ -241,9 +241,9 @@ def save_bed(folder: str | Path, stored: StoredBed) -> None:
     if stored.std_placed is not None:
         columns["std_placed"] = stored.std_placed
     write_arrays(folder / BED_FILE, columns.items())
-    said = {"crs_wkt": stored.crs.to_wkt(), "name": stored.name, "gsd_m": stored.gsd_m}
+    record = {"crs_wkt": stored.crs.to_wkt(), "name": stored.name, "gsd_m": stored.gsd_m}
     with write_whole(folder / SURVEY_FILE) as stream:
-        stream.write(json.dumps(said, indent=2, ensure_ascii=False).encode())
+        stream.write(json.dumps(record, indent=2, ensure_ascii=False).encode())
 
 
 def load_bed(folder: str | Path) -> StoredBed:
@@ -257,16 +257,16 @@ def load_bed(folder: str | Path) -> StoredBed:
     from fields.sweep.bed import BedPoints
 
     arrays = mapped_arrays(Path(folder) / BED_FILE)
-    place = load_bed_place(folder)
+    header = load_bed_header(folder)
     try:
         points_crs = arrays.pop("points_crs")
         parts = [arrays.pop(name, None) for name in ("std_common", "std_placed")]
-        return StoredBed(BedPoints(**arrays), points_crs, place.crs, place.name, place.gsd_m, *parts)
+        return StoredBed(BedPoints(**arrays), points_crs, header.crs, header.name, header.gsd_m, *parts)
     except (KeyError, TypeError) as error:
         raise _no_bed(folder, error) from error
 
 
-def load_bed_place(folder: str | Path) -> BedPlace:
+def load_bed_header(folder: str | Path) -> BedHeader:
     """The attributes of a bed beside its points, as `save_bed` wrote them.
 
     Raises
@@ -275,8 +275,8 @@ def load_bed_place(folder: str | Path) -> BedPlace:
         If the file is missing or damaged.
     """
     try:
-        said = json.loads((Path(folder) / SURVEY_FILE).read_text(encoding="utf-8"))
-        return BedPlace(CRS.from_wkt(said["crs_wkt"]), said["name"], said["gsd_m"])
+        record = json.loads((Path(folder) / SURVEY_FILE).read_text(encoding="utf-8"))
+        return BedHeader(CRS.from_wkt(record["crs_wkt"]), record["name"], record["gsd_m"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise _no_bed(folder, error) from error
 

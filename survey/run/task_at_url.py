@@ -87,8 +87,8 @@ def _sources(survey: Survey, remote: Remote) -> dict[Path, Source]:
     return found
 
 
-def sees_url(url: str) -> None:
-    """Raise SurveyError where this process does not reach a URL."""
+def require_reachable(url: str) -> None:
+    """Raise SurveyError where this process cannot reach a URL."""
     Remote(url).files(JOBS)
 
 

@@ -273,7 +273,14 @@ def load_shown(run: LoadedRun, survey: str | None, reference: Path | None = None
     flight, has_photographs = _flight(run, survey)
     columns = {name: values for name, values in arrays.items() if np.isfinite(values).any()}
     shown = Shown(
-        run.folder.path, run.place.name, build_tree(points), rgb, columns, flight, has_photographs, run.place.gsd_m
+        run.folder.path,
+        run.bed_header.name,
+        build_tree(points),
+        rgb,
+        columns,
+        flight,
+        has_photographs,
+        run.bed_header.gsd_m,
     )
     if _FIELD in run.stages:
         shown.fields.append(TrainedField.slab(run.folder.load_stage(_FIELD)))

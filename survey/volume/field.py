@@ -99,7 +99,7 @@ def _write_cloud(path: Path, surface: Surface, run: LoadedRun, flight: Flight) -
     write_cloud(
         path,
         flight.frame.crs_from_local(surface.xyz),
-        run.place.crs,
+        run.bed_header.crs,
         rgb=surface.rgb,
         depth_m=depth.astype(np.float32),
         std_m=surface.std.astype(np.float32),

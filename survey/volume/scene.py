@@ -108,7 +108,7 @@ class Ground:
         """That of the whole bed, or of the part in the bounds."""
         bed = _bed_of(run, flight.frame, options.bounds)
         box = _box_about(bed, options.cells)
-        ground = Ground(box, bed, flight.water, options.straight, run.place.gsd_m)
+        ground = Ground(box, bed, flight.water, options.straight, run.bed_header.gsd_m)
         return ground.read_for(box.edge, options)
 
     @property

@@ -29,7 +29,7 @@ from survey.photos.poses import TiePoints, least_track
 from survey.plan.area import limits, local_area, within
 from survey.plan.choices import Choices
 from survey.plan.plan import Plan, make_plan
-from survey.plan.rates import STEPS_PER_CORE_S, search_s
+from survey.plan.rates import SAMPLES_PER_CORE_S, search_s
 from survey.plan.sweep_block import camera_of, load_block
 
 # The coarse sweep: approximate heights of the bed. Beside steps, where there are no windows, nothing more is searched.
@@ -121,7 +121,7 @@ def measure(
 def _share_of_sweep(block: Block, chosen: list[int], bound: tuple[float, float]) -> float:
     """The share of the time that the sweep takes; the search for windows takes the rest."""
     work = [each for n, p in enumerate(_SWEPT) for each in view_passes(block, chosen, p, None if n else bound)]
-    sweep_s = sum(each.samples for each in work) / STEPS_PER_CORE_S
+    sweep_s = sum(each.samples for each in work) / SAMPLES_PER_CORE_S
     return sweep_s / (sweep_s + search_s(len(block.cameras)))
 
 

@@ -127,7 +127,7 @@ def heights_by_depth(survey: Survey, depth_m: float = ASSUMED_DEPTH_M, *, chosen
 
 def _is_adjusted(plan: Plan) -> bool:
     """Whether a plan adjusts for certain: it mostly keeps poses that it checks first."""
-    return plan.poses[0] == "refine"
+    return plan.pose_choice == "refine"
 
 
 def _ties(survey: Survey, depth_m: float) -> TiePoints | None:

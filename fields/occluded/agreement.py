@@ -1,7 +1,7 @@
 """Points of the bed in holes of a cloud, where photographs agree on colours and heights that nothing else explains.
 
 Photographs that nearly look along each other show the same colours at whatever height is assumed for what they see. If
-that is an object over the layer, other photographs show those colours at its height, too: trial heights tell.
+that is an object over the layer, other photographs show those colours at its height, too: some heights are tried.
 """
 
 from __future__ import annotations

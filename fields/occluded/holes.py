@@ -74,10 +74,10 @@ def step_places(
 ) -> Iterator[np.ndarray]:
     """Places [m], local, of trusted pixels of a map beside which it rises steeply, in parts (N, 2)."""
     shape = np.s_[: camera.height, : camera.width]
-    sure, height = trusted(height_map)[shape], height_map.height[shape]
+    is_trusted, height = trusted(height_map)[shape], height_map.height[shape]
     side = 2 * _REACH_PX + 1
-    highest = cv2.dilate(np.where(sure, height, np.float32(-np.inf)), np.ones((side, side), np.uint8))
-    pixels = np.flatnonzero(sure & (highest - height > _STEP_GSD * gsd))
+    highest = cv2.dilate(np.where(is_trusted, height, np.float32(-np.inf)), np.ones((side, side), np.uint8))
+    pixels = np.flatnonzero(is_trusted & (highest - height > _STEP_GSD * gsd))
     for first in range(0, len(pixels), _AT_ONCE):
         row, column = np.divmod(pixels[first : first + _AT_ONCE], camera.width)
         path = camera.paths(np.column_stack([column + 0.5, row + 0.5]), water)

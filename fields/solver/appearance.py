@@ -24,7 +24,7 @@ LEAST_PIXELS = 100
 LEAST_NOISE = 0.3
 # Residuals beyond this many times the noise lose their weight.
 OUTLIER = 3.0
-# Outliers have less than this share of their weight left, which a residual of `OUTLIER` times the noise has.
+# An outlier has less than this share of its weight left: its residual is beyond `OUTLIER` times the noise.
 _REMAINING_WEIGHT = 0.5
 # A median over this many pixels is good enough, of each photograph.
 _SAMPLE = 10_000

@@ -26,7 +26,7 @@ from refract import FlatWater, PinholeCamera
 _STEP_PX = 1.0
 # Pixels about a position that a cubic lookup needs.
 _RIM_PX = 2.5
-# OpenCV looks up an image of positions, not a list: positions are laid out in lines of so many.
+# OpenCV takes positions as an image, with sides below 32768: they are laid out in lines of so many.
 _LINE = 2048
 # How far from the border a position has to be so that no pixel beyond it counts.
 _RIMS = {cv2.INTER_LINEAR: 0.5, cv2.INTER_CUBIC: 1.5}

@@ -241,7 +241,7 @@ def put_strip(
     strip : slice
         Columns of the image that the strip spans.
     radius : [px]
-        Of the windows: results begin with the first whole one, so many pixels into the second row of the strip.
+        Of the windows: results begin with the first whole one, so many pixels into the first of the wanted rows.
     """
     image = np.pad(result, radius).reshape(-1, strip.stop - strip.start)
     columns = part[1]

@@ -178,13 +178,13 @@ def match_with_adaptive_windows(
     found = yield from match_view(reference, hypotheses, columns(radius))
     if np.isfinite(stack.images[reference.view]).mean() < _WHOLE:
         return found, radius
-    while (wider := _wider(stack, found[1], radius, hypotheses.count)) != radius:
-        radius = wider
+    while (asked := _radius_asked_for(stack, found[1], radius, hypotheses.count)) != radius:
+        radius = asked
         found = yield from match_view(replace(reference, radius=radius), hypotheses, columns(radius))
     return found, radius
 
 
-def _wider(stack: ViewStack, score: Any, radius: int, count: int) -> int:
+def _radius_asked_for(stack: ViewStack, score: Any, radius: int, count: int) -> int:
     """`radius_for` the scores (height, width) of a view."""
     matched = image_backend(stack.device).median_above(score, -1.0)
     return radius if matched is None else radius_for(matched, score.shape, radius, count)

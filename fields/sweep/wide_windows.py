@@ -108,12 +108,12 @@ def averaged(m: HeightMap, alike_m: float = 0.0) -> HeightMap:
 
     ``alike_m`` [m] is the standard deviation that windows beside each other share.
     """
-    std, sure = window_std(m), trusted(m)
-    weight, mean = sure.astype(np.float32), m.height
+    std, is_trusted = window_std(m), trusted(m)
+    weight, mean = is_trusted.astype(np.float32), m.height
     for _ in range(_ROUNDS):
         count = _gaussian(weight, _MEAN_PX)
         mean = np.where(count > 1e-3, _gaussian(weight * m.height, _MEAN_PX) / np.maximum(count, 1e-3), m.height)
-        weight = (sure & (np.abs(m.height - mean) < _OUTLYING * std)).astype(np.float32)
+        weight = (is_trusted & (np.abs(m.height - mean) < _OUTLYING * std)).astype(np.float32)
     # Windows share pixels: a mean over an area of 4 pi s^2 has 1 + 4 pi s^2 / side^2 independent values.
     std = np.hypot(std / np.sqrt(1.0 + 4.0 * np.pi * _MEAN_PX**2 / _SIDE**2), alike_m)
     # The spread of which `fields.sweep.maps.height_std` makes this standard deviation again.

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from survey.adjust.result.adjustment import Adjustment
     from survey.compare.figures import Comparison
 
-# Cells of the orthophoto and of the maps along the longer side, at most.
-_ORTHO_CELLS, _MAP_CELLS = 2000, 900
+# Cells of a map along the longer side, at most: a picture has some 800 pixels for them.
+_MAP_CELLS = 900
 _CELL_GSD = 2.0
 _BANDS, _FEWEST = 16, 20
 _STD = "standard deviation"
@@ -65,11 +65,12 @@ def drawings_of(facts: ReportFacts) -> dict[str, Callable[[Path], Picture]]:
     """Functions that draw the pictures which the facts allow, by name, in the order of the report."""
     drawings: dict[str, Callable[[Path], Picture]] = {}
     if len(facts.bed):
-        grid, fine_grid = _grid(facts, _MAP_CELLS), _grid(facts, _ORTHO_CELLS)
+        cell_m = _CELL_GSD * facts.plan.gsd_m
+        grid = PlanGrid.over(facts.points_crs, facts.survey.frame.crs, cell_m=cell_m, max_cells=_MAP_CELLS)
         line = choose_cut(facts)
         cut = line if profile.has_profile(facts, line) else None
         drawings["depth"] = partial(maps.draw_surface, facts=facts, grid=grid, cut=cut)
-        drawings["orthophoto"] = partial(maps.draw_orthophoto, facts=facts, grid=fine_grid)
+        drawings["orthophoto"] = partial(maps.draw_orthophoto, facts=facts, grid=grid)
         if cut is not None:
             drawings["profile"] = partial(profile.draw_profile, facts=facts, cut=cut)
     if facts.comparison is not None:
@@ -88,11 +89,6 @@ def drawings_of(facts: ReportFacts) -> dict[str, Callable[[Path], Picture]]:
         drawings["control"] = partial(adjustment_pictures.draw_residuals, survey=facts.survey, residuals=residuals)
     drawings["plan"] = partial(flight.draw_plan, facts=facts)
     return drawings
-
-
-def _grid(facts: ReportFacts, max_cells: int) -> PlanGrid:
-    cell_m = _CELL_GSD * facts.plan.gsd_m
-    return PlanGrid.over(facts.points_crs, facts.survey.frame.crs, cell_m=cell_m, max_cells=max_cells)
 
 
 def _of_adjustment(facts: ReportFacts, found: Adjustment) -> dict[str, Callable[[Path], Picture]]:

@@ -145,7 +145,7 @@ def asked(name: str, survey: Survey) -> dict:
         # As often too high as too low.
         error *= 1 if len(name) + sum(map(ord, name)) & 1 else -1
         found = pose_check.check_of_ties(spoilt(sample, kind, error) if error else sample, plan, WINDOW, windows)
-        told = [[each.name, each.difference, each.std, each.given_std] for each in found.contradictions]
+        told = [[each.name, each.difference, each.std, each.given_std] for each in found.tests]
         doubt = None if found.contradiction is None else found.contradiction.name
         rows.append({"kind": kind, "error": error, "misfit_px": found.misfit_px, "contradiction": doubt, "told": told})
     return {"name": name, "views": len(survey.views), "rows": rows}

@@ -49,7 +49,7 @@ class Findings:
 
 
 @dataclass(frozen=True)
-class Contradiction:
+class GivenValueTest:
     """Test of a given parameter of water or lens against its estimate from the photographs."""
 
     name: str  # "level_m", "refractive_index", or of a lens as "camera0.f"
@@ -72,7 +72,7 @@ class Contradiction:
 
     @property
     def is_of_lens(self) -> bool:
-        """Whether it is the lens that is wrong, not the water."""
+        """Whether it tests a parameter of a lens, not of the water."""
         return self.name.startswith("camera")
 
     def __str__(self) -> str:

@@ -11,7 +11,7 @@ from slow_cases import slow
 
 from survey.adjust.block.bundle import Solution, solve
 from survey.adjust.block.prediction import predict, relief_sides
-from survey.adjust.block.priors import known_of, priors_for
+from survey.adjust.block.priors import prior_of, priors_for
 from survey.adjust.block.problem import Problem
 from survey.adjust.clusters import _Changed, inflation, terrain_design_effect
 from survey.photos.poses import TiePoints
@@ -74,19 +74,19 @@ def adjusted(seed: int, slope: float) -> tuple[Problem, Solution, list]:
     """A block over water whose surface has a slope of its own over each square of ground, the same in all views."""
     block = draw_block(seed, num_points=600, num_views=16, dry_share=0.0, num_control=0, height=20.0, depth=2.0)
     survey = survey_of(block)
-    known = known_of(survey, 0.02)
-    ties, water = survey.observations.ties, known.state.water
-    start = replace(known.state, points=ties.start)
+    prior = prior_of(survey, 0.02)
+    ties, water = survey.observations.ties, prior.state.water
+    start = replace(prior.state, points=ties.start)
     sides = relief_sides(start, ties)
     rng = np.random.default_rng([seed, 41])
-    still = predict(known.layout, start, ties, sides)
-    sloping = predict(known.layout, replace(start, water=replace(water, slope_x=water.slope_x + 0.01)), ties, sides)
+    still = predict(prior.layout, start, ties, sides)
+    sloping = predict(prior.layout, replace(start, water=replace(water, slope_x=water.slope_x + 0.01)), ties, sides)
     _, square = np.unique(np.floor(ties.start[:, :2] / SIDE_M), axis=0, return_inverse=True)
     slopes = slope * rng.standard_normal(square.max() + 1)[square.ravel()][ties.point]
     pixel = still + (sloping - still) * slopes[:, None] / 0.01 + NOISE_PX * rng.standard_normal(still.shape)
     ties = replace(ties, pixel=pixel)
     kind, given = np.zeros(len(pixel), dtype=int), np.array([np.nan])
-    problem = Problem(known.layout, ties, kind, priors_for(known, ties), given, sides)
+    problem = Problem(prior.layout, ties, kind, priors_for(prior, ties), given, sides)
     lens = survey.views[0].lens
     return problem, solve(problem, start), [(lens.width, lens.height)] * len(survey.views)
 

@@ -12,7 +12,7 @@ from slow_cases import slow
 
 from survey.adjust.block.normal_matrix import NormalMatrix
 from survey.adjust.block.observed import MATCH, observed
-from survey.adjust.block.priors import known_of
+from survey.adjust.block.priors import prior_of
 from survey.adjust.block.state import POSE
 from survey.adjust.common_height import apply_level_datum
 from survey.adjust.refine import adjust_survey
@@ -97,8 +97,8 @@ def inverse(matrix: np.ndarray) -> np.ndarray:
 
 
 def adjusted(survey: Survey) -> Adjusted:
-    known = known_of(survey, 0.02)
-    return adjust(known, observed([(MATCH, survey.observations.ties)], None, survey, known))
+    prior = prior_of(survey, 0.02)
+    return adjust(prior, observed([(MATCH, survey.observations.ties)], None, survey, prior))
 
 
 @pytest.mark.parametrize("common_up_std", [80.0, 0.3])
@@ -107,7 +107,7 @@ def test_the_covariance_is_that_of_a_block_with_the_error_as_one_more_unknown(co
     survey = lifted(block, (0.0, 0.0, 0.8), common_up_std)
     done = adjusted(survey)
     placed, common = apply_level_datum(done)
-    size, of_level = len(done.known.layout), known_of(lifted(block, (0.0, 0.0, 0.8), 0.0), 0.02).std[0] ** 2
+    size, of_level = len(done.prior.layout), prior_of(lifted(block, (0.0, 0.0, 0.8), 0.0), 0.02).std[0] ** 2
     of_error = common_up_std**2
     unit = np.zeros(size + 1)
     unit[0] = 1.0
@@ -120,7 +120,7 @@ def test_the_covariance_is_that_of_a_block_with_the_error_as_one_more_unknown(co
     information += np.outer(unit - error, unit - error) / of_level + np.outer(error, error) / of_error
     covariance = inverse(information)
     heights = np.zeros(size)
-    heights[0], heights[done.known.layout.first_pose + 2 :: POSE] = 1.0, 1.0
+    heights[0], heights[done.prior.layout.first_pose + 2 :: POSE] = 1.0, 1.0
     lower = np.column_stack([np.eye(size), -heights])
     expected = lower @ covariance @ lower.T
     std = np.sqrt(np.diag(expected))
@@ -129,9 +129,9 @@ def test_the_covariance_is_that_of_a_block_with_the_error_as_one_more_unknown(co
     )
     assert common.std == pytest.approx(np.sqrt(covariance[-1, -1]), rel=1e-5)
     # Of the mean: the level that photographs see less the given one, by what each is known to.
-    seen = done.solution.state.water_parameters()[0] - done.known.mean.water_parameters()[0]
+    seen = done.solution.state.water_parameters()[0] - done.prior.mean.water_parameters()[0]
     assert common.error == pytest.approx(of_error / (of_error + of_level) * seen, rel=1e-9)
-    assert placed.known.std[0] ** 2 == pytest.approx(of_level)
+    assert placed.prior.std[0] ** 2 == pytest.approx(of_level)
 
 
 def test_residuals_stay_when_a_block_is_lowered():
@@ -142,7 +142,7 @@ def test_residuals_stay_when_a_block_is_lowered():
     assert np.ptp(before.points[:, 2] - after.points[:, 2]) < 1e-9
     np.testing.assert_allclose(after.water.depth(after.points), before.water.depth(before.points), atol=1e-9)
     np.testing.assert_allclose(
-        after.centres - placed.known.mean.centres, before.centres - done.known.mean.centres, atol=1e-9
+        after.centres - placed.prior.mean.centres, before.centres - done.prior.mean.centres, atol=1e-9
     )
 
 
@@ -150,19 +150,19 @@ def test_what_holds_the_heights_leaves_no_common_error():
     block = draw_block(1, num_points=150, num_views=16, dry_share=0.3, num_control=6)
     survey = lifted(block, (0.0, 0.0, 0.0))
     assert survey.observations.control is not None
-    assert known_of(survey, 0.02).common_up_std == 0.0
+    assert prior_of(survey, 0.02).common_up_std == 0.0
     free = changed(survey, control=None)
-    assert known_of(free, 0.02).common_up_std == 80.0
-    assert known_of(free, 0.02, free_water=True).common_up_std == 0.0
-    assert known_of(changed(free, is_level_known=False), 0.02).common_up_std == 0.0
+    assert prior_of(free, 0.02).common_up_std == 80.0
+    assert prior_of(free, 0.02, free_water=True).common_up_std == 0.0
+    assert prior_of(changed(free, is_level_known=False), 0.02).common_up_std == 0.0
     checks = tuple(replace(point, is_check=True) for point in survey.observations.control.points)
     only_checks = changed(survey, control=replace(survey.observations.control, points=checks))
-    assert known_of(only_checks, 0.02).common_up_std == 80.0
+    assert prior_of(only_checks, 0.02).common_up_std == 80.0
     name = survey.views[0].name
     fixed = {**free.observations.priors, name: replace(free.observations.priors[name], common_up_std=0.0)}
-    assert known_of(changed(free, priors=fixed), 0.02).common_up_std == 0.0
+    assert prior_of(changed(free, priors=fixed), 0.02).common_up_std == 0.0
     clicks = (LevelObservation(100.0, 0.02, ORIGIN[:2], None, "clicks"),)
-    assert known_of(changed(free, levels=clicks), 0.02).common_up_std == 0.0
+    assert prior_of(changed(free, levels=clicks), 0.02).common_up_std == 0.0
 
 
 def test_single_positions_are_as_good_as_the_block_shows_however_large_their_common_error_is():
@@ -171,8 +171,8 @@ def test_single_positions_are_as_good_as_the_block_shows_however_large_their_com
         name: replace(prior, position_std=np.array([3.0, 3.0, 80.0]))
         for name, prior in survey.observations.priors.items()
     }
-    assert known_of(changed(survey, priors=stated), 0.02).unknown_positions.all()
-    assert not known_of(changed(survey, priors=stated, is_level_known=False), 0.02).unknown_positions.any()
+    assert prior_of(changed(survey, priors=stated), 0.02).unknown_positions.all()
+    assert not prior_of(changed(survey, priors=stated, is_level_known=False), 0.02).unknown_positions.any()
 
 
 @pytest.mark.slow

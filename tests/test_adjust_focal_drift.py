@@ -13,7 +13,7 @@ from survey.adjust.applied import apply_adjustment, write_cameras
 from survey.adjust.block.bundle import NotConvergedError
 from survey.adjust.block.observed import MATCH, observed
 from survey.adjust.block.prediction import predict
-from survey.adjust.block.priors import known_of
+from survey.adjust.block.priors import prior_of
 from survey.adjust.block.state import LENS, RELIEF, enlarged, lenses_of
 from survey.adjust.focal_lengths import with_focals
 from survey.adjust.refine import adjust_survey
@@ -101,14 +101,14 @@ def test_a_model_with_them_comes_back_as_one_lens(drifted, tmp_path):
     write_cameras(tmp_path, moved, found)
     poses = {pose.name: pose for pose in read_model(tmp_path / "sparse").poses}
     given = replace(survey, views=tuple(replace(view, lens=poses[view.name].lens) for view in moved.views))
-    known = known_of(given, 0.02)
-    assert len(known.lenses) == 1
-    assert known.layout.finds_focals
-    for view, share in zip(moved.views, known.state.focals, strict=True):
-        assert enlarged(known.lenses[0], 1.0 + share).params == pytest.approx(view.lens.params, rel=1e-12)
+    prior = prior_of(given, 0.02)
+    assert len(prior.lenses) == 1
+    assert prior.layout.finds_focals
+    for view, share in zip(moved.views, prior.state.focals, strict=True):
+        assert enlarged(prior.lenses[0], 1.0 + share).params == pytest.approx(view.lens.params, rel=1e-12)
     # The scatter of those that were found is the standard deviation of each.
-    std = known.std[known.layout.first_focal : known.layout.first_pose]
-    assert std == pytest.approx(np.full(16, rms(known.state.focals)))
+    std = prior.std[prior.layout.first_focal : prior.layout.first_pose]
+    assert std == pytest.approx(np.full(16, rms(prior.state.focals)))
     again = adjust_survey(given, use_windows=False)
     # 22 m over the ground, positions known to 3 cm: what is found is the same to a small part of that.
     np.testing.assert_allclose(again.poses.centres, found.poses.centres, atol=0.01)
@@ -176,13 +176,13 @@ def test_photographs_of_other_cameras_keep_their_lens(drifted):
     focal = np.array([lens.focal[0] for lens in each[1:11]])
     assert lenses[1].focal[0] == pytest.approx(focal.mean())
     assert focals[1:11] == pytest.approx(focal / focal.mean() - 1.0)
-    known = known_of(given, 0.02)
-    std = known.std[known.layout.first_focal : known.layout.first_pose]
+    prior = prior_of(given, 0.02)
+    std = prior.std[prior.layout.first_focal : prior.layout.first_pose]
     # Those of the other cameras are held: what differs is in their lenses.
     assert std[1:11] == pytest.approx(np.full(10, rms(focals[1:11])))
     assert std[[0, *range(11, 16)]].max() < 1e-9
     adjusted = replace(given, observations=replace(given.observations, ties=None))
-    std = known_of(adjusted, 0.02, free_water=True).std[known.layout.first_focal : known.layout.first_pose]
+    std = prior_of(adjusted, 0.02, free_water=True).std[prior.layout.first_focal : prior.layout.first_pose]
     assert std[1:11].min() > 1e-5
     assert std[[0, *range(11, 16)]].max() < 1e-9
 
@@ -200,14 +200,14 @@ def test_a_lens_is_not_compared_with_every_other(drifted, monkeypatch):
 
 def test_a_block_that_does_not_converge_with_them_keeps_one_focal_length(drifted):
     survey = drifted[1]
-    known = known_of(survey, 0.02)
-    seen = observed([(MATCH, survey.observations.ties)], survey.observations.control, survey, known)
-    alone = adjust(known, seen)
+    prior = prior_of(survey, 0.02)
+    seen = observed([(MATCH, survey.observations.ties)], survey.observations.control, survey, prior)
+    alone = adjust(prior, seen)
 
     def adjusted(_known):
         raise NotConvergedError("")
 
-    kept, drift = with_focals(known, alone, adjusted)
+    kept, drift = with_focals(prior, alone, adjusted)
     assert kept is alone
     assert drift is None
 

@@ -15,7 +15,7 @@ from survey.adjust.block.observed import WINDOW
 from survey.adjust.given_values import worst_contradiction
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import MOST_SIGMAS_OF_FOUR
-from survey.errors import Contradiction, SurveyError
+from survey.errors import GivenValueTest, SurveyError
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
 from survey.plan.decisions import pose_choice
@@ -64,12 +64,12 @@ def off(survey: Survey, *, level: float = 0.0, index: float = 0.0) -> Survey:
 
 
 def test_water_as_given_is_not_contradicted_and_lies_within_what_is_said():
-    told: list[Contradiction] = []
+    told: list[GivenValueTest] = []
     for seed in range(12):
         block, survey = block_and_survey(seed)
         found = checked(block, survey)
         assert found.contradiction is None
-        told += found.contradictions
+        told += found.tests
     scaled = np.array([each.difference / each.std for each in told if each.name == "level_m"])
     assert len(scaled) == 12
     # Of 12 normal deviates the root mean square is one within 20 % (one sigma); three of these. Wider is honest, too.
@@ -126,7 +126,7 @@ def test_dry_ground_says_nothing_of_water(level):
         block, survey = block_and_survey(seed, dry_share=1.0)
         found = checked(block, off(survey, level=level))
         assert (found.contradiction, found.flooded) == (None, None)
-        assert all(each.is_of_lens for each in found.contradictions)
+        assert all(each.is_of_lens for each in found.tests)
 
 
 @pytest.mark.parametrize("error", [slow(-5.0), slow(-20.0), slow(-50.0), -100.0])
@@ -150,7 +150,7 @@ def test_a_bed_under_a_level_that_is_about_right_is_not_flooded():
 
 def test_contradicted_water_is_adjusted():
     _, survey = block_and_survey(3)
-    warning = Contradiction("level_m", 100.5, 0.02, -0.5, 0.03)
+    warning = GivenValueTest("level_m", 100.5, 0.02, -0.5, 0.03)
     choice, reason = pose_choice(changed(survey, pose_misfit_px=0.01, contradiction=warning), "auto", free_water=False)
     assert choice == "refine"
     assert "level_m is given as 100.500 +- 0.02 m, and a sample of photographs says 100.000 +- 0.03 m" in reason

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from slow_cases import slow
 
 from survey.adjust.block.observed import MATCH, observed
-from survey.adjust.block.priors import known_of
+from survey.adjust.block.priors import prior_of
 from survey.adjust.refine import adjust_survey
 from survey.adjust.rounds import adjust
 from survey.folder.pose_priors import BY_POSES, PosePrior
@@ -42,9 +42,9 @@ def by_file(block: DrawnBlock, std_m: float, std_deg: float, tool: str | None = 
 
 def stds_of(survey) -> np.ndarray:
     """Standard deviations (V, 6) [m, rad] of its poses as the adjustment used them."""
-    known = known_of(survey, 0.02)
-    done = adjust(known, observed([(MATCH, survey.observations.ties)], None, survey, known))
-    return done.known.std[done.known.layout.first_pose :].reshape(-1, 6)
+    prior = prior_of(survey, 0.02)
+    done = adjust(prior, observed([(MATCH, survey.observations.ties)], None, survey, prior))
+    return done.prior.std[done.prior.layout.first_pose :].reshape(-1, 6)
 
 
 @pytest.mark.parametrize(("std_m", "std_deg"), [(0.005, 0.3), slow(0.02, 0.02), slow(0.2, 1.0)])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from survey.adjust.block.priors import known_of
+from survey.adjust.block.priors import prior_of
 from survey.adjust.starts import better_of_two_starts
 from tests.adjusted_block import drawn_adjustment
 from tests.block_survey import survey_of
@@ -32,7 +32,7 @@ def pair():
     rotations, std = np.array([view.camera.cam_from_local for view in views]), np.full((2, 3), 1.0)
     poses = replace(found.poses, centres=found.poses.centres[:2], rotations=rotations, rotation_std_deg=std)
     found = replace(found, control=control, poses=poses)
-    return survey, known_of(survey, 0.02), found
+    return survey, prior_of(survey, 0.02), found
 
 
 def fits(found, ratio: float):
@@ -42,10 +42,10 @@ def fits(found, ratio: float):
 
 
 def seconds(found, ratio: float, starts: list):
-    def adjusted(survey, known):
-        starts.append((survey, known))
+    def adjusted(survey, prior):
+        starts.append((survey, prior))
         again = fits(found, ratio)
-        return replace(again, poses=replace(again.poses, rotations=known.state.rotations))
+        return replace(again, poses=replace(again.poses, rotations=prior.state.rotations))
 
     return adjusted
 
@@ -54,9 +54,9 @@ def seconds(found, ratio: float, starts: list):
     ("ratio", "is_second", "is_said"), [(0.8, True, False), (1.2, False, False), (0.999, True, True)]
 )
 def test_the_solution_that_fits_better_is_used_and_one_that_fits_as_well_is_said(pair, ratio, is_second, is_said):
-    survey, known, first = pair
+    survey, prior, first = pair
     starts: list = []
-    found = better_of_two_starts(survey, known, first, seconds(first, ratio, starts))
+    found = better_of_two_starts(survey, prior, first, seconds(first, ratio, starts))
     ((level, start),) = starts
     down = start.state.rotations[:, 2].mean(axis=0)
     np.testing.assert_allclose(down / np.linalg.norm(down), [0.0, 0.0, -1.0], atol=1e-9)
@@ -72,13 +72,13 @@ def test_the_solution_that_fits_better_is_used_and_one_that_fits_as_well_is_said
 
 
 def test_the_same_solution_from_both_starts_is_the_first(pair):
-    survey, known, first = pair
-    assert better_of_two_starts(survey, known, first, lambda *_start: fits(first, 0.5)) is first
+    survey, prior, first = pair
+    assert better_of_two_starts(survey, prior, first, lambda *_start: fits(first, 0.5)) is first
 
 
 def test_level_photographs_and_those_without_control_have_one_start(pair):
-    survey, known, first = pair
+    survey, prior, first = pair
     alone = changed(survey, control=None)
-    level = replace(known, state=replace(known.state, rotations=known.state.rotations @ TURN))
-    for other, start in ((alone, known), (survey, level)):
+    level = replace(prior, state=replace(prior.state, rotations=prior.state.rotations @ TURN))
+    for other, start in ((alone, prior), (survey, level)):
         assert better_of_two_starts(other, start, first, pytest.fail) is first

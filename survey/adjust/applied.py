@@ -64,16 +64,16 @@ def apply_adjustment(survey: Survey, found: Adjustment) -> Survey:
     return replace(survey, config=config, water=water_plane(survey.frame, found.water))
 
 
-def at_state(survey: Survey, known: PriorKnowledge, state: State) -> Survey:
+def at_state(survey: Survey, prior: PriorKnowledge, state: State) -> Survey:
     """The survey at a state of its adjustment."""
-    lenses = [lens_with(lens, state.lenses[i]) for i, lens in enumerate(known.lenses)]
+    lenses = [lens_with(lens, state.lenses[i]) for i, lens in enumerate(prior.lenses)]
     views = _views(
         survey,
-        _lenses(lenses, known.layout, state.focals if known.layout.finds_focals else None),
+        _lenses(lenses, prior.layout, state.focals if prior.layout.finds_focals else None),
         state.centres,
         state.rotations,
-        _motions(known.layout, state.readouts),
-        state.tides(known.layout),
+        _motions(prior.layout, state.readouts),
+        state.tides(prior.layout),
     )
     return replace(
         survey,

@@ -85,7 +85,7 @@ def assemble_result(
     hold : callable, optional
         Adjusts again with the parameters (P,) bool held that are not observable.
     """
-    layout, first = done.known.layout, done.solution.covariance
+    layout, first = done.prior.layout, done.solution.covariance
     held = np.zeros(len(layout), dtype=bool)
     while True:
         parameters, water = _parameters_with_verdicts(survey, done, first, held, unobservable, contradicted)
@@ -93,7 +93,7 @@ def assemble_result(
         if hold is None or (also == held).all():
             break
         held, done = also, hold(also)
-    known, solution, used = done.known, done.solution, done.used
+    prior, solution, used = done.prior, done.solution, done.used
     state, covariance = solution.state, solution.covariance
     poses = np.sqrt(np.diag(covariance)[layout.first_pose :]).reshape(-1, 6)
     # The apparent rises of a rough bed are nuisance parameters, and no result.
@@ -101,7 +101,7 @@ def assemble_result(
     return Adjustment(
         parameters=parameters,
         water=water,
-        lenses=tuple(lens_with(lens, state.lenses[i]) for i, lens in enumerate(known.lenses)),
+        lenses=tuple(lens_with(lens, state.lenses[i]) for i, lens in enumerate(prior.lenses)),
         poses=AdjustedPoses(
             names=tuple(view.name for view in survey.views),
             lens_of=layout.lens_of,
@@ -114,7 +114,7 @@ def assemble_result(
             hours=layout.hours,
             focals=state.focals if layout.finds_focals else None,
         ),
-        covariance=Covariance(covariance[np.ix_(kept, kept)], _names_of(survey, layout), known.place_of_water),
+        covariance=Covariance(covariance[np.ix_(kept, kept)], _names_of(survey, layout), prior.place_of_water),
         residuals=Residuals(used.ties.view, solution.residuals, used.ties.pixel, used.ties.point),
         statistics=_statistics(done, total),
         control=_control(survey, used, solution, state),
@@ -134,7 +134,7 @@ def _statistics(done: Adjusted, total: int) -> FitStatistics:
         num_observations={name: count for name, count in counts.items() if count},
         num_points=len(used.ties),
         num_left_out=total - len(used.kind),
-        gps_std_m=_gps_std(done.known),
+        gps_std_m=_gps_std(done.prior),
     )
 
 
@@ -151,9 +151,9 @@ def _names_of(survey: Survey, layout: Layout) -> tuple[str, ...]:
     )
 
 
-def _gps_std(known: PriorKnowledge) -> tuple[float, float, float] | None:
+def _gps_std(prior: PriorKnowledge) -> tuple[float, float, float] | None:
     """Median standard deviation of the positions along each axis [m]; None where none is known."""
-    std = known.std[known.layout.first_pose :].reshape(-1, 6)[:, :3]
+    std = prior.std[prior.layout.first_pose :].reshape(-1, 6)[:, :3]
     std = std[np.isfinite(std).all(axis=1)]
     if not len(std):
         return None
@@ -187,44 +187,44 @@ def _parameters_with_verdicts(
     contradicted: Sequence[int],
 ) -> tuple[tuple[Parameter, ...], WaterConfig | None]:
     """Parameters of water and lenses with their verdicts, and the water; ``first``: covariance before any was held."""
-    known, state, covariance = done.known, done.solution.state, done.solution.covariance
+    prior, state, covariance = done.prior, done.solution.state, done.solution.covariance
     parameters: list[Parameter] = []
     water: WaterConfig | None = None
     if survey.water is not None:
         verdicts, water = _water(survey, done, first, held[:WATER], unobservable, contradicted)
         parameters += verdicts
     variance = np.where(held, np.diag(first), np.diag(covariance))
-    for number, lens in enumerate(known.lenses):
+    for number, lens in enumerate(prior.lenses):
         if not is_held(lens):
-            at = known.layout.lens(number)
+            at = prior.layout.lens(number)
             std = np.sqrt(variance[at])
-            parameters += lens_verdicts(number, state.lenses[number], std, known.mean.lenses[number], known.std[at])
-    if known.layout.hours is not None:
-        parameters.append(_rate(survey, known, state, float(np.sqrt(variance[known.layout.first_rate]))))
-    if known.layout.finds_readouts:
-        parameters += _readouts(known, state, np.sqrt(variance))
+            parameters += lens_verdicts(number, state.lenses[number], std, prior.mean.lenses[number], prior.std[at])
+    if prior.layout.hours is not None:
+        parameters.append(_rate(survey, prior, state, float(np.sqrt(variance[prior.layout.first_rate]))))
+    if prior.layout.finds_readouts:
+        parameters += _readouts(prior, state, np.sqrt(variance))
     return tuple(parameters), water
 
 
-def _rate(survey: Survey, known: PriorKnowledge, state: State, std: float) -> Parameter:
+def _rate(survey: Survey, prior: PriorKnowledge, state: State, std: float) -> Parameter:
     """Rate of the level, with its verdict."""
-    hours, given = known.layout.hours, survey.require_water()[1].rate.level_rate_m_per_h or 0.0
+    hours, given = prior.layout.hours, survey.require_water()[1].rate.level_rate_m_per_h or 0.0
     assert hours is not None
-    before = Estimate(given, float(known.std[known.layout.first_rate]))
+    before = Estimate(given, float(prior.std[prior.layout.first_rate]))
     return rate_verdict(Estimate(given + state.rate, std), before, hours)
 
 
-def _readouts(known: PriorKnowledge, state: State, std: np.ndarray) -> list[Parameter]:
+def _readouts(prior: PriorKnowledge, state: State, std: np.ndarray) -> list[Parameter]:
     """Readouts of the shutters with verdicts; ``std`` is that of all parameters (P,)."""
-    first, limits = known.layout.first_readout, readout_limits(state, known.layout, [w.height for w in known.lenses])
+    first, limits = prior.layout.first_readout, readout_limits(state, prior.layout, [w.height for w in prior.lenses])
     return [
         readout_verdict(
             number,
             Estimate(float(state.readouts[number]), float(std[first + number])),
-            Estimate(float(known.mean.readouts[number]), float(known.std[first + number])),
+            Estimate(float(prior.mean.readouts[number]), float(prior.std[first + number])),
             float(limits[number]),
         )
-        for number in range(len(known.lenses))
+        for number in range(len(prior.lenses))
     ]
 
 
@@ -238,13 +238,13 @@ def _water(
 ) -> tuple[list[Parameter], WaterConfig]:
     """Level, slopes and index in the terms of survey.toml, with verdicts; ``first`` see `_parameters_with_verdicts`."""
     _, given = survey.require_water()
-    known, state = done.known, done.solution.state
-    by_local = settings_by_local(survey, np.array(known.place_of_water))
-    values = settings_of(given) + by_local @ (state.water_parameters() - known.mean.water_parameters())
+    prior, state = done.prior, done.solution.state
+    by_local = settings_by_local(survey, np.array(prior.place_of_water))
+    values = settings_of(given) + by_local @ (state.water_parameters() - prior.mean.water_parameters())
     std, held_std = (
         np.sqrt(np.diag(by_local @ c[:WATER, :WATER] @ by_local.T)) for c in (done.solution.covariance, first)
     )
-    given_std = np.sqrt(np.diag(by_local @ np.diag(known.std[:WATER] ** 2) @ by_local.T))
+    given_std = np.sqrt(np.diag(by_local @ np.diag(prior.std[:WATER] ** 2) @ by_local.T))
     if unobservable is not None:
         given_std = np.full(WATER, np.inf)
     limits = water_limits(state.points)

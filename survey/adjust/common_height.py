@@ -44,47 +44,47 @@ class CommonHeight:
     level_std: float  # [m]: of the height of the water over the block, by photographs
 
 
-def water_start(known: PriorKnowledge, seen: Observed) -> tuple[PriorKnowledge, np.ndarray]:
+def water_start(prior: PriorKnowledge, seen: Observed) -> tuple[PriorKnowledge, np.ndarray]:
     """Initial state of a block whose positions do not determine its height over the water, and its points (M, 3) [m].
 
     The cost may have one minimum with all points under water and another with some of them: the adjustment is started
     from several levels, and the best is taken. Where none converges, both are returned as they are.
     """
     found: list[tuple[Problem, Solution]] = []
-    for height in _candidate_levels(known, seen):
-        parameters = known.state.water_parameters()
+    for height in _candidate_levels(prior, seen):
+        parameters = prior.state.water_parameters()
         parameters[0] = height
-        water = with_parameters(known.state.water, parameters)
-        state = replace(known.state, water=water, points=seen.ties.start)
+        water = with_parameters(prior.state.water, parameters)
+        state = replace(prior.state, water=water, points=seen.ties.start)
         try:
-            problem = _problem(known, seen, state)
+            problem = _problem(prior, seen, state)
             found.append((problem, solve(problem, state)))
         except NotConvergedError:
             continue
     if not found:
-        return known, seen.ties.start
+        return prior, seen.ties.start
     std_px = found[0][1].std_px
     least = min((solution for _, solution in found), key=lambda each: cost(found[0][0], each.state, std_px))
-    return replace(known, state=replace(least.state, points=np.zeros((0, 3)))), least.state.points
+    return replace(prior, state=replace(least.state, points=np.zeros((0, 3)))), least.state.points
 
 
-def _candidate_levels(known: PriorKnowledge, seen: Observed) -> tuple[float, ...]:
+def _candidate_levels(prior: PriorKnowledge, seen: Observed) -> tuple[float, ...]:
     """Candidate levels: as positions have it; with most points under water; with half of them."""
     points = seen.ties.start
-    over = over_points(points, known.state.centres)
-    return float(known.state.water_parameters()[0]), over, float(np.median(points[:, 2]))
+    over = over_points(points, prior.state.centres)
+    return float(prior.state.water_parameters()[0]), over, float(np.median(points[:, 2]))
 
 
-def _problem(known: PriorKnowledge, seen: Observed, state: State) -> Problem:
+def _problem(prior: PriorKnowledge, seen: Observed, state: State) -> Problem:
     sides = relief_sides(state, seen.ties)
-    rows = original_rows(seen.ties, known.lenses, known.layout.lens_of)
-    return Problem(known.layout, seen.ties, seen.kind, priors_for(known, seen.ties), seen.given_std_px, sides, rows)
+    rows = original_rows(seen.ties, prior.lenses, prior.layout.lens_of)
+    return Problem(prior.layout, seen.ties, seen.kind, priors_for(prior, seen.ties), seen.given_std_px, sides, rows)
 
 
 def height_warnings(survey: Survey, done: Adjusted) -> list[str]:
     """Warning where positions alone determine the heights, and may share an error."""
     std = shared_height_std(survey)
-    if std == 0.0 or done.known.common_up_std > 0.0 or _is_corrected(done):
+    if std == 0.0 or done.prior.common_up_std > 0.0 or _is_corrected(done):
         return []
     level, measured = (
         ("", "") if survey.water is None else (" and the level of the water", "a level that was measured, ")
@@ -97,13 +97,13 @@ def height_warnings(survey: Survey, done: Adjusted) -> list[str]:
 
 def _is_corrected(done: Adjusted) -> bool:
     """Whether positions of unknown accuracy scatter in plan as little as those of a receiver with corrections."""
-    std = done.known.std[done.known.layout.first_pose :].reshape(-1, POSE)[:, :2]
+    std = done.prior.std[done.prior.layout.first_pose :].reshape(-1, POSE)[:, :2]
     # Photographs without a position, and positions that are blunders, tell nothing of the others.
-    scatter = std[done.known.unknown_positions & np.isfinite(std).all(axis=1)]
+    scatter = std[done.prior.unknown_positions & np.isfinite(std).all(axis=1)]
     return len(scatter) > 0 and bool(np.median(scatter) <= WELL_KNOWN_M)
 
 
-def drop_common_height(known: PriorKnowledge, done: Adjusted) -> PriorKnowledge | None:
+def drop_common_height(prior: PriorKnowledge, done: Adjusted) -> PriorKnowledge | None:
     """Priors without a common height error, where the positions prove to be those of a receiver with corrections.
 
     None where they do not: single positions, in plan, show its accuracy, and the level of the water agrees with them.
@@ -112,32 +112,32 @@ def drop_common_height(known: PriorKnowledge, done: Adjusted) -> PriorKnowledge 
     if common is None or not _is_corrected(done) or abs(common.error) > MOST_SIGMAS * common.std:
         return None
     state = replace(done.solution.state, points=np.zeros((0, 3)))
-    std = known.std.copy()
-    std[0] = placed.known.std[0]
-    return replace(known, state=state, std=std, common_up_std=0.0)
+    std = prior.std.copy()
+    std[0] = placed.prior.std[0]
+    return replace(prior, state=state, std=std, common_up_std=0.0)
 
 
 def apply_level_datum(done: Adjusted) -> tuple[Adjusted, CommonHeight | None]:
     """The block shifted in height to the level of its water, where its positions share an error."""
-    known, covariance = done.known, done.solution.covariance
-    if known.common_up_std == 0.0:
+    prior, covariance = done.prior, done.solution.covariance
+    if prior.common_up_std == 0.0:
         return done, None
-    of_level = known.std[0] ** 2 - known.common_up_std**2
-    share = known.common_up_std**2 / known.std[0] ** 2
-    too_high = share * float(done.solution.state.water_parameters()[0] - known.mean.water_parameters()[0])
-    heights = np.zeros(len(known.layout))
-    heights[0], heights[known.layout.first_pose + 2 :: POSE] = 1.0, 1.0
+    of_level = prior.std[0] ** 2 - prior.common_up_std**2
+    share = prior.common_up_std**2 / prior.std[0] ** 2
+    too_high = share * float(done.solution.state.water_parameters()[0] - prior.mean.water_parameters()[0])
+    heights = np.zeros(len(prior.layout))
+    heights[0], heights[prior.layout.first_pose + 2 :: POSE] = 1.0, 1.0
     follow = covariance - share * np.outer(heights, covariance[0])
     follow = follow - share * np.outer(follow[:, 0], heights)
     follow = follow + share * of_level * np.outer(heights, heights)
     state = _shifted_down(done.solution.state, too_high)
-    std = known.std.copy()
+    std = prior.std.copy()
     std[0] = np.sqrt(of_level)
-    mean = replace(known.mean, centres=known.mean.centres - (0.0, 0.0, too_high))
+    mean = replace(prior.mean, centres=prior.mean.centres - (0.0, 0.0, too_high))
     level_std = float(np.sqrt(covariance[0, 0]))
     common = CommonHeight(too_high, float(np.sqrt(share * of_level + (share * level_std) ** 2)), level_std)
     solution = replace(done.solution, state=state, covariance=follow)
-    return replace(done, known=replace(known, std=std, mean=mean, common_up_std=0.0), solution=solution), common
+    return replace(done, prior=replace(prior, std=std, mean=mean, common_up_std=0.0), solution=solution), common
 
 
 def with_common(found: Adjustment, common: CommonHeight, water: FlatWater | None) -> Adjustment:

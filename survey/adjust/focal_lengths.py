@@ -62,33 +62,33 @@ class FocalDrift:
 
 
 def with_focals(
-    known: PriorKnowledge, done: Adjusted, adjusted: Callable[[PriorKnowledge], Adjusted]
+    prior: PriorKnowledge, done: Adjusted, adjusted: Callable[[PriorKnowledge], Adjusted]
 ) -> tuple[Adjusted, FocalDrift | None]:
     """The block with a focal length for each photograph, where these differ; else, or where it has them, as it was.
 
     Parameters
     ----------
-    known : PriorKnowledge
+    prior : PriorKnowledge
         What the survey says, with the standard deviations of positions as stated.
     done : Adjusted
         With one focal length for each lens.
     adjusted : callable
         Adjusts the block from what is known.
     """
-    if known.layout.finds_focals or len(known.layout.lens_of) < FEWEST or any(map(is_held, known.lenses)):
+    if prior.layout.finds_focals or len(prior.layout.lens_of) < FEWEST or any(map(is_held, prior.lenses)):
         return done, None
-    drift = focal_drift(known, done)
+    drift = focal_drift(prior, done)
     if drift is None:
         return done, None
     alone = done
     for _ in range(_MOST_ROUNDS):
-        known = with_focal_std(known, done, drift.std)
+        prior = with_focal_std(prior, done, drift.std)
         try:
-            done = adjusted(known)
+            done = adjusted(prior)
         except NotConvergedError:
             # The adjustment does not confirm the gain that the linear model predicts.
             return alone, None
-        layout, solution = done.known.layout, done.solution
+        layout, solution = done.prior.layout, done.solution
         variance = np.diag(solution.covariance)[layout.first_focal : layout.first_pose]
         before, drift = drift, replace(drift, std=float(np.sqrt(np.mean(solution.state.focals**2 + variance))))
         if abs(drift.std / before.std - 1.0) < _STEADY:
@@ -96,13 +96,13 @@ def with_focals(
     return done, drift
 
 
-def focal_drift(known: PriorKnowledge, done: Adjusted) -> FocalDrift | None:
+def focal_drift(prior: PriorKnowledge, done: Adjusted) -> FocalDrift | None:
     """Scatter of the focal lengths that a block with one for each lens shows; None where it shows none."""
-    stated = with_focal_std(known, done, np.inf)
+    stated = with_focal_std(prior, done, np.inf)
     layout, solution = stated.layout, done.solution
     state = replace(solution.state, focals=np.zeros(len(layout.lens_of)))
     seen = done.used
-    sides, rows = relief_sides(state, seen.ties), original_rows(seen.ties, known.lenses, layout.lens_of)
+    sides, rows = relief_sides(state, seen.ties), original_rows(seen.ties, prior.lenses, layout.lens_of)
 
     def normals(mine: PriorKnowledge) -> tuple[NormalMatrix, np.ndarray, float]:
         """N, b, and ``v' W v - ln |W|``."""
@@ -115,7 +115,7 @@ def focal_drift(known: PriorKnowledge, done: Adjusted) -> FocalDrift | None:
 
     own = np.r_[: layout.first_focal, layout.first_pose : len(layout)]
     # One focal length for each lens, positions as good as the block has them.
-    as_found = np.insert(done.known.std, layout.first_focal, np.full(len(layout.lens_of), np.inf))
+    as_found = np.insert(done.prior.std, layout.first_focal, np.full(len(layout.lens_of), np.inf))
     rival = replace(stated, std=as_found)
     normal, right, base = normals(rival)
     null_cost = base + _Eliminated.of(normal, right, own).bayes
@@ -152,26 +152,26 @@ class _Eliminated:
         )  # fmt: skip
 
 
-def with_focal_std(known: PriorKnowledge, done: Adjusted, std: float) -> PriorKnowledge:
+def with_focal_std(prior: PriorKnowledge, done: Adjusted, std: float) -> PriorKnowledge:
     """Priors with a focal length for each photograph, starting from an adjusted block.
 
     Positions that were stated are as good as that, but for those that the block contradicts.
     """
-    count, layout = len(known.layout.lens_of), replace(known.layout, finds_focals=True)
-    poses = known.std[known.layout.first_pose :].reshape(-1, POSE).copy()
-    found = done.known.std[done.known.layout.first_pose :].reshape(-1, POSE)
-    poses[known.unknown_positions, :3] = found[known.unknown_positions, :3]
-    poses[known.unknown_rotations, 3:] = found[known.unknown_rotations, 3:]
+    count, layout = len(prior.layout.lens_of), replace(prior.layout, finds_focals=True)
+    poses = prior.std[prior.layout.first_pose :].reshape(-1, POSE).copy()
+    found = done.prior.std[done.prior.layout.first_pose :].reshape(-1, POSE)
+    poses[prior.unknown_positions, :3] = found[prior.unknown_positions, :3]
+    poses[prior.unknown_rotations, 3:] = found[prior.unknown_rotations, 3:]
     poses = np.where(np.isfinite(found), poses, np.inf)
-    first = known.layout.first_focal
-    values = np.concatenate([known.std[:first], np.full(count, std), poses.ravel()])
+    first = prior.layout.first_focal
+    values = np.concatenate([prior.std[:first], np.full(count, std), poses.ravel()])
     state, none = done.solution.state, np.zeros((0, 3))
     focals = state.focals if len(state.focals) else np.zeros(count)
     return replace(
-        known,
+        prior,
         layout=layout,
         state=replace(state, points=none, focals=focals),
-        mean=replace(known.mean, focals=np.zeros(count)),
+        mean=replace(prior.mean, focals=np.zeros(count)),
         std=values,
     )
 

@@ -26,7 +26,7 @@ import numpy as np
 from refract import FlatWater
 from survey.adjust.block.bundle import NotConvergedError, System, solve, system_at
 from survey.adjust.block.observed import Observed, Sizes, sizes_of
-from survey.adjust.block.priors import HELD, PriorKnowledge, known_of, priors_for
+from survey.adjust.block.priors import HELD, PriorKnowledge, prior_of, priors_for
 from survey.adjust.block.problem import Problem, std_of_kinds
 from survey.adjust.block.state import LENS_NAMES, WATER, WATER_PARAMETERS, Layout, State, is_held
 from survey.adjust.clusters import inflation
@@ -34,7 +34,7 @@ from survey.adjust.common_height import water_start
 from survey.adjust.observability import FEWEST_WET
 from survey.adjust.result.adjustment import MOST_SIGMAS, MOST_SIGMAS_OF_FOUR, MOST_STD_INDEX
 from survey.adjust.rounds import Adjusted, adjust, std_over_points
-from survey.errors import Contradiction, SurveyError
+from survey.errors import GivenValueTest, SurveyError
 from survey.folder.pose_priors import BAROMETER_STD_M
 from survey.folder.survey import Survey
 from survey.plan.decisions import MOST_MISFIT_PX
@@ -100,16 +100,16 @@ class _Linearised:
         return float(step[number]), float(np.sqrt(variance))
 
 
-def most_contradicted(told: Sequence[Contradiction]) -> Contradiction | None:
-    """The parameter that photographs contradict the most, if any; ``told``: those of `check_given_values`."""
-    worst = max(told, key=lambda each: each.sigmas, default=None)
+def most_contradicted(tests: Sequence[GivenValueTest]) -> GivenValueTest | None:
+    """The test with the largest difference in standard deviations, where that is beyond the bound."""
+    worst = max(tests, key=lambda each: each.sigmas, default=None)
     return worst if worst is not None and worst.sigmas > MOST_SIGMAS_OF_FOUR else None
 
 
 def check_given_values(
     survey: Survey, problem: Problem, state: State, misfit_px: float, gsd: float, *, fewest_wet: int = FEWEST_WET
-) -> list[Contradiction]:
-    """Tests of level, index and lenses against the photographs, whether contradicted or not.
+) -> list[GivenValueTest]:
+    """Tests of level, index and lenses against the photographs.
 
     Parameters that they do not determine are left out: of the water where few points are wet, or the index where its
     std exceeds the limit of use.
@@ -129,33 +129,29 @@ def check_given_values(
     fewest_wet : int
         Least number of windows under water for a test of level and index.
     """
-    known = known_of(survey, gsd, free_water=True)
-    std = known.std.copy()
-    std[:WATER] = known_of(survey, gsd).std[:WATER]
-    std[known.layout.first_pose :] = _pose_std(known.layout, state, misfit_px, gsd)
-    tested = _tested_parameters(known, state, fewest_wet)
+    prior = prior_of(survey, gsd, free_water=True)
+    std = prior.std.copy()
+    std[:WATER] = prior_of(survey, gsd).std[:WATER]
+    std[prior.layout.first_pose :] = _pose_std(prior.layout, state, misfit_px, gsd)
+    tested = _tested_parameters(prior, state, fewest_wet)
     given = {number: float(std[number]) for number in tested}
-    focals = known.layout.first_lens + np.arange(len(known.lenses)) * len(LENS_NAMES)
+    focals = prior.layout.first_lens + np.arange(len(prior.lenses)) * len(LENS_NAMES)
     least = dict(zip(focals.tolist(), _FOCAL_SHARE * state.lenses[:, 0], strict=True))
     std[tested] = np.inf
-    problem = replace(problem, priors=replace(priors_for(known, problem.ties), state=state, std=std))
+    problem = replace(problem, priors=replace(priors_for(prior, problem.ties), state=state, std=std))
     block = _Linearised.at(problem, state, sizes_of(survey))
-    contradictions = []
+    tests = []
     for number in tested:
-        name, value = _name_and_value(survey, known, number)
+        name, value = _name_and_value(survey, prior, number)
         given_std = max(given[number], least.get(number, 0.0))
-        contradictions.append(Contradiction(name, value, given_std, *block.difference(number, given)))
-    return [
-        each
-        for each in contradictions
-        if each.name != _INDEX_NAME or each.std <= np.hypot(MOST_STD_INDEX, _ROUGH_INDEX)
-    ]
+        tests.append(GivenValueTest(name, value, given_std, *block.difference(number, given)))
+    return [each for each in tests if each.name != _INDEX_NAME or each.std <= np.hypot(MOST_STD_INDEX, _ROUGH_INDEX)]
 
 
-def _tested_parameters(known: PriorKnowledge, state: State, fewest_wet: int) -> list[int]:
+def _tested_parameters(prior: PriorKnowledge, state: State, fewest_wet: int) -> list[int]:
     """Numbers of the tested parameters."""
     is_wet = state.water is not None and int((state.water.depth(state.points) > 0.0).sum()) >= fewest_wet
-    starts = [known.layout.lens(number).start for number, lens in enumerate(known.lenses) if not is_held(lens)]
+    starts = [prior.layout.lens(number).start for number, lens in enumerate(prior.lenses) if not is_held(lens)]
     return [*((LEVEL, _INDEX) if is_wet else ()), *(start + each for start in starts for each in _OF_LENS)]
 
 
@@ -166,16 +162,16 @@ def _pose_std(layout: Layout, state: State, misfit_px: float, gsd: float) -> np.
     return np.column_stack([np.full((len(turn), 3), error_px * gsd), *[turn] * 3]).ravel()
 
 
-def _name_and_value(survey: Survey, known: PriorKnowledge, number: int) -> tuple[str, float]:
+def _name_and_value(survey: Survey, prior: PriorKnowledge, number: int) -> tuple[str, float]:
     """Name and given value of a parameter."""
     if number < WATER:
         name = WATER_PARAMETERS[number]
         return name, float(getattr(survey.require_water()[1], name))
-    lens, parameter = divmod(number - known.layout.first_lens, len(LENS_NAMES))
-    return f"camera{lens}.{LENS_NAMES[parameter]}", float(known.state.lenses[lens, parameter])
+    lens, parameter = divmod(number - prior.layout.first_lens, len(LENS_NAMES))
+    return f"camera{lens}.{LENS_NAMES[parameter]}", float(prior.state.lenses[lens, parameter])
 
 
-def worst_contradiction(survey: Survey, done: Adjusted) -> Contradiction | None:
+def worst_contradiction(survey: Survey, done: Adjusted) -> GivenValueTest | None:
     """The most contradicted of level, slopes and index, by standard deviations; None where none is.
 
     One that is wrong biases the others, so that only the worst is surely wrong: it is released, and the test repeated.
@@ -189,25 +185,25 @@ def worst_contradiction(survey: Survey, done: Adjusted) -> Contradiction | None:
         return None
     worst, most = None, MOST_SIGMAS_OF_FOUR
     _, water = survey.require_water()
-    moved = done.solution.state.water_parameters() - done.known.mean.water_parameters()
+    moved = done.solution.state.water_parameters() - done.prior.mean.water_parameters()
     for number, name in enumerate(WATER_PARAMETERS):
-        prior = float(done.known.std[number])
+        prior_std = float(done.prior.std[number])
         both = float(done.solution.covariance[number, number])
-        own = 1.0 / both - 1.0 / prior**2
-        if prior <= 10.0 * HELD or own < _LEAST_OWN / prior**2:
+        own = 1.0 / both - 1.0 / prior_std**2
+        if prior_std <= 10.0 * HELD or own < _LEAST_OWN / prior_std**2:
             continue
         difference = float(moved[number]) / (both * own)
-        each = Contradiction(name, float(getattr(water, name)), prior, difference, own**-0.5)
+        each = GivenValueTest(name, float(getattr(water, name)), prior_std, difference, own**-0.5)
         if each.sigmas > most:
             worst, most = each, each.sigmas
     return worst
 
 
-def release(known: PriorKnowledge, found: Contradiction) -> PriorKnowledge:
+def release(prior: PriorKnowledge, found: GivenValueTest) -> PriorKnowledge:
     """Priors with the contradicted value as uncertain as it proved to be."""
-    std = known.std.copy()
+    std = prior.std.copy()
     std[WATER_PARAMETERS.index(found.name)] = max(abs(found.difference), found.given_std)
-    return replace(known, std=std)
+    return replace(prior, std=std)
 
 
 def misfit(residuals: np.ndarray, view: np.ndarray) -> float | None:
@@ -227,7 +223,7 @@ def misfit(residuals: np.ndarray, view: np.ndarray) -> float | None:
     return float(np.sqrt(max(float(np.mean(squares)), 0.0))) if squares else None
 
 
-def check_dry_bed(survey: Survey, problem: Problem, state: State, gsd: float) -> Contradiction | None:
+def check_dry_bed(survey: Survey, problem: Problem, state: State, gsd: float) -> GivenValueTest | None:
     """The level that photographs show where the given one leaves the bed dry; None where they show none.
 
     Parameters are those of `check_given_values`.
@@ -253,7 +249,7 @@ def check_dry_bed(survey: Survey, problem: Problem, state: State, gsd: float) ->
     return None
 
 
-def dry_bed_error(level: Contradiction, way_out: str) -> SurveyError:
+def dry_bed_error(level: GivenValueTest, way_out: str) -> SurveyError:
     """Error of a level that leaves dry what photographs show under water, with a way out beside mending it."""
     return SurveyError(
         f"[water] level_m is {level.given:.3f} m, which leaves all of the bed dry, and the photographs show it under "
@@ -263,13 +259,13 @@ def dry_bed_error(level: Contradiction, way_out: str) -> SurveyError:
     )
 
 
-def check_dry_block(survey: Survey, known: PriorKnowledge, seen: Observed, done: Adjusted) -> Contradiction | None:
+def check_dry_block(survey: Survey, prior: PriorKnowledge, seen: Observed, done: Adjusted) -> GivenValueTest | None:
     """The level that an adjusted block shows where the given one leaves all of it dry; None where it shows none.
 
     Parameters
     ----------
-    known : PriorKnowledge
-        What the block was adjusted with.
+    prior : PriorKnowledge
+        That the block was adjusted with.
     seen : Observed
         All of it.
     done : Adjusted
@@ -277,9 +273,9 @@ def check_dry_block(survey: Survey, known: PriorKnowledge, seen: Observed, done:
     """
     if not _is_dry(done.solution.state):
         return None
-    std = known.std.copy()
+    std = prior.std.copy()
     std[LEVEL] = BAROMETER_STD_M
-    free = replace(known, std=std, common_up_std=BAROMETER_STD_M)
+    free = replace(prior, std=std, common_up_std=BAROMETER_STD_M)
     with suppress(NotConvergedError):
         start, points = water_start(free, seen)
         wet = adjust(start, seen.at(points))
@@ -287,8 +283,8 @@ def check_dry_block(survey: Survey, known: PriorKnowledge, seen: Observed, done:
         over = float(np.median(water.depth(wet.solution.state.points)))
         if over > MOST_SIGMAS * std_over_points(wet.solution.system, covariance):
             given, level = survey.require_water()[1].known_level_m, float(np.sqrt(covariance[LEVEL, LEVEL]))
-            raised = float(water.point[2]) - float(known.mean.water_parameters()[LEVEL])
-            return Contradiction(LEVEL_NAME, given, float(known.std[LEVEL]), raised, level)
+            raised = float(water.point[2]) - float(prior.mean.water_parameters()[LEVEL])
+            return GivenValueTest(LEVEL_NAME, given, float(prior.std[LEVEL]), raised, level)
     return None
 
 

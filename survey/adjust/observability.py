@@ -59,8 +59,8 @@ class Unobservable:
     reason: str
 
 
-def adjust_free(survey: Survey, known: PriorKnowledge, seen: Observed) -> tuple[Adjusted, dict[str, Unobservable]]:
-    """Adjust a block with free water (`known`); also returns its unobservable parameters by name.
+def adjust_free(survey: Survey, prior: PriorKnowledge, seen: Observed) -> tuple[Adjusted, dict[str, Unobservable]]:
+    """Adjust a block with free water (`prior`); also returns its unobservable parameters by name.
 
     Raises
     ------
@@ -69,13 +69,13 @@ def adjust_free(survey: Survey, known: PriorKnowledge, seen: Observed) -> tuple[
     """
 
     def under_given_water(unobservable: dict[str, Unobservable]) -> tuple[Adjusted, dict[str, Unobservable]]:
-        return adjust(_held_priors(known, np.arange(WATER), HELD), seen), unobservable
+        return adjust(_held_priors(prior, np.arange(WATER), HELD), seen), unobservable
 
-    few = _too_few(replace(known.state, points=seen.ties.start))
+    few = _too_few(replace(prior.state, points=seen.ties.start))
     if few is not None:
         return under_given_water(none_observable(few))
     try:
-        done = adjust(known, seen)
+        done = adjust(prior, seen)
     except NotConvergedError as error:
         return under_given_water(none_observable(str(error)))
     few = _too_few(done.solution.state)
@@ -96,9 +96,9 @@ def adjust_free(survey: Survey, known: PriorKnowledge, seen: Observed) -> tuple[
         unobservable[WATER_PARAMETERS[worst]] = Unobservable(
             float(first[worst]), _too_uncertain(worst, first[worst], limits[worst])
         )
-        known = _held_priors(done.known, np.array([worst]), _HELD_STD[worst])
-        known = replace(known, state=replace(done.solution.state, points=np.zeros((0, 3))))
-        done = adjust(known, done.used)
+        prior = _held_priors(done.prior, np.array([worst]), _HELD_STD[worst])
+        prior = replace(prior, state=replace(done.solution.state, points=np.zeros((0, 3))))
+        done = adjust(prior, done.used)
         std = water_std(survey, done)
     return done, unobservable
 
@@ -137,11 +137,11 @@ def _inside(survey: Survey, ties: TiePoints) -> np.ndarray | None:
     return (east >= e0) & (east <= e1) & (north >= n0) & (north <= n1)
 
 
-def _held_priors(known: PriorKnowledge, numbers: np.ndarray, std: float) -> PriorKnowledge:
+def _held_priors(prior: PriorKnowledge, numbers: np.ndarray, std: float) -> PriorKnowledge:
     """The priors with parameters of the water held at their given values."""
-    held = known.std.copy()
+    held = prior.std.copy()
     held[numbers] = std
-    return replace(known, std=held)
+    return replace(prior, std=held)
 
 
 def _too_few(state: State) -> str | None:
@@ -154,7 +154,7 @@ def _too_few(state: State) -> str | None:
 
 def water_std(survey: Survey, done: Adjusted) -> np.ndarray:
     """Standard deviations (4,) of level, slopes and index as survey.toml counts them."""
-    water = done.known.mean.water
+    water = done.prior.mean.water
     assert water is not None
     by_local = settings_by_local(survey, np.array(water.point[:2]))
     return np.sqrt(np.diag(by_local @ done.solution.covariance[:WATER, :WATER] @ by_local.T))
@@ -208,30 +208,30 @@ def adjusted_with(done: Adjusted, held: np.ndarray, stated_std: np.ndarray) -> A
     stated_std : (P,)
         Of the given values.
     """
-    known, covariance = done.known, done.solution.covariance
+    prior, covariance = done.prior, done.solution.covariance
     kept = replace(
-        known,
-        state=done.solution.state.moved(known.layout, *_step(done, held)),
-        std=np.where(held, HELD * known.std, known.std),
+        prior,
+        state=done.solution.state.moved(prior.layout, *_step(done, held)),
+        std=np.where(held, HELD * prior.std, prior.std),
     )
     again = adjust(kept, done.used.at(kept.state.points))
     follow = covariance[:, held] @ np.linalg.inv(covariance[np.ix_(held, held)])
     more = np.diag(stated_std[held] ** 2) - covariance[np.ix_(held, held)]
     solution = replace(again.solution, covariance=covariance + follow @ more @ follow.T)
     blunders = done.blunders | again.blunders
-    return replace(again, known=replace(again.known, std=known.std), solution=solution, blunders=blunders)
+    return replace(again, prior=replace(again.prior, std=prior.std), solution=solution, blunders=blunders)
 
 
 def _step(done: Adjusted, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Steps of parameters and points that bring the held ones to their given values, the others re-adjusted."""
-    layout, state, covariance = done.known.layout, done.solution.state, done.solution.covariance
-    water = done.known.mean.water_parameters() - state.water_parameters()
-    lenses = (done.known.mean.lenses - state.lenses).ravel()
+    layout, state, covariance = done.prior.layout, done.solution.state, done.solution.covariance
+    water = done.prior.mean.water_parameters() - state.water_parameters()
+    lenses = (done.prior.mean.lenses - state.lenses).ravel()
     back = np.zeros(len(layout))
     back[: len(water)], back[layout.first_lens : layout.first_readout] = water, lenses
     if layout.finds_readouts:
-        back[layout.first_readout : layout.first_rate] = done.known.mean.readouts - state.readouts
-    back[layout.first_rate : layout.first_focal] = done.known.mean.rate - state.rate
+        back[layout.first_readout : layout.first_rate] = done.prior.mean.readouts - state.readouts
+    back[layout.first_rate : layout.first_focal] = done.prior.mean.rate - state.rate
     step = covariance[:, held] @ np.linalg.solve(covariance[np.ix_(held, held)], back[held])
     return step, done.solution.system.point_steps(step)
 
@@ -244,14 +244,14 @@ def roll_notes(survey: Survey, done: Adjusted, gsd_m: float) -> list[str]:
     SurveyError
         Where a roll leaves heights of the bed more uncertain than the quality gate allows.
     """
-    known, state = done.known, done.solution.state
+    prior, state = done.prior, done.solution.state
     notes = []
     most = max_height_std(gsd_m)
-    for roll in known.rolls:
+    for roll in prior.rolls:
         # Control over an area holds all of a block: where heights are uncertain, by lens and position as by the roll.
         if spans_area(survey, roll):
             continue
-        std = roll.std_by(known.layout, done.solution.covariance)
+        std = roll.std_by(prior.layout, done.solution.covariance)
         beside, below = np.median(np.abs(roll.across.flat(state.points)), axis=0).tolist()
         said = (
             f"positions or control of {len(roll.views)} photographs lie on one line; the roll about it is known to "

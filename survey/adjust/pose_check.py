@@ -18,14 +18,14 @@ import numpy as np
 from survey.adjust.block.bundle import NotConvergedError, solve
 from survey.adjust.block.observed import KINDS, MATCH, WINDOW, observed, original_rows
 from survey.adjust.block.prediction import relief_sides
-from survey.adjust.block.priors import FREE_WATER, HELD, known_of, priors_for
+from survey.adjust.block.priors import FREE_WATER, HELD, prior_of, priors_for
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import State
 from survey.adjust.block.windows import load_photographs, windows_of_block
 from survey.adjust.given_values import check_dry_bed, check_given_values, dry_bed_error, misfit, most_contradicted
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import Adjustment
-from survey.errors import Contradiction, SurveyError
+from survey.errors import GivenValueTest, SurveyError
 from survey.folder.survey import Survey, load_survey
 from survey.photos.poses import TiePoints
 from survey.plan.check import CheckSection
@@ -50,16 +50,16 @@ class PoseCheck:
     # [px] or None: reprojection misfit per coordinate: the root mean square over photographs of the mean residual of
     # their windows, less what the scatter of the windows explains. None where too little matches to tell.
     misfit_px: float | None
-    # Tests of water and lens, contradicted or not, where the misfit confirms the poses. It is taken under the level
+    # Tests of water and lens, where the misfit confirms the poses. It is taken under the level
     # that fits best, since a wrong level causes a misfit of oblique photographs, too.
-    contradictions: tuple[Contradiction, ...] = ()
+    tests: tuple[GivenValueTest, ...] = ()
     # The level that photographs show, where the given one leaves all of the bed dry
-    flooded: Contradiction | None = None
+    flooded: GivenValueTest | None = None
 
     @property
-    def contradiction(self) -> Contradiction | None:
+    def contradiction(self) -> GivenValueTest | None:
         """The most contradicted parameter, if any."""
-        return most_contradicted(self.contradictions)
+        return most_contradicted(self.tests)
 
     def require_water(self) -> None:
         """Raise `SurveyError` where photographs show water over a bed that the given level leaves dry."""
@@ -101,13 +101,13 @@ def check_of_ties(survey: Survey, plan: Plan, kind: int, ties: TiePoints) -> Pos
     """The check by tie points of a kind: `MATCH` or `WINDOW`."""
     if not len(ties):
         return PoseCheck(None)
-    known = known_of(survey, plan.gsd_m)
-    seen = observed([(kind, ties)], None, survey, known)
-    held = replace(known, std=np.full_like(known.std, HELD))
-    state = replace(known.state, points=seen.ties.start)
+    prior = prior_of(survey, plan.gsd_m)
+    seen = observed([(kind, ties)], None, survey, prior)
+    held = replace(prior, std=np.full_like(prior.std, HELD))
+    state = replace(prior.state, points=seen.ties.start)
     priors, sides = priors_for(held, seen.ties), relief_sides(state, seen.ties)
-    rows = original_rows(seen.ties, known.lenses, known.layout.lens_of)
-    problem = Problem(known.layout, seen.ties, seen.kind, priors, np.full(len(KINDS), np.nan), sides, rows)
+    rows = original_rows(seen.ties, prior.lenses, prior.layout.lens_of)
+    problem = Problem(prior.layout, seen.ties, seen.kind, priors, np.full(len(KINDS), np.nan), sides, rows)
     solution = solve(replace(problem, holds_parameters=True), state)
     found = misfit(solution.residuals, seen.ties.view)
     flooded = check_dry_bed(survey, problem, solution.state, plan.gsd_m)

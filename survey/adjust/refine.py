@@ -19,7 +19,7 @@ from survey.adjust.block.bundle import NotConvergedError
 from survey.adjust.block.control_check import contradicted_points, contradiction_warning, has_unchecked_control
 from survey.adjust.block.observed import CELLS, MATCH, PER_CELL, WINDOW, Observed, observed, sizes_of, thinned
 from survey.adjust.block.on_ground import moved_by, shift_onto
-from survey.adjust.block.priors import PriorKnowledge, known_of
+from survey.adjust.block.priors import PriorKnowledge, prior_of
 from survey.adjust.block.state import POSE, WATER, WATER_PARAMETERS
 from survey.adjust.block.windows import measure_windows
 from survey.adjust.common_height import apply_level_datum, drop_common_height, height_warnings, water_start, with_common
@@ -42,7 +42,7 @@ from survey.adjust.rounds import Adjusted, adjust
 from survey.adjust.starts import PoseRecovery, better_of_two_starts, windows_or_recovered_poses
 from survey.adjust.unnamed_water import find_unnamed_water
 from survey.control.points import StableGround
-from survey.errors import Contradiction, SurveyError
+from survey.errors import GivenValueTest, SurveyError
 from survey.folder.pose_priors import GPS_STD_M
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
@@ -103,13 +103,13 @@ class _Request:
 
 def _adjust(survey: Survey, asked: _Request, search: PoseRecovery | None) -> Adjustment:
     """See `adjust_survey`."""
-    known = known_of(survey, make_plan(survey).gsd_m, free_water=asked.free_water)
+    prior = prior_of(survey, make_plan(survey).gsd_m, free_water=asked.free_water)
     if survey.observations.ties is not None or not asked.use_windows:
-        with name_open_roll(known.rolls):
-            found = _adjusted(survey, known, None, asked)
+        with name_open_roll(prior.rolls):
+            found = _adjusted(survey, prior, None, asked)
             silent = replace(asked, advance=lambda _share: None)
             return better_of_two_starts(
-                survey, known, found, lambda other, start: _adjusted(other, start, None, silent)
+                survey, prior, found, lambda other, start: _adjusted(other, start, None, silent)
             )
     windows = windows_or_recovered_poses(
         survey,
@@ -117,17 +117,17 @@ def _adjust(survey: Survey, asked: _Request, search: PoseRecovery | None) -> Adj
         search,
     )
     if isinstance(windows, TiePoints):
-        return _adjusted(survey, known, windows, asked)
+        return _adjusted(survey, prior, windows, asked)
     survey = replace(survey, observations=replace(survey.observations, ties=windows.ties))
-    known = windows.start(known_of(survey, make_plan(survey).gsd_m, free_water=asked.free_water))
-    found = _adjusted(survey, known, None, replace(asked, advance=lambda _share: None))
+    prior = windows.start(prior_of(survey, make_plan(survey).gsd_m, free_water=asked.free_water))
+    found = _adjusted(survey, prior, None, replace(asked, advance=lambda _share: None))
     return replace(found, warnings=(windows.warning, *found.warnings))
 
 
-def _adjusted(survey: Survey, known: PriorKnowledge, windows: TiePoints | None, asked: _Request) -> Adjustment:
+def _adjusted(survey: Survey, prior: PriorKnowledge, windows: TiePoints | None, asked: _Request) -> Adjustment:
     """See `adjust_survey`; with the windows, where they were measured already."""
     device, advance, use_windows, free_water = asked.device, asked.advance, asked.use_windows, asked.free_water
-    gathered = _BlockAdjustment(survey, known, free_water)
+    gathered = _BlockAdjustment(survey, prior, free_water)
     done: Adjusted | None = None
     shares = [0.0, 0.9, 0.1]
     if survey.observations.ties is not None:
@@ -135,7 +135,7 @@ def _adjusted(survey: Survey, known: PriorKnowledge, windows: TiePoints | None, 
         done = gathered.add_ties(
             MATCH,
             dry_or_within_bounds(survey, survey.observations.ties) if free_water else survey.observations.ties,
-            known,
+            prior,
         )
         if use_windows and not survey.provenance.is_level_known and not free_water:
             _require_level(survey, done)
@@ -143,17 +143,17 @@ def _adjusted(survey: Survey, known: PriorKnowledge, windows: TiePoints | None, 
     if use_windows:
         if windows is None:
             windows = _windows_at(survey, done, device, lambda part: advance(shares[1] * part))
-        start = known if done is None else _restarted(gathered.known, done)
+        start = prior if done is None else _restarted(gathered.prior, done)
         done = gathered.add_ties(WINDOW, within_bounds(survey, windows) if free_water else windows, start)
         advance(shares[2])
     assert done is not None
-    contradictions: list[Contradiction] = []
+    contradictions: list[GivenValueTest] = []
     drift: FocalDrift | None = None
     if not free_water:
         done, drift = gathered.with_focals(done)
         done, contradictions = gathered.without_contradictions(done)
     water = None if survey.water is not None else find_unnamed_water(done)
-    notes = roll_notes(survey, done, make_plan(survey).gsd_m) if done.known.rolls and not free_water else []
+    notes = roll_notes(survey, done, make_plan(survey).gsd_m) if done.prior.rolls and not free_water else []
     found = gathered.result(done, contradictions)
     if not survey.provenance.is_level_known and found.parameter("level_m").status == UNKNOWN:
         raise _level_error(survey, found.parameter("level_m").std)
@@ -198,7 +198,7 @@ def _windows_at(survey: Survey, done: Adjusted | None, device: str, advance: Cal
     if done is None:
         return measure_windows(survey, device=device, advance=advance)
     placed, common = apply_level_datum(done)
-    windows = measure_windows(at_state(survey, done.known, placed.solution.state), device=device, advance=advance)
+    windows = measure_windows(at_state(survey, done.prior, placed.solution.state), device=device, advance=advance)
     up = np.array([0.0, 0.0, 0.0 if common is None else common.error])
     return replace(windows, start=windows.start + up)
 
@@ -206,15 +206,15 @@ def _windows_at(survey: Survey, done: Adjusted | None, device: str, advance: Cal
 class _BlockAdjustment:
     """Adjustment of a survey in stages: observations are added, and all of them adjusted again."""
 
-    def __init__(self, survey: Survey, known: PriorKnowledge, free_water: bool):
-        self._survey, self.known, self._free_water = survey, known, free_water
+    def __init__(self, survey: Survey, prior: PriorKnowledge, free_water: bool):
+        self._survey, self.prior, self._free_water = survey, prior, free_water
         self._parts: list[tuple[int, TiePoints]] = []
         self._unobservable: dict[str, Unobservable] = {}
         self._is_against_positions = False
 
     @property
     def _observed(self) -> Observed:
-        return observed(self._parts, self._survey.observations.control, self._survey, self.known)
+        return observed(self._parts, self._survey.observations.control, self._survey, self.prior)
 
     def add_ties(self, kind: int, ties: TiePoints, start: PriorKnowledge) -> Adjusted:
         """Add tie points, thinned to those that are needed, and adjust."""
@@ -263,7 +263,7 @@ class _BlockAdjustment:
         if not are_stated or self._is_against_positions:
             shared = np.maximum(shared, GPS_STD_M)
             start = replace(start, mean=replace(start.mean, centres=start.mean.centres + off))
-        self.known = replace(self.known, mean=start.mean, shared_std=shared)
+        self.prior = replace(self.prior, mean=start.mean, shared_std=shared)
         start = replace(start, shared_std=shared, state=replace(state, centres=state.centres + shift))
         return start, replace(ties, start=ties.start + shift)
 
@@ -274,10 +274,10 @@ class _BlockAdjustment:
         # Without those of check points, which come last.
         self._parts[0] = (kind, replace(ties, start=points[: len(ties)]))
         done = adjust(start, self._observed)
-        held = None if self._has_stated_positions else drop_common_height(self.known, done)
+        held = None if self._has_stated_positions else drop_common_height(self.prior, done)
         if held is None:
             return done
-        self.known = replace(held, state=self.known.state)
+        self.prior = replace(held, state=self.prior.state)
         return adjust(held, self._observed)
 
     @property
@@ -290,14 +290,14 @@ class _BlockAdjustment:
         if self._survey.observations.ground is not None:
             return done, None
         seen = self._observed
-        done, drift = with_focals(self.known, done, lambda start: adjust(start, seen))
+        done, drift = with_focals(self.prior, done, lambda start: adjust(start, seen))
         if drift is not None:
-            self.known = with_focal_std(self.known, done, drift.std)
+            self.prior = with_focal_std(self.prior, done, drift.std)
         return done, drift
 
-    def without_contradictions(self, done: Adjusted) -> tuple[Adjusted, list[Contradiction]]:
+    def without_contradictions(self, done: Adjusted) -> tuple[Adjusted, list[GivenValueTest]]:
         """Adjust with contradicted parameters of the water free, the worst first; also returns the contradictions."""
-        contradictions: list[Contradiction] = []
+        contradictions: list[GivenValueTest] = []
         while len(contradictions) < WATER:
             each = (_contradiction_of_sample(self._survey) if not contradictions else None) or worst_contradiction(
                 self._survey, done
@@ -305,7 +305,7 @@ class _BlockAdjustment:
             if each is None:
                 break
             contradictions.append(each)
-            start = release(_restarted(done.known, done), each)
+            start = release(_restarted(done.prior, done), each)
             done = adjust(start, self._observed)
         return done, contradictions
 
@@ -315,19 +315,19 @@ class _BlockAdjustment:
         if control is None or not has_unchecked_control(self._survey):
             return []
         alone = replace(self._survey, observations=replace(self._survey.observations, control=None, ground=None))
-        known = known_of(alone, make_plan(alone).gsd_m)
+        prior = prior_of(alone, make_plan(alone).gsd_m)
         # A block with an undetermined roll cannot test control.
-        if known.rolls:
+        if prior.rolls:
             return []
         kind, ties = self._parts[0]
         try:
-            free = apply_level_datum(_BlockAdjustment(alone, known, free_water=False).add_ties(kind, ties, known))[0]
+            free = apply_level_datum(_BlockAdjustment(alone, prior, free_water=False).add_ties(kind, ties, prior))[0]
         except NotConvergedError:
             return []
-        contradictions = contradicted_points(control, self._survey.views, free.known, free.solution)
+        contradictions = contradicted_points(control, self._survey.views, free.prior, free.solution)
         return [contradiction_warning(contradictions)] if contradictions else []
 
-    def result(self, done: Adjusted, contradictions: Sequence[Contradiction]) -> Adjustment:
+    def result(self, done: Adjusted, contradictions: Sequence[GivenValueTest]) -> Adjustment:
         """The adjustment in the terms of the survey."""
         control = self._survey.observations.control
         total = sum(len(ties.view) for _, ties in self._parts) + (0 if control is None else len(control.marks))
@@ -336,7 +336,7 @@ class _BlockAdjustment:
         placed, common = apply_level_datum(done)
 
         def hold(held: np.ndarray) -> Adjusted:
-            return apply_level_datum(adjusted_with(done, held, self.known.std))[0]
+            return apply_level_datum(adjusted_with(done, held, self.prior.std))[0]
 
         used = {WATER_PARAMETERS.index(each.name) for each in contradictions} | (set() if common is None else {LEVEL})
         found = self._on_ground(
@@ -354,13 +354,13 @@ class _BlockAdjustment:
         return replace(found, ground=fit, notes=(*found.notes, *fit.notes), warnings=(*found.warnings, *fit.warnings))
 
 
-def _contradiction_of_sample(survey: Survey) -> Contradiction | None:
-    """Contradiction by a sample under the given poses; the test of a block with free poses may have less power."""
+def _contradiction_of_sample(survey: Survey) -> GivenValueTest | None:
+    """GivenValueTest by a sample under the given poses; the test of a block with free poses may have less power."""
     found = survey.provenance.contradiction
     return None if found is None or found.is_of_lens else found
 
 
-def _contradiction_text(found: Adjustment, each: Contradiction) -> str:
+def _contradiction_text(found: Adjustment, each: GivenValueTest) -> str:
     """A contradiction in words, with both numbers."""
     row, unit, digits = found.parameter(each.name), *((" m", 3) if each.name == LEVEL_NAME else ("", 4))
     return (
@@ -371,8 +371,8 @@ def _contradiction_text(found: Adjustment, each: Contradiction) -> str:
     )
 
 
-def _restarted(known: PriorKnowledge, done: Adjusted) -> PriorKnowledge:
+def _restarted(prior: PriorKnowledge, done: Adjusted) -> PriorKnowledge:
     """Priors that start from an adjusted state, with the std of positions that the adjustment estimated."""
     none = np.zeros((0, 3))
-    std = np.concatenate([known.std[:WATER], done.known.std[WATER:]])
-    return replace(known, state=replace(done.solution.state, points=none), std=std)
+    std = np.concatenate([prior.std[:WATER], done.prior.std[WATER:]])
+    return replace(prior, state=replace(done.solution.state, points=none), std=std)

@@ -78,7 +78,7 @@ def std_over_points(system: System, covariance: np.ndarray | None = None) -> flo
 class Adjusted:
     """A block after its adjustment."""
 
-    known: PriorKnowledge  # With the standard deviations of poses that the block showed
+    prior: PriorKnowledge  # With the standard deviations of poses that the block showed
     used: Observed  # What was not left out
     solution: Solution
     factor: np.ndarray  # (kinds,): on variances, for what neighbouring observations and neighbouring ground share
@@ -86,7 +86,7 @@ class Adjusted:
     alignment: GroundAlignment | None = None  # On the ground of an earlier survey
 
 
-def adjust(known: PriorKnowledge, seen: Observed) -> Adjusted:
+def adjust(prior: PriorKnowledge, seen: Observed) -> Adjusted:
     """Adjust a block, and again without outliers until none is left.
 
     Raises
@@ -96,19 +96,19 @@ def adjust(known: PriorKnowledge, seen: Observed) -> Adjusted:
     """
     if not len(seen.kind):
         raise NotConvergedError("no tie point is left that three photographs show; the poses may be far off")
-    state = replace(known.state, points=seen.ties.start)
-    blunders = np.zeros((len(known.unknown_positions), 2), dtype=bool)
+    state = replace(prior.state, points=seen.ties.start)
+    blunders = np.zeros((len(prior.unknown_positions), 2), dtype=bool)
     factors = np.ones(len(KINDS) * (1 + _STRATA))
     given = np.tile(seen.given_std_px, 1 + _STRATA)
     coordinates, remaining = stated_points(seen), _ROUNDS
     most = _ROUNDS + len(coordinates)
     while True:
         kind = _by_depth(seen, state)
-        problem, solution, on_ground = _solve_once(known, seen, state, kind, given, factors[kind])
+        problem, solution, on_ground = _solve_once(prior, seen, state, kind, given, factors[kind])
         found = solution.std_px
         before, factors = factors, _factors(problem, solution, seen.sizes, factors)
-        poses, known_blunders = reestimate_pose_std(known, solution, blunders), blunders
-        known, blunders = poses.known, poses.blunders
+        poses, known_blunders = reestimate_pose_std(prior, solution, blunders), blunders
+        prior, blunders = poses.prior, poses.blunders
         checked = checked_points(problem, solution, seen, coordinates)
         control_changed = checked is not seen
         # Wrong points are found one by one.
@@ -131,24 +131,24 @@ def adjust(known: PriorKnowledge, seen: Observed) -> Adjusted:
         seen = kept.at(state.points)
         # The covariance of 2,000 photographs takes 1.2 GB.
         del problem, solution, on_ground
-    solution = _with_open_parameters(known, seen, problem, solution, factors[kind])
+    solution = _with_open_parameters(prior, seen, problem, solution, factors[kind])
     placed = None if on_ground is None else alignment_on(on_ground, problem, solution)
     solution = replace(solution, std_px=np.sqrt(_mean_by_kind(found[kind] ** 2, seen.kind)))
-    return Adjusted(known, seen, solution, _mean_by_kind(factors[kind], seen.kind), blunders, placed)
+    return Adjusted(prior, seen, solution, _mean_by_kind(factors[kind], seen.kind), blunders, placed)
 
 
 def _solve_once(
-    known: PriorKnowledge, seen: Observed, state: State, kind: np.ndarray, given: np.ndarray, inflation: np.ndarray
+    prior: PriorKnowledge, seen: Observed, state: State, kind: np.ndarray, given: np.ndarray, inflation: np.ndarray
 ) -> tuple[Problem, Solution, OnGround | None]:
     """Adjust once; on ground, until the planes under the points no longer change."""
-    sides, rows = relief_sides(state, seen.ties), original_rows(seen.ties, known.lenses, known.layout.lens_of)
+    sides, rows = relief_sides(state, seen.ties), original_rows(seen.ties, prior.lenses, prior.layout.lens_of)
     on_ground = None
     for _ in range(1 if seen.ground is None else _MOST_PLANES):
         if seen.ground is not None:
             on_ground = planes_under(seen.ground, state.points - state.shift, len(seen.ties) - len(seen.control))
         planes = None if on_ground is None else on_ground.planes
-        priors = priors_for(known, seen.ties, seen.point_std, planes)
-        problem = Problem(known.layout, seen.ties, kind, priors, given, sides, rows)
+        priors = priors_for(prior, seen.ties, seen.point_std, planes)
+        problem = Problem(prior.layout, seen.ties, kind, priors, given, sides, rows)
         solution = solve(problem, state, inflation=inflation)
         before, state = state, solution.state
         if planes is not None:
@@ -161,25 +161,25 @@ def _solve_once(
 
 
 def _with_open_parameters(
-    known: PriorKnowledge, seen: Observed, problem: Problem, solution: Solution, inflation: np.ndarray
+    prior: PriorKnowledge, seen: Observed, problem: Problem, solution: Solution, inflation: np.ndarray
 ) -> Solution:
     """The solution at the least over the rolls that nothing holds, with the covariance of these and of a free level."""
     stds = []
-    for roll in _open_rolls(known, seen):
+    for roll in _open_rolls(prior, seen):
         solution, std = minimise_over_roll(problem, solution, inflation, roll)
         stds.append((roll, std))
-    if known.common_up_std > 0.0:
+    if prior.common_up_std > 0.0:
         solution = replace(solution, covariance=covariance_over_shore(problem, solution))
     for roll, std in stds:
         solution = replace(solution, covariance=inflate_roll(problem, solution.covariance, roll, std))
     return solution
 
 
-def _open_rolls(known: PriorKnowledge, seen: Observed) -> list[Roll]:
+def _open_rolls(prior: PriorKnowledge, seen: Observed) -> list[Roll]:
     """The rolls that nothing holds but level water."""
-    if known.mean.water is None or np.isfinite(seen.point_std).all(axis=1).any():
+    if prior.mean.water is None or np.isfinite(seen.point_std).all(axis=1).any():
         return []
-    return [roll for roll in known.rolls if not roll.num_attitudes]
+    return [roll for roll in prior.rolls if not roll.num_attitudes]
 
 
 def _factors(problem: Problem, solution: Solution, sizes: Sizes, before: np.ndarray) -> np.ndarray:

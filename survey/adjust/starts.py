@@ -41,7 +41,7 @@ _REJECTED = 3.0
 
 
 def better_of_two_starts(
-    survey: Survey, known: PriorKnowledge, first: Adjustment, adjusted: Callable[[Survey, PriorKnowledge], Adjustment]
+    survey: Survey, prior: PriorKnowledge, first: Adjustment, adjusted: Callable[[Survey, PriorKnowledge], Adjustment]
 ) -> Adjustment:
     """The adjustment as it is; of two photographs placed by control, the better of that and one from a level start.
 
@@ -52,14 +52,14 @@ def better_of_two_starts(
     adjusted : callable
         Adjusts a survey from what is known.
     """
-    turn = None if not _needs_second_start(survey) else _turn_to_level(known)
+    turn = None if not _needs_second_start(survey) else _turn_to_level(prior)
     if turn is None:
         return first
     ties = survey.observations.ties
     assert ties is not None
     middle = np.median(ties.start, axis=0)
-    centres = middle + (known.state.centres - middle) @ turn.T
-    rotations = known.state.rotations @ turn.T
+    centres = middle + (prior.state.centres - middle) @ turn.T
+    rotations = prior.state.rotations @ turn.T
     lenses = [view.lens for view in survey.views]
     cameras = [lens.camera(*pose) for lens, *pose in zip(lenses, centres, rotations, strict=True)]
     level = replace(
@@ -67,8 +67,8 @@ def better_of_two_starts(
         views=tuple(replace(view, camera=camera) for view, camera in zip(survey.views, cameras, strict=True)),
         observations=replace(survey.observations, ties=replace(ties, start=middle + (ties.start - middle) @ turn.T)),
     )
-    start = replace(known, state=replace(known.state, centres=centres, rotations=rotations))
-    mean = replace(known.mean, rotations=known.mean.rotations @ turn.T)
+    start = replace(prior, state=replace(prior.state, centres=centres, rotations=rotations))
+    mean = replace(prior.mean, rotations=prior.mean.rotations @ turn.T)
     try:
         second = adjusted(level, replace(start, mean=mean))
     except SurveyError:
@@ -101,9 +101,9 @@ def _needs_second_start(survey: Survey) -> bool:
     return not has_attitudes and any(not point.is_check for point in seen.control.points)
 
 
-def _turn_to_level(known: PriorKnowledge) -> np.ndarray | None:
+def _turn_to_level(prior: PriorKnowledge) -> np.ndarray | None:
     """The turn (3, 3) of local after which the photographs look straight down in the mean; None where they do."""
-    axis = known.state.rotations[:, 2].mean(axis=0)
+    axis = prior.state.rotations[:, 2].mean(axis=0)
     axis /= np.linalg.norm(axis)
     across = np.cross(axis, (0.0, 0.0, -1.0))
     angle = math.atan2(float(np.linalg.norm(across)), -float(axis[2]))
@@ -157,9 +157,9 @@ class RecoveredPoses:
     rotations: np.ndarray
     warning: str = ""  # Why the poses were estimated again
 
-    def start(self, known: PriorKnowledge) -> PriorKnowledge:
+    def start(self, prior: PriorKnowledge) -> PriorKnowledge:
         """The priors with these poses as initial values."""
-        return replace(known, state=replace(known.state, centres=self.centres, rotations=self.rotations))
+        return replace(prior, state=replace(prior.state, centres=self.centres, rotations=self.rotations))
 
 
 # Estimates the poses of a survey again.

@@ -70,26 +70,26 @@ def find_unnamed_water(done: Adjusted) -> UnnamedWater | None:
     done : Adjusted
         Of a survey without water.
     """
-    known, seen, dry = done.known, done.used, done.solution.state
+    prior, seen, dry = done.prior, done.used, done.solution.state
     if dry.water is not None or len(seen.ties) < FEWEST_WET:
         return None
     shared = done.factor[seen.kind]
     for level in _candidate_levels(dry):
         with suppress(NotConvergedError):
-            found = _gain_over(known, seen, dry, level, shared)
+            found = _gain_over(prior, seen, dry, level, shared)
             if found is not None and found[0] > _LEAST_GAIN:
                 return found[1]
     return None
 
 
 def _gain_over(
-    known: PriorKnowledge, seen: Observed, dry: State, level: float, shared: np.ndarray
+    prior: PriorKnowledge, seen: Observed, dry: State, level: float, shared: np.ndarray
 ) -> tuple[float, UnnamedWater] | None:
     """Gain of bent rays in units of variances, and the water; None where too little of it is sure."""
     x, y = dry.centres[:, :2].mean(axis=0).tolist()
-    water, std = FlatWater((x, y, level), n_water=_INDEX), known.std.copy()
+    water, std = FlatWater((x, y, level), n_water=_INDEX), prior.std.copy()
     std[:4] = [_LEVEL_STD_M, _SLOPE_STD, _SLOPE_STD, _INDEX_STD]
-    under = replace(known, std=std, mean=replace(known.mean, water=water))
+    under = replace(prior, std=std, mean=replace(prior.mean, water=water))
     start = replace(dry, water=water)
     problem = _problem(under, seen, start, seen.given_std_px)
     wet = solve(problem, start, inflation=shared)
@@ -98,7 +98,7 @@ def _gain_over(
     if is_wet.sum() < FEWEST_WET:
         return None
     # Both in the same units: the scatter about the better of the two.
-    straight = _problem(known, seen, dry, wet.std_px)
+    straight = _problem(prior, seen, dry, wet.std_px)
     again = solve(straight, dry, inflation=shared)
     gain = cost(straight, again.state, wet.std_px, shared) - cost(problem, wet.state, wet.std_px, shared)
     mine = is_wet[seen.ties.point]
@@ -115,10 +115,10 @@ def _candidate_levels(dry: State) -> tuple[float, float]:
     return top + _SHARE * max(float(np.median(dry.centres[:, 2])) - top, 0.0), middle
 
 
-def _problem(known: PriorKnowledge, seen: Observed, state: State, given: np.ndarray) -> Problem:
-    rows = original_rows(seen.ties, known.lenses, known.layout.lens_of)
-    priors, sides = priors_for(known, seen.ties, seen.point_std), relief_sides(state, seen.ties)
-    return Problem(known.layout, seen.ties, seen.kind, priors, given, sides, rows)
+def _problem(prior: PriorKnowledge, seen: Observed, state: State, given: np.ndarray) -> Problem:
+    rows = original_rows(seen.ties, prior.lenses, prior.layout.lens_of)
+    priors, sides = priors_for(prior, seen.ties, seen.point_std), relief_sides(state, seen.ties)
+    return Problem(prior.layout, seen.ties, seen.kind, priors, given, sides, rows)
 
 
 def _water(state: State) -> FlatWater:

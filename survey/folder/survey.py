@@ -14,7 +14,7 @@ from geo.frames import LocalFrame
 from geo.transformation import lon_lat
 from refract import FlatWater
 from survey.control.points import Checkpoint, Control, StableGround
-from survey.errors import FILE_NAME, Contradiction, Findings, SurveyError
+from survey.errors import FILE_NAME, Findings, GivenValueTest, SurveyError
 from survey.folder import place
 from survey.folder.control import checkpoint_warnings, mark_warnings, read_ground
 from survey.folder.faults import (
@@ -95,7 +95,7 @@ class Provenance:
     # it is measured
     pose_misfit_px: float | None = None
     # What a sample of photographs contradicts, of the given water or lens, under poses that it confirms
-    contradiction: Contradiction | None = None
+    contradiction: GivenValueTest | None = None
     is_adjusted: bool = False  # Whether views, water and points are those of an adjustment with bent rays
     is_level_known: bool = True  # Whether survey.toml gives the level of the water; else that of the survey is a guess
     # Whether survey.toml determines the index of the water; else the settings have an assumed one with a matching

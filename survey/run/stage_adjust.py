@@ -13,7 +13,7 @@ from survey.adjust import pose_check, refine
 from survey.adjust.applied import CAMERAS, MODEL, apply_adjustment, write_cameras
 from survey.adjust.pose_check import PoseCheck
 from survey.adjust.result.adjustment import ARRAYS, JSON, read_adjustment, write_adjustment
-from survey.errors import Contradiction, Findings, SurveyError
+from survey.errors import Findings, GivenValueTest, SurveyError
 from survey.files.json_values import write_json
 
 if TYPE_CHECKING:
@@ -34,15 +34,17 @@ def check_poses(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
     if found.misfit_px is None and job.search is not None:
         with suppress(SurveyError):
             found = pose_check.check_of_features(job.survey, job.plan, job.search(job.survey).ties)
-    write_json(folder / MISFIT, asdict(found))
+    tests, flooded = [asdict(each) for each in found.tests], found.flooded
+    record = {"misfit_px": found.misfit_px, "contradictions": tests}
+    write_json(folder / MISFIT, {**record, "flooded": None if flooded is None else asdict(flooded)})
 
 
 def use_misfit(job: Job, folder: Path) -> None:
     """Update the plan by the result; raise where the level leaves dry what photographs show under water."""
     values = json.loads((folder / MISFIT).read_text(encoding="utf-8"))
     misfit, flooded = values["misfit_px"], values["flooded"]
-    contradictions = tuple(Contradiction(**each) for each in values["contradictions"])
-    found = PoseCheck(misfit, contradictions, None if flooded is None else Contradiction(**flooded))
+    tests = tuple(GivenValueTest(**each) for each in values["contradictions"])
+    found = PoseCheck(misfit, tests, None if flooded is None else GivenValueTest(**flooded))
     found.require_water()
     misfit_px = -1.0 if misfit is None else misfit
     provenance = replace(job.survey.provenance, pose_misfit_px=misfit_px, contradiction=found.contradiction)

@@ -220,7 +220,7 @@ def has_unchecked_control(survey: Survey) -> bool:
 
 
 def contradicted_points(
-    control: Control, views: Sequence[View], known: PriorKnowledge, solution: Solution
+    control: Control, views: Sequence[View], prior: PriorKnowledge, solution: Solution
 ) -> list[ControlContradiction]:
     """The control points that a block without control contradicts.
 
@@ -228,11 +228,11 @@ def contradicted_points(
     ----------
     views : sequence of View
         That the marks are in.
-    known, solution
+    prior, solution
         Of the block without control.
     """
     number = {view.name: k for k, view in enumerate(views)}
-    layout, state, covariance = known.layout, solution.state, solution.covariance
+    layout, state, covariance = prior.layout, solution.state, solution.covariance
     against = []
     for point in control.points:
         marks = [mark for mark in control.marks if mark.point == point.name and mark.view in number]
@@ -243,7 +243,7 @@ def contradicted_points(
         ties = TiePoints(
             place, np.zeros(len(marks), dtype=np.int64), shown_by, np.array([mark.pixel for mark in marks])
         )
-        rows = original_rows(ties, known.lenses, layout.lens_of)
+        rows = original_rows(ties, prior.lenses, layout.lens_of)
         linear = linearise(layout, replace(state, points=place), ties, np.zeros((len(marks), RELIEF)), rows)
         residual = (ties.pixel - linear.pixels).ravel()
         if not np.isfinite(residual).all():

@@ -73,7 +73,7 @@ class Observed:
 
 
 def observed(
-    parts: list[tuple[int, TiePoints]], control: Control | None, survey: Survey, known: PriorKnowledge
+    parts: list[tuple[int, TiePoints]], control: Control | None, survey: Survey, prior: PriorKnowledge
 ) -> Observed:
     """All observations, in pixels that Brown's lens of the adjustment predicts.
 
@@ -85,7 +85,7 @@ def observed(
     """
     if control is not None and control.points:
         parts = [*parts, (MARK, _marks(control, survey))]
-    ties = TiePoints.together([replace(ties, pixel=_straightened(ties, known)) for _, ties in parts])
+    ties = TiePoints.together([replace(ties, pixel=_straightened(ties, prior)) for _, ties in parts])
     kind = np.concatenate([np.full(len(ties.view), kind) for kind, ties in parts])
     point_std = np.full((len(ties), 3), np.inf)
     names: tuple[str, ...] = ()
@@ -94,7 +94,7 @@ def observed(
         point_std[len(ties) - len(names) :] = [
             np.full(3, np.inf) if point.is_check else np.asarray(point.std) for point in control.points
         ]
-    if names and known.common_up_std > 0.0:
+    if names and prior.common_up_std > 0.0:
         ties = replace(ties, start=_at_height_of_nearest(ties.start, len(ties) - len(names)))
     marks_std_px = MARKS_STD_PX if control is None else control.marks_std_px
     return Observed(ties, kind, point_std, names, sizes_of(survey), marks_std_px, survey.observations.ground)
@@ -146,13 +146,13 @@ def original_pixels(ties: TiePoints, lenses: Sequence[Lens], lens_of: np.ndarray
     return pixels
 
 
-def _straightened(ties: TiePoints, known: PriorKnowledge) -> np.ndarray:
+def _straightened(ties: TiePoints, prior: PriorKnowledge) -> np.ndarray:
     """Pixels (N, 2) as they are; of lenses that the adjustment holds those of their pinhole, of affine ones those of
     Brown's part.
     """
     pixel = ties.pixel.copy()
-    for number, lens in enumerate(known.lenses):
-        mine = known.layout.lens_of[ties.view] == number
+    for number, lens in enumerate(prior.lenses):
+        mine = prior.layout.lens_of[ties.view] == number
         if is_affine(lens) and mine.any():
             pixel[mine] = brown_from_affine(lens, ties.pixel[mine])
         elif is_held(lens) and mine.any():

@@ -45,12 +45,12 @@ _CHANGED = 0.1
 class ReestimatedPriors:
     """Accuracy of given poses, estimated from the block."""
 
-    known: PriorKnowledge  # With their standard deviations; infinite of positions that are contradicted
+    prior: PriorKnowledge  # With their standard deviations; infinite of positions that are contradicted
     blunders: np.ndarray  # (V, 2) bool: positions and rotations that the block contradicts
     is_changed: bool  # Whether the block is to be adjusted again
 
 
-def reestimate_pose_std(known: PriorKnowledge, solution: Solution, blunders: np.ndarray) -> ReestimatedPriors:
+def reestimate_pose_std(prior: PriorKnowledge, solution: Solution, blunders: np.ndarray) -> ReestimatedPriors:
     """Estimate standard deviations of poses, where the block determines them, and find blunders.
 
     Parameters
@@ -60,12 +60,12 @@ def reestimate_pose_std(known: PriorKnowledge, solution: Solution, blunders: np.
     blunders : (V, 2) bool
         Found before.
     """
-    std = _of_poses(known, known.std)
+    std = _of_poses(prior, prior.std)
     used = np.isfinite(std[:, :3]).all(axis=1)
     if used.sum() < _FEWEST:
-        return ReestimatedPriors(known, blunders, is_changed=False)
-    estimated = _estimated(known, used, blunders)
-    found, scaled = _components(known, solution, estimated)
+        return ReestimatedPriors(prior, blunders, is_changed=False)
+    estimated = _estimated(prior, used, blunders)
+    found, scaled = _components(prior, solution, estimated)
     scale = _scale(scaled[used])
     bad = np.column_stack(
         [
@@ -76,7 +76,7 @@ def reestimate_pose_std(known: PriorKnowledge, solution: Solution, blunders: np.
     changed = np.where(estimated, found, std)
     changed[bad[:, 0], :3] = np.inf
     changed[bad[:, 1], 3:] = ROTATION_STD
-    stated = used & ~bad[:, 0] & ~known.unknown_positions
+    stated = used & ~bad[:, 0] & ~prior.unknown_positions
     # A blunder bends the block away from other positions too: these are judged once it is left out.
     if stated.any() and not bad.any():
         factor = _scale(scaled[stated, :3])
@@ -84,28 +84,28 @@ def reestimate_pose_std(known: PriorKnowledge, solution: Solution, blunders: np.
             changed[stated, :3] = std[stated, :3] * np.maximum(factor, 1.0)
     with np.errstate(invalid="ignore"):
         if not bad.any() and not (np.abs(changed / std - 1.0) > _CHANGED).any():
-            return ReestimatedPriors(known, blunders, is_changed=False)
-    all_std = known.std.copy()
-    all_std[known.layout.first_pose :] = changed.ravel()
-    return ReestimatedPriors(replace(known, std=all_std), blunders | bad, is_changed=True)
+            return ReestimatedPriors(prior, blunders, is_changed=False)
+    all_std = prior.std.copy()
+    all_std[prior.layout.first_pose :] = changed.ravel()
+    return ReestimatedPriors(replace(prior, std=all_std), blunders | bad, is_changed=True)
 
 
-def _estimated(known: PriorKnowledge, used: np.ndarray, blunders: np.ndarray) -> np.ndarray:
+def _estimated(prior: PriorKnowledge, used: np.ndarray, blunders: np.ndarray) -> np.ndarray:
     """Mask (V, 6) of the pose coordinates whose standard deviation is estimated."""
-    positions = known.unknown_positions & used
-    rotations = known.unknown_rotations & ~blunders[:, 1]
+    positions = prior.unknown_positions & used
+    rotations = prior.unknown_rotations & ~blunders[:, 1]
     return np.column_stack([*[positions] * 3, *[rotations] * 3])
 
 
-def _components(known: PriorKnowledge, solution: Solution, estimated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _components(prior: PriorKnowledge, solution: Solution, estimated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Variance components: standard deviations (V, 6) of poses, and their normalised residuals."""
-    deviation = Priors(known.mean, known.std, np.empty((0, 3))).deviation(known.layout, solution.state)
-    first, std = known.std**-2.0, _of_poses(known, known.std).copy()
+    deviation = Priors(prior.mean, prior.std, np.empty((0, 3))).deviation(prior.layout, solution.state)
+    first, std = prior.std**-2.0, _of_poses(prior, prior.std).copy()
     kinds = [estimated & np.isin(np.arange(POSE), kind) for kind in _KINDS]
     kinds = [kind for kind in kinds if kind.any()]
     miss, factor = deviation, solution.system.normal.factor()
     for step in range(_MOST_STEPS + 1):
-        residual, variance = _without_common_shift(known, std, _of_poses(known, miss), factor)
+        residual, variance = _without_common_shift(prior, std, _of_poses(prior, miss), factor)
         redundancy = np.clip(1.0 - variance / std**2, _LEAST_REDUNDANCY, 1.0)
         scaled = np.abs(residual) / (std * np.sqrt(redundancy))
         factors = [_scale_of(scaled[kind], redundancy[kind]) for kind in kinds]
@@ -114,10 +114,10 @@ def _components(known: PriorKnowledge, solution: Solution, estimated: np.ndarray
         for kind, scale in zip(kinds, factors, strict=True):
             std[kind] = np.maximum(scale * std[kind], _LEAST)
         strength = first.copy()
-        strength[known.layout.first_pose :] = std.ravel() ** -2.0
+        strength[prior.layout.first_pose :] = std.ravel() ** -2.0
         normal, change = solution.system.normal.with_strength(strength - first), (strength - first) * deviation
-        if known.shared_std is not None:
-            before, after = (without_shift(known, known.shared_std, each) for each in (first, strength))
+        if prior.shared_std is not None:
+            before, after = (without_shift(prior, prior.shared_std, each) for each in (first, strength))
             normal = normal.with_rows(np.vstack([before, after]), np.repeat([1.0, -1.0], 3))
             change += before.T @ (before @ deviation) - after.T @ (after @ deviation)
         factor = normal.factor()
@@ -129,23 +129,23 @@ def _components(known: PriorKnowledge, solution: Solution, estimated: np.ndarray
 
 
 def _without_common_shift(
-    known: PriorKnowledge, std: np.ndarray, residual: np.ndarray, factor: DenseFactor | BlockFactor
+    prior: PriorKnowledge, std: np.ndarray, residual: np.ndarray, factor: DenseFactor | BlockFactor
 ) -> tuple[np.ndarray, np.ndarray]:
     """Residuals (V, 6) of poses and their variances after the adjustment, without the shift that positions share.
 
     That shift is the mean of the residuals d by weights w, ``v'd`` with ``v = w / (sum w + 1 / s^2)``; of ``d - v'd``
     the variances are ``C_ii - 2 (C v)_i + v' C v``.
     """
-    variance = _of_poses(known, factor.inverse_diagonal()).copy()
+    variance = _of_poses(prior, factor.inverse_diagonal()).copy()
     # Of unknown standard deviations the iteration ends near zero where the shift is all that positions are off by.
-    if known.shared_std is None or known.unknown_positions.any():
+    if prior.shared_std is None or prior.unknown_positions.any():
         return residual, variance
     residual = residual.copy()
     for axis in range(3):
-        at = known.layout.first_pose + axis + POSE * np.arange(len(std))
+        at = prior.layout.first_pose + axis + POSE * np.arange(len(std))
         weight = std[:, axis] ** -2.0
-        weight = weight / (weight.sum() + known.shared_std[axis] ** -2.0)
-        whole = np.zeros(len(known.std))
+        weight = weight / (weight.sum() + prior.shared_std[axis] ** -2.0)
+        whole = np.zeros(len(prior.std))
         whole[at] = weight
         of_shift = factor.solve(whole)[at]
         residual[:, axis] -= weight @ residual[:, axis]
@@ -159,9 +159,9 @@ def _scale_of(scaled: np.ndarray, redundancy: np.ndarray) -> float:
     return float(np.sqrt(np.sum(redundancy * squares) / (_MEAN_SQUARE * np.sum(redundancy))))
 
 
-def _of_poses(known: PriorKnowledge, values: np.ndarray) -> np.ndarray:
+def _of_poses(prior: PriorKnowledge, values: np.ndarray) -> np.ndarray:
     """Values (V, 6) of the poses out of those (P,) of all parameters."""
-    return values[known.layout.first_pose :].reshape(-1, POSE)
+    return values[prior.layout.first_pose :].reshape(-1, POSE)
 
 
 def _scale(scaled: np.ndarray) -> np.ndarray:

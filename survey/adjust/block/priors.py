@@ -47,13 +47,13 @@ HELD = 1e-9
 
 @dataclass(frozen=True)
 class PriorKnowledge:
-    """A survey as the adjustment takes it."""
+    """Start values, prior means and standard deviations of the parameters of an adjustment."""
 
     layout: Layout
     lenses: tuple[Lens, ...]  # Of each number of `Layout.lens_of`, as the survey has it
     state: State  # Where the adjustment starts; without points
     mean: State  # Mean values of the priors; without points
-    std: np.ndarray  # (P,)
+    std: np.ndarray  # (P,): of the priors
     unknown_positions: np.ndarray  # (V,) bool: whose standard deviation is not known, and is `GPS_STD_M` to start with
     # (V,) bool: of poses of a file, whose standard deviation is not known, and is `ROTATION_STD` to start with
     unknown_rotations: np.ndarray
@@ -71,8 +71,8 @@ class PriorKnowledge:
         return (0.0, 0.0) if water is None else (float(water.point[0]), float(water.point[1]))
 
 
-def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> PriorKnowledge:
-    """Prior knowledge of the unknowns, by a survey.
+def prior_of(survey: Survey, gsd: float, *, free_water: bool = False) -> PriorKnowledge:
+    """Start values and priors of the parameters, by a survey.
 
     Parameters
     ----------
@@ -152,19 +152,19 @@ def _start(survey: Survey, layout: Layout, lenses: tuple[Lens, ...], focals: np.
 
 
 def priors_for(
-    known: PriorKnowledge, ties: TiePoints, point_std: np.ndarray | None = None, planes: Planes | None = None
+    prior: PriorKnowledge, ties: TiePoints, point_std: np.ndarray | None = None, planes: Planes | None = None
 ) -> Priors:
     """The priors of an adjustment with these points, known to (M, 3) [m] or to lie on planes where any are."""
     free = np.full((len(ties), 3), np.inf) if point_std is None else point_std
-    rows, signs = roll_priors(known.rolls, known.layout, known.std) if known.rolls else (None, None)
-    if known.shared_std is not None:
-        shared = without_shift(known, known.shared_std, known.std**-2.0)
+    rows, signs = roll_priors(prior.rolls, prior.layout, prior.std) if prior.rolls else (None, None)
+    if prior.shared_std is not None:
+        shared = without_shift(prior, prior.shared_std, prior.std**-2.0)
         rows = shared if rows is None else np.concatenate([rows, shared])
         signs = np.concatenate([np.zeros(0) if signs is None else signs, np.full(len(shared), -1.0)])
-    return Priors(replace(known.mean, points=ties.start), known.std, free, rows, signs, planes)
+    return Priors(replace(prior.mean, points=ties.start), prior.std, free, rows, signs, planes)
 
 
-def without_shift(known: PriorKnowledge, shared_std: np.ndarray, strength: np.ndarray) -> np.ndarray:
+def without_shift(prior: PriorKnowledge, shared_std: np.ndarray, strength: np.ndarray) -> np.ndarray:
     """Rows (3, P) of `Priors` that take out what a shift of all positions in common explains of their deviations.
 
     ``shared_std`` (3,) [m] is that of the shift, ``strength`` (P,) are the inverse variances of the parameters.
@@ -172,9 +172,9 @@ def without_shift(known: PriorKnowledge, shared_std: np.ndarray, strength: np.nd
     With deviations d and weights w, the least over shifts b of ``sum w (d - b)^2 + b^2 / s^2`` is
     ``sum w d^2 - (sum w d)^2 / (sum w + 1 / s^2)``.
     """
-    rows = np.zeros((3, len(known.layout)))
+    rows = np.zeros((3, len(prior.layout)))
     for axis in range(3):
-        at = known.layout.first_pose + axis + POSE * np.arange(len(known.unknown_positions))
+        at = prior.layout.first_pose + axis + POSE * np.arange(len(prior.unknown_positions))
         weights = strength[at]
         rows[axis, at] = weights / math.sqrt(weights.sum() + shared_std[axis] ** -2.0)
     return rows

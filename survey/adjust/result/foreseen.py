@@ -18,7 +18,7 @@ from evaluation.standards import TO_95, TVU
 from survey.adjust.block.bundle import covariance_at
 from survey.adjust.block.observed import CELLS, KINDS, PER_CELL, WINDOW
 from survey.adjust.block.prediction import linearise, predict, relief_sides
-from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M, INDEX_STD, LEVEL_STD_M, known_of, priors_for
+from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M, INDEX_STD, LEVEL_STD_M, prior_of, priors_for
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import WATER
 from survey.adjust.result.adjustment import MOST_STD_FOCAL, MOST_STD_INDEX, MOST_STD_LEVEL_M
@@ -156,20 +156,20 @@ class _Adjusted:
 def _covariance(survey: Survey, gsd: float, ties: TiePoints, *, free: bool) -> _Adjusted:
     """Covariance of the parameters if every place were measured in every view that has it in its frame."""
     # Poses of which nothing is stated count as those of an adjusted block.
-    known = known_of(survey, gsd, free_water=survey.water is not None)
+    prior = prior_of(survey, gsd, free_water=survey.water is not None)
     if not free:
-        std = known.std.copy()
-        std[:WATER] = known_of(survey, gsd).std[:WATER]
-        known = replace(known, std=std)
-    state = replace(known.mean, points=ties.start)
+        std = prior.std.copy()
+        std[:WATER] = prior_of(survey, gsd).std[:WATER]
+        prior = replace(prior, std=std)
+    state = replace(prior.mean, points=ties.start)
     sides = relief_sides(state, ties)
     # Pixels of cameras that stand still tell the rows at which those that fly on take them.
-    ties = replace(ties, pixel=predict(replace(known.layout, flow=None), state, ties, sides))
-    ties = replace(ties, pixel=predict(known.layout, state, ties, sides))
+    ties = replace(ties, pixel=predict(replace(prior.layout, flow=None), state, ties, sides))
+    ties = replace(ties, pixel=predict(prior.layout, state, ties, sides))
     std_px = np.full(len(KINDS), TIE_STD_PX)
     kind = np.full(len(ties.view), WINDOW)
-    problem = Problem(known.layout, ties, kind, priors_for(known, ties), std_px, sides)
-    linear = linearise(known.layout, state, ties, sides)
+    problem = Problem(prior.layout, ties, kind, priors_for(prior, ties), std_px, sides)
+    linear = linearise(prior.layout, state, ties, sides)
     return _Adjusted(covariance_at(problem, state, std_px), problem, linear.by_point, linear.by_parameters)
 
 

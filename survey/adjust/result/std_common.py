@@ -29,7 +29,7 @@ from scipy.spatial import cKDTree
 from refract import FlatWater
 from survey.adjust.block.observed import original_rows
 from survey.adjust.block.prediction import linearise
-from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M, known_of, parameters_of
+from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M, parameters_of, prior_of
 from survey.adjust.block.state import RELIEF, WATER, Layout, State
 from survey.adjust.result.adjustment import Adjustment
 from survey.display.column import portions
@@ -294,12 +294,12 @@ def _variance(survey: Survey, found: Adjustment | None, ties: TiePoints, gsd: fl
     if found is not None:
         moves = height_moves(found, survey.water, ties)
         return np.einsum("ki,ij,kj->k", moves, found.covariance.matrix, moves)
-    known, of_water = known_of(survey, gsd, free_water=True), known_of(survey, gsd).std[:WATER]
-    std = np.concatenate([of_water, known.std[known.layout.first_lens :]])
+    prior, of_water = prior_of(survey, gsd, free_water=True), prior_of(survey, gsd).std[:WATER]
+    std = np.concatenate([of_water, prior.std[prior.layout.first_lens :]])
     # Structure from motion and poses without any word on them have no standard deviation of their own.
     std = np.where(np.isfinite(std), std, EXACT_STD_M)
     rows = ties.pixel[:, 1]
-    moves = moves_of(known.layout, replace(known.state, points=ties.start), ties, rows)[:, 2]
+    moves = moves_of(prior.layout, replace(prior.state, points=ties.start), ties, rows)[:, 2]
     return (moves**2) @ std**2
 
 

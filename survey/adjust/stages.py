@@ -1,0 +1,242 @@
+"""Adjustment of a block in stages: first tie points, more tie points, focal lengths, contradicted values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from survey.adjust.assembling import assemble_result
+from survey.adjust.block.bundle import NotConvergedError
+from survey.adjust.block.control_check import contradicted_points, contradiction_warning, has_unchecked_control
+from survey.adjust.block.observed import CELLS, PER_CELL, Observed, observed, sizes_of, thinned
+from survey.adjust.block.on_ground import moved_by, shift_onto
+from survey.adjust.block.priors import PriorKnowledge, prior_of
+from survey.adjust.block.state import POSE, WATER, WATER_PARAMETERS
+from survey.adjust.common_height import apply_level_datum, drop_common_height, water_start, with_common
+from survey.adjust.focal_lengths import FocalDrift, with_focal_std, with_focals
+from survey.adjust.given_values import LEVEL, check_dry_block, dry_bed_error, release, worst_contradiction
+from survey.adjust.observability import (
+    Unobservable,
+    adjust_free,
+    adjusted_with,
+)
+from survey.adjust.result.adjustment import MOST_SIGMAS, Adjustment
+from survey.adjust.result.ground_fit import ground_fit
+from survey.adjust.rounds import Adjusted, adjust
+from survey.control.points import StableGround
+from survey.errors import GivenValueTest
+from survey.folder.pose_priors import GPS_STD_M
+from survey.folder.survey import Survey
+from survey.photos.poses import TiePoints
+from survey.plan.plan import make_plan
+
+# Of the shift onto the ground before the adjustment.
+_START_STD_M = 0.1
+
+
+@dataclass(frozen=True)
+class _OnGround:
+    """A block before its adjustment, shifted onto the ground of an earlier survey."""
+
+    prior: PriorKnowledge
+    start: PriorKnowledge  # The same from the shifted poses
+    part: tuple[int, TiePoints]  # Kind of the tie points, and these at shifted places
+    is_against_positions: bool  # Whether the ground contradicts the stated accuracy of positions
+
+
+class StagedAdjustment:
+    """Adjustment of a survey in stages: observations are added, and all of them adjusted again.
+
+    `prior` is that of the next stage: `first_ties` and `with_focals` replace it by what their stage has shown.
+    """
+
+    def __init__(self, survey: Survey, prior: PriorKnowledge, free_water: bool):
+        self._survey, self.prior, self._free_water = survey, prior, free_water
+        self._parts: list[tuple[int, TiePoints]] = []
+        self._unobservable: dict[str, Unobservable] = {}
+        self._is_against_positions = False
+
+    def first_ties(self, kind: int, ties: TiePoints) -> Adjusted:
+        """Adjust with the first tie points, which place the block on ground or water where these determine its height.
+
+        Raises
+        ------
+        SurveyError
+            If the given level leaves dry what photographs show under water.
+        """
+        start, part = self.prior, (kind, self._thinned(ties))
+        ground = self._survey.observations.ground
+        if ground is not None:
+            placed = self._onto_ground(ground, part)
+            self.prior, start, part = placed.prior, placed.start, placed.part
+            self._is_against_positions = placed.is_against_positions
+        self._parts = [part]
+        if self._free_water:
+            return self._adjust_free(start)
+        if start.common_up_std > 0.0:
+            done, self.prior, part = self._at_level(part)
+            self._parts = [part]
+            return done
+        done = self._adjust(start)
+        if self._survey.provenance.is_level_known:
+            level = check_dry_block(self._survey, start, self._observed, done)
+            if level is not None:
+                raise dry_bed_error(level, "leave out [water] if the bed is dry")
+        return done
+
+    def more_ties(self, kind: int, ties: TiePoints, start: PriorKnowledge) -> Adjusted:
+        """Adjust with further tie points beside those before."""
+        self._parts.append((kind, self._thinned(ties)))
+        return self._adjust_free(start) if self._free_water else self._adjust(start)
+
+    def _thinned(self, ties: TiePoints) -> TiePoints:
+        return ties.only(np.isin(ties.point, thinned(ties, sizes_of(self._survey), CELLS, PER_CELL)))
+
+    @property
+    def _observed(self) -> Observed:
+        return self._seen(self._parts, self.prior)
+
+    def _seen(self, parts: list[tuple[int, TiePoints]], prior: PriorKnowledge) -> Observed:
+        """Tie points with control and ground."""
+        return observed(parts, self._survey.observations.control, self._survey, prior)
+
+    def _adjust(self, start: PriorKnowledge) -> Adjusted:
+        return adjust(start, self._observed)
+
+    def _adjust_free(self, start: PriorKnowledge) -> Adjusted:
+        done, self._unobservable = adjust_free(self._survey, start, self._observed)
+        return done
+
+    def _onto_ground(self, ground: StableGround, part: tuple[int, TiePoints]) -> _OnGround:
+        """Block and tie points shifted onto the ground, after an adjustment without it; positions too, where it shows.
+
+        Positions of unknown accuracy may share an error of metres, those of a stated one an error as large as that,
+        unless the ground contradicts it.
+        """
+        kind, ties = part
+        stated = self.prior.std[self.prior.layout.first_pose :].reshape(-1, POSE)[~self.prior.unknown_positions, :3]
+        stated = stated[np.isfinite(stated).all(axis=1)]
+        are_stated = len(stated) > 0 and not self.prior.unknown_positions.any()
+        shared = np.median(stated, axis=0) if are_stated else np.full(3, GPS_STD_M)
+        prior = replace(self.prior, shared_std=shared)
+        alone = replace(self._seen([part], prior), ground=None)
+        try:
+            done = adjust(prior, alone)
+            state, points = replace(done.solution.state, points=np.zeros((0, 3))), done.solution.state.points
+            points = points[: len(done.used.ties) - len(done.used.control)]
+        except NotConvergedError:
+            state, points = prior.state, ties.start
+        shift = shift_onto(ground, points)
+        off = np.median(state.centres - prior.mean.centres, axis=0) + shift
+        horizontal, vertical = ground.std_m
+        of_both = np.sqrt(shared**2 + np.square([horizontal, horizontal, vertical]) + _START_STD_M**2)
+        is_against_positions = are_stated and bool((np.abs(off) > MOST_SIGMAS * of_both).any())
+        if not are_stated or is_against_positions:
+            shared = np.maximum(shared, GPS_STD_M)
+            prior = replace(prior, mean=replace(prior.mean, centres=prior.mean.centres + off), shared_std=shared)
+        start = replace(prior, state=replace(state, centres=state.centres + shift))
+        return _OnGround(prior, start, (kind, replace(ties, start=ties.start + shift)), is_against_positions)
+
+    def _at_level(self, part: tuple[int, TiePoints]) -> tuple[Adjusted, PriorKnowledge, tuple[int, TiePoints]]:
+        """Adjust a block whose height the level of the water determines, or else the positions.
+
+        Also returns the prior of later stages, and the tie points where the level puts them.
+        """
+        start, points = water_start(self.prior, self._seen([part], self.prior))
+        kind, ties = part
+        # Without those of check points, which come last.
+        part = kind, replace(ties, start=points[: len(ties)])
+        done = adjust(start, self._seen([part], self.prior))
+        held = None if self._has_stated_positions else drop_common_height(self.prior, done)
+        if held is None:
+            return done, self.prior, part
+        prior = replace(held, state=self.prior.state)
+        return adjust(held, self._seen([part], prior)), prior, part
+
+    @property
+    def _has_stated_positions(self) -> bool:
+        """Whether the accuracy of any position is stated."""
+        return any(prior.position_std is not None for prior in self._survey.observations.priors.values())
+
+    def with_focals(self, done: Adjusted) -> tuple[Adjusted, FocalDrift | None]:
+        """Adjust with a focal length for each photograph, where they differ."""
+        if self._survey.observations.ground is not None:
+            return done, None
+        seen = self._observed
+        done, drift = with_focals(self.prior, done, lambda start: adjust(start, seen))
+        if drift is not None:
+            self.prior = with_focal_std(self.prior, done, drift.std)
+        return done, drift
+
+    def without_contradictions(self, done: Adjusted) -> tuple[Adjusted, list[GivenValueTest]]:
+        """Adjust with contradicted parameters of the water free, the worst first; also returns the contradictions."""
+        contradictions: list[GivenValueTest] = []
+        while len(contradictions) < WATER:
+            each = (_contradiction_of_sample(self._survey) if not contradictions else None) or worst_contradiction(
+                self._survey, done
+            )
+            if each is None:
+                break
+            contradictions.append(each)
+            start = release(restarted(done.prior, done), each)
+            done = self._adjust(start)
+        return done, contradictions
+
+    def against_control(self) -> list[str]:
+        """A warning where positions and water contradict control that is too little to check itself."""
+        control = self._survey.observations.control
+        if control is None or not has_unchecked_control(self._survey):
+            return []
+        alone = replace(self._survey, observations=replace(self._survey.observations, control=None, ground=None))
+        prior = prior_of(alone, make_plan(alone).gsd_m)
+        # A block with an undetermined roll cannot test control.
+        if prior.rolls:
+            return []
+        kind, ties = self._parts[0]
+        try:
+            free = apply_level_datum(StagedAdjustment(alone, prior, free_water=False).first_ties(kind, ties))[0]
+        except NotConvergedError:
+            return []
+        contradictions = contradicted_points(control, self._survey.views, free.prior, free.solution)
+        return [contradiction_warning(contradictions)] if contradictions else []
+
+    def result(self, done: Adjusted, contradictions: Sequence[GivenValueTest]) -> Adjustment:
+        """The adjustment in the terms of the survey."""
+        control = self._survey.observations.control
+        total = sum(len(ties.view) for _, ties in self._parts) + (0 if control is None else len(control.marks))
+        if self._free_water:
+            return self._on_ground(assemble_result(self._survey, done, total, unobservable=self._unobservable), done)
+        placed, common = apply_level_datum(done)
+
+        def hold(held: np.ndarray) -> Adjusted:
+            return apply_level_datum(adjusted_with(done, held, self.prior.std))[0]
+
+        used = {WATER_PARAMETERS.index(each.name) for each in contradictions} | (set() if common is None else {LEVEL})
+        found = self._on_ground(
+            assemble_result(self._survey, placed, total, contradicted=sorted(used), hold=hold), done
+        )
+        return found if common is None else with_common(found, common, placed.solution.state.water)
+
+    def _on_ground(self, found: Adjustment, done: Adjusted) -> Adjustment:
+        """The result with how the block lies on the ground of an earlier survey, where there is one."""
+        if done.alignment is None:
+            return found
+        moved = moved_by(self._survey.views, done.solution.state, done.alignment.middle)
+        reference = str(self._survey.config.control.reference)
+        fit = ground_fit(done.alignment, moved, reference, is_against_positions=self._is_against_positions)
+        return replace(found, ground=fit, notes=(*found.notes, *fit.notes), warnings=(*found.warnings, *fit.warnings))
+
+
+def _contradiction_of_sample(survey: Survey) -> GivenValueTest | None:
+    """GivenValueTest by a sample under the given poses; the test of a block with free poses may have less power."""
+    found = survey.provenance.contradiction
+    return None if found is None or found.is_of_lens else found
+
+
+def restarted(prior: PriorKnowledge, done: Adjusted) -> PriorKnowledge:
+    """Priors that start from an adjusted state, with the std of positions that the adjustment estimated."""
+    none = np.zeros((0, 3))
+    std = np.concatenate([prior.std[:WATER], done.prior.std[WATER:]])
+    return replace(prior, state=replace(done.solution.state, points=none), std=std)

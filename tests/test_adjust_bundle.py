@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
-from survey.adjust.block.bundle import (
-    NotConvergedError,
-    Solution,
-    _system,
-    cost,
-    solve,
-    system_with,
-)
+from survey.adjust.block.bundle import NotConvergedError, Solution, cost, levenberg_marquardt, rounding_of_cost, solve
+from survey.adjust.block.normal_equations import huber_system, system_with
 from survey.adjust.block.prediction import linearise, predict
-from survey.adjust.block.problem import HUBER, Planes, Priors, Problem, std_of_kinds
+from survey.adjust.block.problem import HUBER, Planes, Priors, Problem, huber_loss, std_of_kinds
 from survey.adjust.block.state import RELIEF, Layout, State
 from survey.adjust.rounds import std_over_points
 from survey.photos.poses import TiePoints
@@ -174,7 +169,7 @@ def test_the_eliminated_system_has_the_step_of_the_whole_one(solved):
     size = len(problem.layout)
     mixed, own = normal[:size, size:], normal[size:, size:]
     schur = normal[:size, :size] - mixed @ np.linalg.solve(own, mixed.T)
-    system = _system(problem, solution.state, solution.std_px, np.ones(len(problem.kind)))
+    system = huber_system(problem, solution.state, solution.std_px, np.ones(len(problem.kind)))
     scale = 1.0 / np.sqrt(np.diag(schur))
     # Points that are damped by 1e-13 of their own matrices.
     np.testing.assert_allclose(
@@ -204,7 +199,7 @@ def test_where_the_loss_is_nearly_linear_an_outlier_keeps_its_gradient_and_hardl
     off[number] = 30.0, -40.0
     problem = replace(problem, ties=replace(ties, pixel=predict(problem.layout, state, ties, problem.sides) + off))
     one = np.ones(len(problem.kind))
-    square, linear = (_system(problem, state, std_px, one, is_linear=each) for each in (False, True))
+    square, linear = (huber_system(problem, state, std_px, one, reduces_curvature=each) for each in (False, True))
     scale = 1.0 / np.sqrt(np.diag(square.normal.dense()))
     np.testing.assert_allclose(linear.right_side * scale, square.right_side * scale, rtol=1e-6, atol=1e-9)
     design = linearise(problem.layout, state, problem.ties, problem.sides).by_parameters.toarray()
@@ -216,6 +211,63 @@ def test_where_the_loss_is_nearly_linear_an_outlier_keeps_its_gradient_and_hardl
         taken * np.outer(scale, scale),
         atol=1e-9,
     )
+
+
+class WorseElsewhere(Problem):
+    """A problem whose residuals are of some size [px] at the state of its priors and far larger at any other."""
+
+    size_px: float = 1.0
+
+    def residuals(self, state: State) -> np.ndarray:
+        is_there = np.array_equal(state.centres, self.priors.state.centres) and np.array_equal(
+            state.points, self.priors.state.points
+        )
+        return np.full_like(self.ties.pixel, self.size_px if is_there else 10.0 * self.size_px)
+
+
+def stuck(size_px: float) -> WorseElsewhere:
+    """A noisy block at its true state, which is not the minimum, from where every step raises the cost."""
+    problem = problem_of(draw_block(3, pixel_std=0.3, **SMALL))
+    values = {each.name: getattr(problem, each.name) for each in fields(problem)}
+    found = WorseElsewhere(**values)
+    object.__setattr__(found, "size_px", size_px)
+    return found
+
+
+def test_where_no_step_lowers_the_cost_short_of_the_minimum_the_adjustment_is_refused_with_numbers():
+    problem = stuck(1.0)
+    one, std_px = np.ones(len(problem.kind)), np.array([0.3])
+    decrement = huber_system(problem, problem.priors.state, std_px, one).decrement()
+    assert decrement > 1.0
+    value = cost(problem, problem.priors.state, std_px)
+    with pytest.raises(NotConvergedError, match=rf"no step lowers .* {value:.6g}, though .* predict {decrement:.3g} "):
+        levenberg_marquardt(problem, problem.priors.state, std_px, one)
+
+
+def test_a_decrease_that_would_not_show_in_the_cost_is_the_minimum():
+    problem = stuck(1e13)
+    one, std_px = np.ones(len(problem.kind)), np.array([0.3])
+    state, system = levenberg_marquardt(problem, problem.priors.state, std_px, one)
+    assert state is problem.priors.state
+    value = cost(problem, state, std_px)
+    assert value + system.decrement() == pytest.approx(value, rel=1e-12)
+    assert 1.0 < system.decrement() < rounding_of_cost(problem, value)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_cost_is_exact_to_the_bound_on_its_rounding(seed):
+    rng = np.random.default_rng(seed)
+    block = draw_block(3, pixel_std=0.3, **SMALL)
+    problem, std_px = problem_of(block), np.array([0.3])
+    state = spoilt(block, rng)
+    length = np.linalg.norm(problem.residuals(state), axis=1) / std_px[0]
+    deviation = problem.priors.deviation(problem.layout, state) / problem.priors.std
+    of_points = ((state.points - problem.priors.state.points) / problem.priors.point_std).ravel()
+    exact = math.fsum([*huber_loss(length), *deviation**2, *of_points**2])
+    found = cost(problem, state, std_px)
+    assert abs(found - exact) <= rounding_of_cost(problem, exact)
+    # Far less than a decrease that ends the iteration.
+    assert rounding_of_cost(problem, float(2 * len(problem.kind))) < 1e-6
 
 
 def test_the_standard_deviation_of_pixels_is_that_of_the_noise():

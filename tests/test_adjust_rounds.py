@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from survey.adjust import rounds
-from survey.adjust.block.bundle import Solution, system_at
+from survey.adjust.block.bundle import Solution
+from survey.adjust.block.normal_equations import system_at
 from survey.adjust.block.prediction import relief_sides
 from survey.adjust.block.problem import Priors, Problem
 from survey.adjust.block.state import POSE, RELIEF, with_parameters

@@ -27,7 +27,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from refract.lens import MODELS, Lens
-from survey.adjust.block.bundle import NotConvergedError, system_with
+from survey.adjust.block.bundle import NotConvergedError
+from survey.adjust.block.normal_equations import system_with
 from survey.adjust.block.normal_matrix import NormalMatrix
 from survey.adjust.block.observed import original_rows
 from survey.adjust.block.prediction import relief_sides

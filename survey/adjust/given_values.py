@@ -24,7 +24,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from refract import FlatWater
-from survey.adjust.block.bundle import NotConvergedError, System, solve, system_at
+from survey.adjust.block.bundle import NotConvergedError, solve
+from survey.adjust.block.normal_equations import System, system_at
 from survey.adjust.block.observed import Observed, Sizes, sizes_of
 from survey.adjust.block.priors import HELD, PriorKnowledge, prior_of, priors_for
 from survey.adjust.block.problem import Problem, std_of_kinds

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from survey.adjust.block.bundle import NotConvergedError, Solution, System, solve, system_with
+from survey.adjust.block.bundle import NotConvergedError, Solution, solve
 from survey.adjust.block.control_check import checked_points, stated_points
+from survey.adjust.block.normal_equations import System, system_with
 from survey.adjust.block.observed import KINDS, MARK, Observed, Sizes, original_rows
 from survey.adjust.block.on_ground import GroundAlignment, OnGround, alignment_on, planes_under
 from survey.adjust.block.pose_std import reestimate_pose_std

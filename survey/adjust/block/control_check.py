@@ -156,7 +156,7 @@ def _misfit(problem: Problem, solution: Solution, seen: Observed, point: int, gi
 def _normalised_residual(solution: Solution, point: int, moved: np.ndarray, stated: np.ndarray) -> float:
     """Normalised residual from the adjusted position of the point."""
     system = solution.system
-    root, mixed = system.root[point], system.mixed[3 * point : 3 * point + 3].toarray()
+    root, mixed = system.point_root[point], system.coupling[3 * point : 3 * point + 3].toarray()
     covariance = root.T @ (np.eye(3) + mixed @ solution.covariance @ mixed.T) @ root
     redundancy = 1.0 - np.diag(covariance) / stated**2
     is_redundant = redundancy > _LEAST_REDUNDANCY

@@ -23,7 +23,8 @@ from scipy.ndimage import minimum_filter
 from scipy.spatial.transform import Rotation
 
 from evaluation.local_surface import local_surface
-from survey.adjust.block.bundle import Solution, System, system_with
+from survey.adjust.block.bundle import Solution
+from survey.adjust.block.normal_equations import System, system_with
 from survey.adjust.block.problem import Planes, Problem
 from survey.adjust.block.state import State
 from survey.control.points import StableGround
@@ -288,8 +289,8 @@ def _std_of_block(system: System, points: np.ndarray, middle: np.ndarray, covari
         axis=1,
     )
     fit = np.linalg.pinv(design.reshape(-1, 7)).reshape(7, len(points), 3)
-    pulled = np.einsum("kmi,mji->kmj", fit, system.root).reshape(7, -1)
-    follow = -(system.mixed.T @ pulled.T).T
+    pulled = np.einsum("kmi,mji->kmj", fit, system.point_root).reshape(7, -1)
+    follow = -(system.coupling.T @ pulled.T).T
     return np.sqrt(np.einsum("kp,pq,kq->k", follow, covariance, follow))
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from evaluation.standards import TO_95, TVU
-from survey.adjust.block.bundle import covariance_at
+from survey.adjust.block.normal_equations import covariance_at
 from survey.adjust.block.observed import CELLS, KINDS, PER_CELL, WINDOW
 from survey.adjust.block.prediction import linearise, predict, relief_sides
 from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M, INDEX_STD, LEVEL_STD_M, prior_of, priors_for

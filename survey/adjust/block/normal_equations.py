@@ -1,0 +1,242 @@
+"""Normal equations of a block at a state, with the points eliminated by the Schur complement.
+
+With V the normal matrix of a point, W that of the points and the parameters, U that of the parameters and ``V = L L'``,
+the parameters have ``U - W' V^-1 W = U - C' C`` with the coupling ``C = L^-1 W``.
+
+M points, N observations (a point in a photograph), P parameters (`survey.adjust.block.state`)
+r      residual, measured minus predicted pixel (N, 2)
+X, B   derivatives of the prediction by its point (N, 2, 3) and by the parameters (2 N, P), sparse
+w      weight of an observation (N,) [1/px^2]
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import bsr_array, csr_array, diags_array, lil_array
+
+from survey.adjust.block.normal_matrix import NormalMatrix
+from survey.adjust.block.prediction import linearise
+from survey.adjust.block.problem import HUBER, Problem, huber_weights
+from survey.adjust.block.state import SHIFT, State
+from survey.photos.poses import TiePoints
+
+# Weights give an outlier the curvature of a square, which Huber's loss has not along its residual: where steps gain
+# more than they predict, they are taken with the square of this share of that curvature (B. Triggs et al., Bundle
+# adjustment - a modern synthesis, 2000, section 4.3).
+_CURVATURE = 0.1
+# Points whose height has more than so many times the median standard deviation are of uncertain height.
+_WEAK = 3.0
+# Keeps the elimination finite for a point that its rays hardly determine. It holds points where they are, and with them
+# the scale of a block: 1e-9 constrains it as strongly as positions of 0.2 m.
+_DAMPING = 1e-13
+
+
+@dataclass(frozen=True)
+class System:
+    """The normal equations at a state, points eliminated."""
+
+    # normal, right_side (P, P), (P,): of the parameters with the points following, priors included
+    normal: NormalMatrix
+    right_side: np.ndarray
+    point_root: np.ndarray  # (M, 3, 3): inverse Cholesky factors L^-1 of the points' normal matrices
+    point_right_side: np.ndarray  # (M, 3): L^-1 times the right sides of the points
+    coupling: csr_array  # (3 M, P): L^-1 times the normal matrix of points and parameters
+
+    def predicted_decrease(self, step: np.ndarray) -> float:
+        """Predicted decrease of the sum of squares by a step of parameters and points (linear model)."""
+        return float(self.right_side @ step + np.sum(self.point_right_side**2))
+
+    def decrement(self) -> float:
+        """Predicted decrease of the sum of squares by the undamped step: the Newton decrement."""
+        return self.predicted_decrease(self.normal.factor().solve(self.right_side))
+
+    def heights_by_parameters(self) -> np.ndarray:
+        """Derivative (P,) of the mean height of the points by the parameters, without those of uncertain height."""
+        up = self.point_root[:, :, 2]
+        std = np.linalg.norm(up, axis=1)
+        # One point whose rays are nearly parallel would outweigh all others.
+        used = std <= _WEAK * np.median(std)
+        return -(self.coupling.T @ (up * used[:, None]).reshape(-1)) / used.sum()
+
+    def point_steps(self, step: np.ndarray) -> np.ndarray:
+        """Steps (M, 3) [m] of the points that go with a step of the parameters (P,)."""
+        left = self.point_right_side - (self.coupling @ step).reshape(-1, 3)
+        return np.einsum("mij,mi->mj", self.point_root, left)
+
+
+def covariance_at(problem: Problem, state: State, std_px: np.ndarray) -> np.ndarray:
+    """Covariance (P, P) of the parameters at a state, for standard deviations (kinds,) [px] of the observations."""
+    return system_at(problem, state, std_px).normal.inverse()
+
+
+def system_at(problem: Problem, state: State, std_px: np.ndarray) -> System:
+    """The normal equations at a state, for standard deviations (kinds,) [px] of the observations."""
+    return huber_system(problem, state, std_px, np.ones(len(problem.kind)))
+
+
+def system_with(problem: Problem, state: State, weights: np.ndarray) -> System:
+    """The normal equations at a state, for weights (N,) [1/px^2] of the observations."""
+    return _weighted_system(problem, state, lambda _residuals: weights)
+
+
+def huber_system(
+    problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarray, *, reduces_curvature: bool = False
+) -> System:
+    """The normal equations with Huber weights.
+
+    ``reduces_curvature`` takes outliers with a share of the curvature that their weights have along the residual.
+    """
+
+    def weights_of(residuals: np.ndarray) -> np.ndarray:
+        return huber_weights(problem, residuals, std_px) / inflation
+
+    def outliers(residuals: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(residuals, axis=1) > HUBER * std_px[problem.kind]
+
+    return _weighted_system(problem, state, weights_of, outliers if reduces_curvature else None)
+
+
+def _weighted_system(
+    problem: Problem,
+    state: State,
+    weights_of: Callable[[np.ndarray], np.ndarray],
+    outliers: Callable[[np.ndarray], np.ndarray] | None = None,
+) -> System:
+    """The normal equations.
+
+    Parameters
+    ----------
+    weights_of : callable
+        Takes residuals (N, 2) [px] to weights (N,) [1/px^2].
+    outliers : callable, optional
+        Takes them to those whose curvature along the residual is reduced, (N,) bool.
+    """
+    linear, priors = _linearised(problem, state, weights_of, outliers), problem.priors
+    planes = None if priors.planes is None else priors.planes.of_points(state.points, state.shift)
+    own, right = _of_points(problem, state, linear, planes)
+    point_root = np.linalg.inv(np.linalg.cholesky(_damped(own)))
+    point_right_side = np.einsum("mij,mj->mi", point_root, right)
+    strength = np.where(np.isfinite(priors.std), priors.std, np.inf) ** -2.0
+    if problem.holds_parameters:
+        fixed = csr_array((point_right_side.size, len(strength)))
+        return System(
+            NormalMatrix.of(diags_array(strength)), np.zeros(len(strength)), point_root, point_right_side, fixed
+        )
+    coupling = _coupling(problem, linear, point_root, planes)
+    whole = csr_array(linear.design.multiply(np.repeat(linear.weights, 2)[:, None]))
+    normal = linear.design.T @ whole - coupling.T @ coupling + diags_array(strength)
+    deviation = priors.deviation(problem.layout, state)
+    gradient = whole.T @ linear.residuals.ravel() - coupling.T @ point_right_side.ravel() - strength * deviation
+    if planes is not None:
+        shift, (on_plane, to_plane) = problem.layout.shift, planes
+        normal = normal + _in_block(on_plane.sum(axis=0), shift, len(strength))
+        gradient[shift] -= to_plane.sum(axis=0)
+    found = NormalMatrix.of(normal, problem.order)
+    if priors.rows is not None and priors.signs is not None:
+        found = found.with_rows(priors.rows, priors.signs)
+        gradient -= priors.rows.T @ (priors.signs * (priors.rows @ deviation))
+    return System(found, gradient, point_root, point_right_side, coupling)
+
+
+@dataclass(frozen=True)
+class _Linearised:
+    """Observations linearised at a state, with their weights."""
+
+    residuals: np.ndarray  # (N, 2) [px]
+    weights: np.ndarray  # (N,) [1/px^2]
+    by_point: np.ndarray  # (N, 2, 3): X
+    weighted: np.ndarray  # (N, 2, 3): w X
+    design: csr_array  # (2 N, P): B
+
+
+def _linearised(
+    problem: Problem,
+    state: State,
+    weights_of: Callable[[np.ndarray], np.ndarray],
+    outliers: Callable[[np.ndarray], np.ndarray] | None,
+) -> _Linearised:
+    """The observations at a state; those of weight 0 have no derivatives."""
+    linear = linearise(problem.layout, state, problem.ties, problem.sides, problem.rows)
+    residuals = problem.ties.pixel - linear.pixels
+    weights = weights_of(residuals)
+    usable = weights > 0.0
+    residuals = np.where(usable[:, None], residuals, 0.0)
+    by_point = np.where(usable[:, None, None], linear.by_point, 0.0)
+    design = linear.by_parameters
+    if not usable.all():
+        design = _only_rows(design, usable)
+    if outliers is not None:
+        is_outlier = usable & outliers(residuals)
+        along = residuals / np.maximum(np.linalg.norm(residuals, axis=1, keepdims=True), 1e-300)
+        reduced = np.eye(2) - (1.0 - _CURVATURE) * is_outlier[:, None, None] * along[:, :, None] * along[:, None, :]
+        # The gradient stays as it is.
+        residuals = np.where(is_outlier[:, None], residuals / _CURVATURE, residuals)
+        by_point = reduced @ by_point
+        values = reduced @ design.data.reshape(len(residuals), 2, -1)
+        design = csr_array((values.ravel(), design.indices, design.indptr), shape=design.shape)
+    return _Linearised(residuals, weights, by_point, by_point * weights[:, None, None], design)
+
+
+def _of_points(
+    problem: Problem, state: State, linear: _Linearised, planes: tuple[np.ndarray, np.ndarray] | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Normal matrices (M, 3, 3) and right sides (M, 3) of the points alone; ``planes`` as of `Planes.of_points`."""
+    precision = problem.priors.point_std**-2.0
+    own = _sum(problem.ties, np.einsum("nai,naj->nij", linear.weighted, linear.by_point))
+    own[:, range(3), range(3)] += precision
+    right = _sum(problem.ties, np.einsum("nai,na->ni", linear.weighted, linear.residuals))
+    right = right - precision * np.nan_to_num(state.points - problem.priors.state.points)
+    return (own, right) if planes is None else (own + planes[0], right + planes[1])
+
+
+def _coupling(
+    problem: Problem, linear: _Linearised, point_root: np.ndarray, planes: tuple[np.ndarray, np.ndarray] | None
+) -> csr_array:
+    """Mixed matrix (3 M, P) of points and parameters, with the root of the points' own matrices as left factor.
+
+    With that factor, the elimination is one product.
+    """
+    ties = problem.ties
+    rooted = np.einsum("nij,naj->nia", point_root[ties.point], linear.weighted)
+    starts = np.searchsorted(ties.point, np.arange(len(ties) + 1))
+    left = bsr_array((rooted, np.arange(len(ties.view)), starts), shape=(3 * len(ties), 2 * len(ties.view)))
+    coupling = csr_array(left.tocsr() @ linear.design)
+    if planes is None:
+        return coupling
+    return coupling + _in_columns(-(point_root @ planes[0]).reshape(-1, SHIFT), problem.layout.shift, coupling.shape)
+
+
+def _only_rows(design: csr_array, keep: np.ndarray) -> csr_array:
+    """A sparse matrix (2 N, P) with rows of zeros for the observations that are not kept, (N,) bool."""
+    values = design.data.reshape(2 * len(keep), -1)
+    values = np.where(np.repeat(keep, 2)[:, None], np.nan_to_num(values), 0.0)
+    return csr_array((values.ravel(), design.indices, design.indptr), shape=design.shape)
+
+
+def _in_columns(values: np.ndarray, columns: slice, shape: tuple[int, int]) -> csr_array:
+    """Values (rows, K) in K of the columns of a sparse matrix of zeros."""
+    rows, count = values.shape
+    where = np.tile(np.arange(columns.start, columns.stop), rows)
+    return csr_array((values.ravel(), where, count * np.arange(rows + 1)), shape=shape)
+
+
+def _in_block(values: np.ndarray, at: slice, size: int) -> csr_array:
+    """Values (K, K) on the diagonal of a sparse matrix of zeros, (size, size)."""
+    found = lil_array((size, size))
+    found[at, at] = values
+    return csr_array(found)
+
+
+def _sum(ties: TiePoints, values: np.ndarray) -> np.ndarray:
+    """Sums over the observations of each point, (M, ...)."""
+    first = np.searchsorted(ties.point, np.arange(len(ties)))
+    return np.add.reduceat(values, first, axis=0)
+
+
+def _damped(normal: np.ndarray) -> np.ndarray:
+    """Matrices (M, 3, 3), damped enough to be inverted."""
+    scale = np.trace(normal, axis1=1, axis2=2)[:, None, None]
+    return normal + (_DAMPING * scale + 1e-300) * np.eye(3)

@@ -10,7 +10,7 @@ import numpy as np
 
 from survey.adjust.applied import apply_adjustment
 from survey.adjust.refine import adjust_survey
-from survey.adjust.result.adjustment import FREE, Adjustment
+from survey.adjust.result.adjustment import Adjustment, Status
 from survey.adjust.result.std_common import common_error
 from survey.folder.pose_priors import BAROMETER_STD_M
 from survey.folder.survey import Survey
@@ -98,7 +98,7 @@ def covered(
         seed=seed,
         kind=kind,
         scaled={name: (row.value - true[name]) / row.std for name, row in rows.items()},
-        free=frozenset(name for name, row in rows.items() if row.status == FREE),
+        free=frozenset(name for name, row in rows.items() if row.status == Status.FREE),
         positions=positions / found.poses.position_std,
         rotations=np.degrees(rotations) / found.poses.rotation_std_deg,
         factor=found.statistics.factor["matches"],

@@ -10,8 +10,6 @@ from drawn_block import DrawnBlock, draw_block, water_plane
 from refract.lens import Lens
 from survey.adjust.block.state import LENS_NAMES, WATER_NAMES
 from survey.adjust.result.adjustment import (
-    FREE,
-    HELD,
     AdjustedPoses,
     Adjustment,
     ControlResidual,
@@ -19,6 +17,7 @@ from survey.adjust.result.adjustment import (
     FitStatistics,
     Parameter,
     Residuals,
+    Status,
 )
 from survey.settings.config import WaterConfig
 
@@ -43,11 +42,13 @@ def drawn_adjustment(seed: int = 3, **changes) -> tuple[DrawnBlock, Adjustment]:
     noise = block.pixel_std * np.random.default_rng(seed).standard_normal(block.pixel.shape)
     level, slope_x, slope_y, index = block.water.tolist()
     parameters = (
-        Parameter("level_m", level, 0.012, level + 0.03, 0.04, FREE, "found: 0.123 +- 0.012 m (given 0.153 +- 0.04 m)"),
         Parameter(
-            "refractive_index", index, 0.001, index, 0.001, HELD, "held: 1.3330 +- 0.001 (given 1.3330 +- 0.001)"
+            "level_m", level, 0.012, level + 0.03, 0.04, Status.FREE, "found: 0.123 +- 0.012 m (given 0.153 +- 0.04 m)"
         ),
-        Parameter("camera0.f", fx, 0.5, fx - 4.0, 14.0, FREE, "found: 702.1 +- 0.5 px (given 698 +- 14 px)"),
+        Parameter(
+            "refractive_index", index, 0.001, index, 0.001, Status.HELD, "held: 1.3330 +- 0.001 (given 1.3330 +- 0.001)"
+        ),
+        Parameter("camera0.f", fx, 0.5, fx - 4.0, 14.0, Status.FREE, "found: 702.1 +- 0.5 px (given 698 +- 14 px)"),
     )
     control = (
         ControlResidual("gcp1", False, False, (0.004, -0.003, 0.002), 7, 0.31),

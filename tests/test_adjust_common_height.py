@@ -16,9 +16,9 @@ from survey.adjust.block.priors import prior_of
 from survey.adjust.block.state import POSE
 from survey.adjust.common_height import apply_level_datum
 from survey.adjust.refine import adjust_survey
-from survey.adjust.result.adjustment import HELD
+from survey.adjust.result.adjustment import Status
 from survey.adjust.result.std_common import common_error
-from survey.adjust.rounds import Adjusted, adjust
+from survey.adjust.rounds import RobustSolution, adjust
 from survey.folder.place import water_plane
 from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import Survey
@@ -53,7 +53,7 @@ def test_heights_are_those_of_the_level_however_far_positions_are_off(up):
     assert abs(height_error(block, found)) < 4.0 * common.mean
     assert common.mean < 0.15
     level = found.parameter("level_m")
-    assert level.status == HELD
+    assert level.status == Status.HELD
     assert level.value == pytest.approx(level.given, abs=1e-3)
     assert level.given == pytest.approx(ORIGIN[2] + block.stated_water[0])
     (said,) = (text for text in (*found.notes, *found.warnings) if "places the block" in text)
@@ -96,7 +96,7 @@ def inverse(matrix: np.ndarray) -> np.ndarray:
     return NormalMatrix.of(csr_array(matrix)).inverse()
 
 
-def adjusted(survey: Survey) -> Adjusted:
+def adjusted(survey: Survey) -> RobustSolution:
     prior = prior_of(survey, 0.02)
     return adjust(prior, observed([(MATCH, survey.observations.ties)], None, survey, prior))
 

@@ -7,7 +7,7 @@ import pytest
 
 from survey.adjust.block.priors import _FOCAL_SHARE
 from survey.adjust.refine import adjust_survey
-from survey.adjust.result.adjustment import FREE, UNKNOWN
+from survey.adjust.result.adjustment import Status
 from survey.errors import SurveyError
 from tests.block_survey import pose_errors, survey_of, with_water
 from tests.changed_survey import changed
@@ -26,7 +26,7 @@ def flat():
 def test_a_focal_length_that_is_not_observable_is_the_given_one_in_the_block_too(flat):
     block, found = flat
     focal, row = block.stated_lens.focal[0], found.parameter("camera0.f")
-    assert row.status == UNKNOWN
+    assert row.status == Status.UNKNOWN
     assert "not observable" in row.verdict
     assert row.value == focal
     assert found.lenses[0].focal[0] == pytest.approx(focal, rel=1e-6)
@@ -53,7 +53,7 @@ def test_a_level_that_is_not_observable_stays_as_it_was_given():
     block = draw_block(11, **FLAT)
     survey = with_water(survey_of(block), level_std_m=0.5)
     found = adjust_survey(survey, use_windows=False)
-    assert found.parameter("level_m").status == UNKNOWN
+    assert found.parameter("level_m").status == Status.UNKNOWN
     assert found.water.level_m == survey.config.water.level_m
     at = found.covariance.names.index("height_m")
     assert found.covariance.matrix[at, at] == pytest.approx(0.25, rel=1e-3)
@@ -64,15 +64,15 @@ def test_slopes_without_a_level_stay_as_they_were_given():
     survey = with_water(survey_of(block), level_std_m=1.0, slope_std=0.2)
     found = adjust_survey(survey, use_windows=False)
     for name in ("level_m", "slope_east", "slope_north"):
-        assert found.parameter(name).status == UNKNOWN
+        assert found.parameter(name).status == Status.UNKNOWN
         assert getattr(found.water, name) == getattr(survey.config.water, name)
 
 
 def test_nothing_is_held_that_the_photographs_tell():
     found = adjust_survey(survey_of(draw_block(3, num_points=200, num_views=18, dry_share=0.3)), use_windows=False)
     rows = {row.name: row for row in found.parameters}
-    assert rows["level_m"].status == FREE
-    assert rows["camera0.f"].status == FREE
+    assert rows["level_m"].status == Status.FREE
+    assert rows["camera0.f"].status == Status.FREE
     assert rows["camera0.f"].value != rows["camera0.f"].given
     at = found.covariance.names.index("camera0.f")
     assert np.sqrt(found.covariance.matrix[at, at]) == pytest.approx(rows["camera0.f"].std)

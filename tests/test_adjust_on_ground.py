@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from survey.adjust.block.on_ground import planes_under, shift_onto
+from survey.adjust.block.on_ground import shift_onto, ties_on_ground
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import read_adjustment, write_adjustment
 from survey.adjust.result.ground_fit import GroundFit
@@ -43,7 +43,7 @@ def test_planes_hold_points_of_the_ground_and_leave_out_what_changed():
     points = np.concatenate([rough(rng, 400, half=14.0), rough(rng, 5)])
     points[:40, 2] += 0.7
     points[40:60, 0] += 100.0
-    on_ground = planes_under(StableGround(rough(rng, 8000), (0.1, 0.1)), points, 400)
+    on_ground = ties_on_ground(StableGround(rough(rng, 8000), (0.1, 0.1)), points, 400)
     used = on_ground.planes.strength > 0.0
     assert not used[:60].any()
     assert not used[400:].any()
@@ -52,7 +52,7 @@ def test_planes_hold_points_of_the_ground_and_leave_out_what_changed():
     assert on_ground.changed[60:400].mean() < 0.05
     assert np.abs(on_ground.planes.distances(points, np.zeros(3))[used]).max() < 0.06
     with pytest.raises(ControlError, match="tie points lie over the dry ground"):
-        planes_under(StableGround(rough(rng, 8000) + np.array([100.0, 0.0, 0.0]), (0.1, 0.1)), points[:40], 40)
+        ties_on_ground(StableGround(rough(rng, 8000) + np.array([100.0, 0.0, 0.0]), (0.1, 0.1)), points[:40], 40)
 
 
 def test_a_block_off_by_half_a_metre_comes_to_where_the_bank_is(tmp_path):
@@ -64,7 +64,7 @@ def test_a_block_off_by_half_a_metre_comes_to_where_the_bank_is(tmp_path):
     assert abs(height_error(block, found)) < 0.05
     assert np.allclose(fit.moved[:3], (-0.4, 0.3, -0.5), atol=0.1)
     assert max(fit.std[:3]) < 0.05 < min(fit.std_without[:2])
-    assert all(fit.is_told[:2])
+    assert all(fit.is_determined_by_ground[:2])
     assert "placed on" in " ".join(found.notes)
     write_adjustment(tmp_path, found)
     assert read_adjustment(tmp_path).ground == fit

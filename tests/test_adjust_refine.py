@@ -11,7 +11,7 @@ from refract.lens import Lens, affine_from_brown, distorted
 from survey.adjust.applied import apply_adjustment
 from survey.adjust.block.observed import thinned
 from survey.adjust.refine import adjust_survey
-from survey.adjust.result.adjustment import FREE, HELD, UNKNOWN, Estimate, with_verdict
+from survey.adjust.result.adjustment import Estimate, Status, with_verdict
 from survey.photos.poses import TiePoints
 from tests.block_survey import pose_errors, rms, survey_of
 from tests.changed_survey import changed
@@ -50,7 +50,7 @@ def test_two_cameras_in_one_flight_get_two_lenses():
     focal = block.lens.focal[0]
     for camera, true in enumerate((focal, 1.1 * focal)):
         row = found.parameter(f"camera{camera}.f")
-        assert row.status == FREE
+        assert row.status == Status.FREE
         assert abs(row.value - true) < 4.0 * row.std
     assert found.poses.lens_of.tolist() == second.astype(int).tolist()
     assert abs(found.parameter("camera1.f").value / found.parameter("camera0.f").value - 1.1) < 0.01
@@ -134,17 +134,19 @@ def test_thinning_keeps_every_photograph_tied_and_long_tracks_first():
 @pytest.mark.parametrize(
     ("std", "given_std", "limit", "status", "value"),
     [
-        (0.01, 0.04, 0.05, FREE, 2.0),
-        (0.01, np.inf, 0.05, FREE, 2.0),
-        (0.039, 0.04, 0.05, HELD, 2.0),
-        (0.06, 0.5, 0.05, UNKNOWN, 1.0),
-        (0.05, 0.05, 0.04, UNKNOWN, 1.0),
+        (0.01, 0.04, 0.05, Status.FREE, 2.0),
+        (0.01, np.inf, 0.05, Status.FREE, 2.0),
+        (0.039, 0.04, 0.05, Status.HELD, 2.0),
+        (0.06, 0.5, 0.05, Status.UNKNOWN, 1.0),
+        (0.05, 0.05, 0.04, Status.UNKNOWN, 1.0),
         # What was given is of use, though the photographs add nothing.
-        (0.05, 0.05, 0.05, HELD, 2.0),
+        (0.05, 0.05, 0.05, Status.HELD, 2.0),
     ],
 )
 def test_a_verdict_weighs_what_is_found_what_was_given_and_what_is_of_use(std, given_std, limit, status, value):
     row = with_verdict("level_m", Estimate(2.0, std), Estimate(1.0, given_std), limit, " m")
     assert (row.status, row.value) == (status, value)
-    assert row.verdict.startswith({FREE: "found: 2", HELD: "held: 2", UNKNOWN: "not observable: "}[status])
-    assert (" m is kept" in row.verdict) == (status == UNKNOWN)
+    assert row.verdict.startswith(
+        {Status.FREE: "found: 2", Status.HELD: "held: 2", Status.UNKNOWN: "not observable: "}[status]
+    )
+    assert (" m is kept" in row.verdict) == (status == Status.UNKNOWN)

@@ -14,7 +14,7 @@ from survey.adjust.block.prediction import predict
 from survey.adjust.block.state import LENS, RELIEF
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result import adjustment as results
-from survey.adjust.result.adjustment import FREE, HELD, UNKNOWN, read_adjustment, write_adjustment
+from survey.adjust.result.adjustment import Status, read_adjustment, write_adjustment
 from survey.adjust.result.std_common import common_error
 from survey.photos.poses import TiePoints
 from tests.adjusted_block import assert_same
@@ -75,7 +75,7 @@ def test_the_readout_is_found_where_it_is_not_known_within_what_is_stated(tmp_pa
     block = draw_block(4, **FLOWN)
     survey, found = adjusted(block, (0.02, 0.02))
     row = found.parameter("camera0.readout_s")
-    assert row.status == FREE
+    assert row.status == Status.FREE
     assert row.std < 1e-3
     assert abs(row.value - READOUT) < 3.0 * row.std
     assert row.verdict.startswith("found: 0.0")
@@ -99,7 +99,7 @@ def test_the_readout_is_found_where_it_is_not_known_within_what_is_stated(tmp_pa
 def test_a_slow_flight_does_not_tell_the_readout():
     _, found = adjusted(draw_block(4, **FLOWN | {"speed": 0.05, "num_points": 120}), (READOUT, 0.005))
     row = found.parameter("camera0.readout_s")
-    assert row.status == HELD
+    assert row.status == Status.HELD
     assert row.value == pytest.approx(READOUT, abs=0.003)
 
 
@@ -107,7 +107,7 @@ def test_a_readout_that_is_of_no_use_is_kept_as_given_and_the_block_adjusted_to_
     monkeypatch.setattr(results, "MOST_STD_ROWS_PX", 1e-6)
     _, found = adjusted(draw_block(4, **FLOWN), (0.02, 0.02))
     row = found.parameter("camera0.readout_s")
-    assert (row.status, row.value) == (UNKNOWN, 0.02)
+    assert (row.status, row.value) == (Status.UNKNOWN, 0.02)
     assert found.readouts_s == pytest.approx((0.02,), abs=1e-9)
     at = found.covariance.names.index(row.name)
     assert np.sqrt(found.covariance.matrix[at, at]) == pytest.approx(0.02)

@@ -13,7 +13,7 @@ from small_report import PLAN
 from small_survey import small_survey
 from test_adjust_parts import cut
 
-from survey.adjust.result.adjustment import UNKNOWN
+from survey.adjust.result.adjustment import Status
 from survey.control.points import Control, ControlPoint
 from survey.display.quantities import length
 from survey.folder.pose_priors import PosePrior
@@ -143,7 +143,7 @@ def test_water_says_what_the_adjustment_found_and_what_it_kept(facts):
     assert water.level_from == "found by the adjustment"
     assert water.refractive_index_from == "survey.toml"
     level, *others = facts.adjustment.parameters
-    unknown = replace(facts.adjustment, parameters=(replace(level, status=UNKNOWN), *others))
+    unknown = replace(facts.adjustment, parameters=(replace(level, status=Status.UNKNOWN), *others))
     assert figures_of(replace(facts, adjustment=unknown)).water.level_from == "survey.toml, [water] level_m"
 
 

@@ -42,7 +42,7 @@ from survey.adjust.result.adjustment import (
     water_limits,
     water_verdicts,
 )
-from survey.adjust.rounds import Adjusted
+from survey.adjust.rounds import RobustSolution
 from survey.folder.survey import Survey
 from survey.settings.config import WaterConfig
 
@@ -65,12 +65,12 @@ def lens_with(lens: Lens, parameters: np.ndarray) -> Lens:
 
 def assemble_result(
     survey: Survey,
-    done: Adjusted,
+    done: RobustSolution,
     total: int,
     *,
     unobservable: dict[str, Unobservable] | None = None,
     contradicted: Sequence[int] = (),
-    hold: Callable[[np.ndarray], Adjusted] | None = None,
+    hold: Callable[[np.ndarray], RobustSolution] | None = None,
 ) -> Adjustment:
     """Assemble the result of an adjustment.
 
@@ -124,7 +124,7 @@ def assemble_result(
     )
 
 
-def _statistics(done: Adjusted, total: int) -> FitStatistics:
+def _statistics(done: RobustSolution, total: int) -> FitStatistics:
     """Statistics of the fit of observations, of which there were ``total`` before any was left out."""
     solution, used = done.solution, done.used
     counts = {name: int((used.kind == kind).sum()) for kind, name in enumerate(KINDS)}
@@ -161,7 +161,7 @@ def _gps_std(prior: PriorKnowledge) -> tuple[float, float, float] | None:
     return east, north, up
 
 
-def _warnings(survey: Survey, done: Adjusted) -> list[str]:
+def _warnings(survey: Survey, done: RobustSolution) -> list[str]:
     """Warnings about control, positions and photographs that the block contradicts or barely constrains."""
     warnings = control_warnings(survey.observations.control, survey.views, done.used, done.solution.state)
     for kind, bad in zip(("positions", "rotations"), done.blunders.T, strict=True):
@@ -180,7 +180,7 @@ def _warnings(survey: Survey, done: Adjusted) -> list[str]:
 
 def _parameters_with_verdicts(
     survey: Survey,
-    done: Adjusted,
+    done: RobustSolution,
     first: np.ndarray,
     held: np.ndarray,
     unobservable: dict[str, Unobservable] | None,
@@ -230,7 +230,7 @@ def _readouts(prior: PriorKnowledge, state: State, std: np.ndarray) -> list[Para
 
 def _water(
     survey: Survey,
-    done: Adjusted,
+    done: RobustSolution,
     first: np.ndarray,
     held: np.ndarray,
     unobservable: dict[str, Unobservable] | None,

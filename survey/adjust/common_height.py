@@ -23,7 +23,7 @@ from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import POSE, State, with_parameters
 from survey.adjust.result.adjustment import MOST_SIGMAS, MOST_STD_LEVEL_M, Adjustment
 from survey.adjust.result.std_common import common_error
-from survey.adjust.rounds import Adjusted
+from survey.adjust.rounds import RobustSolution
 from survey.folder.place import over_points
 from survey.sfm.datum import WELL_KNOWN_M
 
@@ -81,7 +81,7 @@ def _problem(prior: PriorKnowledge, seen: Observed, state: State) -> Problem:
     return Problem(prior.layout, seen.ties, seen.kind, priors_for(prior, seen.ties), seen.given_std_px, sides, rows)
 
 
-def height_warnings(survey: Survey, done: Adjusted) -> list[str]:
+def height_warnings(survey: Survey, done: RobustSolution) -> list[str]:
     """Warning where positions alone determine the heights, and may share an error."""
     std = shared_height_std(survey)
     if std == 0.0 or done.prior.common_up_std > 0.0 or _is_corrected(done):
@@ -95,7 +95,7 @@ def height_warnings(survey: Survey, done: Adjusted) -> list[str]:
     ]
 
 
-def _is_corrected(done: Adjusted) -> bool:
+def _is_corrected(done: RobustSolution) -> bool:
     """Whether positions of unknown accuracy scatter in plan as little as those of a receiver with corrections."""
     std = done.prior.std[done.prior.layout.first_pose :].reshape(-1, POSE)[:, :2]
     # Photographs without a position, and positions that are blunders, tell nothing of the others.
@@ -103,7 +103,7 @@ def _is_corrected(done: Adjusted) -> bool:
     return len(scatter) > 0 and bool(np.median(scatter) <= WELL_KNOWN_M)
 
 
-def drop_common_height(prior: PriorKnowledge, done: Adjusted) -> PriorKnowledge | None:
+def drop_common_height(prior: PriorKnowledge, done: RobustSolution) -> PriorKnowledge | None:
     """Priors without a common height error, where the positions prove to be those of a receiver with corrections.
 
     None where they do not: single positions, in plan, show its accuracy, and the level of the water agrees with them.
@@ -117,7 +117,7 @@ def drop_common_height(prior: PriorKnowledge, done: Adjusted) -> PriorKnowledge 
     return replace(prior, state=state, std=std, common_up_std=0.0)
 
 
-def apply_level_datum(done: Adjusted) -> tuple[Adjusted, CommonHeight | None]:
+def apply_level_datum(done: RobustSolution) -> tuple[RobustSolution, CommonHeight | None]:
     """The block shifted in height to the level of its water, where its positions share an error."""
     prior, covariance = done.prior, done.solution.covariance
     if prior.common_up_std == 0.0:

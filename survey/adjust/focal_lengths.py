@@ -35,7 +35,7 @@ from survey.adjust.block.prediction import relief_sides
 from survey.adjust.block.priors import PriorKnowledge, priors_for
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import FEWEST, POSE, is_held
-from survey.adjust.rounds import Adjusted
+from survey.adjust.rounds import RobustSolution
 from survey.folder.survey import Survey
 
 # Standard deviations of focal lengths that are tried, as shares.
@@ -63,15 +63,15 @@ class FocalDrift:
 
 
 def with_focals(
-    prior: PriorKnowledge, done: Adjusted, adjusted: Callable[[PriorKnowledge], Adjusted]
-) -> tuple[Adjusted, FocalDrift | None]:
+    prior: PriorKnowledge, done: RobustSolution, adjusted: Callable[[PriorKnowledge], RobustSolution]
+) -> tuple[RobustSolution, FocalDrift | None]:
     """The block with a focal length for each photograph, where these differ; else, or where it has them, as it was.
 
     Parameters
     ----------
     prior : PriorKnowledge
         What the survey says, with the standard deviations of positions as stated.
-    done : Adjusted
+    done : RobustSolution
         With one focal length for each lens.
     adjusted : callable
         Adjusts the block from what is known.
@@ -97,7 +97,7 @@ def with_focals(
     return done, drift
 
 
-def focal_drift(prior: PriorKnowledge, done: Adjusted) -> FocalDrift | None:
+def focal_drift(prior: PriorKnowledge, done: RobustSolution) -> FocalDrift | None:
     """Scatter of the focal lengths that a block with one for each lens shows; None where it shows none."""
     stated = with_focal_std(prior, done, np.inf)
     layout, solution = stated.layout, done.solution
@@ -153,7 +153,7 @@ class _Eliminated:
         )  # fmt: skip
 
 
-def with_focal_std(prior: PriorKnowledge, done: Adjusted, std: float) -> PriorKnowledge:
+def with_focal_std(prior: PriorKnowledge, done: RobustSolution, std: float) -> PriorKnowledge:
     """Priors with a focal length for each photograph, starting from an adjusted block.
 
     Positions that were stated are as good as that, but for those that the block contradicts.

@@ -27,14 +27,14 @@ from refract import FlatWater
 from survey.adjust.block.bundle import NotConvergedError, solve
 from survey.adjust.block.normal_equations import System, system_at
 from survey.adjust.block.observed import Observed, Sizes, sizes_of
-from survey.adjust.block.priors import HELD, PriorKnowledge, prior_of, priors_for
+from survey.adjust.block.priors import HELD_SHARE, PriorKnowledge, prior_of, priors_for
 from survey.adjust.block.problem import Problem, std_of_kinds
 from survey.adjust.block.state import LENS_NAMES, WATER, WATER_PARAMETERS, Layout, State, is_held
 from survey.adjust.clusters import inflation
 from survey.adjust.common_height import water_start
 from survey.adjust.observability import FEWEST_WET
 from survey.adjust.result.adjustment import MOST_SIGMAS, MOST_SIGMAS_OF_FOUR, MOST_STD_INDEX
-from survey.adjust.rounds import Adjusted, adjust, std_over_points
+from survey.adjust.rounds import RobustSolution, adjust, std_over_points
 from survey.errors import GivenValueTest, SurveyError
 from survey.folder.pose_priors import BAROMETER_STD_M
 from survey.folder.survey import Survey
@@ -172,7 +172,7 @@ def _name_and_value(survey: Survey, prior: PriorKnowledge, number: int) -> tuple
     return f"camera{lens}.{LENS_NAMES[parameter]}", float(prior.state.lenses[lens, parameter])
 
 
-def worst_contradiction(survey: Survey, done: Adjusted) -> GivenValueTest | None:
+def worst_contradiction(survey: Survey, done: RobustSolution) -> GivenValueTest | None:
     """The most contradicted of level, slopes and index, by standard deviations; None where none is.
 
     One that is wrong biases the others, so that only the worst is surely wrong: it is released, and the test repeated.
@@ -191,7 +191,7 @@ def worst_contradiction(survey: Survey, done: Adjusted) -> GivenValueTest | None
         prior_std = float(done.prior.std[number])
         both = float(done.solution.covariance[number, number])
         own = 1.0 / both - 1.0 / prior_std**2
-        if prior_std <= 10.0 * HELD or own < _LEAST_OWN / prior_std**2:
+        if prior_std <= 10.0 * HELD_SHARE or own < _LEAST_OWN / prior_std**2:
             continue
         difference = float(moved[number]) / (both * own)
         each = GivenValueTest(name, float(getattr(water, name)), prior_std, difference, own**-0.5)
@@ -260,7 +260,9 @@ def dry_bed_error(level: GivenValueTest, way_out: str) -> SurveyError:
     )
 
 
-def check_dry_block(survey: Survey, prior: PriorKnowledge, seen: Observed, done: Adjusted) -> GivenValueTest | None:
+def check_dry_block(
+    survey: Survey, prior: PriorKnowledge, seen: Observed, done: RobustSolution
+) -> GivenValueTest | None:
     """The level that an adjusted block shows where the given one leaves all of it dry; None where it shows none.
 
     Parameters
@@ -269,7 +271,7 @@ def check_dry_block(survey: Survey, prior: PriorKnowledge, seen: Observed, done:
         That the block was adjusted with.
     seen : Observed
         All of it.
-    done : Adjusted
+    done : RobustSolution
         The block.
     """
     if not _is_dry(done.solution.state):

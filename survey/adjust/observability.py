@@ -23,7 +23,7 @@ import numpy as np
 
 from survey.adjust.block.bundle import NotConvergedError
 from survey.adjust.block.observed import Observed
-from survey.adjust.block.priors import FREE_WATER, HELD, PriorKnowledge
+from survey.adjust.block.priors import FREE_WATER, HELD_SHARE, PriorKnowledge
 from survey.adjust.block.roll import Roll, spans_area
 from survey.adjust.block.state import (
     LENS_NAMES,
@@ -35,8 +35,8 @@ from survey.adjust.block.state import (
     State,
     settings_by_local,
 )
-from survey.adjust.result.adjustment import UNKNOWN, Parameter, water_limits
-from survey.adjust.rounds import Adjusted, adjust
+from survey.adjust.result.adjustment import Parameter, Status, water_limits
+from survey.adjust.rounds import RobustSolution, adjust
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
@@ -48,7 +48,7 @@ from survey.sfm.gps_fit import HOLD_THE_ROLL
 FEWEST_WET = 30
 # Held with this standard deviation, slopes and index: the index of natural water is known this well without
 # measurement, and so are the slopes of water seen on site.
-_HELD_STD = np.array([HELD, 1e-3, 1e-3, 3e-3])
+_HELD_STD = np.array([HELD_SHARE, 1e-3, 1e-3, 3e-3])
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,9 @@ class Unobservable:
     reason: str
 
 
-def adjust_free(survey: Survey, prior: PriorKnowledge, seen: Observed) -> tuple[Adjusted, dict[str, Unobservable]]:
+def adjust_free(
+    survey: Survey, prior: PriorKnowledge, seen: Observed
+) -> tuple[RobustSolution, dict[str, Unobservable]]:
     """Adjust a block with free water (`prior`); also returns its unobservable parameters by name.
 
     Raises
@@ -68,8 +70,8 @@ def adjust_free(survey: Survey, prior: PriorKnowledge, seen: Observed) -> tuple[
         If the adjustment does not converge with the water held either.
     """
 
-    def under_given_water(unobservable: dict[str, Unobservable]) -> tuple[Adjusted, dict[str, Unobservable]]:
-        return adjust(_held_priors(prior, np.arange(WATER), HELD), seen), unobservable
+    def under_given_water(unobservable: dict[str, Unobservable]) -> tuple[RobustSolution, dict[str, Unobservable]]:
+        return adjust(_held_priors(prior, np.arange(WATER), HELD_SHARE), seen), unobservable
 
     few = _too_few(replace(prior.state, points=seen.ties.start))
     if few is not None:
@@ -152,7 +154,7 @@ def _too_few(state: State) -> str | None:
     return f"{num_wet} of {len(state.points)} tie points lie under water, expected at least {FEWEST_WET}"
 
 
-def water_std(survey: Survey, done: Adjusted) -> np.ndarray:
+def water_std(survey: Survey, done: RobustSolution) -> np.ndarray:
     """Standard deviations (4,) of level, slopes and index as survey.toml counts them."""
     water = done.prior.mean.water
     assert water is not None
@@ -180,7 +182,7 @@ def not_observable(parameters: Sequence[Parameter], layout: Layout) -> np.ndarra
     """Mask (P,) bool of the parameters whose verdict is "not observable"."""
     held = np.zeros(len(layout), dtype=bool)
     for row in parameters:
-        if row.status == UNKNOWN:
+        if row.status == Status.UNKNOWN:
             held[_place(row.name, layout)] = True
     return held
 
@@ -197,12 +199,12 @@ def _place(name: str, layout: Layout) -> int:
     return layout.lens(number).start + LENS_NAMES.index(parameter)
 
 
-def adjusted_with(done: Adjusted, held: np.ndarray, stated_std: np.ndarray) -> Adjusted:
+def adjusted_with(done: RobustSolution, held: np.ndarray, stated_std: np.ndarray) -> RobustSolution:
     """The block with parameters (P,) bool held at their given values.
 
     Parameters
     ----------
-    done : Adjusted
+    done : RobustSolution
         With all parameters free.
     held : (P,) bool
     stated_std : (P,)
@@ -212,7 +214,7 @@ def adjusted_with(done: Adjusted, held: np.ndarray, stated_std: np.ndarray) -> A
     kept = replace(
         prior,
         state=done.solution.state.moved(prior.layout, *_step(done, held)),
-        std=np.where(held, HELD * prior.std, prior.std),
+        std=np.where(held, HELD_SHARE * prior.std, prior.std),
     )
     again = adjust(kept, done.used.at(kept.state.points))
     follow = covariance[:, held] @ np.linalg.inv(covariance[np.ix_(held, held)])
@@ -222,7 +224,7 @@ def adjusted_with(done: Adjusted, held: np.ndarray, stated_std: np.ndarray) -> A
     return replace(again, prior=replace(again.prior, std=prior.std), solution=solution, blunders=blunders)
 
 
-def _step(done: Adjusted, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _step(done: RobustSolution, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Steps of parameters and points that bring the held ones to their given values, the others re-adjusted."""
     layout, state, covariance = done.prior.layout, done.solution.state, done.solution.covariance
     water = done.prior.mean.water_parameters() - state.water_parameters()
@@ -236,7 +238,7 @@ def _step(done: Adjusted, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return step, done.solution.system.point_steps(step)
 
 
-def roll_notes(survey: Survey, done: Adjusted, gsd_m: float) -> list[str]:
+def roll_notes(survey: Survey, done: RobustSolution, gsd_m: float) -> list[str]:
     """Sentences on the rolls that positions leave open, and their std.
 
     Raises
@@ -280,7 +282,7 @@ def name_open_roll(rolls: Sequence[Roll]) -> Iterator[None]:
         ) from error
 
 
-def _sources_of_roll(survey: Survey, done: Adjusted, roll: Roll) -> str:
+def _sources_of_roll(survey: Survey, done: RobustSolution, roll: Roll) -> str:
     """Sources that determine a roll, in words."""
     used = done.used
     is_known = np.isfinite(used.point_std).all(axis=1)[len(used.ties) - len(used.control) :]

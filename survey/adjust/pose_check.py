@@ -18,7 +18,7 @@ import numpy as np
 from survey.adjust.block.bundle import NotConvergedError, solve
 from survey.adjust.block.observed import KINDS, MATCH, WINDOW, observed, original_rows
 from survey.adjust.block.prediction import relief_sides
-from survey.adjust.block.priors import FREE_WATER, HELD, prior_of, priors_for
+from survey.adjust.block.priors import FREE_WATER, HELD_SHARE, prior_of, priors_for
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import State
 from survey.adjust.block.windows import load_photographs, windows_of_block
@@ -103,7 +103,7 @@ def check_of_ties(survey: Survey, plan: Plan, kind: int, ties: TiePoints) -> Pos
         return PoseCheck(None)
     prior = prior_of(survey, plan.gsd_m)
     seen = observed([(kind, ties)], None, survey, prior)
-    held = replace(prior, std=np.full_like(prior.std, HELD))
+    held = replace(prior, std=np.full_like(prior.std, HELD_SHARE))
     state = replace(prior.state, points=seen.ties.start)
     priors, sides = priors_for(held, seen.ties), relief_sides(state, seen.ties)
     rows = original_rows(seen.ties, prior.lenses, prior.layout.lens_of)

@@ -27,9 +27,9 @@ from survey.adjust.observability import (
     water_std,
     within_bounds,
 )
-from survey.adjust.result.adjustment import MOST_SIGMAS_OF_FOUR, MOST_STD_LEVEL_M, UNKNOWN, Adjustment
+from survey.adjust.result.adjustment import MOST_SIGMAS_OF_FOUR, MOST_STD_LEVEL_M, Adjustment, Status
 from survey.adjust.result.std_of_block import parts_warning
-from survey.adjust.rounds import Adjusted
+from survey.adjust.rounds import RobustSolution
 from survey.adjust.stages import StagedAdjustment, restarted
 from survey.adjust.starts import PoseRecovery, better_of_two_starts, windows_or_recovered_poses
 from survey.adjust.unnamed_water import find_unnamed_water
@@ -116,7 +116,7 @@ def _adjust_in_stages(survey: Survey, prior: PriorKnowledge, windows: TiePoints 
     """Adjust with matches, with windows, and without contradicted values; ``windows`` where they are measured."""
     device, advance, use_windows, free_water = asked.device, asked.advance, asked.use_windows, asked.free_water
     gathered = StagedAdjustment(survey, prior, free_water)
-    done: Adjusted | None = None
+    done: RobustSolution | None = None
     shares = [0.0, 0.9, 0.1]
     if survey.observations.ties is not None:
         shares = _shares(survey, device) if use_windows else [1.0, 0.0, 0.0]
@@ -143,7 +143,7 @@ def _adjust_in_stages(survey: Survey, prior: PriorKnowledge, windows: TiePoints 
     water = None if survey.water is not None else find_unnamed_water(done)
     notes = roll_notes(survey, done, make_plan(survey).gsd_m) if done.prior.rolls and not free_water else []
     found = gathered.result(done, contradictions)
-    if not survey.provenance.is_level_known and found.parameter("level_m").status == UNKNOWN:
+    if not survey.provenance.is_level_known and found.parameter("level_m").status == Status.UNKNOWN:
         raise _level_error(survey, found.parameter("level_m").std)
     warnings = [*(_contradiction_text(found, each) for each in contradictions), *height_warnings(survey, done)]
     warnings += parts_warning(found, survey.water) + ([] if water is None else [str(water)])
@@ -163,7 +163,7 @@ def _shares(survey: Survey, device: str) -> list[float]:
     return [each / sum(seconds) for each in seconds]
 
 
-def _require_level(survey: Survey, done: Adjusted) -> None:
+def _require_level(survey: Survey, done: RobustSolution) -> None:
     """Raise where an adjustment of matches leaves the level so uncertain that windows cannot tell it either."""
     std = float(water_std(survey, done)[0])
     if not std <= _MOST_GAIN * MOST_STD_LEVEL_M:
@@ -181,7 +181,9 @@ def _level_error(survey: Survey, std: float) -> SurveyError:
     )
 
 
-def _windows_at(survey: Survey, done: Adjusted | None, device: str, advance: Callable[[float], None]) -> TiePoints:
+def _windows_at(
+    survey: Survey, done: RobustSolution | None, device: str, advance: Callable[[float], None]
+) -> TiePoints:
     """Windows measured on an adjusted block, or on the survey as given where there is none."""
     if done is None:
         return measure_windows(survey, device=device, advance=advance)

@@ -10,7 +10,7 @@ from survey.adjust.block.bundle import NotConvergedError, Solution, solve
 from survey.adjust.block.control_check import checked_points, stated_points
 from survey.adjust.block.normal_equations import System, system_with
 from survey.adjust.block.observed import KINDS, MARK, Observed, Sizes, original_rows
-from survey.adjust.block.on_ground import GroundAlignment, OnGround, alignment_on, planes_under
+from survey.adjust.block.on_ground import GroundAlignment, GroundTies, ground_alignment, ties_on_ground
 from survey.adjust.block.pose_std import reestimate_pose_std
 from survey.adjust.block.prediction import relief_sides
 from survey.adjust.block.priors import PriorKnowledge, priors_for
@@ -76,8 +76,8 @@ def std_over_points(system: System, covariance: np.ndarray | None = None) -> flo
 
 
 @dataclass(frozen=True)
-class Adjusted:
-    """A block after its adjustment."""
+class RobustSolution:
+    """Solution of a block after the rounds that leave out outliers."""
 
     prior: PriorKnowledge  # With the standard deviations of poses that the block showed
     used: Observed  # What was not left out
@@ -87,7 +87,7 @@ class Adjusted:
     alignment: GroundAlignment | None = None  # On the ground of an earlier survey
 
 
-def adjust(prior: PriorKnowledge, seen: Observed) -> Adjusted:
+def adjust(prior: PriorKnowledge, seen: Observed) -> RobustSolution:
     """Adjust a block, and again without outliers until none is left.
 
     Raises
@@ -133,20 +133,20 @@ def adjust(prior: PriorKnowledge, seen: Observed) -> Adjusted:
         # The covariance of 2,000 photographs takes 1.2 GB.
         del problem, solution, on_ground
     solution = _with_open_parameters(prior, seen, problem, solution, factors[kind])
-    placed = None if on_ground is None else alignment_on(on_ground, problem, solution)
+    placed = None if on_ground is None else ground_alignment(on_ground, problem, solution)
     solution = replace(solution, std_px=np.sqrt(_mean_by_kind(found[kind] ** 2, seen.kind)))
-    return Adjusted(prior, seen, solution, _mean_by_kind(factors[kind], seen.kind), blunders, placed)
+    return RobustSolution(prior, seen, solution, _mean_by_kind(factors[kind], seen.kind), blunders, placed)
 
 
 def _solve_once(
     prior: PriorKnowledge, seen: Observed, state: State, kind: np.ndarray, given: np.ndarray, inflation: np.ndarray
-) -> tuple[Problem, Solution, OnGround | None]:
+) -> tuple[Problem, Solution, GroundTies | None]:
     """Adjust once; on ground, until the planes under the points no longer change."""
     sides, rows = relief_sides(state, seen.ties), original_rows(seen.ties, prior.lenses, prior.layout.lens_of)
     on_ground = None
     for _ in range(1 if seen.ground is None else _MOST_PLANES):
         if seen.ground is not None:
-            on_ground = planes_under(seen.ground, state.points - state.shift, len(seen.ties) - len(seen.control))
+            on_ground = ties_on_ground(seen.ground, state.points - state.shift, len(seen.ties) - len(seen.control))
         planes = None if on_ground is None else on_ground.planes
         priors = priors_for(prior, seen.ties, seen.point_std, planes)
         problem = Problem(prior.layout, seen.ties, kind, priors, given, sides, rows)

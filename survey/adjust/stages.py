@@ -24,7 +24,7 @@ from survey.adjust.observability import (
 )
 from survey.adjust.result.adjustment import MOST_SIGMAS, Adjustment
 from survey.adjust.result.ground_fit import ground_fit
-from survey.adjust.rounds import Adjusted, adjust
+from survey.adjust.rounds import RobustSolution, adjust
 from survey.control.points import StableGround
 from survey.errors import GivenValueTest
 from survey.folder.pose_priors import GPS_STD_M
@@ -58,7 +58,7 @@ class StagedAdjustment:
         self._unobservable: dict[str, Unobservable] = {}
         self._is_against_positions = False
 
-    def first_ties(self, kind: int, ties: TiePoints) -> Adjusted:
+    def first_ties(self, kind: int, ties: TiePoints) -> RobustSolution:
         """Adjust with the first tie points, which place the block on ground or water where these determine its height.
 
         Raises
@@ -86,7 +86,7 @@ class StagedAdjustment:
                 raise dry_bed_error(level, "leave out [water] if the bed is dry")
         return done
 
-    def more_ties(self, kind: int, ties: TiePoints, start: PriorKnowledge) -> Adjusted:
+    def more_ties(self, kind: int, ties: TiePoints, start: PriorKnowledge) -> RobustSolution:
         """Adjust with further tie points beside those before."""
         self._parts.append((kind, self._thinned(ties)))
         return self._adjust_free(start) if self._free_water else self._adjust(start)
@@ -102,10 +102,10 @@ class StagedAdjustment:
         """Tie points with control and ground."""
         return observed(parts, self._survey.observations.control, self._survey, prior)
 
-    def _adjust(self, start: PriorKnowledge) -> Adjusted:
+    def _adjust(self, start: PriorKnowledge) -> RobustSolution:
         return adjust(start, self._observed)
 
-    def _adjust_free(self, start: PriorKnowledge) -> Adjusted:
+    def _adjust_free(self, start: PriorKnowledge) -> RobustSolution:
         done, self._unobservable = adjust_free(self._survey, start, self._observed)
         return done
 
@@ -139,7 +139,7 @@ class StagedAdjustment:
         start = replace(prior, state=replace(state, centres=state.centres + shift))
         return _OnGround(prior, start, (kind, replace(ties, start=ties.start + shift)), is_against_positions)
 
-    def _at_level(self, part: tuple[int, TiePoints]) -> tuple[Adjusted, PriorKnowledge, tuple[int, TiePoints]]:
+    def _at_level(self, part: tuple[int, TiePoints]) -> tuple[RobustSolution, PriorKnowledge, tuple[int, TiePoints]]:
         """Adjust a block whose height the level of the water determines, or else the positions.
 
         Also returns the prior of later stages, and the tie points where the level puts them.
@@ -160,7 +160,7 @@ class StagedAdjustment:
         """Whether the accuracy of any position is stated."""
         return any(prior.position_std is not None for prior in self._survey.observations.priors.values())
 
-    def with_focals(self, done: Adjusted) -> tuple[Adjusted, FocalDrift | None]:
+    def with_focals(self, done: RobustSolution) -> tuple[RobustSolution, FocalDrift | None]:
         """Adjust with a focal length for each photograph, where they differ."""
         if self._survey.observations.ground is not None:
             return done, None
@@ -170,7 +170,7 @@ class StagedAdjustment:
             self.prior = with_focal_std(self.prior, done, drift.std)
         return done, drift
 
-    def without_contradictions(self, done: Adjusted) -> tuple[Adjusted, list[GivenValueTest]]:
+    def without_contradictions(self, done: RobustSolution) -> tuple[RobustSolution, list[GivenValueTest]]:
         """Adjust with contradicted parameters of the water free, the worst first; also returns the contradictions."""
         contradictions: list[GivenValueTest] = []
         while len(contradictions) < WATER:
@@ -202,7 +202,7 @@ class StagedAdjustment:
         contradictions = contradicted_points(control, self._survey.views, free.prior, free.solution)
         return [contradiction_warning(contradictions)] if contradictions else []
 
-    def result(self, done: Adjusted, contradictions: Sequence[GivenValueTest]) -> Adjustment:
+    def result(self, done: RobustSolution, contradictions: Sequence[GivenValueTest]) -> Adjustment:
         """The adjustment in the terms of the survey."""
         control = self._survey.observations.control
         total = sum(len(ties.view) for _, ties in self._parts) + (0 if control is None else len(control.marks))
@@ -210,7 +210,7 @@ class StagedAdjustment:
             return self._on_ground(assemble_result(self._survey, done, total, unobservable=self._unobservable), done)
         placed, common = apply_level_datum(done)
 
-        def hold(held: np.ndarray) -> Adjusted:
+        def hold(held: np.ndarray) -> RobustSolution:
             return apply_level_datum(adjusted_with(done, held, self.prior.std))[0]
 
         used = {WATER_PARAMETERS.index(each.name) for each in contradictions} | (set() if common is None else {LEVEL})
@@ -219,7 +219,7 @@ class StagedAdjustment:
         )
         return found if common is None else with_common(found, common, placed.solution.state.water)
 
-    def _on_ground(self, found: Adjustment, done: Adjusted) -> Adjustment:
+    def _on_ground(self, found: Adjustment, done: RobustSolution) -> Adjustment:
         """The result with how the block lies on the ground of an earlier survey, where there is one."""
         if done.alignment is None:
             return found
@@ -235,7 +235,7 @@ def _contradiction_of_sample(survey: Survey) -> GivenValueTest | None:
     return None if found is None or found.is_of_lens else found
 
 
-def restarted(prior: PriorKnowledge, done: Adjusted) -> PriorKnowledge:
+def restarted(prior: PriorKnowledge, done: RobustSolution) -> PriorKnowledge:
     """Priors that start from an adjusted state, with the std of positions that the adjustment estimated."""
     none = np.zeros((0, 3))
     std = np.concatenate([prior.std[:WATER], done.prior.std[WATER:]])

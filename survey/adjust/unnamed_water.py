@@ -25,7 +25,7 @@ from survey.adjust.block.priors import PriorKnowledge, priors_for
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import State
 from survey.adjust.observability import FEWEST_WET
-from survey.adjust.rounds import Adjusted, std_over_points
+from survey.adjust.rounds import RobustSolution, std_over_points
 
 # Fresh water and the sea, in the light of photographs, and how far they differ; what a river falls [m/m].
 _INDEX, _INDEX_STD, _SLOPE_STD = 1.338, 0.004, 0.005
@@ -62,12 +62,12 @@ class UnnamedWater:
         )
 
 
-def find_unnamed_water(done: Adjusted) -> UnnamedWater | None:
+def find_unnamed_water(done: RobustSolution) -> UnnamedWater | None:
     """Water that a block adjusted without any shows; None where it shows none, or is not decisive.
 
     Parameters
     ----------
-    done : Adjusted
+    done : RobustSolution
         Of a survey without water.
     """
     prior, seen, dry = done.prior, done.used, done.solution.state

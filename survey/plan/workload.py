@@ -172,8 +172,8 @@ def _first_hypotheses(survey: Survey, plan: Plan) -> float:
 
     Without matched points or [area] heights the range is wide, and thumbnails narrow it.
     """
-    is_told = survey.config.area.heights is not None or survey.observations.points is not None
-    if not is_told or len(survey.views) > _MOST_VIEWS:
+    is_range_given = survey.config.area.heights is not None or survey.observations.points is not None
+    if not is_range_given or len(survey.views) > _MOST_VIEWS:
         return FIRST_HYPOTHESES
     survey = flattened(survey)
     low, high = limits(survey)

@@ -13,7 +13,7 @@ from evaluation import DistanceStatistics, apparent_points, distance_statistics,
 from geo.crs import crs_code
 from refract import FlatWater, crossing_point, water_index
 from refract.media import USUAL_SALINITY_PSU, USUAL_TEMPERATURE_C
-from survey.adjust.result.adjustment import FREE
+from survey.adjust.result.adjustment import Status
 from survey.display.column import ColumnStatistics, ComputedColumn
 from survey.display.plan_grid import PlanGrid
 from survey.files.json_values import plain
@@ -217,7 +217,7 @@ def _water(facts: ReportFacts) -> WaterFigures | None:
     survey, adjustment = facts.survey, facts.adjustment
     if survey.water is None:
         return None
-    found = set() if adjustment is None else {row.name for row in adjustment.parameters if row.status == FREE}
+    found = set() if adjustment is None else {row.name for row in adjustment.parameters if row.status == Status.FREE}
 
     def source(names: set[str], otherwise: str) -> str:
         return "found by the adjustment" if names & found else otherwise

@@ -44,7 +44,7 @@ class NotConvergedError(SurveyError):
 
 @dataclass(frozen=True)
 class Solution:
-    """An adjusted block."""
+    """Minimum of one problem."""
 
     state: State
     covariance: np.ndarray  # (P, P): of the parameters, with errors of the observations as they are weighted

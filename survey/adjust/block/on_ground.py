@@ -50,8 +50,8 @@ _STEADY_M = 1e-3
 
 
 @dataclass(frozen=True)
-class OnGround:
-    """Tie points on the ground."""
+class GroundTies:
+    """Tie points over the ground of an earlier survey, with its planes under them."""
 
     planes: Planes
     # over, changed (M,) bool: points over the ground; those of them that are left out
@@ -60,7 +60,7 @@ class OnGround:
     scatter: float  # By how much more than the ground's own points they scatter about it; 1 at least
 
 
-def planes_under(ground: StableGround, points: np.ndarray, num_ties: int) -> OnGround:
+def ties_on_ground(ground: StableGround, points: np.ndarray, num_ties: int) -> GroundTies:
     """Planes of the ground under points (M, 3) [m], less the shift of the ground.
 
     The first ``num_ties`` are tie points, the others control.
@@ -88,7 +88,7 @@ def planes_under(ground: StableGround, points: np.ndarray, num_ties: int) -> OnG
     used = _one_of_each_square(points, good, std, spacing)
     strength = np.where(used, std**-2.0, 0.0)
     planes = Planes(np.where(used[:, None], normal, 0.0), np.where(used, height, 0.0), np.where(used, strength, 0.0))
-    return OnGround(planes, known, known & ~good, scatter)
+    return GroundTies(planes, known, known & ~good, scatter)
 
 
 def _planes_at(ground: StableGround, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
@@ -238,7 +238,7 @@ class GroundAlignment:
     num_over: int
     num_changed: int
     rms_m: float  # [m]: of the vertical distances of the points that hold it
-    scatter: float  # See `OnGround`
+    scatter: float  # See `GroundTies`
     middle: np.ndarray  # (3,) [m]: of these points
     std: np.ndarray  # (7,): of the block's shift at the middle [m], turn about east, north and up [rad], and scale
     std_without: np.ndarray | None  # (7,) or None: the same without the ground; None where nothing else holds the block
@@ -249,8 +249,8 @@ class GroundAlignment:
     shift_prior: np.ndarray
 
 
-def alignment_on(on_ground: OnGround, problem: Problem, solution: Solution) -> GroundAlignment:
-    """The placement of a block."""
+def ground_alignment(on_ground: GroundTies, problem: Problem, solution: Solution) -> GroundAlignment:
+    """Shift, turn and scale of a block against the ground, with their standard deviations."""
     of_shift, covariance = problem.layout.shift, solution.covariance
     planes, points = on_ground.planes, solution.state.points
     used = planes.strength > 0.0

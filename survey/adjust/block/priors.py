@@ -41,8 +41,8 @@ _FOCAL_SHARE, _MIDDLE_SHARE, _RADIAL_SHARES, _DECENTRED_SHARE = 0.02, 0.01, (0.0
 _RELIEF_GSD = 0.1
 # A ray of 63 degrees off nadir crosses the water two flying heights away.
 _SEEN_WATER = 2.0
-# Parameters that are held move by no more than this share of what would be noticed.
-HELD = 1e-9
+# Std of parameters that are held, as a share of what would be noticed.
+HELD_SHARE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,7 @@ def _shift_std(survey: Survey) -> np.ndarray:
     if ground is None:
         return np.zeros(0)
     horizontal, vertical = ground.std_m
-    return np.maximum([horizontal, horizontal, vertical], HELD)
+    return np.maximum([horizontal, horizontal, vertical], HELD_SHARE)
 
 
 def _flow(survey: Survey) -> np.ndarray | None:
@@ -269,7 +269,7 @@ def _lens_std(lens: Lens) -> np.ndarray:
     decentred = _DECENTRED_SHARE / corner
     middle = _MIDDLE_SHARE * side
     std = np.array([_FOCAL_SHARE * focal, middle, middle, *radial, decentred, decentred])
-    return HELD * std if is_held(lens) else std
+    return HELD_SHARE * std if is_held(lens) else std
 
 
 def _focals_std(lens_of: np.ndarray, focals: np.ndarray, *, calibrated: bool) -> np.ndarray:
@@ -278,19 +278,19 @@ def _focals_std(lens_of: np.ndarray, focals: np.ndarray, *, calibrated: bool) ->
         return focals
     scatter = np.sqrt(np.bincount(lens_of, focals**2) / np.bincount(lens_of))
     std = np.where(scatter > 0.0, _CALIBRATED * _FOCAL_SHARE, 0.0) if calibrated else scatter
-    return np.maximum(std, HELD * _FOCAL_SHARE)[lens_of]
+    return np.maximum(std, HELD_SHARE * _FOCAL_SHARE)[lens_of]
 
 
 def _water_std(survey: Survey, *, free: bool) -> np.ndarray:
     if survey.water is None:
-        return np.full(4, HELD)
+        return np.full(4, HELD_SHARE)
     if free:
         return np.array(FREE_WATER)
     given = survey.require_water()[1]
     level = LEVEL_STD_M if given.level_std_m is None else given.level_std_m
     slope = SLOPE_STD if given.slope_std is None else given.slope_std
     index = INDEX_STD if given.index_std is None else given.index_std
-    return np.maximum([level, slope, slope, index], HELD)
+    return np.maximum([level, slope, slope, index], HELD_SHARE)
 
 
 def shared_height_std(survey: Survey) -> float:

@@ -25,7 +25,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -173,15 +173,20 @@ def _control_points_in(survey: Survey, views: Sequence[View], least: int) -> lis
 
 # Angles [deg] at which the roll is held, on both sides.
 _ANGLES_DEG = range(3, 22, 3)
-# What holds it there, as a standard deviation [rad].
-_HELD = math.radians(0.003)
+# Standard deviation [rad] of the prior that holds it there.
+_HOLD_STD = math.radians(0.003)
 # Rises of the cost, in units of variances: less is a part of the valley; one that starts an adjustment anew.
 _OF_VALLEY, _BETTER = 3.0, 0.5
 # Beyond a rise of this nothing more is looked for on that side.
 _MOST_RISE = 30.0
 
-# Angle [rad] from where the adjustment ended, cost, and state.
-Held = tuple[float, float, State]
+
+class ProfilePoint(NamedTuple):
+    """The block at a roll that was held."""
+
+    angle: float  # [rad]: from where the adjustment ended
+    cost: float
+    state: State
 
 
 def minimise_over_roll(
@@ -195,21 +200,21 @@ def minimise_over_roll(
         As for `survey.adjust.block.bundle.solve`.
     """
     sides = [_scan_profile(problem, solution, inflation, roll, sign) for sign in (1, -1)]
-    held = [each for side, _ in sides for each in side]
+    profile = [each for side, _ in sides for each in side]
     least = cost(problem, solution.state, solution.std_px, inflation)
     at, moved = 0.0, 0.0
-    best = min(held, key=lambda each: each[1], default=None)
-    if best is not None and best[1] < least - _BETTER:
-        at, std_px = best[0], solution.std_px
+    best = min(profile, key=lambda each: each.cost, default=None)
+    if best is not None and best.cost < least - _BETTER:
+        at, std_px = best.angle, solution.std_px
         try:
-            solution = solve(problem, best[2], inflation=inflation)
+            solution = solve(problem, best.state, inflation=inflation)
         except NotConvergedError:
             # What was found stays, as far off as the better angle.
-            least, moved = best[1], abs(at)
+            least, moved = best.cost, abs(at)
         else:
-            at += roll.angle_between(best[2].rotations, solution.state.rotations)
-            least = min(cost(problem, solution.state, std_px, inflation), best[1])
-    rises = [(angle - at, costs - least) for angle, costs, _ in held]
+            at += roll.angle_between(best.state.rotations, solution.state.rotations)
+            least = min(cost(problem, solution.state, std_px, inflation), best.cost)
+    rises = [(each.angle - at, each.cost - least) for each in profile]
     std = std_by_profile(rises, are_whole=(sides[0][1], sides[1][1]))
     return solution, math.hypot(std, moved)
 
@@ -234,9 +239,9 @@ def std_by_profile(rises: list[tuple[float, float]], are_whole: tuple[bool, bool
 
 def _scan_profile(
     problem: Problem, solution: Solution, inflation: np.ndarray, roll: Roll, sign: int
-) -> tuple[list[Held], bool]:
+) -> tuple[list[ProfilePoint], bool]:
     """The block with the roll held at angles to one side, each from the last; False where an adjustment failed."""
-    found: list[Held] = []
+    found: list[ProfilePoint] = []
     state, before = solution.state, 0.0
     mean = roll.mean_roll(problem.layout)
     shown = np.unique(problem.ties.point[np.isin(problem.ties.view, roll.views)])
@@ -257,7 +262,7 @@ def _scan_profile(
         priors = replace(
             problem.priors,
             state=replace(problem.priors.state, rotations=rotations),
-            rows=np.vstack([rows, mean / _HELD]),
+            rows=np.vstack([rows, mean / _HOLD_STD]),
             signs=np.append(signs, 1.0),
         )
         try:
@@ -265,8 +270,8 @@ def _scan_profile(
         except NotConvergedError:
             return found, False
         before = angle
-        found.append((angle, cost(problem, state, solution.std_px, inflation), state))
-        if found[-1][1] > least + _MOST_RISE:
+        found.append(ProfilePoint(angle, cost(problem, state, solution.std_px, inflation), state))
+        if found[-1].cost > least + _MOST_RISE:
             break
     return found, True
 

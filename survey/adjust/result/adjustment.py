@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from enum import StrEnum
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,7 +22,6 @@ from survey.folder.motion import rows_between
 from survey.settings.config import WaterConfig
 
 JSON, ARRAYS = "adjustment.json", "adjustment.npz"
-FREE, HELD, UNKNOWN = "free", "held", "not observable"
 # Beyond this many standard deviations of their difference, two values contradict each other. Where four parameters are
 # tested, one of them is beyond the latter by chance in one survey of a thousand (docs/adjustment.md).
 MOST_SIGMAS, MOST_SIGMAS_OF_FOUR = 3.0, 3.66
@@ -34,6 +34,14 @@ MOST_STD_ROWS_PX = 0.5
 _LITTLE = 0.9
 # A prior with a smaller std than this was held.
 _EXACT = 1e-6
+
+
+class Status(StrEnum):
+    """What determines a parameter."""
+
+    FREE = "free"  # The photographs
+    HELD = "held"  # The given value, which is better known than the photographs determine it
+    UNKNOWN = "not observable"  # Neither; the given value is kept
 
 
 @dataclass(frozen=True)
@@ -50,15 +58,13 @@ class Parameter:
     # given, given_std: What was known before; the standard deviation is None where nothing was
     given: float
     given_std: float | None
-    # "free": found from the photographs. "held": the given value is better known than they determine it. "not
-    # observable": neither determines it, and the given value is kept.
-    status: str
+    status: Status
     verdict: str  # A sentence
 
     @property
     def is_observable(self) -> bool:
         """Whether photographs or given values determine it."""
-        return self.status != UNKNOWN
+        return self.status != Status.UNKNOWN
 
 
 @dataclass(frozen=True)
@@ -129,7 +135,7 @@ class FitStatistics:
 
 @dataclass(frozen=True)
 class Adjustment:
-    """An adjusted block."""
+    """Result of an adjustment in the terms of the survey."""
 
     parameters: tuple[Parameter, ...]  # Of the water, where there is any, and of each lens
     water: WaterConfig | None
@@ -232,7 +238,7 @@ def read_adjustment(folder: Path) -> Adjustment:
     records |= {name: values.get(name) for name in ("points", "notes", "warnings", "readouts_s", "common_up_m")}
     water = values["water"]
     return Adjustment(
-        parameters=tuple(Parameter(**row) for row in values["parameters"]),
+        parameters=tuple(Parameter(**{**row, "status": Status(row["status"])}) for row in values["parameters"]),
         water=None if water is None else parse_values({k: v for k, v in water.items() if v is not None}, WaterConfig),
         lenses=tuple(Lens(row["model"], tuple(row["params"]), row["width"], row["height"]) for row in record["lenses"]),
         ground=GroundFit.of_record(record.get("ground")),
@@ -260,22 +266,22 @@ def with_verdict(name: str, found: Estimate, before: Estimate, limit: float, uni
     prior = None if not math.isfinite(given_std) else given_std
     kept = f"{given:.{_digits(given_std)}f}{unit}"
     if given_std < _EXACT:
-        return Parameter(name, given, std, given, prior, HELD, f"held: {given:.6g}{unit}, exactly as given")
+        return Parameter(name, given, std, given, prior, Status.HELD, f"held: {given:.6g}{unit}, exactly as given")
     if std > limit and not given_std <= limit:
         verdict = (
             f"not observable: 1 sigma is {std:.2g}{unit}, at most {limit:.2g}{unit} would be of use; {kept} is kept"
         )
-        return Parameter(name, given, std, given, prior, UNKNOWN, verdict)
+        return Parameter(name, given, std, given, prior, Status.UNKNOWN, verdict)
     if std > _LITTLE * given_std:
         verdict = f"held: {shown}{_against(std, given, prior, unit)}; the photographs add nothing"
-        return Parameter(name, value, std, given, prior, HELD, verdict)
-    return Parameter(name, value, std, given, prior, FREE, f"found: {shown}{_against(std, given, prior, unit)}")
+        return Parameter(name, value, std, given, prior, Status.HELD, verdict)
+    return Parameter(name, value, std, given, prior, Status.FREE, f"found: {shown}{_against(std, given, prior, unit)}")
 
 
 def unobservable_verdict(name: str, std: float, given: float, reason: str) -> Parameter:
     """A parameter of the water that keeps its given value for a reason."""
     kept = f"{given:.5f}" + (" m" if name == "level_m" else "")
-    return Parameter(name, given, std, given, None, UNKNOWN, f"not observable: {reason}; {kept} is kept")
+    return Parameter(name, given, std, given, None, Status.UNKNOWN, f"not observable: {reason}; {kept} is kept")
 
 
 def _against(std: float, given: float, prior: float | None, unit: str) -> str:
@@ -308,14 +314,16 @@ def water_verdicts(
         unit = " m" if i == 0 else ""
         before = Estimate(float(getattr(given, name)), float(given_std[i]))
         found.append(with_verdict(name, Estimate(float(values[i]), float(std[i])), before, float(limits[i]), unit))
-    if found[0].status == UNKNOWN:
+    if found[0].status == Status.UNKNOWN:
         # Slopes turn the plane about a point other than that of the level: without a level they are of no use.
-        found[1:3] = [_kept_as_given(row) if row.status == FREE else row for row in found[1:3]]
+        found[1:3] = [_kept_as_given(row) if row.status == Status.FREE else row for row in found[1:3]]
     return found
 
 
 def _kept_as_given(row: Parameter) -> Parameter:
-    return replace(row, value=row.given, status=UNKNOWN, verdict="not observable: the level is not; the slope is kept")
+    return replace(
+        row, value=row.given, status=Status.UNKNOWN, verdict="not observable: the level is not; the slope is kept"
+    )
 
 
 def lens_verdicts(

@@ -146,14 +146,16 @@ def _ties(survey: Survey, depth_m: float) -> TiePoints | None:
 
 
 @dataclass(frozen=True)
-class _Adjusted:
-    covariance: np.ndarray
+class _ExpectedCovariance:
+    """Covariance of the parameters that a block would have, with the derivatives it follows from."""
+
+    covariance: np.ndarray  # (P, P)
     problem: Problem
-    by_point: np.ndarray
-    by_parameters: csr_array
+    by_point: np.ndarray  # (N, 2, 3)
+    by_parameters: csr_array  # (2 N, P)
 
 
-def _covariance(survey: Survey, gsd: float, ties: TiePoints, *, free: bool) -> _Adjusted:
+def _covariance(survey: Survey, gsd: float, ties: TiePoints, *, free: bool) -> _ExpectedCovariance:
     """Covariance of the parameters if every place were measured in every view that has it in its frame."""
     # Poses of which nothing is stated count as those of an adjusted block.
     prior = prior_of(survey, gsd, free_water=survey.water is not None)
@@ -170,7 +172,7 @@ def _covariance(survey: Survey, gsd: float, ties: TiePoints, *, free: bool) -> _
     kind = np.full(len(ties.view), WINDOW)
     problem = Problem(prior.layout, ties, kind, priors_for(prior, ties), std_px, sides)
     linear = linearise(prior.layout, state, ties, sides)
-    return _Adjusted(covariance_at(problem, state, std_px), problem, linear.by_point, linear.by_parameters)
+    return _ExpectedCovariance(covariance_at(problem, state, std_px), problem, linear.by_point, linear.by_parameters)
 
 
 @dataclass(frozen=True)
@@ -179,7 +181,7 @@ class _Heights:
     common: np.ndarray
 
 
-def _heights(found: _Adjusted) -> _Heights:
+def _heights(found: _ExpectedCovariance) -> _Heights:
     """Standard deviations (M,) [m] of the heights of the places: by their own pixels, and by the parameters."""
     ties, num_places = found.problem.ties, len(found.problem.ties)
     first = np.searchsorted(ties.point, np.arange(num_places + 1))

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 NAMES = ("east_m", "north_m", "up_m", "turn_east_deg", "turn_north_deg", "turn_up_deg", "scale_ppm")
 _AXES = ("east", "north", "up")
 _UNITS = np.array([1.0, 1.0, 1.0, math.degrees(1.0), math.degrees(1.0), math.degrees(1.0), 1e6])
-# A part of the transformation that the ground makes at least so much more certain is told by it.
-_TOLD = 0.7
+# The ground determines a part of the transformation whose std it lowers to this share.
+_DETERMINED_SHARE = 0.7
 _MOST_CHANGED = 0.5
 # On ground that did not change, tie points scatter by less.
 _MOST_SCATTER = 3.0
@@ -28,7 +28,7 @@ _MOST_OFF = 3.0
 
 @dataclass(frozen=True)
 class GroundFit:
-    """The placement of a block."""
+    """Shift, turn and scale of a block against the ground of an earlier survey."""
 
     reference: str  # File of the earlier survey
     # num_points, num_over, num_changed: Tie points that hold the block, one of each square of ground; all over the
@@ -60,10 +60,10 @@ class GroundFit:
         return cls(**values)
 
     @property
-    def is_told(self) -> tuple[bool, ...]:
+    def is_determined_by_ground(self) -> tuple[bool, ...]:
         """Parts of the transformation that the ground determines."""
         without = (math.inf,) * len(self.std) if self.std_without is None else self.std_without
-        return tuple(std <= _TOLD * before for std, before in zip(self.std, without, strict=True))
+        return tuple(std <= _DETERMINED_SHARE * before for std, before in zip(self.std, without, strict=True))
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -72,12 +72,16 @@ class GroundFit:
             f"{length(value)} {axis} (± {length(std)})"
             for value, std, axis in zip(self.moved[:3], self.std[:3], _AXES, strict=True)
         )
-        told = [name.rsplit("_", 1)[0].replace("_", " about ") for name, is_told in self._determined() if not is_told]
+        told = [
+            name.rsplit("_", 1)[0].replace("_", " about ")
+            for name, is_determined in self._determined()
+            if not is_determined
+        ]
         rest = f"; it does not determine {', '.join(told)}" if told else ""
         found = [
             f"{length(value)} {axis} (± {length(std)})"
             for value, std, prior, axis in zip(self.off_m, self.off_std_m, self.off_prior_m, _AXES, strict=True)
-            if std <= _TOLD * prior
+            if std <= _DETERMINED_SHARE * prior
         ]
         if found:
             rest += f"; all of {self.reference} is off by {', '.join(found)}, as control and positions show"
@@ -87,7 +91,7 @@ class GroundFit:
         )
 
     def _determined(self) -> Sequence[tuple[str, bool]]:
-        return list(zip(NAMES, self.is_told, strict=True))
+        return list(zip(NAMES, self.is_determined_by_ground, strict=True))
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -124,7 +128,7 @@ class GroundFit:
 
 
 def ground_fit(placed: GroundAlignment, moved: np.ndarray, reference: str, *, is_against_positions: bool) -> GroundFit:
-    """The placement in the units of a report; ``moved`` (7,) is that of `survey.adjust.block.on_ground.moved_by`."""
+    """The fit in the units of a report; ``moved`` (7,) is that of `survey.adjust.block.on_ground.moved_by`."""
 
     def in_units(values: np.ndarray) -> tuple[float, ...]:
         return tuple((values * _UNITS).tolist())

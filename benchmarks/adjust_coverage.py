@@ -101,7 +101,7 @@ def covered(
         free=frozenset(name for name, row in rows.items() if row.status == Status.FREE),
         positions=positions / found.poses.position_std,
         rotations=np.degrees(rotations) / found.poses.rotation_std_deg,
-        factor=found.statistics.factor["matches"],
+        factor=found.statistics.variance_factor["matches"],
         height=None if common_up_m is None else _height(block, survey, found),
     )
 

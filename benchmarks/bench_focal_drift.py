@@ -20,7 +20,7 @@ from unittest import mock
 import numpy as np
 from scipy.spatial import cKDTree
 
-from survey.adjust import focal_lengths, refine
+from survey.adjust import focal_lengths, refine, stages
 from survey.adjust.result.adjustment import Adjustment
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
@@ -74,7 +74,7 @@ def row_of(seed: int, share: float) -> Row:
 
     with mock.patch.object(focal_lengths, "focal_drift", noted):
         each = refine.adjust_survey(survey, use_windows=False)
-    with mock.patch.object(refine, "with_focals", lambda _known, done, _adjusted: (done, None)):
+    with mock.patch.object(stages, "with_focals", lambda _known, done, _adjusted: (done, None)):
         one = refine.adjust_survey(survey, use_windows=False)
     pairs = zip(_figures(block, one), _figures(block, each), strict=True)
     return Row(gains[0], each.poses.focals is not None, tuple(value for pair in pairs for value in pair))

@@ -27,7 +27,7 @@ from stress_scenes import with_waves
 
 from survey.adjust import pose_check
 from survey.adjust.block.observed import WINDOW
-from survey.adjust.block.windows import load_photographs, windows_of_block
+from survey.adjust.block.windows import load_photographs, measure_loaded_windows
 from survey.errors import SurveyError
 from survey.folder.place import water_plane
 from survey.folder.survey import Survey, load_survey
@@ -113,7 +113,11 @@ def sample_of(survey: Survey) -> tuple[Survey, Plan, TiePoints]:
     block, bound = load_photographs(survey, plan)
     chosen = pose_check._of_middle(survey, plan.height_m)
     sample = replace(pose_check.without_ties(survey), views=tuple(survey.views[i] for i in chosen))
-    return sample, plan, windows_of_block(sample, plan, block.part(chosen), bound, lambda _amount: None, sparse=True)
+    return (
+        sample,
+        plan,
+        measure_loaded_windows(sample, plan, block.part(chosen), bound, lambda _amount: None, sparse=True),
+    )
 
 
 def spoilt(survey: Survey, kind: str, error: float) -> Survey:

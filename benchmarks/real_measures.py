@@ -16,7 +16,7 @@ from geo import read_cloud
 from survey.adjust.applied import apply_adjustment
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import Adjustment, ControlResidual
-from survey.adjust.result.std_common import place_moves
+from survey.adjust.result.std_common import place_jacobian
 from survey.folder.survey import Survey, load_survey
 from survey.photos.poses import TiePoints
 
@@ -135,8 +135,8 @@ def _std(survey: Survey, found: Adjustment, residual: ControlResidual, given_m: 
     views = np.array([number[mark.view] for mark in marks])
     place = next(point.local for point in control.points if point.name == residual.name) + np.array(residual.residual_m)
     ties = TiePoints(place[None], np.zeros(len(marks), np.int64), views, np.array([mark.pixel for mark in marks]))
-    moves = place_moves(found, adjusted.water, ties)[0]
-    of_block = np.diag(moves @ found.covariance.matrix @ moves.T)
+    jacobian = place_jacobian(found, adjusted.water, ties)[0]
+    of_block = np.diag(jacobian @ found.covariance.matrix @ jacobian.T)
     cameras = [adjusted.views[view].lens.camera(v.centre, v.cam_from_local)
                for view in views for v in [adjusted.views[view].camera]]  # fmt: skip
     steps = STEP_M * np.eye(3)

@@ -12,7 +12,7 @@ from survey.adjust.block.bundle import NotConvergedError, Solution, cost, levenb
 from survey.adjust.block.normal_equations import huber_system, system_with
 from survey.adjust.block.prediction import linearise, predict
 from survey.adjust.block.problem import HUBER, Planes, Priors, Problem, huber_loss, std_of_kinds
-from survey.adjust.block.state import RELIEF, Layout, State
+from survey.adjust.block.state import NUM_RELIEF, Layout, State
 from survey.adjust.rounds import std_over_points
 from survey.photos.poses import TiePoints
 from tests.drawn_block import DrawnBlock, draw_block, water_plane
@@ -26,7 +26,7 @@ def truth_of(block: DrawnBlock) -> State:
     parameters = [lens.focal[0], lens["cx"], lens["cy"], lens["k1"], lens["k2"], 0.0, lens["p1"], lens["p2"]]
     return State(
         water_plane(block.water),
-        np.zeros(RELIEF),
+        np.zeros(NUM_RELIEF),
         np.array([parameters]),
         np.array([camera.centre for camera in block.cameras]),
         np.array([camera.cam_from_local for camera in block.cameras]),
@@ -40,13 +40,13 @@ def problem_of(block: DrawnBlock, *, water_std=WIDE_WATER, position_std: float =
     layout = Layout(np.zeros(len(block.cameras), dtype=np.int64), np.ones(1))
     poses = np.tile([position_std] * 3 + [np.inf] * 3, len(block.cameras))
     lens = [0.2 * truth.lenses[0, 0], 30.0, 30.0, 0.3, 0.3, 0.3, 0.01, 0.01]
-    std = np.concatenate([np.maximum(water_std, 1e-9), np.full(RELIEF, 1e-9), lens, poses])
+    std = np.concatenate([np.maximum(water_std, 1e-9), np.full(NUM_RELIEF, 1e-9), lens, poses])
     point_std = np.full(block.points.shape, np.inf)
     point_std[block.control] = 0.001
     ties = TiePoints(block.points, block.point, block.view, block.pixel)
     kind = np.zeros(len(block.view), dtype=np.int64)
-    sides = np.zeros((len(block.view), RELIEF))
-    return Problem(layout, ties, kind, Priors(truth, std, point_std), np.array([np.nan]), sides)
+    rise_design = np.zeros((len(block.view), NUM_RELIEF))
+    return Problem(layout, ties, kind, Priors(truth, std, point_std), np.array([np.nan]), rise_design)
 
 
 def spoilt(block: DrawnBlock, rng) -> State:
@@ -106,26 +106,26 @@ def test_held_parameters_stay_and_points_go_where_parameters_that_cannot_move_le
 def dense(problem: Problem, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Normal matrix of all unknowns, parameters first, and their right side, at the weights of a solution."""
     state, ties, priors = solution.state, problem.ties, problem.priors
-    linear = linearise(problem.layout, state, ties, problem.sides)
+    linear = linearise(problem.layout, state, ties, problem.rise_design)
     size = len(problem.layout)
     design = np.zeros((2 * len(ties.view), size + 3 * len(ties)))
     design[:, :size] = linear.by_parameters.toarray()
     for row, point in enumerate(ties.point):
         design[2 * row : 2 * row + 2, size + 3 * point : size + 3 * point + 3] = linear.by_point[row]
     weights = np.repeat(solution.weights, 2)
-    strength = np.concatenate([priors.std, priors.point_std.ravel()]) ** -2.0
+    precision = np.concatenate([priors.std, priors.point_std.ravel()]) ** -2.0
     pull = np.concatenate([priors.deviation(problem.layout, state), (state.points - priors.state.points).ravel()])
-    normal = design.T @ (weights[:, None] * design) + np.diag(strength)
-    right = design.T @ (weights * (ties.pixel - linear.pixels).ravel()) - strength * pull
+    normal = design.T @ (weights[:, None] * design) + np.diag(precision)
+    right = design.T @ (weights * (ties.pixel - linear.pixels).ravel()) - precision * pull
     planes = priors.planes
     if planes is not None:
         off = np.zeros((len(ties), len(normal)))
         off[:, problem.layout.shift] = -planes.normal
         for number, each in enumerate(planes.normal):
             off[number, size + 3 * number : size + 3 * number + 3] = each
-        normal += off.T @ (planes.strength[:, None] * off)
+        normal += off.T @ (planes.precision[:, None] * off)
         distances = np.sum(planes.normal * (state.points - state.shift), axis=1) - planes.height
-        right -= off.T @ (planes.strength * distances)
+        right -= off.T @ (planes.precision * distances)
     return normal, right
 
 
@@ -197,12 +197,14 @@ def test_where_the_loss_is_nearly_linear_an_outlier_keeps_its_gradient_and_hardl
     ties = problem.ties
     off = np.zeros_like(ties.pixel)
     off[number] = 30.0, -40.0
-    problem = replace(problem, ties=replace(ties, pixel=predict(problem.layout, state, ties, problem.sides) + off))
+    problem = replace(
+        problem, ties=replace(ties, pixel=predict(problem.layout, state, ties, problem.rise_design) + off)
+    )
     one = np.ones(len(problem.kind))
     square, linear = (huber_system(problem, state, std_px, one, reduces_curvature=each) for each in (False, True))
     scale = 1.0 / np.sqrt(np.diag(square.normal.dense()))
     np.testing.assert_allclose(linear.right_side * scale, square.right_side * scale, rtol=1e-6, atol=1e-9)
-    design = linearise(problem.layout, state, problem.ties, problem.sides).by_parameters.toarray()
+    design = linearise(problem.layout, state, problem.ties, problem.rise_design).by_parameters.toarray()
     weight = HUBER * std_px[0] / 50.0 / std_px[0] ** 2
     along = np.array([0.6, -0.8]) @ design[2 * number : 2 * number + 2]
     taken = weight * (1.0 - 0.1**2) * np.outer(along, along)
@@ -297,7 +299,7 @@ def test_factors_on_variances_widen_the_covariance():
     block = draw_block(3, **SMALL | {"num_points": 60}, pixel_std=0.3)
     problem = problem_of(block)
     alone = solve(problem, problem.priors.state)
-    wider = solve(problem, problem.priors.state, inflation=np.full(len(block.view), 4.0))
+    wider = solve(problem, problem.priors.state, variance_factor=np.full(len(block.view), 4.0))
     np.testing.assert_allclose(np.median(wider.weights), 0.25 * np.median(alone.weights), rtol=0.05)
     assert np.sqrt(wider.covariance[7, 7] / alone.covariance[7, 7]) > 1.2
     # Priors and control points stay as good as they were; at one state, since the level is a non-linear unknown.
@@ -361,15 +363,17 @@ def from_one_place(num_weak: int) -> Problem:
     more = len(true.points) + np.repeat(np.arange(num_weak), 2)
     point, view = np.append(ties.point, more), np.append(ties.view, np.tile([0, 1], num_weak))
     state = replace(true, centres=centres, rotations=rotations, points=points)
-    sides = np.zeros((len(point), RELIEF))
-    pixel = predict(problem.layout, state, TiePoints(points, point, view, np.zeros((len(point), 2))), sides)
+    rise_design = np.zeros((len(point), NUM_RELIEF))
+    pixel = predict(problem.layout, state, TiePoints(points, point, view, np.zeros((len(point), 2))), rise_design)
     priors = replace(
         problem.priors,
         state=state,
         point_std=np.concatenate([problem.priors.point_std, np.full((num_weak, 3), np.inf)]),
     )
     noisy = TiePoints(points, point, view, pixel + 0.3 * rng.standard_normal(pixel.shape))
-    return replace(problem, ties=noisy, kind=np.zeros(len(point), dtype=np.int64), sides=sides, priors=priors)
+    return replace(
+        problem, ties=noisy, kind=np.zeros(len(point), dtype=np.int64), rise_design=rise_design, priors=priors
+    )
 
 
 def test_a_photograph_that_nothing_ties_is_refused_in_words():
@@ -381,6 +385,8 @@ def test_a_photograph_that_nothing_ties_is_refused_in_words():
     # Numbers of points change: none is known.
     priors = Priors(replace(truth_of(block), points=ties.start), std, np.full((len(ties), 3), np.inf))
     count = len(ties.view)
-    lost = Problem(problem.layout, ties, np.zeros(count, int), priors, problem.given_std_px, np.zeros((count, RELIEF)))
+    lost = Problem(
+        problem.layout, ties, np.zeros(count, int), priors, problem.given_std_px, np.zeros((count, NUM_RELIEF))
+    )
     with pytest.raises(NotConvergedError, match="photograph"):
         solve(lost, priors.state)

@@ -10,10 +10,10 @@ from scipy.sparse import csr_array
 from slow_cases import slow
 
 from survey.adjust.block.bundle import Solution, solve
-from survey.adjust.block.prediction import predict, relief_sides
+from survey.adjust.block.prediction import apparent_rise_design, predict
 from survey.adjust.block.priors import prior_of, priors_for
 from survey.adjust.block.problem import Problem
-from survey.adjust.clusters import _Changed, inflation, terrain_design_effect
+from survey.adjust.clusters import PredictionChanges, cluster_design_effect, terrain_design_effect
 from survey.photos.poses import TiePoints
 from tests.block_survey import survey_of
 from tests.drawn_block import draw_block
@@ -34,7 +34,7 @@ def spread(rng, per_view: int) -> TiePoints:
 
 def test_independent_residuals_count_in_full(rng):
     ties = spread(rng, 1500)
-    found = inflation(ties, rng.normal(0.0, STD[0], (6000, 2)), STD, np.zeros(6000, int), SIZES)
+    found = cluster_design_effect(ties, rng.normal(0.0, STD[0], (6000, 2)), STD, np.zeros(6000, int), SIZES)
     assert (found >= 1.0).all()
     assert found.max() < 1.3
 
@@ -47,7 +47,7 @@ def test_shared_residuals_count_as_the_design_effect_of_their_squares(rng, rho):
     square = square.ravel()
     shared = rng.normal(0.0, 1.0, (square.max() + 1, 2))[square]
     residuals = STD[0] * (np.sqrt(rho) * shared + np.sqrt(1.0 - rho) * rng.normal(size=shared.shape))
-    found = inflation(ties, residuals, STD, np.zeros(6000, int), SIZES)
+    found = cluster_design_effect(ties, residuals, STD, np.zeros(6000, int), SIZES)
     count = np.bincount(square)
     expected = 1.0 + (np.sum(count**2) / count.sum() - 1.0) * rho
     # 140 squares know a correlation to about a tenth.
@@ -60,14 +60,14 @@ def test_each_kind_has_a_factor_of_its_own(rng):
     cell = np.floor(ties.pixel / 160.0) @ [1.0, 7.0]
     shared = np.where(np.sin(12.9898 * cell + ties.view) > 0.0, 1.0, -1.0)
     residuals[kind == 1] = STD[1] * shared[kind == 1, None]
-    found = inflation(ties, residuals, STD, kind, SIZES)
+    found = cluster_design_effect(ties, residuals, STD, kind, SIZES)
     assert found[kind == 0].max() < 1.5
     assert found[kind == 1].min() > 5.0
 
 
 def test_alone_in_their_squares_observations_share_nothing():
     ties = TiePoints(np.zeros((2, 3)), np.arange(2), np.array([0, 1]), np.full((2, 2), 50.0))
-    np.testing.assert_array_equal(inflation(ties, np.ones((2, 2)), STD, np.zeros(2, int), SIZES), 1.0)
+    np.testing.assert_array_equal(cluster_design_effect(ties, np.ones((2, 2)), STD, np.zeros(2, int), SIZES), 1.0)
 
 
 def adjusted(seed: int, slope: float) -> tuple[Problem, Solution, list]:
@@ -77,16 +77,18 @@ def adjusted(seed: int, slope: float) -> tuple[Problem, Solution, list]:
     prior = prior_of(survey, 0.02)
     ties, water = survey.observations.ties, prior.state.water
     start = replace(prior.state, points=ties.start)
-    sides = relief_sides(start, ties)
+    rise_design = apparent_rise_design(start, ties)
     rng = np.random.default_rng([seed, 41])
-    still = predict(prior.layout, start, ties, sides)
-    sloping = predict(prior.layout, replace(start, water=replace(water, slope_x=water.slope_x + 0.01)), ties, sides)
+    still = predict(prior.layout, start, ties, rise_design)
+    sloping = predict(
+        prior.layout, replace(start, water=replace(water, slope_x=water.slope_x + 0.01)), ties, rise_design
+    )
     _, square = np.unique(np.floor(ties.start[:, :2] / SIDE_M), axis=0, return_inverse=True)
     slopes = slope * rng.standard_normal(square.max() + 1)[square.ravel()][ties.point]
     pixel = still + (sloping - still) * slopes[:, None] / 0.01 + NOISE_PX * rng.standard_normal(still.shape)
     ties = replace(ties, pixel=pixel)
     kind, given = np.zeros(len(pixel), dtype=int), np.array([np.nan])
-    problem = Problem(prior.layout, ties, kind, priors_for(prior, ties), given, sides)
+    problem = Problem(prior.layout, ties, kind, priors_for(prior, ties), given, rise_design)
     lens = survey.views[0].lens
     return problem, solve(problem, start), [(lens.width, lens.height)] * len(survey.views)
 
@@ -117,7 +119,7 @@ def test_what_parameters_take_of_a_square_is_counted(rng):
     # Nothing of the first change shows in one square.
     changes[square == 3, :, 0] = 0.0
     covariance = 1e-3 * root @ root.T
-    found = _Changed(weights, residuals, changes, design).ratios(square, covariance)
+    found = PredictionChanges(weights, residuals, changes, design).ratios(square, covariance)
     for change, ratio in zip(np.moveaxis(changes, 2, 0), found, strict=True):
         squares = independent = 0.0
         for number in range(7):

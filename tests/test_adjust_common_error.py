@@ -12,7 +12,7 @@ from survey.adjust.block.prediction import linearise, predict
 from survey.adjust.block.priors import parameters_of
 from survey.adjust.block.state import Layout, State
 from survey.adjust.result.adjustment import Residuals
-from survey.adjust.result.std_common import _places_of_mean, common_error, height_moves
+from survey.adjust.result.std_common import _places_of_mean, common_error, height_jacobian
 
 
 def _along(found, step: dict[str, float]) -> np.ndarray:
@@ -51,7 +51,7 @@ def test_an_error_of_the_index_scales_depths_seen_from_above():
     water = plane_of(block)
     change = _along(found, {"refractive_index": 0.001})
     ties = _places_of_mean(found)
-    rise = height_moves(found, water, ties) @ change
+    rise = height_jacobian(found, water, ties) @ change
     # Straight down the true depth is the apparent one times n; slanting rays add some more.
     expected = -0.001 / block.water[3] * water.depth(ties.start)
     assert np.median(rise / expected) == pytest.approx(1.0, abs=0.25)
@@ -67,8 +67,8 @@ def test_the_standard_deviation_is_that_of_heights_under_random_parameters():
     layout = Layout(found.poses.lens_of, np.array([1.0]))
     lenses = np.array([parameters_of(lens) for lens in found.lenses])
     true = State(water, np.zeros(3), lenses, found.poses.centres, found.poses.rotations, ties.start)
-    sides = np.zeros((len(ties.view), 3))
-    seen = replace(ties, pixel=predict(layout, true, ties, sides))
+    rise_design = np.zeros((len(ties.view), 3))
+    seen = replace(ties, pixel=predict(layout, true, ties, rise_design))
     rng = np.random.default_rng(8)
     root = np.linalg.cholesky(found.covariance.matrix)
     heights = []
@@ -76,7 +76,7 @@ def test_the_standard_deviation_is_that_of_heights_under_random_parameters():
         step = root @ rng.standard_normal(len(root))
         moved = true.moved(layout, np.insert(step, 4, np.zeros(3)), np.zeros_like(ties.start))
         for _ in range(3):
-            linear = linearise(layout, moved, seen, sides)
+            linear = linearise(layout, moved, seen, rise_design)
             miss = seen.pixel - linear.pixels
             points = moved.points.copy()
             for number in range(len(ties)):

@@ -13,7 +13,7 @@ from slow_cases import slow
 from survey.adjust.block.normal_matrix import NormalMatrix
 from survey.adjust.block.observed import MATCH, observed
 from survey.adjust.block.priors import prior_of
-from survey.adjust.block.state import POSE
+from survey.adjust.block.state import NUM_POSE
 from survey.adjust.common_height import apply_level_datum
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import Status
@@ -120,7 +120,7 @@ def test_the_covariance_is_that_of_a_block_with_the_error_as_one_more_unknown(co
     information += np.outer(unit - error, unit - error) / of_level + np.outer(error, error) / of_error
     covariance = inverse(information)
     heights = np.zeros(size)
-    heights[0], heights[done.prior.layout.first_pose + 2 :: POSE] = 1.0, 1.0
+    heights[0], heights[done.prior.layout.first_pose + 2 :: NUM_POSE] = 1.0, 1.0
     lower = np.column_stack([np.eye(size), -heights])
     expected = lower @ covariance @ lower.T
     std = np.sqrt(np.diag(expected))

@@ -14,11 +14,11 @@ from survey.adjust.block.bundle import NotConvergedError
 from survey.adjust.block.observed import MATCH, observed
 from survey.adjust.block.prediction import predict
 from survey.adjust.block.priors import prior_of
-from survey.adjust.block.state import LENS, RELIEF, enlarged, lenses_of
+from survey.adjust.block.state import NUM_LENS, NUM_RELIEF, enlarged, lenses_of
 from survey.adjust.focal_lengths import with_focals
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import read_adjustment, write_adjustment
-from survey.adjust.result.std_common import height_moves, seen_places
+from survey.adjust.result.std_common import height_jacobian, seen_places
 from survey.adjust.rounds import adjust
 from survey.pose_files.colmap import read_model
 from tests.adjusted_block import assert_same
@@ -43,10 +43,10 @@ def drifting(block: DrawnBlock, share: float = SHARE) -> DrawnBlock:
 def test_predictions_with_focal_lengths_and_their_derivatives():
     block = draw_block(2, num_points=30, num_views=8, pixel_std=1e-9)
     layout, state, ties = state_of(drifting(block))
-    sides = np.zeros((len(ties.view), RELIEF))
+    rise_design = np.zeros((len(ties.view), NUM_RELIEF))
     layout, state = replace(layout, finds_focals=True), replace(state, focals=focals_of(block, SHARE))
-    assert len(layout) == 4 + RELIEF + 2 * LENS + 8 + 6 * 8
-    np.testing.assert_allclose(predict(layout, state, ties, sides), ties.pixel, atol=1e-6)
+    assert len(layout) == 4 + NUM_RELIEF + 2 * NUM_LENS + 8 + 6 * 8
+    np.testing.assert_allclose(predict(layout, state, ties, rise_design), ties.pixel, atol=1e-6)
     require_derivatives(layout, state, ties)
 
 
@@ -92,7 +92,7 @@ def test_each_photograph_has_its_own_lens_and_files_keep_it(drifted, tmp_path):
     write_adjustment(tmp_path, found)
     assert_same(read_adjustment(tmp_path), found)
     ties = seen_places(found.points[:3], moved)
-    assert height_moves(found, moved.water, ties).shape == (3, len(found.covariance.names))
+    assert height_jacobian(found, moved.water, ties).shape == (3, len(found.covariance.names))
 
 
 def test_a_model_with_them_comes_back_as_one_lens(drifted, tmp_path):

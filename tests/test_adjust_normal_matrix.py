@@ -150,4 +150,4 @@ def test_a_large_matrix_is_copied_as_rarely_as_can_be(rng, take, arrays):
 def test_a_singular_matrix_is_refused(two_strips, by_blocks):
     normal = two_strips if by_blocks else NormalMatrix.of(csr_array(np.eye(2)))
     with pytest.raises(np.linalg.LinAlgError):
-        normal.with_strength(-2.0 * normal.diagonal()).inverse()
+        normal.with_precision(-2.0 * normal.diagonal()).inverse()

@@ -44,7 +44,7 @@ def test_planes_hold_points_of_the_ground_and_leave_out_what_changed():
     points[:40, 2] += 0.7
     points[40:60, 0] += 100.0
     on_ground = ties_on_ground(StableGround(rough(rng, 8000), (0.1, 0.1)), points, 400)
-    used = on_ground.planes.strength > 0.0
+    used = on_ground.planes.precision > 0.0
     assert not used[:60].any()
     assert not used[400:].any()
     assert on_ground.changed[:40].mean() > 0.9

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from refract import FlatWater
-from survey.adjust.block.prediction import bent_lines_of_sight, lines_of_sight, predict, relief_sides
-from survey.adjust.block.state import RELIEF, WATER, Layout, State, distort, with_parameters
+from survey.adjust.block.prediction import apparent_rise_design, bent_lines_of_sight, lines_of_sight, predict
+from survey.adjust.block.state import NUM_RELIEF, NUM_WATER, Layout, State, distort, with_parameters
 from survey.photos.poses import TiePoints
 from tests.block_state import require_derivatives, state_of
 from tests.drawn_block import draw_block
@@ -48,9 +48,9 @@ def test_derivatives_of_lines_of_sight_are_those_of_differences(rng, water):
         return
     assert sight.wet.sum() == 50
     values = np.array([water.point[2], water.slope_x, water.slope_y, water.n_water])
-    for number in range(WATER):
+    for number in range(NUM_WATER):
         # Under a plane that moves as a whole, points 1 mm below it would come out of the water at a larger step.
-        step = STEP * np.eye(WATER)[number]
+        step = STEP * np.eye(NUM_WATER)[number]
         ahead, behind = (lines_of_sight(centres, points, with_parameters(water, values + s)) for s in (step, -step))
         np.testing.assert_allclose(sight.by_water[:, :, number], (ahead - behind) / (2.0 * STEP), atol=20.0 * CLOSE)
 
@@ -94,18 +94,18 @@ def drawn_state(seed: int) -> tuple[Layout, State, TiePoints]:
 
 def test_at_the_truth_predictions_miss_by_the_noise_alone():
     layout, state, ties = drawn_state(2)
-    miss = ties.pixel - predict(layout, state, ties, np.zeros((len(ties.view), RELIEF)))
+    miss = ties.pixel - predict(layout, state, ties, np.zeros((len(ties.view), NUM_RELIEF)))
     assert np.std(miss) == pytest.approx(0.1, rel=0.2)
     assert np.abs(miss).max() < 0.6
 
 
 def test_derivatives_of_predictions_are_those_of_differences():
     layout, state, ties = drawn_state(2)
-    linear, sides = require_derivatives(layout, state, ties), relief_sides(state, ties)
+    linear, rise_design = require_derivatives(layout, state, ties), apparent_rise_design(state, ties)
     for axis in range(3):
         step = STEP * np.eye(3)[[axis] * len(ties)]
         ahead, behind = (
-            predict(layout, state.moved(layout, np.zeros(len(layout)), sign * step), ties, sides)
+            predict(layout, state.moved(layout, np.zeros(len(layout)), sign * step), ties, rise_design)
             for sign in (1.0, -1.0)
         )
         np.testing.assert_allclose(linear.by_point[:, :, axis], (ahead - behind) / (2.0 * STEP), rtol=1e-5, atol=1e-3)
@@ -114,31 +114,33 @@ def test_derivatives_of_predictions_are_those_of_differences():
 def test_each_photograph_is_predicted_at_its_own_level(rng):
     layout, state, ties = drawn_state(2)
     tides = rng.uniform(-0.3, 0.3, len(state.centres))
-    moving, sides = replace(layout, tides=tides), relief_sides(state, ties)
+    moving, rise_design = replace(layout, tides=tides), apparent_rise_design(state, ties)
     require_derivatives(moving, state, ties)
-    found, still = predict(moving, state, ties, sides), predict(layout, state, ties, sides)
+    found, still = predict(moving, state, ties, rise_design), predict(layout, state, ties, rise_design)
     assert np.abs(found - still).max() > 0.5
     x, y, z = state.water.point
     for view, tide in enumerate(tides):
         mine = ties.view == view
         own = replace(state, water=replace(state.water, point=(x, y, z + tide)))
-        np.testing.assert_allclose(found[mine], predict(layout, own, ties, sides)[mine], rtol=0.0, atol=1e-8)
+        np.testing.assert_allclose(found[mine], predict(layout, own, ties, rise_design)[mine], rtol=0.0, atol=1e-8)
 
 
 def test_a_rate_of_the_level_raises_the_water_of_each_photograph_by_its_time(rng):
     layout, state, ties = drawn_state(2)
-    hours, sides = rng.uniform(-0.5, 0.5, len(state.centres)), relief_sides(state, ties)
+    hours, rise_design = rng.uniform(-0.5, 0.5, len(state.centres)), apparent_rise_design(state, ties)
     moving = replace(layout, hours=hours, tides=rng.uniform(-0.1, 0.1, len(hours)))
     assert len(moving) == len(layout) + 1
     risen = replace(state, rate=0.4)
     require_derivatives(moving, risen, ties)
     by_tides = replace(layout, tides=moving.tides + 0.4 * hours)
-    np.testing.assert_allclose(predict(moving, risen, ties, sides), predict(by_tides, state, ties, sides), atol=1e-9)
+    np.testing.assert_allclose(
+        predict(moving, risen, ties, rise_design), predict(by_tides, state, ties, rise_design), atol=1e-9
+    )
 
 
 def test_water_over_its_plane_is_water_of_a_higher_level():
     layout, state, ties = drawn_state(2)
-    sides, (x, y, z) = relief_sides(state, ties), state.water.point
+    rise_design, (x, y, z) = apparent_rise_design(state, ties), state.water.point
     asked = []
 
     def departure(xy):
@@ -146,8 +148,8 @@ def test_water_over_its_plane_is_water_of_a_higher_level():
         return np.full(len(xy), 0.12)
 
     risen = replace(state, water=replace(state.water, point=(x, y, z + 0.12)))
-    found = predict(replace(layout, departure=departure), state, ties, sides)
-    np.testing.assert_allclose(found, predict(layout, risen, ties, sides), rtol=0.0, atol=1e-8)
+    found = predict(replace(layout, departure=departure), state, ties, rise_design)
+    np.testing.assert_allclose(found, predict(layout, risen, ties, rise_design), rtol=0.0, atol=1e-8)
     # It is asked where rays cross the water: a tenth of the depth from there at most, at 40 degrees.
     points, centres = state.points[ties.point], state.centres[ties.view]
     crossing = centres + lines_of_sight(centres, points, state.water)
@@ -168,6 +170,6 @@ def test_a_point_behind_its_camera_has_no_pixel():
     points = state.points.copy()
     points[ties.point[0], 2] = 500.0
     moved = State(state.water, state.relief, state.lenses, state.centres, state.rotations, points)
-    found = predict(layout, moved, ties, np.zeros((len(ties.view), RELIEF)))
+    found = predict(layout, moved, ties, np.zeros((len(ties.view), NUM_RELIEF)))
     assert np.isnan(found[ties.point == ties.point[0]]).all()
     assert np.isfinite(found[ties.point != ties.point[0]]).all()

@@ -11,7 +11,7 @@ from block_survey import survey_of
 from drawn_block import DrawnBlock, draw_block
 
 from survey.adjust.applied import apply_adjustment
-from survey.adjust.block.prediction import predict, relief_sides
+from survey.adjust.block.prediction import apparent_rise_design, predict
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import read_adjustment, write_adjustment
 from survey.adjust.result.std_common import common_error
@@ -26,8 +26,8 @@ RATE, STD = 0.3, 1.0
 def risen(block: DrawnBlock, hours: np.ndarray) -> DrawnBlock:
     """The block as it is seen through water that rises."""
     layout, state, ties = state_of(block)
-    sides = np.zeros_like(relief_sides(state, ties))
-    moved, still = (predict(replace(layout, tides=tides), state, ties, sides) for tides in (RATE * hours, None))
+    rise_design = np.zeros_like(apparent_rise_design(state, ties))
+    moved, still = (predict(replace(layout, tides=tides), state, ties, rise_design) for tides in (RATE * hours, None))
     return replace(block, pixel=block.pixel + moved - still)
 
 

@@ -12,7 +12,7 @@ from drawn_block import DrawnBlock, _turned, draw_block
 from scipy.spatial.transform import Rotation
 
 from survey.adjust.block.roll import rolls_of, std_by_profile
-from survey.adjust.block.state import POSE
+from survey.adjust.block.state import NUM_POSE
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import Adjustment
 from survey.errors import SurveyError
@@ -59,7 +59,7 @@ def roll_error(block: DrawnBlock, found: Adjustment, across: Across) -> tuple[fl
     """Error of the roll about the line and its standard deviation [rad]."""
     true = np.array([camera.cam_from_local for camera in block.cameras])
     mean = np.zeros(len(found.covariance.matrix))
-    mean[-POSE * len(true) :].reshape(-1, POSE)[:, 3:] = found.poses.rotations @ across.along / len(true)
+    mean[-NUM_POSE * len(true) :].reshape(-1, NUM_POSE)[:, 3:] = found.poses.rotations @ across.along / len(true)
     return roll_by_attitudes(across, found.poses.rotations, true), math.sqrt(mean @ found.covariance.matrix @ mean)
 
 

@@ -10,9 +10,9 @@ import pytest
 from survey.adjust import rounds
 from survey.adjust.block.bundle import Solution
 from survey.adjust.block.normal_equations import system_at
-from survey.adjust.block.prediction import relief_sides
+from survey.adjust.block.prediction import apparent_rise_design
 from survey.adjust.block.problem import Priors, Problem
-from survey.adjust.block.state import POSE, RELIEF, with_parameters
+from survey.adjust.block.state import NUM_POSE, NUM_RELIEF, with_parameters
 from survey.adjust.refine import adjust_survey
 from survey.adjust.rounds import covariance_over_shore
 from survey.folder.pose_priors import PosePrior
@@ -140,13 +140,13 @@ def solved_at(level: float, **settings) -> tuple[Problem, Solution]:
     parameters[0] += level
     state = replace(state, water=with_parameters(state.water, parameters))
     std = np.full(len(layout), np.inf)
-    std[:4], std[4 : 4 + RELIEF] = (80.0, 1e-9, 1e-9, 1e-3), 1e-9
+    std[:4], std[4 : 4 + NUM_RELIEF] = (80.0, 1e-9, 1e-9, 1e-3), 1e-9
     std[layout.first_lens : layout.first_pose] = np.tile([10.0, 5.0, 5.0, 0.1, 0.1, 0.1, 0.01, 0.01], 2)
     std[layout.first_pose :] = np.tile([0.3, 0.3, 0.3, np.inf, np.inf, np.inf], len(block.cameras))
-    assert layout.first_pose + POSE * len(block.cameras) == len(layout)
+    assert layout.first_pose + NUM_POSE * len(block.cameras) == len(layout)
     kind, std_px = np.zeros(len(ties.view), dtype=np.int64), np.array([PIXEL_STD])
     priors = Priors(state, std, np.full(ties.start.shape, np.inf))
-    problem = Problem(layout, ties, kind, priors, std_px, relief_sides(state, ties))
+    problem = Problem(layout, ties, kind, priors, std_px, apparent_rise_design(state, ties))
     system = system_at(problem, state, std_px)
     weights = np.full(len(kind), PIXEL_STD**-2.0)
     return problem, Solution(state, system.normal.inverse(), problem.residuals(state), weights, std_px, system)

@@ -11,7 +11,7 @@ from refract.lens import Lens, distorted, undistorted
 from survey.adjust.applied import apply_adjustment
 from survey.adjust.block.observed import original_rows
 from survey.adjust.block.prediction import predict
-from survey.adjust.block.state import LENS, RELIEF
+from survey.adjust.block.state import NUM_LENS, NUM_RELIEF
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result import adjustment as results
 from survey.adjust.result.adjustment import Status, read_adjustment, write_adjustment
@@ -30,9 +30,9 @@ STEP = 1e-5
 
 def test_predictions_are_the_pixels_of_cameras_that_fly_on_while_they_are_read_out():
     layout, state, ties = state_of(draw_block(2, **FLOWN | {"pixel_std": 1e-9}), rolls=True)
-    sides = np.zeros((len(ties.view), RELIEF))
-    np.testing.assert_allclose(predict(layout, state, ties, sides), ties.pixel, atol=1e-6)
-    still = predict(replace(layout, flow=None), state, ties, sides)
+    rise_design = np.zeros((len(ties.view), NUM_RELIEF))
+    np.testing.assert_allclose(predict(layout, state, ties, rise_design), ties.pixel, atol=1e-6)
+    still = predict(replace(layout, velocity_per_row=None), state, ties, rise_design)
     assert np.abs(still - ties.pixel).max() > 1.0
 
 
@@ -40,7 +40,7 @@ def test_predictions_are_the_pixels_of_cameras_that_fly_on_while_they_are_read_o
 def test_derivatives_with_a_rolling_shutter_are_those_of_differences(finds_readouts):
     block = draw_block(2, **FLOWN | {"num_points": 30, "num_views": 8})
     layout, state, ties = state_of(block, rolls=True, finds_readouts=finds_readouts)
-    assert len(layout) == 4 + RELIEF + 2 * LENS + 2 * finds_readouts + 6 * 8
+    assert len(layout) == 4 + NUM_RELIEF + 2 * NUM_LENS + 2 * finds_readouts + 6 * 8
     require_derivatives(layout, state, ties)
 
 
@@ -92,7 +92,7 @@ def test_the_readout_is_found_where_it_is_not_known_within_what_is_stated(tmp_pa
     assert common_error(found, moved.water).mean > 0.0
     write_adjustment(tmp_path, found)
     again = read_adjustment(tmp_path)
-    np.testing.assert_array_equal(again.poses.flow, found.poses.flow)
+    np.testing.assert_array_equal(again.poses.velocity_per_row, found.poses.velocity_per_row)
     assert (again.readouts_s, again.parameter(row.name)) == (found.readouts_s, row)
 
 
@@ -118,7 +118,7 @@ def test_a_camera_that_hovers_is_adjusted_to_the_last_bit_as_without_the_key():
     _, without = adjusted(block, None)
     for shutter in ((READOUT, None), (READOUT, 0.01)):
         _, found = adjusted(block, shutter)
-        assert (found.poses.flow, found.readouts_s) == (None, None)
+        assert (found.poses.velocity_per_row, found.readouts_s) == (None, None)
         assert_same(found, without)
 
 

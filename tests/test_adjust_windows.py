@@ -143,7 +143,7 @@ def test_windows_beside_a_mask_are_found_where_they_are_without_it_and_refused_w
 @pytest.mark.slow
 def test_a_photograph_without_a_window_is_no_hindrance(pincushion, monkeypatch):
     ties = TiePoints(np.zeros((1, 3)), np.zeros(3, dtype=int), np.arange(3), np.full((3, 2), 90.0))
-    monkeypatch.setattr("survey.adjust.block.windows.measure", lambda *_arguments: ties)
+    monkeypatch.setattr("survey.adjust.block.windows.measure_tie_points", lambda *_arguments: ties)
     assert np.isfinite(measured(pincushion).pixel).all()
 
 

@@ -94,9 +94,13 @@ def _lenses(lenses: Sequence[Lens], layout: Layout, focals: np.ndarray | None) -
 
 def _motions(layout: Layout, readouts) -> dict[int, np.ndarray]:
     """Motion (3,) of the cameras that moved during the readout of their lens (L,) [s]."""
-    if layout.flow is None:
+    if layout.velocity_per_row is None:
         return {}
-    return {number: flow * readouts[layout.lens_of[number]] for number, flow in enumerate(layout.flow) if flow.any()}
+    return {
+        number: velocity * readouts[layout.lens_of[number]]
+        for number, velocity in enumerate(layout.velocity_per_row)
+        if velocity.any()
+    }
 
 
 def _views(

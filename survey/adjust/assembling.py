@@ -13,9 +13,9 @@ from survey.adjust.block.priors import PriorKnowledge
 from survey.adjust.block.state import (
     FOCAL_NAME,
     LENS_NAMES,
+    NUM_WATER,
     RATE_NAME,
     READOUT_NAME,
-    WATER,
     WATER_NAMES,
     Layout,
     State,
@@ -109,7 +109,7 @@ def assemble_result(
             rotations=state.rotations,
             position_std=poses[:, :3],
             rotation_std_deg=np.degrees(poses[:, 3:]),
-            flow=layout.flow,
+            velocity_per_row=layout.velocity_per_row,
             tides=state.tides(layout),
             hours=layout.hours,
             focals=state.focals if layout.finds_focals else None,
@@ -130,7 +130,7 @@ def _statistics(done: RobustSolution, total: int) -> FitStatistics:
     counts = {name: int((used.kind == kind).sum()) for kind, name in enumerate(KINDS)}
     return FitStatistics(
         std_px={name: float(solution.std_px[kind]) for kind, name in enumerate(KINDS) if counts[name]},
-        factor={name: float(done.factor[kind]) for kind, name in enumerate(KINDS) if counts[name]},
+        variance_factor={name: float(done.variance_factor[kind]) for kind, name in enumerate(KINDS) if counts[name]},
         num_observations={name: count for name, count in counts.items() if count},
         num_points=len(used.ties),
         num_left_out=total - len(used.kind),
@@ -191,7 +191,7 @@ def _parameters_with_verdicts(
     parameters: list[Parameter] = []
     water: WaterConfig | None = None
     if survey.water is not None:
-        verdicts, water = _water(survey, done, first, held[:WATER], unobservable, contradicted)
+        verdicts, water = _water(survey, done, first, held[:NUM_WATER], unobservable, contradicted)
         parameters += verdicts
     variance = np.where(held, np.diag(first), np.diag(covariance))
     for number, lens in enumerate(prior.lenses):
@@ -242,11 +242,11 @@ def _water(
     by_local = settings_by_local(survey, np.array(prior.place_of_water))
     values = settings_of(given) + by_local @ (state.water_parameters() - prior.mean.water_parameters())
     std, held_std = (
-        np.sqrt(np.diag(by_local @ c[:WATER, :WATER] @ by_local.T)) for c in (done.solution.covariance, first)
+        np.sqrt(np.diag(by_local @ c[:NUM_WATER, :NUM_WATER] @ by_local.T)) for c in (done.solution.covariance, first)
     )
-    given_std = np.sqrt(np.diag(by_local @ np.diag(prior.std[:WATER] ** 2) @ by_local.T))
+    given_std = np.sqrt(np.diag(by_local @ np.diag(prior.std[:NUM_WATER] ** 2) @ by_local.T))
     if unobservable is not None:
-        given_std = np.full(WATER, np.inf)
+        given_std = np.full(NUM_WATER, np.inf)
     limits = water_limits(state.points)
     limits[list(contradicted)] = np.inf
     found = water_verdicts(values, np.where(held, held_std, std), given, given_std, limits)

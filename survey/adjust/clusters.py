@@ -1,6 +1,6 @@
 """Correlated errors of neighbouring observations: the design effect of cluster samples.
 
-`inflation`
+`cluster_design_effect`
     Neighbours in one photograph look through the same wave and lie on the same relief. In a square of a photograph with
     m observations whose errors correlate by rho, the variance of their mean is that of one times
     ``(1 + (m - 1) rho) / m`` (L. Kish, Survey Sampling, 1965, section 5.4).
@@ -26,8 +26,8 @@ from survey.adjust.block.bundle import Solution
 from survey.adjust.block.observed import Sizes
 from survey.adjust.block.prediction import linearise
 from survey.adjust.block.problem import Problem
-from survey.adjust.block.state import WATER, State
-from survey.adjust.result.std_common import moves_of
+from survey.adjust.block.state import NUM_WATER, State
+from survey.adjust.result.std_common import place_jacobian_at
 from survey.photos.poses import TiePoints
 
 # Sides of the squares, as shares of the longer side of a photograph: the one with the largest design effect counts.
@@ -44,7 +44,9 @@ _PLACES = 8
 _AT_A_TIME = 64
 
 
-def inflation(ties: TiePoints, residuals: np.ndarray, std_px: np.ndarray, kind: np.ndarray, sizes: Sizes) -> np.ndarray:
+def cluster_design_effect(
+    ties: TiePoints, residuals: np.ndarray, std_px: np.ndarray, kind: np.ndarray, sizes: Sizes
+) -> np.ndarray:
     """Factors (N,), at least 1, on the variances of observations.
 
     Parameters
@@ -96,7 +98,7 @@ def terrain_design_effect(problem: Problem, solution: Solution, sizes: Sizes, ki
         One where too little ground is seen to tell.
     """
     ties, state = problem.ties, solution.state
-    linear = linearise(problem.layout, state, ties, problem.sides, problem.rows)
+    linear = linearise(problem.layout, state, ties, problem.rise_design, problem.rows)
     weights = np.where(kinds, solution.weights, 0.0)
     used = weights > 0.0
     residuals = np.where(used[:, None], solution.residuals, 0.0)
@@ -110,7 +112,7 @@ def terrain_design_effect(problem: Problem, solution: Solution, sizes: Sizes, ki
         _, square = np.unique(np.floor(state.points[:, :2] / side), axis=0, return_inverse=True)
         square = square.ravel()[ties.point]
         if len(np.unique(square[used])) >= _FEWEST:
-            changed = _Changed(weights, residuals, np.stack(changes, axis=-1), design)
+            changed = PredictionChanges(weights, residuals, np.stack(changes, axis=-1), design)
             found.append(float(np.mean(changed.ratios(square, solution.covariance))))
     return max(found, default=1.0)
 
@@ -130,13 +132,13 @@ def _of_block(problem: Problem, state: State, used: np.ndarray) -> np.ndarray:
     kept = used & np.isin(ties.point, chosen)
     rows = ties.pixel[kept, 1] if problem.rows is None else problem.rows[kept]
     some = ties.only(kept)
-    moves = moves_of(layout, replace(state, points=state.points[chosen]), some, rows)
+    jacobian = place_jacobian_at(layout, replace(state, points=state.points[chosen]), some, rows)
     east, north = (plan[chosen] - plan[chosen].mean(axis=0)).T
     level = np.column_stack([np.ones_like(east), east, north])
     bent = np.linalg.pinv(np.column_stack([level, east**2 + north**2]))[3]
-    rises = np.vstack([np.linalg.pinv(level), bent]) @ moves[:, 2]
-    found = np.vstack([rises, moves[:, :2].mean(axis=0)])
-    return np.insert(found, [WATER] * (layout.first_lens - WATER), 0.0, axis=1)
+    rises = np.vstack([np.linalg.pinv(level), bent]) @ jacobian[:, 2]
+    found = np.vstack([rises, jacobian[:, :2].mean(axis=0)])
+    return np.insert(found, [NUM_WATER] * (layout.first_lens - NUM_WATER), 0.0, axis=1)
 
 
 def _followed(ties: TiePoints, weights: np.ndarray, by_point: np.ndarray, change: np.ndarray) -> np.ndarray:
@@ -167,7 +169,7 @@ def _padded(starts: np.ndarray, indices: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 @dataclass(frozen=True)
-class _Changed:
+class PredictionChanges:
     """Changes of the predicted observations by K changes of the parameters."""
 
     weights: np.ndarray  # (N,) [1/px^2]

@@ -17,10 +17,10 @@ import numpy as np
 from refract import FlatWater
 from survey.adjust.block.bundle import NotConvergedError, Solution, cost, solve
 from survey.adjust.block.observed import Observed, original_rows
-from survey.adjust.block.prediction import relief_sides
+from survey.adjust.block.prediction import apparent_rise_design
 from survey.adjust.block.priors import PriorKnowledge, priors_for, shared_height_std
 from survey.adjust.block.problem import Problem
-from survey.adjust.block.state import POSE, State, with_parameters
+from survey.adjust.block.state import NUM_POSE, State, with_parameters
 from survey.adjust.result.adjustment import MOST_SIGMAS, MOST_STD_LEVEL_M, Adjustment
 from survey.adjust.result.std_common import common_error
 from survey.adjust.rounds import RobustSolution
@@ -76,9 +76,11 @@ def _candidate_levels(prior: PriorKnowledge, seen: Observed) -> tuple[float, ...
 
 
 def _problem(prior: PriorKnowledge, seen: Observed, state: State) -> Problem:
-    sides = relief_sides(state, seen.ties)
+    rise_design = apparent_rise_design(state, seen.ties)
     rows = original_rows(seen.ties, prior.lenses, prior.layout.lens_of)
-    return Problem(prior.layout, seen.ties, seen.kind, priors_for(prior, seen.ties), seen.given_std_px, sides, rows)
+    return Problem(
+        prior.layout, seen.ties, seen.kind, priors_for(prior, seen.ties), seen.given_std_px, rise_design, rows
+    )
 
 
 def height_warnings(survey: Survey, done: RobustSolution) -> list[str]:
@@ -97,7 +99,7 @@ def height_warnings(survey: Survey, done: RobustSolution) -> list[str]:
 
 def _is_corrected(done: RobustSolution) -> bool:
     """Whether positions of unknown accuracy scatter in plan as little as those of a receiver with corrections."""
-    std = done.prior.std[done.prior.layout.first_pose :].reshape(-1, POSE)[:, :2]
+    std = done.prior.std[done.prior.layout.first_pose :].reshape(-1, NUM_POSE)[:, :2]
     # Photographs without a position, and positions that are blunders, tell nothing of the others.
     scatter = std[done.prior.unknown_positions & np.isfinite(std).all(axis=1)]
     return len(scatter) > 0 and bool(np.median(scatter) <= WELL_KNOWN_M)
@@ -126,7 +128,7 @@ def apply_level_datum(done: RobustSolution) -> tuple[RobustSolution, CommonHeigh
     share = prior.common_up_std**2 / prior.std[0] ** 2
     too_high = share * float(done.solution.state.water_parameters()[0] - prior.mean.water_parameters()[0])
     heights = np.zeros(len(prior.layout))
-    heights[0], heights[prior.layout.first_pose + 2 :: POSE] = 1.0, 1.0
+    heights[0], heights[prior.layout.first_pose + 2 :: NUM_POSE] = 1.0, 1.0
     follow = covariance - share * np.outer(heights, covariance[0])
     follow = follow - share * np.outer(follow[:, 0], heights)
     follow = follow + share * of_level * np.outer(heights, heights)

@@ -31,10 +31,10 @@ from survey.adjust.block.bundle import NotConvergedError
 from survey.adjust.block.normal_equations import system_with
 from survey.adjust.block.normal_matrix import NormalMatrix
 from survey.adjust.block.observed import original_rows
-from survey.adjust.block.prediction import relief_sides
+from survey.adjust.block.prediction import apparent_rise_design
 from survey.adjust.block.priors import PriorKnowledge, priors_for
 from survey.adjust.block.problem import Problem
-from survey.adjust.block.state import FEWEST, POSE, is_held
+from survey.adjust.block.state import LEAST_FOCALS, NUM_POSE, is_held
 from survey.adjust.rounds import RobustSolution
 from survey.folder.survey import Survey
 
@@ -76,7 +76,7 @@ def with_focals(
     adjusted : callable
         Adjusts the block from what is known.
     """
-    if prior.layout.finds_focals or len(prior.layout.lens_of) < FEWEST or any(map(is_held, prior.lenses)):
+    if prior.layout.finds_focals or len(prior.layout.lens_of) < LEAST_FOCALS or any(map(is_held, prior.lenses)):
         return done, None
     drift = focal_drift(prior, done)
     if drift is None:
@@ -103,15 +103,15 @@ def focal_drift(prior: PriorKnowledge, done: RobustSolution) -> FocalDrift | Non
     layout, solution = stated.layout, done.solution
     state = replace(solution.state, focals=np.zeros(len(layout.lens_of)))
     seen = done.used
-    sides, rows = relief_sides(state, seen.ties), original_rows(seen.ties, prior.lenses, layout.lens_of)
+    rise_design, rows = apparent_rise_design(state, seen.ties), original_rows(seen.ties, prior.lenses, layout.lens_of)
 
-    def normals(mine: PriorKnowledge) -> tuple[NormalMatrix, np.ndarray, float]:
+    def normals(by_prior: PriorKnowledge) -> tuple[NormalMatrix, np.ndarray, float]:
         """N, b, and ``v' W v - ln |W|``."""
-        priors = priors_for(mine, seen.ties, seen.point_std)
+        priors = priors_for(by_prior, seen.ties, seen.point_std)
         given = np.full(int(seen.kind.max()) + 1, np.nan)
-        problem = Problem(layout, seen.ties, seen.kind, priors, given, sides, rows)
+        problem = Problem(layout, seen.ties, seen.kind, priors, given, rise_design, rows)
         system = system_with(problem, state, solution.weights)
-        weights = mine.std[np.isfinite(mine.std)] ** -2.0
+        weights = by_prior.std[np.isfinite(by_prior.std)] ** -2.0
         return system.normal, system.right_side, priors.squares(layout, state) - float(np.log(weights).sum())
 
     own = np.r_[: layout.first_focal, layout.first_pose : len(layout)]
@@ -119,9 +119,9 @@ def focal_drift(prior: PriorKnowledge, done: RobustSolution) -> FocalDrift | Non
     as_found = np.insert(done.prior.std, layout.first_focal, np.full(len(layout.lens_of), np.inf))
     rival = replace(stated, std=as_found)
     normal, right, base = normals(rival)
-    null_cost = base + _Eliminated.of(normal, right, own).bayes
+    null_cost = base + _ReducedNormals.of(normal, right, own).evidence_term
     normal, right, base = normals(stated)
-    eliminated = _Eliminated.of(normal, right, own)
+    eliminated = _ReducedNormals.of(normal, right, own)
     # In the eigenbasis of the focal lengths the log-likelihood of each standard deviation is a sum.
     eigenvalues, eigenvectors = np.linalg.eigh(eliminated.normal)
     eigenvalues, squares = np.maximum(eigenvalues, 0.0), np.square(eigenvectors.T @ eliminated.right)
@@ -130,20 +130,20 @@ def focal_drift(prior: PriorKnowledge, done: RobustSolution) -> FocalDrift | Non
         for std in _STDS
     ]
     best = int(np.argmin(logs))
-    gain = null_cost - (base + eliminated.bayes + float(logs[best]))
+    gain = null_cost - (base + eliminated.evidence_term + float(logs[best]))
     return FocalDrift(float(_STDS[best]), gain) if gain > _SIGNIFICANT else None
 
 
 @dataclass(frozen=True)
-class _Eliminated:
+class _ReducedNormals:
     """Normal equations of some parameters (K,) with the others eliminated, and ``ln |N| - b' N^-1 b`` of these."""
 
     normal: np.ndarray
     right: np.ndarray
-    bayes: float
+    evidence_term: float
 
     @classmethod
-    def of(cls, normal: NormalMatrix, right: np.ndarray, others: np.ndarray) -> _Eliminated:
+    def of(cls, normal: NormalMatrix, right: np.ndarray, others: np.ndarray) -> _ReducedNormals:
         kept = np.setdiff1d(np.arange(len(right)), others)
         factor, mixed = normal.only(others).factor(), normal.between(others, kept)
         step = factor.solve(np.column_stack([mixed, right[others]]))
@@ -159,8 +159,8 @@ def with_focal_std(prior: PriorKnowledge, done: RobustSolution, std: float) -> P
     Positions that were stated are as good as that, but for those that the block contradicts.
     """
     count, layout = len(prior.layout.lens_of), replace(prior.layout, finds_focals=True)
-    poses = prior.std[prior.layout.first_pose :].reshape(-1, POSE).copy()
-    found = done.prior.std[done.prior.layout.first_pose :].reshape(-1, POSE)
+    poses = prior.std[prior.layout.first_pose :].reshape(-1, NUM_POSE).copy()
+    found = done.prior.std[done.prior.layout.first_pose :].reshape(-1, NUM_POSE)
     poses[prior.unknown_positions, :3] = found[prior.unknown_positions, :3]
     poses[prior.unknown_rotations, 3:] = found[prior.unknown_rotations, 3:]
     poses = np.where(np.isfinite(found), poses, np.inf)

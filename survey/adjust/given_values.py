@@ -29,8 +29,8 @@ from survey.adjust.block.normal_equations import System, system_at
 from survey.adjust.block.observed import Observed, Sizes, sizes_of
 from survey.adjust.block.priors import HELD_SHARE, PriorKnowledge, prior_of, priors_for
 from survey.adjust.block.problem import Problem, std_of_kinds
-from survey.adjust.block.state import LENS_NAMES, WATER, WATER_PARAMETERS, Layout, State, is_held
-from survey.adjust.clusters import inflation
+from survey.adjust.block.state import LENS_NAMES, NUM_WATER, WATER_PARAMETERS, Layout, State, is_held
+from survey.adjust.clusters import cluster_design_effect
 from survey.adjust.common_height import water_start
 from survey.adjust.observability import FEWEST_WET
 from survey.adjust.result.adjustment import MOST_SIGMAS, MOST_SIGMAS_OF_FOUR, MOST_STD_INDEX
@@ -41,7 +41,7 @@ from survey.folder.survey import Survey
 from survey.plan.decisions import MOST_MISFIT_PX
 
 # Tested parameters: of the water, and of each lens.
-LEVEL, _INDEX = 0, WATER - 1
+LEVEL, _INDEX = 0, NUM_WATER - 1
 LEVEL_NAME, _INDEX_NAME = WATER_PARAMETERS[LEVEL], WATER_PARAMETERS[_INDEX]
 _OF_LENS = tuple(LENS_NAMES.index(name) for name in ("f", "k1"))
 # A focal length counts as wrong only beyond this share of it: small errors of poses look like one (docs/adjustment.md).
@@ -62,7 +62,7 @@ _FEWEST_WINDOWS = 10
 
 
 @dataclass(frozen=True)
-class _Linearised:
+class _TestSystem:
     """A problem with its normal equations at one state, whose tested parameters have no priors."""
 
     problem: Problem
@@ -72,10 +72,10 @@ class _Linearised:
     sizes: Sizes
 
     @staticmethod
-    def at(problem: Problem, state: State, sizes: Sizes) -> _Linearised:
+    def at(problem: Problem, state: State, sizes: Sizes) -> _TestSystem:
         """The problem linearised at a state."""
         std_px = std_of_kinds(problem, problem.residuals(state), 0.0)
-        return _Linearised(problem, state, system_at(problem, state, std_px), std_px, sizes)
+        return _TestSystem(problem, state, system_at(problem, state, std_px), std_px, sizes)
 
     def difference(self, number: int, given: Mapping[int, float]) -> tuple[float, float]:
         """Estimated difference of a parameter from its given value, and the standard deviation of that.
@@ -86,16 +86,16 @@ class _Linearised:
         std = problem.priors.std.copy()
         others = [each for each in given if each != number]
         std[others] = [given[each] for each in others]
-        strength = np.zeros(len(std))
-        strength[others] = std[others] ** -2.0
-        factor = system.normal.with_strength(strength).factor()
+        precision = np.zeros(len(std))
+        precision[others] = std[others] ** -2.0
+        factor = system.normal.with_precision(precision).factor()
         step, unit = factor.solve(system.right_side), np.zeros(len(std))
         unit[number] = 1.0
         # Scatter about the estimate, since a wrong level is not noise.
         left = problem.residuals(self.state.moved(problem.layout, step, system.point_steps(step)))
         taken = float(np.sum(1.0 - factor.inverse_diagonal() / std**2))
         after = std_of_kinds(problem, left, taken)
-        shared = inflation(problem.ties, left, after, problem.kind, self.sizes)
+        shared = cluster_design_effect(problem.ties, left, after, problem.kind, self.sizes)
         scale = float(np.max(shared * (after / self.std_px)[problem.kind] ** 2))
         variance = scale * float(factor.solve(unit)[number]) + (_ROUGH_INDEX**2 if number == _INDEX else 0.0)
         return float(step[number]), float(np.sqrt(variance))
@@ -132,7 +132,7 @@ def check_given_values(
     """
     prior = prior_of(survey, gsd, free_water=True)
     std = prior.std.copy()
-    std[:WATER] = prior_of(survey, gsd).std[:WATER]
+    std[:NUM_WATER] = prior_of(survey, gsd).std[:NUM_WATER]
     std[prior.layout.first_pose :] = _pose_std(prior.layout, state, misfit_px, gsd)
     tested = _tested_parameters(prior, state, fewest_wet)
     given = {number: float(std[number]) for number in tested}
@@ -140,7 +140,7 @@ def check_given_values(
     least = dict(zip(focals.tolist(), _FOCAL_SHARE * state.lenses[:, 0], strict=True))
     std[tested] = np.inf
     problem = replace(problem, priors=replace(priors_for(prior, problem.ties), state=state, std=std))
-    block = _Linearised.at(problem, state, sizes_of(survey))
+    block = _TestSystem.at(problem, state, sizes_of(survey))
     tests = []
     for number in tested:
         name, value = _name_and_value(survey, prior, number)
@@ -165,7 +165,7 @@ def _pose_std(layout: Layout, state: State, misfit_px: float, gsd: float) -> np.
 
 def _name_and_value(survey: Survey, prior: PriorKnowledge, number: int) -> tuple[str, float]:
     """Name and given value of a parameter."""
-    if number < WATER:
+    if number < NUM_WATER:
         name = WATER_PARAMETERS[number]
         return name, float(getattr(survey.require_water()[1], name))
     lens, parameter = divmod(number - prior.layout.first_lens, len(LENS_NAMES))

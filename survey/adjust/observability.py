@@ -27,9 +27,9 @@ from survey.adjust.block.priors import FREE_WATER, HELD_SHARE, PriorKnowledge
 from survey.adjust.block.roll import Roll, spans_area
 from survey.adjust.block.state import (
     LENS_NAMES,
+    NUM_WATER,
     RATE_NAME,
     READOUT_NAME,
-    WATER,
     WATER_PARAMETERS,
     Layout,
     State,
@@ -71,7 +71,7 @@ def adjust_free(
     """
 
     def under_given_water(unobservable: dict[str, Unobservable]) -> tuple[RobustSolution, dict[str, Unobservable]]:
-        return adjust(_held_priors(prior, np.arange(WATER), HELD_SHARE), seen), unobservable
+        return adjust(_held_priors(prior, np.arange(NUM_WATER), HELD_SHARE), seen), unobservable
 
     few = _too_few(replace(prior.state, points=seen.ties.start))
     if few is not None:
@@ -107,7 +107,7 @@ def adjust_free(
 
 def none_observable(reason: str) -> dict[str, Unobservable]:
     """All parameters of the water as unobservable, with the reason at the level."""
-    reasons = (reason, *["the level is not"] * (WATER - 1))
+    reasons = (reason, *["the level is not"] * (NUM_WATER - 1))
     return {
         name: Unobservable(float(std), text)
         for name, std, text in zip(WATER_PARAMETERS, FREE_WATER, reasons, strict=True)
@@ -159,7 +159,7 @@ def water_std(survey: Survey, done: RobustSolution) -> np.ndarray:
     water = done.prior.mean.water
     assert water is not None
     by_local = settings_by_local(survey, np.array(water.point[:2]))
-    return np.sqrt(np.diag(by_local @ done.solution.covariance[:WATER, :WATER] @ by_local.T))
+    return np.sqrt(np.diag(by_local @ done.solution.covariance[:NUM_WATER, :NUM_WATER] @ by_local.T))
 
 
 def _without_level(std: np.ndarray, limits: np.ndarray) -> dict[str, Unobservable]:

@@ -17,11 +17,11 @@ import numpy as np
 
 from survey.adjust.block.bundle import NotConvergedError, solve
 from survey.adjust.block.observed import KINDS, MATCH, WINDOW, observed, original_rows
-from survey.adjust.block.prediction import relief_sides
+from survey.adjust.block.prediction import apparent_rise_design
 from survey.adjust.block.priors import FREE_WATER, HELD_SHARE, prior_of, priors_for
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import State
-from survey.adjust.block.windows import load_photographs, windows_of_block
+from survey.adjust.block.windows import load_photographs, measure_loaded_windows
 from survey.adjust.given_values import check_dry_bed, check_given_values, dry_bed_error, misfit, most_contradicted
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import Adjustment
@@ -88,7 +88,7 @@ def check_of_windows(
     """
     chosen = _of_middle(survey, plan.height_m)
     sample = replace(without_ties(survey), views=tuple(survey.views[i] for i in chosen))
-    windows = windows_of_block(sample, plan, block.part(chosen), bound, advance, sparse=True)
+    windows = measure_loaded_windows(sample, plan, block.part(chosen), bound, advance, sparse=True)
     return check_of_ties(sample, plan, WINDOW, windows)
 
 
@@ -105,9 +105,9 @@ def check_of_ties(survey: Survey, plan: Plan, kind: int, ties: TiePoints) -> Pos
     seen = observed([(kind, ties)], None, survey, prior)
     held = replace(prior, std=np.full_like(prior.std, HELD_SHARE))
     state = replace(prior.state, points=seen.ties.start)
-    priors, sides = priors_for(held, seen.ties), relief_sides(state, seen.ties)
+    priors, rise_design = priors_for(held, seen.ties), apparent_rise_design(state, seen.ties)
     rows = original_rows(seen.ties, prior.lenses, prior.layout.lens_of)
-    problem = Problem(prior.layout, seen.ties, seen.kind, priors, np.full(len(KINDS), np.nan), sides, rows)
+    problem = Problem(prior.layout, seen.ties, seen.kind, priors, np.full(len(KINDS), np.nan), rise_design, rows)
     solution = solve(replace(problem, holds_parameters=True), state)
     found = misfit(solution.residuals, seen.ties.view)
     flooded = check_dry_bed(survey, problem, solution.state, plan.gsd_m)

@@ -12,12 +12,12 @@ from survey.adjust.block.normal_equations import System, system_with
 from survey.adjust.block.observed import KINDS, MARK, Observed, Sizes, original_rows
 from survey.adjust.block.on_ground import GroundAlignment, GroundTies, ground_alignment, ties_on_ground
 from survey.adjust.block.pose_std import reestimate_pose_std
-from survey.adjust.block.prediction import relief_sides
+from survey.adjust.block.prediction import apparent_rise_design
 from survey.adjust.block.priors import PriorKnowledge, priors_for
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.roll import Roll, inflate_roll, minimise_over_roll
 from survey.adjust.block.state import State, with_parameters
-from survey.adjust.clusters import inflation, terrain_design_effect
+from survey.adjust.clusters import cluster_design_effect, terrain_design_effect
 
 # Observations of more standard deviations than this are left out.
 _OUTLIER = 4.0
@@ -82,13 +82,20 @@ class RobustSolution:
     prior: PriorKnowledge  # With the standard deviations of poses that the block showed
     used: Observed  # What was not left out
     solution: Solution
-    factor: np.ndarray  # (kinds,): on variances, for what neighbouring observations and neighbouring ground share
+    variance_factor: np.ndarray  # (kinds,): for what neighbouring observations and neighbouring ground share
     blunders: np.ndarray  # (V, 2) bool: positions and rotations that the block contradicts and that were left out
     alignment: GroundAlignment | None = None  # On the ground of an earlier survey
 
 
 def adjust(prior: PriorKnowledge, seen: Observed) -> RobustSolution:
     """Adjust a block, and again without outliers until none is left.
+
+    Parameters
+    ----------
+    prior : PriorKnowledge
+        Start values and priors of the parameters.
+    seen : Observed
+        Tie points and control, with the std of marks [px] and the sizes of the photographs [px].
 
     Raises
     ------
@@ -139,35 +146,43 @@ def adjust(prior: PriorKnowledge, seen: Observed) -> RobustSolution:
 
 
 def _solve_once(
-    prior: PriorKnowledge, seen: Observed, state: State, kind: np.ndarray, given: np.ndarray, inflation: np.ndarray
+    prior: PriorKnowledge,
+    seen: Observed,
+    state: State,
+    kind: np.ndarray,
+    given: np.ndarray,
+    variance_factor: np.ndarray,
 ) -> tuple[Problem, Solution, GroundTies | None]:
     """Adjust once; on ground, until the planes under the points no longer change."""
-    sides, rows = relief_sides(state, seen.ties), original_rows(seen.ties, prior.lenses, prior.layout.lens_of)
+    rise_design, rows = (
+        apparent_rise_design(state, seen.ties),
+        original_rows(seen.ties, prior.lenses, prior.layout.lens_of),
+    )
     on_ground = None
     for _ in range(1 if seen.ground is None else _MOST_PLANES):
         if seen.ground is not None:
             on_ground = ties_on_ground(seen.ground, state.points - state.shift, len(seen.ties) - len(seen.control))
         planes = None if on_ground is None else on_ground.planes
         priors = priors_for(prior, seen.ties, seen.point_std, planes)
-        problem = Problem(prior.layout, seen.ties, kind, priors, given, sides, rows)
-        solution = solve(problem, state, inflation=inflation)
+        problem = Problem(prior.layout, seen.ties, kind, priors, given, rise_design, rows)
+        solution = solve(problem, state, variance_factor=variance_factor)
         before, state = state, solution.state
         if planes is not None:
-            used = planes.strength > 0.0
+            used = planes.precision > 0.0
             moved = state.points[used] - state.shift - before.points[used] + before.shift
             moves = np.abs(np.median(moved, axis=0))
-            if moves.max() <= _STEADY_ON_GROUND * float(np.median(planes.strength[used] ** -0.5)):
+            if moves.max() <= _STEADY_ON_GROUND * float(np.median(planes.precision[used] ** -0.5)):
                 break
     return problem, solution, on_ground
 
 
 def _with_open_parameters(
-    prior: PriorKnowledge, seen: Observed, problem: Problem, solution: Solution, inflation: np.ndarray
+    prior: PriorKnowledge, seen: Observed, problem: Problem, solution: Solution, variance_factor: np.ndarray
 ) -> Solution:
     """The solution at the least over the rolls that nothing holds, with the covariance of these and of a free level."""
     stds = []
     for roll in _open_rolls(prior, seen):
-        solution, std = minimise_over_roll(problem, solution, inflation, roll)
+        solution, std = minimise_over_roll(problem, solution, variance_factor, roll)
         stds.append((roll, std))
     if prior.common_up_std > 0.0:
         solution = replace(solution, covariance=covariance_over_shore(problem, solution))
@@ -186,7 +201,7 @@ def _open_rolls(prior: PriorKnowledge, seen: Observed) -> list[Roll]:
 def _factors(problem: Problem, solution: Solution, sizes: Sizes, before: np.ndarray) -> np.ndarray:
     """Factors (kinds,) on variances, for correlated errors of neighbours; ``before``: those of the solution."""
     kind = problem.kind
-    shared = inflation(problem.ties, solution.residuals, solution.std_px, kind, sizes)
+    shared = cluster_design_effect(problem.ties, solution.residuals, solution.std_px, kind, sizes)
     is_tie = kind % len(KINDS) != MARK
     if is_tie.any():
         # Errors of the ground and those of one photograph cannot be separated: the larger design effect counts.

@@ -13,7 +13,7 @@ from survey.adjust.block.control_check import contradicted_points, contradiction
 from survey.adjust.block.observed import CELLS, PER_CELL, Observed, observed, sizes_of, thinned
 from survey.adjust.block.on_ground import moved_by, shift_onto
 from survey.adjust.block.priors import PriorKnowledge, prior_of
-from survey.adjust.block.state import POSE, WATER, WATER_PARAMETERS
+from survey.adjust.block.state import NUM_POSE, NUM_WATER, WATER_PARAMETERS
 from survey.adjust.common_height import apply_level_datum, drop_common_height, water_start, with_common
 from survey.adjust.focal_lengths import FocalDrift, with_focal_std, with_focals
 from survey.adjust.given_values import LEVEL, check_dry_block, dry_bed_error, release, worst_contradiction
@@ -116,7 +116,7 @@ class StagedAdjustment:
         unless the ground contradicts it.
         """
         kind, ties = part
-        stated = self.prior.std[self.prior.layout.first_pose :].reshape(-1, POSE)[~self.prior.unknown_positions, :3]
+        stated = self.prior.std[self.prior.layout.first_pose :].reshape(-1, NUM_POSE)[~self.prior.unknown_positions, :3]
         stated = stated[np.isfinite(stated).all(axis=1)]
         are_stated = len(stated) > 0 and not self.prior.unknown_positions.any()
         shared = np.median(stated, axis=0) if are_stated else np.full(3, GPS_STD_M)
@@ -173,7 +173,7 @@ class StagedAdjustment:
     def without_contradictions(self, done: RobustSolution) -> tuple[RobustSolution, list[GivenValueTest]]:
         """Adjust with contradicted parameters of the water free, the worst first; also returns the contradictions."""
         contradictions: list[GivenValueTest] = []
-        while len(contradictions) < WATER:
+        while len(contradictions) < NUM_WATER:
             each = (_contradiction_of_sample(self._survey) if not contradictions else None) or worst_contradiction(
                 self._survey, done
             )
@@ -238,5 +238,5 @@ def _contradiction_of_sample(survey: Survey) -> GivenValueTest | None:
 def restarted(prior: PriorKnowledge, done: RobustSolution) -> PriorKnowledge:
     """Priors that start from an adjusted state, with the std of positions that the adjustment estimated."""
     none = np.zeros((0, 3))
-    std = np.concatenate([prior.std[:WATER], done.prior.std[WATER:]])
+    std = np.concatenate([prior.std[:NUM_WATER], done.prior.std[NUM_WATER:]])
     return replace(prior, state=replace(done.solution.state, points=none), std=std)

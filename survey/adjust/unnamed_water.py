@@ -20,7 +20,7 @@ import numpy as np
 from refract import FlatWater
 from survey.adjust.block.bundle import NotConvergedError, cost, solve
 from survey.adjust.block.observed import Observed, original_rows
-from survey.adjust.block.prediction import relief_sides
+from survey.adjust.block.prediction import apparent_rise_design
 from survey.adjust.block.priors import PriorKnowledge, priors_for
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import State
@@ -73,7 +73,7 @@ def find_unnamed_water(done: RobustSolution) -> UnnamedWater | None:
     prior, seen, dry = done.prior, done.used, done.solution.state
     if dry.water is not None or len(seen.ties) < FEWEST_WET:
         return None
-    shared = done.factor[seen.kind]
+    shared = done.variance_factor[seen.kind]
     for level in _candidate_levels(dry):
         with suppress(NotConvergedError):
             found = _gain_over(prior, seen, dry, level, shared)
@@ -92,14 +92,14 @@ def _gain_over(
     under = replace(prior, std=std, mean=replace(prior.mean, water=water))
     start = replace(dry, water=water)
     problem = _problem(under, seen, start, seen.given_std_px)
-    wet = solve(problem, start, inflation=shared)
+    wet = solve(problem, start, variance_factor=shared)
     depth = _water(wet.state).depth(wet.state.points)
     is_wet = depth > 0.0
     if is_wet.sum() < FEWEST_WET:
         return None
     # Both in the same units: the scatter about the better of the two.
     straight = _problem(prior, seen, dry, wet.std_px)
-    again = solve(straight, dry, inflation=shared)
+    again = solve(straight, dry, variance_factor=shared)
     gain = cost(straight, again.state, wet.std_px, shared) - cost(problem, wet.state, wet.std_px, shared)
     mine = is_wet[seen.ties.point]
     before, after = (float(np.sqrt(np.mean(each.residuals[mine] ** 2))) for each in (again, wet))
@@ -117,8 +117,8 @@ def _candidate_levels(dry: State) -> tuple[float, float]:
 
 def _problem(prior: PriorKnowledge, seen: Observed, state: State, given: np.ndarray) -> Problem:
     rows = original_rows(seen.ties, prior.lenses, prior.layout.lens_of)
-    priors, sides = priors_for(prior, seen.ties, seen.point_std), relief_sides(state, seen.ties)
-    return Problem(prior.layout, seen.ties, seen.kind, priors, given, sides, rows)
+    priors, rise_design = priors_for(prior, seen.ties, seen.point_std), apparent_rise_design(state, seen.ties)
+    return Problem(prior.layout, seen.ties, seen.kind, priors, given, rise_design, rows)
 
 
 def _water(state: State) -> FlatWater:

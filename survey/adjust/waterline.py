@@ -11,7 +11,7 @@ import numpy as np
 
 from geo.files import write_whole
 from survey.adjust.block.bundle import NotConvergedError
-from survey.adjust.block.state import WATER, WATER_PARAMETERS, settings_by_local, settings_of
+from survey.adjust.block.state import NUM_WATER, WATER_PARAMETERS, settings_by_local, settings_of
 from survey.adjust.observability import none_observable
 from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import Adjustment, Parameter, unobservable_verdict
@@ -194,12 +194,12 @@ def nadir_views(survey: Survey) -> Survey:
 
 
 def _covariance(survey: Survey, found: Adjustment) -> tuple[tuple[float, ...], ...]:
-    std = np.array([row.std for row in found.parameters[:WATER]])
+    std = np.array([row.std for row in found.parameters[:NUM_WATER]])
     if not found.parameters[0].is_observable:
         # The block was adjusted under the given water.
         return _rows(np.diag(std**2))
     by_local = settings_by_local(survey, np.array(found.covariance.water_point))
-    return _rows(by_local @ found.covariance.matrix[:WATER, :WATER] @ by_local.T)
+    return _rows(by_local @ found.covariance.matrix[:NUM_WATER, :NUM_WATER] @ by_local.T)
 
 
 def _not_adjusted(survey: Survey, reason: str) -> WaterEstimate:

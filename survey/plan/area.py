@@ -209,7 +209,7 @@ def _is_seen_twice(survey: Survey, places: np.ndarray) -> bool:
 
 @dataclass(frozen=True)
 class Places:
-    """Places of a level bed in the area in the frames of three views or more, of two in both."""
+    """Places of a level bed in the area, each in the frames of three views, or of two where there are only two."""
 
     seen: np.ndarray  # (V, M) bool
     cells: np.ndarray  # (M, 3) float64 [m], local

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from survey.adjust.block.state import RELIEF
+from survey.adjust.block.state import NUM_RELIEF
 from survey.adjust.result.adjustment import Adjustment, ControlResidual, Parameter
 from survey.adjust.result.ground_fit import GroundFit
 from survey.adjust.result.std_common import CommonError, common_error
@@ -109,7 +109,7 @@ def adjustment_of(survey: Survey, found: Adjustment | None) -> AdjustmentFigures
         return None
     names, correlation = correlations(found)
     kinds = [
-        KindFigures(name, num, found.statistics.std_px[name], found.statistics.factor[name])
+        KindFigures(name, num, found.statistics.std_px[name], found.statistics.variance_factor[name])
         for name, num in found.statistics.num_observations.items()
     ]
     return AdjustmentFigures(
@@ -141,13 +141,13 @@ def correlations(found: Adjustment) -> tuple[tuple[str, ...], np.ndarray]:
     Of many lenses those of `shown_lenses`; without focal lengths of single photographs.
     """
     layout = found.layout
-    count = layout.first_focal - RELIEF
+    count = layout.first_focal - NUM_RELIEF
     std = np.sqrt(np.diag(found.covariance.matrix)[:count])
     for number in set(range(len(layout.aspect))) - set(shown_lenses(found)):
         own = layout.lens(number)
-        std[own.start - RELIEF : own.stop - RELIEF] = 0.0
+        std[own.start - NUM_RELIEF : own.stop - NUM_RELIEF] = 0.0
         if layout.finds_readouts:
-            std[layout.first_readout + number - RELIEF] = 0.0
+            std[layout.first_readout + number - NUM_RELIEF] = 0.0
     free = np.flatnonzero(std > HELD_STD)
     matrix = found.covariance.matrix[np.ix_(free, free)] / np.outer(std[free], std[free])
     return tuple(found.covariance.names[i] for i in free), matrix

@@ -54,12 +54,12 @@ class Solution:
     system: System
 
 
-def solve(problem: Problem, start: State, *, inflation: np.ndarray | None = None) -> Solution:
+def solve(problem: Problem, start: State, *, variance_factor: np.ndarray | None = None) -> Solution:
     """Adjust a block.
 
     Parameters
     ----------
-    inflation : (N,), optional
+    variance_factor : (N,), optional
         Factor on the variance of each observation, for what neighbours share.
 
     Raises
@@ -68,7 +68,7 @@ def solve(problem: Problem, start: State, *, inflation: np.ndarray | None = None
         If the adjustment does not converge, or nothing ties a photograph to the others.
     """
     try:
-        return _solved(problem, start, inflation)
+        return _solved(problem, start, variance_factor)
     except np.linalg.LinAlgError as error:
         raise NotConvergedError(
             "the adjustment is singular: a photograph has neither a position nor enough tie points with others; give "
@@ -76,23 +76,23 @@ def solve(problem: Problem, start: State, *, inflation: np.ndarray | None = None
         ) from error
 
 
-def _solved(problem: Problem, start: State, inflation: np.ndarray | None) -> Solution:
-    inflation = np.ones(len(problem.kind)) if inflation is None else inflation
+def _solved(problem: Problem, start: State, variance_factor: np.ndarray | None) -> Solution:
+    variance_factor = np.ones(len(problem.kind)) if variance_factor is None else variance_factor
     std_px = std_of_kinds(problem, problem.residuals(start), 0.0)
-    state, system = levenberg_marquardt(problem, start, std_px, inflation)
+    state, system = levenberg_marquardt(problem, start, std_px, variance_factor)
     for _ in range(_MOST_ROUNDS):
         # Each parameter takes one coordinate, less the share that its prior determines.
         taken = float(np.sum(1.0 - system.normal.factor().inverse_diagonal() / problem.priors.std**2))
         before, std_px = std_px, std_of_kinds(problem, problem.residuals(state), taken)
         if (np.abs(std_px / before - 1.0) < _STEADY).all():
             break
-        state, system = levenberg_marquardt(problem, state, std_px, inflation)
+        state, system = levenberg_marquardt(problem, state, std_px, variance_factor)
     residuals = problem.residuals(state)
-    weights = huber_weights(problem, residuals, std_px) / inflation
+    weights = huber_weights(problem, residuals, std_px) / variance_factor
     return Solution(state, system.normal.inverse(), residuals, weights, std_px, system)
 
 
-def levenberg_marquardt(problem: Problem, state: State, std_px, inflation) -> tuple[State, System]:
+def levenberg_marquardt(problem: Problem, state: State, std_px, variance_factor) -> tuple[State, System]:
     """The state of least cost for given standard deviations, and its normal equations.
 
     Raises
@@ -100,13 +100,13 @@ def levenberg_marquardt(problem: Problem, state: State, std_px, inflation) -> tu
     NotConvergedError
         If it is not found in `_MOST_STEPS` steps, or no step lowers the cost short of the minimum.
     """
-    at, gain = _Iterate(state, cost(problem, state, std_px, inflation), _DAMPING_START), math.inf
+    at, gain = _Iterate(state, cost(problem, state, std_px, variance_factor), _DAMPING_START), math.inf
     reduces_curvature = False
     for _ in range(_MOST_STEPS):
-        system = huber_system(problem, at.state, std_px, inflation, reduces_curvature=reduces_curvature)
-        found = _try_step(problem, at, system, std_px, inflation)
+        system = huber_system(problem, at.state, std_px, variance_factor, reduces_curvature=reduces_curvature)
+        found = _try_step(problem, at, system, std_px, variance_factor)
         if found is None:
-            system = huber_system(problem, at.state, std_px, inflation)
+            system = huber_system(problem, at.state, std_px, variance_factor)
             _require_minimum(problem, at.cost, system.decrement())
             return at.state, system
         moved, predicted = found
@@ -114,13 +114,13 @@ def levenberg_marquardt(problem: Problem, state: State, std_px, inflation) -> tu
         reduces_curvature = _next_curvature(gain, predicted, reduces_curvature)
         at = replace(moved if gain > 0.0 else at, damping=max(moved.damping * 0.1, _DAMPING_LEAST))
         if gain < _DONE:
-            system = huber_system(problem, at.state, std_px, inflation, reduces_curvature=reduces_curvature)
+            system = huber_system(problem, at.state, std_px, variance_factor, reduces_curvature=reduces_curvature)
             # A damped step that gains little may still be far from the minimum, along a direction of small curvature.
             if gain == 0.0 or system.decrement() < _DONE:
                 break
     if gain >= _DONE:
         raise NotConvergedError(f"the adjustment did not converge in {_MOST_STEPS} steps: {_ADVICE}")
-    return at.state, huber_system(problem, at.state, std_px, inflation) if reduces_curvature else system
+    return at.state, huber_system(problem, at.state, std_px, variance_factor) if reduces_curvature else system
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ class _Iterate:
 
 
 def _try_step(
-    problem: Problem, at: _Iterate, system: System, std_px: np.ndarray, inflation: np.ndarray
+    problem: Problem, at: _Iterate, system: System, std_px: np.ndarray, variance_factor: np.ndarray
 ) -> tuple[_Iterate, float] | None:
     """The first step, by rising damping, that does not raise the cost, and the decrease that the linear model predicts.
 
@@ -144,9 +144,9 @@ def _try_step(
     while damping <= _DAMPING_MOST:
         step = system.normal.factor(damping).solve(system.right_side)
         moved = at.state.moved(problem.layout, step, system.point_steps(step))
-        costs, predicted = cost(problem, moved, std_px, inflation), system.predicted_decrease(step)
+        costs, predicted = cost(problem, moved, std_px, variance_factor), system.predicted_decrease(step)
         if predicted >= _DONE and not costs < at.cost - _AS_PREDICTED * predicted:
-            moved, costs = _with_points(problem, moved, at.state.points, std_px, inflation)
+            moved, costs = _with_points(problem, moved, at.state.points, std_px, variance_factor)
         if costs < at.cost + _SLACK * at.cost or predicted < _DONE:
             return _Iterate(moved, costs, damping), predicted
         damping *= 10.0
@@ -184,7 +184,7 @@ def _require_minimum(problem: Problem, value: float, decrement: float) -> None:
 
 
 def _with_points(
-    problem: Problem, state: State, before: np.ndarray, std_px: np.ndarray, inflation: np.ndarray
+    problem: Problem, state: State, before: np.ndarray, std_px: np.ndarray, variance_factor: np.ndarray
 ) -> tuple[State, float]:
     """The state with its points adjusted under its parameters, and what it costs.
 
@@ -194,42 +194,44 @@ def _with_points(
     the step: one whose rays are nearly parallel may be sent far along them.
     """
     held, none = replace(problem, holds_parameters=True), np.zeros(len(problem.priors.std))
-    costs = _costs_of_points(problem, state, std_px, inflation)
+    costs = _costs_of_points(problem, state, std_px, variance_factor)
     moved = replace(state, points=before)
     for step in range(1 + _POINT_STEPS):
-        costs_of_moved = _costs_of_points(problem, moved, std_px, inflation)
+        costs_of_moved = _costs_of_points(problem, moved, std_px, variance_factor)
         better = costs_of_moved < costs
         if step and not better.any():
             break
         state = replace(state, points=np.where(better[:, None], moved.points, state.points))
         costs = np.where(better, costs_of_moved, costs)
-        moved = replace(state, points=state.points + huber_system(held, state, std_px, inflation).point_steps(none))
+        moved = replace(
+            state, points=state.points + huber_system(held, state, std_px, variance_factor).point_steps(none)
+        )
     return state, float(costs.sum() + problem.priors.squares(problem.layout, state))
 
 
-def cost(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarray | float = 1.0) -> float:
+def cost(problem: Problem, state: State, std_px: np.ndarray, variance_factor: np.ndarray | float = 1.0) -> float:
     """Cost function: Huber losses of residuals and squared deviations from priors, in units of variances.
 
     Parameters
     ----------
     std_px : (kinds,) [px]
         Of the observations.
-    inflation : (N,), optional
+    variance_factor : (N,), optional
         As for `solve`.
     """
-    of_points = _costs_of_points(problem, state, std_px, inflation)
+    of_points = _costs_of_points(problem, state, std_px, variance_factor)
     return float(of_points.sum() + problem.priors.squares(problem.layout, state))
 
 
 def _costs_of_points(
-    problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarray | float = 1.0
+    problem: Problem, state: State, std_px: np.ndarray, variance_factor: np.ndarray | float = 1.0
 ) -> np.ndarray:
     """The part (M,) of the cost function that each point has."""
     residuals = problem.residuals(state)
     length = np.linalg.norm(residuals, axis=1) / std_px[problem.kind]
     # A point that went behind a camera costs more than any that did not.
     length = np.where(np.isfinite(length), length, 1e6)
-    huber = np.bincount(problem.ties.point, huber_loss(length) / inflation, len(problem.ties))
+    huber = np.bincount(problem.ties.point, huber_loss(length) / variance_factor, len(problem.ties))
     known = (state.points - problem.priors.state.points) / problem.priors.point_std
     planes = problem.priors.planes
     if planes is not None:

@@ -29,7 +29,7 @@ from survey.adjust.block.observed import MARK, Observed, original_rows
 from survey.adjust.block.prediction import linearise
 from survey.adjust.block.priors import PriorKnowledge
 from survey.adjust.block.problem import Problem
-from survey.adjust.block.state import POSE, RELIEF, State
+from survey.adjust.block.state import NUM_POSE, NUM_RELIEF, State
 from survey.control.points import Control
 from survey.display.quantities import named
 from survey.photos.cameras import View
@@ -38,8 +38,9 @@ from survey.photos.poses import TiePoints
 if TYPE_CHECKING:
     from survey.folder.survey import Survey
 
-# Coordinates further off than this, in standard deviations, and by this factor more than most points, are wrong: a
-# wrong point pulls the block away from the others. Once these are known to be as inaccurate, it may come back.
+# A point is rejected whose coordinates are off by more than `_WRONG` standard deviations and by `_STANDS_OUT` times as
+# much as most points. A wrong point biases the block at the others, so that some of them are rejected with it: a
+# rejected point is readmitted below `_RIGHT`, once the stated std of the others has been widened.
 _WRONG, _STANDS_OUT, _RIGHT = 6.0, 2.5, 4.0
 # The median of the largest of three normal deviates.
 _MEDIAN_OF_THREE = 1.26
@@ -94,7 +95,7 @@ def checked_points(problem: Problem, solution: Solution, seen: Observed, stated:
     if not off:
         return seen
     median, worst = float(np.median(list(off.values()))), max(off, key=off.__getitem__)
-    positions = problem.priors.std[problem.layout.first_pose :].reshape(-1, POSE)[:, :3]
+    positions = problem.priors.std[problem.layout.first_pose :].reshape(-1, NUM_POSE)[:, :3]
     can_lose = len(known) > PLACE_A_BLOCK or bool(np.isfinite(positions).any())
     stands_out = len(off) < _FEWEST or off[worst] > _STANDS_OUT * median
     if off[worst] > _WRONG and stands_out and can_lose:
@@ -127,7 +128,7 @@ def _misfit(problem: Problem, solution: Solution, seen: Observed, point: int, gi
         problem.layout,
         replace(solution.state, points=solution.state.points[[point]]),
         TiePoints(seen.ties.start[[point]], np.zeros_like(marks), seen.ties.view[marks], seen.ties.pixel[marks]),
-        problem.sides[marks],
+        problem.rise_design[marks],
         None if problem.rows is None else problem.rows[marks],
     )
     residuals = seen.ties.pixel[marks] - linear.pixels
@@ -244,7 +245,7 @@ def contradicted_points(
             place, np.zeros(len(marks), dtype=np.int64), shown_by, np.array([mark.pixel for mark in marks])
         )
         rows = original_rows(ties, prior.lenses, layout.lens_of)
-        linear = linearise(layout, replace(state, points=place), ties, np.zeros((len(marks), RELIEF)), rows)
+        linear = linearise(layout, replace(state, points=place), ties, np.zeros((len(marks), NUM_RELIEF)), rows)
         residual = (ties.pixel - linear.pixels).ravel()
         if not np.isfinite(residual).all():
             continue

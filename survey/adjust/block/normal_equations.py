@@ -20,7 +20,7 @@ from scipy.sparse import bsr_array, csr_array, diags_array, lil_array
 from survey.adjust.block.normal_matrix import NormalMatrix
 from survey.adjust.block.prediction import linearise
 from survey.adjust.block.problem import HUBER, Problem, huber_weights
-from survey.adjust.block.state import SHIFT, State
+from survey.adjust.block.state import NUM_SHIFT, State
 from survey.photos.poses import TiePoints
 
 # Weights give an outlier the curvature of a square, which Huber's loss has not along its residual: where steps gain
@@ -83,7 +83,7 @@ def system_with(problem: Problem, state: State, weights: np.ndarray) -> System:
 
 
 def huber_system(
-    problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarray, *, reduces_curvature: bool = False
+    problem: Problem, state: State, std_px: np.ndarray, variance_factor: np.ndarray, *, reduces_curvature: bool = False
 ) -> System:
     """The normal equations with Huber weights.
 
@@ -91,7 +91,7 @@ def huber_system(
     """
 
     def weights_of(residuals: np.ndarray) -> np.ndarray:
-        return huber_weights(problem, residuals, std_px) / inflation
+        return huber_weights(problem, residuals, std_px) / variance_factor
 
     def outliers(residuals: np.ndarray) -> np.ndarray:
         return np.linalg.norm(residuals, axis=1) > HUBER * std_px[problem.kind]
@@ -119,20 +119,20 @@ def _weighted_system(
     own, right = _of_points(problem, state, linear, planes)
     point_root = np.linalg.inv(np.linalg.cholesky(_damped(own)))
     point_right_side = np.einsum("mij,mj->mi", point_root, right)
-    strength = np.where(np.isfinite(priors.std), priors.std, np.inf) ** -2.0
+    precision = np.where(np.isfinite(priors.std), priors.std, np.inf) ** -2.0
     if problem.holds_parameters:
-        fixed = csr_array((point_right_side.size, len(strength)))
+        fixed = csr_array((point_right_side.size, len(precision)))
         return System(
-            NormalMatrix.of(diags_array(strength)), np.zeros(len(strength)), point_root, point_right_side, fixed
+            NormalMatrix.of(diags_array(precision)), np.zeros(len(precision)), point_root, point_right_side, fixed
         )
     coupling = _coupling(problem, linear, point_root, planes)
     whole = csr_array(linear.design.multiply(np.repeat(linear.weights, 2)[:, None]))
-    normal = linear.design.T @ whole - coupling.T @ coupling + diags_array(strength)
+    normal = linear.design.T @ whole - coupling.T @ coupling + diags_array(precision)
     deviation = priors.deviation(problem.layout, state)
-    gradient = whole.T @ linear.residuals.ravel() - coupling.T @ point_right_side.ravel() - strength * deviation
+    gradient = whole.T @ linear.residuals.ravel() - coupling.T @ point_right_side.ravel() - precision * deviation
     if planes is not None:
         shift, (on_plane, to_plane) = problem.layout.shift, planes
-        normal = normal + _in_block(on_plane.sum(axis=0), shift, len(strength))
+        normal = normal + _in_block(on_plane.sum(axis=0), shift, len(precision))
         gradient[shift] -= to_plane.sum(axis=0)
     found = NormalMatrix.of(normal, problem.order)
     if priors.rows is not None and priors.signs is not None:
@@ -142,7 +142,7 @@ def _weighted_system(
 
 
 @dataclass(frozen=True)
-class _Linearised:
+class LinearisedObservations:
     """Observations linearised at a state, with their weights."""
 
     residuals: np.ndarray  # (N, 2) [px]
@@ -157,9 +157,9 @@ def _linearised(
     state: State,
     weights_of: Callable[[np.ndarray], np.ndarray],
     outliers: Callable[[np.ndarray], np.ndarray] | None,
-) -> _Linearised:
+) -> LinearisedObservations:
     """The observations at a state; those of weight 0 have no derivatives."""
-    linear = linearise(problem.layout, state, problem.ties, problem.sides, problem.rows)
+    linear = linearise(problem.layout, state, problem.ties, problem.rise_design, problem.rows)
     residuals = problem.ties.pixel - linear.pixels
     weights = weights_of(residuals)
     usable = weights > 0.0
@@ -177,11 +177,11 @@ def _linearised(
         by_point = reduced @ by_point
         values = reduced @ design.data.reshape(len(residuals), 2, -1)
         design = csr_array((values.ravel(), design.indices, design.indptr), shape=design.shape)
-    return _Linearised(residuals, weights, by_point, by_point * weights[:, None, None], design)
+    return LinearisedObservations(residuals, weights, by_point, by_point * weights[:, None, None], design)
 
 
 def _of_points(
-    problem: Problem, state: State, linear: _Linearised, planes: tuple[np.ndarray, np.ndarray] | None
+    problem: Problem, state: State, linear: LinearisedObservations, planes: tuple[np.ndarray, np.ndarray] | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Normal matrices (M, 3, 3) and right sides (M, 3) of the points alone; ``planes`` as of `Planes.of_points`."""
     precision = problem.priors.point_std**-2.0
@@ -193,7 +193,10 @@ def _of_points(
 
 
 def _coupling(
-    problem: Problem, linear: _Linearised, point_root: np.ndarray, planes: tuple[np.ndarray, np.ndarray] | None
+    problem: Problem,
+    linear: LinearisedObservations,
+    point_root: np.ndarray,
+    planes: tuple[np.ndarray, np.ndarray] | None,
 ) -> csr_array:
     """Mixed matrix (3 M, P) of points and parameters, with the root of the points' own matrices as left factor.
 
@@ -206,7 +209,9 @@ def _coupling(
     coupling = csr_array(left.tocsr() @ linear.design)
     if planes is None:
         return coupling
-    return coupling + _in_columns(-(point_root @ planes[0]).reshape(-1, SHIFT), problem.layout.shift, coupling.shape)
+    return coupling + _in_columns(
+        -(point_root @ planes[0]).reshape(-1, NUM_SHIFT), problem.layout.shift, coupling.shape
+    )
 
 
 def _only_rows(design: csr_array, keep: np.ndarray) -> csr_array:

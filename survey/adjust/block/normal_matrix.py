@@ -101,9 +101,9 @@ class NormalMatrix:
         """A sparse matrix alone."""
         return NormalMatrix(csr_array(matrix), np.zeros((0, matrix.shape[0])), np.zeros(0), order)
 
-    def with_strength(self, strength: np.ndarray) -> NormalMatrix:
-        """The matrix with strengths (P,) added to its diagonal."""
-        return replace(self, sparse=csr_array(self.sparse + diags_array(strength)))
+    def with_precision(self, precision: np.ndarray) -> NormalMatrix:
+        """The matrix with precisions (P,), inverse variances, added to its diagonal."""
+        return replace(self, sparse=csr_array(self.sparse + diags_array(precision)))
 
     def with_rows(self, rows: np.ndarray, signs: np.ndarray) -> NormalMatrix:
         """The matrix with further rows (K, P) and signs (K,)."""
@@ -195,7 +195,7 @@ class BlockFactor:
 
     order: EliminationOrder
     scale: np.ndarray  # (P,)
-    corners: list[np.ndarray]  # L of each block, lower triangular, and that of the border
+    diagonal_factors: list[np.ndarray]  # L of each block, lower triangular, and that of the border
     below: list[np.ndarray]  # K of each block but the last
     border: list[np.ndarray]  # (Q, n): G of each block
     joint: JointPriors | None = field(default=None)
@@ -210,31 +210,31 @@ class BlockFactor:
         matrix = csr_array(matrix + damping * diags_array(np.ones(len(sequence))))
         ends = np.cumsum([0, *map(len, order.blocks)])
         edge = matrix[ends[-1] :].toarray()
-        corners: list[np.ndarray] = []
+        diagonal_factors: list[np.ndarray] = []
         below: list[np.ndarray] = []
         border: list[np.ndarray] = []
         last, reach = edge[:, ends[-1] :], edge[:, : ends[1]]
         for number, (first, end) in enumerate(pairwise(ends)):
             rows = matrix[first:end]
-            corner = rows[:, first:end].toarray()
+            own = rows[:, first:end].toarray()
             if number:
-                corner -= below[-1] @ below[-1].T
+                own -= below[-1] @ below[-1].T
                 reach = edge[:, first:end] - border[-1] @ below[-1].T
-            corners.append(cholesky(corner, lower=True, overwrite_a=True))
-            border.append(_by_transposed(reach, corners[-1]))
+            diagonal_factors.append(cholesky(own, lower=True, overwrite_a=True))
+            border.append(_by_transposed(reach, diagonal_factors[-1]))
             last = last - border[-1] @ border[-1].T
             if number < len(order.blocks) - 1:
                 coupling = rows[:, end : ends[number + 2]].toarray().T
-                below.append(_by_transposed(coupling, corners[-1]))
-        corners.append(cholesky(last, lower=True))
-        alone = BlockFactor(order, scale, corners, below, border)
+                below.append(_by_transposed(coupling, diagonal_factors[-1]))
+        diagonal_factors.append(cholesky(last, lower=True))
+        alone = BlockFactor(order, scale, diagonal_factors, below, border)
         return replace(alone, joint=JointPriors.of(alone, normal)) if len(normal.rows) else alone
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solution of right sides (P,) or (P, R)."""
         found = self._solve_alone(right.reshape(len(right), -1))
         if self.joint is not None:
-            found -= self.joint.follow @ (self.joint.rows @ found)
+            found -= self.joint.gain @ (self.joint.rows @ found)
         return found.reshape(right.shape)
 
     def _solve_alone(self, right: np.ndarray) -> np.ndarray:
@@ -246,39 +246,42 @@ class BlockFactor:
             own = scaled[block]
             if number:
                 own = own - self.below[number - 1] @ forward[-1]
-            forward.append(solve_triangular(self.corners[number], own, lower=True, overwrite_b=True))
+            forward.append(solve_triangular(self.diagonal_factors[number], own, lower=True, overwrite_b=True))
             shared = shared - self.border[number] @ forward[-1]
-        found[self.order.shared] = shared = cho_solve((self.corners[-1], True), shared)
+        found[self.order.shared] = shared = cho_solve((self.diagonal_factors[-1], True), shared)
         for number in range(len(self.order.blocks) - 1, -1, -1):
             own = forward[number] - self.border[number].T @ shared
             if number < len(self.below):
                 own -= self.below[number].T @ found[self.order.blocks[number + 1]]
-            found[self.order.blocks[number]] = solve_triangular(self.corners[number], own, lower=True, trans="T")
+            found[self.order.blocks[number]] = solve_triangular(
+                self.diagonal_factors[number], own, lower=True, trans="T"
+            )
         found *= self.scale[:, None]
         return found
 
     def log_determinant(self) -> float:
         """Natural logarithm of the determinant of the matrix."""
-        alone = sum(float(np.log(np.diag(corner)).sum()) for corner in self.corners) - float(np.log(self.scale).sum())
+        logs = sum(float(np.log(np.diag(factor)).sum()) for factor in self.diagonal_factors)
+        alone = logs - float(np.log(self.scale).sum())
         return 2.0 * alone + (0.0 if self.joint is None else self.joint.log_determinant)
 
     def inverse_diagonal(self) -> np.ndarray:
         """Diagonal (P,) of the inverse, by those of its blocks that the factor has (Takahashi)."""
         found = np.empty(len(self.scale))
         # The inverse over the block after and the border; of the last block that is the border.
-        beyond = cho_solve((self.corners[-1], True), np.eye(len(self.order.shared)))
+        beyond = cho_solve((self.diagonal_factors[-1], True), np.eye(len(self.order.shared)))
         found[self.order.shared] = np.diag(beyond)
         for number in range(len(self.order.blocks) - 1, -1, -1):
-            corner, num_shared = self.corners[number], len(self.order.shared)
+            diagonal_factor, num_shared = self.diagonal_factors[number], len(self.order.shared)
             coupled = [self.border[number]] if number == len(self.below) else [self.below[number], self.border[number]]
-            by_corner = solve_triangular(corner, np.vstack(coupled).T, lower=True, trans="T").T
-            across = beyond @ by_corner
-            own = cho_solve((corner, True), np.eye(len(corner))) + by_corner.T @ across
+            by_factor = solve_triangular(diagonal_factor, np.vstack(coupled).T, lower=True, trans="T").T
+            across = beyond @ by_factor
+            own = cho_solve((diagonal_factor, True), np.eye(len(diagonal_factor))) + by_factor.T @ across
             found[self.order.blocks[number]] = np.diag(own)
             of_shared = -across[len(across) - num_shared :]
             beyond = np.block([[own, of_shared.T], [of_shared, beyond[len(beyond) - num_shared :, -num_shared:]]])
         found *= self.scale**2
-        return found if self.joint is None else found - np.sum(self.joint.follow * self.joint.moves, axis=1)
+        return found if self.joint is None else found - np.sum(self.joint.gain * self.joint.solved_rows, axis=1)
 
     def inverse(self) -> np.ndarray:
         """The inverse (P, P)."""
@@ -295,24 +298,24 @@ class JointPriors:
     """Correction of the inverse of a matrix A for ``A + R' S R``: ``- W (S^-1 + R W)^-1 W'``, with ``W = A^-1 R'``."""
 
     rows: np.ndarray  # (K, P): R
-    moves: np.ndarray  # (P, K): W
-    follow: np.ndarray  # (P, K): W (S^-1 + R W)^-1
+    solved_rows: np.ndarray  # (P, K): W = A^-1 R'
+    gain: np.ndarray  # (P, K): W (S^-1 + R W)^-1
     log_determinant: float  # of A + R' S R, less that of A: of S (S^-1 + R W)
 
     @staticmethod
     def of(alone: BlockFactor, normal: NormalMatrix) -> JointPriors:
         """Of a normal matrix whose sparse part is factored."""
-        moves = alone.solve(normal.rows.T)
-        of_joint = np.diag(1.0 / normal.signs) + normal.rows @ moves
+        solved_rows = alone.solve(normal.rows.T)
+        of_joint = np.diag(1.0 / normal.signs) + normal.rows @ solved_rows
         sign, log = np.linalg.slogdet(normal.signs[:, None] * of_joint)
         if sign <= 0.0:
             raise np.linalg.LinAlgError("the matrix with its joint priors is not positive definite")
-        return JointPriors(normal.rows, moves, moves @ np.linalg.inv(of_joint), float(log))
+        return JointPriors(normal.rows, solved_rows, solved_rows @ np.linalg.inv(of_joint), float(log))
 
 
-def _by_transposed(matrix: np.ndarray, corner: np.ndarray) -> np.ndarray:
+def _by_transposed(matrix: np.ndarray, diagonal_factor: np.ndarray) -> np.ndarray:
     """A matrix (m, n) times the inverse of the transpose of a lower triangular one (n, n)."""
-    return solve_triangular(corner, matrix.T, lower=True).T
+    return solve_triangular(diagonal_factor, matrix.T, lower=True).T
 
 
 def _scale_of(diagonal: np.ndarray) -> np.ndarray:

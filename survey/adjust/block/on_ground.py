@@ -38,7 +38,7 @@ _CHANGED, _MAD_TO_STD = 3.0, 1.4826
 # Planes known that much worse than most do not count.
 _ROUGH = 4.0
 # Fewer points hold no block.
-FEWEST = 12
+LEAST_GROUND_POINTS = 12
 # No plane is known better.
 _LEAST_STD_M = 0.002
 # Of the start: standard deviation of positions in plan [m], starts along each axis, and how many of them are followed.
@@ -73,10 +73,10 @@ def ties_on_ground(ground: StableGround, points: np.ndarray, num_ties: int) -> G
     normal, height, std, spacing = _planes_at(ground, points[:, :2])
     known = np.isfinite(height) & np.isfinite(normal).all(axis=1) & (np.arange(len(points)) < num_ties)
     off = np.where(known, np.einsum("mi,mi->m", normal, points) - height, np.nan)
-    if known.sum() < FEWEST:
+    if known.sum() < LEAST_GROUND_POINTS:
         raise ControlError(
             f"{int(known.sum())} tie points lie over the dry ground of [control] reference, expected at least "
-            f"{FEWEST}; give a reference that covers dry ground in the photographs, or leave it out"
+            f"{LEAST_GROUND_POINTS}; give a reference that covers dry ground in the photographs, or leave it out"
         )
     std = np.maximum(std, _LEAST_STD_M)
     # At steps of the ground no plane fits.
@@ -86,8 +86,8 @@ def ties_on_ground(ground: StableGround, points: np.ndarray, num_ties: int) -> G
     std = std * scatter
     good = known & (np.abs(off - np.median(scaled) * std / scatter) <= _CHANGED * std)
     used = _one_of_each_square(points, good, std, spacing)
-    strength = np.where(used, std**-2.0, 0.0)
-    planes = Planes(np.where(used[:, None], normal, 0.0), np.where(used, height, 0.0), np.where(used, strength, 0.0))
+    precision = np.where(used, std**-2.0, 0.0)
+    planes = Planes(np.where(used[:, None], normal, 0.0), np.where(used, height, 0.0), np.where(used, precision, 0.0))
     return GroundTies(planes, known, known & ~good, scatter)
 
 
@@ -129,7 +129,7 @@ def shift_onto(ground: StableGround, points: np.ndarray) -> np.ndarray:
     # Some hundreds determine a shift as well as all.
     near = near[:: max(len(near) // 400, 1)]
     found = []
-    if len(near) >= FEWEST:
+    if len(near) >= LEAST_GROUND_POINTS:
         planes = _PlanesOnGrid.around(ground, near)
         starts = np.stack(np.meshgrid(_STARTS_M, _STARTS_M), axis=-1)
         costs = np.array([[_cost(planes, near, start) for start in row] for row in starts])
@@ -187,7 +187,7 @@ def _cost(planes: _PlanesOnGrid, points: np.ndarray, shift: np.ndarray) -> float
     normal, height, _ = planes.at(points[:, :2] + shift)
     off = np.einsum("mi,mi->m", normal, points + np.array([*shift, 0.0])) - height
     off = off[np.isfinite(off)]
-    if len(off) < FEWEST:
+    if len(off) < LEAST_GROUND_POINTS:
         return np.inf
     return _cost_of(off - np.median(off), len(points), shift)
 
@@ -207,7 +207,7 @@ def _descend(planes: _PlanesOnGrid, points: np.ndarray, start: np.ndarray) -> tu
         moved = points + shift
         normal, height, _ = planes.at(moved[:, :2])
         known = np.isfinite(height) & np.isfinite(normal).all(axis=1)
-        if known.sum() < FEWEST:
+        if known.sum() < LEAST_GROUND_POINTS:
             break
         normal = normal[known]
         off = np.einsum("mi,mi->m", normal, moved[known]) - height[known]
@@ -253,7 +253,7 @@ def ground_alignment(on_ground: GroundTies, problem: Problem, solution: Solution
     """Shift, turn and scale of a block against the ground, with their standard deviations."""
     of_shift, covariance = problem.layout.shift, solution.covariance
     planes, points = on_ground.planes, solution.state.points
-    used = planes.strength > 0.0
+    used = planes.precision > 0.0
     middle = points[used].mean(axis=0)
     alone = replace(problem, priors=replace(problem.priors, planes=None))
     system = system_with(alone, solution.state, solution.weights)

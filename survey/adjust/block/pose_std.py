@@ -20,7 +20,7 @@ from survey.adjust.block.bundle import Solution
 from survey.adjust.block.normal_matrix import BlockFactor, DenseFactor
 from survey.adjust.block.priors import ROTATION_STD, PriorKnowledge, without_shift
 from survey.adjust.block.problem import Priors
-from survey.adjust.block.state import POSE
+from survey.adjust.block.state import NUM_POSE
 
 # A pose is a blunder beyond this many standard deviations.
 _BLUNDER = 6.0
@@ -101,7 +101,7 @@ def _components(prior: PriorKnowledge, solution: Solution, estimated: np.ndarray
     """Variance components: standard deviations (V, 6) of poses, and their normalised residuals."""
     deviation = Priors(prior.mean, prior.std, np.empty((0, 3))).deviation(prior.layout, solution.state)
     first, std = prior.std**-2.0, _of_poses(prior, prior.std).copy()
-    kinds = [estimated & np.isin(np.arange(POSE), kind) for kind in _KINDS]
+    kinds = [estimated & np.isin(np.arange(NUM_POSE), kind) for kind in _KINDS]
     kinds = [kind for kind in kinds if kind.any()]
     miss, factor = deviation, solution.system.normal.factor()
     for step in range(_MOST_STEPS + 1):
@@ -113,11 +113,11 @@ def _components(prior: PriorKnowledge, solution: Solution, estimated: np.ndarray
             break
         for kind, scale in zip(kinds, factors, strict=True):
             std[kind] = np.maximum(scale * std[kind], _LEAST)
-        strength = first.copy()
-        strength[prior.layout.first_pose :] = std.ravel() ** -2.0
-        normal, change = solution.system.normal.with_strength(strength - first), (strength - first) * deviation
+        precision = first.copy()
+        precision[prior.layout.first_pose :] = std.ravel() ** -2.0
+        normal, change = solution.system.normal.with_precision(precision - first), (precision - first) * deviation
         if prior.shared_std is not None:
-            before, after = (without_shift(prior, prior.shared_std, each) for each in (first, strength))
+            before, after = (without_shift(prior, prior.shared_std, each) for each in (first, precision))
             normal = normal.with_rows(np.vstack([before, after]), np.repeat([1.0, -1.0], 3))
             change += before.T @ (before @ deviation) - after.T @ (after @ deviation)
         factor = normal.factor()
@@ -142,7 +142,7 @@ def _without_common_shift(
         return residual, variance
     residual = residual.copy()
     for axis in range(3):
-        at = prior.layout.first_pose + axis + POSE * np.arange(len(std))
+        at = prior.layout.first_pose + axis + NUM_POSE * np.arange(len(std))
         weight = std[:, axis] ** -2.0
         weight = weight / (weight.sum() + prior.shared_std[axis] ** -2.0)
         whole = np.zeros(len(prior.std))
@@ -161,7 +161,7 @@ def _scale_of(scaled: np.ndarray, redundancy: np.ndarray) -> float:
 
 def _of_poses(prior: PriorKnowledge, values: np.ndarray) -> np.ndarray:
     """Values (V, 6) of the poses out of those (P,) of all parameters."""
-    return values[prior.layout.first_pose :].reshape(-1, POSE)
+    return values[prior.layout.first_pose :].reshape(-1, NUM_POSE)
 
 
 def _scale(scaled: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from refract import FlatWater, crossing_point
-from survey.adjust.block.state import LENS, POSE, RELIEF, WATER, Layout, State, distort
+from survey.adjust.block.state import NUM_LENS, NUM_POSE, NUM_RELIEF, NUM_WATER, Layout, State, distort
 from survey.photos.poses import TiePoints
 
 # Four are exact to the last bits in drone geometry (docs/optics.md), two more for lower flights.
@@ -97,8 +97,8 @@ def _derivatives(line, centres, points, water: FlatWater):
 
 
 @dataclass(frozen=True)
-class Linear:
-    """Predicted pixels (N, 2), and their derivatives."""
+class Prediction:
+    """Predicted pixels with their derivatives."""
 
     pixels: np.ndarray  # (N, 2) [px]
     by_point: np.ndarray  # (N, 2, 3)
@@ -107,34 +107,34 @@ class Linear:
 
 
 def predict(
-    layout: Layout, state: State, ties: TiePoints, sides: np.ndarray, rows: np.ndarray | None = None
+    layout: Layout, state: State, ties: TiePoints, rise_design: np.ndarray, rows: np.ndarray | None = None
 ) -> np.ndarray:
     """Predicted pixels (N, 2); NaN where a point lies behind its camera.
 
     Parameters
     ----------
-    sides : (N, 3)
-        As `relief_sides` gives them.
+    rise_design : (N, 3)
+        As `apparent_rise_design` gives them.
     rows : (N,) [px], optional
         Of the photographs as they were taken, for rolling shutters; default those of the tie points.
     """
-    line = lines_of_sight(*_ends(layout, state, ties, sides, rows), state.water)
+    line = lines_of_sight(*_ends(layout, state, ties, rise_design, rows), state.water)
     pixels, _ = _project(layout, state, ties, line)
     return pixels
 
 
 def linearise(
-    layout: Layout, state: State, ties: TiePoints, sides: np.ndarray, rows: np.ndarray | None = None
-) -> Linear:
+    layout: Layout, state: State, ties: TiePoints, rise_design: np.ndarray, rows: np.ndarray | None = None
+) -> Prediction:
     """Predicted pixels with their derivatives; see `predict`."""
-    lines = bent_lines_of_sight(*_ends(layout, state, ties, sides, rows), state.water)
+    lines = bent_lines_of_sight(*_ends(layout, state, ties, rise_design, rows), state.water)
     pixels, imaged = _project(layout, state, ties, lines.line)
     rotations = state.rotations[ties.view]
     by_line = np.einsum("nai,nij->naj", imaged.by_cam, rotations)
     by_point = by_line @ lines.by_point
     by_centre, by_lens = by_line @ lines.by_centre, imaged.by_lens
     by_readout = np.zeros((len(pixels), 2, 0))
-    if layout.flow is not None:
+    if layout.velocity_per_row is not None:
         by_middle, by_readout = _shutter_derivatives(layout, state, ties, rows, by_centre)
         by_lens[:, :, 2] += by_middle
     by_water = by_line @ lines.by_water
@@ -149,7 +149,7 @@ def linearise(
     dense = np.concatenate(
         [
             by_water,
-            by_point[:, :, 2, None] * sides[:, None, :],
+            by_point[:, :, 2, None] * rise_design[:, None, :],
             by_lens,
             by_readout,
             by_rate,
@@ -159,11 +159,11 @@ def linearise(
         ],
         axis=-1,
     )
-    return Linear(pixels, by_point, _assemble_derivatives(layout, ties, dense), lines.wet)
+    return Prediction(pixels, by_point, _assemble_derivatives(layout, ties, dense), lines.wet)
 
 
-def relief_sides(state: State, ties: TiePoints) -> np.ndarray:
-    """Derivatives (N, 3) of point heights by three apparent rises of a rough bed: t^2 on all sides, t east and north.
+def apparent_rise_design(state: State, ties: TiePoints) -> np.ndarray:
+    """Derivatives (N, 3) of point heights by the apparent rise of a rough bed: t^2 from all sides, t_east, t_north.
 
     t is the tangent of the leg at the bed to the vertical. Hollows of a rough bed hide from oblique views, and the bed
     looks different from each side; both seem to lift it (docs/adjustment.md). The angles hardly change in an adjustment
@@ -178,10 +178,10 @@ def relief_sides(state: State, ties: TiePoints) -> np.ndarray:
 
 
 def _ends(
-    layout: Layout, state: State, ties: TiePoints, sides: np.ndarray, rows: np.ndarray | None
+    layout: Layout, state: State, ties: TiePoints, rise_design: np.ndarray, rows: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Cameras and points (N, 3) each, lowered by the tide and by the departure of the water from its plane there."""
-    centres, points = _centres(layout, state, ties, rows), _points_of_observations(state, ties, sides)
+    centres, points = _centres(layout, state, ties, rows), _points_of_observations(state, ties, rise_design)
     tides = state.tides(layout)
     if (tides is None and layout.departure is None) or state.water is None:
         return centres, points
@@ -203,10 +203,10 @@ def _near_crossing(centres: np.ndarray, points: np.ndarray, water: FlatWater) ->
 def _centres(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray | None) -> np.ndarray:
     """Camera centres (N, 3) at the exposure of the observed rows; a pose is that at the row `cy`."""
     centres = state.centres[ties.view]
-    if layout.flow is None:
+    if layout.velocity_per_row is None:
         return centres
     late, readouts = _rows_after_pose(layout, state, ties, rows)
-    return centres + (readouts * late)[:, None] * layout.flow[ties.view]
+    return centres + (readouts * late)[:, None] * layout.velocity_per_row[ties.view]
 
 
 def _rows_after_pose(
@@ -220,17 +220,17 @@ def _rows_after_pose(
 
 def _shutter_derivatives(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray | None, by_centre: np.ndarray):
     """Derivatives of a rolling shutter: by `cy` as the row of the pose (N, 2), and by the readout (N, 2, 0 or 1)."""
-    assert layout.flow is not None
+    assert layout.velocity_per_row is not None
     late, readouts = _rows_after_pose(layout, state, ties, rows)
-    by_flow = np.einsum("nai,ni->na", by_centre, layout.flow[ties.view])
-    by_readout = (late[:, None] * by_flow)[:, :, None]
-    return -readouts[:, None] * by_flow, by_readout if layout.finds_readouts else by_readout[:, :, :0]
+    by_velocity = np.einsum("nai,ni->na", by_centre, layout.velocity_per_row[ties.view])
+    by_readout = (late[:, None] * by_velocity)[:, :, None]
+    return -readouts[:, None] * by_velocity, by_readout if layout.finds_readouts else by_readout[:, :, :0]
 
 
-def _points_of_observations(state: State, ties: TiePoints, sides: np.ndarray) -> np.ndarray:
+def _points_of_observations(state: State, ties: TiePoints, rise_design: np.ndarray) -> np.ndarray:
     """Points (N, 3) of the observations."""
     points = state.points[ties.point].copy()
-    points[:, 2] += sides @ state.relief
+    points[:, 2] += rise_design @ state.relief
     return points
 
 
@@ -277,13 +277,13 @@ def _cross(vectors: np.ndarray) -> np.ndarray:
 def _assemble_derivatives(layout: Layout, ties: TiePoints, dense: np.ndarray) -> csr_array:
     """Derivatives (N, 2, 4 + 3 + 8 + 6), one more each with readouts, rate and focals, at their places, (2 N, P)."""
     count = len(ties.view)
-    shared = np.tile(np.arange(WATER + RELIEF), (count, 1))
+    shared = np.tile(np.arange(NUM_WATER + NUM_RELIEF), (count, 1))
     number = layout.lens_of[ties.view][:, None]
-    lens = layout.first_lens + LENS * number + np.arange(LENS)
+    lens = layout.first_lens + NUM_LENS * number + np.arange(NUM_LENS)
     readout = layout.first_readout + number[:, : int(layout.finds_readouts)]
     rate = np.tile(np.arange(layout.first_rate, layout.first_focal), (count, 1))
     focal = layout.first_focal + ties.view[:, None][:, : int(layout.finds_focals)]
-    pose = layout.first_pose + POSE * ties.view[:, None] + np.arange(POSE)
+    pose = layout.first_pose + NUM_POSE * ties.view[:, None] + np.arange(NUM_POSE)
     columns = np.repeat(np.concatenate([shared, lens, readout, rate, focal, pose], axis=1), 2, axis=0)
     ends = np.arange(2 * count + 1) * columns.shape[1]
     return csr_array((dense.reshape(-1), columns.reshape(-1), ends), shape=(2 * count, len(layout)))

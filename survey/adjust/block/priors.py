@@ -5,14 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from refract.lens import MODELS, Lens
 from survey.adjust.block.problem import Planes, Priors
 from survey.adjust.block.roll import Roll, roll_priors, rolled_by_attitudes, rolls_of
-from survey.adjust.block.state import BROWN, LENS, LENS_NAMES, POSE, RELIEF, SHIFT, Layout, State, is_held, lenses_of
+from survey.adjust.block.state import (
+    BROWN,
+    LENS_NAMES,
+    NUM_LENS,
+    NUM_POSE,
+    NUM_RELIEF,
+    NUM_SHIFT,
+    Layout,
+    State,
+    is_held,
+    lenses_of,
+)
 from survey.folder.motion import rows_between
 from survey.folder.pose_priors import BY_POSES, GPS_STD_M, common_up_std
 from survey.photos.poses import TiePoints
@@ -31,8 +42,19 @@ ROTATION_STD = math.radians(5.0)
 EXACT_STD_M, EXACT_STD_DEG, _CALIBRATED = 0.01, 0.003, 0.02
 # The same of a lens whose distortion survey.toml has, of two photographs: they do not calibrate it.
 _GIVEN_LENS = 0.05
-# Water of which nothing is known: too wide to affect a parameter that the block determines.
-FREE_WATER = (5.0, 0.05, 0.05, 0.1)
+
+
+class FreeWaterStd(NamedTuple):
+    """Standard deviations of the parameters of water of which nothing is known."""
+
+    level_m: float
+    slope_x: float
+    slope_y: float
+    refractive_index: float
+
+
+# Too wide to affect a parameter that the block determines.
+FREE_WATER = FreeWaterStd(level_m=5.0, slope_x=0.05, slope_y=0.05, refractive_index=0.1)
 # A lens by its data sheet: focal lengths are within 2 % of it, the principal point within 1 % of the longer side. At
 # the corner of the image each term of distortion moves a pixel by some of these shares of its distance from the middle
 # (docs/adjustment.md).
@@ -106,7 +128,7 @@ def prior_of(survey: Survey, gsd: float, *, free_water: bool = False) -> PriorKn
     std = np.concatenate(
         [
             of_water,
-            np.full(RELIEF, _RELIEF_GSD * gsd),
+            np.full(NUM_RELIEF, _RELIEF_GSD * gsd),
             _shift_std(survey),
             _lenses_std(survey, lenses, calibrated=calibrated),
             np.full(layout.first_rate - layout.first_readout, readout_std, dtype=np.float64),
@@ -120,12 +142,12 @@ def prior_of(survey: Survey, gsd: float, *, free_water: bool = False) -> PriorKn
 
 def _layout(survey: Survey, lenses: tuple[Lens, ...], lens_of: np.ndarray, *, finds_focals: bool) -> Layout:
     """The unknowns of a survey."""
-    flow, tides = _flow(survey), np.array([view.camera.tide for view in survey.views])
+    velocity_per_row, tides = _velocity_per_row(survey), np.array([view.camera.tide for view in survey.views])
     return Layout(
         lens_of,
         np.array([lens.focal[1] / lens.focal[0] for lens in lenses]),
-        flow,
-        finds_readouts=flow is not None and survey.config.cameras.rolling_shutter_std_s is not None,
+        velocity_per_row,
+        finds_readouts=velocity_per_row is not None and survey.config.cameras.rolling_shutter_std_s is not None,
         tides=tides if tides.any() else None,
         hours=_hours(survey),
         departure=_departure(survey),
@@ -137,16 +159,16 @@ def _layout(survey: Survey, lenses: tuple[Lens, ...], lens_of: np.ndarray, *, fi
 def _start(survey: Survey, layout: Layout, lenses: tuple[Lens, ...], focals: np.ndarray) -> State:
     """The state that a survey comes with, without points; ``focals`` as of `lenses_of`."""
     centres = np.array([view.camera.centre for view in survey.views])
-    num_readouts = 0 if layout.flow is None else len(lenses)
+    num_readouts = 0 if layout.velocity_per_row is None else len(lenses)
     return State(
         _with_reference_under_cameras(survey, centres),
-        np.zeros(RELIEF),
+        np.zeros(NUM_RELIEF),
         np.array([parameters_of(lens) for lens in lenses]),
         centres,
         np.array([view.camera.cam_from_local for view in survey.views]),
         np.zeros((0, 3)),
         np.full(num_readouts, survey.config.cameras.rolling_shutter_s, dtype=np.float64),
-        shift=np.zeros(SHIFT if layout.has_ground else 0),
+        shift=np.zeros(NUM_SHIFT if layout.has_ground else 0),
         focals=focals,
     )
 
@@ -164,18 +186,18 @@ def priors_for(
     return Priors(replace(prior.mean, points=ties.start), prior.std, free, rows, signs, planes)
 
 
-def without_shift(prior: PriorKnowledge, shared_std: np.ndarray, strength: np.ndarray) -> np.ndarray:
+def without_shift(prior: PriorKnowledge, shared_std: np.ndarray, precision: np.ndarray) -> np.ndarray:
     """Rows (3, P) of `Priors` that take out what a shift of all positions in common explains of their deviations.
 
-    ``shared_std`` (3,) [m] is that of the shift, ``strength`` (P,) are the inverse variances of the parameters.
+    ``shared_std`` (3,) [m] is that of the shift, ``precision`` (P,) are the inverse variances of the parameters.
 
     With deviations d and weights w, the least over shifts b of ``sum w (d - b)^2 + b^2 / s^2`` is
     ``sum w d^2 - (sum w d)^2 / (sum w + 1 / s^2)``.
     """
     rows = np.zeros((3, len(prior.layout)))
     for axis in range(3):
-        at = prior.layout.first_pose + axis + POSE * np.arange(len(prior.unknown_positions))
-        weights = strength[at]
+        at = prior.layout.first_pose + axis + NUM_POSE * np.arange(len(prior.unknown_positions))
+        weights = precision[at]
         rows[axis, at] = weights / math.sqrt(weights.sum() + shared_std[axis] ** -2.0)
     return rows
 
@@ -189,17 +211,17 @@ def _shift_std(survey: Survey) -> np.ndarray:
     return np.maximum([horizontal, horizontal, vertical], HELD_SHARE)
 
 
-def _flow(survey: Survey) -> np.ndarray | None:
-    """See `Layout.flow`; zero for views whose velocity is not known."""
+def _velocity_per_row(survey: Survey) -> np.ndarray | None:
+    """See `Layout.velocity_per_row`; zero for views whose velocity is not known."""
     cameras = survey.config.cameras
     if not cameras.rolls:
         return None
-    flow = np.zeros((len(survey.views), 3))
+    velocity_per_row = np.zeros((len(survey.views), 3))
     for number, view in enumerate(survey.views):
         velocity = survey.observations.velocities.get(view.name)
         if velocity is not None:
-            flow[number] = velocity.local / rows_between(view.lens.height)
-    return flow if flow.any() else None
+            velocity_per_row[number] = velocity.local / rows_between(view.lens.height)
+    return velocity_per_row if velocity_per_row.any() else None
 
 
 def _rate_std(survey: Survey) -> float | None:
@@ -237,7 +259,7 @@ def parameters_of(lens: Lens) -> np.ndarray:
     """A lens as parameters (8,) of the adjustment."""
     if is_held(lens):
         # Its tie points are straightened: what is left is its pinhole.
-        return np.array([lens.focal[0], lens["cx"], lens["cy"], *np.zeros(LENS - 3)])
+        return np.array([lens.focal[0], lens["cx"], lens["cy"], *np.zeros(NUM_LENS - 3)])
     return np.array([lens.focal[0], *(lens[name] for name in LENS_NAMES[1:])])
 
 

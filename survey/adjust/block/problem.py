@@ -1,6 +1,6 @@
 """An adjustment problem: observations, planes of an earlier survey among them, priors of the unknowns, Huber's weights.
 
-With e the shift of the earlier survey, n the normal of a plane, h its height and s its strength, a point X adds
+With e the shift of the earlier survey, n the normal of a plane, h its height and s its precision, a point X adds
 ``s d^2`` with ``d = n . (X - e) - h`` to the sum of squares. Huber's loss takes residuals in units of the standard
 deviation of their kind (P. J. Huber, Annals of Mathematical Statistics 35(1), 1964).
 """
@@ -25,16 +25,16 @@ class Planes:
 
     normal: np.ndarray  # (M, 3): upwards, with 1 in z, so that distances are along the vertical
     height: np.ndarray  # (M,) [m]: ``normal . point`` on the plane
-    strength: np.ndarray  # (M,) [1/m^2]: inverse variance of that distance; 0 for points of which nothing is known
+    precision: np.ndarray  # (M,) [1/m^2]: inverse variance of that distance; 0 for points of which nothing is known
 
     def distances(self, points: np.ndarray, shift: np.ndarray) -> np.ndarray:
         """Vertical distances (M,) [m] of points (M, 3) above their planes shifted by (3,); 0 where there is none."""
         off = np.einsum("mi,mi->m", self.normal, points - shift) - self.height
-        return np.where(self.strength > 0.0, off, 0.0)
+        return np.where(self.precision > 0.0, off, 0.0)
 
     def squares(self, points: np.ndarray, shift: np.ndarray) -> np.ndarray:
         """Squares (M,) of the distances, in units of variances."""
-        return self.strength * self.distances(points, shift) ** 2
+        return self.precision * self.distances(points, shift) ** 2
 
     def of_points(self, points: np.ndarray, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Contribution to the normal matrices (M, 3, 3) and right sides (M, 3) of the points.
@@ -42,7 +42,7 @@ class Planes:
         The shift has the sums of both over the points, with the sign of the right sides reversed; the normal matrices
         of a point and the shift are those of the points with the sign reversed.
         """
-        along = self.strength[:, None] * self.normal
+        along = self.precision[:, None] * self.normal
         return along[:, :, None] * self.normal[:, None, :], -along * self.distances(points, shift)[:, None]
 
 
@@ -88,7 +88,7 @@ class Problem:
     kind: np.ndarray  # (N,) int64: of each observation; each kind has a standard deviation of its own
     priors: Priors
     given_std_px: np.ndarray  # (kinds,) [px]: standard deviations of the kinds; NaN where the residuals tell
-    sides: np.ndarray  # (N, 3): see `survey.adjust.block.prediction.relief_sides`
+    rise_design: np.ndarray  # (N, 3): see `survey.adjust.block.prediction.apparent_rise_design`
     rows: np.ndarray | None = None  # (N,) [px], optional: see `survey.adjust.block.prediction.predict`
     # Nothing but points moves: parameters stay as they are in the state that the adjustment starts from, which saves
     # their part of the normal equations
@@ -101,7 +101,7 @@ class Problem:
 
     def residuals(self, state: State) -> np.ndarray:
         """Measured less predicted pixels (N, 2)."""
-        return self.ties.pixel - predict(self.layout, state, self.ties, self.sides, self.rows)
+        return self.ties.pixel - predict(self.layout, state, self.ties, self.rise_design, self.rows)
 
 
 # Huber's bound [standard deviations]: 95 % of good residuals lie within.

@@ -31,7 +31,7 @@ import numpy as np
 
 from survey.adjust.block.bundle import NotConvergedError, Solution, cost, levenberg_marquardt, solve
 from survey.adjust.block.problem import Problem
-from survey.adjust.block.state import POSE, Layout, State
+from survey.adjust.block.state import NUM_POSE, Layout, State
 from survey.photos.poses import least_track, parts_of
 from survey.sfm.control_fit import line_of_control
 from survey.sfm.gps_fit import Across, PositionLine, gps_std, line_of, roll_by_attitudes
@@ -80,7 +80,7 @@ class Roll:
 
     def _by_turns(self, layout: Layout, turns: np.ndarray) -> np.ndarray:
         vector = np.zeros(len(layout))
-        poses = vector[layout.first_pose :].reshape(-1, POSE)
+        poses = vector[layout.first_pose :].reshape(-1, NUM_POSE)
         poses[self.views, 3:] = turns
         return vector
 
@@ -190,30 +190,30 @@ class ProfilePoint(NamedTuple):
 
 
 def minimise_over_roll(
-    problem: Problem, solution: Solution, inflation: np.ndarray, roll: Roll
+    problem: Problem, solution: Solution, variance_factor: np.ndarray, roll: Roll
 ) -> tuple[Solution, float]:
     """The solution of least cost over a roll, and the standard deviation [rad] of that roll by its profile.
 
     Parameters
     ----------
-    inflation : (N,)
+    variance_factor : (N,)
         As for `survey.adjust.block.bundle.solve`.
     """
-    sides = [_scan_profile(problem, solution, inflation, roll, sign) for sign in (1, -1)]
+    sides = [_scan_profile(problem, solution, variance_factor, roll, sign) for sign in (1, -1)]
     profile = [each for side, _ in sides for each in side]
-    least = cost(problem, solution.state, solution.std_px, inflation)
+    least = cost(problem, solution.state, solution.std_px, variance_factor)
     at, moved = 0.0, 0.0
     best = min(profile, key=lambda each: each.cost, default=None)
     if best is not None and best.cost < least - _BETTER:
         at, std_px = best.angle, solution.std_px
         try:
-            solution = solve(problem, best.state, inflation=inflation)
+            solution = solve(problem, best.state, variance_factor=variance_factor)
         except NotConvergedError:
             # What was found stays, as far off as the better angle.
             least, moved = best.cost, abs(at)
         else:
             at += roll.angle_between(best.state.rotations, solution.state.rotations)
-            least = min(cost(problem, solution.state, std_px, inflation), best.cost)
+            least = min(cost(problem, solution.state, std_px, variance_factor), best.cost)
     rises = [(each.angle - at, each.cost - least) for each in profile]
     std = std_by_profile(rises, are_whole=(sides[0][1], sides[1][1]))
     return solution, math.hypot(std, moved)
@@ -238,7 +238,7 @@ def std_by_profile(rises: list[tuple[float, float]], are_whole: tuple[bool, bool
 
 
 def _scan_profile(
-    problem: Problem, solution: Solution, inflation: np.ndarray, roll: Roll, sign: int
+    problem: Problem, solution: Solution, variance_factor: np.ndarray, roll: Roll, sign: int
 ) -> tuple[list[ProfilePoint], bool]:
     """The block with the roll held at angles to one side, each from the last; False where an adjustment failed."""
     found: list[ProfilePoint] = []
@@ -248,7 +248,7 @@ def _scan_profile(
     rows, signs = problem.priors.rows, problem.priors.signs
     assert rows is not None
     assert signs is not None
-    least = cost(problem, solution.state, solution.std_px, inflation)
+    least = cost(problem, solution.state, solution.std_px, variance_factor)
     for degrees in _ANGLES_DEG:
         angle = sign * math.radians(degrees)
         turn = roll.across.rolled(angle - before)
@@ -266,11 +266,11 @@ def _scan_profile(
             signs=np.append(signs, 1.0),
         )
         try:
-            state, _ = levenberg_marquardt(replace(problem, priors=priors), state, solution.std_px, inflation)
+            state, _ = levenberg_marquardt(replace(problem, priors=priors), state, solution.std_px, variance_factor)
         except NotConvergedError:
             return found, False
         before = angle
-        found.append(ProfilePoint(angle, cost(problem, state, solution.std_px, inflation), state))
+        found.append(ProfilePoint(angle, cost(problem, state, solution.std_px, variance_factor), state))
         if found[-1].cost > least + _MOST_RISE:
             break
     return found, True

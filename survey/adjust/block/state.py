@@ -4,7 +4,7 @@ The vector of parameters is [water (4) | relief (3) | shift | lenses (8 each) | 
 each)]; points have three each besides.
 
     water     height of the plane at its reference point [m], slopes along local x and y, index
-    relief    by how much a rough bed seems to rise with the direction of view, see `relief_sides` [m]
+    relief    by how much a rough bed seems to rise with the direction of view, see `apparent_rise_design` [m]
     shift     by how much an earlier survey is to be moved [m], local, where the block lies on one; else none
     lens      `LENS_NAMES`; the ratio of both focal lengths is held
     readouts  seconds from the first to the last row, of each lens, where they are to be found; else none
@@ -33,7 +33,7 @@ from survey.settings.config import WaterConfig
 BROWN = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
 _FOCAL_NAMES = ("f", "fx", "fy")
 # Fewer focal lengths that differ are those of several cameras, not the scatter of one.
-FEWEST = 5
+LEAST_FOCALS = 5
 # Ratios of both focal lengths differ by less: of focal lengths of thousands of pixels written with three decimals.
 _SAME_RATIO = 1e-6
 
@@ -53,8 +53,8 @@ def enlarged(lens: Lens, factor: float) -> Lens:
 def lenses_of(views: Sequence[View]) -> tuple[tuple[Lens, ...], np.ndarray, np.ndarray]:
     """Lenses of a block, L of V photographs.
 
-    Lenses that differ in nothing but their focal length, of `FEWEST` different focal lengths or more, as an adjustment
-    with autofocus writes them, are one with the mean of the focal lengths. All others are kept as they are.
+    Lenses that differ in nothing but their focal length, of `LEAST_FOCALS` different focal lengths or more, as an
+    adjustment with autofocus writes them, are one with the mean of the focal lengths. All others are kept as they are.
 
     Returns
     -------
@@ -69,7 +69,7 @@ def lenses_of(views: Sequence[View]) -> tuple[tuple[Lens, ...], np.ndarray, np.n
     common, focals = list(each), np.zeros(len(each))
     for alike in _groups_but_for_focal(each):
         first = each[alike[0]]
-        if is_held(first) or len(np.unique(focal[alike])) < FEWEST:
+        if is_held(first) or len(np.unique(focal[alike])) < LEAST_FOCALS:
             continue
         mean = focal[alike].mean()
         lens = enlarged(first, float(mean) / first.focal[0])
@@ -110,10 +110,12 @@ LENS_NAMES = ("f", "cx", "cy", *COEFFICIENTS)
 READOUT_NAME = "readout_s"
 RATE_NAME = "level_rate_m_per_h"
 FOCAL_NAME = "focal"
-WATER, RELIEF, SHIFT, LENS, POSE = 4, 3, 3, 8, 6
+# Numbers of parameters: of the water, the relief, the shift of an earlier survey, a lens and a pose.
+NUM_WATER, NUM_RELIEF, NUM_SHIFT, NUM_LENS, NUM_POSE = 4, 3, 3, 8, 6
 # An index outside these is not water; a step never leaves them.
 _INDEX_RANGE = (1.0, 2.0)
 WATER_PARAMETERS = ("level_m", "slope_east", "slope_north", "refractive_index")
+# Increments of these parameters for central differences of settings by them.
 _STEPS = (1e-3, 1e-6, 1e-6, 1e-6)
 
 
@@ -159,7 +161,7 @@ class Layout:
     aspect: np.ndarray  # (L,): fy / fx of each lens
     # (V, 3) [m/(s px)], local, or None: velocity of each camera over the rows between the first and the last of its
     # photographs; None where no shutter rolls
-    flow: np.ndarray | None = None
+    velocity_per_row: np.ndarray | None = None
     finds_readouts: bool = False  # Whether the readouts of rolling shutters are parameters
     # (V,) [m] or None: of the cameras (`PinholeCamera.tide`), as given; None where one level holds for all
     tides: np.ndarray | None = None
@@ -174,15 +176,15 @@ class Layout:
     @property
     def shift(self) -> slice:
         """Parameters of the shift of an earlier survey."""
-        return slice(WATER + RELIEF, self.first_lens)
+        return slice(NUM_WATER + NUM_RELIEF, self.first_lens)
 
     @property
     def first_lens(self) -> int:
-        return WATER + RELIEF + (SHIFT if self.has_ground else 0)
+        return NUM_WATER + NUM_RELIEF + (NUM_SHIFT if self.has_ground else 0)
 
     @property
     def first_readout(self) -> int:
-        return self.first_lens + LENS * len(self.aspect)
+        return self.first_lens + NUM_LENS * len(self.aspect)
 
     @property
     def first_rate(self) -> int:
@@ -197,7 +199,7 @@ class Layout:
         return self.first_focal + (len(self.lens_of) if self.finds_focals else 0)
 
     def __len__(self) -> int:
-        return self.first_pose + POSE * len(self.lens_of)
+        return self.first_pose + NUM_POSE * len(self.lens_of)
 
     def photograph_of_parameters(self) -> np.ndarray:
         """Number (P,) of the photograph whose focal length or pose each parameter is; -1 of those that all share."""
@@ -205,16 +207,16 @@ class Layout:
         views = np.arange(len(self.lens_of))
         if self.finds_focals:
             found[self.first_focal : self.first_pose] = views
-        found[self.first_pose :] = np.repeat(views, POSE)
+        found[self.first_pose :] = np.repeat(views, NUM_POSE)
         return found
 
     def lens(self, number: int) -> slice:
         """Parameters of a lens."""
-        return slice(self.first_lens + LENS * number, self.first_lens + LENS * (number + 1))
+        return slice(self.first_lens + NUM_LENS * number, self.first_lens + NUM_LENS * (number + 1))
 
     def pose(self, view: int) -> slice:
         """Parameters of a pose."""
-        return slice(self.first_pose + POSE * view, self.first_pose + POSE * (view + 1))
+        return slice(self.first_pose + NUM_POSE * view, self.first_pose + NUM_POSE * (view + 1))
 
 
 @dataclass(frozen=True)
@@ -239,7 +241,7 @@ class State:
     def water_parameters(self) -> np.ndarray:
         """The water as parameters (4,); zeros for a dry survey."""
         if self.water is None:
-            return np.zeros(WATER)
+            return np.zeros(NUM_WATER)
         return np.array([self.water.point[2], self.water.slope_x, self.water.slope_y, self.water.n_water])
 
     def tides(self, layout: Layout) -> np.ndarray | None:
@@ -250,12 +252,12 @@ class State:
 
     def moved(self, layout: Layout, step: np.ndarray, points: np.ndarray) -> State:
         """The state after steps of the parameters (P,) and of the points (M, 3)."""
-        poses = step[layout.first_pose :].reshape(-1, POSE)
+        poses = step[layout.first_pose :].reshape(-1, NUM_POSE)
         turns = Rotation.from_rotvec(poses[:, 3:]).as_matrix()
         return State(
-            water=with_parameters(self.water, self.water_parameters() + step[:WATER]),
-            relief=self.relief + step[WATER : WATER + RELIEF],
-            lenses=self.lenses + step[layout.first_lens : layout.first_readout].reshape(-1, LENS),
+            water=with_parameters(self.water, self.water_parameters() + step[:NUM_WATER]),
+            relief=self.relief + step[NUM_WATER : NUM_WATER + NUM_RELIEF],
+            lenses=self.lenses + step[layout.first_lens : layout.first_readout].reshape(-1, NUM_LENS),
             centres=self.centres + poses[:, :3],
             rotations=turns @ self.rotations,
             points=self.points + points,

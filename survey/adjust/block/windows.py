@@ -61,25 +61,27 @@ DENSE, SPARSE = Density(250, 20), Density(100, 30)
 
 @dataclass(frozen=True)
 class _Windows:
-    """The windows of one photograph: K of them, each of S*S samples, and the views in which they are searched for."""
+    """Windows of one photograph: K of them, each of S*S samples."""
 
     view: int
-    corners: np.ndarray
-    height: np.ndarray
-    points: np.ndarray
-    templates: np.ndarray
-    slopes: np.ndarray
-    others: list[int]
+    corners: np.ndarray  # (K, 2) [px]: their middles
+    height: np.ndarray  # (K,) [m] over the water plane
+    points: np.ndarray  # (K, 3) [m], local: of the middles on the bed
+    templates: np.ndarray  # (K, S*S): grey values
+    slopes: np.ndarray  # (K, S*S, 2) [1/px]: of the grey values, along x and y
+    others: list[int]  # Views in which they are searched for
 
 
-def measure(
+def measure_tie_points(
     block: Block,
     bound: tuple[float, float],
     area: Area | None,
     advance: Callable[[float], None],
     density: Density = DENSE,
 ) -> TiePoints:
-    """Tie points of a block; none where no window matches in three photographs, of two in both.
+    """Tie points of a block, in pixels of its images.
+
+    Needs three photographs per window, or two where the block has only two; windows of fewer are left out.
 
     Parameters
     ----------
@@ -156,18 +158,18 @@ def _usable_pixels(block: Block, height_map: HeightMap, area: Area | None) -> np
     parallax = block.parallax(height_map.view, block.neighbours(height_map.view, 8), float(np.median(height)))
     kernel = np.ones((7, 7))
     relief = cv2.dilate(height, kernel) - cv2.erode(height, kernel)
-    able = trusted(height_map) & (relief * parallax < 2 * _RELIEF_PX)
+    usable = trusted(height_map) & (relief * parallax < 2 * _RELIEF_PX)
     if area is not None:
         small = camera.scaled(_SWEPT[-1].scale)
         points = small.paths(small.pixel_centres(), block.water).at_height(height, block.water)
-        able &= within(points.reshape(-1, 3), area).reshape(able.shape)
-    return able
+        usable &= within(points.reshape(-1, 3), area).reshape(usable.shape)
+    return usable
 
 
-def _corners(image: np.ndarray, camera: PinholeCamera, height_map: HeightMap, able: np.ndarray, density: Density):
+def _corners(image: np.ndarray, camera: PinholeCamera, height_map: HeightMap, usable: np.ndarray, density: Density):
     """Textured pixel centres (K, 2) of a view at the usable pixels of its height map, and heights (K,)."""
     size = (camera.width, camera.height)
-    mask = cv2.resize(able.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+    mask = cv2.resize(usable.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
     # A window and the slopes at its rim lie inside the photograph and hold no masked pixel.
     edge = RADIUS + 2
     mask[:edge], mask[-edge:], mask[:, :edge], mask[:, -edge:] = 0, 0, 0, 0
@@ -190,7 +192,7 @@ def _templates(image: np.ndarray, corners: np.ndarray):
     return image[at].astype(np.float64), np.stack([dx[at], dy[at]], axis=-1).astype(np.float64)
 
 
-def _warp(camera, there, corners, height, water: FlatWater | None) -> np.ndarray:
+def _warp(camera, other_camera, corners, height, water: FlatWater | None) -> np.ndarray:
     """Offsets of the samples of windows in another view from their middle, on a level bed: (K, 2, S*S) [px].
 
     Exact at nine nodes and a parabola between them: over a window the perspective bends by hundredths of a pixel,
@@ -198,7 +200,7 @@ def _warp(camera, there, corners, height, water: FlatWater | None) -> np.ndarray
     """
     nodes = np.array([(x, y) for y in (-RADIUS, 0.0, RADIUS) for x in (-RADIUS, 0.0, RADIUS)])
     ends = camera.paths(corners[:, None] + nodes, water).at_height(height[:, None], water)
-    ends = there.project(ends, water)
+    ends = other_camera.project(ends, water)
     ends = ends - ends[:, 4:5]
     return np.einsum("sn,kna->kas", _parabola(nodes), ends)
 
@@ -221,13 +223,13 @@ def _neighbours_of(block: Block, view: int, points: np.ndarray) -> list[int]:
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     angle = np.degrees(np.arccos(np.clip(rays @ rays[view], -1.0, 1.0)))
     overlap = overlaps(block.seen, view) if len(cells_of(block.seen, view)) else np.zeros(len(rays))
-    able = [o for o in np.argsort(-overlap) if o != view and overlap[o] > 0.2]
-    able = [o for o in able if _NARROWEST_DEG < angle[o] < _WIDEST_DEG]
+    usable = [o for o in np.argsort(-overlap) if o != view and overlap[o] > 0.2]
+    usable = [o for o in usable if _NARROWEST_DEG < angle[o] < _WIDEST_DEG]
     # The farthest from those already taken, so that they come from all around.
     chosen = [view]
-    while able and len(chosen) <= _MOST_OTHERS:
-        gaps = [min(float(np.linalg.norm(rays[o] - rays[c])) for c in chosen) for o in able]
-        chosen.append(able.pop(int(np.argmax(gaps))))
+    while usable and len(chosen) <= _MOST_OTHERS:
+        gaps = [min(float(np.linalg.norm(rays[o] - rays[c])) for c in chosen) for o in usable]
+        chosen.append(usable.pop(int(np.argmax(gaps))))
     return [int(o) for o in chosen[1:]]
 
 
@@ -249,7 +251,7 @@ def _concatenate(windows: list[_Windows], parts, least: int) -> TiePoints:
 
 
 def measure_windows(survey: Survey, *, device: str = "auto", advance: Callable[[float], None]) -> TiePoints:
-    """The windows of a survey as tie points.
+    """Windows of a survey as tie points, after its photographs are loaded.
 
     Raises
     ------
@@ -257,7 +259,7 @@ def measure_windows(survey: Survey, *, device: str = "auto", advance: Callable[[
         If the photographs do not match.
     """
     plan = make_plan(survey, Choices(device=device))
-    return windows_of_block(survey, plan, *load_photographs(survey, plan), advance)
+    return measure_loaded_windows(survey, plan, *load_photographs(survey, plan), advance)
 
 
 def load_photographs(survey: Survey, plan: Plan) -> tuple[Block, tuple[float, float]]:
@@ -278,7 +280,7 @@ def load_photographs(survey: Survey, plan: Plan) -> tuple[Block, tuple[float, fl
         raise SurveyError(str(error)) from error
 
 
-def windows_of_block(
+def measure_loaded_windows(
     survey: Survey,
     plan: Plan,
     block: Block,
@@ -287,13 +289,13 @@ def windows_of_block(
     *,
     sparse: bool = False,
 ) -> TiePoints:
-    """The same of a survey whose photographs are loaded, and of which the range of heights is known.
+    """Windows of a survey whose photographs are loaded, and of which the range of heights is known.
 
     ``sparse`` takes fewer windows: as many as means over photographs need.
     """
-    from survey.adjust.block.windows import DENSE, SPARSE, measure
+    from survey.adjust.block.windows import DENSE, SPARSE, measure_tie_points
 
-    ties = measure(block, bound, local_area(survey), advance, SPARSE if sparse else DENSE)
+    ties = measure_tie_points(block, bound, local_area(survey), advance, SPARSE if sparse else DENSE)
     full = [(view.camera, camera_of(view, plan)) for view in survey.views]
     enlarge = np.array([(camera.fx / used.fx, camera.fy / used.fy) for camera, used in full])
     return replace(ties, pixel=ties.pixel * enlarge[ties.view])

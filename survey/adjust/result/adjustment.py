@@ -91,7 +91,8 @@ class AdjustedPoses:
     # position_std, rotation_std_deg (V, 3): along the axes of local; about those of cam
     position_std: np.ndarray
     rotation_std_deg: np.ndarray
-    flow: np.ndarray | None = None  # (V, 3) [m/(s px)], local, or None: velocity over the rows of a rolling shutter
+    # (V, 3) [m/(s px)], local, or None: velocity over the rows of a rolling shutter
+    velocity_per_row: np.ndarray | None = None
     tides: np.ndarray | None = None  # (V,) [m], or None: tide at each camera, as it was found
     hours: np.ndarray | None = None  # (V,) [h], or None: see `survey.adjust.block.state.Layout`
     # (V,), or None: focal length of each photograph over that of its lens, less one; None where they do not differ
@@ -121,10 +122,10 @@ class Residuals:
 class FitStatistics:
     """Statistics of the fit of the observations."""
 
-    # std_px, factor, num_observations by kind of observation: standard deviation of a pixel coordinate; factor on its
-    # variance, for errors that neighbours and ground share; how many were used
+    # std_px, variance_factor, num_observations by kind of observation: standard deviation of a pixel coordinate;
+    # factor on its variance, for errors that neighbours and ground share; how many were used
     std_px: dict[str, float]
-    factor: dict[str, float]
+    variance_factor: dict[str, float]
     num_observations: dict[str, int]
     # num_points, num_left_out: Points used; observations left out as outliers
     num_points: int
@@ -170,7 +171,7 @@ class Adjustment:
         return Layout(
             poses.lens_of,
             aspect,
-            poses.flow,
+            poses.velocity_per_row,
             finds_readouts=finds_readouts,
             tides=poses.tides,
             hours=poses.hours,
@@ -186,7 +187,12 @@ _RECORDS: dict[str, tuple[type, str]] = {
     "statistics": (FitStatistics, ""),
 }
 # Exceptions to that.
-_FILE_NAMES = {"covariance_matrix": "covariance", "covariance_water_point": "water_point"}
+_FILE_NAMES = {
+    "covariance_matrix": "covariance",
+    "covariance_water_point": "water_point",
+    "velocity_per_row": "flow",
+    "variance_factor": "factor",
+}
 # What is in adjustment.npz, some of it only where shutters roll or water moves; all else is in adjustment.json.
 _ARRAYS = {
     "lens_of", "centres", "rotations", "position_std", "rotation_std_deg", "covariance", "residual_view",
@@ -358,10 +364,10 @@ def readout_limits(state: State, layout: Layout, heights: Sequence[int]) -> np.n
     heights : (L,) [px]
         Of the photographs of each lens.
     """
-    assert layout.flow is not None
+    assert layout.velocity_per_row is not None
     away = np.maximum(state.centres[:, 2] - np.median(state.points[:, 2]), 1e-6)
     rows = np.array([rows_between(height) for height in heights])[layout.lens_of]
-    px_per_s = np.linalg.norm(layout.flow, axis=1) * rows * state.lenses[layout.lens_of, 0] / away
+    px_per_s = np.linalg.norm(layout.velocity_per_row, axis=1) * rows * state.lenses[layout.lens_of, 0] / away
     fastest = np.array([px_per_s[layout.lens_of == number].max() for number in range(len(layout.aspect))])
     return MOST_STD_ROWS_PX / np.maximum(fastest, 1e-9)
 

@@ -17,10 +17,10 @@ from scipy.sparse import csr_array
 from evaluation.standards import TO_95, TVU
 from survey.adjust.block.normal_equations import covariance_at
 from survey.adjust.block.observed import CELLS, KINDS, PER_CELL, WINDOW
-from survey.adjust.block.prediction import linearise, predict, relief_sides
+from survey.adjust.block.prediction import apparent_rise_design, linearise, predict
 from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M, INDEX_STD, LEVEL_STD_M, prior_of, priors_for
 from survey.adjust.block.problem import Problem
-from survey.adjust.block.state import WATER
+from survey.adjust.block.state import NUM_WATER
 from survey.adjust.result.adjustment import MOST_STD_FOCAL, MOST_STD_INDEX, MOST_STD_LEVEL_M
 from survey.adjust.result.std_common import std_common
 from survey.folder.survey import Survey
@@ -95,7 +95,7 @@ def foresee(survey: Survey, *, depth_m: float = ASSUMED_DEPTH_M, chosen: Choices
     if ties is None:
         return None
     free = _covariance(survey, plan.gsd_m, ties, free=True)
-    at_level, at_index, at_focal = 0, WATER - 1, free.problem.layout.first_lens
+    at_level, at_index, at_focal = 0, NUM_WATER - 1, free.problem.layout.first_lens
     std = np.sqrt(np.diag(free.covariance))
     is_wet = survey.water is not None
     focal = survey.views[0].camera.fx
@@ -161,17 +161,17 @@ def _covariance(survey: Survey, gsd: float, ties: TiePoints, *, free: bool) -> _
     prior = prior_of(survey, gsd, free_water=survey.water is not None)
     if not free:
         std = prior.std.copy()
-        std[:WATER] = prior_of(survey, gsd).std[:WATER]
+        std[:NUM_WATER] = prior_of(survey, gsd).std[:NUM_WATER]
         prior = replace(prior, std=std)
     state = replace(prior.mean, points=ties.start)
-    sides = relief_sides(state, ties)
+    rise_design = apparent_rise_design(state, ties)
     # Pixels of cameras that stand still tell the rows at which those that fly on take them.
-    ties = replace(ties, pixel=predict(replace(prior.layout, flow=None), state, ties, sides))
-    ties = replace(ties, pixel=predict(prior.layout, state, ties, sides))
+    ties = replace(ties, pixel=predict(replace(prior.layout, velocity_per_row=None), state, ties, rise_design))
+    ties = replace(ties, pixel=predict(prior.layout, state, ties, rise_design))
     std_px = np.full(len(KINDS), TIE_STD_PX)
     kind = np.full(len(ties.view), WINDOW)
-    problem = Problem(prior.layout, ties, kind, priors_for(prior, ties), std_px, sides)
-    linear = linearise(prior.layout, state, ties, sides)
+    problem = Problem(prior.layout, ties, kind, priors_for(prior, ties), std_px, rise_design)
+    linear = linearise(prior.layout, state, ties, rise_design)
     return _ExpectedCovariance(covariance_at(problem, state, std_px), problem, linear.by_point, linear.by_parameters)
 
 

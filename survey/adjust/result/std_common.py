@@ -30,7 +30,7 @@ from refract import FlatWater
 from survey.adjust.block.observed import original_rows
 from survey.adjust.block.prediction import linearise
 from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M, parameters_of, prior_of
-from survey.adjust.block.state import RELIEF, WATER, Layout, State
+from survey.adjust.block.state import NUM_RELIEF, NUM_WATER, Layout, State
 from survey.adjust.result.adjustment import Adjustment
 from survey.display.column import portions
 from survey.photos.poses import TiePoints, least_track
@@ -81,57 +81,57 @@ def common_error(found: Adjustment, water: FlatWater | None) -> CommonError | No
     water : FlatWater or None
         Local, as it was found.
     """
-    moves = moves_over_area(found, water)
-    if not len(moves):
+    jacobian = height_jacobian_over_area(found, water)
+    if not len(jacobian):
         return None
-    by_place = np.einsum("ki,ij,kj->k", moves, found.covariance.matrix, moves)
-    whole = moves.mean(axis=0)
+    by_place = np.einsum("ki,ij,kj->k", jacobian, found.covariance.matrix, jacobian)
+    whole = jacobian.mean(axis=0)
     return CommonError(
         mean=math.sqrt(max(float(whole @ found.covariance.matrix @ whole), 0.0)),
         typical=float(np.median(np.sqrt(np.maximum(by_place, 0.0)))),
-        num_places=len(moves),
+        num_places=len(jacobian),
     )
 
 
-def moves_over_area(found: Adjustment, water: FlatWater | None) -> np.ndarray:
-    """Derivative (K, P) of the heights of points spread over the area, by the parameters of the covariance."""
+def height_jacobian_over_area(found: Adjustment, water: FlatWater | None) -> np.ndarray:
+    """Jacobian (K, P) of the heights of points spread over the area, by the parameters of the covariance."""
     ties = _places_of_mean(found)
-    return height_moves(found, water, ties) if len(ties) else np.zeros((0, len(found.covariance.matrix)))
+    return height_jacobian(found, water, ties) if len(ties) else np.zeros((0, len(found.covariance.matrix)))
 
 
-def height_moves(found: Adjustment, water: FlatWater | None, ties: TiePoints) -> np.ndarray:
-    """Derivative (K, P) of the heights of places by the parameters of `Adjustment.covariance`."""
-    return place_moves(found, water, ties)[:, 2]
+def height_jacobian(found: Adjustment, water: FlatWater | None, ties: TiePoints) -> np.ndarray:
+    """Jacobian (K, P) of the heights of places by the parameters of `Adjustment.covariance`."""
+    return place_jacobian(found, water, ties)[:, 2]
 
 
-def place_moves(found: Adjustment, water: FlatWater | None, ties: TiePoints) -> np.ndarray:
-    """Derivative (K, 3, P) of places, local, by the parameters of `Adjustment.covariance`."""
+def place_jacobian(found: Adjustment, water: FlatWater | None, ties: TiePoints) -> np.ndarray:
+    """Jacobian (K, 3, P) of places, local, by the parameters of `Adjustment.covariance`."""
     layout = found.layout
     if water is not None:
         x, y = found.covariance.water_point
         water = replace(water, point=(x, y, float(water.height(x, y))))
     lenses = np.array([parameters_of(lens) for lens in found.lenses])
     poses, readouts = found.poses, np.array(found.readouts_s or ())
-    state = State(water, np.zeros(RELIEF), lenses, poses.centres, poses.rotations, ties.start, readouts)
+    state = State(water, np.zeros(NUM_RELIEF), lenses, poses.centres, poses.rotations, ties.start, readouts)
     if poses.focals is not None:
         state = replace(state, focals=poses.focals)
-    return moves_of(layout, state, ties, original_rows(ties, found.lenses, found.poses.lens_of))
+    return place_jacobian_at(layout, state, ties, original_rows(ties, found.lenses, found.poses.lens_of))
 
 
-def moves_of(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray) -> np.ndarray:
-    """Derivative (K, 3, P) of places, those of the state, by water, lenses and poses.
+def place_jacobian_at(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray) -> np.ndarray:
+    """Jacobian (K, 3, P) of places, those of the state, by water, lenses and poses.
 
     ``rows`` (N,) as `survey.adjust.block.observed.original_rows` gives them.
     """
-    linear = linearise(layout, state, ties, np.zeros((len(ties.view), RELIEF)), rows)
-    kept = np.r_[:WATER, layout.first_lens : len(layout)]
-    moves = np.empty((len(ties), 3, len(kept)))
+    linear = linearise(layout, state, ties, np.zeros((len(ties.view), NUM_RELIEF)), rows)
+    kept = np.r_[:NUM_WATER, layout.first_lens : len(layout)]
+    jacobian = np.empty((len(ties), 3, len(kept)))
     for number in range(len(ties)):
         mine = ties.point == number
         by_point = linear.by_point[mine].reshape(-1, 3)
         by_parameters = linear.by_parameters[np.repeat(mine, 2)].toarray()[:, kept]
-        moves[number] = -(np.linalg.pinv(by_point) @ by_parameters)
-    return moves
+        jacobian[number] = -(np.linalg.pinv(by_point) @ by_parameters)
+    return jacobian
 
 
 def _places_of_mean(found: Adjustment) -> TiePoints:
@@ -292,15 +292,15 @@ def _some(views: np.ndarray) -> np.ndarray:
 def _variance(survey: Survey, found: Adjustment | None, ties: TiePoints, gsd: float) -> np.ndarray:
     """Variance of the height of each place (K,) [m^2]."""
     if found is not None:
-        moves = height_moves(found, survey.water, ties)
-        return np.einsum("ki,ij,kj->k", moves, found.covariance.matrix, moves)
-    prior, of_water = prior_of(survey, gsd, free_water=True), prior_of(survey, gsd).std[:WATER]
+        jacobian = height_jacobian(found, survey.water, ties)
+        return np.einsum("ki,ij,kj->k", jacobian, found.covariance.matrix, jacobian)
+    prior, of_water = prior_of(survey, gsd, free_water=True), prior_of(survey, gsd).std[:NUM_WATER]
     std = np.concatenate([of_water, prior.std[prior.layout.first_lens :]])
     # Structure from motion and poses without any word on them have no standard deviation of their own.
     std = np.where(np.isfinite(std), std, EXACT_STD_M)
     rows = ties.pixel[:, 1]
-    moves = moves_of(prior.layout, replace(prior.state, points=ties.start), ties, rows)[:, 2]
-    return (moves**2) @ std**2
+    jacobian = place_jacobian_at(prior.layout, replace(prior.state, points=ties.start), ties, rows)[:, 2]
+    return (jacobian**2) @ std**2
 
 
 def interpolated(at: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.ndarray:

@@ -23,7 +23,14 @@ from scipy import ndimage
 
 from refract import FlatWater
 from survey.adjust.result.adjustment import Adjustment, Residuals
-from survey.adjust.result.std_common import PORTION, interpolated, moves_over_area, place_moves, places_of, seen_places
+from survey.adjust.result.std_common import (
+    PORTION,
+    height_jacobian_over_area,
+    interpolated,
+    place_jacobian,
+    places_of,
+    seen_places,
+)
 from survey.display.column import portions
 from survey.display.quantities import length
 from survey.photos.poses import parts_of
@@ -69,9 +76,9 @@ def std_of_block(
     if not len(ties):
         std[:] = 0.0
         return std
-    moves = place_moves(found, survey.water, ties)
-    moves[:, 2] -= moves[:, 2].mean(axis=0)
-    covariance = np.einsum("kai,ij,kbj->kab", moves, found.covariance.matrix, moves).reshape(len(ties), 9)
+    jacobian = place_jacobian(found, survey.water, ties)
+    jacobian[:, 2] -= jacobian[:, 2].mean(axis=0)
+    covariance = np.einsum("kai,ij,kbj->kab", jacobian, found.covariance.matrix, jacobian).reshape(len(ties), 9)
     cells = BedCells.of(xyz, _CELL_GSD * gsd)
     rise, reached = cells.squared_rise(np.sqrt(np.maximum(covariance.mean(axis=0)[[0, 4]], 0.0)))
     not_by_slopes = rise - (cells.slope**2 * reached).sum(axis=0)
@@ -216,8 +223,8 @@ def parts_of_adjustment(found: Adjustment, water: FlatWater | None) -> tuple[Par
     for each in range(int(number.max()) + 1):
         views = np.flatnonzero(number == each)
         own = _only(found, number == each)
-        moves = moves_over_area(own, water)
-        mean = moves.mean(axis=0) if len(moves) else None
+        jacobian = height_jacobian_over_area(own, water)
+        mean = jacobian.mean(axis=0) if len(jacobian) else None
         first = mean if each == 0 else first
         others = found.poses.centres[(number != each) & (number >= 0)]
         between = np.linalg.norm(found.poses.centres[views][:, None] - others[None], axis=-1)
@@ -266,8 +273,8 @@ def _runs(names: tuple[str, ...], views: np.ndarray) -> str:
     return ", ".join(spans[:_MOST_RUNS]) + more
 
 
-def _std(found: Adjustment, moves: np.ndarray) -> float:
-    return math.sqrt(max(float(moves @ found.covariance.matrix @ moves), 0.0))
+def _std(found: Adjustment, jacobian: np.ndarray) -> float:
+    return math.sqrt(max(float(jacobian @ found.covariance.matrix @ jacobian), 0.0))
 
 
 def _listed(texts: list[str]) -> str:

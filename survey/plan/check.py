@@ -213,7 +213,7 @@ def _without_poses(checked: Checked, chosen: Choices) -> list[CheckSection]:
     mapper = Decision("mapper", *mapper_of(len(found.heads), found.config.cameras.mapper))
     rest = Decision("refraction and the rest", "later", "decided once the poses are known")
     decisions = (sfm, mapper, device_decision(chosen.device), rest)
-    sizes = [head.size_px for head in found.heads.values()]
+    sizes = [header.size_px for header in found.heads.values()]
     workload = workload_of_images(sizes, quality=chosen.quality, scale=chosen.image_scale)
     warnings = (*checked.ordered_warnings, *room_warnings(workload, found.folder / RUN_FOLDER))
     return _sections(_rows_without_poses(found), decisions, workload, found.assumptions, warnings)
@@ -230,8 +230,8 @@ def _placed_by(found: Found) -> str:
 
 def _rows_without_poses(found: Found) -> list[tuple[str, str]]:
     """Rows on a survey whose poses are not known yet."""
-    places = [head.lat_lon_height for head in found.heads.values() if head.lat_lon_height is not None]
-    num_of_size = Counter(head.size_px for head in found.heads.values())
+    places = [header.lat_lon_height for header in found.heads.values() if header.lat_lon_height is not None]
+    num_of_size = Counter(header.size_px for header in found.heads.values())
     heights = np.array([height for _, _, height in places])
     on_places = f", heights {_range(heights)} m" if places else ""
     return [

@@ -131,7 +131,7 @@ def level_warning(found: Found, survey: Survey | None) -> str | None:
     if is_given or (survey is not None and survey.provenance.is_level_known):
         return None
     tilts = (
-        _tilts_of_heads(found)
+        _tilts_by_headers(found)
         if survey is None
         else tilts_deg(np.array([v.camera.cam_from_local for v in survey.views]))
     )
@@ -154,9 +154,9 @@ def tilts_deg(cam_from_local: np.ndarray) -> np.ndarray:
     return np.degrees(np.arccos(np.clip(-cam_from_local[:, 2, 2], -1.0, 1.0)))
 
 
-def _tilts_of_heads(found: Found) -> np.ndarray:
+def _tilts_by_headers(found: Found) -> np.ndarray:
     """Tilts by the attitudes in XMP, of the photographs that have one."""
-    gimbals = [head.motion.gimbal_deg for head in found.heads.values() if head.motion.gimbal_deg is not None]
+    gimbals = [header.motion.gimbal_deg for header in found.heads.values() if header.motion.gimbal_deg is not None]
     rotations = [
         level_from_yaw_pitch_roll(math.radians(yaw), math.radians(pitch + 90.0), math.radians(roll)).T
         for yaw, pitch, roll in gimbals

@@ -175,7 +175,7 @@ def _some(found: Found) -> list[str]:
     Photographs that show nothing compress to few bytes.
     """
     names = sorted(found.images)
-    mpx = np.median([head.size_px[0] * head.size_px[1] for head in found.heads.values()]) / 1e6
+    mpx = np.median([header.size_px[0] * header.size_px[1] for header in found.heads.values()]) / 1e6
     number = int(np.clip(_MOST_MPX / mpx, 3, len(names)))
     chosen = {names[place] for place in np.linspace(0, len(names) - 1, number).round().astype(int)}
     per_pixel = bytes_per_pixel([found.images[name] for name in names], [found.heads[name].size_px for name in names])
@@ -190,9 +190,9 @@ def _motion(found: Found, survey: Survey | None) -> tuple[float | None, float | 
     else:
         velocities = velocities_of(_gps_places(found), found.heads, None)
     speeds = {name: velocity.speed for name, velocity in velocities.items()}
-    exposures = {name: head.exposure_s for name, head in found.heads.items() if head.exposure_s is not None}
+    exposures = {name: header.exposure_s for name, header in found.heads.items() if header.exposure_s is not None}
     both = sorted(speeds.keys() & exposures.keys(), key=lambda name: speeds[name] * exposures[name])
-    pixel = make_plan(survey).gsd_m if survey is not None else _pixel_of_heads(found)
+    pixel = make_plan(survey).gsd_m if survey is not None else _gsd_by_headers(found)
     if not both:
         return max(speeds.values(), default=None), max(exposures.values(), default=None), pixel, ""
     known = "" if len(both) == len(found.images) else f"; known of {len(both)} of {len(found.images)}"
@@ -201,7 +201,7 @@ def _motion(found: Found, survey: Survey | None) -> tuple[float | None, float | 
 
 def _gps_places(found: Found) -> dict[str, np.ndarray]:
     """Places (3,) [m] of the photographs that have a GPS position, east, north and up of one of them."""
-    known = {name: head.lat_lon_height for name, head in found.heads.items() if head.lat_lon_height is not None}
+    known = {name: header.lat_lon_height for name, header in found.heads.items() if header.lat_lon_height is not None}
     if not known:
         return {}
     lat0, lon0, height0 = next(iter(known.values()))
@@ -213,7 +213,7 @@ def _gps_places(found: Found) -> dict[str, np.ndarray]:
     }
 
 
-def _pixel_of_heads(found: Found) -> float | None:
+def _gsd_by_headers(found: Found) -> float | None:
     """Ground sampling distance [m] by the image headers: the median of heights over focal lengths."""
     focal, height = _focal_px(found), _height_m(found)
     return None if focal is None or height is None else height / focal
@@ -223,14 +223,14 @@ def _focal_px(found: Found) -> float | None:
     given = found.config.cameras.focal_px
     if given is not None:
         return given[0] if isinstance(given, tuple) else given
-    focals = [head.focal_px for head in found.heads.values() if head.focal_px is not None]
+    focals = [header.focal_px for header in found.heads.values() if header.focal_px is not None]
     return float(np.median(focals)) if focals else None
 
 
 def _height_m(found: Found) -> float | None:
     """Median height [m] of the cameras over the water, else over the take-off point."""
     water = found.config.water
-    heights = [head.lat_lon_height[2] for head in found.heads.values() if head.lat_lon_height is not None]
+    heights = [header.lat_lon_height[2] for header in found.heads.values() if header.lat_lon_height is not None]
     if water is not None and water.level_m is not None and heights:
         height = float(np.nanmedian(heights)) - water.level_m / height_unit_m(found.crs)
         if height > 0.0:
@@ -266,31 +266,36 @@ def _sun_rows(found: Found, survey: Survey | None, wind_m_s: float) -> list[tupl
     return [*rows, ("glitter", glitter_text(glitter, flight.highest_sun(wind_m_s), wind_m_s, is_flown=True))]
 
 
-def times_of(heads: Mapping[str, Exif], longitude_deg: float) -> tuple[list[datetime] | None, str]:
+def times_of(headers: Mapping[str, Exif], longitude_deg: float) -> tuple[list[datetime] | None, str]:
     """Times of exposure in UTC with the assumption made; None where headers lack one."""
-    taken = [head.taken for head in heads.values() if head.taken is not None]
-    if len(taken) == len(heads):
+    taken = [header.taken for header in headers.values() if header.taken is not None]
+    if len(taken) == len(headers):
         return taken, ""
-    clocks = [head.clock for head in heads.values() if head.clock is not None]
-    if len(clocks) < len(heads):
+    clocks = [header.clock for header in headers.values() if header.clock is not None]
+    if len(clocks) < len(headers):
         return None, ""
-    told = [head.clock.replace(tzinfo=UTC) - head.taken for head in heads.values() if head.clock and head.taken]
+    told = [
+        header.clock.replace(tzinfo=UTC) - header.taken for header in headers.values() if header.clock and header.taken
+    ]
     if told:
         # One camera, or one that was flown with others: those that say their offset tell that of the rest.
         zone = timedelta(minutes=round(float(np.median([each.total_seconds() for each in told])) / 60.0))
-        assumed = f"EXIF has no time zone of {len(heads) - len(taken)} of {len(heads)}, and that of the others is taken"
+        num_lacking = len(headers) - len(taken)
+        assumed = f"EXIF has no time zone of {num_lacking} of {len(headers)}, and that of the others is taken"
     else:
         hours = round(longitude_deg / _DEG_PER_HOUR)
         zone = timedelta(hours=hours)
         assumed = f"EXIF has no time zone, and UTC{hours:+d} by the longitude is assumed"
-    return [head.taken or head.clock.replace(tzinfo=UTC) - zone for head in heads.values() if head.clock], assumed
+    return [
+        header.taken or header.clock.replace(tzinfo=UTC) - zone for header in headers.values() if header.clock
+    ], assumed
 
 
 def _place(found: Found, survey: Survey | None) -> tuple[float, float] | None:
     """Latitude and longitude [deg] of the survey."""
     if survey is not None:
         return place_of(survey.frame.crs, np.array(survey.frame.origin))
-    places = [head.lat_lon_height[:2] for head in found.heads.values() if head.lat_lon_height is not None]
+    places = [header.lat_lon_height[:2] for header in found.heads.values() if header.lat_lon_height is not None]
     return tuple(np.median(places, axis=0).tolist()) if places else None
 
 
@@ -303,10 +308,10 @@ def _flight(found: Found, survey: Survey | None) -> GlitterOfFlight | None:
         return None
     cameras = []
     for name in sorted(found.heads):
-        head = found.heads[name]
-        yaw, pitch, roll = np.radians(head.motion.gimbal_deg or (0.0, -90.0, 0.0))
+        header = found.heads[name]
+        yaw, pitch, roll = np.radians(header.motion.gimbal_deg or (0.0, -90.0, 0.0))
         cam_from_level = level_from_yaw_pitch_roll(yaw, pitch + 0.5 * math.pi, roll).T
-        width, height = head.size_px
+        width, height = header.size_px
         cameras.append(
             PinholeCamera(np.zeros(3), cam_from_level, focal, focal, 0.5 * width, 0.5 * height, width, height)
         )

@@ -1,6 +1,7 @@
 """How do time and memory of a run grow with the number of photographs?
 
-    python benchmarks/bench_photographs.py FOLDER [130 520 2080] [--quality draft] [--workers 1] [-o FILE.json]
+    python benchmarks/bench_photographs.py FOLDER [130 520 2080] [--quality draft] [--workers 1]
+        [--photographs-of-tile 14.4] [-o FILE.json]
 
 Draws in FOLDER/<number> strips of 320 x 240 px over a bed 1.5 m deep, 12 m over the water (a pixel covers 25 mm),
 6.5 m² for each photograph whatever their number, and keeps them. Processes each with poses as given, in a tile for
@@ -34,7 +35,6 @@ from survey.simulate.output.sidecars import StagedScene
 from survey.simulate.output.writing import write_survey
 
 _BATHYNERF = (sys.executable, "-c", "from survey.commands.app import main; main()")
-PHOTOGRAPHS_OF_TILE = 130 / 9
 GROUND_OF_PHOTOGRAPH_M2 = 6.5
 # Of the extent of a drawn scene, what the cameras of its strips span.
 SPAN = (0.6, 0.7)
@@ -83,9 +83,8 @@ def draw(survey: Path, number: int) -> None:
     (survey / "survey.toml").write_text(text.replace(was, now), encoding="utf-8")
 
 
-def row_of(survey: Path, number: int, quality: str, workers: int) -> dict:
+def row_of(survey: Path, number: int, tiles: int, quality: str, workers: int) -> dict:
     """A run of a survey, measured."""
-    tiles = round(number / PHOTOGRAPHS_OF_TILE)
     words = ["--quality", quality, "--tiles", str(tiles), "--workers", str(workers)]
     asked = {"photographs": number, "tiles": tiles, "quality": quality, "workers": workers}
     return asked | measured_run(survey, words, survey / "truth" / "reference.ply")
@@ -138,6 +137,7 @@ def main() -> None:
     parser.add_argument("photographs", type=int, nargs="*", default=[130, 520, 2080])
     parser.add_argument("--quality", default="draft")
     parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--photographs-of-tile", type=float, default=130 / 9)
     parser.add_argument("-o", "--output", type=Path)
     asked = parser.parse_args()
     rows = []
@@ -145,7 +145,7 @@ def main() -> None:
         survey = asked.folder / str(number)
         if not (survey / "survey.toml").exists():
             draw(survey, number)
-        rows.append(row_of(survey, number, asked.quality, asked.workers))
+        rows.append(row_of(survey, number, round(number / asked.photographs_of_tile), asked.quality, asked.workers))
         print(json.dumps(rows[-1]), flush=True)  # noqa: T201
     if asked.output is not None:
         asked.output.write_text(json.dumps({"machine": machine(), "rows": rows}, indent=2) + "\n", encoding="utf-8")

@@ -236,7 +236,7 @@ def test_a_scheduler_that_is_lost_is_named(tmp_path, monkeypatch):
     client = ClientOfOne()
     client.submit = lambda *given, **named: named["key"]
 
-    def lost(_self, futures):
+    def lost(_self, _futures, _begin):
         yield from ()
         raise CancelledError("scheduler-connection-lost")
 
@@ -330,6 +330,37 @@ def test_what_one_worker_cannot_compute_another_does(two_workers, tmp_path, lack
     # Dask gives tasks to the worker that is free: how many meet the one that fails is by chance.
     assert len(warned) <= 4 * len(lacking)
     assert all(text.endswith("(No space left on device)); another one has") for text in warned)
+
+
+HELD: list[int] = []
+
+
+def recorded(_job, _place, task, _code):
+    """Record how many tasks the worker holds beside this one."""
+    from distributed import get_worker
+
+    HELD.append(len(get_worker().state.ready))
+    time.sleep(0.02)
+    return Path(task.name), 0.0, []
+
+
+def test_tasks_begin_by_cost_where_a_worker_is_free_and_none_waits_at_another(two_workers, tmp_path):
+    begun = []
+
+    class Recording(Workers):
+        def _submit(self, job, task, among=None):
+            begun.append(task.cost)
+            return super()._submit(job, task, among)
+
+    workers = Recording(two_workers, tmp_path, are_started=True)
+    workers._place = recorded, tmp_path
+    HELD.clear()
+    costs = [3, 9, 1, 7, 5, 2, 8, 6]
+    tasks = [replace(TASKS[0], name=f"sweep_tile{number}", cost=cost) for number, cost in enumerate(costs)]
+    found = list(workers.computed(tmp_path / "job", tasks))
+    assert {number: place for number, place, *_ in found} == {n: Path(f"sweep_tile{n}") for n in range(len(costs))}
+    assert begun == sorted(costs, reverse=True)
+    assert set(HELD) == {0}
 
 
 def test_an_error_that_two_workers_meet_ends_the_run(two_workers, tmp_path):

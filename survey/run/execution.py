@@ -135,7 +135,8 @@ class TileWorkers:
                 reused[stage.name] = folder
                 continue
             needs = {name: done[name].absolute() for name in stage.needs if name in done}
-            missing.append(_MissingResult(stage, key, Task(stage.name, tile.number, stage.compute, needs)))
+            cost = sum(window.height * window.width for window in tile.windows)
+            missing.append(_MissingResult(stage, key, Task(stage.name, tile.number, stage.compute, needs, cost)))
         return reused, missing
 
     def _compute(

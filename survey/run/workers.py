@@ -88,11 +88,15 @@ class Workers:
         if url is not None:
             self._place = compute_at_url, url
         self._resources = {GPU: 1} if takes_gpu else None
+        # Results are fetched from a URL between two looks at the tasks: a worker has its next task already.
+        self._tasks_of_worker = 1 if url is None else _AT_ONCE
 
     def computed(self, job: Path | str, tasks: Sequence[Task]) -> Generator[tuple[int, *Computed], None, None]:
         """Compute tasks; as each ends its number, the folder of its result, its seconds, and what it had to say.
 
-        With a URL job and folders are names there. A task with an error is given to another worker once.
+        Those of the highest cost begin first, each where a worker is free: Dask would share out all at once, and let a
+        worker that has ended its own wait for one that has not. With a URL job and folders are names there. A task with
+        an error is given to another worker once.
 
         Raises
         ------
@@ -103,11 +107,21 @@ class Workers:
         """
         from distributed import KilledWorker
 
-        futures = {self._submit(job, task): number for number, task in enumerate(tasks)}
-        waiting, failures = set(futures), dict[int, Failure]()
+        queue = deque(sorted(range(len(tasks)), key=lambda number: tasks[number].cost, reverse=True))
+        futures, failures = dict[Any, int](), dict[int, Failure]()
+        waiting: set[Any] = set()
         ended = 0
+
+        def begin() -> None:
+            most = self._tasks_of_worker * max(len(self._client.nthreads()), 1)
+            while queue and len(waiting) < most:
+                number = queue.popleft()
+                future = self._submit(job, tasks[number])
+                futures[future] = number
+                waiting.add(future)
+
         try:
-            for future in self._as_they_end(waiting):
+            for future in self._as_they_end(waiting, begin):
                 number = futures[future]
                 try:
                     found = future.result()
@@ -228,20 +242,26 @@ class Workers:
         key = f"{task.name}-{uuid.uuid4().hex}"
         return self._client.submit(_attempted, *given, pure=False, key=key, resources=self._resources, workers=among)
 
-    def _as_they_end(self, left: set[Any]) -> Iterator[Any]:
-        """The futures, as they end, also those that come meanwhile; raise where no worker is left to end one."""
+    def _as_they_end(self, left: set[Any], begin: Callable[[], None] = lambda: None) -> Iterator[Any]:
+        """The futures, as they end, also those that come meanwhile; raise where no worker is left to end one.
+
+        ``begin`` may add futures: it is called at the start, after each that ends, and every few seconds.
+        """
         from distributed import wait
 
         last_seen = time.monotonic()
+        begin()
         while left:
+            ended: set[Any] = set()
             with suppress(TimeoutError):
                 ended = wait(left, timeout=_LOOK_EVERY_S, return_when="FIRST_COMPLETED").done
-                left -= ended
-                yield from ended
+            left -= ended
+            begin()
+            yield from ended
             if self._client.scheduler_info()["workers"]:
                 last_seen = time.monotonic()
             elif time.monotonic() - last_seen > WORKER_TIMEOUT_S:
                 raise SurveyError(
-                    f"no worker is left, and none came back within {WORKER_TIMEOUT_S:.0f} s; {len(left)} "
-                    f"tiles are missing: give the same command again, it goes on with what is finished"
+                    f"no worker is left, and none came back within {WORKER_TIMEOUT_S:.0f} s: give the same command "
+                    "again, it goes on with the tiles that are finished"
                 )

@@ -11,7 +11,7 @@ from survey.photos import images
 from survey.photos.images import ImageStore, load_image
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
-from survey.plan.sweep_block import load_block
+from survey.plan.sweep_block import _read_ahead, load_block
 
 BYTES = 64 * 48 * 3
 
@@ -41,7 +41,7 @@ def test_stages_that_share_a_store_decode_each_photograph_once(survey, decoded):
     for _stage in range(3):
         for view in survey.views:
             store.load(view, scale=plan.image_scale)
-    assert decoded == [view.name for view in survey.views]
+    assert sorted(decoded) == [view.name for view in survey.views]
 
 
 def test_a_block_is_the_same_with_a_store_and_without(survey):
@@ -75,3 +75,13 @@ def test_images_beyond_the_budget_are_decoded_again_and_the_first_ones_stay(surv
             store.load(view)
     names = [view.name for view in survey.views]
     assert decoded == names + names[2:]
+
+
+def test_photographs_are_read_ahead_in_their_order_and_as_many_as_memory_allows(monkeypatch):
+    monkeypatch.setattr("survey.machine.num_cores", lambda: 8)
+    begun = []
+    found = _read_ahead(lambda view: begun.append(view) or view, range(9), 3)
+    assert next(found) == 0
+    assert set(begun) <= {0, 1, 2}
+    assert list(found) == list(range(1, 9))
+    assert list(_read_ahead(lambda view: view, range(4), 0)) == [0, 1, 2, 3]

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from hashlib import blake2b, file_digest
 from pathlib import Path
+from threading import Lock
 
 import cv2
 import numpy as np
@@ -211,7 +212,7 @@ class ImageStore:
     def __init__(self, budget_bytes: int | None = None):
         if budget_bytes is None:
             budget_bytes = min(int(_SHARE_OF_FREE * machine.free_memory_bytes()), _MOST_BYTES)
-        self._left = budget_bytes
+        self._left, self._lock = budget_bytes, Lock()
         self._images: dict[tuple, np.ndarray] = {}
 
     def load(self, view: View, *, scale: float = 1.0) -> np.ndarray:
@@ -229,9 +230,10 @@ class ImageStore:
         if key in self._images:
             return self._images[key]
         image = load_pixels(view, scale=scale)
-        if image.nbytes <= self._left:
-            self._left -= image.nbytes
-            self._images[key] = image
+        with self._lock:
+            if image.nbytes <= self._left and key not in self._images:
+                self._left -= image.nbytes
+                self._images[key] = image
         return image
 
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +15,7 @@ from fields.device import Device, choose_device
 from fields.image_store import GreyImages
 from fields.sweep.block import Block
 from refract import PinholeCamera
+from survey import machine
 from survey.errors import SurveyError
 from survey.photos.images import ImageStore, load_mask
 from survey.photos.texture import saturated
@@ -21,6 +25,9 @@ from survey.plan.heights import dry_ground
 if TYPE_CHECKING:
     from survey.folder.survey import Survey, View
     from survey.plan.plan import Plan
+
+# Memory [bytes] for photographs that are decoded side by side, and what a pixel of each takes meanwhile.
+_DECODING_BYTES, _BYTES_OF_PIXEL = 1.0e9, 16
 
 
 def load_block(
@@ -40,8 +47,9 @@ def load_block(
     kept, whites = ImageStore(0) if store is None else store, list[float]()
 
     def images() -> Iterator[np.ndarray]:
-        for view in survey.views:
-            grey, white = grey_image(view, plan.image_scale, (width, height), kept)
+        largest = max(view.camera.width * view.camera.height for view in survey.views)
+        read = partial(grey_image, scale=plan.image_scale, size=(width, height), store=kept)
+        for grey, white in _read_ahead(read, survey.views, int(_DECODING_BYTES / (_BYTES_OF_PIXEL * largest))):
             whites.append(white)
             yield grey
             advance(1.0)
@@ -54,6 +62,21 @@ def load_block(
         return Block(backend(plan), cameras, greys, survey.water, bed, tuple(whites), plan.skips, ground)
     except ValueError as error:
         raise SurveyError(str(error)) from error
+
+
+def _read_ahead(
+    read: Callable[[View], tuple[np.ndarray, float]], views: Iterable[View], most: int
+) -> Iterator[tuple[np.ndarray, float]]:
+    """Results of a function in the order of the views, of which no more than ``most``, and one a core, are held."""
+    at_once = max(min(most, machine.num_cores()), 1)
+    with ThreadPoolExecutor(at_once) as pool:
+        under_way = deque[Any]()
+        for view in views:
+            if len(under_way) == at_once:
+                yield under_way.popleft().result()
+            under_way.append(pool.submit(read, view))
+        while under_way:
+            yield under_way.popleft().result()
 
 
 def grey_image(view: View, scale: float, size: tuple[int, int], store: ImageStore) -> tuple[np.ndarray, float]:

@@ -107,12 +107,13 @@ def measure_tie_points(
         shares.append(share)
 
     maps = sweep(block, chosen, SweepSettings(bound, _SWEPT), swept)
-    windows = [w for w in (_windows_of(block, height_map, area, density) for height_map in maps) if len(w.corners)]
-    parts: list[list[tuple[np.ndarray, int, np.ndarray]]] = [
-        [(np.arange(len(w.corners)), w.view, w.corners)] for w in windows
-    ]
-    # Two photographs at a time, so that the splines of no more are in memory.
+    # Two photographs at a time, so that the gradients and splines of no more are in memory.
     with ThreadPoolExecutor(2) as pool:
+        of_maps = pool.map(partial(_windows_of, block, area=area, density=density), maps)
+        windows = [w for w in of_maps if len(w.corners)]
+        parts: list[list[tuple[np.ndarray, int, np.ndarray]]] = [
+            [(np.arange(len(w.corners)), w.view, w.corners)] for w in windows
+        ]
         for other, found in enumerate(pool.map(partial(_found_in, block, windows), range(len(block.cameras)))):
             for i, index, pixels in found:
                 parts[i].append((index, other, pixels))

@@ -22,6 +22,7 @@ from survey.sfm import poses as sfm_poses
 from survey.sfm import settings as sfm_settings
 from survey.sfm import solve as sfm_solve
 from survey.sfm.block import Matched, mapped
+from survey.sfm.incremental import map_directly, options_of
 from survey.sfm.settings import mapper_of, require_mapper
 from survey.sfm.solve import Photographs
 from survey.simulate.drawn import DrawnScene, draw_survey
@@ -85,6 +86,23 @@ def test_poses_of_a_block_smaller_than_a_part_are_those_one_by_one_and_the_same_
     assert np.abs(fit_similarity(centres, before)(centres) - before).max() < 1e-2 * np.ptp(before)
 
 
+def test_blocks_of_direct_solvers_are_those_of_the_pipeline(matched, tmp_path, monkeypatch):
+    by_pipeline = blocks_by(matched, Mapper.incremental, tmp_path)
+    monkeypatch.setattr(sfm_block, "DIRECT_UP_TO", 0)
+    directly = blocks_by(matched, Mapper.incremental, tmp_path)
+    centres, before = centres_of(directly), centres_of(by_pipeline)
+    assert len(centres) == len(before) == _NUM
+    # As above: a track more or less is kept.
+    assert np.abs(fit_similarity(centres, before)(centres) - before).max() < 1e-2 * np.ptp(before)
+
+
+def test_photographs_without_matches_make_no_block(tmp_path):
+    pycolmap.Database.open(tmp_path / "database.db").close()
+    added = []
+    assert map_directly(tmp_path / "database.db", options_of(20), lambda: added.append(1)) == []
+    assert not added
+
+
 @pytest.mark.parametrize("mapper", MAPPERS)
 def test_a_mapper_that_does_not_tell_its_progress_is_said_not_to(monkeypatch, tmp_path, mapper):
     told, photographs = [], Photographs({}, {}, {}, None, mapper)
@@ -104,7 +122,7 @@ def test_a_mapper_that_does_not_tell_its_progress_is_said_not_to(monkeypatch, tm
     [
         (10, "10 photographs are added one by one"),
         (520, "520 photographs are added one by one, which is faster than all at once and bends the block less"),
-        (5000, "5,000 photographs .* less; more than 520 were not tried"),
+        (5000, "5,000 photographs .* less; more than 2,080 were not tried"),
     ],
 )
 def test_photographs_are_added_one_by_one_at_every_size_and_the_plan_says_why(num, why):

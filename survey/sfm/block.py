@@ -24,8 +24,9 @@ from survey.photos.images import eight_bits
 from survey.photos.pixels import read_rgb
 from survey.photos.poses import TiePoints, least_track
 from survey.progress import current
+from survey.sfm.incremental import DIRECT_UP_TO, map_directly, options_of
 from survey.sfm.pairs import VOTING, Place, alike, image_pairs
-from survey.sfm.settings import ALL_PAIRS_UP_TO, FEATURES_PX, solver
+from survey.sfm.settings import ALL_PAIRS_UP_TO, FEATURES_PX, MIN_IMAGES, SEED, THREADS, solver
 from survey.sfm.spread import Workers, add_rows, part_of, rows_of, workers
 from survey.words import Mapper
 
@@ -45,16 +46,8 @@ _MOST_FEATURES = 4096
 _PAIRS_AT_ONCE = 100
 # Of a photograph while its features are looked for.
 _BYTES_OF_FEATURES = 2.0e9
-# More threads would be faster; with two, most repeated runs of a block agree in all significant digits.
-_THREADS = 2
-SEED = 0
-# All images are adjusted whenever their number, or that of the points, has grown by this factor.
-_GROWN = 1.3
-_MIN_IMAGES = 3
 # Mappers that do not tell their progress.
 UNTOLD = (Mapper.hierarchical, Mapper.global_)
-# Of two photographs: the least angle [deg] at which their rays meet, and the least number of matches, to start from.
-_PAIR_ANGLE_DEG, _PAIR_MATCHES = 1.0, 30
 
 
 def features_of(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
@@ -325,44 +318,25 @@ def mapped(matched: Matched, mapper: str) -> list[pycolmap.Reconstruction]:
 
 
 def _incremental(matched: Matched, advance: Callable[..., None]) -> dict[int, pycolmap.Reconstruction]:
-    options = _incremental_options()
-    if matched.num == 2:
-        _for_a_pair(options)
+    options = options_of(matched.num)
     # The first two come together.
     advance(2.0)
+    if matched.num > DIRECT_UP_TO:
+        return dict(enumerate(map_directly(matched.database, options, advance)))
     return solver().incremental_mapping(
         matched.database, matched.folder, matched.work, options, next_image_callback=advance
     )
 
 
-def _incremental_options() -> pycolmap.IncrementalPipelineOptions:
-    options = solver().IncrementalPipelineOptions()
-    options.num_threads, options.random_seed, options.min_model_size = _THREADS, SEED, _MIN_IMAGES
-    options.ba_global_frames_ratio = options.ba_global_points_ratio = _GROWN
-    options.mapper.ba_global_ignore_redundant_points3D = True
-    options.extract_colors = False
-    return options
-
-
-def _for_a_pair(options: pycolmap.IncrementalPipelineOptions) -> None:
-    """Allow a block of two photographs; over flat ground they do not determine their focal length, which is held."""
-    options.min_model_size = 2
-    options.ba_refine_focal_length = False
-    options.mapper.init_min_tri_angle = options.mapper.filter_min_tri_angle = _PAIR_ANGLE_DEG
-    options.mapper.init_min_num_inliers = _PAIR_MATCHES
-    options.triangulation.min_angle = _PAIR_ANGLE_DEG
-    options.triangulation.ignore_two_view_tracks = False
-
-
 def _hierarchical(matched: Matched, _advance: Callable[..., None]) -> dict[int, pycolmap.Reconstruction]:
     options = solver().HierarchicalPipelineOptions()
-    options.num_threads, options.num_workers = _THREADS, 1
-    options.incremental_options = _incremental_options()
+    options.num_threads, options.num_workers = THREADS, 1
+    options.incremental_options = options_of(matched.num)
     return solver().hierarchical_mapping(matched.database, matched.folder, matched.work, options)
 
 
 def _global(matched: Matched, _advance: Callable[..., None]) -> dict[int, pycolmap.Reconstruction]:
     options = solver().GlobalPipelineOptions()
-    options.num_threads, options.random_seed, options.min_model_size = _THREADS, SEED, _MIN_IMAGES
+    options.num_threads, options.random_seed, options.min_model_size = THREADS, SEED, MIN_IMAGES
     options.mapper.global_positioning.use_gpu = options.mapper.bundle_adjustment.ceres.use_gpu = False
     return solver().global_mapping(matched.database, matched.folder, matched.work, options)

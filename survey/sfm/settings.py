@@ -16,9 +16,14 @@ from survey.words import Mapper
 FEATURES_PX = 3200
 # Up to so many images every pair is tried, beyond it each image with its nearest neighbours.
 ALL_PAIRS_UP_TO, NEIGHBOURS = 40, 20
+# More threads would be faster; with two, most repeated runs of a block agree in all significant digits.
+THREADS = 2
+SEED = 0
+# Images of a block, at least, but for those of two photographs.
+MIN_IMAGES = 3
 _ERRORS_ONLY = 2
 # From so many photographs on incremental mapping is known to be faster than global mapping; so many were tried at most.
-LARGE, MEASURED = 500, 520
+LARGE, MEASURED = 500, 2080
 # What each mapper needs of pycolmap.
 _NEEDED = {
     Mapper.incremental: ("incremental_mapping", "IncrementalPipelineOptions"),

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 # Values that are looked at at a time, and bits that are counted in a pass.
-_PORTION, _BITS = 1_000_000, 16
+_PORTION, _BITS = 250_000, 16
 
 
 def portions(count: int, at_once: int | None = None) -> Iterator[slice]:

@@ -19,7 +19,7 @@ _MARGIN = 0.05
 # Points that suffice to find the extent of all.
 _ENOUGH = 200_000
 # Points whose cells are worked out at a time, of 100 bytes each: the cells of all points are never held.
-_PORTION = 500_000
+_PORTION = 100_000
 # So that the outermost point, on the edge of the last cell, does not need a further one.
 _A_LITTLE_MORE = 1.0 + 1e-6
 # So that a hole in a map is a hole in the cloud, and not one by chance.

@@ -54,8 +54,8 @@ def draw_orthophoto(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     """The cloud in its colours, in plan, the highest point of each cell on top."""
     colours = without_pinholes(grid.highest(facts.points_crs[:, 2], facts.bed.rgb))
     known = np.isfinite(colours[..., :1])
-    image = np.concatenate([np.where(known, colours / np.float32(255.0), np.float32(0.0)), known], axis=-1)
-    axes = _show(image, facts, grid)
+    image = np.concatenate([np.where(known, colours, 0.0), np.where(known, 255.0, 0.0)], axis=-1)
+    axes = _show(image.astype(np.uint8), facts, grid)
     title = "The bed from above"
     write_title(axes, title, f"the cloud in its own colours, cells of {cell_size(grid.cell_m)}")
     save(figure_of(axes), path)
@@ -95,7 +95,7 @@ def draw_num_views(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     top = max(4, int(np.nanquantile(values, 0.99)) + 1)
     steps = np.arange(1, top + 1, max(1, top // 10))
     scale = ScalarMappable(BoundaryNorm(np.append(steps, steps[-1] + 1), 256), COUNTS)
-    axes = _show(scale.to_rgba(np.ma.masked_invalid(values)), facts, grid)
+    axes = _show(scale.to_rgba(np.ma.masked_invalid(values), bytes=True), facts, grid)
     colour_bar(axes, scale, "views", extend="max").minorticks_off()
     title = "Views that agree"
     write_title(axes, title, f"mean of each cell of {cell_size(grid.cell_m)}")
@@ -111,7 +111,7 @@ def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     low, middle, high = np.maximum(np.quantile(known, (0.01, 0.5, 0.99)), 1e-6) if known.size else (1e-3, 1e-3, 1e-3)
     unit = LengthUnit.of([middle])
     scale = ScalarMappable(LogNorm(low * unit.per_metre, max(high, 1.1 * low) * unit.per_metre), SPREADS)
-    axes = _show(scale.to_rgba(np.ma.masked_invalid(values * unit.per_metre)), facts, grid)
+    axes = _show(scale.to_rgba(np.ma.masked_invalid(values * unit.per_metre), bytes=True), facts, grid)
     bar = colour_bar(axes, scale, f"standard deviation [{unit.name}]")
     plain_log_ticks(bar.ax.yaxis)
     title = "Standard deviation of the height"
@@ -164,7 +164,7 @@ def _bar(axes: Axes, scale: ScalarMappable, label: str, *, is_depth: bool) -> No
 
 
 def _show(image: np.ndarray, facts: ReportFacts, grid: PlanGrid) -> Axes:
-    """An image (rows, columns, 4) of a grid, in axes in crs and true to scale."""
+    """An image (rows, columns, 4) uint8 of a grid, in axes in crs and true to scale."""
     _, axes = map_canvas(grid.extent, facts.survey.frame.crs)
     show(axes, image, grid.extent)
     return axes
@@ -217,12 +217,12 @@ def codes_of(cells: SeenCells) -> np.ndarray:
 def _image(
     cells: SeenCells, codes: np.ndarray, facts: ReportFacts, extent: tuple[float, float, float, float]
 ) -> np.ndarray:
-    """Colours (rows, columns, 4) of an extent in crs, its first row in the north."""
+    """Colours (rows, columns, 4) uint8 of an extent in crs, its first row in the north."""
     west, east, south, north = extent
     sides = np.array(cells.height.shape)
     rows, columns = np.clip(sides, 1, _UNSEEN_PIXELS).tolist()
     x, y = np.meshgrid(np.linspace(west, east, columns), np.linspace(north, south, rows))
     height = np.full(x.shape, float(facts.survey.frame.origin[2]))
     local = facts.survey.frame.local_from_crs(np.stack([x, y, height], axis=-1))
-    colours = np.array([to_rgba(EMPTY), *(to_rgba(colour) for colour, _ in _LEGEND.values())])
-    return colours[codes[cells.index(local)]]
+    colours = [to_rgba(EMPTY), *(to_rgba(colour) for colour, _ in _LEGEND.values())]
+    return np.rint(255.0 * np.array(colours)).astype(np.uint8)[codes[cells.index(local)]]

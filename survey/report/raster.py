@@ -13,6 +13,9 @@ from scipy import ndimage
 
 from survey.display.palette import DEPTHS, DRY_GROUND, HEIGHTS
 
+# Rows of an image whose colours are worked out at a time.
+_ROWS = 64
+
 
 def without_pinholes(raster: np.ndarray) -> np.ndarray:
     """A raster (rows, columns, ...) whose single empty cells have the mean of their neighbours.
@@ -65,7 +68,7 @@ class Picture:
 
 
 def shaded_bed(depth: np.ndarray | None, height: np.ndarray, cell_m: float) -> tuple[np.ndarray, ScalarMappable]:
-    """A bed as an image (rows, columns, 4), transparent where unknown, and the scale of its colours.
+    """A bed as an image (rows, columns, 4) uint8, transparent where unknown, and the scale of its colours.
 
     Parameters
     ----------
@@ -87,10 +90,15 @@ def shaded_bed(depth: np.ndarray | None, height: np.ndarray, cell_m: float) -> t
 
 
 def _coloured(values: np.ndarray, shade: np.ndarray, colours: Colormap) -> tuple[np.ndarray, ScalarMappable]:
-    """Values (rows, columns) as an image (rows, columns, 4); the scale spans their inner 98 %."""
+    """Values (rows, columns) as an image (rows, columns, 4) uint8; the scale spans their inner 98 %."""
     known = np.isfinite(values)
     low, high = np.quantile(values[known], [0.01, 0.99]) if known.any() else (0.0, 1.0)
     scale = ScalarMappable(Normalize(low, high if high > low else low + 1e-3), colours)
-    rgb = np.asarray(colours(scale.norm(np.where(known, values, low))))[..., :3]
-    image = np.clip(LightSource().blend_soft_light(rgb, shade[..., None]), 0.0, 1.0)
-    return np.concatenate([image, known[..., None]], axis=-1), scale
+    image = np.zeros((*values.shape, 4), dtype=np.uint8)
+    # Colours in float64 take 200 bytes a cell.
+    for first in range(0, len(values), _ROWS):
+        rows = slice(first, first + _ROWS)
+        rgb = np.asarray(colours(scale.norm(np.where(known[rows], values[rows], low))))[..., :3]
+        lit = np.clip(LightSource().blend_soft_light(rgb, shade[rows, :, None]), 0.0, 1.0)
+        image[rows, :, :3], image[rows, :, 3] = np.rint(255.0 * lit), np.where(known[rows], 255, 0)
+    return image, scale

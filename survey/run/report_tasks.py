@@ -16,12 +16,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fields.sweep.kernels.arrays import trim_heap
 from geo.files import reporting_disk_errors, write_whole
 from survey.display.quantities import foot_m, lengths_in_feet
 from survey.report.facts import ReportFacts
 from survey.report.pictures import drawings_of
 from survey.report.raster import Picture
-from survey.run.worker_task import loaded_code, require_code, with_absolute_paths
+from survey.run.worker_task import forget_jobs, loaded_code, require_code, with_absolute_paths
 
 if TYPE_CHECKING:
     from survey.run.workers import Workers
@@ -46,6 +47,7 @@ def draw_on(workers: Workers, scratch: Path, folder: Path, facts: ReportFacts) -
     sent.__dict__["checkpoints"] = facts.checkpoints
     with write_whole(place / _FACTS) as stream:
         _Pickler(stream).dump(sent)
+    workers.on_each(forget_jobs)
     under_way = [workers.submit(_draw, place / f"{name}.png", code) for name in names]
     return _moved(under_way, folder, workers)
 
@@ -71,8 +73,11 @@ def _draw(picture: Path, code: str) -> Picture:
     """Draw the picture of this name from the facts beside it."""
     require_code(code)
     foot, drawings = _drawings(picture.with_name(_FACTS))
-    with lengths_in_feet(foot):
-        return drawings[picture.stem](picture)
+    try:
+        with lengths_in_feet(foot):
+            return drawings[picture.stem](picture)
+    finally:
+        trim_heap()
 
 
 @lru_cache(maxsize=1)

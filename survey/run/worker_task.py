@@ -18,6 +18,7 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from fields.sweep.kernels.arrays import trim_heap
 from geo.files import reporting_disk_errors, write_whole
 from survey.errors import SurveyError
 from survey.stage_key import code_hash
@@ -140,9 +141,15 @@ def compute_into(tile: TileJob, task: Task, folder: Path, needs: Mapping[str, Pa
     try:
         task.compute(tile, folder, needs)
     finally:
-        tile.release()
         tile.drop()
+        tile.whole.release()
     return list(said.lines)
+
+
+def forget_jobs() -> None:
+    """Return the memory of the job that the worker saw last to the system."""
+    _job_of.cache_clear()
+    trim_heap()
 
 
 class _RecordedProgress:

@@ -352,6 +352,11 @@ def free_unused(device: Device) -> None:
 def release(device: Device) -> None:
     """Return unused memory of the device and of the C library (glibc) to the system."""
     free_unused(device)
+    trim_heap()
+
+
+def trim_heap() -> None:
+    """Return unused memory of the C library (glibc) to the system."""
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
     if trim is not None:
         trim(0)

@@ -232,15 +232,23 @@ def test_workers_of_this_machine_share_its_gpus(monkeypatch):
     assert found == ["2", "GPU-8f", "2"]
 
 
-def test_a_scheduler_that_is_lost_is_named(tmp_path, monkeypatch):
+@pytest.mark.parametrize("lost", ["cancelled", "closed"])
+def test_a_scheduler_that_is_lost_is_named(tmp_path, monkeypatch, lost):
+    distributed = pytest.importorskip("distributed")
     client = ClientOfOne()
     client.submit = lambda *given, **named: named["key"]
 
-    def lost(_self, _futures, _begin):
+    def close():
+        raise distributed.comm.core.CommClosedError("the stream is closed")
+
+    def cancel(_self, _futures, _begin):
         yield from ()
         raise CancelledError("scheduler-connection-lost")
 
-    monkeypatch.setattr(Workers, "_as_they_end", lost)
+    if lost == "closed":
+        client.nthreads = close
+    else:
+        monkeypatch.setattr(Workers, "_as_they_end", cancel)
     tasks = [Task("sweep_tile1", 0, print, {})]
     with pytest.raises(SurveyError, match="scheduler of the workers was lost; 1 of 1 tiles are missing: start it"):
         list(Workers(client, tmp_path, are_started=False).computed(tmp_path, tasks))

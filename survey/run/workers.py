@@ -106,6 +106,7 @@ class Workers:
             Of a task, where no other worker has computed it.
         """
         from distributed import KilledWorker
+        from distributed.comm.core import CommClosedError
 
         queue = deque(sorted(range(len(tasks)), key=lambda number: tasks[number].cost, reverse=True))
         futures, failures = dict[Any, int](), dict[int, Failure]()
@@ -147,7 +148,7 @@ class Workers:
                     said = [*said, ("warn", f"{why} ({failure.error}); another one has")]
                 ended += 1
                 yield number, folder, seconds, said
-        except CancelledError as error:
+        except (CancelledError, CommClosedError) as error:
             raise SurveyError(
                 f"the scheduler of the workers was lost; {len(tasks) - ended} of {len(tasks)} tiles are missing: start "
                 "it and its workers again, and give the same command: it goes on with what is finished"

@@ -16,7 +16,7 @@ from geo.similarity import fit_similarity
 from survey.adjust.refine import adjust_survey
 from survey.adjust.starts import recover_poses
 from survey.errors import ConfigError, PosesError, SurveyError
-from survey.folder.survey import load_survey
+from survey.folder.survey import Survey, load_survey
 from survey.sfm import block as sfm_block
 from survey.sfm import poses as sfm_poses
 from survey.sfm import settings as sfm_settings
@@ -49,6 +49,19 @@ def matched(block, tmp_path_factory) -> Matched:
     return Matched(work / "database.db", work, work, _NUM)
 
 
+@pytest.fixture(scope="module")
+def one_by_one(matched, tmp_path_factory) -> list[pycolmap.Reconstruction]:
+    """Blocks by COLMAP's pipeline of incremental mapping."""
+    return blocks_by(matched, Mapper.incremental, tmp_path_factory.mktemp("pipeline"))
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory) -> Survey:
+    folder = tmp_path_factory.mktemp("drawn") / "s"
+    draw_survey(folder, DrawnScene(num_views=4, image_px=(64, 48), focal_px=100.0))
+    return load_survey(folder)
+
+
 def blocks_by(matched: Matched, mapper: str, work: Path) -> list[pycolmap.Reconstruction]:
     """Blocks by a mapper, from a copy of the matches."""
     shutil.copy(matched.database, work / "database.db")
@@ -60,8 +73,10 @@ def centres_of(blocks: list[pycolmap.Reconstruction]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("mapper", MAPPERS)
-def test_every_mapper_places_photographs_but_for_the_bend_of_straight_rays(block, matched, tmp_path, mapper):
-    blocks = blocks_by(matched, mapper, tmp_path)
+def test_every_mapper_places_photographs_but_for_the_bend_of_straight_rays(
+    block, matched, one_by_one, tmp_path, mapper
+):
+    blocks = one_by_one if mapper == Mapper.incremental else blocks_by(matched, mapper, tmp_path)
     poses = sfm_block.poses_of(blocks[0])
     # Where threads take turns otherwise, a block of parts may fall apart.
     assert mapper == Mapper.hierarchical or list(poses) == names_of(block)
@@ -75,8 +90,10 @@ def test_every_mapper_places_photographs_but_for_the_bend_of_straight_rays(block
 
 
 @pytest.mark.parametrize("mapper", [Mapper.incremental, Mapper.hierarchical])
-def test_poses_of_a_block_smaller_than_a_part_are_those_one_by_one_and_the_same_again(matched, tmp_path, mapper):
-    found, again = (sfm_block.poses_of(blocks_by(matched, each, tmp_path)[0]) for each in (mapper, Mapper.incremental))
+def test_poses_of_a_block_smaller_than_a_part_are_those_one_by_one_and_the_same_again(
+    matched, one_by_one, tmp_path, mapper
+):
+    found, again = (sfm_block.poses_of(blocks[0]) for blocks in (blocks_by(matched, mapper, tmp_path), one_by_one))
     # Where threads take turns otherwise, a block of parts may fall apart.
     both = sorted(found.keys() & again.keys())
     assert len(both) >= _NUM // 2
@@ -86,11 +103,10 @@ def test_poses_of_a_block_smaller_than_a_part_are_those_one_by_one_and_the_same_
     assert np.abs(fit_similarity(centres, before)(centres) - before).max() < 1e-2 * np.ptp(before)
 
 
-def test_blocks_of_direct_solvers_are_those_of_the_pipeline(matched, tmp_path, monkeypatch):
-    by_pipeline = blocks_by(matched, Mapper.incremental, tmp_path)
+def test_blocks_of_direct_solvers_are_those_of_the_pipeline(matched, one_by_one, tmp_path, monkeypatch):
     monkeypatch.setattr(sfm_block, "DIRECT_UP_TO", 0)
     directly = blocks_by(matched, Mapper.incremental, tmp_path)
-    centres, before = centres_of(directly), centres_of(by_pipeline)
+    centres, before = centres_of(directly), centres_of(one_by_one)
     assert len(centres) == len(before) == _NUM
     # As above: a track more or less is kept.
     assert np.abs(fit_similarity(centres, before)(centres) - before).max() < 1e-2 * np.ptp(before)
@@ -144,9 +160,7 @@ def test_two_photographs_are_added_one_by_one_whatever_is_asked_for(mapper):
 
 
 @pytest.mark.parametrize("mapper", MAPPERS)
-def test_given_poses_that_are_found_anew_are_found_by_the_mapper_that_is_set(monkeypatch, tmp_path, mapper):
-    draw_survey(tmp_path / "s", DrawnScene(num_views=4, image_px=(64, 48), focal_px=100.0))
-    survey = load_survey(tmp_path / "s")
+def test_given_poses_that_are_found_anew_are_found_by_the_mapper_that_is_set(monkeypatch, tmp_path, survey, mapper):
     cameras = replace(survey.config.cameras, mapper=mapper)
     asked = []
 

@@ -12,6 +12,8 @@ from stored_run import run_of, stored_points
 from geo.crs import height_unit_m
 from survey.errors import SurveyError
 from survey.export.export import export
+from survey.export.gridded import gridded
+from survey.export.loaded import LoadedRun
 from survey.export.product import ExportOptions
 
 LEVEL_M = 101.5
@@ -63,6 +65,22 @@ def test_the_shoalest_point_of_each_cell_is_kept_as_it_is(tmp_path):
         assert int(row["points"]) == len(there)
         assert float(row["depth_m"]) == pytest.approx(LEVEL_M - float(row["height"]), abs=2e-3)
     assert sum(int(row["points"]) for row in kept) == len(points)
+
+
+def test_points_on_the_outer_edge_lie_in_the_last_cells(tmp_path):
+    crs = CRS("EPSG:25832+7837")
+    plan = np.array([(0.5, 1.5), (1.5, 1.5), (0.5, 0.5), (1.5, 0.5), (2.0, 1.5), (1.5, 0.0)])
+    heights = [100.0, 100.0, 100.0, 100.0, 100.5, 100.5]
+    points = np.column_stack([plan, heights]) + np.array([500_000.0, 5_200_000.0, 0.0])
+    run = run_of(stored_points(points, crs), tmp_path / "run")
+    options = ExportOptions(thin="shoal", resolution_m=1.0)
+    export(run, soundings=tmp_path / "s.csv", options=options)
+    kept = {tuple(float(row[name]) for name in ("easting", "northing")): row for row in rows_in(tmp_path / "s.csv")}
+    places = [(500_000.5, 5_200_001.5), (500_000.5, 5_200_000.5), (500_002.0, 5_200_001.5), (500_001.5, 5_200_000.0)]
+    assert sorted(kept) == sorted(places)
+    assert [int(kept[place]["points"]) for place in places] == [1, 1, 2, 2]
+    with LoadedRun(run) as loaded:
+        assert gridded(loaded, options).count.tolist() == [[1, 2], [1, 2]]
 
 
 def test_a_mean_stands_in_the_middle_of_its_cell(tmp_path):

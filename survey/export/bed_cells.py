@@ -127,6 +127,12 @@ class PlanCells:
             [(points_crs[:, 0] - self.west) / self.side[0], (self.north - points_crs[:, 1]) / self.side[1]]
         )
 
+    def numbers(self, points_crs: np.ndarray) -> np.ndarray:
+        """Number (N,) of the cell of each point, row by row; points on the outer edge lie in the last cell."""
+        last = np.array(self.shape[::-1]) - 1
+        column, row = np.clip(np.floor(self.place(points_crs)).astype(np.int64), 0, last).T
+        return row * self.shape[1] + column
+
     def middles(self, window: CellWindow) -> np.ndarray:
         """Coordinates (rows, columns, 2) in crs of the middles of the cells of a window."""
         columns = np.arange(window.left, window.right) + 0.5

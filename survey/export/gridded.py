@@ -100,7 +100,9 @@ def _gridded(run: LoadedRun, options: ExportOptions) -> Gridded:
     common = np.where(np.isfinite(common), common, np.float32(run.common_std_m))
     placed = columns.get("std_placed", np.zeros(len(points), dtype=np.float32))
     std = np.sqrt(np.maximum(columns["std"] ** 2 - placed**2, 0.0))
-    _fill_in(grid, _Points(cells.place(points), points[:, 2], std, placed, common, columns["incidence"]))
+    # Points on the outer edge lie in the last cell.
+    at = cells.place(points).clip(0.0, np.nextafter(np.array(cells.shape[::-1], dtype=np.float64), 0.0))
+    _fill_in(grid, _Points(at, points[:, 2], std, placed, common, columns["incidence"]))
     if not grid.known.any():
         raise SurveyError(too_coarse(grid.cells.side_m, points, crs, pixel))
     if options.fill_m > 0.0:
@@ -158,7 +160,7 @@ def _fit_tile(grid: Gridded, low: np.ndarray, side: int, correlated: float, poin
     own = is_seen & ((at >= low) & (at < low + side)).all(axis=1)
     if not own.any():
         return
-    whole = np.minimum(np.floor(at[own]).astype(np.int64), np.array(cells.shape[::-1]) - 1)
+    whole = np.floor(at[own]).astype(np.int64)
     offset = (at[own] - whole - 0.5) * np.array([1.0, -1.0])
     number = whole[:, 1] * cells.shape[1] + whole[:, 0]
     in_cells = CellPoints(number, offset, height[own], std[own])

@@ -173,8 +173,7 @@ def _shoalest(rows: np.ndarray, grid: Gridded) -> np.ndarray:
     """The highest point of each cell, with the number of points there."""
     import numpy as np
 
-    at = np.floor(grid.cells.place(rows)).astype(np.int64)
-    cell = at[:, 1] * grid.cells.shape[1] + at[:, 0]
+    cell = grid.cells.numbers(rows)
     order = np.lexsort([-rows[:, 2], cell])
     _, first, counts = np.unique(cell[order], return_index=True, return_counts=True)
     kept = rows[order[first]].copy()

@@ -18,7 +18,7 @@ from geo.crs import height_unit_m, horizontal_crs
 from geo.errors import UnreadableFile
 from geo.las import write_cloud
 from geo.lines import Line, read_lines
-from survey.export.profiles import COLUMNS, Bed, ProfileError, profiles_along
+from survey.export.profiles import COLUMNS, MOST_DRAWN, Bed, ProfileError, profiles_along
 
 UTM = CRS("EPSG:25832+7837")
 # Of the plane: height in the middle, rise per metre east and north.
@@ -105,11 +105,30 @@ def test_a_reference_stands_beside_the_bed(tmp_path, is_mesh):
     assert profile.error == pytest.approx(0.1, abs=0.005 if is_mesh else 0.02)
 
 
-@pytest.mark.parametrize("corners", [[[0.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [1e6, 0.0]]])
-def test_a_line_without_length_and_a_step_that_is_too_small_are_refused(tmp_path, corners):
+@pytest.mark.parametrize(
+    ("end", "step_m", "words"),
+    [
+        ([0.0, 0.0], 0.1, "the line 1 has no length"),
+        ([1e6, 0.0], 0.001, "makes more than 200,000 places along the 1000000 m of the line 1; give --step 5 or more"),
+        ([8.0, 0.0], 0.0, "--step is 0, expected metres between places"),
+        ([8.0, 0.0], -1.0, "--step is -1, expected metres between places"),
+        ([8.0, 0.0], np.inf, "--step is inf, expected metres between places"),
+    ],
+)
+def test_a_line_without_length_and_a_step_that_is_unusable_are_refused(tmp_path, end, step_m, words):
     bed = Bed(plane_cloud(tmp_path / "bed.las"))
-    with pytest.raises(ProfileError, match=r"has no length|is too small; give more"):
-        bed.along(Line("1", places_of("EPSG:25832+7837", corners)), step_m=0.001)
+    with pytest.raises(ProfileError, match=re.escape(words)):
+        bed.along(Line("1", places_of("EPSG:25832+7837", [[0.0, 0.0], end])), step_m=step_m)
+
+
+def test_a_picture_of_many_profiles_says_that_it_shows_the_first(tmp_path):
+    places = {str(number): [[-1.0, 0.1 * number], [1.0, 0.1 * number]] for number in range(MOST_DRAWN + 1)}
+    lines = lines_file(
+        tmp_path / "l.geojson", {name: places_of("EPSG:25832+7837", corners) for name, corners in places.items()}
+    )
+    cloud = plane_cloud(tmp_path / "bed.las")
+    said = bathynerf("profile", cloud, "--lines", lines, "--picture", tmp_path / "p.png")
+    assert f"shows the first {MOST_DRAWN} of {MOST_DRAWN + 1} profiles" in " ".join(said.stderr.split())
 
 
 def lines_file(path, lines: dict[str, np.ndarray]):

@@ -33,13 +33,12 @@ from survey.change.differences import (
 from survey.display.quantities import MINUS, length, share
 from survey.export.bed_cells import PlanCells
 from survey.files.json_values import write_json
-from survey.files.outputs import ReadFiles, is_json, require_file
+from survey.files.outputs import ReadFiles, is_json, is_png, require_file
 from survey.progress import current
 
 # Fewer cells than this do not determine a mean, nor reveal which of them changed.
 FEWEST_CELLS = 30
 _NODATA = -9999.0
-_PNG = b"\x89PNG"
 _WORTH_SAYING = 1.5
 
 
@@ -281,7 +280,7 @@ def _require_options(first: Path, second: Path, options: ChangeOptions) -> None:
     polygons = [path for path in (options.area, options.stable) if path is not None]
     read = ReadFiles.of(*paths, *(existing_file(path) for path in polygons))
     require_file("--json", options.json_path, read, kind="a JSON file", is_of_kind=is_json)
-    require_file("--picture", options.picture_path, read, kind="a PNG", is_of_kind=lambda head: head[:4] in (_PNG, b""))
+    require_file("--picture", options.picture_path, read, kind="a PNG", is_of_kind=is_png)
     tif = options.tif_path
     if tif is not None and tif.suffix.lower() not in (".tif", ".tiff"):
         raise ChangeError(f"--tif names {tif}, expected a name that ends in .tif")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -29,8 +30,9 @@ from survey.compare.inputs import InputPaths, load_inputs
 from survey.display.palette import BLUE, INK, LAND, RED, WATER, WATER_LINE
 from survey.display.quantities import length, share
 from survey.errors import SurveyError
-from survey.export.bed_cells import LevelFit
-from survey.files.outputs import ReadFiles, require_file
+from survey.export.bed_cells import LevelFit, round_side
+from survey.files.outputs import ReadFiles, is_png, require_file
+from survey.progress import current
 from survey.run.folder import RunDir
 
 # A height is the median of the points within so many spacings of its place.
@@ -114,14 +116,14 @@ class Bed:
             cloud = read_cloud(file)
             out, said = left_out(cloud)
             if out.all():
-                raise ProfileError(f"no point of {file} is of the ground: it holds {said}")
+                raise ProfileError(f"no point of {file} is of the ground: it holds {said}; give the points of the bed")
             self._cloud = part_of(cloud, ~out)
             crs = cloud.crs
         else:
             inputs = load_inputs(InputPaths(file, reference), None)
             self._cloud, self._reference, crs = part_of(inputs.cloud, inputs.inside), inputs.reference, inputs.crs
         if crs is None:
-            raise ProfileError(f"{file} does not say its CRS, in which lines are looked up; give a run folder")
+            raise ProfileError(f"{file} names no CRS, which places the lines in it; give the run folder instead")
         self.crs = crs if has_height(crs) else crs.to_3d()
         # A file alone may give its heights in another unit than metres beside its CRS.
         shape = in_height_unit(self._cloud, height_unit_m(self.crs))
@@ -129,6 +131,8 @@ class Bed:
         self._middle = self._cloud.points[:, :2].mean(axis=0)
         self._metres = ground_units_m(self.crs, self._middle)
         self._tree = cKDTree(self._plan(self._cloud.points[:, :2]))
+        points = self._reference.points if isinstance(self._reference, Cloud) else None
+        self._tree_of_reference = None if points is None else cKDTree(self._plan(points[:, :2]))
 
     def _plan(self, places: np.ndarray) -> np.ndarray:
         """Places (N, 2) in metres on the ground from the middle of the cloud."""
@@ -141,7 +145,7 @@ class Bed:
         nearest = self._tree.query(some, k=2)[0][:, 1] if self._tree.n > 1 else np.array([np.inf])
         spacing = float(np.median(nearest[nearest > 0.0])) if (nearest > 0.0).any() else np.inf
         if not np.isfinite(spacing):
-            raise ProfileError("the cloud has a single place, expected a bed to look along")
+            raise ProfileError("all points of the cloud lie at one place, expected a bed with an extent")
         return spacing
 
     @cached_property
@@ -152,14 +156,17 @@ class Bed:
 
     def along(self, line: Line, step_m: float | None = None) -> Profile:
         """The profile of a line, at places ``step_m`` apart; by default some spacings of the points."""
+        if step_m is not None and not (math.isfinite(step_m) and step_m > 0.0):
+            raise ProfileError(f"--step is {step_m:g}, expected metres between places, above 0, e.g. 0.5")
         corners = self._plan(line.corners)
         lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
         if not lengths[-1] > 0.0:
-            raise ProfileError(f"the line {line.name} has no length, expected two places at least")
+            raise ProfileError(f"the line {line.name} has no length, expected two different places at least")
         step = step_m if step_m is not None else max(_STEP_SPACINGS * self.spacing_m, lengths[-1] / _MOST_PLACES)
-        if not step > 0.0 or lengths[-1] / step > _MOST_PLACES:
+        if lengths[-1] / step > _MOST_PLACES * (1.0 + 1e-9):
             raise ProfileError(
-                f"a step of {step:g} m along the {lengths[-1]:.0f} m of the line {line.name} is too small; give more"
+                f"--step {step:g} makes more than {_MOST_PLACES:,} places along the {lengths[-1]:.0f} m of the line "
+                f"{line.name}; give --step {round_side(lengths[-1] / _MOST_PLACES):g} or more"
             )
         # The last place is the end of the line.
         distance = np.append(np.arange(0.0, lengths[-1] - 1e-9 * step, step), lengths[-1])
@@ -184,11 +191,10 @@ class Bed:
     def _heights(self, profile: Profile, plan: np.ndarray) -> np.ndarray:
         """Heights of the reference (K,) at the places of a profile: of a mesh where it is, of points their median."""
         shape = self._reference
-        if isinstance(shape, Cloud):
-            tree = cKDTree(self._plan(shape.points[:, :2]))
-            near = tree.query_ball_point(plan, _SPACINGS * self.spacing_m)
+        if isinstance(shape, Cloud) and self._tree_of_reference is not None:
+            near = self._tree_of_reference.query_ball_point(plan, _SPACINGS * self.spacing_m)
             return _medians(shape.points[:, 2], near)
-        if shape is None:
+        if not isinstance(shape, Mesh):
             return np.full(len(plan), np.nan)
         unit_m = height_unit_m(self.crs)
         # Where a mesh has several heights, that near the bed counts.
@@ -206,7 +212,6 @@ def _medians(values: np.ndarray | None, rows: np.ndarray) -> np.ndarray:
     return np.array([np.nan if not np.isfinite(some).any() else float(np.nanmedian(some)) for some in found])
 
 
-_PNG = b"\x89PNG"
 # Width and height of the picture of one profile [inch]; pictures have so many at most.
 _SIZE_IN = (10.0, 3.2)
 MOST_DRAWN = 40
@@ -256,13 +261,17 @@ def profiles_along(
         read += RunDir(path).inputs()
     # A table that bathynerf wrote begins with its CRS.
     require_file("--csv", table, read, kind="a table of profiles", is_of_kind=lambda head: head[:2] in (b"# ", b""))
-    require_file("--picture", picture, read, kind="a PNG", is_of_kind=lambda head: head[:4] in (_PNG, b""))
+    require_file("--picture", picture, read, kind="a PNG", is_of_kind=is_png)
     require_file("--dxf", drawing, read, kind="a DXF", is_of_kind=lambda head: b"SECTION" in head[:64] or not head)
     bed = Bed(path, truth)
     found = [bed.along(line, step_m) for line in read_lines(lines, bed.crs)]
     if table is not None:
         write_csv(table, found)
     if picture is not None:
+        if len(found) > MOST_DRAWN:
+            current().warn(
+                f"{picture} shows the first {MOST_DRAWN} of {len(found)} profiles; --csv and --dxf hold all of them"
+            )
         write_picture(picture, found)
     if drawing is not None:
         write_dxf(drawing, drawn_lines(found), found[0].crs)
@@ -302,7 +311,7 @@ def write_csv(path: Path, profiles: Sequence[Profile]) -> None:
 
 
 def draw(profile: Profile, axes: Axes) -> None:
-    """Draw bed, water, the band of two standard deviations and the reference into axes."""
+    """Draw bed, water, the reference and a band of two standard deviations around the bed into axes."""
     x, bed = profile.distance, profile.bed
     sigma = _SIGMAS * np.hypot(np.nan_to_num(profile.std), np.nan_to_num(profile.std_common))
     sigma = sigma / height_unit_m(profile.crs)

@@ -128,6 +128,11 @@ def is_json(head: bytes) -> bool:
     return head.lstrip()[:1] in (b"{", b"")
 
 
+def is_png(head: bytes) -> bool:
+    """Whether a file that begins so is a PNG, or empty."""
+    return head[:4] in (b"\x89PNG", b"")
+
+
 def _is_within(path: Path, folder: Path) -> bool:
     return path.resolve().is_relative_to(folder.resolve())
 

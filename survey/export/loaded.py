@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -84,7 +84,7 @@ class LoadedRun:
         Raises
         ------
         SurveyError
-            If the run was made before runs kept them.
+            If the run folder holds none, or a damaged file of them.
         """
         from survey.run.flight import load_flight
 
@@ -109,15 +109,11 @@ class LoadedRun:
         GeoError
             If the CRS is unusable, or a grid that the way to it needs is not there.
         """
-        import numpy as np
-
         from geo.reproject import Reprojection
 
         if crs not in self._ways:
-            places = None
-            # Runs of early versions stored no frame; no area then restricts the choice of the operation.
-            with suppress(SurveyError):
-                places = np.array([self.flight.frame.origin])
+            # One place of the survey restricts the choice of the operation to those that hold there.
+            places = np.asarray(self.columns("points_crs")["points_crs"][:1])
             self._ways[crs] = Reprojection.between(self.bed_header.crs, crs, where="--crs", places=places)
         return self._ways[crs]
 
@@ -237,7 +233,7 @@ def flight_of(run: LoadedRun, folder: str | None) -> Flight:
     Raises
     ------
     SurveyError
-        If the run was made before runs kept their cameras, a photograph is not there, or is another one.
+        If the run folder holds no cameras, or a photograph is not there or is another one.
     """
     flight = run.flight
     views = flight.views

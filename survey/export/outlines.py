@@ -83,7 +83,7 @@ def unseen_of(run: LoadedRun) -> Unseen:
     Raises
     ------
     SurveyError
-        If the run was made before runs kept their cameras.
+        If the run folder holds no cameras.
     """
     return run.once("unseen", lambda: _unseen(run))
 
@@ -141,7 +141,7 @@ def footprints(run: LoadedRun, options: ExportOptions) -> Layer:
     Raises
     ------
     SurveyError
-        If the run was made before runs kept their cameras.
+        If the run folder holds no cameras.
     """
     flight = run.flight
     cameras = [view.camera for view in flight.views]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -270,6 +271,17 @@ def test_a_variant_links_what_the_survey_has_and_leaves_out_what_is_not_wanted(s
     assert not (unposed / "cameras.csv").exists()
     assert "poses" not in (unposed / "survey.toml").read_text()
     assert "[water]" in (unposed / "survey.toml").read_text()
+
+
+def test_poses_beside_the_photographs_are_left_out_alone(survey, tmp_path):
+    folder = tmp_path / "beside"
+    shutil.copytree(survey, folder)
+    (folder / "cameras.csv").rename(folder / "images" / "poses.csv")
+    toml = (folder / "survey.toml").read_text()
+    (folder / "survey.toml").write_text(toml.replace('"cameras.csv"', '"images/poses.csv"'))
+    unposed = variant(case_of(folder), tmp_path / "unposed", poses="images", is_refracted=True)
+    names = {path.name for path in (folder / "images").iterdir()}
+    assert {path.name for path in (unposed / "images").iterdir()} == names - {"poses.csv"}
 
 
 def test_a_survey_without_truth_is_refused(survey, tmp_path):

@@ -90,29 +90,41 @@ def _scene_of(word: str) -> DrawnScene:
 
 
 def variant(case: Case, folder: Path, *, poses: str, is_refracted: bool) -> Path:
-    """A survey folder with everything that a case has but other settings, by links.
+    """A survey folder of links to the files of a case, with other settings.
 
     Parameters
     ----------
     folder : Path
         Made here, where it is not there yet.
     poses : "given" or "images"
-        With the latter, [cameras] poses and [local] are left out, and files of poses are not linked.
+        With the latter, [cameras] poses and [local] are left out, and files of poses are not linked, nor the folder
+        that they are in, unless it holds the photographs.
     is_refracted : bool
         False leaves [water] out.
     """
     table = tomllib.loads((case.folder / FILE_NAME).read_text(encoding="utf-8"))
-    left_out = {FILE_NAME, RUN_FOLDER}
+    left_out = {case.folder / FILE_NAME, case.folder / RUN_FOLDER}
     if poses == IMAGES:
-        cameras = table.get("cameras", {})
-        left_out |= {Path(cameras.pop("poses", "cameras.csv")).parts[0], "cameras.csv", "sparse"}
+        given = Path(table.get("cameras", {}).pop("poses", "cameras.csv"))
+        top, images = case.folder / given.parts[0], case.folder / read_config(case.folder / FILE_NAME).images.local_dir
+        left_out |= {case.folder / given if images.is_relative_to(top) else top}
+        left_out |= {case.folder / name for name in ("cameras.csv", "sparse")}
         table.pop("local", None)
     if not is_refracted:
         table.pop("water", None)
-    folder.mkdir(parents=True, exist_ok=True)
-    for path in case.folder.iterdir():
-        link = folder / path.name
-        if path.name not in left_out and not link.is_symlink():
-            link.symlink_to(path.resolve())
+    _link(case.folder, folder, left_out)
     (folder / FILE_NAME).write_text(tomli_w.dumps(table), encoding="utf-8")
     return folder
+
+
+def _link(source: Path, target: Path, left_out: set[Path]) -> None:
+    """Link the entries of a folder in another; one that holds something left out becomes a folder of links."""
+    target.mkdir(parents=True, exist_ok=True)
+    for path in source.iterdir():
+        link = target / path.name
+        if path in left_out or link.is_symlink():
+            continue
+        if any(path in each.parents for each in left_out):
+            _link(path, link, left_out)
+        else:
+            link.symlink_to(path.resolve())

@@ -43,7 +43,7 @@ class DistanceStatistics:
     # min_m, max_m: [m]
     min_m: float = math.nan
     max_m: float = math.nan
-    # mean_ci95_m, mean_inner90_ci95_m (low, high) [m] or None: intervals of 95 % confidence of the two means; None
+    # mean_ci95_m, mean_inner90_ci95_m (low, high) [m] or None: 95 % confidence intervals of the two means; None
     # where no blocks were given
     mean_ci95_m: tuple[float, float] | None = None
     mean_inner90_ci95_m: tuple[float, float] | None = None
@@ -136,7 +136,7 @@ def distance_statistics(distances: np.ndarray, blocks: Blocks | None = None) -> 
     ----------
     distances : (N,) [m]
     blocks : Blocks of the N points, optional
-        From `evaluation.spatial_blocks`; with them the means get intervals of 95 % confidence.
+        From `evaluation.spatial_blocks`; with them the means get 95 % confidence intervals.
 
     Examples
     --------

@@ -145,5 +145,5 @@ def test_only_pixels_in_the_mask_count(pair):
 
 
 def test_vsi_of_grey_images_is_refused_with_what_does_it_instead():
-    with pytest.raises(ValueError, match="VSI looks at colours, got grey images; use fsim or gmsd"):
+    with pytest.raises(ValueError, match="VSI needs colour images, got grey ones; use fsim or gmsd"):
         vsi(np.zeros((32, 32)), np.zeros((32, 32)))

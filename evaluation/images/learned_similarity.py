@@ -88,7 +88,7 @@ def dists(reference: np.ndarray, image: np.ndarray, weights: Mapping[str, Tensor
 def _colour_pair(reference: np.ndarray, image: np.ndarray) -> list[Tensor]:
     pair = checked_pair(reference, image, smallest=_SMALLEST_PX)
     if pair[0].ndim != 3:
-        raise ValueError("LPIPS and DISTS look at colours, got grey images; use ssim or gmsd")
+        raise ValueError("LPIPS and DISTS need colour images, got grey ones; use ssim or gmsd")
     return [torch.from_numpy(v).float().permute(2, 0, 1)[None] for v in pair]
 
 

@@ -82,7 +82,7 @@ def vsi(reference: np.ndarray, image: np.ndarray) -> float:
     """
     pair = checked_pair(reference, image, smallest=16)
     if pair[0].ndim != 3:
-        raise ValueError("VSI looks at colours, got grey images; use fsim or gmsd")
+        raise ValueError("VSI needs colour images, got grey ones; use fsim or gmsd")
     size = _pool_size(pair[0])
     vs_x, vs_y = (pooled(_saliency(v), size) for v in pair)
     x, y = (pooled(np.einsum("cd,hwd->chw", _LMN, 255.0 * v), size) for v in pair)

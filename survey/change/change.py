@@ -184,7 +184,8 @@ def rows_of(change: Change) -> list[tuple[str, str]]:
         ("net", f"{_volume(change.net)}, of all cells"),
         (
             "errors",
-            f"of cells correlated over {length(change.correlation.length_m)} (share {change.correlation.share:.2f}), "
+            f"of cells correlated over {length(change.correlation.length_m)} (at short lags "
+            f"{change.correlation.share:.2f}), "
             + ("stated" if scatter is None else f"measured; unchanged cells scatter {scatter:.2f} times as stated"),
         ),
         *_row_of(change.alignment),
@@ -195,7 +196,7 @@ def rows_of(change: Change) -> list[tuple[str, str]]:
 def _row_of(found: Alignment | None) -> list[tuple[str, str]]:
     if found is None:
         return []
-    beyond = f"; {found.left_out} cells that changed all the same are left out" if found.left_out else ""
+    beyond = f"; without {found.left_out} cells beyond three robust standard deviations" if found.left_out else ""
     text = f"second survey shifted by {length(found.shift_m)} ± {length(found.std_m)} (one standard deviation)"
     return [("alignment", f"{text} on {found.area_m2:.4g} m² of stable ground{beyond}")]
 

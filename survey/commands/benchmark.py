@@ -29,7 +29,7 @@ class RunOptions:
 
     drawn: Annotated[
         list[str] | None,
-        _measured(metavar="D,P,N", help="Also draw one: depth [m], nadir or oblique, images; or all. Repeatable."),
+        _measured(metavar="D,P,N", help="Simulate a survey: depth [m], nadir or oblique, images; or all. Repeatable."),
     ] = None
     method: Annotated[
         list[str] | None,

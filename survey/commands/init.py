@@ -18,7 +18,7 @@ EXAMPLES = """
     bathynerf init my_survey --level 12.34
     bathynerf init my_survey --crs EPSG:25832+7837 --schema
 """
-_told = partial(typer.Option, rich_help_panel="What no file tells")
+_told = partial(typer.Option, rich_help_panel="Values that no file states")
 
 
 def run(

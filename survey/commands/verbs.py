@@ -127,7 +127,7 @@ def _in_one_sentence() -> Iterator[None]:
         if type(error).__name__ == "NoArgsIsHelpError":
             raise
         text = error.format_message().replace("Value error, ", "").rstrip(".")
-        say_error(f"{text[:1].lower()}{text[1:]}; --help lists what is known")
+        say_error(f"{text[:1].lower()}{text[1:]}; see --help")
         raise typer.Exit(BAD_INPUT) from error
 
 

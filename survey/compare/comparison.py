@@ -170,7 +170,7 @@ def _circumstances(
     is_mesh, crs, paths = isinstance(scene.inputs.reference, Mesh), scene.inputs.crs, scene.inputs.paths
     narrow = (
         f"the errors are correlated over {blocks.correlation_m:.3g} m, too far for the extent of the cloud: the "
-        "intervals of confidence may be too short"
+        "confidence intervals may be too short"
     )
     return Circumstances(
         outliers=options.outliers,

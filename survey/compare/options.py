@@ -61,7 +61,7 @@ def to_local(frame: LocalFrame | ShiftedFrame, points: np.ndarray, name: Path) -
     bad = int((~np.isfinite(local).all(axis=1)).sum())
     if bad:
         raise CompareError(
-            f"{bad} of {len(points)} points of {name} lie off the map of {frame.crs.name}; remove them or "
+            f"{bad} of {len(points)} points of {name} lie where {frame.crs.name} is not defined; remove them or "
             "correct the CRS of the file"
         )
     return local

@@ -203,7 +203,7 @@ def _panels(parts: Parts) -> list[tuple[tuple[Band, ...], str, str]]:
 
 
 def draw_bands(parts: Parts, path: Path) -> None:
-    """Mean with its interval of confidence, and one standard deviation to both sides, in each band.
+    """Mean with its confidence interval, and one standard deviation to both sides, in each band.
 
     Parameters
     ----------

@@ -137,7 +137,7 @@ def _known(rows: list[tuple[str, str | None]]) -> list[tuple[str, str]]:
 
 
 def _length(value: float, interval: tuple[float, float] | None = None) -> str | None:
-    """A length [m] with its interval of confidence, if there is one; None where it is not known."""
+    """A length [m] with its confidence interval, if there is one; None where it is not known."""
     if not math.isfinite(value):
         return None
     if interval is None or not all(math.isfinite(end) for end in interval):

@@ -85,8 +85,8 @@ def bed_surface(
         colours = rgb[cKDTree(points).query(vertices, workers=-1)[1]]
     if not len(faces):
         raise SurveyError(
-            f"{len(points):,} points make no surface at --resolution {spacing_m:g}: none of them lie as "
-            "close together as that asks, yet apart; give a length near the spacing of the points"
+            f"{len(points):,} points make no surface at --resolution {spacing_m:g}: in cells of that side they give no "
+            f"triangle with sides up to {LONGEST:g} of it; give a length near the spacing of the points"
         )
     if watertight:
         vertices, faces, above = solid_of(vertices, faces, spacing_m)

@@ -114,8 +114,8 @@ def too_coarse(side_m: float, points_crs: np.ndarray, crs: CRS, pixel_m: float) 
     """The message for cells of a side [m] of which points cover none well enough for a height."""
     extent = np.ptp(points_crs[:, :2], axis=0) / ground_units_m(crs, points_crs[:, :2].mean(axis=0))
     return (
-        f"--resolution {side_m:g} is metres, and no cell of that side is covered by points: the cloud is "
-        f"{extent[0]:.1f} x {extent[1]:.1f} m wide, a pixel covers {length(pixel_m)}; give e.g. --resolution "
+        f"--resolution {side_m:g} (metres): points cover no cell of that side well enough for a height; the cloud "
+        f"extends over {extent[0]:.1f} x {extent[1]:.1f} m, a pixel covers {length(pixel_m)}; give e.g. --resolution "
         f"{round_side(_DEFAULT_PX * pixel_m):g}"
     )
 

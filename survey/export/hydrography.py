@@ -60,10 +60,9 @@ def _write_bag(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     filled = f"; gaps up to {options.fill_m:g} m are interpolated" if options.fill_m else ""
     said = {
         "ABSTRACT": f"{run.bed_header.name}: bed of shallow water from photographs, {_BAG_MARK.decode()}. Elevation "
-        f"[m]: mean of the bed over a cell around the node{filled}. Uncertainty [m]: one standard deviation of it, "
-        "1.96 of which are 95 %.",
-        "PROCESS_STEP_DESCRIPTION": f"{SOFTWARE}: a plane by least squares through the points of each cell, seen from "
-        "above",
+        f"[m]: mean of the bed over a cell around the node{filled}. Uncertainty [m]: one standard deviation; at "
+        "95 % 1.96 times that.",
+        "PROCESS_STEP_DESCRIPTION": f"{SOFTWARE}: a least-squares plane through the topmost points of each cell",
     }
     write_bag(path, form, noted_if_empty(path, parts_of(grid, values), _BAG_NODATA), said)
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     ColourOf = Callable[[np.ndarray, CellWindow, np.ndarray, CellProjection], np.ndarray]
 
-# Of the shorter side of a photograph at the resolution that is asked for.
+# Along the shorter side of a photograph at the resolution that is asked for.
 _FEWEST_PX = 8
 
 
@@ -89,8 +89,9 @@ def _require_pixels(flight: Flight, scale: float, side_m: float, gsd_m: float) -
     shortest = min(min(view.camera.width, view.camera.height) for view in flight.views)
     if scale * shortest < _FEWEST_PX:
         raise SurveyError(
-            f"--resolution {side_m:g} is metres, and a photograph would have {scale * shortest:.1f} of such pixels "
-            f"along its shorter side, expected at least {_FEWEST_PX}; give e.g. --resolution {round_side(gsd_m):g}"
+            f"--resolution {side_m:g} (metres) is too coarse: at that size a photograph has {scale * shortest:.1f} "
+            f"pixels along its shorter side, expected at least {_FEWEST_PX}; give e.g. --resolution "
+            f"{round_side(gsd_m):g}"
         )
 
 

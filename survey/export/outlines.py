@@ -160,7 +160,7 @@ def footprints(run: LoadedRun, options: ExportOptions) -> Layer:
     if lost:
         current().warn(f"{len(lost)} photographs show the horizon and have no footprint, e.g. {lost[0]}")
     columns: dict[str, list] = {"image": names, "area_m2": areas}
-    about = "borders of the photographs on the bed, through the water; the bed beyond its points as high as the nearest"
+    about = "borders of the photographs on the bed, through the water; beyond the points, at the height of the nearest"
     return Layer("footprints", "Polygon", shapes, _crs(run, options), columns, about)
 
 
@@ -199,7 +199,7 @@ def unseen_areas(run: LoadedRun, options: ExportOptions) -> Layer:
         rings = [np.array(ring) for ring in polygon["coordinates"]]
         heights = (unseen.level[cells.index(ring)] for ring in rings)
         shapes.append([_in_crs(run, options, np.column_stack(pair)) for pair in zip(rings, heights, strict=True)])
-        views.append("one" if REASONS[int(code)].startswith("one") else "two or more")
+        views.append("one" if code == ONE_VIEW else "two or more")
         reasons.append(REASONS[int(code)])
         signed = (0.5 * float((r[:-1, 0] * r[1:, 1] - r[1:, 0] * r[:-1, 1]).sum()) for r in rings)
         areas.append(round(abs(sum(signed)), 3))

@@ -74,8 +74,8 @@ def require_not_too_fine(side_m: float, pixel_m: float) -> None:
     """Raise SurveyError where cells of a side [m] are far smaller than pixels [m] on the ground."""
     if side_m < _FINEST_PX * pixel_m:
         raise SurveyError(
-            f"--resolution {side_m:g} is metres, and a pixel covers {1000.0 * pixel_m:.3g} mm, expected at least "
-            f"{_FINEST_PX:g} of that; give e.g. --resolution {pixel_m:.1g}"
+            f"--resolution {side_m:g} (metres) is finer than {_FINEST_PX:g} of a pixel, which covers "
+            f"{1000.0 * pixel_m:.3g} mm of the ground; give e.g. --resolution {pixel_m:.1g}"
         )
 
 

@@ -21,8 +21,8 @@ CELLS = ("crs", "resolution_m", "fill_m")
 _SUFFIXES = (".tif", ".tiff")
 _BLOCK = 512
 _UNCERTAINTY = (
-    "of the mean height of the cell: matching, relief that the points sample, the place of walls; beside it what all "
-    "share by water, lens and poses, as far as the run knows it: the root of the sum of squares is that of both"
+    "band 2: of the mean height of the cell, by matching, relief between the points, and position of walls; band 3: "
+    "common to all heights, by water, lens and poses, where the run knows it; total: root of the sum of both squares"
 )
 
 
@@ -59,7 +59,7 @@ def noted_if_empty(path: Path, parts: Iterable[Part], no_value: float | None, ba
         num_known += int((part[2][band] != no_value).sum())
         yield part
     if not num_known:
-        current().note(f"{path}: nothing to show, no cell has a value; another --resolution may give some")
+        current().note(f"{path}: nothing to show, no cell has a value; try another --resolution")
 
 
 def _write_dem(path: Path, run: LoadedRun, options: ExportOptions) -> None:

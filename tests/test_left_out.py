@@ -88,7 +88,7 @@ def test_each_photograph_has_its_shares_and_those_that_are_mostly_white_are_name
     white, unlike = summary(found)[0].split("; ")
     assert "21.3" in white
     # The weight of those is less, and they are in the cloud.
-    assert unlike.endswith("count less there")
+    assert unlike.endswith("are downweighted")
     _, notable, every = table(found)
     assert [row[0] for row in notable.rows] == ["b.jpg", "c.jpg"]
     assert [row[0] for row in every.table.rows] == ["a.jpg", "b.jpg", "c.jpg"]

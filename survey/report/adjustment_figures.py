@@ -88,7 +88,7 @@ class AdjustmentFigures:
     control_groups: tuple[ControlGroup, ...]
     common: CommonError | None
     parts: tuple[Part, ...]  # Those that share no points; none where the block is whole
-    correlation_names: tuple[str, ...]  # (K,) of water and lenses, those that were free to move
+    correlation_names: tuple[str, ...]  # (K,) of water and lenses, those that were estimated
     correlation: tuple[tuple[float, ...], ...]  # K rows of K
     ground: GroundFit | None = None  # How the block was placed on the dry ground of an earlier survey
 
@@ -136,7 +136,7 @@ def shown_lenses(found: Adjustment) -> list[int]:
 
 
 def correlations(found: Adjustment) -> tuple[tuple[str, ...], np.ndarray]:
-    """Names (K,) and correlations (K, K) of those parameters of water and lenses that were free to move.
+    """Names (K,) and correlations (K, K) of the parameters of water and lenses that were estimated.
 
     Of many lenses those of `shown_lenses`; without focal lengths of single photographs.
     """

@@ -61,7 +61,7 @@ def draw_image_residuals(path: Path, found: Adjustment) -> Picture:
         subtitle = f"magnified: an arrow as long as a cell is wide means {longest:.2g} px"
         write_title(axes, f"Mean residual over the photographs{which}", subtitle)
     save(figure, path)
-    words = "Measured less predicted place, over all photographs. A pattern is what the model of the lens leaves."
+    words = "Measured less predicted place, over all photographs. A pattern is distortion that the lens model lacks."
     if num < len(found.lenses):
         words += f" Of {len(found.lenses)} lenses the {num} with the most residuals."
     return Picture(path, "Residuals over the photographs", words)
@@ -152,7 +152,7 @@ def _around(extent: tuple[float, float, float, float], places: np.ndarray) -> tu
 
 
 def has_correlation(found: Adjustment) -> bool:
-    """Whether two parameters of water and lenses were free to move."""
+    """Whether at least two parameters of water and lenses were estimated."""
     return len(correlations(found)[0]) > 1
 
 
@@ -175,7 +175,9 @@ def draw_correlation(path: Path, found: Adjustment) -> Picture:
     colour_bar(axes, image, "correlation", extend="neither")
     write_title(axes, "Correlation of water and lens")
     save(figure, path)
-    words = "Near 1 or -1 the photographs do not separate the two: one is as good as the prior knowledge of the other."
+    words = (
+        "Near 1 or -1 the photographs do not separate the two: each is only as good as the given value of the other."
+    )
     return Picture(path, "Correlation of the parameters", words)
 
 
@@ -228,14 +230,14 @@ def draw_residuals(path: Path, survey: Survey, residuals: Sequence[Residual]) ->
     times = _LONGEST * width_m / longest
     in_plan = np.isfinite(off[:, 0])
     up = np.column_stack([np.zeros(len(off)), off[:, 2]])
-    _control_arrows(axes, places[in_plan], times * off[in_plan, :2] / unit_m, BLUE, "off in plan")
-    _control_arrows(axes, places, times * up / unit_m, RED, "off in height, up as north")
+    _control_arrows(axes, places[in_plan], times * off[in_plan, :2] / unit_m, BLUE, "residual in plan")
+    _control_arrows(axes, places, times * up / unit_m, RED, "residual in height, up drawn northwards")
     is_check = np.array([each.is_check for each in residuals])
     for part, mark, colour, label in ((~is_check, "^", INK, "control point"), (is_check, "s", LAND, "check point")):
         if part.any():
             axes.plot(*places[part].T, mark, ms=6.0, mfc=colour, mec=INK, mew=0.8, label=label, zorder=5)
     for each, far, whole in zip(residuals, is_far, in_all, strict=True):
-        name = f"{each.name} (cut: {length(float(whole))})" if far else each.name
+        name = f"{each.name} (shortened: {length(float(whole))})" if far else each.name
         axes.annotate(name, each.place, (5, 5), textcoords="offset points", fontsize=7.5, color=INK, zorder=6)
     figure.legend(loc="lower center", ncols=2, frameon=False, fontsize=9)
     unit = LengthUnit.of([longest])

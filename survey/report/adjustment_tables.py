@@ -84,7 +84,7 @@ def _poses(found: AdjustmentFigures) -> list[tuple[str, str]]:
         if given.common_up_m is not None:
             error, std = given.common_up_m
             side = "low" if error < 0.0 else "high"
-            rows.append(("heights of given positions", f"{length(abs(error))} too {side} in common, ± {length(std)}"))
+            rows.append(("heights of given positions", f"all {length(abs(error))} too {side}, ± {length(std)}"))
         largest = f"the largest is {length(given.largest_m)}, of {given.largest_name}"
         rows.append(("adjusted less given positions", f"rms {_axes_text(given.rms_m)}; {largest}"))
     poses = found.poses
@@ -117,7 +117,7 @@ def _ground(found: AdjustmentFigures) -> list[Table]:
         f"Placement on {fit.reference}: {count(fit.num_points)} points, {length(fit.rms_m)} rms from its ground "
         f"({count(fit.num_changed)} of {count(fit.num_over)} tie points over it left out)"
     )
-    return [Table(("part", "moved by", "1 sigma", "1 sigma without it"), rows, heading=heading)]
+    return [Table(("part", "moved by", "1 sigma", "1 sigma without placement"), rows, heading=heading)]
 
 
 def _control(found: AdjustmentFigures) -> list[Table]:

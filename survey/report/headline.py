@@ -194,7 +194,7 @@ def limits(figures: ReportFigures) -> list[Block]:
         if std.shared:
             shared = length(_SIGMAS_95 * std.shared)
             told += f"; of that, {shared} are a common shift of all heights, which averaging does not reduce"
-        said.append(f"{told}, if level, index and positions are as good as was stated.")
+        said.append(f"{told}, if level, index and positions are as accurate as stated.")
     said.append(
         f"Things smaller than about {length(_SMALLEST_GSD * figures.plan.gsd_m)} are smoothed away or missing; what "
         "stands on a wall or under an overhang may be missing too."

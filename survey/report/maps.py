@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 # The most pixels of a height map along its longer side.
 _PIXELS = 2000
 _OF_SOLVER = "from the normal matrix of the solver"
-_OF_SWEEP = "from how far the views that agree differ around it, and how the bed bends there"
+_OF_SWEEP = "from the spread of the views that agree around it and the curvature of the bed"
 # Views that a point of the bed needs.
 _FEWEST_VIEWS = 2
 # Codes of cells with their colour and meaning; 0 is what no view sees.
@@ -41,7 +41,7 @@ _LEGEND = {
     _NOT_FOUND: (RED, "two or more views, no bed found"),
     _ONE_VIEW: (OBLIQUE, "one view only"),
 }
-# Of the map of what was not seen, along its longer side.
+# Pixels of the map of cells without a bed, along its longer side at most.
 _UNSEEN_PIXELS = 900
 
 
@@ -100,11 +100,11 @@ def draw_num_views(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     title = "Views that agree"
     write_title(axes, title, f"mean of each cell of {cell_size(grid.cell_m)}")
     save(figure_of(axes), path)
-    return Picture(path, title, "How many views see a point at the same height; the more, the surer.")
+    return Picture(path, title, "Number of views that see a point at the same height; the more, the more reliable.")
 
 
 def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
-    """Standard deviation of each height by itself, in plan."""
+    """Random standard deviation of the heights, in plan."""
     values = without_pinholes(grid.mean(facts.bed.std))
     known = values[np.isfinite(values)]
     # By ratio: beside walls it is a hundred times as large as on open ground.
@@ -118,7 +118,7 @@ def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     write_title(axes, title, f"mean of each cell of {cell_size(grid.cell_m)}")
     save(figure_of(axes), path)
     source = _OF_SOLVER if facts.plan.field == "solver" else _OF_SWEEP
-    words = f"Of each point by itself, {source}; what water, lens and poses do to all heights together is not in it."
+    words = f"Random part for each point, {source}; without the part common to all heights by water, lens and poses."
     return Picture(path, title, words)
 
 

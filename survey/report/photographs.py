@@ -88,7 +88,7 @@ def summary(photographs: tuple[PhotographFigures, ...]) -> list[str]:
     white = float(np.mean([each.saturated for each in photographs]))
     known = [each.outlying for each in photographs if each.outlying is not None]
     unlike = (
-        f"; {share(float(np.mean(known)))} of the points in a photograph look unlike in all others and count less there"
+        f"; {share(float(np.mean(known)))} of the points in a photograph differ from all others and are downweighted"
         if known
         else ""
     )
@@ -104,13 +104,13 @@ def table(photographs: tuple[PhotographFigures, ...], left_out: Sequence[str] = 
     rows = [("white, in the mean of all photographs", share(white))]
     known = [each.outlying for each in photographs if each.outlying is not None]
     if known:
-        rows.append(("unlike all others, in the mean", share(float(np.mean(known)))))
+        rows.append(("differing from all others, in the mean", share(float(np.mean(known)))))
     worst = sorted(photographs, key=lambda each: -each.saturated - (each.outlying or 0.0))
     notable = [each for each in worst if each.saturated > _NOTABLE_WHITE or (each.outlying or 0.0) > _NOTABLE_OUTLYING][
         :_MOST_ROWS
     ]
     cells = [(each.name, share(each.saturated), share(each.outlying)) for each in notable]
-    titles = ("photograph", "white, of its pixels", "unlike all others, of the points in it")
+    titles = ("photograph", "white, of its pixels", "differing from all others, of the points in it")
     return [Rows(rows), *([Table(titles, cells)] if cells else []), *every]
 
 
@@ -120,7 +120,7 @@ def _every(photographs: tuple[PhotographFigures, ...], left_out: Sequence[str]) 
         return []
     rows = [(each.name, _use(each), share(each.saturated), share(each.outlying)) for each in photographs]
     rows += [(name, "left out: no pose", "", "") for name in left_out]
-    titles = ("photograph", "used", "white", "unlike all others")
+    titles = ("photograph", "used", "white", "differing")
     summary = f"All {len(rows)} photographs, {len(left_out)} of them left out"
     return [Folded(summary, Table(titles, sorted(rows), num_texts=2), len(rows) <= _FEW)]
 

@@ -57,8 +57,8 @@ def distinct(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.sort(first), number
 
 
-def num_wound_against(faces: np.ndarray) -> int:
-    """Number of edges that two triangles (F, 3) traverse in the same direction, so that one of them is turned over.
+def num_inconsistent_edges(faces: np.ndarray) -> int:
+    """Number of edges that two triangles (F, 3) traverse in the same direction: those with inconsistent winding.
 
     Vertices have to be shared, see `weld`. Zero for a consistently oriented surface, whatever its shape.
     """

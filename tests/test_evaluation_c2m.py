@@ -8,7 +8,7 @@ from scipy.spatial import ConvexHull
 from slow_cases import slow
 
 from evaluation import distance_to_mesh, weld
-from evaluation.triangles import closest_on_triangles, num_wound_against
+from evaluation.triangles import closest_on_triangles, num_inconsistent_edges
 
 EPS = np.finfo(np.float64).eps
 # Numbers of size 10 m go through some twenty operations each.
@@ -262,11 +262,11 @@ def test_exactly_surfaces_with_turned_triangles_have_edges_that_run_one_way_twic
     number = np.arange(size * size).reshape(size, size)
     nw, ne, sw, se = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
     faces = np.concatenate([np.stack(abc, axis=-1).reshape(-1, 3) for abc in ((nw, sw, ne), (ne, sw, se))])
-    assert num_wound_against(faces) == num_wound_against(faces[:, ::-1]) == 0
+    assert num_inconsistent_edges(faces) == num_inconsistent_edges(faces[:, ::-1]) == 0
     rng = np.random.default_rng(size)
     for share in (0.1, 0.5, 0.9):
         turned = rng.random(len(faces)) < share
         turned[0], turned[-1] = True, False
         mixed = np.where(turned[:, None], faces[:, ::-1], faces)
-        assert num_wound_against(mixed) > 0
-    assert num_wound_against(np.concatenate([faces, faces[:, ::-1]])) > 0
+        assert num_inconsistent_edges(mixed) > 0
+    assert num_inconsistent_edges(np.concatenate([faces, faces[:, ::-1]])) > 0

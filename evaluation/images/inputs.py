@@ -67,7 +67,7 @@ def yiq(image: np.ndarray) -> np.ndarray:
     return image[None] if image.ndim == 2 else np.einsum("cd,hwd->chw", _YIQ, image)
 
 
-def pooled(image: np.ndarray, size: int) -> np.ndarray:
+def block_means(image: np.ndarray, size: int) -> np.ndarray:
     """Block means (..., H // size, W // size) of (..., H, W); left-over rows and columns are dropped."""
     *others, height, width = image.shape
     rows, columns = height // size, width // size

@@ -26,7 +26,16 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from evaluation.images.inputs import PREWITT, SCHARR, checked_pair, gradient, largest_rectangle, pooled, similarity, yiq
+from evaluation.images.inputs import (
+    PREWITT,
+    SCHARR,
+    block_means,
+    checked_pair,
+    gradient,
+    largest_rectangle,
+    similarity,
+    yiq,
+)
 
 _SIDE_PX = 256
 # FSIM, Zhang et al. 2011, section IV-A: of phase congruency, gradients and colour; exponent of colour.
@@ -56,7 +65,7 @@ def fsim(reference: np.ndarray, image: np.ndarray) -> float:
     """
     pair = checked_pair(reference, image, smallest=16)
     size = _pool_size(pair[0])
-    x, y = (pooled(yiq(255.0 * v), size) for v in pair)
+    x, y = (block_means(yiq(255.0 * v), size) for v in pair)
     pc_x, pc_y = phase_congruency(x[0]), phase_congruency(y[0])
     score = similarity(pc_x, pc_y, _T1) * similarity(gradient(x[0], SCHARR), gradient(y[0], SCHARR), _T2)
     if len(x) == 3:
@@ -84,8 +93,8 @@ def vsi(reference: np.ndarray, image: np.ndarray) -> float:
     if pair[0].ndim != 3:
         raise ValueError("VSI needs colour images, got grey ones; use fsim or gmsd")
     size = _pool_size(pair[0])
-    vs_x, vs_y = (pooled(_saliency(v), size) for v in pair)
-    x, y = (pooled(np.einsum("cd,hwd->chw", _LMN, 255.0 * v), size) for v in pair)
+    vs_x, vs_y = (block_means(_saliency(v), size) for v in pair)
+    x, y = (block_means(np.einsum("cd,hwd->chw", _LMN, 255.0 * v), size) for v in pair)
     gradients = similarity(gradient(x[0], SCHARR), gradient(y[0], SCHARR), _VSI_C2)
     colour = similarity(x[1], y[1], _C3) * similarity(x[2], y[2], _C3)
     # The real part of the complex power where the product is negative.
@@ -283,7 +292,7 @@ def ms_ssim(reference: np.ndarray, image: np.ndarray) -> float:
         for level, weight in enumerate(_MS_SSIM_WEIGHTS):
             whole, contrast = _ssim_and_contrast(x, y)
             value *= max(whole if level == levels - 1 else contrast, 0.0) ** weight
-            x, y = pooled(x, 2), pooled(y, 2)
+            x, y = block_means(x, 2), block_means(y, 2)
         values.append(value)
     return float(np.mean(values))
 
@@ -297,7 +306,7 @@ def gmsd(reference: np.ndarray, image: np.ndarray) -> float:
     quality index, IEEE Transactions on Image Processing 23 (2014), equations 4 and 6.
     """
     a, b = checked_pair(reference, image, smallest=6)
-    x, y = (pooled(yiq(255.0 * v)[0], 2) for v in (a, b))
+    x, y = (block_means(yiq(255.0 * v)[0], 2) for v in (a, b))
     return _deviation(x, y)
 
 
@@ -314,7 +323,7 @@ def ms_gmsd(reference: np.ndarray, image: np.ndarray) -> float:
     total = 0.0
     for weight in _MS_GMSD_WEIGHTS:
         total += weight * _deviation(x, y, _MS_GMSD_MASKING) ** 2
-        x, y = pooled(x, 2), pooled(y, 2)
+        x, y = block_means(x, 2), block_means(y, 2)
     return float(np.sqrt(total))
 
 

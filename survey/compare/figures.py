@@ -269,27 +269,27 @@ def _asprs(checkpoints: CheckpointFigures) -> dict:
     return asdict(checkpoints.accuracy) | {"residuals": rows}
 
 
-def _circumstances(held: Circumstances) -> dict:
+def _circumstances(circumstances: Circumstances) -> dict:
     return {
-        "outliers": held.outliers,
+        "outliers": circumstances.outliers,
         "confidence": {
             "level": LEVEL,
             "method": "block bootstrap",
-            "block_m": held.block_m,
-            "correlation_length_m": held.correlation_length_m,
-            "widening": held.widening,
+            "block_m": circumstances.block_m,
+            "correlation_length_m": circumstances.correlation_length_m,
+            "widening": circumstances.widening,
             "draws": NUM_DRAWS,
             "seed": SEED,
         },
-        "water_level": held.water_level,
-        "method": held.method,
-        "sign": held.sign,
-        "crs": held.crs,
-        "bounds": None if held.bounds is None else [float(v) for v in held.bounds],
-        "cloud": held.cloud,
-        "reference": held.reference,
-        "visible": held.visible,
-        "n_samples": held.n_samples,
-        "seed": held.seed,
-        "notes": list(held.notes),
+        "water_level": circumstances.water_level,
+        "method": circumstances.method,
+        "sign": circumstances.sign,
+        "crs": circumstances.crs,
+        "bounds": None if circumstances.bounds is None else [float(v) for v in circumstances.bounds],
+        "cloud": circumstances.cloud,
+        "reference": circumstances.reference,
+        "visible": circumstances.visible,
+        "n_samples": circumstances.n_samples,
+        "seed": circumstances.seed,
+        "notes": list(circumstances.notes),
     }

@@ -32,7 +32,7 @@ from evaluation.c2m import Sign
 from evaluation.completeness import NUM_SAMPLES
 from evaluation.standards import MIN_CHECKPOINTS
 from evaluation.summary import INCIDENCE_EDGES_DEG, SLOPE_EDGES_DEG, VIEWS_EDGES
-from evaluation.triangles import num_wound_against
+from evaluation.triangles import num_inconsistent_edges
 from geo import Cloud, Mesh
 from geo.compatibility import require_same_crs, require_same_place
 from geo.crs import height_unit_m
@@ -138,12 +138,12 @@ def distances_of(scene: ComparedScene, sign: Sign) -> tuple[Distances, Reference
             surface = local_surface(scene.reference, scene.points[:, :2], advance=stage.advance)
             return _over_surface(scene, surface)
         result = distance_to_mesh(scene.points, scene.reference, reference.faces, sign=sign, advance=stage.advance)
-    turned = num_wound_against(reference.faces) if sign == "winding" else 0
+    num_edges = num_inconsistent_edges(reference.faces) if sign == "winding" else 0
     notes = []
-    if turned:
+    if num_edges:
         notes.append(
-            f"triangles of {scene.inputs.paths.reference.name} have opposite winding along {turned} edges, where signs "
-            "by winding change; use --sign up, or orient the mesh"
+            f"triangles of {scene.inputs.paths.reference.name} have opposite winding along {num_edges} edges, where "
+            "the sign changes; use --sign up, or orient the mesh"
         )
     if result.num_degenerate:
         notes.append(f"{result.num_degenerate} triangles of the reference have no area and were left out")

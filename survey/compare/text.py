@@ -101,16 +101,16 @@ def _reference_surface(surface: ReferenceSurface | None) -> list[tuple[str, str 
     return [("spacing of the reference", _length(surface.spacing_m)), ("its heights between points", between)]
 
 
-def _circumstances(held: Circumstances) -> list[tuple[str, str | None]]:
+def _circumstances(circumstances: Circumstances) -> list[tuple[str, str | None]]:
     return [
-        ("outliers", held.outliers),
-        ("water level", _decimal(held.water_level)),
-        ("method", held.method),
-        ("sign", held.sign),
-        ("CRS", held.crs),
-        ("cloud", held.cloud),
-        ("reference", held.reference),
-        ("visible", held.visible),
+        ("outliers", circumstances.outliers),
+        ("water level", _decimal(circumstances.water_level)),
+        ("method", circumstances.method),
+        ("sign", circumstances.sign),
+        ("CRS", circumstances.crs),
+        ("cloud", circumstances.cloud),
+        ("reference", circumstances.reference),
+        ("visible", circumstances.visible),
     ]
 
 

@@ -22,6 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from evaluation.summary import MAD_TO_STD
+
 # Prior standard deviation of a slope: 45 degrees.
 _SLOPE_STD = 1.0
 # Huber's limit in standard deviations.
@@ -30,7 +32,6 @@ _HUBER = 2.5
 _MOST_SQUARES = 4
 _LEAST_COVERED = 1.0 / 3.0
 _STEPS = 3
-_MAD_TO_STD = 1.4826
 # Least correlation area [px²]: this many points are worth one independent point. On rough beds it is 5 to 12.
 LEAST_PX2 = 15.0
 # Sample windows of a cloud: number, radius [px], most and fewest points in each.
@@ -92,7 +93,7 @@ def fit_cells(points: CellPoints, *, side: float, pixel: float, correlated: floa
         weight = damping / (variance + relief[row])
         plane, _ = _planes(row, share * weight, offset, height, len(numbers), side)
         residual = height - plane[row, 0] - (plane[row, 1:] * offset).sum(axis=1)
-        spread = _MAD_TO_STD * _medians(np.abs(residual), row, start, count)
+        spread = MAD_TO_STD * _medians(np.abs(residual), row, start, count)
         relief = np.maximum(spread**2 - np.bincount(row, damping * variance) / np.bincount(row, damping), 0.0)
         size = np.abs(residual) / np.sqrt(variance + relief[row])
         damping = np.minimum(1.0, _HUBER / np.maximum(size, _HUBER))

@@ -148,14 +148,14 @@ def comparison(found: Figures | None) -> list[Block]:
     """Distances to the reference and completeness, whole and in parts; nothing without a reference."""
     if found is None:
         return []
-    held, distances, num_cropped = found.circumstances, found.summary.distances, found.summary.n_cropped
+    circumstances, distances, num_cropped = found.circumstances, found.summary.distances, found.summary.n_cropped
     cropped = f", {count(num_cropped)} outside the bounds left out" if num_cropped else ""
     method = Rows([
-        ("method", f"{held.method}, nothing aligned or shifted"),
+        ("method", f"{circumstances.method}, nothing aligned or shifted"),
         ("points compared", count(distances.n_points) + cropped),
     ])  # fmt: skip
     unit = LengthUnit.of([distances.std_m])
-    notes = [Sentences(held.notes)] if held.notes else []
+    notes = [Sentences(circumstances.notes)] if circumstances.notes else []
     whole = _bias_and_spread("part", _parts(found), unit, "Bias and spread")
     return [method, _completeness(found.tolerances), *_reached(found), whole, *_bands(found, unit), *notes]
 

@@ -10,7 +10,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from survey.benchmark.cases import IMAGES
 from survey.benchmark.records import METHODS, Record, Results
-from survey.benchmark.text import on_front
+from survey.benchmark.text import pareto_front
 from survey.compare.canvas import canvas, save
 from survey.display.palette import INK, RED, SERIES, SOFT
 
@@ -100,7 +100,7 @@ def _error_mm(record: Record) -> float:
 
 def table(records: Sequence[Record]) -> list[str]:
     """Lines of Markdown: a row for each record, * on the front of its survey."""
-    front = on_front(records)
+    front = pareto_front(records)
     lines = [
         "| depth | pattern | photographs | poses | quality | method | time | processor | memory | mean | std | "
         "complete at 0.2, 0.1, 0.05 m | std covers | median / std_common | |",

@@ -17,11 +17,11 @@ from survey.benchmark.records import Cost, Errors, Record, Results, read_results
 from survey.benchmark.text import (
     changes,
     comparison,
-    draw_front,
+    draw_pareto_front,
     legend_of,
     lines_of,
-    on_front,
     over_surveys,
+    pareto_front,
     table,
     unpaired,
 )
@@ -206,8 +206,8 @@ def test_the_front_holds_what_nothing_beats_in_both_time_and_error(tmp_path):
     fast, good = record("sweep", (5.0,), errors(2.0)), record("full", (10.0,), errors(1.0))
     beaten = record("slab", (20.0,), errors(1.5))
     found = (fast, good, beaten)
-    assert on_front(found) == {fast.key, good.key}
-    draw_front(tmp_path / "front.png", found)
+    assert pareto_front(found) == {fast.key, good.key}
+    draw_pareto_front(tmp_path / "front.png", found)
     assert (tmp_path / "front.png").read_bytes().startswith(b"\x89PNG")
     lines = table(results(*found))
     assert [line.endswith("*") for line in lines[1:]] == [True, True, False]

@@ -22,7 +22,7 @@ from geo.errors import GeoError
 from survey.benchmark.cases import GIVEN, POSES, Case, case_of, drawn_case, drawn_names, variant
 from survey.benchmark.corrected import write_corrected
 from survey.benchmark.records import METHODS, Cost, Method, Record, Results, errors_of, write_results
-from survey.benchmark.text import draw_front
+from survey.benchmark.text import draw_pareto_front
 from survey.errors import SurveyError
 from survey.machine import memory_bytes, num_cores
 from survey.progress import current
@@ -241,7 +241,7 @@ def benchmark(
                     found[record.key] = record
                 results = replace(results, records=tuple(found.values()))
                 write_results(folder / RESULTS, results)
-                draw_front(folder / FRONT, results.records)
+                draw_pareto_front(folder / FRONT, results.records)
                 stage.advance()
     return results
 

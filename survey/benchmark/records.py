@@ -1,9 +1,8 @@
 """Records of a benchmark: cost of each process, accuracy of its cloud against the truth, and their file.
 
-The methods that are compared: the whole chain, parts of it, and what there was before it.
-
-Baselines get the same photographs, poses and sweep as the whole chain; only the refraction is taken away, by a survey
-without water, and put back afterwards as the literature does.
+Methods are the whole chain, parts of it, and the baselines of the literature. Baselines get the same photographs, poses
+and sweep as the whole chain; only the refraction is taken away, by a survey without water, and put back afterwards as
+the literature does.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from survey.compare.options import to_local
 from survey.errors import SurveyError
 from survey.files.json_values import plain
 
-# Of the file's layout; another one is not read.
+# Version of the layout of the file; another one is not read.
 VERSION = 1
 _TABLE = ("version", "machine", "versions", "commit", "records")
 TOLERANCES_M = (0.05, 0.1, 0.2)
@@ -57,7 +56,7 @@ class Errors:
     # Share of vertical errors, their median taken off, below 1.96 times the `std` that the points carry, where the
     # surface is not a wall; None where they carry none
     coverage: float | None
-    # median_m, common_m [m] or None: that median, and the median of `std_common`, which it should lie within 2.6 of
+    # median_m, common_m [m] or None: that median, and the median of `std_common`; within 2.6 times it in 99 % of cases
     median_m: float | None = None
     common_m: float | None = None
     # dict of str to (n, sum, sum of squares): signed distances of the inner 90 % by block of the plan [m, m2]: what

@@ -1,6 +1,6 @@
 """Results of a benchmark as text and picture: rows of a table, changes between two results, a Pareto front.
 
-Errors and means are paired block by block of the plan: both clouds come from the same photographs and share most of
+Errors and means are compared in pairs of blocks in plan: both clouds come from the same photographs and share most of
 their noise. Times and memory are compared where both were measured on the same machine and often enough. Completeness
 and the coverage of the standard deviations are shares of the whole cloud, whose differences count beyond `NOISE`. Over
 several surveys the changes of each method are taken together, which judges times that were measured once, too.
@@ -21,7 +21,7 @@ from survey.compare.canvas import canvas, save
 from survey.display.palette import INK, RED, SERIES, SOFT
 from survey.display.quantities import length
 
-# Numbers within each decade that stand at the axes.
+# Ticks within each decade of the axes.
 _TICKS = (1.0, 2.0, 5.0)
 _COLOURS = (*SERIES, RED, INK)
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*", "<", ">")
@@ -35,7 +35,7 @@ ANOTHER_MACHINE = "another machine"
 COMPLETE, MEAN, COVERS = "complete", "mean", "std covers"
 # Smaller differences are noise: of the mean as a share of the error, of completeness and of coverage as shares.
 NOISE = {MEAN: 0.05, COMPLETE: 0.002, COVERS: 0.01}
-# Which share of the errors 1.96 standard deviations should cover.
+# Nominal share of the errors within 1.96 standard deviations.
 _COVERED = 0.95
 BETTER, WORSE, SAME, UNKNOWN = "better", "worse", "as before", "not judged"
 _HEAD = ("survey", "method", "quality", "poses", "device", "time", "processor", "memory", "mean", "std",
@@ -52,8 +52,8 @@ def wall_s(record: Record) -> float:
     return float(np.median([cost.wall_s for cost in record.costs]))
 
 
-def on_front(records: Sequence[Record]) -> set[tuple[str, ...]]:
-    """Keys of the records of each case than which none is both faster and more accurate."""
+def pareto_front(records: Sequence[Record]) -> set[tuple[str, ...]]:
+    """Keys of the records on the Pareto front of each case: no other is both faster and more accurate."""
     front: set[tuple[str, ...]] = set()
     for case in {record.case for record in records}:
         least = np.inf
@@ -65,10 +65,10 @@ def on_front(records: Sequence[Record]) -> set[tuple[str, ...]]:
     return front
 
 
-def draw_front(path: Path, records: Sequence[Record]) -> None:
-    """Time over error on logarithmic axes: a colour for each method, a mark for each case; the front is filled."""
+def draw_pareto_front(path: Path, records: Sequence[Record]) -> None:
+    """Draw run time over error, both logarithmic: a colour per method, a mark per case, filled on the Pareto front."""
     known = [record for record in records if record.errors is not None]
-    cases, front = list(dict.fromkeys(record.case for record in known)), on_front(known)
+    cases, front = list(dict.fromkeys(record.case for record in known)), pareto_front(known)
     figure, axes = canvas(7.2, 4.6)
     methods = [name for name in METHODS if any(record.method == name for record in known)]
     for record in known:
@@ -123,7 +123,7 @@ class ResultChange:
     # (low, high) or None: of ratio or difference, 95 %; None where there is too little to tell
     interval: tuple[float, float] | None
     verdict: str  # "better", "worse", "as before" or "not judged"
-    why: str = ""  # Of "not judged"
+    reason: str = ""  # Of "not judged"
     # Of completeness; of the distance of the coverage from 95 %; of the mean's absolute value over the error then. NaN
     # where it is a ratio.
     difference: float = float("nan")
@@ -153,12 +153,14 @@ def over_surveys(found: list[ResultChange]) -> list[ResultChange]:
     """
     groups: dict[tuple[tuple[str, ...], str], list[ResultChange]] = {}
     for change in found:
-        if (np.isfinite(change.ratio) or change.kind in NOISE) and change.why != ANOTHER_MACHINE:
+        if (np.isfinite(change.ratio) or change.kind in NOISE) and change.reason != ANOTHER_MACHINE:
             groups.setdefault((change.key[1:], change.figure), []).append(change)
-    return [_together(key, figure, group) for (key, figure), group in groups.items() if len(group) >= MIN_SURVEYS]
+    return [
+        _change_over_surveys(key, figure, group) for (key, figure), group in groups.items() if len(group) >= MIN_SURVEYS
+    ]
 
 
-def _together(key: tuple[str, ...], figure: str, group: list[ResultChange]) -> ResultChange:
+def _change_over_surveys(key: tuple[str, ...], figure: str, group: list[ResultChange]) -> ResultChange:
     name, is_difference = (f"{len(group)} surveys", *key), group[0].kind in NOISE
     values = np.array([change.difference for change in group]) if is_difference else np.log([c.ratio for c in group])
     half = student.ppf(0.5 * (1.0 + 0.01 * (_LEVEL[1] - _LEVEL[0])), len(values) - 1) * values.std(ddof=1)
@@ -200,8 +202,8 @@ def _of_record(now: Record, then: Record, same_machine: bool) -> list[ResultChan
 
 
 def _error(key: tuple[str, ...], now: Errors, then: Errors) -> ResultChange:
-    """Root mean square of the inner 90 %, by pairs of blocks that are drawn anew."""
-    ratio, drawn = now.error_m / then.error_m, _drawn(now, then)
+    """Root mean square of the inner 90 %, by a bootstrap over pairs of blocks."""
+    ratio, drawn = now.error_m / then.error_m, _bootstrap_sums(now, then)
     if isinstance(drawn, str):
         return ResultChange(key, "error", ratio, None, UNKNOWN, drawn)
     return _judged(key, "error", ratio, _rms(drawn[0]) / _rms(drawn[1]))
@@ -209,7 +211,7 @@ def _error(key: tuple[str, ...], now: Errors, then: Errors) -> ResultChange:
 
 def _mean(key: tuple[str, ...], now: Errors, then: Errors) -> ResultChange:
     """Bias of the inner 90 % over the earlier error, by a bootstrap over pairs of blocks."""
-    difference, drawn = (abs(now.mean_m) - abs(then.mean_m)) / then.error_m, _drawn(now, then)
+    difference, drawn = (abs(now.mean_m) - abs(then.mean_m)) / then.error_m, _bootstrap_sums(now, then)
     if isinstance(drawn, str):
         return ResultChange(key, MEAN, float("nan"), None, UNKNOWN, drawn, difference)
     off = [np.abs(sums[:, 1] / sums[:, 0]) for sums in drawn]
@@ -217,8 +219,8 @@ def _mean(key: tuple[str, ...], now: Errors, then: Errors) -> ResultChange:
     return _differs(key, MEAN, difference, (low, high))
 
 
-def _drawn(now: Errors, then: Errors) -> tuple[np.ndarray, np.ndarray] | str:
-    """Sums (draws, 3) over blocks that both have, drawn anew in pairs; in words why there are too few of them."""
+def _bootstrap_sums(now: Errors, then: Errors) -> tuple[np.ndarray, np.ndarray] | str:
+    """Bootstrap sums (draws, 3) of both over pairs of the blocks that both have; the reason where these are too few."""
     shared = sorted(now.blocks.keys() & then.blocks.keys())
     if len(shared) < MIN_BLOCKS:
         return f"{len(shared)} blocks in common, expected {MIN_BLOCKS}"
@@ -264,7 +266,7 @@ def _verdict(low: float, high: float) -> str:
 
 def table(results: Results) -> list[str]:
     """Table with a line for each record, under a head; * marks the front of its survey."""
-    front = on_front(results.records)
+    front = pareto_front(results.records)
     rows = [_HEAD, *(_row(record, record.key in front) for record in results.records)]
     widths = [max(len(row[i]) for row in rows) for i in range(len(_HEAD))]
     return ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]
@@ -301,12 +303,12 @@ def lines_of(changes: list[ResultChange]) -> list[str]:
     """Lines of text, one for each change."""
     lines = []
     for change in changes:
-        why = f": {change.why}" if change.why else ""
-        lines.append(f"{' '.join(change.key)}: {change.figure}{_by_how_much(change)} {change.verdict}{why}")
+        reason = f": {change.reason}" if change.reason else ""
+        lines.append(f"{' '.join(change.key)}: {change.figure}{_difference_text(change)} {change.verdict}{reason}")
     return lines
 
 
-def _by_how_much(change: ResultChange) -> str:
+def _difference_text(change: ResultChange) -> str:
     if np.isnan(change.ratio) and np.isnan(change.difference):
         return ""
     if np.isnan(change.difference):

@@ -15,7 +15,7 @@ from slow_cases import slow
 from geo.las import read_cloud, write_cloud
 from geo.reproject import Reprojection
 from geo.vectors import Layer, write_geojson, write_geopackage
-from survey.change.change import ChangeOptions, aligned, change_between
+from survey.change.change import ChangeOptions, align, change_between
 from survey.change.differences import Correlation, Differences, measured_correlation, volume_of
 
 SHAPE, SIDE, LENGTH = (48, 60), 0.5, 1.5
@@ -205,7 +205,7 @@ def test_volumes_after_an_alignment_on_stable_ground_hold_the_truth():
         stable[38:, :] = True
         area = differences.is_known & (np.arange(SHAPE[0])[:, None] < 34)
         true = SIDE**2 * (drawn(seed, common=(0.0, 0.0))[0].height - own_errors(seed))[area].sum()
-        again, found = aligned(differences, stable, Correlation(1.0, LENGTH))
+        again, found = align(differences, stable, Correlation(1.0, LENGTH))
         low, high = volume_of(again, area, Correlation(1.0, LENGTH)).interval95_m3
         held.append(low <= true <= high)
         shifts.append(found.shift_m)
@@ -227,7 +227,7 @@ def test_what_is_common_and_grows_over_a_survey_stays_after_an_alignment():
     differences, _ = drawn(5)
     growing = np.hypot(0.02, 0.05 * np.linspace(0.0, 1.0, SHAPE[1]))[None, :] * np.ones(SHAPE)
     differences = Differences(differences.height, differences.std, np.stack([growing, 0.0 * growing]), 0.0, SIDE)
-    again, found = aligned(differences, np.arange(SHAPE[1]) < 8 * np.ones(SHAPE, dtype=int), Correlation(1.0, LENGTH))
+    again, found = align(differences, np.arange(SHAPE[1]) < 8 * np.ones(SHAPE, dtype=int), Correlation(1.0, LENGTH))
     assert again.common[0, 0, 0] == pytest.approx(found.std_m, rel=0.2)
     assert again.common[0, 0, -1] == pytest.approx(np.hypot(0.05, found.std_m), rel=0.02)
 

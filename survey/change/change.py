@@ -1,9 +1,8 @@
 """`change`: differences of two surveys, cut and fill with their uncertainty, written as JSON, GeoTIFF and picture.
 
-On stable ground, the second survey is shifted by the mean difference there. Errors common to all cells then cancel;
-they are replaced by the standard deviation of that mean. The part of ``std_common`` that varies over a survey, by a
-tilt or with the depth, remains: the excess of its square over the least of the survey, at a cell and on the stable
-ground, as independent errors.
+With stable ground, the second survey is shifted by the mean difference there. Errors common to all cells then cancel;
+they are replaced by the standard deviation of that mean. What varies of ``std_common``, by a tilt or with the depth,
+remains: its variance less the smallest one of the survey, once at the cell and once on the stable ground (mean).
 """
 
 from __future__ import annotations
@@ -14,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
+from evaluation.summary import MAD_TO_STD
 from geo.files import existing_file
 from geo.lines import cells_inside, read_polygons
 from geo.raster import RasterBand, RasterForm, is_our_tiff, write_cog
 from survey.change.differences import (
-    CHANGED,
-    MAD_TO_STD,
+    CHANGED_STDS,
     ChangeError,
     Correlation,
     Differences,
@@ -39,7 +38,7 @@ from survey.progress import current
 # Fewer cells than this do not determine a mean, nor reveal which of them changed.
 FEWEST_CELLS = 30
 _NODATA = -9999.0
-_WORTH_SAYING = 1.5
+_NOTABLE_SCATTER = 1.5
 
 
 @dataclass(frozen=True)
@@ -52,7 +51,7 @@ class Alignment:
     left_out: int  # Cells of it whose difference lies beyond three robust standard deviations
 
 
-def aligned(differences: Differences, stable: np.ndarray, correlation: Correlation) -> tuple[Differences, Alignment]:
+def align(differences: Differences, stable: np.ndarray, correlation: Correlation) -> tuple[Differences, Alignment]:
     """The differences after the second survey was aligned to the first in height, with the shift.
 
     Parameters
@@ -71,7 +70,7 @@ def aligned(differences: Differences, stable: np.ndarray, correlation: Correlati
     if known.sum() < FEWEST_CELLS:
         raise ValueError(f"{int(known.sum())} cells of both surveys lie in it, expected at least {FEWEST_CELLS}")
     away = np.abs(differences.height - np.median(differences.height[known]))
-    used = known & (away <= CHANGED * MAD_TO_STD * max(float(np.median(away[known])), 1e-12))
+    used = known & (away <= CHANGED_STDS * MAD_TO_STD * max(float(np.median(away[known])), 1e-12))
     # Where unchanged cells scatter more than they state, their mean does too.
     scatter = max(1.0, correlation.scatter or 1.0)
     own = replace(differences, std=scatter * differences.std, common=np.zeros_like(differences.common))
@@ -81,13 +80,13 @@ def aligned(differences: Differences, stable: np.ndarray, correlation: Correlati
     return replace(
         differences,
         height=differences.height - mean,
-        common=np.stack([np.hypot(_growing(differences, used), std), np.zeros(used.shape)]),
+        common=np.stack([np.hypot(_varying_common_std(differences, used), std), np.zeros(used.shape)]),
         shared=0.0,
     ), found
 
 
-def _growing(differences: Differences, used: np.ndarray) -> np.ndarray:
-    """Standard deviation (rows, columns) [m] of the part of common errors that varies from cell to cell."""
+def _varying_common_std(differences: Differences, used: np.ndarray) -> np.ndarray:
+    """Standard deviation (rows, columns) [m] of the part of common errors that varies over a survey."""
     variances = [each**2 - np.nanmin(each[differences.is_known]) ** 2 for each in differences.common]
     first, second = (np.sqrt(np.maximum(each, 0.0) + max(float(each[used].mean()), 0.0)) for each in variances)
     return np.sqrt(np.maximum(first**2 + second**2 - 2.0 * differences.shared * first * second, 0.0))
@@ -245,7 +244,7 @@ def _correlation(differences: Differences, inside: np.ndarray, options: ChangeOp
         raise ChangeError(
             f"how errors of cells are correlated cannot be measured ({error}); give --correlation-length METRES"
         ) from error
-    if found.scatter is None or found.scatter <= _WORTH_SAYING:
+    if found.scatter is None or found.scatter <= _NOTABLE_SCATTER:
         return found, []
     return found, [
         f"cells that did not change scatter {found.scatter:.1f} times as much as their standard deviations say: "
@@ -258,7 +257,7 @@ def _aligned(
 ) -> tuple[Differences, Alignment]:
     stable = cells_inside(read_polygons(path, cells.crs), cells.transform, cells.shape)
     try:
-        return aligned(differences, stable, correlation)
+        return align(differences, stable, correlation)
     except ValueError as error:
         raise ChangeError(f"--stable {path}: {error}; draw larger polygons, or correct their CRS") from error
 

@@ -26,6 +26,8 @@ import numpy as np
 from pyproj import CRS
 from scipy.fft import irfft2, next_fast_len, rfft2
 
+from evaluation.standards import TO_95
+from evaluation.summary import MAD_TO_STD
 from geo import Cloud, read_reference, require_same_place
 from geo.compatibility import same_crs
 from geo.crs import has_height, height_unit_m
@@ -37,11 +39,8 @@ from survey.export.bed_cells import PlanCells, round_side
 from survey.export.cell_fit import CellPoints, correlated_px2, fit_cells
 from survey.run.folder import RunDir
 
-# Of a normal deviate: two-sided, 95 %.
-Z95 = 1.959964
-MAD_TO_STD = 1.4826
 # Cells with differences beyond this many robust standard deviations have changed.
-CHANGED = 3.0
+CHANGED_STDS = 3.0
 # Lags are evaluated up to this share of the shorter side; longer ones have few independent pairs.
 _LONGEST_LAG = 0.25
 _FEWEST_CELLS = 100
@@ -85,7 +84,7 @@ class Differences:
         """Minimum level of detection (rows, columns) [m] at 95 %: smaller differences are not significant."""
         first, second = self.common
         variance = self.std**2 + first**2 + second**2 - 2.0 * self.shared * first * second
-        return Z95 * np.sqrt(np.maximum(variance, 0.0))
+        return TO_95 * np.sqrt(np.maximum(variance, 0.0))
 
     @property
     def is_significant(self) -> np.ndarray:
@@ -104,7 +103,7 @@ class Volume:
     @property
     def interval95_m3(self) -> tuple[float, float]:
         """The interval that holds the true volume with a probability of 95 %."""
-        half = Z95 * self.std_m3
+        half = TO_95 * self.std_m3
         return self.volume_m3 - half, self.volume_m3 + half
 
 
@@ -133,7 +132,7 @@ def measured_correlation(differences: Differences, cells: np.ndarray) -> Correla
     ratio = np.where(cells, differences.height / differences.std, np.nan)
     middle = np.nanmedian(ratio)
     spread = MAD_TO_STD * float(np.nanmedian(np.abs(ratio - middle)))
-    same = np.isfinite(ratio) & (np.abs(ratio - middle) <= CHANGED * max(spread, 1e-12))
+    same = np.isfinite(ratio) & (np.abs(ratio - middle) <= CHANGED_STDS * max(spread, 1e-12))
     if same.sum() < _FEWEST_CELLS:
         raise ValueError(f"{int(same.sum())} cells have not changed, expected at least {_FEWEST_CELLS}")
     if np.ptp(ratio[same]) == 0.0:
@@ -185,7 +184,7 @@ class StatedStd:
 
 
 @dataclass(frozen=True)
-class Sounded:
+class SurveyPoints:
     """A cloud of the bed with the standard deviations of its heights."""
 
     path: Path
@@ -224,19 +223,19 @@ def differences_of(
     """
     clouds = [_cloud(path) for path in (first, second)]
     crs, notes = _common_crs(clouds, (first, second))
-    sounded = []
+    surveys = []
     for cloud, path in zip(clouds, (first, second), strict=True):
-        each, said = _sounded(cloud, path, crs, stated)
-        sounded.append(each)
+        each, said = _survey_points(cloud, path, crs, stated)
+        surveys.append(each)
         notes += said
-    require_same_place(sounded[0].points, sounded[1].points, str(first), str(second))
-    low = np.max([each.points[:, :2].min(axis=0) for each in sounded], axis=0)
-    high = np.min([each.points[:, :2].max(axis=0) for each in sounded], axis=0)
+    require_same_place(surveys[0].points, surveys[1].points, str(first), str(second))
+    low = np.max([each.points[:, :2].min(axis=0) for each in surveys], axis=0)
+    high = np.min([each.points[:, :2].max(axis=0) for each in surveys], axis=0)
     metres = ground_units_m(crs, 0.5 * (low + high))
-    spacing = max(_spacing_m(each.points, metres) for each in sounded)
+    spacing = max(_spacing_m(each.points, metres) for each in surveys)
     side = round_side(_SPACINGS_PER_CELL * spacing) if side_m is None else side_m
     cells = PlanCells.over(np.array([low, high]), crs, side)
-    layers = [_gridded(each, cells, crs, spacing) for each in sounded]
+    layers = [_raster_of(each, cells, crs, spacing) for each in surveys]
     (height_a, std_a, common_a), (height_b, std_b, common_b) = layers
     differences = Differences(height_b - height_a, np.hypot(std_a, std_b), np.stack([common_a, common_b]), shared, side)
     if not differences.is_known.any():
@@ -275,14 +274,14 @@ def _common_crs(clouds: list[Cloud], paths: tuple[Path, Path]) -> tuple[CRS, lis
     return crs if has_height(crs) else crs.to_3d(), notes
 
 
-def _sounded(cloud: Cloud, path: Path, crs: CRS, stated: StatedStd) -> tuple[Sounded, list[str]]:
+def _survey_points(cloud: Cloud, path: Path, crs: CRS, stated: StatedStd) -> tuple[SurveyPoints, list[str]]:
     """The points of a survey with their standard deviations, in the common CRS, and notes on them."""
     own, notes = cloud.crs, []
     if own is not None and has_height(own) and not same_crs(own, crs):
-        way = Reprojection.between(own, crs, where=f"the CRS of {path}", places=cloud.points)
-        cloud = replace(cloud, points=way(cloud.points))
+        reprojection = Reprojection.between(own, crs, where=f"the CRS of {path}", places=cloud.points)
+        cloud = replace(cloud, points=reprojection(cloud.points))
         notes.append(f"{path} is in {own.name}: transformed to {crs.name}")
-        notes += [] if way.warning is None else [way.warning]
+        notes += [] if reprojection.warning is None else [reprojection.warning]
     elif own is not None and not same_crs(own, crs):
         raise ChangeError(
             f"{path} is in {own.name} without heights, and the other survey in {crs.name}; give both in one"
@@ -299,7 +298,7 @@ def _sounded(cloud: Cloud, path: Path, crs: CRS, stated: StatedStd) -> tuple[Sou
     keep = np.isfinite(std) & np.isfinite(common) & np.isfinite(cloud.points).all(axis=1)
     if not keep.any():
         raise ChangeError(f"no point of {path} has a standard deviation; give --std and --std-common")
-    return Sounded(path, cloud.points[keep], std[keep], common[keep]), notes + of_own + of_common
+    return SurveyPoints(path, cloud.points[keep], std[keep], common[keep]), notes + of_own + of_common
 
 
 def _values(cloud: Cloud, name: str, stated: float | None, path: Path, option: str) -> tuple[np.ndarray, list[str]]:
@@ -314,18 +313,18 @@ def _values(cloud: Cloud, name: str, stated: float | None, path: Path, option: s
 
 
 def _spacing_m(points: np.ndarray, metres: np.ndarray) -> float:
-    """Distance of neighbouring points [m], by their number in the box around the middle half of them."""
+    """Distance of neighbouring points [m], by their density in the box between their quartiles."""
     low, high = np.quantile(points[:, :2], [0.25, 0.75], axis=0)
     inside = ((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1)
     return float(np.sqrt(np.prod((high - low) * metres) / max(int(inside.sum()), 1)))
 
 
-def _gridded(sounded: Sounded, cells: PlanCells, crs: CRS, spacing_m: float) -> tuple[np.ndarray, ...]:
+def _raster_of(survey: SurveyPoints, cells: PlanCells, crs: CRS, spacing_m: float) -> tuple[np.ndarray, ...]:
     """Heights, their own and their common standard deviations (rows, columns) [m]; NaN where there are none."""
-    at = cells.place(sounded.points)
+    at = cells.place(survey.points)
     inside = ((at >= 0.0) & (at < cells.shape[::-1])).all(axis=1)
-    at, std, common = at[inside], sounded.std[inside], sounded.common[inside]
-    height = sounded.points[inside, 2] * height_unit_m(crs)
+    at, std, common = at[inside], survey.std[inside], survey.common[inside]
+    height = survey.points[inside, 2] * height_unit_m(crs)
     whole = np.floor(at).astype(np.int64)
     number = whole[:, 1] * cells.shape[1] + whole[:, 0]
     layers = np.full((3, cells.shape[0] * cells.shape[1]), np.nan)

@@ -12,10 +12,10 @@ from stored_run import GSD_M, run_of, stored_points
 
 from survey.errors import SurveyError
 from survey.export import bed_cells
-from survey.export import gridded as gridded_module
+from survey.export import bed_raster as bed_raster_module
 from survey.export.bed_cells import CellWindow, LevelFit, PlanCells, round_side
+from survey.export.bed_raster import bed_raster, seen_from_above
 from survey.export.cell_fit import LEAST_PX2, CellPoints, correlated_px2, fit_cells
-from survey.export.gridded import gridded, seen_from_above
 from survey.export.loaded import LoadedRun
 from survey.export.product import ExportOptions
 
@@ -161,9 +161,9 @@ def test_a_raster_does_not_depend_on_its_tiles(tmp_path, monkeypatch):
     height = 500.0 + 0.1 * np.sin(3.0 * plan[:, 0]) + np.where(plan[:, 1] > 6.0, 0.5, 0.0)
     run, options = made(plan, height, tmp_path)
     with run:
-        whole = gridded(run, options)
-        monkeypatch.setattr(gridded_module, "_POINTS_PER_TILE", 5000)
-        tiled = gridded(run, ExportOptions(resolution_m=SIDE, fill_m=0.01))
+        whole = bed_raster(run, options)
+        monkeypatch.setattr(bed_raster_module, "_POINTS_PER_TILE", 5000)
+        tiled = bed_raster(run, ExportOptions(resolution_m=SIDE, fill_m=0.01))
         assert whole.cells.shape == (130, 130)
         np.testing.assert_array_equal(tiled.count, whole.count)
         np.testing.assert_array_equal(tiled.height, whole.height)
@@ -180,10 +180,10 @@ def test_a_tile_of_large_cells_is_no_larger_than_its_points_ask_for(tmp_path, mo
         return seen_from_above(plan, *rest)
 
     with run:
-        whole = gridded(run, options)
-        monkeypatch.setattr(gridded_module, "_POINTS_PER_TILE", 2000)
-        monkeypatch.setattr(gridded_module, "seen_from_above", seen)
-        tiled = gridded(run, replace(options, fill_m=0.01))
+        whole = bed_raster(run, options)
+        monkeypatch.setattr(bed_raster_module, "_POINTS_PER_TILE", 2000)
+        monkeypatch.setattr(bed_raster_module, "seen_from_above", seen)
+        tiled = bed_raster(run, replace(options, fill_m=0.01))
         np.testing.assert_array_equal(tiled.height, whole.height)
     assert max(widths) < 6.0
 
@@ -192,7 +192,7 @@ def test_what_all_heights_share_is_not_averaged_away(tmp_path):
     run, options = made(grid_of_points(), np.zeros(40_000), tmp_path)
     run.folder.report_json_path.write_text('{"adjustment": {"height_std_common_m": {"mean": 0.01, "typical": 0.04}}}')
     with run:
-        raster = gridded(run, options)
+        raster = bed_raster(run, options)
         assert run.common_std_m == 0.04
         assert (raster.common == np.float32(0.04)).all()
         stds = raster.stds(CellWindow(0, 40, 0, 40))
@@ -206,7 +206,7 @@ def test_what_heights_share_is_that_of_the_points_where_they_have_it(tmp_path):
     common = np.where(plan[:, 0] < 2.0, 0.03, np.nan).astype(np.float32)
     stored = replace(stored_points(points, CRS_OF_TEST), std_common=common)
     with LoadedRun(run_of(stored, tmp_path / "run")) as run:
-        raster = gridded(run, ExportOptions(resolution_m=SIDE))
+        raster = bed_raster(run, ExportOptions(resolution_m=SIDE))
         np.testing.assert_allclose(raster.common[:, :20], 0.03, rtol=1e-6)
         # Not known of the others, and the run has no adjustment.
         assert (raster.common[:, 20:] == 0.0).all()
@@ -218,16 +218,16 @@ def test_gaps_up_to_a_width_are_filled_marked_and_less_sure(tmp_path):
     plan = plan[~narrow & ~wide]
     run, options = made(plan, 10.0 + 0.5 * plan[:, 1], tmp_path, fill_m=0.5)
     with run:
-        raster = gridded(run, options)
+        raster = bed_raster(run, options)
         at = raster.cells.middles(CellWindow(0, 40, 0, 40)) - CORNER
         in_narrow, in_wide = np.abs(at[..., 0] - 1.05) < 0.15, np.abs(at - 2.75).max(axis=-1) < 0.4
-        assert (raster.known[in_narrow] == 2).all()
+        assert (raster.origin[in_narrow] == 2).all()
         assert (raster.count[in_narrow] == 0).all()
-        assert (raster.known[in_wide] == 0).all()
+        assert (raster.origin[in_wide] == 0).all()
         assert np.isnan(raster.heights(CellWindow(0, 40, 0, 40))[in_wide]).all()
         error = raster.height[in_narrow] - (10.0 + 0.5 * at[..., 1][in_narrow])
         assert (np.abs(error) < 2.0 * raster.std[in_narrow]).all()
-        assert raster.std[in_narrow].min() > 2.0 * np.median(raster.std[raster.known == 1])
+        assert raster.std[in_narrow].min() > 2.0 * np.median(raster.std[raster.origin == 1])
 
 
 @pytest.mark.parametrize("width", [1, 2, 7])
@@ -269,9 +269,9 @@ def test_a_resolution_that_makes_too_many_cells_or_none_is_refused(tmp_path):
     run, _ = made(grid_of_points(0.2), np.zeros(100), tmp_path)
     for wrong in (0.0, -1.0, float("nan"), float("inf"), 1e-300, 1e9):
         with pytest.raises(SurveyError, match=r"--resolution is .*, expected the side of a cell in metres"):
-            gridded(run, ExportOptions(resolution_m=wrong))
+            bed_raster(run, ExportOptions(resolution_m=wrong))
     with pytest.raises(SurveyError, match=r"--fill is -1, expected the width of the gaps"):
-        gridded(run, ExportOptions(fill_m=-1.0))
+        bed_raster(run, ExportOptions(fill_m=-1.0))
 
 
 @pytest.mark.parametrize(("side", "expected"), [(0.083, 0.1), (0.1, 0.1), (0.106, 0.2), (0.21, 0.25), (3.0, 5.0)])

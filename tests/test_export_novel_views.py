@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from survey.export.novel_views import exposures, per_metre
+from survey.export.novel_views import attenuation_per_metre, log_exposures
 
 ABSORPTION = (0.3, 0.1, 0.05)
 
@@ -15,12 +15,12 @@ def test_what_water_takes_along_a_path_is_told_from_the_colours_of_the_bed(rng):
     lengths = slant * rng.uniform(0.5, 6.0, 500)
     shown = bed - lengths[..., None] * ABSORPTION
     shown[rng.random(lengths.shape) < 0.3] = np.nan
-    np.testing.assert_allclose(per_metre(shown, lengths), np.negative(ABSORPTION), rtol=1e-3)
+    np.testing.assert_allclose(attenuation_per_metre(shown, lengths), np.negative(ABSORPTION), rtol=1e-3)
 
 
 def test_dry_photographs_have_no_change_with_the_path(rng):
     shown = rng.normal(4.0, 0.5, (5, 40, 3))
-    assert not per_metre(shown, np.zeros((5, 40))).any()
+    assert not attenuation_per_metre(shown, np.zeros((5, 40))).any()
 
 
 @pytest.mark.parametrize("along", [0.4, -0.4, 0.0])
@@ -32,8 +32,8 @@ def test_exposures_that_go_with_the_path_are_told_from_the_water(rng, along):
     shown = bed - lengths[..., None] * ABSORPTION + exposure[:, None, None] + 0.02 * rng.normal(size=(6, 800, 3))
     shown[rng.random(lengths.shape) < 0.3] = np.nan
     # 0.02 over lengths that differ by 0.1 m in 3000 colours: 0.004 for one standard deviation.
-    np.testing.assert_allclose(per_metre(shown, lengths), np.negative(ABSORPTION), atol=0.016)
-    found = exposures(shown, lengths)
+    np.testing.assert_allclose(attenuation_per_metre(shown, lengths), np.negative(ABSORPTION), atol=0.016)
+    found = log_exposures(shown, lengths)
     np.testing.assert_allclose(found, np.repeat(exposure[:, None], 3, axis=1) - exposure.mean(), atol=0.015)
 
 
@@ -42,11 +42,11 @@ def test_where_lengths_are_those_of_the_views_exposures_explain_all(rng):
     lengths = rng.uniform(1.0, 3.0, 300) + longer[:, None]
     apart = np.array([0.4, 0.4, 0.4, 0.0, 0.0, 0.0])[:, None] - longer[:, None] * ABSORPTION
     shown = bed + apart[:, None] + 0.01 * rng.normal(size=(6, 300, 3))
-    assert np.abs(per_metre(shown, lengths)).max() < 0.01
-    np.testing.assert_allclose(exposures(shown, lengths), apart - apart.mean(axis=0), atol=0.01)
+    assert np.abs(attenuation_per_metre(shown, lengths)).max() < 0.01
+    np.testing.assert_allclose(log_exposures(shown, lengths), apart - apart.mean(axis=0), atol=0.01)
 
 
 def test_no_water_brightens_the_bed_with_the_path(rng):
     lengths = rng.uniform(1.0, 6.0, (5, 200))
     shown = rng.normal(4.0, 0.5, (200, 3)) + 0.2 * lengths[..., None]
-    assert not per_metre(shown, lengths).any()
+    assert not attenuation_per_metre(shown, lengths).any()

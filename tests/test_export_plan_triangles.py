@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import Delaunay
 
 from survey.export import plan_triangles
-from survey.export.plan_triangles import surest, triangles
+from survey.export.plan_triangles import most_certain, triangles
 
 CELL_M, LONGEST_M = 0.1, 0.6
 
@@ -35,7 +35,7 @@ def test_of_each_cell_the_surest_point_stays_whatever_is_sorted_at_a_time(rng, m
     points = scattered(rng)
     std = rng.choice([0.01, 0.02, np.nan], len(points))
     monkeypatch.setattr(plan_triangles, "_PORTION", 111)
-    numbers = surest(points, std, CELL_M, of_band)
+    numbers = most_certain(points, std, CELL_M, of_band)
     cells = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / CELL_M).astype(int)
     best: dict[tuple[int, int], int] = {}
     for number, (column, row) in enumerate(cells.tolist()):
@@ -51,7 +51,7 @@ def test_triangles_by_bands_are_those_of_the_whole(seed, of_band):
     rng = np.random.default_rng(seed)
     points = scattered(rng)[:, :2]
     xy, south = points, float(points[:, 1].min())
-    xy = xy[surest(np.column_stack([xy, xy[:, 0]]), np.zeros(len(xy)), CELL_M)]
+    xy = xy[most_certain(np.column_stack([xy, xy[:, 0]]), np.zeros(len(xy)), CELL_M)]
     whole = Delaunay(xy - xy.mean(axis=0)).simplices
     sides = np.linalg.norm(xy[whole] - xy[np.roll(whole, 1, axis=1)], axis=2)
     expected = as_set(whole[sides.max(axis=1) < LONGEST_M])
@@ -65,8 +65,10 @@ def test_rows_without_points_make_no_band():
     rng = np.random.default_rng(5)
     south, north = rng.uniform(0.0, 0.05, (300, 2)), rng.uniform(0.0, 0.05, (50, 2)) + np.array([0.0, 9.0])
     plan = np.concatenate([south, north]) * [40.0, 1.0]
-    numbers = surest(np.column_stack([plan, plan[:, 0]]), np.zeros(len(plan)), CELL_M, 10)
-    np.testing.assert_array_equal(numbers, surest(np.column_stack([plan, plan[:, 0]]), np.zeros(len(plan)), CELL_M))
+    numbers = most_certain(np.column_stack([plan, plan[:, 0]]), np.zeros(len(plan)), CELL_M, 10)
+    np.testing.assert_array_equal(
+        numbers, most_certain(np.column_stack([plan, plan[:, 0]]), np.zeros(len(plan)), CELL_M)
+    )
 
 
 def test_few_points_and_points_on_a_line_make_no_triangle():

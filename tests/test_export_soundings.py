@@ -11,8 +11,8 @@ from stored_run import run_of, stored_points
 
 from geo.crs import height_unit_m
 from survey.errors import SurveyError
+from survey.export.bed_raster import bed_raster
 from survey.export.export import export
-from survey.export.gridded import gridded
 from survey.export.loaded import LoadedRun
 from survey.export.product import ExportOptions
 
@@ -80,7 +80,7 @@ def test_points_on_the_outer_edge_lie_in_the_last_cells(tmp_path):
     assert sorted(kept) == sorted(places)
     assert [int(kept[place]["points"]) for place in places] == [1, 1, 2, 2]
     with LoadedRun(run) as loaded:
-        assert gridded(loaded, options).count.tolist() == [[1, 2], [1, 2]]
+        assert bed_raster(loaded, options).count.tolist() == [[1, 2], [1, 2]]
 
 
 def test_a_mean_stands_in_the_middle_of_its_cell(tmp_path):

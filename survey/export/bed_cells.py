@@ -28,13 +28,15 @@ _MOST_CELLS = 4_000_000_000
 _ON_EDGE = 1e-6
 # Steps of resolutions that are chosen, times a power of ten.
 _ROUND = (1.0, 2.0, 2.5, 5.0, 10.0)
-# Points for the paraboloid of the water: a plane of the local frame is curved in crs by Earth and map projection.
+# Points for the fit of the level: a plane of the local frame is curved in crs by Earth and map projection.
 _MOST_POINTS = 20_000
 _TILE = 512
 # Known cells from which a gap cell is interpolated.
 _NEIGHBOURS = 12
 # Slope to assume where none is known [-].
 _ANY_SLOPE = 1.0
+# Origins of a height: the points of the cell, or interpolation between cells.
+POINTS, FILLED = 1, 2
 
 
 @dataclass(frozen=True)
@@ -155,18 +157,17 @@ def round_side(side_m: float) -> float:
 
 
 @dataclass(frozen=True)
-class Gridded:
-    """The bed in cells; arrays (rows, columns), in files."""
+class BedRaster:
+    """The bed as a raster; arrays (rows, columns), in files."""
 
     cells: PlanCells
-    # float32 [m]: mean height of the bed over the cell, seen from above; of no meaning where `known` is not set
+    # float32 [m]: mean height of the bed over the cell, seen from above; undefined where `origin` is 0
     height: np.ndarray
-    std: np.ndarray  # float32 [m]: standard deviation of that height by errors of its own
-    # float32 [m]: standard deviation by what all heights have in common, water, lens and poses, as far as the run knows
-    # it
+    std: np.ndarray  # float32 [m]: standard deviation of that height by the errors of the cell
+    # float32 [m]: standard deviation common to all heights, by water, lens and poses, where the run knows it
     common: np.ndarray
     count: np.ndarray  # uint32: points that the height is from; 0 where it was filled
-    known: np.ndarray  # uint8: 1 where the cell has points, 2 where it was filled from its neighbours, else 0
+    origin: np.ndarray  # uint8, of the height: `POINTS`, `FILLED`, or 0 where there is none
     incidence: np.ndarray  # float32 [rad]: mean angle in air at which its points were seen
     level: LevelFit | None  # Height of the water; None for a dry survey
     pixel_m: float  # [m]: what a pixel of the photographs covers
@@ -174,12 +175,12 @@ class Gridded:
     def heights(self, window: CellWindow) -> np.ndarray:
         """Heights (rows, columns) float64 [m] of a window, NaN where there is none."""
         at = window.slices
-        return np.where(self.known[at] > 0, self.height[at].astype(np.float64), np.nan)
+        return np.where(self.origin[at] > 0, self.height[at].astype(np.float64), np.nan)
 
     def stds(self, window: CellWindow) -> np.ndarray:
         """Standard deviations (rows, columns) float64 [m] by all errors, NaN where there is no height."""
         at = window.slices
-        return np.where(self.known[at] > 0, np.hypot(self.std[at].astype(np.float64), self.common[at]), np.nan)
+        return np.where(self.origin[at] > 0, np.hypot(self.std[at].astype(np.float64), self.common[at]), np.nan)
 
     def depths(self, window: CellWindow) -> np.ndarray:
         """Depth under the water (rows, columns) float64 [m], negative above it; NaN without height or water."""
@@ -195,16 +196,16 @@ class Gridded:
 
 @dataclass(frozen=True)
 class LevelFit:
-    """A paraboloid through the water over the points of a cloud."""
+    """Quadratic function of plan, fitted to the water level over the points of a cloud."""
 
-    # middle, extent: (2,) in crs
+    # middle, extent: (2,) in crs: mean of the points, and their extent along each axis
     middle: np.ndarray
     extent: np.ndarray
     coefficients: np.ndarray  # (6,) [m]: of 1, x, y, x x, x y, y y, with x and y from the middle in extents
 
     @staticmethod
     def of(points: np.ndarray, depth: np.ndarray) -> LevelFit | None:
-        """Paraboloid of the level by points (N, 3), heights in metres, and depths (N,) [m]; None without depths."""
+        """Fit to the level over points (N, 3), heights in metres, of depths (N,) [m]; None without depths."""
         known = np.flatnonzero(np.isfinite(depth))
         if not len(known):
             return None
@@ -222,12 +223,13 @@ class LevelFit:
 
 
 def _terms(plan: np.ndarray) -> np.ndarray:
+    """Monomials (..., 6) up to the second degree of places (..., 2)."""
     x, y = plan[..., 0], plan[..., 1]
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
 
 
-def fill_gaps(grid: Gridded, width_m: float) -> None:
-    """Fill the gaps of a raster that are at most so wide [m], in place."""
+def fill_gaps(grid: BedRaster, width_m: float) -> None:
+    """Fill the gaps of a raster up to a width [m], in place."""
     cells = grid.cells
     width = int(width_m / cells.side_m + 1e-6)
     if width < 1:
@@ -235,7 +237,7 @@ def fill_gaps(grid: Gridded, width_m: float) -> None:
     found = []
     for window in cells.windows(_TILE):
         around = window.grown(2 * width + 2, cells.shape)
-        known = grid.known[around.slices] == 1
+        known = grid.origin[around.slices] == POINTS
         closed = _closed(known, width)
         inner = np.zeros_like(known)
         inner[window.within(around)] = True
@@ -246,11 +248,11 @@ def fill_gaps(grid: Gridded, width_m: float) -> None:
     # All are interpolated from measured cells before any is set.
     for place, values in found:
         grid.height[place], grid.std[place], grid.common[place], grid.incidence[place] = values
-        grid.known[place] = 2
+        grid.origin[place] = FILLED
 
 
 def _closed(known: np.ndarray, width: int) -> np.ndarray:
-    """Known cells, and those in whose gap no square of more than ``width`` cells fits."""
+    """Morphological closing: known cells, and those in whose gap no square of more than ``width`` cells fits."""
     # Beyond the raster nothing is known, so that gaps continue there.
     gap = np.pad(~known, width + 1, constant_values=True)
     # Separable, so that wide gaps cost no more than narrow ones.
@@ -258,8 +260,8 @@ def _closed(known: np.ndarray, width: int) -> np.ndarray:
     return (opened == 0)[width + 1 : -width - 1, width + 1 : -width - 1]
 
 
-def _interpolated(grid: Gridded, known: np.ndarray, around: CellWindow, gaps: np.ndarray) -> np.ndarray:
-    """Height, both standard deviations [m] and incidence [rad] (4, K) of cells (K, 2) of a window, from known ones."""
+def _interpolated(grid: BedRaster, known: np.ndarray, around: CellWindow, gaps: np.ndarray) -> np.ndarray:
+    """Height, both standard deviations [m] and incidence [rad] (4, K) of cells (K, 2), by inverse-distance weights."""
     layers = (grid.height, grid.std, grid.common, grid.incidence)
     height, std, common, incidence = (layer[around.slices].astype(np.float64) for layer in layers)
     places = np.argwhere(known)

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from geo.files import library_for
 from geo.shapes import Mesh
 from survey.errors import SurveyError
-from survey.export.plan_triangles import surest, triangles
+from survey.export.plan_triangles import most_certain, triangles
 
 METHODS = ("delaunay", "poisson")
 _NEIGHBOURS = 12
@@ -245,7 +245,7 @@ def delaunay_surface(points: np.ndarray, std: np.ndarray, spacing_m: float) -> t
     faces : (F, 3) int
         Without those that have a side of more than `LONGEST` spacings in plan.
     """
-    chosen, south = surest(points, std, spacing_m), float(points[:, 1].min())
+    chosen, south = most_certain(points, std, spacing_m), float(points[:, 1].min())
     return without_unused_vertices(chosen, triangles(points[chosen, :2], south, LONGEST * spacing_m, spacing_m))
 
 

@@ -30,24 +30,24 @@ def _is_our_model(path: Path) -> bool:
     return begins_with(_MARK.encode())(path / "cameras.txt") if (path / "cameras.txt").is_file() else False
 
 
-def _said(flight: Flight) -> dict:
+def _metadata(flight: Flight) -> dict:
     """Frame and water, for JSON."""
     from geo.crs import crs_code
 
     frame, water = flight.frame, flight.water
-    said = {
+    metadata = {
         "made_by": "bathynerf",
         "frame": "topocentric east-north-up, metres",
         "crs": crs_code(frame.crs) or frame.crs.to_wkt(),
         "origin_in_crs": list(frame.origin),
     }
     if any(view.camera.motion is not None for view in flight.views):
-        said["rolling_shutter"] = "positions are those at the middle row; how the cameras flew on is left out"
+        metadata["rolling_shutter"] = "positions are those at the middle row; motion during the readout is left out"
     if water is None:
-        return said | {"rays": "straight: a dry survey"}
+        return metadata | {"rays": "straight: a dry survey"}
     level = float(water.height(0.0, 0.0))
     plane = {"level": level, "slope_x": float(water.slope_x), "slope_y": float(water.slope_y)}
-    return said | {
+    return metadata | {
         "water_plane": plane,
         "refractive_index": float(water.n_water),
         "rays": "straight from the camera to the plane z = level + slope_x x + slope_y y, bent there by Snell's law; a "
@@ -74,7 +74,7 @@ def _write_colmap(path: Path, run: LoadedRun, _options: ExportOptions) -> None:
 
     flight = run.flight
     views = [replace(view, lens=_in_colmap(view.lens)) for view in flight.views]
-    comments = [f"# {name}: {json.dumps(value, ensure_ascii=False)}\n" for name, value in _said(flight).items()]
+    comments = [f"# {name}: {json.dumps(value, ensure_ascii=False)}\n" for name, value in _metadata(flight).items()]
     with reporting_disk_errors(path):
         path.mkdir(parents=True, exist_ok=True)
         write_model(path, views, head=_MARK + "".join(comments), points=_points(run))
@@ -106,9 +106,9 @@ def _write_nerfstudio(path: Path, run: LoadedRun, _options: ExportOptions) -> No
         matrix[:3, 3] = view.camera.centre
         frame = {"file_path": str(view.path), **_nerfstudio_lens(view.lens), "transform_matrix": matrix.tolist()}
         frames.append(frame if view.mask_path is None else frame | {"mask_path": str(view.mask_path)})
-    said = {"bathynerf": _said(flight), "frames": frames}
+    content = {"bathynerf": _metadata(flight), "frames": frames}
     with write_whole(path) as stream:
-        stream.write(json.dumps(said, indent=1, ensure_ascii=False).encode())
+        stream.write(json.dumps(content, indent=1, ensure_ascii=False).encode())
 
 
 def _nerfstudio_lens(lens: Lens) -> dict:

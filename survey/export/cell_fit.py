@@ -26,17 +26,18 @@ from evaluation.summary import MAD_TO_STD
 
 # Prior standard deviation of a slope: 45 degrees.
 _SLOPE_STD = 1.0
-# Huber's limit in standard deviations.
+# Huber's constant, in standard deviations.
 _HUBER = 2.5
 # For coverage a cell is divided into squares, at most this many along a side; those with points are covered.
 _MOST_SQUARES = 4
 _LEAST_COVERED = 1.0 / 3.0
+# Iterations of the reweighted least squares.
 _STEPS = 3
 # Least correlation area [px²]: this many points are worth one independent point. On rough beds it is 5 to 12.
 LEAST_PX2 = 15.0
 # Sample windows of a cloud: number, radius [px], most and fewest points in each.
 _WINDOWS, _RADIUS_PX, _MOST_POINTS, _FEWEST_POINTS = 60, 9.0, 300, 60
-# At larger distances, remaining relief in a window hides the correlation of errors [px].
+# Longest distance of points [px]: beyond, relief that remains in a window hides the correlation of errors.
 _REACH_PX = 4
 # Squared differences are clipped at this many times their variance.
 _LARGEST = 9.0
@@ -88,16 +89,16 @@ def fit_cells(points: CellPoints, *, side: float, pixel: float, correlated: floa
     height = height - base[row]
     share = _independent(count, side, pixel, correlated)[row] / count[row]
     unsampled = 1.0 - np.minimum(count * (pixel / side) ** 2, 1.0)
-    relief, damping = np.zeros(len(numbers)), np.ones(len(height))
+    relief, huber = np.zeros(len(numbers)), np.ones(len(height))
     for _ in range(_STEPS):
-        weight = damping / (variance + relief[row])
+        weight = huber / (variance + relief[row])
         plane, _ = _planes(row, share * weight, offset, height, len(numbers), side)
         residual = height - plane[row, 0] - (plane[row, 1:] * offset).sum(axis=1)
         spread = MAD_TO_STD * _medians(np.abs(residual), row, start, count)
-        relief = np.maximum(spread**2 - np.bincount(row, damping * variance) / np.bincount(row, damping), 0.0)
-        size = np.abs(residual) / np.sqrt(variance + relief[row])
-        damping = np.minimum(1.0, _HUBER / np.maximum(size, _HUBER))
-    weight = damping / (variance + (unsampled * relief)[row])
+        relief = np.maximum(spread**2 - np.bincount(row, huber * variance) / np.bincount(row, huber), 0.0)
+        normalised = np.abs(residual) / np.sqrt(variance + relief[row])
+        huber = np.minimum(1.0, _HUBER / np.maximum(normalised, _HUBER))
+    weight = huber / (variance + (unsampled * relief)[row])
     _, plane_variance = _planes(row, share * weight, offset, height, len(numbers), side)
     # A plane that rises by d across a cell has a variance of d^2 / 12 in it.
     uneven = relief + (plane[:, 1:] ** 2).sum(axis=1) / 12.0
@@ -167,13 +168,13 @@ def correlated_px2(plan: np.ndarray, height: np.ndarray, std: np.ndarray, pixel:
         if len(near) > _MOST_POINTS:
             near = rng.choice(near, _MOST_POINTS, replace=False)
         x, y = ((plan[near] - middle) / pixel).T
-        rest = _less_relief(x, y, height[near].astype(np.float64))
+        residual = _quadratic_residuals(x, y, height[near].astype(np.float64))
         i, j = np.triu_indices(len(near), 1)
         apart = np.hypot(x[i] - x[j], y[i] - y[j])
         close = apart < _REACH_PX
         i, j, ring = i[close], j[close], apart[close].astype(np.int64)
         variance = np.square(std[near].astype(np.float64))
-        share = np.minimum((rest[i] - rest[j]) ** 2 / (variance[i] + variance[j]), _LARGEST)
+        share = np.minimum((residual[i] - residual[j]) ** 2 / (variance[i] + variance[j]), _LARGEST)
         squared += np.bincount(ring, share, _REACH_PX)
         count += np.bincount(ring, minlength=_REACH_PX)
     alike = np.maximum(1.0 - squared / np.maximum(count, 1.0), 0.0) * (count > 0)
@@ -181,7 +182,7 @@ def correlated_px2(plan: np.ndarray, height: np.ndarray, std: np.ndarray, pixel:
     return max(float(alike @ rings), LEAST_PX2)
 
 
-def _less_relief(x: np.ndarray, y: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """Heights (N,) [m] minus a fitted surface of second degree."""
+def _quadratic_residuals(x: np.ndarray, y: np.ndarray, height: np.ndarray) -> np.ndarray:
+    """Residuals (N,) [m] of heights to a fitted quadratic surface, which takes out the relief."""
     design = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
     return height - design @ np.linalg.lstsq(design, height, rcond=None)[0]

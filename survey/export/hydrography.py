@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import numpy as np
     from pyproj import CRS
 
-    from survey.export.bed_cells import CellWindow, Gridded
+    from survey.export.bed_cells import BedRaster, CellWindow
     from survey.export.loaded import LoadedRun
 
 # Fixed by the format.
@@ -37,9 +37,9 @@ def _write_bag(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     import numpy as np
 
     from geo.raster import SOFTWARE, RasterBand, RasterForm, write_bag
-    from survey.export.gridded import gridded
+    from survey.export.bed_raster import bed_raster
 
-    grid = gridded(run, options)
+    grid = bed_raster(run, options)
     crs = grid.cells.crs
     if not crs.is_projected or any(axis.unit_name != "metre" for axis in crs.axis_info):
         raise SurveyError(f"--bag holds square cells and heights in metres, but the CRS is {crs.name}; give --crs")
@@ -58,13 +58,13 @@ def _write_bag(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     bands = (RasterBand("elevation", "metre"), RasterBand("uncertainty", "metre"))
     form = RasterForm(crs, cells.transform, cells.shape, bands, nodata=_BAG_NODATA)
     filled = f"; gaps up to {options.fill_m:g} m are interpolated" if options.fill_m else ""
-    said = {
+    tags = {
         "ABSTRACT": f"{run.bed_header.name}: bed of shallow water from photographs, {_BAG_MARK.decode()}. Elevation "
         f"[m]: mean of the bed over a cell around the node{filled}. Uncertainty [m]: one standard deviation; at "
         "95 % 1.96 times that.",
         "PROCESS_STEP_DESCRIPTION": f"{SOFTWARE}: a least-squares plane through the topmost points of each cell",
     }
-    write_bag(path, form, noted_if_empty(path, parts_of(grid, values), _BAG_NODATA), said)
+    write_bag(path, form, noted_if_empty(path, parts_of(grid, values), _BAG_NODATA), tags)
 
 
 def _write_s44(path: Path, run: LoadedRun, options: ExportOptions) -> None:
@@ -73,9 +73,9 @@ def _write_s44(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 
     from evaluation.standards import TVU, order_by_thu, order_by_tvu
     from geo.raster import RasterBand, write_cog
-    from survey.export.gridded import gridded
+    from survey.export.bed_raster import bed_raster
 
-    grid = gridded(run, options)
+    grid = bed_raster(run, options)
     n_water = None if run.config.water is None else run.config.water.refractive_index
     if grid.level is None or n_water is None:
         raise SurveyError("--s44 judges what lies under water, but the survey is dry; leave it out")
@@ -89,7 +89,7 @@ def _write_s44(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 
     codes = ", ".join(f"{number} {name}" for number, (name, _, _) in enumerate(TVU, start=1))
     exact = "positions of the cameras taken as exact" if run.plan_std_m == 0.0 else "positions of the cameras included"
-    said = {
+    tags = {
         "ORDERS": f"IHO S-44 Ed. 6.1.0, table 1: {codes}, {len(TVU) + 1} none, 0 no data or not under water",
         "UNCERTAINTIES": f"stated ones at 95 %: 1.96 std of the height, 2.45 std of the place; {exact}",
         "NOT_TESTED": _NOT_TESTED,
@@ -99,21 +99,20 @@ def _write_s44(path: Path, run: LoadedRun, options: ExportOptions) -> None:
         RasterBand("order by vertical uncertainty (TVU)", "code"),
         RasterBand("order by horizontal uncertainty (THU)", "code"),
     )
-    form = raster_form(grid, *bands, said=said, dtype="uint8", nodata=0, resampling="NEAREST")
+    form = raster_form(grid, *bands, tags=tags, dtype="uint8", nodata=0, resampling="NEAREST")
     write_cog(path, form, noted_if_empty(path, parts_of(grid, values), 0))
 
 
-def plan_std(grid: Gridded, window: CellWindow, std: np.ndarray, n_water: float, cameras_std: float) -> np.ndarray:
-    """Standard deviation (rows, columns) [m] along each axis in plan of where the points of cells lie.
+def plan_std(grid: BedRaster, window: CellWindow, std: np.ndarray, n_water: float, cameras_std: float) -> np.ndarray:
+    """Standard deviation (rows, columns) [m] along each axis in plan of the positions of the points of cells.
 
-    A point moves along its ray in water by its error in height; its pixel covers a piece of the bed; and the cameras
-    may be elsewhere than they are taken to be.
+    By the error in height along the ray in water, half a pixel on the bed, and the positions of the cameras.
     """
     import numpy as np
 
     sine = np.sin(grid.incidence[window.slices].astype(np.float64)) / n_water
-    lean = sine / np.sqrt(1.0 - sine**2)
-    return np.sqrt((lean * std) ** 2 + (0.5 * grid.pixel_m) ** 2 + cameras_std**2)
+    tangent = sine / np.sqrt(1.0 - sine**2)
+    return np.sqrt((tangent * std) ** 2 + (0.5 * grid.pixel_m) ** 2 + cameras_std**2)
 
 
 HYDROGRAPHY = (
@@ -142,7 +141,7 @@ HYDROGRAPHY = (
 )
 
 
-def _write(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+def _write_soundings(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     """Write the soundings."""
     if options.thin not in THIN:
         raise SurveyError(f"--thin is {options.thin}, expected one of {', '.join(THIN)}")
@@ -151,9 +150,9 @@ def _write(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     stored = run.bed_in(options.crs)
     rows = _of_points(run, options)
     if options.thin != "none":
-        from survey.export.gridded import gridded
+        from survey.export.bed_raster import bed_raster
 
-        grid = gridded(run, options)
+        grid = bed_raster(run, options)
         rows = _means(grid) if options.thin == "mean" else _shoalest(rows, grid)
     _write_table(path, rows, stored.crs)
 
@@ -168,7 +167,7 @@ def _of_points(run: LoadedRun, options: ExportOptions) -> np.ndarray:
     return np.column_stack([stored.points_crs, stored.bed.depth, stored.bed.std, common, np.ones(n)])
 
 
-def _shoalest(rows: np.ndarray, grid: Gridded) -> np.ndarray:
+def _shoalest(rows: np.ndarray, grid: BedRaster) -> np.ndarray:
     """The highest point of each cell, with the number of points there."""
     import numpy as np
 
@@ -180,13 +179,13 @@ def _shoalest(rows: np.ndarray, grid: Gridded) -> np.ndarray:
     return kept
 
 
-def _means(grid: Gridded) -> np.ndarray:
+def _means(grid: BedRaster) -> np.ndarray:
     """The mean height of each cell, at its middle."""
     import numpy as np
 
     parts = []
     for window in grid.cells.windows(512):
-        known = grid.known[window.slices] > 0
+        known = grid.origin[window.slices] > 0
         layers = (
             grid.heights(window) / grid.height_unit_m,
             grid.depths(window),
@@ -228,6 +227,6 @@ SOUNDINGS = (
         example="--soundings bed.xyz --thin shoal",
         takes=("crs", "resolution_m", "thin"),
         is_ours=begins_with(_MARK),
-        write=_write,
+        write=_write_soundings,
     ),
 )

@@ -53,7 +53,7 @@ class LoadedRun:
         self._bed_folder = self.folder.load_stage(BED_STAGE)
         self.stages: dict[str, str] = self.folder.result()["stages"]
         self._made: dict[Hashable, Any] = {}
-        self._ways: dict[str, Reprojection] = {}
+        self._reprojections: dict[str, Reprojection] = {}
         self._held = ExitStack()
 
     def __enter__(self) -> LoadedRun:
@@ -111,18 +111,18 @@ class LoadedRun:
         """
         from geo.reproject import Reprojection
 
-        if crs not in self._ways:
+        if crs not in self._reprojections:
             # One place of the survey restricts the choice of the operation to those that hold there.
             places = np.asarray(self.columns("points_crs")["points_crs"][:1])
-            self._ways[crs] = Reprojection.between(self.bed_header.crs, crs, where="--crs", places=places)
-        return self._ways[crs]
+            self._reprojections[crs] = Reprojection.between(self.bed_header.crs, crs, where="--crs", places=places)
+        return self._reprojections[crs]
 
     def bed_in(self, crs: str | None) -> StoredBed:
         """The cloud with its coordinates in another CRS; None for that of the survey. Errors as `transformation_to`."""
         if crs is None:
             return self.bed
-        way = self.transformation_to(crs)
-        return replace(self.bed, points_crs=way(self.bed.points_crs), crs=way.crs)
+        reprojection = self.transformation_to(crs)
+        return replace(self.bed, points_crs=reprojection(self.bed.points_crs), crs=reprojection.crs)
 
     def once(self, key: Hashable, make: Callable[[], _Made]) -> _Made:
         """Result of ``make``, computed once for a key, for several products of one command."""

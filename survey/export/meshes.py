@@ -65,8 +65,8 @@ def _mesh(path: Path, run: LoadedRun, options: ExportOptions) -> Mesh:
     )
     vertices, crs = frame.crs_from_local(mesh.vertices), frame.crs
     if options.crs is not None:
-        way = run.transformation_to(options.crs)
-        vertices, crs = way(vertices), way.crs
+        reprojection = run.transformation_to(options.crs)
+        vertices, crs = reprojection(vertices), reprojection.crs
     return replace(mesh, vertices=vertices, crs=crs)
 
 

@@ -56,7 +56,7 @@ def image_based_field(
     """
     flight = flight_of(run, survey)
     photographs = _Photographs(run, flight)
-    points = flight.frame.local_from_crs(_some(run.columns("points_crs")["points_crs"]))
+    points = flight.frame.local_from_crs(_sample(run.columns("points_crs")["points_crs"]))
     mapped = photographs.mapped
     load = lru_cache(max(_MOST_BYTES // photographs.source(min(mapped)).num_bytes, _FEWEST))(photographs.source)
     field = ImageBasedField(
@@ -109,7 +109,7 @@ class _Photographs:
         return np.where(confirmed, height_map.height, np.float32(np.nan))[: small.height, : small.width]
 
 
-def _some(points: np.ndarray) -> np.ndarray:
+def _sample(points: np.ndarray) -> np.ndarray:
     return points[:: max(len(points) // _COMPARED, 1)]
 
 
@@ -133,15 +133,15 @@ def _gains(
             length = np.linalg.norm(points[use] - path.crossing, axis=1)
             lengths[row, use] = np.where(heights[use] < 0.0, length, 0.0)
         advance()
-    return np.exp(-exposures(shown, lengths))
+    return np.exp(-log_exposures(shown, lengths))
 
 
-def exposures(shown: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-    """Logarithms (V, 3) of the exposures of photographs that show colours, as in `per_metre`."""
-    return exposure_gains(shown - per_metre(shown, lengths) * lengths[..., None])
+def log_exposures(shown: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    """Logarithms (V, 3) of the exposures of photographs, from colours without attenuation; see there."""
+    return exposure_gains(shown - attenuation_per_metre(shown, lengths) * lengths[..., None])
 
 
-def per_metre(shown: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+def attenuation_per_metre(shown: np.ndarray, lengths: np.ndarray) -> np.ndarray:
     """Change (3,) [1/m], at most 0, of colours with the lengths of their paths in water.
 
     Parameters
@@ -158,14 +158,16 @@ def per_metre(shown: np.ndarray, lengths: np.ndarray) -> np.ndarray:
     explain everything.
     """
     known = np.isfinite(shown[..., 0]).astype(np.float64)
-    length = _without_points_and_views(known, lengths)
+    length = _two_way_residuals(known, lengths)
     change = np.einsum("vk,vkc->c", length, np.nan_to_num(shown)) / (np.sum(length**2) + _PRIOR_M2)
     return np.minimum(change, 0.0)
 
 
-def _without_points_and_views(known: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Residuals (V, K) of values where they are `known` (1, else 0) to the best sum of a part for each view and one
-    for each point; 0 elsewhere."""
+def _two_way_residuals(known: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Residuals (V, K) of values to the least-squares sum of an effect of each view and one of each point.
+
+    Of those that are `known` (1, else 0); 0 elsewhere.
+    """
     count = np.maximum(known.sum(axis=0), 1.0)
 
     def centred(values: np.ndarray) -> np.ndarray:

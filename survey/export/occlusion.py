@@ -36,9 +36,9 @@ _LEAST_RELIEF_M = 0.01
 _HIDDEN_CELLS = 3.0
 # Side of the blocks of the height buffer, in cells of the bed: large enough to contain one each.
 _BLOCK_CELLS = 1.5
-# Cells that are compared at most, about, and rounds of medians.
+# Most cells whose colours are compared, approximately, and iterations of the medians.
 _COMPARED, _ROUNDS = 20_000, 6
-# Difference of the squared tangent of their angles over which one view blends into another.
+# Difference of `CellProjection.tan_squared` over which one view blends into another.
 _FADING = 0.004
 # Width over which a photograph fades out at its border [px].
 _BORDER_PX = 24.0
@@ -52,11 +52,12 @@ class CellProjection:
     u: np.ndarray
     v: np.ndarray
     cos_incidence: np.ndarray  # [-]: of the ray in air, to the normal of the water
-    lean: np.ndarray  # [-]: square of the tangent of the angle between the straight line to the camera and the vertical
+    tan_squared: np.ndarray  # [-]: squared tangent of the angle of the straight line to the camera off the vertical
 
     def where(self, seen: np.ndarray) -> CellProjection:
         """The same where ``seen`` (rows, columns) bool, else NaN."""
-        return CellProjection(*(np.where(seen, x, np.nan) for x in (self.u, self.v, self.cos_incidence, self.lean)))
+        layers = (self.u, self.v, self.cos_incidence, self.tan_squared)
+        return CellProjection(*(np.where(seen, layer, np.nan) for layer in layers))
 
 
 class Windows:
@@ -126,16 +127,16 @@ class _Knots:
         up = np.array((0.0, 0.0, 1.0) if water is None else water.up)
         cosine = -(camera.directions(np.where(known[..., None], pixels, 0.0)) @ up)
         to_camera = camera.centre - self.points
-        lean = (to_camera[..., :2] ** 2).sum(axis=-1) / to_camera[..., 2] ** 2
-        return np.stack([pixels[..., 0], pixels[..., 1], cosine, lean])
+        tan_squared = (to_camera[..., :2] ** 2).sum(axis=-1) / to_camera[..., 2] ** 2
+        return np.stack([pixels[..., 0], pixels[..., 1], cosine, tan_squared])
 
     def at_cells(self, found: np.ndarray, height: np.ndarray, camera: PinholeCamera) -> CellProjection:
         """Values at the cells, interpolated from the knots by their heights."""
         t = (height - self.middle) / self.half
-        u, v, cosine, lean = (self._parabola(values, t) for values in found)
+        u, v, cosine, tan_squared = (self._parabola(values, t) for values in found)
         with np.errstate(invalid="ignore"):
             seen = (u >= 0.0) & (u < camera.width) & (v >= 0.0) & (v < camera.height)
-        return CellProjection(u, v, cosine, lean).where(seen)
+        return CellProjection(u, v, cosine, tan_squared).where(seen)
 
     def _parabola(self, values: np.ndarray, t: np.ndarray) -> np.ndarray:
         below, middle, above = (self.rows @ level @ self.columns.T for level in values)
@@ -279,8 +280,8 @@ class Mosaic:
         return np.concatenate([np.moveaxis(stored, -1, 0), np.where(weight > 0.0, 255, 0).astype(np.uint8)[None]])
 
 
-def log_weight(sight: CellProjection, camera: PinholeCamera) -> np.ndarray:
+def log_weight(projection: CellProjection, camera: PinholeCamera) -> np.ndarray:
     """Logarithm of the weight (rows, columns) of a view: higher for steep rays, low at the border of the image."""
-    u, v = sight.u, sight.v
+    u, v = projection.u, projection.v
     border = np.minimum(np.minimum(u, camera.width - u), np.minimum(v, camera.height - v))
-    return -sight.lean / _FADING + np.log(np.clip(border / _BORDER_PX, 1e-3, 1.0))
+    return -projection.tan_squared / _FADING + np.log(np.clip(border / _BORDER_PX, 1e-3, 1.0))

@@ -13,7 +13,7 @@ from survey.export.terrain import is_our_raster, noted_if_empty
 if TYPE_CHECKING:
     import numpy as np
 
-    from survey.export.bed_cells import CellWindow, Gridded, PlanCells
+    from survey.export.bed_cells import BedRaster, CellWindow, PlanCells
     from survey.export.loaded import LoadedRun
     from survey.export.occlusion import CellProjection, Mosaic
     from survey.run.flight import Flight
@@ -33,13 +33,13 @@ def _write_orthophoto(path: Path, run: LoadedRun, options: ExportOptions) -> Non
     side_m = options.resolution_m or round_side(run.bed_header.gsd_m)
     mosaic = _mosaic(run, options, side_m)
     cells = mosaic.cells
-    said = {
+    tags = {
         "COLOURS": "of the bed without its water" if run.is_true_colour else "as photographed, to a common exposure",
         "CELL_M": f"{side_m:g}",
     }
     bands = (RasterBand("red"), RasterBand("green"), RasterBand("blue"), RasterBand("seen"))
     crs = horizontal_crs(cells.crs)
-    form = RasterForm(crs, cells.transform, cells.shape, bands, dtype="uint8", tags=said, is_colour=True)
+    form = RasterForm(crs, cells.transform, cells.shape, bands, dtype="uint8", tags=tags, is_colour=True)
     parts = ((window.top, window.left, mosaic.rgba(window)) for window in cells.windows(WINDOW))
     write_cog(path, form, noted_if_empty(path, parts, 0, band=3))
 
@@ -48,16 +48,16 @@ def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
     """The photographs on the bed, in cells of a side [m]."""
     import numpy as np
 
-    from survey.export.gridded import gridded
+    from survey.export.bed_raster import bed_raster
     from survey.export.loaded import at_scale, flight_of
     from survey.export.occlusion import HeightBuffer, Mosaic, Windows, common_exposure, log_weight
     from survey.progress import current
 
     require_not_too_fine(side_m, run.bed_header.gsd_m)
-    grid = gridded(run, replace(options, resolution_m=None))
+    grid = bed_raster(run, replace(options, resolution_m=None))
     if side_m > grid.cells.side_m:
         # Heights need larger cells than colours do, but not larger ones than are asked for.
-        grid = gridded(run, options)
+        grid = bed_raster(run, options)
     flight = flight_of(run, options.survey)
     scale = min(1.0, grid.pixel_m / side_m)
     _require_pixels(flight, scale, side_m, run.bed_header.gsd_m)
@@ -95,7 +95,7 @@ def _require_pixels(flight: Flight, scale: float, side_m: float, gsd_m: float) -
         )
 
 
-def _heights(grid: Gridded, cells: PlanCells, window: CellWindow) -> np.ndarray:
+def _heights(grid: BedRaster, cells: PlanCells, window: CellWindow) -> np.ndarray:
     """Heights (rows, columns) [m] of finer cells, linear between those of the bed's raster; NaN where it has none."""
     import numpy as np
 
@@ -107,13 +107,13 @@ def _heights(grid: Gridded, cells: PlanCells, window: CellWindow) -> np.ndarray:
     total, weight = np.zeros(len(at)), np.zeros(len(at))
     for step in ((0, 0), (1, 0), (0, 1), (1, 1)):
         column, row = np.clip(first + step, 0, np.array(shape[::-1]) - 1).T
-        part = np.where(step, share, 1.0 - share).prod(axis=1) * (grid.known[row, column] > 0)
+        part = np.where(step, share, 1.0 - share).prod(axis=1) * (grid.origin[row, column] > 0)
         total, weight = total + part * grid.height[row, column], weight + part
-    known = (grid.known[own[:, 1], own[:, 0]] > 0) & (weight > 0.0)
+    known = (grid.origin[own[:, 1], own[:, 0]] > 0) & (weight > 0.0)
     return np.where(known, total / np.where(weight > 0.0, weight, 1.0), np.nan).reshape(window.shape)
 
 
-def _colour_of(run: LoadedRun, grid: Gridded, cells: PlanCells) -> ColourOf:
+def _colour_of(run: LoadedRun, grid: BedRaster, cells: PlanCells) -> ColourOf:
     """Function of the colours of a photograph that gives those of the mosaic: the same, or without the water."""
     from survey.export.loaded import colours_without_water
 

@@ -15,7 +15,7 @@ from geo.transformation import Transformation
 from geo.vectors import Layer
 from survey.errors import SurveyError
 from survey.export.bed_cells import CellWindow
-from survey.export.gridded import gridded
+from survey.export.bed_raster import bed_raster
 from survey.export.terrain import parts_of, raster_form
 from survey.plan.area import local_area
 from survey.progress import current
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from geo.frames import LocalFrame
     from refract import FlatWater, PinholeCamera
-    from survey.export.bed_cells import Gridded
+    from survey.export.bed_cells import BedRaster
     from survey.export.loaded import LoadedRun
     from survey.export.product import ExportOptions
     from survey.run.stored import StoredBed
@@ -223,7 +223,7 @@ def write_mask(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 
     It covers what the terrain model covers, so that both lie upon each other; what lies beyond is in the polygons only.
     """
-    grid, unseen = gridded(run, options), unseen_of(run)
+    grid, unseen = bed_raster(run, options), unseen_of(run)
     corner = np.array([[grid.cells.west, grid.cells.north]])
     back = Transformation.between(grid.cells.crs, run.bed_header.crs, corner)
     level = float(unseen.frame.origin[2])
@@ -231,11 +231,11 @@ def write_mask(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     def values(window: CellWindow) -> np.ndarray:
         east, north = back(*np.moveaxis(grid.cells.middles(window), -1, 0))
         codes = unseen.codes_at(np.stack([east, north, np.full(window.shape, level)], axis=-1))
-        return np.where(grid.known[window.slices] > 0, 0, codes).astype(np.uint8)[None]
+        return np.where(grid.origin[window.slices] > 0, 0, codes).astype(np.uint8)[None]
 
-    said = {f"CODE_{code}": reason for code, reason in REASONS.items()} | {"CODE_0": "everything else"}
+    tags = {f"CODE_{code}": reason for code, reason in REASONS.items()} | {"CODE_0": "everything else"}
     band = RasterBand("no bed found", "code")
-    form = raster_form(grid, band, said=said, dtype="uint8", nodata=None, resampling="NEAREST")
+    form = raster_form(grid, band, tags=tags, dtype="uint8", nodata=None, resampling="NEAREST")
     write_cog(path, form, parts_of(grid, values))
 
 
@@ -249,7 +249,7 @@ def contours(run: LoadedRun, options: ExportOptions) -> Layer:
     GeoError
         If the CRS is unusable.
     """
-    grid = gridded(run, options)
+    grid = bed_raster(run, options)
     whole = _whole(grid)
     is_dry = grid.level is None
     values = grid.heights(whole) if is_dry else grid.depths(whole)
@@ -278,7 +278,7 @@ def shoreline(run: LoadedRun, options: ExportOptions) -> Layer:
     SurveyError
         For a dry survey.
     """
-    grid = gridded(run, options)
+    grid = bed_raster(run, options)
     if grid.level is None:
         raise SurveyError(f"{run.bed_header.name} is a dry survey and has no shoreline; leave --shoreline out")
     lines = _lines(grid, grid.depths(_whole(grid)), 0.0)
@@ -288,7 +288,7 @@ def shoreline(run: LoadedRun, options: ExportOptions) -> Layer:
     return Layer("shoreline", "LineString", lines, grid.cells.crs, {"depth_m": depths}, about, heights)
 
 
-def _heights(grid: Gridded, lines: list[np.ndarray], values: list[float]) -> list[np.ndarray]:
+def _heights(grid: BedRaster, lines: list[np.ndarray], values: list[float]) -> list[np.ndarray]:
     """Heights (N,) in crs along lines of one depth, or of one height in a dry survey [m]."""
     level = grid.level
     return [
@@ -297,12 +297,12 @@ def _heights(grid: Gridded, lines: list[np.ndarray], values: list[float]) -> lis
     ]
 
 
-def _whole(grid: Gridded) -> CellWindow:
+def _whole(grid: BedRaster) -> CellWindow:
     rows, columns = grid.cells.shape
     return CellWindow(0, rows, 0, columns)
 
 
-def _lines(grid: Gridded, values: np.ndarray, level: float) -> list[np.ndarray]:
+def _lines(grid: BedRaster, values: np.ndarray, level: float) -> list[np.ndarray]:
     """Lines (N, 2) in crs through the middles of cells; they end where cells have no height."""
     if min(values.shape) < 2:
         return []

@@ -1,8 +1,7 @@
 """Delaunay triangles in plan between the most certain points of cells, in bands of rows to limit memory.
 
-Triangles between the points of a band and its rim are those of the whole where no other point lies in their
-circumcircle, which defines them. All of the whole are among them whose vertices lie there: a circle without a point of
-the whole has none of the band either.
+A triangle is Delaunay where its circumcircle holds no other point. So every triangle of the whole whose vertices lie in
+a band with its rim is one of the band too; those of the band whose circle holds a point elsewhere are dropped.
 """
 
 from __future__ import annotations
@@ -12,17 +11,17 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
-# Points that are looked at at a time, and those of a band of rows: 60 bytes each while they are sorted.
+# Points that are read at a time, and those of a band of rows: 60 bytes each while they are sorted.
 _PORTION, _POINTS_OF_BAND = 200_000, 2_000_000
 # Vertices of a band, of which Qhull takes 0.4 kB each.
 _VERTICES_OF_BAND = 300_000
 # Rim of a band in longest sides: few circles reach further. A band is no narrower than so many rims.
 _RIM, _LEAST_RIMS = 2.0, 3.0
-# Circles that are compared with all points at a time; the three corners of a triangle are among the four nearest.
+# Points nearest to the centre of a circle that are tested: its three corners are among them.
 _NEAREST = 4
 
 
-def surest(points: np.ndarray, std: np.ndarray, cell_m: float, of_band: int = _POINTS_OF_BAND) -> np.ndarray:
+def most_certain(points: np.ndarray, std: np.ndarray, cell_m: float, of_band: int = _POINTS_OF_BAND) -> np.ndarray:
     """Numbers (V,) of the points with the smallest std of their square cells, from the south, row by row.
 
     Parameters
@@ -69,9 +68,9 @@ def triangles(
     Parameters
     ----------
     xy : (V, 2) [m]
-        In the order of `surest`: by rows of cells from the south.
+        In the order of `most_certain`: by rows of cells from the south.
     south_m : [m]
-        Where the first row begins: the lowest of the points that `surest` chose from.
+        Where the first row begins: the lowest of the points that `most_certain` chose from.
     longest_m : [m]
     cell_m : [m]
         Side of the cells.
@@ -96,7 +95,7 @@ def triangles(
             doubtful = _reaches_beyond(here, faces, edges)
             if doubtful.any():
                 tree = cKDTree(xy, balanced_tree=False, compact_nodes=False) if tree is None else tree
-                doubtful[doubtful] = _holds_a_point(xy, tree, faces[doubtful] + begin)
+                doubtful[doubtful] = _contains_a_point(xy, tree, faces[doubtful] + begin)
             faces = faces[~doubtful]
         found.append((faces + begin).astype(np.int32))
     return np.concatenate(found)
@@ -150,8 +149,8 @@ def _reaches_beyond(xy: np.ndarray, faces: np.ndarray, edges: np.ndarray) -> np.
     return ~((centre[:, 1] - radius > edges[0]) & (centre[:, 1] + radius < edges[1]))
 
 
-def _holds_a_point(xy: np.ndarray, tree: cKDTree, faces: np.ndarray) -> np.ndarray:
-    """Whether a circumcircle (F,) holds another of all places; so does what has none."""
+def _contains_a_point(xy: np.ndarray, tree: cKDTree, faces: np.ndarray) -> np.ndarray:
+    """Whether each circumcircle (F,) contains another place; True for triangles without one."""
     centre, _ = _circles(xy, faces)
     known = np.isfinite(centre).all(axis=1)
     holds = ~known

@@ -25,7 +25,7 @@ def _is_our_pdf(path: Path) -> bool:
     return is_our_pdf(path)
 
 
-def _write(path: Path, run: LoadedRun, _options: ExportOptions) -> None:
+def _write_pdf(path: Path, run: LoadedRun, _options: ExportOptions) -> None:
     from survey.report.page import write_pdf
 
     write_pdf(run.folder.report_html_path, path)
@@ -40,7 +40,7 @@ DOCUMENTS = (
         example="--pdf report.pdf",
         takes=(),
         is_ours=_is_our_pdf,
-        write=_write,
+        write=_write_pdf,
     ),
 )
 # Products by the panel of the help text.

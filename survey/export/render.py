@@ -192,7 +192,7 @@ def _cameras(file: PoseFile, path: Path, frame: LocalFrame, config: SurveyConfig
     if file.frame is not PoseFrame.LOCAL:
         in_crs = points_in_crs(file, centres, frame.crs, config.cameras.gps_height)
         centres = frame.local_from_crs(in_crs)
-        _require_on_the_map(file, centres, path, frame)
+        _require_finite(file, centres, path, frame)
         rotations = cams_from_local(file, file.poses, in_crs, frame)
     else:
         rotations = np.array([pose.cam_from_world for pose in file.poses])
@@ -203,7 +203,7 @@ def _cameras(file: PoseFile, path: Path, frame: LocalFrame, config: SurveyConfig
     }
 
 
-def _require_on_the_map(file: PoseFile, centres: np.ndarray, path: Path, frame: LocalFrame) -> None:
+def _require_finite(file: PoseFile, centres: np.ndarray, path: Path, frame: LocalFrame) -> None:
     for pose, centre in zip(file.poses, centres, strict=True):
         if not np.isfinite(centre).all():
             raise SurveyError(

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 _MARK = "<!-- made by bathynerf -->"
 _HEAD = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"
 _NUM_COLOURS = 8
-# Of the values of a band, the ends of the colours; cells along a side that are looked at.
+# Quantiles of a band at the ends of the colours, and cells along a side that are read for them.
 _ENDS, _MOST_SIDE = (0.01, 0.99), 1024
-# Levels of the octree of a cloud that are looked at: some 10,000 points.
+# Levels of the octree of a cloud that are read: some 10,000 points.
 _COARSE_LEVELS = 2
 
 Style = Callable[[Path], str]
@@ -106,7 +106,7 @@ def of_clouds(path: Path) -> str:
 
 
 def _ends(values: np.ndarray) -> tuple[float, float]:
-    """The first and the last value of the colours."""
+    """Values at both ends of the colours."""
     import numpy as np
 
     values = values[np.isfinite(values)].astype(np.float64)

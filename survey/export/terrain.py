@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from geo.raster import Part, RasterBand, RasterForm
-    from survey.export.bed_cells import CellWindow, Gridded
+    from survey.export.bed_cells import BedRaster, CellWindow
     from survey.export.loaded import LoadedRun
 
 NODATA = -9999.0
@@ -26,20 +26,20 @@ _UNCERTAINTY = (
 )
 
 
-def raster_form(grid: Gridded, *bands: RasterBand, said: dict[str, str], **form) -> RasterForm:
-    """Metadata of a raster of a gridded bed; ``said`` are additional tags of the product."""
+def raster_form(grid: BedRaster, *bands: RasterBand, tags: dict[str, str], **form) -> RasterForm:
+    """Georeference, bands and tags of a raster of the bed; ``tags`` are those of the product."""
     from geo.raster import RasterForm
 
     tags = {
         "CELL_M": f"{grid.cells.side_m:g}",
         "HEIGHT": "mean of the bed over each cell, seen from above: a plane by least squares through its points",
-        **said,
+        **tags,
     }
     form = {"nodata": NODATA, **form}
     return RasterForm(grid.cells.crs, grid.cells.transform, grid.cells.shape, bands, tags=tags, **form)
 
 
-def parts_of(grid: Gridded, values: Callable[[CellWindow], np.ndarray]) -> Iterator[tuple[int, int, np.ndarray]]:
+def parts_of(grid: BedRaster, values: Callable[[CellWindow], np.ndarray]) -> Iterator[tuple[int, int, np.ndarray]]:
     """Windows of a raster with their values (bands, rows, columns), in float32 with NaN as `NODATA`."""
     import numpy as np
 
@@ -66,17 +66,17 @@ def _write_dem(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     import numpy as np
 
     from geo.raster import RasterBand, write_cog
-    from survey.export.gridded import gridded
+    from survey.export.bed_raster import bed_raster
 
-    grid = gridded(run, options)
+    grid = bed_raster(run, options)
     unit = grid.cells.crs.axis_info[2].unit_name
 
     def values(window: CellWindow) -> np.ndarray:
         at = window.slices
-        known = grid.known[at] > 0
+        known = grid.origin[at] > 0
         std, common = (np.where(known, layer[at], np.nan) for layer in (grid.std, grid.common))
         height = grid.heights(window) / grid.height_unit_m
-        return np.stack([height, std, common, grid.count[at], grid.depths(window), grid.known[at]])
+        return np.stack([height, std, common, grid.count[at], grid.depths(window), grid.origin[at]])
 
     bands = (
         RasterBand("height", unit),
@@ -86,20 +86,20 @@ def _write_dem(path: Path, run: LoadedRun, options: ExportOptions) -> None:
         RasterBand("depth below the water, negative above it", "metre"),
         RasterBand("origin of the height: 1 points, 2 filled, 0 none", "code"),
     )
-    said = {"FILLED_GAPS_M": f"{options.fill_m:g}", "UNCERTAINTY": _UNCERTAINTY}
+    tags = {"FILLED_GAPS_M": f"{options.fill_m:g}", "UNCERTAINTY": _UNCERTAINTY}
     # A cell of an overview is one of the raster, whose height, uncertainty, points and origin belong together: a mean
     # of codes or of uncertainties would mean nothing.
     parts = noted_if_empty(path, parts_of(grid, values), NODATA)
-    write_cog(path, raster_form(grid, *bands, said=said, resampling="NEAREST"), parts)
+    write_cog(path, raster_form(grid, *bands, tags=tags, resampling="NEAREST"), parts)
 
 
 def _write_slope(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     from geo.raster import RasterBand
     from survey.export.relief import slope_deg
 
-    said = {"SLOPE": "of central differences between neighbouring cells"}
+    tags = {"SLOPE": "of central differences between neighbouring cells"}
     _write_relief(
-        path, run, options, slope_deg, lambda grid: raster_form(grid, RasterBand("slope", "degree"), said=said)
+        path, run, options, slope_deg, lambda grid: raster_form(grid, RasterBand("slope", "degree"), tags=tags)
     )
 
 
@@ -107,10 +107,10 @@ def _write_hillshade(path: Path, run: LoadedRun, options: ExportOptions) -> None
     from geo.raster import RasterBand
     from survey.export.relief import hillshade
 
-    said = {"HILLSHADE": "light from the north-west at 45 degrees, heights not exaggerated; 1 to 255"}
+    tags = {"HILLSHADE": "light from the north-west at 45 degrees, heights not exaggerated; 1 to 255"}
 
-    def form(grid: Gridded) -> RasterForm:
-        return raster_form(grid, RasterBand("hillshade", "1 to 255"), said=said, dtype="uint8", nodata=0)
+    def form(grid: BedRaster) -> RasterForm:
+        return raster_form(grid, RasterBand("hillshade", "1 to 255"), tags=tags, dtype="uint8", nodata=0)
 
     _write_relief(path, run, options, hillshade, form)
 
@@ -120,13 +120,13 @@ def _write_relief(
     run: LoadedRun,
     options: ExportOptions,
     of: Callable[[np.ndarray, float], np.ndarray],
-    form: Callable[[Gridded], RasterForm],
+    form: Callable[[BedRaster], RasterForm],
 ) -> None:
     """Write a raster of a function of the heights around each cell and the side of cells."""
     from geo.raster import write_cog
-    from survey.export.gridded import gridded
+    from survey.export.bed_raster import bed_raster
 
-    grid = gridded(run, options)
+    grid = bed_raster(run, options)
 
     def values(window: CellWindow) -> np.ndarray:
         around = window.grown(1, grid.cells.shape)

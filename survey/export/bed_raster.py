@@ -1,4 +1,4 @@
-"""Gridding of the points of a run: the raster of heights of all raster products.
+"""Gridding of the points of a run: the raster of the bed, from which all raster products are made.
 
 Cells are worked on in tiles of about two million points; the rasters lie in files, so that they may be larger than the
 memory.
@@ -24,7 +24,7 @@ from geo.files import scratch_array
 from geo.projection import ground_units_m
 from survey.display.quantities import length
 from survey.errors import SurveyError
-from survey.export.bed_cells import Gridded, LevelFit, PlanCells, fill_gaps, round_side
+from survey.export.bed_cells import POINTS, BedRaster, LevelFit, PlanCells, fill_gaps, round_side
 from survey.export.cell_fit import CellPoints, correlated_px2, fit_cells
 from survey.export.product import require_lengths, require_not_too_fine
 
@@ -41,11 +41,11 @@ _COLUMNS = ("points_crs", "std", "depth", "incidence", "std_common", "std_placed
 _SQUARE_PX = 1.25
 # Steeper than this is a wall [-].
 _STEEPEST = 3.0
-# Squares over which the place of a wall is uncertain, to either side.
+# Uncertainty of the position of a wall, in squares to either side.
 _WALL_SQUARES = 2
-# Standard deviations by which a point is lowered before it counts as a roof, so that uncertain points are none.
+# Standard deviations by which points are lowered before they count as a roof: uncertain ones are none.
 _STD_OF_ROOF = 2.0
-# Squares around a tile that decide about its points.
+# Squares around a tile whose points decide which of its own are seen from above.
 MARGIN_SQUARES = _WALL_SQUARES + 1
 
 
@@ -69,8 +69,8 @@ class _Points:
         return _Points(*(getattr(self, column.name)[rows] for column in fields(self)))
 
 
-def gridded(run: LoadedRun, options: ExportOptions) -> Gridded:
-    """The bed of a run in cells, made once for the products of a command.
+def bed_raster(run: LoadedRun, options: ExportOptions) -> BedRaster:
+    """The raster of the bed of a run, made once for the products of a command.
 
     Raises
     ------
@@ -80,19 +80,19 @@ def gridded(run: LoadedRun, options: ExportOptions) -> Gridded:
         If the CRS is.
     """
     require_lengths(options)
-    key = ("gridded", options.crs, options.resolution_m, options.fill_m)
-    return run.once(key, lambda: _gridded(run, options))
+    key = ("bed raster", options.crs, options.resolution_m, options.fill_m)
+    return run.once(key, lambda: _bed_raster(run, options))
 
 
-def _gridded(run: LoadedRun, options: ExportOptions) -> Gridded:
+def _bed_raster(run: LoadedRun, options: ExportOptions) -> BedRaster:
     pixel = run.bed_header.gsd_m
     if options.resolution_m is not None:
         require_not_too_fine(options.resolution_m, pixel)
     columns = run.columns(*_COLUMNS)
     points, crs = columns["points_crs"], run.bed_header.crs
     if options.crs is not None:
-        way = run.transformation_to(options.crs)
-        points, crs = way(points), way.crs
+        reprojection = run.transformation_to(options.crs)
+        points, crs = reprojection(points), reprojection.crs
     cells = PlanCells.over(points, crs, options.resolution_m or round_side(_DEFAULT_PX * pixel))
     points[:, 2] *= height_unit_m(crs)
     grid = _empty(run, cells, LevelFit.of(points, columns["depth"]), pixel)
@@ -103,7 +103,7 @@ def _gridded(run: LoadedRun, options: ExportOptions) -> Gridded:
     # Points on the outer edge lie in the last cell.
     at = cells.place(points).clip(0.0, np.nextafter(np.array(cells.shape[::-1], dtype=np.float64), 0.0))
     _fill_in(grid, _Points(at, points[:, 2], std, placed, common, columns["incidence"]))
-    if not grid.known.any():
+    if not grid.origin.any():
         raise SurveyError(too_coarse(grid.cells.side_m, points, crs, pixel))
     if options.fill_m > 0.0:
         fill_gaps(grid, options.fill_m)
@@ -120,16 +120,16 @@ def too_coarse(side_m: float, points_crs: np.ndarray, crs: CRS, pixel_m: float) 
     )
 
 
-def _empty(run: LoadedRun, cells: PlanCells, level: LevelFit | None, pixel_m: float) -> Gridded:
+def _empty(run: LoadedRun, cells: PlanCells, level: LevelFit | None, pixel_m: float) -> BedRaster:
     """A raster without a height, in new files."""
-    kinds = {"height": "f4", "std": "f4", "common": "f4", "count": "u4", "known": "u1", "incidence": "f4"}
+    kinds = {"height": "f4", "std": "f4", "common": "f4", "count": "u4", "origin": "u1", "incidence": "f4"}
     place = run.scratch / f"cells-{len(list(run.scratch.iterdir()))}"
     place.mkdir()
     arrays = {name: scratch_array(place / name, kind, cells.shape) for name, kind in kinds.items()}
-    return Gridded(cells=cells, level=level, pixel_m=pixel_m, **arrays)
+    return BedRaster(cells=cells, level=level, pixel_m=pixel_m, **arrays)
 
 
-def _fill_in(grid: Gridded, points: _Points) -> None:
+def _fill_in(grid: BedRaster, points: _Points) -> None:
     """Fit the cells, tile by tile."""
     cells, at = grid.cells, points.at
     margin = margin_of(grid.pixel_m) / cells.side_m
@@ -153,7 +153,7 @@ def _fill_in(grid: Gridded, points: _Points) -> None:
         _fit_tile(grid, low, side, correlated, points[rows])
 
 
-def _fit_tile(grid: Gridded, low: np.ndarray, side: int, correlated: float, points: _Points) -> None:
+def _fit_tile(grid: BedRaster, low: np.ndarray, side: int, correlated: float, points: _Points) -> None:
     """Fit the cells of one tile to the points in it; those of the margin only decide which ones are covered."""
     cells, at, height, std = grid.cells, points.at, points.height, points.std
     is_seen, wall_std = seen_from_above(at * cells.side_m, height, std, grid.pixel_m)
@@ -171,12 +171,12 @@ def _fit_tile(grid: Gridded, low: np.ndarray, side: int, correlated: float, poin
     def mean(values: np.ndarray) -> np.ndarray:
         return np.bincount(inverse, values[own].astype(np.float64), len(fits.cell)) / fits.count
 
-    # The place of a wall is an error of all points beside it, that of the block one of all points.
+    # The position of a wall is one error of all points beside it, the bending of the block one of all points here.
     variance = fits.std**2 + mean(np.square(wall_std)) + mean(np.square(points.placed))
     place = np.divmod(fits.cell, cells.shape[1])
     grid.height[place], grid.std[place], grid.count[place] = fits.height, np.sqrt(variance), fits.count
     grid.common[place] = np.sqrt(mean(np.square(points.common.astype(np.float64))))
-    grid.incidence[place], grid.known[place] = mean(points.incidence), 1
+    grid.incidence[place], grid.origin[place] = mean(points.incidence), POINTS
 
 
 def _tile_side(num_points: int, cells: PlanCells, margin: float) -> int:
@@ -206,7 +206,7 @@ def seen_from_above(
     -------
     is_seen : (N,) bool
     wall_std : (N,) [m]
-        Standard deviation of the height by the place of walls; 0 away from them.
+        Standard deviation of the height by the position of walls; 0 away from them.
     """
     square = _SQUARE_PX * pixel
     # Counted from the origin of the plan, so that tiles have the same squares.

@@ -10,7 +10,7 @@ from small_survey import E0, LEVEL, N0, small_survey
 from survey.adjust.result.adjustment import ControlResidual
 from survey.control.points import Checkpoint, Control, ControlPoint
 from survey.folder.survey import load_survey
-from survey.report.adjustment_pictures import Residual, clipped, draw_residuals, residuals_of
+from survey.report.adjustment_pictures import Residual, clip_outliers, draw_residuals, residuals_of
 from survey.report.checkpoints import CheckpointAccuracy, CheckpointRow
 from tests.changed_survey import changed
 
@@ -68,7 +68,9 @@ def test_arrows_point_to_where_points_are_off(survey, tmp_path):
 
 
 def test_a_point_far_off_sets_no_scale_for_the_others():
-    off, _, is_far = clipped(np.array([(0.02, 0.0, 0.01), (0.0, 0.03, -0.02), (0.01, 0.01, 0.02), (0.8, -2.0, -5.0)]))
+    off, _, is_far = clip_outliers(
+        np.array([(0.02, 0.0, 0.01), (0.0, 0.03, -0.02), (0.01, 0.01, 0.02), (0.8, -2.0, -5.0)])
+    )
     long = np.hypot(*off[:, :2].T)
     assert is_far.tolist() == [False, False, False, True]
     # Not a hundredth of the arrow of the wrong one, which is cut.

@@ -12,7 +12,7 @@ from small_survey import small_survey
 
 from survey.control.points import Checkpoint, Control, ControlPoint, Mark
 from survey.folder.survey import load_survey
-from survey.report.checkpoints import WITHIN_GSD, checkpoint_heights, checkpoints_of
+from survey.report.checkpoints import WITHIN_GSD, checkpoint_differences, checkpoints_of
 from survey.report.tables import checkpoints as checkpoint_blocks
 from survey.water.surface import still_water
 from tests.changed_survey import changed
@@ -36,18 +36,18 @@ def test_a_sloped_plane_is_as_high_between_its_points_as_at_them(rng):
     points = rng.uniform(-2.0, 2.0, (4000, 3))
     points[:, 2] = 1.0 + 0.3 * points[:, 0] - 0.1 * points[:, 1]
     places = np.array([[0.013, 0.2, 1.0], [1.0, -1.0, 1.4], [5.0, 0.0, 1.0]])
-    found = checkpoint_heights(points, places, GSD_M)
+    found = checkpoint_differences(points, places, GSD_M)
     assert found[:2] == pytest.approx([0.3 * 0.013 - 0.02, 0.0], abs=1e-9)
     assert math.isnan(found[2])
-    assert math.isnan(checkpoint_heights(points[:3], places[:1], GSD_M)[0])
-    assert math.isnan(checkpoint_heights(np.zeros((0, 3)), places[:1], GSD_M)[0])
+    assert math.isnan(checkpoint_differences(points[:3], places[:1], GSD_M)[0])
+    assert math.isnan(checkpoint_differences(np.zeros((0, 3)), places[:1], GSD_M)[0])
 
 
 def test_points_further_than_some_sampling_distances_do_not_count():
     ring = np.array([[math.cos(a), math.sin(a), 2.0] for a in np.linspace(0.0, 6.0, 12)]) * [0.24, 0.24, 1.0]
     place = np.zeros((1, 3))
-    assert checkpoint_heights(ring, place, 0.05)[0] == pytest.approx(2.0)
-    assert math.isnan(checkpoint_heights(ring, place, 0.24 / WITHIN_GSD * 0.99)[0])
+    assert checkpoint_differences(ring, place, 0.05)[0] == pytest.approx(2.0)
+    assert math.isnan(checkpoint_differences(ring, place, 0.24 / WITHIN_GSD * 0.99)[0])
 
 
 def test_all_check_points_are_in_the_figures_those_under_water_and_above_apart(survey):

@@ -145,13 +145,13 @@ def test_flight_lines_go_from_exposure_to_exposure_and_not_over_a_pause():
 
 def test_the_plan_of_a_flight_has_its_lines(shallow_survey, tmp_path):
     start = datetime(2026, 6, 1, tzinfo=UTC)
-    heads = {
+    headers = {
         view.name: replace(read_exif(view.path), taken=start + timedelta(seconds=2 * i))
         for i, view in enumerate(shallow_survey.views)
     }
     facts = facts_of(shallow_survey, plane_bed(shallow_survey, num=20))
     draw_plan(tmp_path / "without.png", facts)
-    draw_plan(tmp_path / "with.png", replace(facts, heads=heads))
+    draw_plan(tmp_path / "with.png", replace(facts, headers=headers))
     assert (tmp_path / "with.png").read_bytes() != (tmp_path / "without.png").read_bytes()
 
 

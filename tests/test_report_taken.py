@@ -10,7 +10,7 @@ from small_survey import write_image
 
 from survey.photos.exif import Exif, read_exif
 from survey.report.blocks import Rows
-from survey.report.photographs import CameraFigures, flown, head_lines, taken_of, taken_table
+from survey.report.photographs import CameraFigures, flight_time, head_lines, taken_of, taken_table
 from survey.settings.config import ReportConfig, parse_config
 
 START = datetime(2026, 6, 1, 10, 12, 40, tzinfo=UTC)
@@ -44,12 +44,12 @@ def test_the_head_says_who_when_and_with_what():
     ],
 )
 def test_one_moment_and_several_days_are_said_as_such(others, expected):
-    assert flown(taken_of(SAID, heads(**others), NOW)) == expected
+    assert flight_time(taken_of(SAID, heads(**others), NOW)) == expected
 
 
 def test_without_gps_time_the_clock_of_the_camera_counts_and_without_any_nothing():
     own = replace(HEAD, taken=None, clock=START.replace(tzinfo=None))
-    assert flown(taken_of(SAID, {"a.jpg": own}, NOW)) == "2026-06-01 10:12 by the clock of the camera"
+    assert flight_time(taken_of(SAID, {"a.jpg": own}, NOW)) == "2026-06-01 10:12 by the clock of the camera"
     bare = taken_of(ReportConfig(), {"a.jpg": replace(HEAD, taken=None, camera="", serial="")}, NOW)
     assert head_lines(bare) == ["processed 2026-06-03"]
     assert [label for label, _ in taken_table(bare)[0].rows] == ["processed", "camera"]

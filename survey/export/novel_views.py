@@ -137,7 +137,7 @@ def _gains(
 
 
 def log_exposures(shown: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-    """Logarithms (V, 3) of the exposures of photographs, from colours without attenuation; see there."""
+    """Logarithms (V, 3) of the exposures of photographs, after the attenuation by water is taken out."""
     return exposure_gains(shown - attenuation_per_metre(shown, lengths) * lengths[..., None])
 
 

@@ -158,13 +158,13 @@ def _positions(survey: Survey, found: Adjustment) -> PositionFigures | None:
     rows = [i for i, name in enumerate(found.poses.names) if name in given]
     if not rows:
         return None
-    miss = found.poses.centres[rows] - np.array([given[found.poses.names[i]] for i in rows])
-    miss[:, 2] += 0.0 if found.common_up_m is None else found.common_up_m[0]
-    far = np.linalg.norm(miss, axis=1)
-    worst = int(np.argmax(far))
+    residual = found.poses.centres[rows] - np.array([given[found.poses.names[i]] for i in rows])
+    residual[:, 2] += 0.0 if found.common_up_m is None else found.common_up_m[0]
+    distance = np.linalg.norm(residual, axis=1)
+    worst = int(np.argmax(distance))
     name = found.poses.names[rows[worst]]
     return PositionFigures(
-        len(rows), found.statistics.gps_std_m, _rms(miss), float(far[worst]), name, found.common_up_m
+        len(rows), found.statistics.gps_std_m, _rms(residual), float(distance[worst]), name, found.common_up_m
     )
 
 

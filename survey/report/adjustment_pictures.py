@@ -226,7 +226,7 @@ def draw_residuals(path: Path, survey: Survey, residuals: Sequence[Residual]) ->
     figure, axes = map_canvas(extent, crs, below_in=0.5)
     axes.set_facecolor("white")
     in_all = np.sqrt(np.nansum(off**2, axis=1))
-    off, longest, is_far = clipped(off)
+    off, longest, is_far = clip_outliers(off)
     times = _LONGEST * width_m / longest
     in_plan = np.isfinite(off[:, 0])
     up = np.column_stack([np.zeros(len(off)), off[:, 2]])
@@ -248,7 +248,7 @@ def draw_residuals(path: Path, survey: Survey, residuals: Sequence[Residual]) ->
     return Picture(path, title, words)
 
 
-def clipped(off: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+def clip_outliers(off: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
     """Residuals (N, 3) [m] with outliers clipped, the length [m] of the longest arrow, and the outliers (N,) bool.
 
     Outliers set no scale for the arrows of the others.

@@ -25,13 +25,13 @@ _NOTE = (
     "compared, which check points or a reference would do. An order of IHO S-44 (Ed. 6.1.0) also asks for horizontal "
     "uncertainty, coverage and feature detection."
 )
-# Points of the cloud within this many ground sampling distances are used. They lie about 1.2 apart; within one, three
-# places of five would have fewer than three points.
+# Radius around a check point within which points of the cloud are used, in ground sampling distances; points lie about
+# 1.2 of them apart.
 WITHIN_GSD = 5.0
-# Differences beyond this many stated standard deviations of the cloud are named in a warning.
+# Differences beyond this many stated standard deviations of the cloud cause a warning.
 _MOST_STD = 3.0
-# Candidates are searched within this multiple of that distance.
-_ENOUGH = 4.0
+# Radius of the search for candidates, in that radius.
+_SEARCH = 4.0
 # Number of nearest points whose standard deviations give that at a check point.
 _NEAREST = 8
 
@@ -130,8 +130,8 @@ class CheckpointAccuracy:
     within_m: float  # How far from a check point the points of the cloud count
 
 
-def checkpoint_heights(points: np.ndarray, places: np.ndarray, gsd_m: float) -> np.ndarray:
-    """Height of a cloud less that of check points.
+def checkpoint_differences(points: np.ndarray, places: np.ndarray, gsd_m: float) -> np.ndarray:
+    """Heights of a cloud less those of check points.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def checkpoint_heights(points: np.ndarray, places: np.ndarray, gsd_m: float) -> 
         By the plane through the nearest points of the cloud, as `compare --checkpoints` has it; NaN where they are
         fewer than four, or do not surround the check point.
     """
-    near = points[_near(points, places, _ENOUGH * WITHIN_GSD * gsd_m)]
+    near = points[_near(points, places, _SEARCH * WITHIN_GSD * gsd_m)]
     return height_at(near, places[:, :2], within_m=WITHIN_GSD * gsd_m) - places[:, 2]
 
 
@@ -175,8 +175,8 @@ def checkpoints_of(
     if not given:
         return None
     places = np.array([point.local for point in given])
-    differences = checkpoint_heights(points, places, gsd_m)
-    stds = _stated_at(points, stated, places, _ENOUGH * WITHIN_GSD * gsd_m)
+    differences = checkpoint_differences(points, places, gsd_m)
+    stds = _stated_at(points, stated, places, _SEARCH * WITHIN_GSD * gsd_m)
     outside = _outside(survey, np.array([point.crs for point in given]))
     water = survey.water
     depths = None if water is None else -height_above(water, survey.observations.departure, places)

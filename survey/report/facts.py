@@ -86,8 +86,8 @@ class ReportFacts:
     std_common: np.ndarray | None = None  # (N,) [m] or None: of the heights of the points, by water, lens and poses
     light: MatchedLight | None = None  # To which the index of the water belongs; None in a dry survey
     photographs: tuple[PhotographFigures, ...] = ()  # Shares of each that were left out; empty where not computed
-    # dict of name to Exif: of the photographs that are used; empty where they were not read
-    heads: Mapping[str, Exif] = field(default_factory=dict)
+    # dict of name to Exif: image headers of the photographs that are used; empty where they were not read
+    headers: Mapping[str, Exif] = field(default_factory=dict)
     # What of the water was seen; None for a dry survey, or where nobody has looked
     coverage: CoverageFigures | None = None
     cells: SeenCells | None = None  # Of the ground, with points and without; None where nobody has looked

@@ -179,7 +179,7 @@ class ReportFigures:
     adjustment: AdjustmentFigures | None = None  # None where poses and water were used as they came
     photographs: tuple[PhotographFigures, ...] = ()  # What of each was left out of matching
     height_std: HeightStd | None = None
-    taken: TakenFigures | None = None  # None where the heads of the photographs were not read
+    taken: TakenFigures | None = None  # None where the headers of the photographs were not read
     left_out: tuple[str, ...] = ()  # Names of the photographs in the folder that have no pose
     stated: StatedFigures | None = None  # What the cloud states of its heights; None without points
     coverage: CoverageFigures | None = None  # What of the water was seen; None for a dry survey

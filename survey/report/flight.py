@@ -86,11 +86,11 @@ def _draw_wet_and_dry(axes: Axes, facts: ReportFacts) -> None:
 
 def _draw_lines(axes: Axes, facts: ReportFacts, centres: np.ndarray) -> None:
     """Draw lines from exposure to exposure in the order of their times; no line over a pause."""
-    heads = [facts.heads.get(view.name) for view in facts.survey.views]
+    headers = [facts.headers.get(view.name) for view in facts.survey.views]
     # One clock for all.
-    times = [None if head is None else head.taken for head in heads]
+    times = [None if header is None else header.taken for header in headers]
     if None in times:
-        times = [None if head is None else head.clock for head in heads]
+        times = [None if header is None else header.clock for header in headers]
     seconds = np.array([time.timestamp() for time in times if time is not None])
     if len(seconds) == len(times):
         lines = flight_lines(seconds, centres)
@@ -125,7 +125,7 @@ def _ground_height(facts: ReportFacts) -> float:
 def _footprint(camera: PinholeCamera, survey: Survey, ground: float) -> np.ndarray:
     """Border (N, 3) of an image on the water, or on level ground; local.
 
-    Rays that fall less than 1 in 4 end where they would with that fall. Places without light are left out.
+    Rays flatter than 1 in 4 are taken as falling 1 in 4. Pixels outside the field of the lens are left out.
     """
     rays = camera.directions(camera.outline())
     rays = rays[np.isfinite(rays).all(axis=1)]

@@ -1,4 +1,4 @@
-"""The head of report.html: verdict, main figures, and what the cloud is good for, in plain words."""
+"""The head of report.html: verdict, main figures, coverage of the water, and limitations of the cloud."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ def _of_orders(iho: IhoS44) -> Card:
     return Card("IHO S-44, vertical only", worth if met is None else met.name, detail)
 
 
-def seen(figures: ReportFigures) -> list[Block]:
+def coverage(figures: ReportFigures) -> list[Block]:
     """Coverage of the water in words, and reasons for gaps; nothing for a dry survey."""
     found = figures.coverage
     if found is None:
@@ -186,7 +186,7 @@ def _part(value_m2: float, whole_m2: float) -> str:
     return f"{area(value_m2)}, {share(value_m2 / whole_m2 if whole_m2 else None)} of the water that was looked at"
 
 
-def limits(figures: ReportFigures) -> list[Block]:
+def limitations(figures: ReportFigures) -> list[Block]:
     """Fitness of the cloud for purposes, in sentences with this run's figures."""
     said, std = [], figures.height_std
     if std is not None:

@@ -23,7 +23,7 @@ from survey.display.quantities import LengthUnit
 from survey.report import adjustment_tables, checkpoints, photographs, tables
 from survey.report.blocks import Block, Rows, Section, Sentences
 from survey.report.figures import ReportFigures
-from survey.report.headline import cards, headline, limits, seen
+from survey.report.headline import cards, coverage, headline, limitations
 from survey.report.raster import Picture
 
 # Headings of the pictures with the names of their files.
@@ -93,8 +93,8 @@ def _sections(figures: ReportFigures) -> list[Section]:
     comparison, survey = figures.comparison, figures.survey
     uncertainty = None if comparison is None else comparison.uncertainty
     return [
-        Section("Limitations", limits(figures)),
-        Section("Coverage of the water", seen(figures)),
+        Section("Limitations", limitations(figures)),
+        Section("Coverage of the water", coverage(figures)),
         Section("Comparison with the reference", tables.comparison(comparison)),
         Section("Check points", tables.checkpoints(figures.checkpoints)),
         Section("Vertical uncertainty (IHO S-44)", tables.iho_s44(uncertainty)),

@@ -154,20 +154,20 @@ class TakenFigures:
     cameras: tuple[CameraFigures, ...]
 
 
-def taken_of(said: ReportConfig, heads: Mapping[str, Exif], now: datetime) -> TakenFigures:
-    """The figures of photographs by the heads of their files."""
-    utc = [head.taken for head in heads.values() if head.taken is not None]
-    own = [head.clock for head in heads.values() if head.clock is not None]
+def taken_of(config: ReportConfig, headers: Mapping[str, Exif], now: datetime) -> TakenFigures:
+    """The figures of photographs by the headers of their files."""
+    utc = [header.taken for header in headers.values() if header.taken is not None]
+    own = [header.clock for header in headers.values() if header.clock is not None]
     times, clock = (utc, "UTC") if utc else (own, "camera")
-    count = Counter(head.camera for head in heads.values())
+    count = Counter(header.camera for header in headers.values())
     cameras = tuple(
-        CameraFigures(name, tuple(sorted({h.serial for h in heads.values() if h.camera == name and h.serial})), num)
+        CameraFigures(name, tuple(sorted({h.serial for h in headers.values() if h.camera == name and h.serial})), num)
         for name, num in count.most_common()
     )
     first, last = (min(times), max(times)) if times else (None, None)
     return TakenFigures(
-        said.project,
-        said.operator,
+        config.project,
+        config.operator,
         now.isoformat(timespec="minutes"),
         None if first is None else first.replace(tzinfo=None).isoformat(timespec="seconds"),
         None if last is None else last.replace(tzinfo=None).isoformat(timespec="seconds"),
@@ -176,8 +176,8 @@ def taken_of(said: ReportConfig, heads: Mapping[str, Exif], now: datetime) -> Ta
     )
 
 
-def flown(found: TakenFigures) -> str | None:
-    """Time of the flight in words; None where no photograph has one."""
+def flight_time(found: TakenFigures) -> str | None:
+    """Date and time of the flight as text; None where no photograph has one."""
     if found.first is None or found.last is None:
         return None
     whose = "UTC" if found.clock == "UTC" else "by the clock of the camera"
@@ -192,7 +192,7 @@ def head_lines(found: TakenFigures | None) -> list[str]:
     """Lines under the title of the page."""
     if found is None:
         return []
-    when = flown(found)
+    when = flight_time(found)
     dates = [*([] if when is None else [f"flown {when}"]), f"processed {found.processed[:10]}"]
     work = [text for text in (found.project, found.operator) if text]
     return [*([" · ".join(work)] if work else []), " · ".join(dates)]
@@ -202,7 +202,7 @@ def taken_table(found: TakenFigures | None) -> list[Block]:
     """Table of authors, times and cameras."""
     if found is None:
         return []
-    rows = [("project", found.project), ("operator", found.operator), ("flown", flown(found))]
+    rows = [("project", found.project), ("operator", found.operator), ("flown", flight_time(found))]
     rows.append(("processed", found.processed.replace("T", " ")))
     rows += [("camera", _words(camera)) for camera in found.cameras]
     return [Rows([(label, text) for label, text in rows if text])]

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     Area = tuple[float, float, float, float]
 
-# Side of a cell: large against the spacing of points of a well matched bed, which is one, and smaller than a gap that
-# matters.
+# Side of a cell, in ground sampling distances: large against the spacing of points, about one, and smaller than a gap
+# that matters.
 CELL_GSD = 10.0
 # At most this many cells along an axis; larger areas take larger cells.
 _MOST_CELLS = 2000
@@ -68,7 +68,7 @@ def cells_seen(
     departure : Departure, optional
         Of the water from its plane: rays then bend at the plane that fits it under each camera.
     area : (x0, y0, x1, y1) [m], local, or None
-        The ground that is asked about; None for where the axes of cameras meet the bed and one view reaches around.
+        The area of interest; None for the ground around the points at which cameras look, by half a footprint.
     xyz : (N, 3) [m], local
     gsd_m : [m]
         Ground sampling distance; cells are `CELL_GSD` of them wide.
@@ -96,7 +96,7 @@ def cells_seen(
 
 
 def _extent(cameras: Sequence[PinholeCamera], area: Area | None, height: float) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (2,), (2,) [m], local, of the ground that is asked about."""
+    """South-western and north-eastern corner (2,) [m], local, of the area of interest."""
     if area is not None:
         return np.array(area[:2]), np.array(area[2:])
     centres, reaches = np.array([camera.centre for camera in cameras]), []
@@ -112,9 +112,9 @@ def _extent(cameras: Sequence[PinholeCamera], area: Area | None, height: float) 
 
 
 def _around(camera: PinholeCamera, x: np.ndarray, y: np.ndarray, height: np.ndarray) -> tuple[slice, slice]:
-    """Rows and columns of the cells that a camera can see at all: those within the cone about its vertical.
+    """Rows and columns of the cells that a camera can see at all: those in the box around its straight footprint.
 
-    Refraction only draws what is seen nearer to the vertical.
+    Refraction only moves footprints towards the nadir.
     """
     directions = camera.directions(camera.outline())
     fall = camera.centre[2] - float(height.min())
@@ -162,7 +162,7 @@ def coverage_of(
     cell_m : [m]
         Side of a cell.
     shared_std_m : [m] or None
-        Of all heights together.
+        Standard deviation common to all heights.
     """
     wet, cell_m2 = depth > 0.0, cell_m**2
     found, missing = wet & has_point, wet & ~has_point

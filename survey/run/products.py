@@ -215,7 +215,7 @@ def _facts(
         light=None if survey.water is None else matched_light(survey.views),
         coverage=_coverage(survey, stored, cells),
         cells=cells,
-        heads={view.name: read_exif(view.path) for view in survey.views},
+        headers={view.name: read_exif(view.path) for view in survey.views},
         notes=tile_warnings(survey, plan, finished.job.tiling),
     )
 

@@ -1,4 +1,4 @@
-"""Import of the packages beside this one, whatever else on the path has their names."""
+"""Import of the rooms, the packages beside this one, whatever other packages on the path have their names."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from types import ModuleType
 
 ROOMS = ("refract", "geo", "evaluation", "fields", "survey")
 _ROOT = Path(__file__).resolve().parent.parent
-# Stands in the __init__.py of each.
+# Line in the __init__.py of each room.
 _MARK = "# Part of bathynerf."
 
 

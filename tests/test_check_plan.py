@@ -84,9 +84,9 @@ def test_a_plan_says_what_an_aim_promises_and_costs(tmp_path, monkeypatch):
     monkeypatch.setattr(machine, "load", lambda: machine.Load(1.0, 2.0))
     path = str(plan_file(tmp_path))
     asked = CliRunner().invoke(app, ["check", path, "--target-std", "0.004", "--time-budget", "6"]).output
-    before, _, said_of_aim = asked.partition("Asked\n")
+    before, _, said_of_aim = asked.partition("Aim\n")
     assert said_of_aim
-    assert "Asked" not in CliRunner().invoke(app, ["check", path]).output
+    assert "Aim" not in CliRunner().invoke(app, ["check", path]).output
     assert "Flight\n" in before
     rows = " ".join(said_of_aim.split())
     scales = re.findall(r"image scale ([\d.]+) std of points about ([\d.]+).mm", rows)

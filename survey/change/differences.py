@@ -1,4 +1,4 @@
-"""Differences of two clouds of one place in the cells of one raster, and the standard deviations of their volumes.
+"""Differences of two clouds of one place in the cells of a raster, and the standard deviations of their volumes.
 
 The clouds are run folders, LAS, LAZ or COPC, in the CRS of the first.
 

@@ -18,7 +18,7 @@ _THREADS_OF_ALGEBRA = "OPENBLAS_NUM_THREADS"
 
 
 def main() -> None:
-    """Run the verb named by the arguments and exit with its exit code."""
+    """Run the command line and exit with its exit code."""
     os.environ.setdefault(_THREADS_OF_ALGEBRA, "1")
     # SIGTERM, which ends jobs of Slurm and containers, counts as Ctrl-C. Only the main thread may set signal handlers.
     with suppress(ValueError):
@@ -38,7 +38,7 @@ def main() -> None:
 
 def _run() -> int:
     from survey.commands import faults
-    from survey.commands.faults import BAD_INPUT, BROKEN_PIPE, STANDARD_OUTPUT, refusal_of
+    from survey.commands.faults import BAD_INPUT, BROKEN_PIPE, STANDARD_OUTPUT, disk_error
 
     faults.open_closed()
     code = _run_verb()
@@ -47,14 +47,14 @@ def _run() -> int:
         return code
     if isinstance(error, BrokenPipeError):
         return BROKEN_PIPE
-    faults.say_error(refusal_of(error, STANDARD_OUTPUT) or f"{STANDARD_OUTPUT} is broken: {error}")
+    faults.say_error(disk_error(error, STANDARD_OUTPUT) or f"{STANDARD_OUTPUT} is broken: {error}")
     return BAD_INPUT
 
 
 def _run_verb() -> int:
     from pathlib import Path
 
-    from survey.commands.faults import STANDARD_OUTPUT, fault_of, has, say_error
+    from survey.commands.faults import STANDARD_OUTPUT, fault_of, is_caused_by, say_error
 
     try:
         from survey.commands.console import Ended
@@ -64,7 +64,7 @@ def _run_verb() -> int:
         return 0
     except SystemExit as error:
         # Typer turns Ctrl-C and broken pipes outside of a verb, e.g. under --help, into exits without a sentence.
-        if not has(error, KeyboardInterrupt, BrokenPipeError) or has(error, Ended):
+        if not is_caused_by(error, KeyboardInterrupt, BrokenPipeError) or is_caused_by(error, Ended):
             return error.code if isinstance(error.code, int) else 0
         fault = fault_of(error)
     except BaseException as error:

@@ -61,9 +61,9 @@ def run(
         from survey.files.json_values import write_json
 
         require_json("--json", json, survey)
-        look = _sections_of_plan if is_plan(survey) else _sections
+        sections_of = _sections_of_plan if is_plan(survey) else _sections
         shown = []
-        for section in look(survey, asked.config(), wind, deep):
+        for section in sections_of(survey, asked.config(), wind, deep):
             show(results, section)
             shown.append(section)
         if json is not None:
@@ -76,7 +76,7 @@ def is_plan(path: Path) -> bool:
 
 
 def _chosen(asked: ProcessConfig) -> tuple[Aim | None, Choices]:
-    """The aim, if there is one, and the choices that the plan is made for."""
+    """The aim (target std or time budget), if there is one, and the choices that the plan is made for."""
     from survey.plan.recipe import aim_and_choices
 
     aim, _ = aim_and_choices(replace(asked, quality=None))
@@ -108,7 +108,7 @@ def _sections(folder: Path, asked: ProcessConfig, wind: float, deep: bool) -> It
     if aim is not None and load is not None and checked.survey is not None:
         from survey.run.feasibility import rows_of
 
-        yield CheckSection("Asked", rows_of(aim, checked.survey, Choices(device=chosen.device), load))
+        yield CheckSection("Aim", rows_of(aim, checked.survey, Choices(device=chosen.device), load))
     if deep:
         require_address_space()
         from survey.adjust.pose_check import deep_check
@@ -133,7 +133,7 @@ def _sections_of_plan(path: Path, asked: ProcessConfig, wind: float, deep: bool)
 
         plan = flight_of(path)
         rows = rows_of(aim, survey_of(plan), Choices(device=chosen.device), machine.load(), depth_of(plan))
-        yield CheckSection("Asked", rows)
+        yield CheckSection("Aim", rows)
 
 
 def show(results: ConsoleResults, section: CheckSection) -> None:
@@ -143,7 +143,7 @@ def show(results: ConsoleResults, section: CheckSection) -> None:
 
 
 def as_dict(section: CheckSection) -> dict:
-    """A section for JSON."""
+    """The section as ``--json`` holds it."""
     rows = [{"label": label, "text": text} for label, text in section.rows]
     return {"title": section.title, "rows": rows, **({} if section.numbers is None else {"numbers": section.numbers})}
 

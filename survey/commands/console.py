@@ -11,7 +11,7 @@ from pathlib import Path
 
 import typer
 
-from survey.commands.faults import STANDARD_OUTPUT, fault_of, refusal_of, say_error
+from survey.commands.faults import STANDARD_OUTPUT, disk_error, fault_of, say_error
 from survey.words import fitted
 
 # One -q silences the progress, two silence the results as well.
@@ -47,7 +47,7 @@ class ConsoleResults:
         except OSError as error:
             from survey.errors import SurveyError
 
-            raise SurveyError(refusal_of(error, STANDARD_OUTPUT) or f"standard output is broken: {error}") from error
+            raise SurveyError(disk_error(error, STANDARD_OUTPUT) or f"standard output is broken: {error}") from error
 
     def columns(self, title: str | None, rows: list[tuple[str, str]]) -> None:
         """Print labels and texts in two columns, wrapped to the terminal."""

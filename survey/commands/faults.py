@@ -1,6 +1,6 @@
-"""Errors that end a command, its exit code, and standard streams that may be closed, full, or a broken pipe.
+"""Errors that end a command, with message and exit code; standard streams that are closed, full, or a broken pipe.
 
-Limits of memory (ulimit -v, ulimit -d) too small for Dr.Jit are refused: it would crash without a message.
+Limits of memory (ulimit -v, ulimit -d) that are too small for Dr.Jit are refused: it would crash without a message.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ _NO_MEMORY = (
     "failed to map segment from shared object",
 )
 # The loader reports a disk mounted without permission to execute in the same words.
-_NOT_MEMORY = "not permitted"
-_NO_ROOM = ("no space left on device", "disk is full")
+_NOT_PERMITTED = "not permitted"
+_DISK_FULL = ("no space left on device", "disk is full")
 # Address space of the smallest survey in draft quality on four cores: 3.0 GB suffice; with 2.8 GB Dr.Jit ends the
 # process by a segmentation fault or an abort.
 _LEAST_BYTES = 3.0e9
@@ -67,11 +67,11 @@ def fault_of(error: BaseException, place: Path | None = None, *, stopped: str = 
     stopped : str
         What happens to unfinished work after Ctrl-C.
     """
-    if has(error, KeyboardInterrupt):
+    if is_caused_by(error, KeyboardInterrupt):
         return Fault(STOPPED, f"stopped; {stopped}" if stopped else "stopped")
-    if has(error, BrokenPipeError):
+    if is_caused_by(error, BrokenPipeError):
         return Fault(BROKEN_PIPE, "")
-    if any(_is_of_memory(link) for link in _chain(error)):
+    if any(_is_memory_error(link) for link in _chain(error)):
         remedy = "use --quality draft, a smaller area ([area] bounds, --bounds) or a machine with more memory"
         return Fault(BAD_INPUT, f"memory ran out; {remedy}")
     # Not imported at the top: they take memory, and Ctrl-C may arrive during the import.
@@ -80,15 +80,15 @@ def fault_of(error: BaseException, place: Path | None = None, *, stopped: str = 
 
     if isinstance(error, GeoError | SurveyError):
         return Fault(BAD_INPUT, str(error).removesuffix("."))
-    if isinstance(error, OSError) and (text := refusal_of(error, error.filename or place)):
+    if isinstance(error, OSError) and (text := disk_error(error, error.filename or place)):
         return Fault(BAD_INPUT, text)
-    if any(phrase in str(link).lower() for link in _chain(error) for phrase in _NO_ROOM):
+    if any(phrase in str(link).lower() for link in _chain(error) for phrase in _DISK_FULL):
         return Fault(BAD_INPUT, f"cannot write {place}: no space is left on the disk; free some or write elsewhere")
     return Fault(OUR_BUG, f"{type(error).__name__}: {error}; this is a bug in bathynerf, -v shows where")
 
 
-def refusal_of(error: OSError, path: Path | str | None) -> str | None:
-    """The error of a disk or file system in words; see `geo.files.disk_error_text`."""
+def disk_error(error: OSError, path: Path | str | None) -> str | None:
+    """Message for an error of a disk or file system; None for other errors; see `geo.files.disk_error_text`."""
     from geo.files import disk_error_text
 
     return disk_error_text(error, path if path is not None else Path(), verb="use")
@@ -103,16 +103,16 @@ def _chain(error: BaseException | None) -> Iterator[BaseException]:
         error = error.__cause__ or error.__context__
 
 
-def has(error: BaseException, *kinds: type[BaseException]) -> bool:
+def is_caused_by(error: BaseException, *kinds: type[BaseException]) -> bool:
     """Whether an error is, or was caused by, one of these kinds."""
     return any(isinstance(link, kinds) for link in _chain(error))
 
 
-def _is_of_memory(error: BaseException) -> bool:
+def _is_memory_error(error: BaseException) -> bool:
     if type(error).__module__.partition(".")[0] in ("geo", "survey"):
         return False
     text = str(error).lower()
-    return isinstance(error, MemoryError) or (any(word in text for word in _NO_MEMORY) and _NOT_MEMORY not in text)
+    return isinstance(error, MemoryError) or (any(word in text for word in _NO_MEMORY) and _NOT_PERMITTED not in text)
 
 
 def open_closed() -> None:

@@ -53,7 +53,7 @@ _VIEWS_NAMES = ("num_views",)
 
 @dataclass(frozen=True)
 class ComparedScene:
-    """Data of a comparison, local [m]."""
+    """The data of a comparison in the local frame [m]."""
 
     inputs: Inputs
     bounds: Bounds | None  # (E0, N0, E1, N1) or None, in crs

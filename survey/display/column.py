@@ -13,12 +13,12 @@ from functools import cached_property
 
 import numpy as np
 
-# Values that are looked at at a time, and bits that are counted in a pass.
+# Values that are read at a time, and bits that are counted in a pass.
 _PORTION, _BITS = 250_000, 16
 
 
 def portions(count: int, at_once: int | None = None) -> Iterator[slice]:
-    """Slices of at most so many rows."""
+    """Slices that cover ``count`` rows, of at most ``at_once`` rows each."""
     step = _PORTION if at_once is None else at_once
     return (slice(first, first + step) for first in range(0, count, step))
 

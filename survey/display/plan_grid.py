@@ -13,16 +13,17 @@ from evaluation.bootstrap import cell_numbers
 from geo.projection import ground_units_m
 from survey.display.column import ComputedColumn
 
-# A few stray points must not shrink the picture of all others.
+# Strays: points beyond this share of the outermost ones on each side, by more than this share of the extent. They must
+# not shrink the picture of all others.
 _STRAY_SHARE = 0.001
 _MARGIN = 0.05
 # Points that suffice to find the extent of all.
 _ENOUGH = 200_000
 # Points whose cells are worked out at a time, of 100 bytes each: the cells of all points are never held.
 _PORTION = 100_000
-# So that the outermost point, on the edge of the last cell, does not need a further one.
-_A_LITTLE_MORE = 1.0 + 1e-6
-# So that a hole in a map is a hole in the cloud, and not one by chance.
+# Factor on the side of a cell, by which the outermost point lies inside the last cell and not on its edge.
+_EDGE_FACTOR = 1.0 + 1e-6
+# Points per cell on average, so that a hole in a map is a hole in the cloud and not one by chance.
 _POINTS_PER_CELL = 3.0
 _SMALLEST_CELL_M = 1e-6
 
@@ -63,7 +64,7 @@ class PlanGrid:
         low, high = np.maximum(low - margin, plan.min(axis=0)), np.minimum(high + margin, plan.max(axis=0))
         side_m = (high - low) * unit
         sparse_m = math.sqrt(per_cell * float(side_m.prod()) / len(plan))
-        cell_m = max(cell_m, _A_LITTLE_MORE * float(side_m.max()) / max_cells, sparse_m, _SMALLEST_CELL_M)
+        cell_m = max(cell_m, _EDGE_FACTOR * float(side_m.max()) / max_cells, sparse_m, _SMALLEST_CELL_M)
         return PlanGrid._between(plan, low, high, unit, cell_m)
 
     @staticmethod

@@ -26,9 +26,9 @@ _SMALL_M = 0.5
 # Length of the foot in use [m]; None for metres.
 _FOOT_M: ContextVar[float | None] = ContextVar("foot_m", default=None)
 _UNITS = {"": 1.0, "B": 1.0, "KB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12, "KIB": 2**10, "MIB": 2**20, "GIB": 2**30}
-# The international one [m].
+# International foot [m].
 _FOOT = 0.3048
-# Of a foot: the kinds that surveys use differ by some parts in a million.
+# Relative difference up to which a unit is a foot: international and US survey feet differ by two parts in a million.
 _ALIKE = 1e-4
 
 
@@ -91,7 +91,7 @@ def length(value_m: float | None) -> str:
 
 
 def share(value: float | None) -> str:
-    """A share of one as per cent."""
+    """A share, 0 to 1, as per cent."""
     return f"{100.0 * value:.1f}{NO_BREAK}%" if is_known(value) else UNKNOWN
 
 
@@ -132,7 +132,7 @@ def volume(value_m3: float) -> str:
 
 
 def density(value_per_m2: float) -> str:
-    """Points on an area of one."""
+    """Points per square metre or square foot."""
     unit = LengthUnit.of_heights()
     value = value_per_m2 / unit.per_metre**2
     return f"{count(value) if value >= 10.0 else number(value, 1)} per {unit.name}²"
@@ -144,12 +144,12 @@ def with_unit(text: str, unit: str) -> str:
 
 
 def bytes_of(text: str) -> float:
-    """Bytes of a size in words: "8GB", "500 MB", "2GiB".
+    """Bytes of a size as text: "8GB", "500 MB", "2GiB".
 
     Raises
     ------
     SurveyError
-        If it is none.
+        If the text is no size, or not above zero.
     """
     found = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]*)?)\s*([A-Za-z]*)\s*", text)
     if found is None or found[2].upper() not in _UNITS or float(found[1]) <= 0.0:

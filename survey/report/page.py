@@ -1,6 +1,6 @@
-"""report.html: the figures of a report as one page that needs nothing else, for screen and paper.
+"""report.html: the figures of a report as one page without further files, for screen and paper.
 
-As PDF it is printed by the Chromium, Chrome or Edge of the machine, as these show it.
+As PDF it is printed by the Chromium, Chrome or Edge of the machine.
 """
 
 from __future__ import annotations

@@ -21,6 +21,7 @@ from pyproj import CRS
 from geo import write_whole
 from geo.crs import EARTH_RADIUS_M, is_geographic
 from survey.display.palette import EMPTY, INK, SOFT
+from survey.display.quantities import round_up
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,8 +50,7 @@ def nice_limit(distances: np.ndarray) -> float:
     quantile = float(np.quantile(size, _SHOWN)) if len(size) else 0.0
     if quantile <= 0.0:
         return 0.001
-    power = 10.0 ** math.floor(math.log10(quantile))
-    return next(step * power for step in (1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0) if step * power >= quantile * (1 - 1e-9))
+    return round_up(quantile, (1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0))
 
 
 def show(axes: Axes, image: np.ndarray, extent: Extent, **colours) -> AxesImage:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -83,6 +83,12 @@ def is_known(value: float | None) -> TypeGuard[float]:
 def number(value: float | None, decimals: int) -> str:
     """A number with a fixed number of decimals, and never a minus before zero."""
     return f"{value:z.{decimals}f}".replace("-", MINUS) if is_known(value) else UNKNOWN
+
+
+def round_up(value: float, steps: Sequence[float]) -> float:
+    """The next larger round number to a positive one: a step, rising from 1 to 10, times a power of ten."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(float(f"{step * power:.6g}") for step in steps if step * power >= value * (1.0 - 1e-9))
 
 
 def length(value_m: float | None) -> str:

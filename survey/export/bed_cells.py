@@ -9,7 +9,6 @@ Also the geometry of the cells in plan: their position, and which point lies in 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -20,6 +19,7 @@ from scipy.spatial import cKDTree
 
 from geo.crs import height_unit_m
 from geo.projection import ground_units_m
+from survey.display.quantities import round_up
 from survey.errors import SurveyError
 
 # Largest raster: more cells result from a mistaken resolution, or from stray points far away.
@@ -152,8 +152,7 @@ class PlanCells:
 
 def round_side(side_m: float) -> float:
     """The next larger round length: 0.083 becomes 0.1."""
-    power = 10.0 ** math.floor(math.log10(side_m))
-    return next(float(f"{step * power:.6g}") for step in _ROUND if step * power >= side_m * (1.0 - 1e-9))
+    return round_up(side_m, _ROUND)
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ import numpy as np
 from geo.raster import RasterBand, write_cog
 from geo.transformation import Transformation
 from geo.vectors import Layer
+from survey.display.quantities import round_up
 from survey.errors import SurveyError
 from survey.export.bed_cells import CellWindow
 from survey.export.bed_raster import bed_raster
@@ -44,6 +45,7 @@ _PLACES_OF_SIDE = 12
 _STEPS = 30
 # Shorter lines, in cells, are noise of single cells.
 SHORTEST = 8.0
+# Contours where no interval is asked for, about.
 _ABOUT = 10
 # More contours result from a mistaken interval.
 _MOST_LEVELS = 1000
@@ -318,12 +320,10 @@ def _lines(grid: BedRaster, values: np.ndarray, level: float) -> list[np.ndarray
 
 
 def _interval(values: np.ndarray, asked: float | None) -> float:
-    """Between lines [m]: what is asked for, or a round number that gives about ten."""
+    """Interval of contours [m]: the one asked for, or a round number that gives about ten."""
     if asked is not None:
         if not (math.isfinite(asked) and asked > 0.0):
             raise SurveyError(f"--interval is {asked:g}, expected metres between contours, e.g. 0.25")
         return asked
     low, high = np.nanquantile(values, [0.02, 0.98])
-    wanted = max(float(high - low), 1e-3) / _ABOUT
-    power = 10.0 ** math.floor(math.log10(wanted))
-    return next(power * number for number in _ROUND if power * number >= wanted * (1.0 - 1e-9))
+    return round_up(max(float(high - low), 1e-3) / _ABOUT, _ROUND)

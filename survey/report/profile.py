@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 
+from evaluation.bootstrap import cell_numbers
 from geo.crs import height_unit_m, is_geographic
 from survey.compare.canvas import canvas, figure_of, lay_out, save, write_title
 from survey.display.column import ComputedColumn, portions
@@ -236,10 +237,6 @@ def choose_cut(facts: ReportFacts) -> Cut:
 
 def _along(raster: np.ndarray, grid: PlanGrid, places: np.ndarray) -> np.ndarray:
     """Values (K,) of a raster of a grid at places (K, 2); NaN beyond it."""
-    column = np.floor((places[:, 0] - grid.west) / grid.cell[0]).astype(np.int64)
-    row = np.floor((grid.north - places[:, 1]) / grid.cell[1]).astype(np.int64)
-    rows, columns = raster.shape
-    inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-    values = np.full(len(places), np.nan)
-    values[inside] = raster[row[inside], column[inside]]
-    return values
+    at = np.column_stack([(places[:, 0] - grid.west) / grid.cell[0], (grid.north - places[:, 1]) / grid.cell[1]])
+    number = cell_numbers(at, raster.shape)
+    return np.where(number >= 0, raster.ravel()[number], np.nan)

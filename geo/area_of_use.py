@@ -21,7 +21,7 @@ from pyproj.enums import PJType
 from pyproj.exceptions import ProjError
 from pyproj.transformer import AreaOfInterest as OperationArea
 
-from geo.crs import AREA_MARGIN_DEG, degrees_outside_area, horizontal_crs, prime_meridian_rad
+from geo.crs import AREA_MARGIN_DEG, degrees_outside_area, horizontal_crs, middle_lon_lat, prime_meridian_rad
 from geo.errors import PlaceMismatch
 from geo.operations import operations
 from geo.transformation import middle_of
@@ -44,9 +44,9 @@ def require_in_area(crs: CRS, points: np.ndarray, subject: str, where: str = "cr
 def require_at(crs: CRS, lon_lat_deg: np.ndarray, subject: str, where: str) -> None:
     """Result of `require_in_area` for longitudes and latitudes (N, 2) of WGS 84 [deg]."""
     if len(lon_lat_deg):
-        east, north = np.median(lon_lat_deg, axis=0).tolist()
+        east, north = middle_lon_lat(lon_lat_deg).tolist()
         lon, lat = np.radians([east, north])
-        subject += f" (about {north:.3f} north, {east:.3f} east)"
+        subject += f" (about latitude {north:.3f}, longitude {east:.3f})"
         _require_in_area(crs, np.array([lon - prime_meridian_rad(crs), lat]), subject, where)
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from functools import lru_cache
 
+import numpy as np
 from pyproj import CRS
 from pyproj.crs import Ellipsoid
 from pyproj.exceptions import CRSError, ProjError
@@ -276,6 +277,15 @@ def _wkt1_of_3d(crs: CRS) -> str:
     horizontal = horizontal_crs(crs)
     name = f"{horizontal.name} + Ellipsoid ({crs.axis_info[2].unit_name})"
     return f'COMPD_CS["{name}",{horizontal.to_wkt("WKT1_GDAL")},{ellipsoidal_wkt1(crs)}]'
+
+
+def middle_lon_lat(lon_lat_deg: np.ndarray) -> np.ndarray:
+    """Median longitude and latitude (2,) [deg] of places (N, 2) of a survey, which may lie across 180 degrees."""
+    lon, lat = np.asarray(lon_lat_deg, dtype=np.float64).T
+    if np.ptp(lon) > 180.0:
+        lon = np.where(lon < 0.0, lon + 360.0, lon)
+    middle = float(np.median(lon))
+    return np.array([middle - 360.0 if middle > 180.0 else middle, np.median(lat)])
 
 
 def utm_code(lat_deg: float, lon_deg: float) -> int:

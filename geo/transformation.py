@@ -25,6 +25,7 @@ from geo.crs import (
     horizontal_crs,
     horizontal_unit,
     is_geographic,
+    middle_lon_lat,
     vertical_crs,
 )
 from geo.errors import CRSMismatch, MissingGrid, UnknownUnit, UnsupportedCRS
@@ -282,7 +283,7 @@ def middle_of(source: CRS, places: np.ndarray) -> np.ndarray | None:
     if not known.any():
         return None
     unit = geodetic_crs(source).axis_info[0].unit_conversion_factor
-    return np.degrees(np.median(own[known], axis=0) * unit)
+    return middle_lon_lat(np.degrees(own[known] * unit))
 
 
 def _in_one_datum(source: CRS, target: CRS) -> Transformer:

@@ -9,9 +9,13 @@ import numpy as np
 import pytest
 from pyproj import CRS, Transformer
 
-from geo.errors import UnsupportedCRS
+from geo.area_of_use import require_at
+from geo.crs import middle_lon_lat, parse_crs
+from geo.errors import PlaceMismatch, UnsupportedCRS
 from geo.reproject import Reprojection, crosses, cut_line, cut_polygon
+from geo.transformation import WGS84, Transformation
 from geo.vectors import Layer, write_geojson
+from survey.photos.exif import Exif, utm_code_of
 
 FIJI = CRS("EPSG:3460")
 
@@ -146,3 +150,18 @@ def test_a_geographic_crs_is_refused_on_the_meridian_with_what_is_the_matter():
     with pytest.raises(UnsupportedCRS, match=r"lies on the meridian of 180 degrees, .* projected CRS of the place"):
         way(points)
     assert np.isfinite(way(points[:1])).all()
+
+
+@pytest.mark.parametrize("lon", [(179.99, 179.98, -179.99, -179.98), (179.9, 179.8, -179.99), (-179.9, 179.99, -179.8)])
+def test_photographs_on_both_sides_have_their_middle_and_their_zone_at_the_meridian(lon):
+    places = np.column_stack([lon, np.full(len(lon), -17.0)])
+    middle = middle_lon_lat(places)
+    assert abs(middle[0]) >= 179.9
+    assert middle[1] == -17.0
+    zone = utm_code_of({str(x): Exif((64, 48), (-17.0, x, 10.0), None, 1, "", None) for x in lon})
+    assert zone in (32701, 32760)
+    crs = parse_crs(f"EPSG:{zone}+5773")
+    require_at(crs, places, "the photographs", "crs")
+    assert np.isfinite(Transformation.between(WGS84, crs, places)(*places.T)).all()
+    with pytest.raises(PlaceMismatch, match=r"photographs \(about latitude -17\.000, longitude -?1\d\d\.\d+\) lie"):
+        require_at(parse_crs("EPSG:25832+5778"), places, "the photographs", "crs")

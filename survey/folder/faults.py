@@ -14,7 +14,7 @@ import numpy as np
 from pyproj import CRS
 
 from geo.area_of_use import approximate_undulation_m
-from geo.crs import height_unit_m, vertical_crs
+from geo.crs import height_unit_m, middle_lon_lat, vertical_crs
 from geo.transformation import lon_lat
 from refract.lens import Lens
 from survey.display.quantities import named
@@ -271,7 +271,7 @@ def exif_height_warnings(heights_m: Mapping[str, float], heads: Mapping[str, Exi
     if not pairs:
         return []
     higher = float(np.median([height - position[2] for height, position in pairs]))
-    lat, lon = np.median([position[:2] for _, position in pairs], axis=0)
+    lon, lat = middle_lon_lat(np.array([position[1::-1] for _, position in pairs])).tolist()
     undulation = approximate_undulation_m(lat, lon)
     if abs(undulation) < 2.0 * _ROUGH_M or abs(abs(higher) - abs(undulation)) > _ROUGH_M:
         return []

@@ -12,7 +12,7 @@ import numpy as np
 from pyproj import CRS
 from scipy.spatial import KDTree
 
-from geo.crs import EARTH_RADIUS_M, height_unit_m
+from geo.crs import EARTH_RADIUS_M, height_unit_m, middle_lon_lat
 from geo.frames import LocalFrame
 from refract.lens import Lens
 from survey.control.placing import require_near
@@ -78,7 +78,7 @@ def require_level_fits_exif(config: SurveyConfig, heads: Mapping[str, Exif], crs
     if config.water is None or config.water.level_m is None or config.cameras.gps_height != "crs" or not heights.size:
         return
     over_water = heights - config.water.known_level_m
-    lat, lon, _ = np.median(places, axis=0).tolist()
+    lon, lat = middle_lon_lat(places[:, 1::-1]).tolist()
     why = explanation(float(np.median(over_water)), config.water.known_level_m, (lat, lon), crs, above_start_of(heads))
     unknown_m = _MOST_STD * common_up_std_of_exif(config.cameras, heads)
     if why and config.cameras.position_std_m is None:

@@ -13,7 +13,7 @@ import tomli_w
 from pyproj import CRS
 
 from geo.area_of_use import height_systems_at, require_at
-from geo.crs import crs_code, has_height, horizontal_crs, parse_crs, utm_code, vertical_crs
+from geo.crs import crs_code, has_height, horizontal_crs, middle_lon_lat, parse_crs, utm_code, vertical_crs
 from geo.frames import LocalFrame
 from survey.errors import ConfigError
 from survey.folder import infer
@@ -116,9 +116,9 @@ class FolderPhotographs:
     @property
     def lat_lon(self) -> tuple[float, float] | None:
         """Latitude and longitude of the survey [deg], by EXIF, else by geocentric poses; None without both."""
-        places = [head.lat_lon_height[:2] for head in self.heads.values() if head.lat_lon_height is not None]
+        places = [head.lat_lon_height[1::-1] for head in self.heads.values() if head.lat_lon_height is not None]
         if places:
-            lat, lon = np.median(np.array(places), axis=0).tolist()
+            lon, lat = middle_lon_lat(np.array(places)).tolist()
             return lat, lon
         if self.file is not None and self.file.frame is PoseFrame.GEOCENTRIC:
             lon, lat = middle_of_geocentric(self.file)

@@ -15,7 +15,7 @@ import numpy as np
 from PIL import ExifTags, Image
 from pyproj import CRS
 
-from geo.crs import utm_code
+from geo.crs import middle_lon_lat, utm_code
 from survey.photos.exif_position import (
     altitude_reference,
     focal_px,
@@ -239,8 +239,11 @@ def position_sources(heads: Mapping[str, Exif]) -> str:
 
 def utm_code_of(heads: Mapping[str, Exif]) -> int | None:
     """EPSG code of the UTM zone (WGS 84) in which the GPS positions of photographs lie; None without positions."""
-    places = [head.lat_lon_height[:2] for head in heads.values() if head.lat_lon_height is not None]
-    return utm_code(*np.median(np.array(places), axis=0)) if places else None
+    places = [head.lat_lon_height[1::-1] for head in heads.values() if head.lat_lon_height is not None]
+    if not places:
+        return None
+    lon, lat = middle_lon_lat(np.array(places)).tolist()
+    return utm_code(lat, lon)
 
 
 def exif_of_png(path: Path) -> Image.Exif:

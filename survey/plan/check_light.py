@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
-from geo.crs import EARTH_RADIUS_M, height_unit_m
+from geo.crs import EARTH_RADIUS_M, height_unit_m, middle_lon_lat
 from geo.sun import Sun, sun_at
 from refract import PinholeCamera
 from survey.folder.faults import above_start_of, place_of
@@ -295,8 +295,11 @@ def _place(found: Found, survey: Survey | None) -> tuple[float, float] | None:
     """Latitude and longitude [deg] of the survey."""
     if survey is not None:
         return place_of(survey.frame.crs, np.array(survey.frame.origin))
-    places = [header.lat_lon_height[:2] for header in found.heads.values() if header.lat_lon_height is not None]
-    return tuple(np.median(places, axis=0).tolist()) if places else None
+    places = [header.lat_lon_height[1::-1] for header in found.heads.values() if header.lat_lon_height is not None]
+    if not places:
+        return None
+    lon, lat = middle_lon_lat(np.array(places)).tolist()
+    return lat, lon
 
 
 def _flight(found: Found, survey: Survey | None) -> GlitterOfFlight | None:

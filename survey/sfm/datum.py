@@ -18,7 +18,7 @@ from pyproj.crs import CompoundCRS, CoordinateOperation
 from pyproj.exceptions import ProjError
 from pyproj.transformer import AreaOfInterest
 
-from geo.crs import horizontal_crs, vertical_crs
+from geo.crs import horizontal_crs, middle_lon_lat, vertical_crs
 from geo.operations import area_about, operations
 from geo.transformation import Transformation
 from survey.errors import FILE_NAME, ConfigError
@@ -90,7 +90,7 @@ def least(stds: Collection[DatumStd]) -> DatumStd:
 
 def area_at(lon: np.ndarray, lat: np.ndarray) -> AreaOfInterest:
     """Area of a survey, by longitudes and latitudes [deg], for PROJ to choose among regional transformations."""
-    return area_about(float(np.median(lon)), float(np.median(lat)))
+    return area_about(*middle_lon_lat(np.column_stack([lon, lat])).tolist())
 
 
 def height_transformer(crs: CRS, area: AreaOfInterest) -> Transformer:

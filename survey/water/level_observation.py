@@ -25,7 +25,7 @@ from pyproj import CRS
 from scipy.spatial import KDTree
 from scipy.special import fdtrc
 
-from geo.crs import EARTH_RADIUS_M, height_unit_m, horizontal_crs
+from geo.crs import EARTH_RADIUS_M, height_unit_m, horizontal_crs, middle_lon_lat
 from geo.reading import read_reference
 from geo.shapes import in_height_unit, vertices_of
 from geo.transformation import height_scale, lon_lat, transformed
@@ -215,7 +215,7 @@ def _too_far(crs: CRS, cameras: np.ndarray, source: str, places: np.ndarray, awa
 def _distances_m(crs: CRS, cameras: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Distances of places (K, 2) in crs to the nearest camera [m], as on a sphere; infinite off the map."""
     degrees = lon_lat(crs, places)
-    middle = np.median(cameras, axis=0)
+    middle = middle_lon_lat(cameras)
     metres = EARTH_RADIUS_M * np.radians([np.cos(np.radians(middle[1])), 1.0])
 
     def flat(at: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from small_survey import TOML, camera_lines, said, small_survey, write_image
 
 from refract import PinholeCamera
 from survey.photos.exif import read_exif
-from survey.photos.texture import detail_of, relative
+from survey.photos.texture import detail_of, image_detail, relative
 from survey.plan.check import require_processable
 from survey.plan.check_light import LEAST_SHARP, glitter_text, light_section, motion_text, sharpness_text, times_of
 from survey.plan.glitter import GlitterOfFlight, glitters, largest_facet_slope, slope_variance
@@ -183,3 +183,15 @@ def test_a_photograph_that_is_black_or_of_one_colour_is_named(tmp_path, colour, 
     # So large that a sample has a few of them.
     found = SimpleNamespace(images=paths, heads={name: SimpleNamespace(size_px=(4000, 3000)) for name in paths})
     assert f"black or of one colour all over, and show nothing: 04.{suffix}" in sharpness_text(found)
+
+
+def test_sixteen_bits_have_the_detail_of_eight(tmp_path, rng):
+    pixels = cv2.GaussianBlur(rng.integers(0, 240, (256, 256, 3), dtype=np.uint8), (0, 0), 1.0)
+    pixels[:16] = 255
+    cv2.imwrite(str(tmp_path / "8.png"), pixels)
+    cv2.imwrite(str(tmp_path / "16.png"), pixels.astype(np.uint16) * 257)
+    eight, sixteen = (image_detail(tmp_path / name) for name in ("8.png", "16.png"))
+    assert not sixteen.is_plain
+    assert 16 / 256 <= sixteen.white == eight.white < 0.1
+    # Grey of 8 bits is rounded.
+    np.testing.assert_allclose(sixteen.detail, eight.detail, rtol=0.02)

@@ -173,7 +173,7 @@ def read_rgb(path: Path) -> np.ndarray:
 
 
 def read_grey(path: Path) -> np.ndarray:
-    """Brightness (height, width) uint8 of a mask, as stored."""
+    """Grey levels (height, width) uint8 of a mask, as stored; of more than 8 bits 255 where it is not black."""
 
     def grey(image: Image.Image, bits: int) -> np.ndarray:
         return _deep(path, image, bits).max(axis=2).astype(bool) * np.uint8(255) if bits > 8 else _shallow(image, "L")

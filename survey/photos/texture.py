@@ -26,7 +26,7 @@ import numpy as np
 from refract.media import mixed_index, mixed_wavelength
 from survey.photos.cameras import View
 from survey.photos.images import LUMA, eight_bits, grey_levels, load_mask, load_pixels
-from survey.photos.pixels import open_image, read_grey, read_rgb
+from survey.photos.pixels import open_image, read_rgb
 
 # White, 255, less a margin for noise and JPEG [grey levels].
 _WHITE = 250.0
@@ -91,7 +91,7 @@ def image_detail(path: Path) -> ImageDetail:
     ImageError
         Where the image cannot be decoded.
     """
-    grey = read_grey(path)
+    grey = grey_levels(read_rgb(path))
     is_plain = bool(np.std(grey) < _PLAIN_STD or np.quantile(grey, 0.99) < _BLACK_LEVEL)
     return ImageDetail(detail_of(grey), float(saturated(grey).mean()), is_plain)
 

@@ -97,7 +97,7 @@ class Transformation:
             raise MissingGrid(
                 f"{subject}: the transformation from {crs_name(self.source)} to {crs_name(self.target)} needs "
                 f"{' and '.join(self.missing)}, which PROJ does not have; fetch it into its data folder "
-                f"(projsync --file {self.missing[0]}), {remedy}"
+                f"(pyproj sync --file {self.missing[0]}), {remedy}"
             )
 
     def require_known(self, subject: str, remedy: str) -> None:
@@ -127,7 +127,7 @@ class Transformation:
         if self.missing:
             grids = " and ".join(self.missing)
             return (
-                f"{subject}; a more accurate one needs {grids}, which is not installed: projsync --file "
+                f"{subject}; a more accurate one needs {grids}, which is not installed: pyproj sync --file "
                 f"{self.missing[0]}"
             )
         return f"{subject}: an error common to all of them"
@@ -218,7 +218,7 @@ def best_operation(source: CRS, target: CRS, where: str, remedy: str, places: np
     if missing:
         raise MissingGrid(
             f"{subject} needs {' and '.join(missing)}, which PROJ does not have; fetch it into its data folder "
-            f"(projsync --file {missing[0]}), {remedy}"
+            f"(pyproj sync --file {missing[0]}), {remedy}"
         )
     raise UnsupportedCRS(f"{subject} is not known to PROJ; choose another CRS, {remedy}")
 

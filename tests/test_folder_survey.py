@@ -227,6 +227,11 @@ def test_heights_of_aircraft_are_taken_where_the_overlap_of_photographs_allows_t
         ([('"PINHOLE"', '"RADIAL"'), ("100.0", "[100, 99]")], ConfigError, "model RADIAL has one focal length"),
         ([("[cameras]", "[images]\nmasks = 'm'\n[cameras]")], ImageError, "mask folder"),
         ([("[water]", "[area]\nbounds = [0, 0, 9, 9]\n[water]")], ConfigError, "km from the nearest camera"),
+        (
+            [("[water]", "[area]\nbounds = [7e5, 5e6, 8e5, 6e6]\n[water]")],
+            ConfigError,
+            "from the nearest camera, which is at 589021, 5194730; give them in crs",
+        ),
     ],
 )
 def test_a_spoilt_survey_toml_is_named_with_the_mend(tmp_path, pairs, kind, words):

@@ -108,7 +108,7 @@ def _placed(heads: Mapping[str, Exif], line_of: Mapping[str, _Line], crs: CRS) -
                 f"{line.where}: {line.place[0]:.10g}, {line.place[1]:.10g} is not on the map of {crs.name}; correct "
                 "the coordinates, their order (easting or longitude first) or the CRS in the first line"
             )
-    require_in_area(crs, places, f"the positions in {GEO_TXT}")
+    require_in_area(crs, places, f"the positions in {GEO_TXT}", f"in the first line of {GEO_TXT}")
     done = {}
     for (name, line), (lon, lat) in zip(line_of.items(), where.tolist(), strict=True):
         head = heads[name]

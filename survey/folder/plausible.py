@@ -185,10 +185,11 @@ def _require_bounds_near(frame: LocalFrame, centres: np.ndarray, bounds: tuple[f
     distances = np.linalg.norm(frame.local_from_crs(nearest) - centres, axis=1)
     # Oblique views reach a few flying heights sideways.
     if not distances.min() < 1000.0:
+        east, north, _ = cameras[int(np.argmin(distances))]
         raise ConfigError(
             f"[area] bounds {list(bounds)} lie {distances.min() / 1000.0:.1f} km from the nearest camera, which is "
-            f"at {cameras[0, 0]:.6g}, {cameras[0, 1]:.7g}; give them in crs ({frame.crs.name}), or correct the "
-            "CRS of the positions or control points that place the cameras"
+            f"at {east:.10g}, {north:.10g}; give them in crs ({frame.crs.name}), or correct the CRS of the positions "
+            "or control points that place the cameras"
         )
 
 

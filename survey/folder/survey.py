@@ -113,7 +113,7 @@ class Survey:
     folder : Path
     frame : LocalFrame
         Its crs is that of everything that leaves the program.
-    views : at least three
+    views : at least two
         Sorted by name.
     water : FlatWater or None
         Local; None for a dry survey.

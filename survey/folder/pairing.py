@@ -66,10 +66,10 @@ def pair(found: Found, poses: Sequence[Pose]) -> tuple[dict[str, Pose], Findings
                 f'make the names in the poses those of the images ("{shortened(unmatched[0])}" against '
                 f'"{without_pose[0]}")'
             )
-        place = found.folder / found.config.images.local_dir
+        images = found.folder / found.config.images.local_dir
         raise PosesError(
             f"only {len(paired)} of the {len(poses)} poses in {found.poses_path} belong to one of the "
-            f"{len(found.images)} images in {place}, expected at least {MIN_VIEWS}; {remedy}"
+            f"{len(found.images)} images in {images}, expected at least {MIN_VIEWS}; {remedy}"
         )
     warnings = named(without_pose, "image", "without a pose, left out")
     warnings += named([shortened(name) for name in unmatched], "pose", "without an image, left out")

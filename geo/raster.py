@@ -237,15 +237,24 @@ class _Band:
 def _read_band(path: Path) -> _Band:
     """The first band of a file; raises UnreadableFile where it is damaged, or has no heights."""
     try:
-        with rasterio.open(path) as raster:
+        with warnings.catch_warnings():
+            # Said below in words of this program.
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            raster = rasterio.open(path)
+        with raster:
             stored = raster.read(1, masked=True)
             heights = stored.astype(np.float64).filled(np.nan) * raster.scales[0] + raster.offsets[0]
             transform, wkt = raster.transform, raster.crs.to_wkt() if raster.crs else None
             unit = raster.units[0]
             name, is_picture = raster.descriptions[0] or "", raster.colorinterp[0] == ColorInterp.red
     except RasterioError as error:
-        said = str(error).splitlines()[0][:100]
+        said = (str(error).splitlines() or [type(error).__name__])[0][:100]
         raise UnreadableFile(f"{path} cannot be read as a GeoTIFF ({said}); export it again.") from error
+    if transform == rasterio.Affine.identity():
+        raise UnreadableFile(
+            f"{path} has no georeference, expected a GeoTIFF that states where its cells lie; give it the bounds "
+            "(gdal_edit -a_ullr WEST NORTH EAST SOUTH), or put its world file (.tfw) beside it."
+        )
     if is_picture:
         raise UnreadableFile(f"{path} is a picture, whose first band is red; expected heights in its first band.")
     if "depth" in name.casefold():

@@ -10,6 +10,7 @@ import pytest
 import rasterio
 from laspy.vlrs.known import GeoKeyDirectoryVlr, GeoKeyEntryStruct
 from pyproj import CRS, Transformer
+from rasterio.errors import NotGeoreferencedWarning
 
 from geo import Mesh, read_reference, write_cloud
 from geo.crs import height_unit_m, horizontal_crs
@@ -205,3 +206,11 @@ def test_a_crs_in_a_comment_that_is_not_understood_is_named(tmp_path):
     back = read_reference(tmp_path / "m.ply")
     assert back.crs is None
     assert "names a CRS that is not understood (EPSG:25832+9999" in back.notes[0]
+
+
+def test_a_raster_without_georeference_is_refused_with_the_mend(tmp_path):
+    path, form = tmp_path / "r.tif", {"driver": "GTiff", "height": 8, "width": 8, "count": 1, "dtype": "float32"}
+    with pytest.warns(NotGeoreferencedWarning), rasterio.open(path, "w", **form) as out:
+        out.write(np.ones((1, 8, 8), dtype=np.float32))
+    with pytest.raises(UnreadableFile, match=r"r\.tif has no georeference, .*gdal_edit -a_ullr"):
+        read_reference(path)

@@ -42,7 +42,7 @@ def require_in_area(crs: CRS, points: np.ndarray, subject: str, where: str = "cr
 
 
 def require_at(crs: CRS, lon_lat_deg: np.ndarray, subject: str, where: str) -> None:
-    """Result of `require_in_area` for longitudes and latitudes (N, 2) of WGS 84 [deg]."""
+    """Raise PlaceMismatch as `require_in_area`, for longitudes and latitudes (N, 2) of WGS 84 [deg]."""
     if len(lon_lat_deg):
         east, north = middle_lon_lat(lon_lat_deg).tolist()
         lon, lat = np.radians([east, north])

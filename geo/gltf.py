@@ -61,9 +61,7 @@ def _placed(points: np.ndarray, extras: dict, path: Path) -> tuple[np.ndarray, C
         return points, None, notes
     if extras.get("axes") == _TOPOCENTRIC:
         return LocalFrame(crs, (origin[0], origin[1], origin[2])).crs_from_local(points), crs, notes
-    # Files of earlier versions are in units of their CRS and do not state their axes.
-    units = _grid_units(crs) if extras.get("axes") == _GRID else np.ones(3)
-    return points / units + np.array(origin, dtype=np.float64), crs, notes
+    return points / _grid_units(crs) + np.array(origin, dtype=np.float64), crs, notes
 
 
 def _grid_units(crs: CRS) -> np.ndarray:

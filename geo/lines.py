@@ -162,7 +162,7 @@ def _of_geopackage(path: Path) -> tuple[Polygons, CRS]:
 
 def _gather_wkb(wkb: bytes, at: int, found: Polygons) -> int:
     """Add the polygons of well-known binary from a byte on; returns the byte behind it."""
-    order = "<" if wkb[at] == 1 else ">"
+    order = _order(wkb, at)
     kind, count = struct.unpack_from(f"{order}II", wkb, at + 1)
     at += 9
     if kind == _MULTI:

@@ -22,6 +22,8 @@ from geo.errors import MissingVerticalDatum, UnknownCRS, UnsupportedCRS
 EARTH_RADIUS_M = 6.371e6
 # Surveys may lie some degrees outside a zone, as countries use one for all; swapped or shifted places lie far away.
 AREA_MARGIN_DEG = 10.0
+# EPSG code of heights above mean sea level by the geoid model EGM96: those of consumer receivers and drones.
+EGM96_HEIGHT = 5773
 _HORIZONTAL_KINDS = ("Projected CRS", "Geographic 2D CRS", "Geographic 3D CRS")
 _EXAMPLE = "EPSG:25832+5778"
 

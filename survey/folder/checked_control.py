@@ -18,7 +18,7 @@ from survey.control.points import Control, ControlPoint
 from survey.display.quantities import named
 from survey.errors import FILE_NAME, ControlError, Findings, PosesError
 from survey.folder.found import Found
-from survey.folder.pose_priors import PosePrior
+from survey.folder.pose_priors import GPS_STD_M, PosePrior
 from survey.photos.cameras import View
 from survey.photos.poses import TiePoints, least_track, parts_of
 from survey.pose_files import find_unread
@@ -36,8 +36,6 @@ _OTHER_DATUM_M = 20.0
 # The stated accuracy of positions is rejected where control contradicts them by more standard deviations than this, and
 # by more than straight rays deform a block, as a share of its size.
 _MOST_STD, _BENT_SHARE = 6.0, 0.02
-# Standard deviation of a position without corrections.
-_GPS_STD_M = 3.0
 # With fewer positions than this the adjustment cannot tell which one is wrong.
 _TELL_A_WRONG_ONE = 4
 
@@ -288,7 +286,7 @@ def _other_datum(common: np.ndarray, std: np.ndarray, reach: float, priors: Mapp
     if np.hypot(common[0], common[1]) > _OTHER_DATUM_M + bent + _MOST_STD * float(std[:2].max()):
         raise ControlError(f"{said}: one of both has another CRS or datum; correct crs, or the CRS of the control")
     stated = [prior.position_std for prior in priors.values() if prior.position_std is not None]
-    of_positions = np.median(stated, axis=0) if stated else np.full(3, _GPS_STD_M)
+    of_positions = np.median(stated, axis=0) if stated else np.full(3, GPS_STD_M)
     if (np.abs(common) <= bent + _MOST_STD * np.hypot(of_positions, std)).all():
         return None
     return (
@@ -311,7 +309,7 @@ def _without_far(
         prior = priors[view.name]
         if prior.position is None:
             continue
-        accuracy = np.full(3, _GPS_STD_M) if prior.position_std is None else prior.position_std
+        accuracy = np.full(3, GPS_STD_M) if prior.position_std is None else prior.position_std
         # Cameras hang over their control by its tilt.
         limit = 2.0 * _BENT_SHARE * reach + _MOST_STD * float(np.hypot(accuracy, std).max())
         off = float(np.linalg.norm(prior.position - view.camera.centre))

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
-from geo.crs import crs_code, has_height, horizontal_crs, utm_code
+from geo.crs import EGM96_HEIGHT, crs_code, has_height, horizontal_crs, utm_code
 from survey.control.gcp_list import read_gcp_list
 from survey.errors import FILE_NAME, ConfigError, ControlError, Findings
 from survey.folder.plausible import SAME_PLACE_M, distances_to_exif
@@ -20,9 +20,6 @@ from survey.photos.poses import PoseFile, PoseFrame
 from survey.pose_files import read_poses
 from survey.settings.config import ImagesConfig, SurveyConfig
 from survey.words import GCP_LIST, GEO_TXT
-
-# EXIF states heights above sea level, by which receivers mean the geoid model EGM96.
-_EGM96_HEIGHT = 5773
 
 _EXAMPLE = 'at least crs = "EPSG:25832+5778", [cameras] and, for water, [water] level_m = 12.34'
 
@@ -62,7 +59,7 @@ def config_of_images(
     by_exif = utm_code_of(heads)
     table = table_crs(heads)
     if table is not None and file is None:
-        crs, name = (table, "") if "+" in table else (f"{table}+{_EGM96_HEIGHT}", ": above mean sea level")
+        crs, name = (table, "") if "+" in table else (f"{table}+{EGM96_HEIGHT}", ": above mean sea level")
         said = f'crs = "{crs}", that of {GEO_TXT}, with heights taken as they are there{name}'
         return replace(config, crs=crs), Findings((said,))
     code = by_exif
@@ -84,7 +81,7 @@ def config_of_images(
             f"{folder} has no {FILE_NAME}, and the poses in {poses_path} are not georeferenced; write "
             f"{FILE_NAME} with crs and [local] origin = [easting, northing, height]"
         )
-    crs = f"EPSG:{code}+{_EGM96_HEIGHT}"
+    crs = f"EPSG:{code}+{EGM96_HEIGHT}"
     if by_exif is not None and file is not None and poses_path is not None:
         _require_same_place(CRS(crs), file, poses_path, heads)
     source = position_sources(heads) if poses_path is None else poses_path.name
@@ -112,7 +109,7 @@ def _crs_of_control(path: Path) -> tuple[str, str]:
         )
     if has_height(crs):
         return str(crs_code(crs)), ""
-    return f"EPSG:{code}+{_EGM96_HEIGHT}", ", with its heights taken as above mean sea level"
+    return f"EPSG:{code}+{EGM96_HEIGHT}", ", with its heights taken as above mean sea level"
 
 
 def table_crs(heads: Mapping[str, Exif]) -> str | None:
@@ -126,7 +123,7 @@ def crs_advice(heads: dict[str, Exif]) -> str:
     code = utm_code_of(heads) or 25832
     return (
         "give the one that positions and heights in survey.toml and its files count in, with a vertical part: "
-        f'crs = "EPSG:{code}+{_EGM96_HEIGHT}" where heights are above mean sea level (EGM96), as those of GPS are'
+        f'crs = "EPSG:{code}+{EGM96_HEIGHT}" where heights are above mean sea level (EGM96), as those of GPS are'
     )
 
 

@@ -23,9 +23,7 @@ if TYPE_CHECKING:
 
 # DJI's code of a fixed RTK solution; its standard deviations are those of the receiver.
 _RTK_FIXED = 50
-# Receivers of other makers state an accuracy without saying how they came by it. One of centimetres (`WELL_KNOWN_M`)
-# comes from corrections; the errors of one of metres are nearly the same in all photographs: it says nothing of them.
-# A position of GPS alone, to start from; the block then tells how good its positions are.
+# Standard deviation of a position of GPS without corrections, to start from; the block then estimates it.
 GPS_STD_M = 3.0
 # Common error of heights in EXIF of unknown accuracy. Most drones take them from their barometer and the standard
 # atmosphere, from which the pressure of the day differs by some 10 hPa, at 8 m each.
@@ -157,6 +155,8 @@ def _std_as_given(cameras: CamerasConfig, head: Exif) -> tuple[np.ndarray | None
         return None if std_m is None else np.array(std_m), head.table_place.source
     if head.rtk is not None and head.rtk.flag == _RTK_FIXED:
         return np.array(head.rtk.std_m), "XMP RTK"
+    # Receivers of other makers do not state the source of their accuracy: one of centimetres is by corrections; errors
+    # of metres are nearly the same in all photographs, and a stated accuracy of metres says nothing of them.
     if head.std_m is not None and max(head.std_m) <= WELL_KNOWN_M:
         return np.array(head.std_m), "stated accuracy"
     return None, "GPS EXIF"

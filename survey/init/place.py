@@ -13,7 +13,16 @@ import tomli_w
 from pyproj import CRS
 
 from geo.area_of_use import height_systems_at, require_at
-from geo.crs import crs_code, has_height, horizontal_crs, middle_lon_lat, parse_crs, utm_code, vertical_crs
+from geo.crs import (
+    EGM96_HEIGHT,
+    crs_code,
+    has_height,
+    horizontal_crs,
+    middle_lon_lat,
+    parse_crs,
+    utm_code,
+    vertical_crs,
+)
 from geo.frames import LocalFrame
 from survey.errors import ConfigError
 from survey.folder import infer
@@ -29,7 +38,7 @@ from survey.words import GEO_TXT
 
 # Asks a person; returns the answer, which may be empty.
 Ask = Callable[[str], str]
-_EGM96_HEIGHT, _WGS84_3D = 5773, 4979
+_WGS84_3D = 4979
 # Poses fit GPS positions if at most this share of the variance remains after a shift.
 _UNEXPLAINED = 0.1
 
@@ -183,7 +192,7 @@ def _horizontal(photographs: FolderPhotographs) -> tuple[str | None, str]:
     if zone is None:
         return None, "neither the photographs nor their poses tell the coordinate reference system (crs)"
     if file is not None and file.crs is None and file.frame in (PoseFrame.GRID, PoseFrame.LEVEL):
-        crs = CRS(f"EPSG:{zone}+{_EGM96_HEIGHT}")
+        crs = CRS(f"EPSG:{zone}+{EGM96_HEIGHT}")
         away = distances_to_exif(crs, photographs.centres, dict(photographs.heads))
         if not away.size or np.median(away) > SAME_PLACE_M:
             return (
@@ -217,7 +226,7 @@ def _vertical(
     )
     more += tuple(f"    {system}" for system in listed)
     return (
-        _EGM96_HEIGHT,
+        EGM96_HEIGHT,
         f"heights above mean sea level (EGM96), as those in {position_sources(photographs.heads)}",
         more,
     )

@@ -61,7 +61,7 @@ class ProcessConfig:
     target_std_m: float | None = key(None, "a standard deviation in metres, in place of a quality")
     time_budget_s: float | None = key(None, "the seconds that a run may take, in place of a quality")
     device: str | None = key(None, "one of auto, cpu, cuda", one_of=Device)
-    field: str | None = key(None, "one of auto, solver, slab, off", one_of=Field)
+    field: str | None = key(None, "one of auto, solver, boxes, slab, off", one_of=Field)
     poses: str | None = key(None, "one of auto, fixed, refine", one_of=Poses)
     plan: str | None = key(None, "one of auto, full", one_of=Plan)
     image_scale: float | None = key(None, "1, 0.5, 0.25, ...", one_of=SCALES)

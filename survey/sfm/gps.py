@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS
 
-from geo.crs import has_height, is_geographic, parse_crs, vertical_crs
+from geo.crs import EGM96_HEIGHT, has_height, is_geographic, parse_crs, vertical_crs
 from geo.frames import LocalFrame
 from geo.transformation import WGS84, Transformation, height_scale, lon_lat
 from survey.errors import FILE_NAME, ConfigError, PosesError
@@ -20,8 +20,6 @@ from survey.photos.poses import least_track
 from survey.sfm.datum import WELL_KNOWN_M, DatumStd, area_at, height_transformer, plan_std
 from survey.words import GEO_TXT
 
-# Mean sea level by EGM96: the heights of consumer receivers and drones.
-_EGM96_HEIGHT = 5773
 _EXIF, _WGS84_3D = "EXIF", CRS("EPSG:4979")
 _GIVE_POSES = f"name a file of poses in [cameras] poses in {FILE_NAME}"
 
@@ -67,7 +65,7 @@ def gps_positions(heads: Mapping[str, Exif], crs: CRS | None, gps_height: str) -
         )
     notes = []
     if crs is None:
-        code = f"EPSG:{utm_code_of(heads)}+{_EGM96_HEIGHT}"
+        code = f"EPSG:{utm_code_of(heads)}+{EGM96_HEIGHT}"
         crs = parse_crs(code)
         notes.append(f'crs = "{code}", the UTM zone of the GPS positions with heights above mean sea level (EGM96)')
     crs = parse_crs(crs)

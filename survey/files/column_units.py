@@ -14,7 +14,7 @@ from pyproj.exceptions import CRSError
 from geo.crs import crs_of, has_height, height_unit_m, horizontal_unit, is_geographic
 from geo.stated import US_SURVEY_FOOT_M, unit_named
 from survey.errors import SurveyError
-from survey.files.csv_table import shortened, text_lines
+from survey.files.csv_table import number_of, shortened, text_lines
 
 _IN_BRACKETS = re.compile(r"(.*?)[\s_]*[(\[]\s*([^()\[\]]+?)\s*[)\]]")
 _DEGREES = ("deg", "degree", "degrees", "°", "dd", "decimal degrees")
@@ -209,7 +209,7 @@ def odm_crs(line: str, where: str, name: str, error: type[SurveyError]) -> CRS:
             raise error(f"{said} is not a UTM zone, expected 1 to 60; correct it")
         return CRS.from_epsg((32600 if utm[2].upper() == "N" else 32700) + zone)
     if not is_odm_crs(line):
-        if sum(_is_number(word) for word in line.split()) > 1:
+        if sum(math.isfinite(number_of(word)) for word in line.split()) > 1:
             raise error(f"{said} is a line of a point, expected the CRS before it, {_FORM}; add it")
         raise error(f"{said} is not a CRS that {name} may begin with, expected {_FORM}; correct it")
     try:
@@ -219,10 +219,3 @@ def odm_crs(line: str, where: str, name: str, error: type[SurveyError]) -> CRS:
     if not (crs.is_projected or crs.is_geographic):
         raise error(f"{said} is {crs.name}, expected a CRS of a map or of longitude and latitude, {_FORM}; correct it")
     return crs
-
-
-def _is_number(word: str) -> bool:
-    try:
-        return math.isfinite(float(word))
-    except ValueError:
-        return False

@@ -16,8 +16,8 @@ from pathlib import Path
 from survey.errors import SurveyError
 from survey.files.json_values import LARGEST
 
-# What the csv module of Python takes as one value.
 _SPACE = " "
+# What the csv module of Python takes as one value.
 _LONGEST_LINE = 100_000
 _QUOTED = re.compile(r'"[^"]*"')
 
@@ -229,7 +229,12 @@ def _cells(where: str, line: str, delimiter: str, error: type[SurveyError]) -> l
 
 
 def number_of(text: str, decimal: str = ".") -> float:
-    """A number; NaN where the text is none. With a decimal comma, a point is good too, but not both."""
+    """A number; NaN where the text is none. With a decimal comma, a point is good too, but not both.
+
+    Python reads "100_0001", the name of a photograph, as a number.
+    """
+    if "_" in text:
+        return math.nan
     if decimal == "," and "." not in text:
         text = text.replace(",", ".", 1)
     try:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from survey.errors import PosesError
-from survey.files.csv_table import shortened, text_lines
+from survey.files.csv_table import number_of, shortened, text_lines
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.photos.poses import Pose, PoseFile, PoseFrame, SecondPose
 from survey.pose_files.format import Format
@@ -95,10 +95,7 @@ def _is_heading(line: str) -> bool:
 
 
 def _number(text: str) -> float | None:
-    try:
-        value = float(text)
-    except ValueError:
-        return None
+    value = number_of(text)
     return value if math.isfinite(value) else None
 
 

@@ -130,9 +130,9 @@ class _Ticking:
 
     def _tick(self) -> None:
         while not self._ended.wait(_TICK_S):
-            steps = self._progress._steps
-            if steps:
-                steps[-1].say_if_due()
+            # A copy: the thread of the run removes steps that end.
+            for step in self._progress._steps[-1:]:
+                step.say_if_due()
 
 
 class _TimeLeft(ProgressColumn):

@@ -71,7 +71,7 @@ def read_foreign_json(path: Path, error: type[SurveyError]):
     except OSError as problem:
         raise error(f"{path} cannot be read ({problem.strerror}); correct its name or its permissions") from problem
     except RecursionError as problem:
-        raise error(f"{path} is nested too deeply, expected a file of poses; export it again") from problem
+        raise error(f"{path} is nested too deeply for a file of poses or control points; export it again") from problem
     except ValueError as problem:
         raise error(f"{path} is not valid JSON ({problem}); export it again") from problem
 

@@ -261,7 +261,7 @@ def _by_gdal(path: Path) -> tuple[list[tuple[str, np.ndarray]], CRS | None]:
         ]
         return found, None if said["crs"] is None else horizontal_crs(CRS.from_user_input(said["crs"]))
     except (CRSError, ValueError, RuntimeError, OSError, struct.error, IndexError) as error:
-        raise UnreadableFile(f"{path} cannot be read for lines ({str(error)[:80]}); export it again.") from error
+        raise UnreadableFile(f"{path} has no lines that can be read ({str(error)[:80]}); export it again.") from error
 
 
 def _of_wkb(wkb: bytes) -> Iterator[np.ndarray]:

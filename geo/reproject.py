@@ -196,8 +196,8 @@ def _warning(source: CRS, wanted: CRS, way: Transformer, where: str, places: np.
     in_plan = Transformation.between(source, wanted, places)
     if in_plan.accuracy_m == 0.0 and not _same_heights(source, wanted) and way.accuracy > 0.0:
         return (
-            f"{where}: heights are transformed by {way.description}, which PROJ states to {way.accuracy:.2g} m: an "
-            "error common to all of them"
+            f"{where}: heights are transformed by {way.description}; the accuracy by PROJ is "
+            f"{way.accuracy:.2g} m: an error common to all of them"
         )
     return in_plan.warning(f"{where}: places")
 

@@ -119,10 +119,10 @@ class Transformation:
                 f"of each operation that PROJ knows, which are good to {self.accuracy_m:.2g} m there: an error common "
                 "to all of them"
             )
-        known = "an unknown accuracy" if self.accuracy_m is None else f"{self.accuracy_m:.2g} m"
+        known = "unknown" if self.accuracy_m is None else f"{self.accuracy_m:.2g} m"
         subject = (
-            f"{subject} are transformed from {crs_name(self.source)} to {crs_name(self.target)}, which PROJ states to "
-            f"{known}"
+            f"{subject} are transformed from {crs_name(self.source)} to {crs_name(self.target)}; the accuracy by PROJ "
+            f"is {known}"
         )
         if self.missing:
             grids = " and ".join(self.missing)
@@ -147,7 +147,7 @@ def transformed(source: CRS, target: CRS, points: np.ndarray, subject: str, reme
 
 
 def height_scale(source: CRS, target: CRS, subject: str, *, unit_m: float | None = None) -> float:
-    """Units of height of the target in one of the source.
+    """Factor that converts heights of the source to the unit of heights of the target.
 
     Parameters
     ----------

@@ -223,7 +223,8 @@ def write_dxf(path: str | Path, lines: Sequence[DxfLine], crs: CRS) -> None:
     """
     if is_geographic(crs):
         raise UnwritableFile(
-            f"{path}: a DXF is in lengths, and {crs_name(crs)} is in degrees; give --crs, e.g. a UTM zone"
+            f"{path}: DXF has coordinates in a unit of length, and {crs_name(crs)} is in degrees; give --crs, e.g. "
+            "a UTM zone"
         )
     unit = horizontal_unit(crs)
     if abs(height_unit_m(crs) / unit - 1.0) > 1e-9:

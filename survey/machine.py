@@ -107,8 +107,8 @@ class Load:
 
     def __str__(self) -> str:
         return (
-            f"{self.slowness:.1f} times as long as on an idle core: known work takes {self.work:.1f} times the "
-            f"processor time, and a second of that takes {self.turns:.1f} s"
+            f"{self.slowness:.1f} times as long as on an idle core: {self.work:.1f} times the processor time, and "
+            f"{self.turns:.1f} s for each second of it, with other programs on the core"
         )
 
 

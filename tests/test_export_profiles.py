@@ -170,8 +170,8 @@ def test_lines_of_every_format_are_the_same(tmp_path, suffix):
         ("l.geojson", '{"type": "LineString", "coordinates": [[1, 2], [1, null]]}', "is not GeoJSON with lines"),
         ("l.geojson", "[1, 2]", "is not GeoJSON with lines"),
         ("l.geojson", "{", "is not GeoJSON with lines"),
-        ("l.gpkg", "no database", "cannot be read for lines"),
-        ("l.dxf", "no drawing", "cannot be read for lines"),
+        ("l.gpkg", "no database", "has no lines that can be read"),
+        ("l.dxf", "no drawing", "has no lines that can be read"),
         ("l.kml", "<kml/>", "expected lines as one of .geojson, .gpkg, .shp, .dxf"),
     ],
 )

@@ -74,7 +74,7 @@ def test_no_name_leads_out_of_the_folder(monkeypatch, tmp_path):
 def test_a_bucket_that_is_not_there_is_named(monkeypatch, tmp_path):
     with served(monkeypatch) as bucket:
         (tmp_path / "a").touch()
-        said = r"s3://survey-.*/run/a is not there \(.*bucket.*\); make the bucket or folder, or correct the URL"
+        said = r"s3://survey-.*/run/a does not exist \(.*bucket.*\); make the bucket or folder, or correct the URL"
         with pytest.raises(SurveyError, match=said):
             Remote(f"{bucket}-other/run").put({"a": tmp_path / "a"})
 

@@ -95,7 +95,7 @@ def test_check_says_what_the_shutter_does(tmp_path):
     row = said(check_survey(tmp_path / "s"), "Found")["shutter"]
     assert row == "rolls in 0 +- 20 ms; velocities of 4 of 4 images (4 by XMP)"
     (tmp_path / "s" / "survey.toml").write_text(toml.replace("rolling_shutter_std_s = 0.02\n", ""))
-    assert said(check_survey(tmp_path / "s"), "Found")["shutter"] == "exposes all rows at once"
+    assert said(check_survey(tmp_path / "s"), "Found")["shutter"] == "exposes all rows at once (global or mechanical)"
 
 
 def test_before_structure_from_motion_the_warning_is_there_too(tmp_path):

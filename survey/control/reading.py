@@ -65,7 +65,7 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS) -> tuple[list[GivenPoint], Fi
             )
             said += Findings((assumption,), () if warning is None else (warning,))
         elif scale != 1.0:
-            assumption = f"heights of {first.where} are converted by {scale:.7g}, as its columns or CRS name units"
+            assumption = f"heights of {first.where} are multiplied by {scale:.7g}, by the units of its columns or CRS"
             said += Findings((assumption,))
         places[:, 2] *= scale
         for i, place in zip(of_source, places.tolist(), strict=True):
@@ -80,7 +80,7 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS) -> tuple[list[GivenPoint], Fi
 
 
 def _height_scale(first: GivenPoint, source: CRS, crs: CRS) -> float:
-    """Units of height of crs in one unit of a file, by its header and its CRS; ``first`` is a point of it."""
+    """Factor from heights of a file to the unit of crs, by its header and its CRS; ``first`` is a point of it."""
     where = Path(first.where)
     units = first.units.meant(Units.of(source))
     fault = units.plan_fault(Units.of(source))

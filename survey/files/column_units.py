@@ -68,7 +68,7 @@ class Units:
         return Units(one(self.plan_m, target.plan_m), one(self.height_m, target.height_m))
 
     def height_factor(self, target: Units) -> float:
-        """Units of height of the target in one of these; 1 where either is not known."""
+        """Factor that converts heights in these units to those of the target; 1 where either is not known."""
         return 1.0 if self.height_m is None or target.height_m is None else self.height_m / target.height_m
 
     def plan_fault(self, target: Units) -> str | None:

@@ -245,7 +245,7 @@ def _refusals(url: str) -> Iterator[None]:
             f"{url} needs a library that is not installed ({error}); for s3:// pip install 'bathynerf[remote]'"
         ) from error
     except FileNotFoundError as error:
-        raise SurveyError(f"{url} is not there ({error}); make the bucket or folder, or correct the URL") from error
+        raise SurveyError(f"{url} does not exist ({error}); make the bucket or folder, or correct the URL") from error
     except PermissionError as error:
         raise SurveyError(f"{url} refuses access ({error}); ask for the right to list, read and write it") from error
     except Exception as error:

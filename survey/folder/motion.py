@@ -153,7 +153,7 @@ def _motion(view: View, velocities: Mapping[str, Velocity], readout: float) -> n
 
 
 def rows_between(height: int) -> int:
-    """Rows from the first to the last of an image."""
+    """Number of row intervals from the first to the last row of an image."""
     return max(height - 1, 1)
 
 
@@ -190,7 +190,7 @@ def shutter_text(
     if readout is None:
         return None
     if not cameras.rolls:
-        return "exposes all rows at once"
+        return "exposes all rows at once (global or mechanical)"
     sources = Counter(velocity.source for velocity in velocities.values())
     by = ", ".join(f"{count} by {source}" for source, count in sources.items())
     fastest = max((velocity.speed for velocity in velocities.values()), default=0.0)

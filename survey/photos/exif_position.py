@@ -49,6 +49,7 @@ def position_of(gps: dict, xmp: str) -> tuple[tuple[float, float, float] | None,
 
 
 def position_of_gps(gps: dict) -> tuple[tuple[float, float, float] | None, str]:
+    """Latitude, longitude [deg] and height [m] by EXIF, and what EXIF lacks for a position."""
     places = []
     for name, value, reference, letters in (
         ("latitude", ExifTags.GPS.GPSLatitude, ExifTags.GPS.GPSLatitudeRef, "NS"),

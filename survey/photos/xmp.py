@@ -1,4 +1,4 @@
-"""XMP of an exposure: accuracy and datum of the position, attitudes of drone and camera, speed, shutter.
+"""XMP of a photograph: accuracy and datum of the position, attitudes of drone and camera, speed, shutter.
 
 DJI, Parrot, Autel and Skydio have their own namespaces; senseFly, Parrot, older Autel and many others use that of
 Pix4D, `Camera`; programs that rewrite XMP put the position into that of EXIF. The text is searched, not parsed as XML,

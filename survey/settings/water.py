@@ -184,9 +184,9 @@ class WaterConfig:
         if not self.gives_level:
             raise ConfigError(
                 "level_m is missing from [water]. Give the height of the water surface in the survey's vertical "
-                "datum, e.g. level_m = 12.34, or a file as shoreline, gnss_points, surface, gauge, image_levels or "
-                "clicks, or write dry = true, above the first table, in place of [water] for a dry survey; only a "
-                "survey without poses, with GPS positions in its photographs, can leave it to the adjustment"
+                "datum, e.g. level_m = 12.34, or name a file in shoreline, gnss_points, surface, gauge, image_levels "
+                "or clicks. For a dry survey write dry = true above the first table, in place of [water]. Only a "
+                "survey without poses, with GPS positions in its photographs, can leave the level to the adjustment"
             )
 
     def _require_one_level(self) -> None:

@@ -165,8 +165,8 @@ def datum_warnings(ways: Sequence[PositionTransform]) -> list[str]:
     """Warnings where GPS positions in crs are less well known than as they are given."""
     warnings = [way.plan.warning(way.said) for way in ways]
     warnings += [
-        f"heights of {way.said} are transformed by a geoid that PROJ states to {way.up_std_m:.2g} m: an error common "
-        "to all of them"
+        f"heights of {way.said} are transformed by a geoid; its accuracy by PROJ is "
+        f"{way.up_std_m:.2g} m: an error common to all of them"
         for way in ways
         if way.up_std_m > WELL_KNOWN_M
     ]

@@ -99,7 +99,7 @@ def place_by_gps(
         if nearby is not None and (by_control := _by_area(nearby, block, alias_of)) is not None:
             return by_control
         met = None if nearby is None else intersect_marks(nearby, posed_of(block, alias_of))
-        return f"{said}; {line.said(len(trusted))}: it starts {_roll(block, line, turned, met)}"
+        return f"{said}; {line.said(len(trusted))}: {_roll(block, line, turned, met)}"
 
     ways: list[Placement] = [by_positions]
     if spare is not None:
@@ -146,7 +146,7 @@ def _placement_by_control(
         said = _onto_control(block, fit)
         if fit.line is None:
             return said
-        return f"{said}; {fit.line.said(len(fit.used))}: it starts {_roll(block, fit.line, attitudes, None)}"
+        return f"{said}; {fit.line.said(len(fit.used))}: {_roll(block, fit.line, attitudes, None)}"
 
     return by_control
 
@@ -269,15 +269,15 @@ def _roll(
         ours = np.array([poses[alias][1] for alias in with_attitude])
         angle = roll_by_attitudes(across, ours, np.array([attitudes[alias] for alias in with_attitude]))
         sfm_block.transform(block, across.rolled(angle))
-        return f"as the attitudes of {len(with_attitude)} photographs in XMP have it"
+        return f"the initial roll is that of the attitudes of {len(with_attitude)} photographs in XMP"
     if met is not None and met.points:
         angle = roll_by_control(across, met.places, np.array([point.local for point in met.points]))
         sfm_block.transform(block, across.rolled(angle))
-        return f"as {listed([point.name for point in met.points])} have it"
+        return f"the initial roll is that by the control points {listed([point.name for point in met.points])}"
     rotations = np.array([rotation for _, rotation in poses.values()])
     angle = roll_by_ground(across, rotations, sfm_block.points_of(block)[0])
     sfm_block.transform(block, across.rolled(angle))
-    return "with photographs that look straight down across it"
+    return "at the initial roll photographs look straight down across it"
 
 
 def _reset(block: pycolmap.Reconstruction, sensors: list[CameraBody]) -> list[str]:

@@ -167,7 +167,7 @@ class Departure:
         return self._plane[0] + xy @ self._plane[1:]
 
     def _fitted(self, xy: np.ndarray, away: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Heights and stds (M,) of planes through the points ``near`` (M, K), ``away`` (M, K) [m] from places."""
+        """Heights and stds (M,) of second-order surfaces through points ``near`` (M, K), ``away`` (M, K) [m]."""
         reach = np.maximum(1.001 * away.max(axis=1), 1e-9)
         weights = (1.0 - np.minimum(away / reach[:, None], 1.0) ** 3) ** 3 / self.stds[near] ** 2
         offsets = (self.points[near][:, :, :2] - xy[:, None]) / reach[:, None, None]

@@ -128,7 +128,7 @@ class LocalFrame:
         u, _, vt = np.linalg.svd(np.where(finite, columns, np.eye(3)))
         return np.where(finite, u @ vt, np.nan)
 
-    def local_from_level(self, point_crs) -> np.ndarray:
+    def local_from_enu(self, point_crs) -> np.ndarray:
         """Rotation (..., 3, 3) that turns true east, true north and up at points (..., 3) in crs into local axes.
 
         NaN where a point is not on the map.

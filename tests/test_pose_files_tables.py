@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from survey.errors import PosesError
 from survey.folder.pose_priors import BY_FILE
-from survey.photos.cameras import level_from_yaw_pitch_roll
+from survey.photos.cameras import enu_from_yaw_pitch_roll
 from survey.pose_files import find_poses, read_poses
 
 
@@ -112,13 +112,13 @@ def test_wrong_axes_do_not_pass(tmp_path, block, angles):
 
 
 def test_yaw_pitch_and_roll_turn_the_camera_as_they_are_described():
-    down = level_from_yaw_pitch_roll(0.0, 0.0, 0.0)
+    down = enu_from_yaw_pitch_roll(0.0, 0.0, 0.0)
     # Columns: the right side, the lower side and the view of the image, in east, north, up.
     assert down.transpose() == pytest.approx(np.array([[1, 0, 0], [0, -1, 0], [0, 0, -1]]))
-    to_the_east = level_from_yaw_pitch_roll(np.pi / 2, 0.0, 0.0)
+    to_the_east = enu_from_yaw_pitch_roll(np.pi / 2, 0.0, 0.0)
     assert -to_the_east[:, 1] == pytest.approx([1, 0, 0])
-    assert level_from_yaw_pitch_roll(0.0, np.pi / 2, 0.0)[:, 2] == pytest.approx([0, 1, 0])
-    assert level_from_yaw_pitch_roll(0.0, 0.0, 0.1)[2, 0] < 0.0
+    assert enu_from_yaw_pitch_roll(0.0, np.pi / 2, 0.0)[:, 2] == pytest.approx([0, 1, 0])
+    assert enu_from_yaw_pitch_roll(0.0, 0.0, 0.1)[2, 0] < 0.0
 
 
 def test_the_accuracy_of_positions_goes_into_the_adjustment(tmp_path, block):

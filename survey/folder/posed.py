@@ -87,11 +87,11 @@ def cams_from_local(file: PoseFile, poses: Sequence[Pose], centres_crs: np.ndarr
     if file.frame is PoseFrame.GRID and (file.crs is None or _same_grid(file.crs, frame.crs)):
         return rotations @ np.swapaxes(frame.local_from_grid(centres_crs), -1, -2)
     if file.frame is PoseFrame.GRID:
-        rotations = rotations @ _grid_from_level(file, poses)
+        rotations = rotations @ _grid_from_enu(file, poses)
     elif file.frame is PoseFrame.GEOCENTRIC:
         lon, lat, _ = _geodetic(file, np.array([pose.centre for pose in poses]))
         rotations = rotations @ np.swapaxes(enu_from_geocentric(lon, lat), -1, -2)
-    return rotations @ np.swapaxes(frame.local_from_level(centres_crs), -1, -2)
+    return rotations @ np.swapaxes(frame.local_from_enu(centres_crs), -1, -2)
 
 
 def points_in_local(file: PoseFile, points: np.ndarray, frame: LocalFrame, gps_height: str) -> np.ndarray:
@@ -107,7 +107,7 @@ def given_in_local(file: PoseFile, places: np.ndarray, frame: LocalFrame, gps_he
     Their heights are of the same kind as those of the poses.
     """
     if file.frame is not PoseFrame.GEOCENTRIC or file.crs is None or vertical_crs(file.crs) is not None:
-        return points_in_local(replace(file, frame=PoseFrame.LEVEL), places, frame, gps_height)
+        return points_in_local(replace(file, frame=PoseFrame.ENU), places, frame, gps_height)
     own = MapProjection(file.crs if has_height(file.crs) else file.crs.to_3d())
     return points_in_local(
         file, geocentric_from_geodetic(*own.geodetic_from_crs(places), a=own.a, b=own.b), frame, gps_height
@@ -124,14 +124,14 @@ def _same_grid(a: CRS, b: CRS) -> bool:
     return crs_difference(horizontal_crs(a), horizontal_crs(b)) is None
 
 
-def _grid_from_level(file: PoseFile, poses: Sequence[Pose]) -> np.ndarray:
+def _grid_from_enu(file: PoseFile, poses: Sequence[Pose]) -> np.ndarray:
     """Rotations (N, 3, 3) from true east, north and up to the grid axes of the file's own crs, at its poses."""
     own = file.crs
     if own is None:
         raise ValueError("a poses file without a crs of its own has the grid of the survey")
     centres = np.array([pose.centre for pose in poses])
     frame = LocalFrame(own if has_height(own) else own.to_3d(), tuple(np.median(centres, axis=0).tolist()))
-    return np.swapaxes(frame.local_from_grid(centres), -1, -2) @ frame.local_from_level(centres)
+    return np.swapaxes(frame.local_from_grid(centres), -1, -2) @ frame.local_from_enu(centres)
 
 
 def _geodetic(file: PoseFile, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

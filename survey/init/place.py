@@ -178,7 +178,7 @@ def write_crs(photographs: FolderPhotographs, answers: Answers, top: SettingsTab
 def _horizontal(photographs: FolderPhotographs) -> tuple[str | None, str]:
     """The CRS of the poses, else the UTM zone of the photographs, and what says so; or None and what is missing."""
     file = photographs.file
-    if file is not None and file.crs is not None and file.frame in (PoseFrame.GRID, PoseFrame.LEVEL):
+    if file is not None and file.crs is not None and file.frame in (PoseFrame.GRID, PoseFrame.ENU):
         code = crs_code(file.crs)
         if code is not None and file.crs.is_projected:
             return code, f"that of the poses, {file.crs.name}"
@@ -191,7 +191,7 @@ def _horizontal(photographs: FolderPhotographs) -> tuple[str | None, str]:
         zone, by = utm_code(*photographs.lat_lon), "the UTM zone of the poses"
     if zone is None:
         return None, "neither the photographs nor their poses tell the coordinate reference system (crs)"
-    if file is not None and file.crs is None and file.frame in (PoseFrame.GRID, PoseFrame.LEVEL):
+    if file is not None and file.crs is None and file.frame in (PoseFrame.GRID, PoseFrame.ENU):
         crs = CRS(f"EPSG:{zone}+{EGM96_HEIGHT}")
         away = distances_to_exif(crs, photographs.centres, dict(photographs.heads))
         if not away.size or np.median(away) > SAME_PLACE_M:

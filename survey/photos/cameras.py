@@ -73,7 +73,7 @@ def rotation_from_quaternion(w: float, x: float, y: float, z: float) -> np.ndarr
     return Rotation.from_quat((x, y, z, w)).as_matrix()
 
 
-def level_from_yaw_pitch_roll(yaw: float, pitch: float, roll: float) -> np.ndarray:
+def enu_from_yaw_pitch_roll(yaw: float, pitch: float, roll: float) -> np.ndarray:
     """Rotation (3, 3) from cam to true east, north and up, angles in radians.
 
     At 0, 0, 0 the camera looks straight down with the top of its image to the north. Yaw turns it clockwise, seen from

@@ -43,13 +43,13 @@ class PoseFrame(Enum):
     | frame | positions | rotations, from |
     |---|---|---|
     | GRID | in crs | the grid axes at the camera: easting, northing, height |
-    | LEVEL | in crs | true east, true north and up at the camera |
+    | ENU | in crs | true east, true north and up at the camera |
     | GEOCENTRIC | x, y, z [m] from the centre of the Earth | the same axes |
     | LOCAL | [m] in the topocentric frame of [local] | its axes |
     """
 
     GRID = "grid"
-    LEVEL = "level"
+    ENU = "enu"
     GEOCENTRIC = "geocentric"
     LOCAL = "local"
 
@@ -80,7 +80,7 @@ class PoseFile:
 
     poses: tuple[Pose, ...]  # Of different names
     frame: PoseFrame
-    # Of GRID and LEVEL: that of the positions; of GEOCENTRIC: the one on whose datum they are. None: the crs of the
+    # Of GRID and ENU: that of the positions; of GEOCENTRIC: the one on whose datum they are. None: the crs of the
     # survey, or WGS 84 for GEOCENTRIC.
     crs: CRS | None = None
     # The program that adjusted the poses, which knows straight rays only; None where the format does not tell

@@ -15,7 +15,7 @@ from survey.errors import FILE_NAME
 from survey.folder.control import FoundControl, mark_residuals
 from survey.folder.found import Found
 from survey.folder.survey import Survey
-from survey.photos.cameras import level_from_yaw_pitch_roll
+from survey.photos.cameras import enu_from_yaw_pitch_roll
 from survey.settings.config import WaterConfig
 from survey.water.level import STAFF_STD_M
 from survey.water.level_observation import LevelObservation
@@ -158,7 +158,7 @@ def _tilts_by_headers(found: Found) -> np.ndarray:
     """Tilts by the attitudes in XMP, of the photographs that have one."""
     gimbals = [header.motion.gimbal_deg for header in found.heads.values() if header.motion.gimbal_deg is not None]
     rotations = [
-        level_from_yaw_pitch_roll(math.radians(yaw), math.radians(pitch + 90.0), math.radians(roll)).T
+        enu_from_yaw_pitch_roll(math.radians(yaw), math.radians(pitch + 90.0), math.radians(roll)).T
         for yaw, pitch, roll in gimbals
     ]
     return tilts_deg(np.array(rotations).reshape(-1, 3, 3))

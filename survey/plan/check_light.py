@@ -15,7 +15,7 @@ from survey.folder.faults import above_start_of, place_of
 from survey.folder.found import Found
 from survey.folder.motion import velocities_of
 from survey.folder.survey import Survey
-from survey.photos.cameras import level_from_yaw_pitch_roll
+from survey.photos.cameras import enu_from_yaw_pitch_roll
 from survey.photos.exif import Exif
 from survey.photos.texture import MOSTLY_WHITE, bytes_per_pixel, image_detail, relative
 from survey.plan.area import in_the_middle
@@ -313,9 +313,7 @@ def _flight(found: Found, survey: Survey | None) -> GlitterOfFlight | None:
     for name in sorted(found.heads):
         header = found.heads[name]
         yaw, pitch, roll = np.radians(header.motion.gimbal_deg or (0.0, -90.0, 0.0))
-        cam_from_level = level_from_yaw_pitch_roll(yaw, pitch + 0.5 * math.pi, roll).T
+        cam_from_enu = enu_from_yaw_pitch_roll(yaw, pitch + 0.5 * math.pi, roll).T
         width, height = header.size_px
-        cameras.append(
-            PinholeCamera(np.zeros(3), cam_from_level, focal, focal, 0.5 * width, 0.5 * height, width, height)
-        )
+        cameras.append(PinholeCamera(np.zeros(3), cam_from_enu, focal, focal, 0.5 * width, 0.5 * height, width, height))
     return GlitterOfFlight(cameras, np.array([0.0, 0.0, 1.0]))

@@ -15,7 +15,7 @@ from pyproj import CRS
 from survey.errors import PosesError
 from survey.files.column_units import common_unit_m, crs_of_comment, meaning
 from survey.files.csv_table import Row, column_names, read_table
-from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk, level_from_yaw_pitch_roll
+from survey.photos.cameras import CAM_FROM_OPK_CAM, enu_from_yaw_pitch_roll, grid_from_opk
 from survey.photos.poses import GivenPosition, Pose, PoseFile, PoseFrame, SecondPose
 from survey.pose_files.format import Format, is_lens_key
 
@@ -93,7 +93,7 @@ def read_opk_csv(path: Path) -> PoseFile:
     notes = (f"yaw in {path.name} counts from true north, not from the grid's, and a pitch of {down} straight down",)
     return PoseFile(
         tuple(poses.values()),
-        PoseFrame.LEVEL,
+        PoseFrame.ENU,
         crs,
         notes=notes,
         warnings=warnings,
@@ -135,7 +135,7 @@ def _pose(row: Row, names: tuple[str, ...], units: Mapping[str, float]) -> Pose:
         world_from_cam = grid_from_opk(*angles) @ CAM_FROM_OPK_CAM
     else:
         lift = math.radians(_GIMBAL_DOWN_DEG) if names[4] == "gimbal_yaw" else 0.0
-        world_from_cam = level_from_yaw_pitch_roll(angles[0], angles[1] - lift, angles[2])
+        world_from_cam = enu_from_yaw_pitch_roll(angles[0], angles[1] - lift, angles[2])
     return Pose(row.text("image"), centre, world_from_cam.T, given=_given(row, centre, units))
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from geo.similarity import Similarity, gross_error
-from survey.photos.cameras import level_from_yaw_pitch_roll
+from survey.photos.cameras import enu_from_yaw_pitch_roll
 from survey.photos.exif import Exif
 
 # Accuracy of a receiver with carrier-phase corrections: the smallest standard deviation that is assumed.
@@ -146,7 +146,7 @@ def attitudes_of(heads: Mapping[str, Exif]) -> dict[str, np.ndarray]:
     for name, head in heads.items():
         if head.motion.gimbal_deg is not None:
             yaw, pitch, roll = np.radians(head.motion.gimbal_deg)
-            found[name] = level_from_yaw_pitch_roll(yaw, pitch + 0.5 * math.pi, roll).T
+            found[name] = enu_from_yaw_pitch_roll(yaw, pitch + 0.5 * math.pi, roll).T
     return found
 
 

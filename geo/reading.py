@@ -55,7 +55,7 @@ def read_reference(path: str | Path) -> Mesh | Cloud:
     UnreadableFile
         If it does not exist, has another suffix, needs a library that is not installed, is damaged, has
         coordinates that are not finite, or faces that name vertices it does not have; if its values were rounded, or
-        hold marks of no data, see `geo.values`.
+        have undeclared no-data values, see `geo.values`.
     """
     path = existing_file(path)
     reader = _READERS.get(path.suffix.lower())

@@ -33,7 +33,7 @@ _DIGITS = range(4, 10)
 _MANY_SHARED, _RASTER = 0.1, 0.3
 
 # No-data values that programs write where there is no height; 0 may also be one.
-_MARKS = (-9999.0, 9999.0, -99999.0, 99999.0, -999.0, -32768.0, -32767.0, 32767.0, 65535.0, 1e6, -1e6)
+_NO_DATA_VALUES = (-9999.0, 9999.0, -99999.0, 99999.0, -999.0, -32768.0, -32767.0, 32767.0, 65535.0, 1e6, -1e6)
 _BEYOND_EARTH = 1e7
 # The highest ground on Earth, also in feet.
 _HIGHEST = 30_000.0
@@ -41,9 +41,9 @@ _FAR, _FAR_UNKNOWN, _SPREADS = 100.0, 1000.0, 10.0
 _SHARE = 0.01
 
 
-def is_mark_of_no_data(height: float) -> bool:
+def is_no_data_value(height: float) -> bool:
     """Whether a height is a usual no-data value that no place on Earth has."""
-    return height in _MARKS and not 0.0 < height < _HIGHEST
+    return height in _NO_DATA_VALUES and not 0.0 < height < _HIGHEST
 
 
 def check_values(points: np.ndarray, crs: CRS | None, path: Path) -> tuple[str, ...]:
@@ -56,7 +56,7 @@ def check_values(points: np.ndarray, crs: CRS | None, path: Path) -> tuple[str, 
     """
     # Coordinates of a damaged file may be as large as numbers go.
     with np.errstate(over="ignore", invalid="ignore"):
-        return (*_marks_of_no_data(points[:, 2], path), *rounded_coordinates(points, crs, path))
+        return (*_no_data_notes(points[:, 2], path), *rounded_coordinates(points, crs, path))
 
 
 def rounded_coordinates(points: np.ndarray, crs: CRS | None, path: Path) -> tuple[str, ...]:
@@ -75,8 +75,8 @@ def rounded_coordinates(points: np.ndarray, crs: CRS | None, path: Path) -> tupl
         return notes
     said = " and ".join(f"{step:.3g}" for step in steps if step > 0.0 and np.isfinite(step))
     what = f"the eastings and northings of {path} are multiples of {said}"
-    by = _narrowed_by(points[:, :2], steps, metres)
-    shared, is_raster = _crowding(points)
+    by = _rounding_cause(points[:, :2], steps, metres)
+    shared, is_raster = _shared_places(points)
     if by and not is_raster:
         raise UnreadableFile(
             f"{what}: they went through {by}, which loses the places of its points; export it again with double "
@@ -117,7 +117,7 @@ def _is_multiple(values: np.ndarray, origin: float, step: float, metres: float) 
     return bool((np.abs(along - np.round(along / step) * step) <= min(_STORED_M / metres, 0.05 * step)).all())
 
 
-def _narrowed_by(plan: np.ndarray, steps: np.ndarray, metres: np.ndarray) -> str | None:
+def _rounding_cause(plan: np.ndarray, steps: np.ndarray, metres: np.ndarray) -> str | None:
     """Cause of steps (2,) like these on coordinates (N, 2) of this size, in words; None if none is known.
 
     Equal steps along both axes say nothing: they may be meant.
@@ -139,8 +139,8 @@ def _narrowed_by(plan: np.ndarray, steps: np.ndarray, metres: np.ndarray) -> str
     return None
 
 
-def _crowding(points: np.ndarray) -> tuple[float, bool]:
-    """Share of points at whose easting and northing lies one of another height, and whether points form a raster.
+def _shared_places(points: np.ndarray) -> tuple[float, bool]:
+    """Share of points that have another height at the same easting and northing, and whether points form a raster.
 
     A few corners above each other (of a box) do not count.
     """
@@ -167,27 +167,27 @@ def _rounded_heights(height: np.ndarray, metres: float, path: Path) -> tuple[str
     return (f"the heights of {path} are multiples of {step:g}: smaller differences are not known from it",)
 
 
-def _marks_of_no_data(height: np.ndarray, path: Path) -> tuple[str, ...]:
+def _no_data_notes(height: np.ndarray, path: Path) -> tuple[str, ...]:
     """A note where the lowest or highest of heights (N,) may be a no-data value; UnreadableFile where it must be."""
-    for mark in {float(height.min()), float(height.max())}:
-        is_mark = height == mark
-        rest = height[~is_mark]
-        known, num = mark in _MARKS or abs(mark) >= _BEYOND_EARTH, int(is_mark.sum())
+    for value in {float(height.min()), float(height.max())}:
+        is_value = height == value
+        rest = height[~is_value]
+        known, num = value in _NO_DATA_VALUES or abs(value) >= _BEYOND_EARTH, int(is_value.sum())
         # No-data values may have been scaled and shifted with the heights.
-        if not len(rest) or not (known or mark == 0.0 or num >= _FEWEST):
+        if not len(rest) or not (known or value == 0.0 or num >= _FEWEST):
             continue
         low, high = np.quantile(rest, [0.01, 0.99])
-        gap = max(low - mark, mark - high)
+        gap = max(low - value, value - high)
         said = (
-            f"{num} of the {len(height)} heights of {path} are exactly {mark:.10g}, most of the others from "
+            f"{num} of the {len(height)} heights of {path} are exactly {value:.10g}, most of the others from "
             f"{low:.6g} to {high:.6g}"
         )
-        far = _FAR if known or mark == 0.0 else _FAR_UNKNOWN
+        far = _FAR if known or value == 0.0 else _FAR_UNKNOWN
         if gap > max(_SPREADS * (high - low), far) and (known or num > 2):
             raise UnreadableFile(
                 f"{said}: a no-data value that the file does not declare; declare it (of a raster: gdal_translate "
-                f"-a_nodata {mark:.10g} {path.name} new.tif), or remove those points."
+                f"-a_nodata {value:.10g} {path.name} new.tif), or remove those points."
             )
-        if (known or mark == 0.0) and num > max(_SHARE * len(height), 20) and len(np.unique(rest)) > 0.5 * len(rest):
-            return (f"{said}: if that is a no-data value, declare it (gdal_translate -a_nodata {mark:.10g})",)
+        if (known or value == 0.0) and num > max(_SHARE * len(height), 20) and len(np.unique(rest)) > 0.5 * len(rest):
+            return (f"{said}: if that is a no-data value, declare it (gdal_translate -a_nodata {value:.10g})",)
     return ()

@@ -13,7 +13,7 @@ from pyproj import CRS
 from geo import read_reference
 from geo.errors import UnreadableFile
 from geo.ply import write_ply
-from geo.values import check_values, is_mark_of_no_data
+from geo.values import check_values, is_no_data_value
 from survey.compare.inputs import InputPaths, load_inputs
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*trimesh.*")
@@ -219,9 +219,9 @@ def test_a_level_lake_below_the_ground_is_no_mark(below):
 
 @pytest.mark.parametrize("height", [-9999.0, -99999.0, -999.0, -32768.0, -32767.0, 32767.0, 65535.0, 1e6, -1e6])
 def test_one_height_is_a_mark_only_where_no_place_has_it(height):
-    assert is_mark_of_no_data(height)
-    assert not is_mark_of_no_data(height + 0.5)
-    assert not any(is_mark_of_no_data(each) for each in (0.0, 9999.0, -10.0, 8848.86, -430.0))
+    assert is_no_data_value(height)
+    assert not is_no_data_value(height + 0.5)
+    assert not any(is_no_data_value(each) for each in (0.0, 9999.0, -10.0, 8848.86, -430.0))
 
 
 def test_heights_as_large_as_numbers_go_are_no_fault_of_the_reader():

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from geo.errors import GeoError
-from geo.values import is_mark_of_no_data, rounded_coordinates
+from geo.values import is_no_data_value, rounded_coordinates
 from survey.errors import SurveyError
 from survey.files.column_units import Units, common_unit_m, meaning
 from survey.files.csv_table import Row, column_names, first_cells, number_of, read_table, shortened
@@ -111,7 +111,7 @@ def read_points(
     """
     synonyms, said = _synonyms_for(path, error), units_said(path, error)
     if by_place and _is_of_numbers(path, error):
-        return _without_marks(read_table(path, PLACE, optional=("std",), header=False, error=error), "height", error)
+        return _refuse_no_data(read_table(path, PLACE, optional=("std",), header=False, error=error), "height", error)
     names = column_names(path, synonyms)
     found = shortened(", ".join(names)) or "nothing"
     _require_one_column(path, synonyms, error)
@@ -131,7 +131,7 @@ def read_points(
         heights = ("depth", "level") if has_levels else ("depth",)
         rows = read_table(path, (*PLACE[:2], *heights), optional=optional, synonyms=synonyms, error=error)
         for name in heights:
-            rows = _scaled(_without_marks(rows, name, error), name, factor)
+            rows = _scaled(_refuse_no_data(rows, name, error), name, factor)
         _require_near(rows, level, path, error)
         return _in_metres(_above(rows, level, path, error), path, error)
     missing = [name for name in PLACE if name not in names]
@@ -140,7 +140,7 @@ def read_points(
             f"{path}: the first line has no column {', '.join(missing)}; expected easting, northing, height (or E, N, "
             f"Z; X, Y, Z; longitude, latitude, altitude), in any order, found {found}"
         )
-    rows = _without_marks(read_table(path, PLACE, optional=optional, synonyms=synonyms, error=error), "height", error)
+    rows = _refuse_no_data(read_table(path, PLACE, optional=optional, synonyms=synonyms, error=error), "height", error)
     return _in_metres(_scaled(rows, "height", factor), path, error)
 
 
@@ -187,7 +187,7 @@ def require_exact(rows: Sequence[Row], path: Path, error: type[SurveyError]) -> 
 
 
 def several_heights(names: Sequence[str], places: np.ndarray, height_unit_m: float = 1.0) -> list[str]:
-    """The points that lie at one place in plan with heights that differ, of places (N, 3): "a (5.00) and b (5.30)"."""
+    """Points at one place in plan whose heights differ, of places (N, 3), e.g. "a (5.00) and b (5.30)"."""
     _, place, count = np.unique(places[:, :2], axis=0, return_inverse=True, return_counts=True)
     apart = []
     for of_place in np.flatnonzero(count > 1):
@@ -207,11 +207,11 @@ def _scaled(rows: Sequence[Row], name: str, factor: float) -> list[Row]:
     ]
 
 
-def _without_marks(rows: Sequence[Row], name: str, error: type[SurveyError]) -> list[Row]:
+def _refuse_no_data(rows: Sequence[Row], name: str, error: type[SurveyError]) -> list[Row]:
     """Rows as they are; raises where a height, or a depth, is what programs write that have none."""
     for row in rows:
         places = [row.number(each) for each in (*PLACE[:2], name)]
-        if is_mark_of_no_data(places[2]):
+        if is_no_data_value(places[2]):
             raise error(f"{row.where}: the {name} is {row.cells[name]}, a no-data value; remove the line")
     return list(rows)
 

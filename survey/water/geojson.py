@@ -14,7 +14,7 @@ from pyproj.exceptions import CRSError
 
 from geo.crs import horizontal_crs, is_geographic
 from geo.transformation import transformed
-from geo.values import is_mark_of_no_data
+from geo.values import is_no_data_value
 from survey.errors import ConfigError
 
 _LARGEST_BYTES = 100_000_000
@@ -59,7 +59,7 @@ def points_of_geojson(path: Path, crs: CRS) -> tuple[np.ndarray, tuple[str, ...]
     vertices = list(_vertices(path, content, {}, 0))
     name, notes = _height_property(path, vertices)
     points = np.array(list(dict.fromkeys(_with_heights(path, vertices, name)))).reshape(-1, 3)
-    if (wrong := next((height for height in points[:, 2].tolist() if is_mark_of_no_data(height)), None)) is not None:
+    if (wrong := next((height for height in points[:, 2].tolist() if is_no_data_value(height)), None)) is not None:
         raise ConfigError(f"{path} has the height {wrong:g}, a no-data value; remove those points")
     source = _crs_of(path, content)
     if source is None:

@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from survey.adjust.refine import adjust_survey
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
-from survey.sfm.block import Matched, mapped
+from survey.sfm.block import MatchedPhotographs, reconstruct
 from survey.words import Mapper
 from tests.drawn_block import DrawnBlock, draw_block
 from tests.drawn_matches import survey_of_mapped, write_matches
@@ -54,7 +54,7 @@ def measured(block: DrawnBlock, work: Path, mapper: str, *, adjusts: bool) -> di
     num_views = len(block.cameras)
     before, start = _peak_mb(), time.process_time()
     with tempfile.TemporaryDirectory() as scratch:
-        blocks = mapped(Matched(work / "database.db", work, Path(scratch), num_views), mapper)
+        blocks = reconstruct(MatchedPhotographs(work / "database.db", work, Path(scratch), num_views), mapper)
     row = {
         "photographs": num_views,
         "mapper": mapper,

@@ -21,7 +21,7 @@ from survey.errors import PosesError
 from survey.folder.survey import Survey, load_survey
 from survey.photos.poses import TiePoints, least_track, parts_of
 from survey.sfm import block as sfm_block
-from survey.sfm.solve import Free, Photographs, aliases
+from survey.sfm.solve import FreeBlocks, Photographs, aliases
 from survey.simulate.ground.shapes import BedGrid
 
 # Points to the square metre, the share of them that each photograph has, and of false ones among these.
@@ -41,7 +41,7 @@ def adjusted_by_ties(block: RealLikeBlock, folder: Path, bed: BedGrid) -> tuple[
     taken = block.taken(np.random.default_rng([block.seed, 34]))
     ties = _ties(flight, taken, bed, np.random.default_rng([block.seed, 36]))
 
-    def solve(photographs: Photographs, *_others: object) -> Free:
+    def solve(photographs: Photographs, *_others: object) -> FreeBlocks:
         return _free(ties, taken, flight, aliases(photographs.images), np.random.default_rng([block.seed, 37]))
 
     again = _ties(flight, taken, bed, np.random.default_rng([block.seed, 38]))
@@ -110,7 +110,7 @@ def _in_survey(ties: TiePoints, taken: list[int], flight: Flight, survey: Survey
 
 def _free(
     ties: TiePoints, taken: list[int], flight: Flight, alias_of: Mapping[str, str], rng: np.random.Generator
-) -> Free:
+) -> FreeBlocks:
     """The blocks that structure from motion would find, each in a frame of its own."""
     part, least = parts_of(len(taken), ties.point, ties.view), least_track(len(taken))
     blocks, names = [], list(alias_of.values())
@@ -123,7 +123,7 @@ def _free(
             sfm_block.transform(blocks[-1], turn)
     if not blocks:
         raise PosesError(f"structure from motion placed 0 of {len(taken)} images, expected at least {least}")
-    return Free(tuple(blocks), ())
+    return FreeBlocks(tuple(blocks), ())
 
 
 def _reconstruction(

@@ -74,7 +74,7 @@ def robust_similarity(a, b) -> tuple[Similarity, np.ndarray]:
     Notes
     -----
     Least median of squares over seeded samples of three points (Rousseeuw 1984, "Least median of squares
-    regression"), which needs no threshold; then fits to the points within `gross_error`, until they stay the same.
+    regression"), which needs no threshold; then fits to the points within `gross_error_limit`, while these change.
     """
     a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     if len(a) < _MIN_POINTS:
@@ -92,7 +92,7 @@ def robust_similarity(a, b) -> tuple[Similarity, np.ndarray]:
     # Two or three rounds are usual; the limit ends an oscillation between two sets.
     for _ in range(20):
         distances = _distances(best, a, b)
-        wrong = gross_error(float(np.median(distances)), max(int(agree.sum()), len(a) // 2 + 1, _MIN_POINTS))
+        wrong = gross_error_limit(float(np.median(distances)), max(int(agree.sum()), len(a) // 2 + 1, _MIN_POINTS))
         before, agree = agree, distances <= wrong
         if (agree == before).all() or agree.sum() < _MIN_POINTS:
             break
@@ -100,7 +100,7 @@ def robust_similarity(a, b) -> tuple[Similarity, np.ndarray]:
     return best, agree
 
 
-def gross_error(median: float, num: int) -> float:
+def gross_error_limit(median: float, num: int) -> float:
     """Distance [m] beyond which a point is a gross error of a similarity fitted to ``num`` consistent points.
 
     Parameters

@@ -170,9 +170,9 @@ def _rounded_heights(height: np.ndarray, metres: float, path: Path) -> tuple[str
 def _no_data_notes(height: np.ndarray, path: Path) -> tuple[str, ...]:
     """A note where the lowest or highest of heights (N,) may be a no-data value; UnreadableFile where it must be."""
     for value in {float(height.min()), float(height.max())}:
-        is_value = height == value
-        rest = height[~is_value]
-        known, num = value in _NO_DATA_VALUES or abs(value) >= _BEYOND_EARTH, int(is_value.sum())
+        has_value = height == value
+        rest = height[~has_value]
+        known, num = value in _NO_DATA_VALUES or abs(value) >= _BEYOND_EARTH, int(has_value.sum())
         # No-data values may have been scaled and shifted with the heights.
         if not len(rest) or not (known or value == 0.0 or num >= _FEWEST):
             continue

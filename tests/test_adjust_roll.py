@@ -17,7 +17,7 @@ from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import Adjustment
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
-from survey.sfm.gps_fit import Across, PositionLine, roll_by_attitudes, roll_by_control, roll_by_ground
+from survey.sfm.gps_fit import LineAxes, PositionLine, roll_by_attitudes, roll_by_control, roll_by_ground
 from tests.changed_survey import changed
 
 POSITION_STD_M = (0.5, 0.5, 0.8)
@@ -25,7 +25,7 @@ POSITION_STD_M = (0.5, 0.5, 0.8)
 START_DEG, ATTITUDE_DEG, OWN_DEG = 3.0, 1.0, 0.3
 
 
-def strip(seed: int, **settings) -> tuple[DrawnBlock, Survey, Across]:
+def strip(seed: int, **settings) -> tuple[DrawnBlock, Survey, LineAxes]:
     """A block over one strip with GPS alone, rolled from its true place, and the line of its positions."""
     rng = np.random.default_rng([seed, 77])
     sizes = {"num_views": 14 + seed % 8, "num_points": 200, "height": float(rng.uniform(15.0, 40.0))}
@@ -55,7 +55,7 @@ def with_attitudes(block: DrawnBlock, survey: Survey, own_deg: float = OWN_DEG) 
     return changed(survey, priors=priors)
 
 
-def roll_error(block: DrawnBlock, found: Adjustment, across: Across) -> tuple[float, float]:
+def roll_error(block: DrawnBlock, found: Adjustment, across: LineAxes) -> tuple[float, float]:
     """Error of the roll about the line and its standard deviation [rad]."""
     true = np.array([camera.cam_from_local for camera in block.cameras])
     mean = np.zeros(len(found.covariance.matrix))
@@ -140,7 +140,7 @@ def test_level_water_alone_holds_the_roll_as_well_as_it_is_said(monkeypatch):
 @pytest.mark.parametrize("angle", [-2.5, -0.3, 0.0, 0.1, 3.0])
 def test_attitudes_control_and_ground_find_an_angle(rng, angle):
     direction = np.array([1.0, 0.4, 0.05]) / np.linalg.norm([1.0, 0.4, 0.05])
-    across = Across.of(PositionLine(np.array([3.0, 2.0, 30.0]), direction, 50.0, 0.1, 0.1))
+    across = LineAxes.of(PositionLine(np.array([3.0, 2.0, 30.0]), direction, 50.0, 0.1, 0.1))
     down = Rotation.from_euler("x", 180.0, degrees=True).as_matrix()
     true = np.array([_turned(down, rng.normal(0.0, 0.01, 3)) for _ in range(40)])
     points = np.column_stack([rng.uniform(-30.0, 30.0, (50, 2)), rng.normal(0.0, 0.2, 50)])

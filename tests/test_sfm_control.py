@@ -17,9 +17,9 @@ from survey.errors import ControlError
 from survey.sfm import block as sfm_block
 from survey.sfm.block import CameraBody
 from survey.sfm.control_fit import fit_control
-from survey.sfm.marked import BlockControl, Posed, intersect_marks
-from survey.sfm.placing import place_by_control, posed_of
-from survey.sfm.solve import Free
+from survey.sfm.marked import BlockControl, BlockView, intersect_marks
+from survey.sfm.placing import place_by_control, views_of_block
+from survey.sfm.solve import FreeBlocks
 
 FRAME = LocalFrame(parse_crs("EPSG:25832+5778"), (500000.0, 5200000.0, 100.0))
 # Ground about 40 m below the cameras, in no symmetry.
@@ -35,7 +35,7 @@ PLACES = np.array(
 )
 
 
-def block_control(posed: dict[str, Posed], num: int = 6, places: np.ndarray = PLACES) -> BlockControl:
+def block_control(posed: dict[str, BlockView], num: int = 6, places: np.ndarray = PLACES) -> BlockControl:
     """Control at true places with exact marks in the first five views that show it, of a block at its true place."""
     points = tuple(
         ControlPoint(f"gcp{k}", (0.0, 0.0, 0.0), place.copy(), np.full(3, 0.01)) for k, place in enumerate(places[:num])
@@ -52,13 +52,13 @@ def block_control(posed: dict[str, Posed], num: int = 6, places: np.ndarray = PL
     return BlockControl(FRAME, points, tuple(marks), np.zeros(len(points)))
 
 
-def posed_block(rng) -> tuple[dict[str, Posed], BlockControl]:
+def posed_block(rng) -> tuple[dict[str, BlockView], BlockControl]:
     """A block in a frame of its own, and its control."""
     block, centres = synthetic_block(rng)
-    control = block_control(posed_of(block, {name: name for name in centres}))
+    control = block_control(views_of_block(block, {name: name for name in centres}))
     rotation = Rotation.random(rng=rng).as_matrix()
     sfm_block.transform(block, Similarity(0.07, rotation, np.array([3.0, -2.0, 9.0])))
-    return posed_of(block, {name: name for name in centres}), control
+    return views_of_block(block, {name: name for name in centres}), control
 
 
 def with_place(control: BlockControl, number: int, shift) -> BlockControl:
@@ -75,10 +75,10 @@ def first(control: BlockControl, num: int) -> BlockControl:
 def test_a_block_without_positions_is_placed_by_its_control(rng, num):
     block, centres = synthetic_block(rng)
     names = {f"flight {name}": name for name in centres}
-    control = block_control(posed_of(block, names), num)
+    control = block_control(views_of_block(block, names), num)
     sfm_block.transform(block, Similarity(0.05, Rotation.random(rng=rng).as_matrix(), np.array([7.0, 1.0, -4.0])))
     sensor = CameraBody(tuple(names.values()), (800, 600), 900.0)
-    placed = place_by_control(Free((block,), ()), control, names, [sensor])
+    placed = place_by_control(FreeBlocks((block,), ()), control, names, [sensor])
     origin = np.array(placed.frame.origin) - FRAME.origin
     for alias, (centre, _) in sfm_block.poses_of(placed.blocks[0]).items():
         np.testing.assert_allclose(centre + origin, centres[alias], atol=1e-6)
@@ -128,7 +128,7 @@ def test_swapped_columns_are_said(rng):
     # Flat ground fits from below.
     flat = tuple(replace(point, local=point.local * [1.0, 1.0, 0.0]) for point in control.points)
     block, centres = synthetic_block(rng)
-    true = posed_of(block, {name: name for name in centres})
+    true = views_of_block(block, {name: name for name in centres})
     level = block_control(true, places=PLACES * [1.0, 1.0, 0.0])
     assert len(fit_control(replace(level, points=flat), true).used) == 6
     turned = tuple(replace(point, local=point.local[[1, 0, 2]]) for point in flat)
@@ -163,7 +163,7 @@ def test_too_little_control_is_refused_with_what_was_found(rng):
 
 def test_points_on_one_line_place_a_block_but_for_its_roll(rng):
     block, centres = synthetic_block(rng)
-    posed = posed_of(block, {name: name for name in centres})
+    posed = views_of_block(block, {name: name for name in centres})
     line = np.linspace([-20.0, -15.0, 0.0], [20.0, 15.0, 1.0], 4)
     fit = fit_control(block_control(posed, 4, line), posed)
     assert fit.line is not None

@@ -21,7 +21,7 @@ from survey.sfm import block as sfm_block
 from survey.sfm import poses as sfm_poses
 from survey.sfm import settings as sfm_settings
 from survey.sfm import solve as sfm_solve
-from survey.sfm.block import Matched, mapped
+from survey.sfm.block import MatchedPhotographs, reconstruct
 from survey.sfm.incremental import map_directly, options_of
 from survey.sfm.settings import mapper_of, require_mapper
 from survey.sfm.solve import Photographs
@@ -43,10 +43,10 @@ def block() -> DrawnBlock:
 
 
 @pytest.fixture(scope="module")
-def matched(block, tmp_path_factory) -> Matched:
+def matched(block, tmp_path_factory) -> MatchedPhotographs:
     work = tmp_path_factory.mktemp("matches")
     write_matches(block, work / "database.db")
-    return Matched(work / "database.db", work, work, _NUM)
+    return MatchedPhotographs(work / "database.db", work, work, _NUM)
 
 
 @pytest.fixture(scope="module")
@@ -62,10 +62,10 @@ def survey(tmp_path_factory) -> Survey:
     return load_survey(folder)
 
 
-def blocks_by(matched: Matched, mapper: str, work: Path) -> list[pycolmap.Reconstruction]:
+def blocks_by(matched: MatchedPhotographs, mapper: str, work: Path) -> list[pycolmap.Reconstruction]:
     """Blocks by a mapper, from a copy of the matches."""
     shutil.copy(matched.database, work / "database.db")
-    return mapped(Matched(work / "database.db", work, work, matched.num), mapper)
+    return reconstruct(MatchedPhotographs(work / "database.db", work, work, matched.num), mapper)
 
 
 def centres_of(blocks: list[pycolmap.Reconstruction]) -> np.ndarray:
@@ -126,8 +126,8 @@ def test_a_mapper_that_does_not_tell_its_progress_is_said_not_to(monkeypatch, tm
     def fail(*_):
         raise PosesError("too few features match")
 
-    monkeypatch.setattr(sfm_solve.sfm_block, "matched", lambda *_: None)
-    monkeypatch.setattr(sfm_solve, "mapped", fail)
+    monkeypatch.setattr(sfm_solve.sfm_block, "match_photographs", lambda *_: None)
+    monkeypatch.setattr(sfm_solve, "reconstruct", fail)
     with pytest.raises(PosesError, match="too few features match"):
         sfm_solve.solve(photographs, tmp_path, told.append)
     assert ("its progress is not known until it ends" in told[-1]) == (mapper != Mapper.incremental)

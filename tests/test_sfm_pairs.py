@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from survey.photos.exif import Exif
 from survey.sfm.block import _alike
-from survey.sfm.pairs import LEAST_HEIGHT_M, VOTING, Place, alike, image_pairs
+from survey.sfm.pairs import LEAST_HEIGHT_M, VOTING, Place, image_pairs, similar_images
 from survey.sfm.settings import NEIGHBOURS, pairs_about
 from survey.sfm.solve import Photographs
 
@@ -95,7 +95,7 @@ def test_photographs_look_like_those_that_show_the_same_ground(rng, lost):
     shown = [ground[20 * k : 20 * k + 100] + rng.normal(0.0, 3.0, (100, 128)) for k in range(60)]
     descriptors = [np.clip(np.rint(own), 0, 255).astype(np.uint8) for own in shown]
     descriptors[5] = descriptors[5][:0]
-    found = list(alike(iter(descriptors), len(descriptors), lost))
+    found = list(similar_images(iter(descriptors), len(descriptors), lost))
     assert {a for a, _ in found} <= set(lost)
     assert max(Counter(a for a, _ in found).values()) <= NEIGHBOURS
     for number in set(lost) - {5}:
@@ -115,7 +115,7 @@ def test_photographs_without_a_position_are_paired_by_the_features_of_the_databa
             number = opened.write_image(pycolmap.Image(name=name, camera_id=camera))
             opened.write_descriptors(number, pycolmap.FeatureDescriptors(pycolmap.FeatureExtractorType.SIFT, own))
     found = _alike(tmp_path / "database.db", names, [names[11], names[0]])
-    voted = alike(iter(descriptors), 12, [11, 0])
+    voted = similar_images(iter(descriptors), 12, [11, 0])
     of_names = [(9, 11), (10, 11), (0, 1), (0, 2)]
     expected = [*(tuple(sorted(pair)) for pair in voted), *of_names]
     assert sorted(found) == sorted((names[a], names[b]) for a, b in expected)

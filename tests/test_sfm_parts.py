@@ -16,8 +16,8 @@ from survey.sfm import block as sfm_block
 from survey.sfm.block import CameraBody
 from survey.sfm.gps import GpsPositions
 from survey.sfm.marked import BlockControl
-from survey.sfm.placing import place_by_control, place_by_gps, posed_of
-from survey.sfm.solve import Free, without_shared_images
+from survey.sfm.placing import place_by_control, place_by_gps, views_of_block
+from survey.sfm.solve import FreeBlocks, without_shared_images
 
 APART = (200.0, -30.0)
 
@@ -30,7 +30,7 @@ class Apart:
         for first, at in ((0, (0.0, 0.0)), (18, APART)):
             block, centres = synthetic_block(rng, first=first, at=at, tilt_deg=8.0)
             names = {name: name for name in centres}
-            control = block_control(posed_of(block, names), places=PLACES + np.array([*at, 0.0]))
+            control = block_control(views_of_block(block, names), places=PLACES + np.array([*at, 0.0]))
             self.controls.append(_named(control, f"at{first}"))
             turn = Rotation.random(rng=rng).as_matrix()
             sfm_block.transform(block, Similarity(rng.uniform(0.02, 3.0), turn, rng.normal(0.0, 20.0, 3)))
@@ -38,7 +38,7 @@ class Apart:
             self.centres |= centres
         self.names = {name: name for name in self.centres}
         self.sensors = [CameraBody(tuple(self.names), (800, 600), 900.0)]
-        self.free = Free(tuple(self.blocks), ("some are left out",))
+        self.free = FreeBlocks(tuple(self.blocks), ("some are left out",))
 
     def gps(self, rng: np.random.Generator, std: float, names=None) -> GpsPositions:
         """Positions of the photographs of these names."""
@@ -111,7 +111,7 @@ def test_a_block_that_neither_positions_nor_control_place_says_what_both_lack(rn
     control = apart.controls[0]
     two = replace(control, points=control.points[:2], slack=control.slack[:2])
     with pytest.raises(PosesError, match=r"2 of 18 images .* GPS position.*nor can control place it: 2 of 2 control"):
-        place_by_gps(Free(apart.free.blocks[:1], ()), gps, apart.names, apart.sensors, spare=two)
+        place_by_gps(FreeBlocks(apart.free.blocks[:1], ()), gps, apart.names, apart.sensors, spare=two)
 
 
 def test_where_nothing_places_any_block_the_largest_says_why(rng):

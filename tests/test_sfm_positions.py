@@ -11,7 +11,7 @@ import pytest
 from geo.similarity import robust_similarity
 from survey.folder.positions import position_warnings
 from survey.photos.exif import Exif
-from survey.sfm.gps_fit import contradicted, line_of
+from survey.sfm.gps_fit import is_contradicted, line_of
 
 
 def strips(rng, num: int, noise: float) -> np.ndarray:
@@ -29,7 +29,7 @@ def test_the_block_contradicts_wrong_positions_and_no_other(rng, num, wrong, siz
     bad = rng.choice(num, min(wrong, (num - 2) // 3), replace=False)
     directions = rng.normal(size=(len(bad), 3))
     residuals[bad] += size * directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    found = contradicted(residuals)
+    found = is_contradicted(residuals)
     # Of eight, two of them wrong, the others tell their spread to a third.
     assert found[bad].all() or size < (15.0 if num < 10 else 10.0) * noise
     # Six standard deviations of three normal deviates, of hundreds that are drawn with fixed seeds.
@@ -45,7 +45,7 @@ def test_few_positions_that_fit_by_chance_do_not_make_the_others_wrong(rng, num,
         positions = block + rng.normal(0.0, noise, block.shape)
         fit, agree = robust_similarity(block, positions)
         assert agree.all()
-        assert not contradicted(fit(block) - positions).any()
+        assert not is_contradicted(fit(block) - positions).any()
 
 
 @pytest.mark.parametrize("num", [7, 10, 20])
@@ -56,15 +56,15 @@ def test_one_position_far_off_is_found_among_few(rng, num, noise):
     positions[2] += [40.0, -30.0, 20.0]
     fit, agree = robust_similarity(block, positions)
     assert np.flatnonzero(~agree).tolist() == [2]
-    assert np.flatnonzero(contradicted(fit(block) - positions)).tolist() == [2]
+    assert np.flatnonzero(is_contradicted(fit(block) - positions)).tolist() == [2]
 
 
 def test_residuals_that_are_not_known_count_for_nothing(rng):
     residuals = rng.normal(0.0, 0.1, (12, 3))
     residuals[3] = np.nan
     residuals[5] += [0.0, 0.0, 80.0]
-    assert contradicted(residuals).tolist() == [i == 5 for i in range(12)]
-    assert not contradicted(residuals[:3]).any()
+    assert is_contradicted(residuals).tolist() == [i == 5 for i in range(12)]
+    assert not is_contradicted(residuals[:3]).any()
 
 
 @pytest.mark.parametrize("height", [0.0, -2000.0, 5000.0])

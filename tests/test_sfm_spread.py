@@ -13,7 +13,7 @@ import pycolmap
 import pytest
 
 from survey.sfm import block
-from survey.sfm.block import CameraBody, matched
+from survey.sfm.block import CameraBody, match_photographs
 from survey.sfm.spread import computing_on, part_of
 
 SIZE = (320, 240)
@@ -58,7 +58,7 @@ def test_workers_leave_the_rows_of_one_process(photographs, tmp_path, monkeypatc
         work = tmp_path / name
         work.mkdir()
         with nullcontext() if name == "here" else computing_on(lambda: nullcontext(workers)):
-            found[name] = rows(matched(photographs, sensors, {}, work, lambda _text: None).database)
+            found[name] = rows(match_photographs(photographs, sensors, {}, work, lambda _text: None).database)
     assert found["here"] == found["there"]
     assert len(found["here"]["two_view_geometries"]) == 15
     assert sum(row[1] for row in found["here"]["two_view_geometries"]) > 300
@@ -68,7 +68,7 @@ def test_workers_leave_the_rows_of_one_process(photographs, tmp_path, monkeypatc
 
 def test_a_part_holds_the_features_of_its_pairs_alone(photographs, tmp_path):
     sensors = [CameraBody(tuple(sorted(path.name for path in photographs.iterdir())), SIZE, None)]
-    database = matched(photographs, sensors, {}, tmp_path, lambda _text: None).database
+    database = match_photographs(photographs, sensors, {}, tmp_path, lambda _text: None).database
     (tmp_path / "part.db").write_bytes(part_of(database, [("000000.png", "000003.png")]).database)
     with pycolmap.Database.open(tmp_path / "part.db") as part:
         assert part.num_images() == 6

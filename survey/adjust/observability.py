@@ -41,7 +41,7 @@ from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
 from survey.plan.recipe import max_height_std
-from survey.sfm.gps_fit import HOLD_THE_ROLL
+from survey.sfm.gps_fit import ROLL_REMEDY
 
 # Fewest tie points under water. The covariance is estimated from the scatter of N points, to one part in sqrt(2 N): an
 # eighth. Fewer also turn wet and dry as the level moves, and the adjustment oscillates.
@@ -262,7 +262,7 @@ def roll_notes(survey: Survey, done: RobustSolution, gsd_m: float) -> list[str]:
             f"{std * below:.2g} m sideways"
         )
         if std * beside > most:
-            raise SurveyError(f"{said}; heights may be {most:.2g} m uncertain: {HOLD_THE_ROLL}")
+            raise SurveyError(f"{said}; heights may be {most:.2g} m uncertain: {ROLL_REMEDY}")
         notes.append(said)
     return notes
 
@@ -278,7 +278,7 @@ def name_open_roll(rolls: Sequence[Roll]) -> Iterator[None]:
         num = sum(len(roll.views) for roll in rolls)
         raise NotConvergedError(
             f"positions or control of {num} photographs lie on one line, about which their roll is not known well "
-            f"enough ({error}): {HOLD_THE_ROLL}"
+            f"enough ({error}): {ROLL_REMEDY}"
         ) from error
 
 

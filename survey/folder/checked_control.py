@@ -23,10 +23,17 @@ from survey.photos.cameras import View
 from survey.photos.poses import TiePoints, least_track, parts_of
 from survey.pose_files import find_unread
 from survey.settings.tables import per_direction
-from survey.sfm.control_fit import MIN_POINTS, agreed, coordinates, line_of_control, require_consistent_marks, spread_of
+from survey.sfm.control_fit import (
+    MIN_POINTS,
+    coordinates,
+    fit_majority,
+    line_of_control,
+    require_consistent_marks,
+    spread_of,
+)
 from survey.sfm.gps import is_whole, what_is_missing
-from survey.sfm.gps_fit import HOLD_THE_ROLL
-from survey.sfm.marked import BlockControl, Intersections, Posed, intersect_marks
+from survey.sfm.gps_fit import ROLL_REMEDY
+from survey.sfm.marked import BlockControl, BlockView, Intersections, intersect_marks
 from survey.words import GEO_TXT
 
 # On straight rays the bed seems higher than it is by about a quarter of its depth.
@@ -97,7 +104,7 @@ def require_placing_control(found: Found) -> BlockControl:
         )
     line = line_of_control(enough)
     if line is not None and not may_hold_roll(found):
-        raise ControlError(f"{line.said(len(enough))}; {HOLD_THE_ROLL}")
+        raise ControlError(f"{line.said(len(enough))}; {ROLL_REMEDY}")
     return control
 
 
@@ -214,10 +221,10 @@ def checked_control(
         If the control fits the block nowhere, or lies elsewhere.
     """
     block = of_block(control, frame, found)
-    posed = {view.name: Posed(view.lens, view.camera.centre, view.camera.cam_from_local) for view in views}
+    posed = {view.name: BlockView(view.lens, view.camera.centre, view.camera.cam_from_local) for view in views}
     met = intersect_marks(block, posed)
     require_consistent_marks(block, posed, met)
-    fit = agreed(met, posed) if _can_be_compared(met) else None
+    fit = fit_majority(met, posed) if _can_be_compared(met) else None
     wrong = {} if fit is None else fit.wrong
     warnings = _left_out(met, wrong)
     lost = {*met.apart, *wrong}

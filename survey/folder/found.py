@@ -28,7 +28,7 @@ from survey.photos.images import fetch_images, list_images, same_files
 from survey.pose_files import find_poses, find_unread, pose_files
 from survey.settings.config import SurveyConfig, read_config
 from survey.settings.tables import ProcessConfig
-from survey.sfm.datum import EXACT, DatumStd, least, plan_std
+from survey.sfm.datum import EXACT, DatumStd, plan_std, smallest
 from survey.sfm.gps import PositionTransform, datum_warnings, transforms_into_crs
 from survey.water.level import with_level
 from survey.water.level_observation import LevelObservation, water_place_warnings
@@ -111,7 +111,7 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
         sources = f"the GPS positions in {position_sources(heads)}"
         require_at(crs, _exif_places(heads), sources, f"crs in {FILE_NAME}")
         ways = transforms_into_crs(heads, crs, config.cameras.gps_height)
-    datum = least([DatumStd(plan_std(way.plan), way.up_std_m) for way in ways])
+    datum = smallest([DatumStd(plan_std(way.plan), way.up_std_m) for way in ways])
     found = Found(folder, config, crs, images, heads, poses_path, (), (), levels=levels, tide=tide, datum=datum)
     findings += Findings(warnings=tuple(_warnings_of(found, ways)))
     if config.control.files:

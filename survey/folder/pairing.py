@@ -30,7 +30,7 @@ from survey.photos.poses import Pose, PoseFile, SecondPose, least_track
 from survey.pose_files import read_poses, read_ties
 from survey.settings.config import CamerasConfig
 from survey.settings.tables import per_axis
-from survey.sfm.datum import EXACT, DatumStd, plan_std, require_as_good
+from survey.sfm.datum import EXACT, DatumStd, plan_std, require_accurate
 from survey.water.level import with_level_of_clicks
 
 
@@ -264,7 +264,7 @@ def _datum(found: Found, file: PoseFile) -> tuple[DatumStd, Findings]:
         return EXACT, Findings()
     std = found.config.cameras.position_std_m
     stated = 0.0 if std is None else max(per_axis(std)[:2])
-    require_as_good(way, stated, "the poses", 0 if found.control is None else found.control.num_given)
+    require_accurate(way, stated, "the poses", 0 if found.control is None else found.control.num_given)
     warning = way.warning("the poses")
     return DatumStd(plan_std(way)), Findings(warnings=() if warning is None else (warning,))
 

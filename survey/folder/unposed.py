@@ -44,9 +44,9 @@ from survey.photos.pixels import HEIC_SUFFIXES
 from survey.photos.poses import TiePoints, least_track
 from survey.settings.config import SurveyConfig
 from survey.sfm.control_fit import line_of_control
-from survey.sfm.datum import require_as_good
+from survey.sfm.datum import require_accurate
 from survey.sfm.gps import gps_positions, is_whole, positions_in_crs, transforms_into_crs
-from survey.sfm.gps_fit import HOLD_THE_ROLL, MIN_STD_M, contradicted, line_of
+from survey.sfm.gps_fit import MIN_STD_M, ROLL_REMEDY, is_contradicted, line_of
 from survey.sfm.marked import BlockControl
 from survey.sfm.settings import one_focal, require_mapper, require_size, require_solver
 from survey.words import RUN_FOLDER, SFM_FOLDER
@@ -129,7 +129,7 @@ def require_solvable(found: Found) -> list[str]:
     require_level_fits_exif(found.config, found.heads, found.crs)
     for way in transforms_into_crs(found.heads, found.crs, cameras.gps_height):
         std = best_plan_std(cameras, [found.heads[name] for name in way.names])
-        require_as_good(way.plan, std, way.said, 0 if found.control is None else found.control.num_given)
+        require_accurate(way.plan, std, way.said, 0 if found.control is None else found.control.num_given)
     require_size(found.images, found.heads, cameras.size_px)
     focal = one_focal(cameras.focal_px)
     require_focal(found)
@@ -185,7 +185,7 @@ def placing_control(found: Found) -> BlockControl | None:
     if control is not None and _spans_area(found):
         return control
     if not may_hold_roll(found) and (control is None or not control.marks):
-        raise PosesError(f"{line.said(len(positions.local))}; {HOLD_THE_ROLL}")
+        raise PosesError(f"{line.said(len(positions.local))}; {ROLL_REMEDY}")
     return None
 
 
@@ -264,7 +264,7 @@ def _rejected_positions(views: list[View], residuals: np.ndarray) -> dict[str, f
     """Distance [m] of each GPS position that the block contradicts, by name; ``residuals`` (V, 3) [m]."""
     return {
         view.name: float(np.linalg.norm(residual))
-        for view, residual, is_wrong in zip(views, residuals, contradicted(residuals), strict=True)
+        for view, residual, is_wrong in zip(views, residuals, is_contradicted(residuals), strict=True)
         if is_wrong
     }
 

@@ -25,7 +25,7 @@ from survey.photos.pixels import read_rgb
 from survey.photos.poses import TiePoints, least_track
 from survey.progress import current
 from survey.sfm.incremental import DIRECT_UP_TO, map_directly, options_of
-from survey.sfm.pairs import VOTING, Place, alike, image_pairs
+from survey.sfm.pairs import VOTING, Place, similar_images, image_pairs
 from survey.sfm.settings import ALL_PAIRS_UP_TO, FEATURES_PX, MIN_IMAGES, SEED, THREADS, solver
 from survey.sfm.spread import Workers, add_rows, part_of, rows_of, workers
 from survey.words import Mapper
@@ -47,7 +47,7 @@ _PAIRS_AT_ONCE = 100
 # Of a photograph while its features are looked for.
 _BYTES_OF_FEATURES = 2.0e9
 # Mappers that do not tell their progress.
-UNTOLD = (Mapper.hierarchical, Mapper.global_)
+WITHOUT_PROGRESS = (Mapper.hierarchical, Mapper.global_)
 
 
 def features_of(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
@@ -100,9 +100,9 @@ class CameraBody:
     focal_px: float | None  # To start from; None where nothing is known
 
 
-def matched(
+def match_photographs(
     folder: Path, sensors: Sequence[CameraBody], places: Mapping[str, Place], work: Path, say: Callable[[str], None]
-) -> Matched:
+) -> MatchedPhotographs:
     """Features and verified matches of images.
 
     Parameters
@@ -135,10 +135,10 @@ def matched(
                 f"structure from motion: {len(lost)} images without a position are matched with those that look like "
                 "them"
             )
-            pairs = sorted({*pairs, *_alike(database, names, lost)})
+            pairs = sorted({*pairs, *_similar_pairs(database, names, lost)})
         say(f"structure from motion: matches of {len(pairs)} pairs{on}")
         _match_all(database, pairs, work, pool)
-    return Matched(database, folder, work, len(names))
+    return MatchedPhotographs(database, folder, work, len(names))
 
 
 def _extract(database: Path, folder: Path, names: Sequence[str], pool: Workers | None) -> None:
@@ -170,14 +170,14 @@ def _reader(sensor: CameraBody) -> pycolmap.ImageReaderOptions:
     return options
 
 
-def _alike(database: Path, names: Sequence[str], lost: Sequence[str]) -> list[tuple[str, str]]:
+def _similar_pairs(database: Path, names: Sequence[str], lost: Sequence[str]) -> list[tuple[str, str]]:
     """Pairs of images without a position with those that look like them, and with the next in order of names."""
     at = {name: k for k, name in enumerate(names)}
     of = [at[name] for name in lost]
     with solver().Database.open(database) as opened:
         numbers = (opened.read_image_with_name(name).image_id for name in names)
         descriptors = (opened.read_descriptors(number).data[:VOTING] for number in numbers)
-        found = [*alike(descriptors, len(names), of), *((k, k + step) for k in of for step in (-2, -1, 1, 2))]
+        found = [*similar_images(descriptors, len(names), of), *((k, k + step) for k in of for step in (-2, -1, 1, 2))]
     return [(names[min(i, j)], names[max(i, j)]) for i, j in found if min(i, j) >= 0 and max(i, j) < len(names)]
 
 
@@ -300,7 +300,7 @@ def poses_of(block: pycolmap.Reconstruction) -> dict[str, tuple[np.ndarray, np.n
 
 
 @dataclass(frozen=True)
-class Matched:
+class MatchedPhotographs:
     """Photographs with verified matches."""
 
     database: Path
@@ -309,15 +309,15 @@ class Matched:
     num: int  # Of images
 
 
-def mapped(matched: Matched, mapper: str) -> list[pycolmap.Reconstruction]:
-    """Blocks of poses and points, each in a frame of its own; the largest comes first."""
+def reconstruct(matched: MatchedPhotographs, mapper: str) -> list[pycolmap.Reconstruction]:
+    """Reconstructions of poses and points, each in a frame of its own; the largest first."""
     run = {Mapper.global_: _global, Mapper.hierarchical: _hierarchical}.get(Mapper(mapper), _incremental)
     with current().stage("Structure from motion", matched.num) as step:
         blocks = run(matched, step.advance)
     return sorted(blocks.values(), key=lambda block: (-block.num_reg_images(), -block.num_points3D()))
 
 
-def _incremental(matched: Matched, advance: Callable[..., None]) -> dict[int, pycolmap.Reconstruction]:
+def _incremental(matched: MatchedPhotographs, advance: Callable[..., None]) -> dict[int, pycolmap.Reconstruction]:
     options = options_of(matched.num)
     # The first two come together.
     advance(2.0)
@@ -328,14 +328,14 @@ def _incremental(matched: Matched, advance: Callable[..., None]) -> dict[int, py
     )
 
 
-def _hierarchical(matched: Matched, _advance: Callable[..., None]) -> dict[int, pycolmap.Reconstruction]:
+def _hierarchical(matched: MatchedPhotographs, _advance: Callable[..., None]) -> dict[int, pycolmap.Reconstruction]:
     options = solver().HierarchicalPipelineOptions()
     options.num_threads, options.num_workers = THREADS, 1
     options.incremental_options = options_of(matched.num)
     return solver().hierarchical_mapping(matched.database, matched.folder, matched.work, options)
 
 
-def _global(matched: Matched, _advance: Callable[..., None]) -> dict[int, pycolmap.Reconstruction]:
+def _global(matched: MatchedPhotographs, _advance: Callable[..., None]) -> dict[int, pycolmap.Reconstruction]:
     options = solver().GlobalPipelineOptions()
     options.num_threads, options.random_seed, options.min_model_size = THREADS, SEED, MIN_IMAGES
     options.mapper.global_positioning.use_gpu = options.mapper.bundle_adjustment.ceres.use_gpu = False

@@ -17,7 +17,7 @@ from geo.similarity import Similarity, fit_similarity, robust_similarity
 from survey.control.points import ControlPoint
 from survey.errors import ControlError
 from survey.sfm.gps_fit import PositionLine
-from survey.sfm.marked import BlockControl, Intersections, Posed, intersect_marks, turned_marks
+from survey.sfm.marked import BlockControl, BlockView, Intersections, intersect_marks, swapped_marks
 
 MIN_POINTS = 3
 # A block may miss its control by this share of the distance to the cameras, and this many standard deviations of it.
@@ -46,12 +46,12 @@ class ControlFit:
         return tuple(point.name for point in self.met.points if point.name not in self.wrong)
 
 
-def fit_control(control: BlockControl, views: Mapping[str, Posed]) -> ControlFit:
+def fit_control(control: BlockControl, views: Mapping[str, BlockView]) -> ControlFit:
     """Place a block by its control points.
 
     Parameters
     ----------
-    views : name to Posed, in the frame of the block
+    views : name to BlockView, in the frame of the block
 
     Raises
     ------
@@ -65,7 +65,7 @@ def fit_control(control: BlockControl, views: Mapping[str, Posed]) -> ControlFit
     theirs, std = coordinates(met)
     if _line(theirs, std) is not None:
         return _along_line(met)
-    fit = agreed(met, views)
+    fit = fit_majority(met, views)
     good = np.array([point.name not in fit.wrong for point in met.points])
     return replace(fit, line=_line(theirs[good], std[good]))
 
@@ -104,7 +104,7 @@ def coordinates(met: Intersections) -> tuple[np.ndarray, np.ndarray]:
     return np.array([point.local for point in met.points]), np.array([point.std for point in met.points])
 
 
-def agreed(met: Intersections, views: Mapping[str, Posed]) -> ControlFit:
+def fit_majority(met: Intersections, views: Mapping[str, BlockView]) -> ControlFit:
     """The similarity that most of at least three points agree on.
 
     Raises
@@ -136,7 +136,7 @@ def agreed(met: Intersections, views: Mapping[str, Posed]) -> ControlFit:
     return ControlFit(similarity, met, wrong)
 
 
-def require_consistent_marks(control: BlockControl, views: Mapping[str, Posed], met: Intersections) -> None:
+def require_consistent_marks(control: BlockControl, views: Mapping[str, BlockView], met: Intersections) -> None:
     """Raise where marks that contradict each other outnumber those that agree, by their points.
 
     Raises
@@ -211,13 +211,13 @@ def _limits(met: Intersections, std: np.ndarray, scale: float) -> np.ndarray:
     return _MOST_STD * std + (bent + met.slack)[:, None]
 
 
-def _is_below(similarity: Similarity, met: Intersections, good: np.ndarray, views: Mapping[str, Posed]) -> bool:
+def _is_below(similarity: Similarity, met: Intersections, good: np.ndarray, views: Mapping[str, BlockView]) -> bool:
     """Whether most cameras lie lower than the points that they show."""
     heights = similarity(np.array([view.centre for view in views.values()]))[:, 2]
     return bool(np.median(heights) < np.median(similarity(met.places[good])[:, 2]))
 
 
-def _too_few(control: BlockControl, views: Mapping[str, Posed], met: Intersections) -> str:
+def _too_few(control: BlockControl, views: Mapping[str, BlockView], met: Intersections) -> str:
     told = []
     if met.points:
         told.append(f"usable: {_listed([point.name for point in met.points])}")
@@ -227,7 +227,7 @@ def _too_few(control: BlockControl, views: Mapping[str, Posed], met: Intersectio
         told.append(f"with marks whose rays do not intersect: {_listed(met.apart)}")
     told.append(f"{len(views)} photographs are placed")
     remedy = "mark more points in more photographs, or correct the marks"
-    if len(met.apart) > 1 and len(intersect_marks(turned_marks(control), views).points) >= MIN_POINTS:
+    if len(met.apart) > 1 and len(intersect_marks(swapped_marks(control), views).points) >= MIN_POINTS:
         remedy = "their rays meet with x and y of the marks swapped: swap the two columns"
     return (
         f"{len(met.points)} of {len(control.points)} control points fit the photographs, expected at least "

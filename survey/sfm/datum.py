@@ -50,7 +50,7 @@ def plan_std(way: Transformation) -> float:
     return way.accuracy_m or 0.0
 
 
-def require_as_good(way: Transformation, plan_std_m: float, said: str, num_control: int) -> None:
+def require_accurate(way: Transformation, plan_std_m: float, said: str, num_control: int) -> None:
     """Raise where a grid is missing, and the best transformation without it is worse than the positions, or not known.
 
     Parameters
@@ -83,7 +83,7 @@ def require_as_good(way: Transformation, plan_std_m: float, said: str, num_contr
     )
 
 
-def least(stds: Collection[DatumStd]) -> DatumStd:
+def smallest(stds: Collection[DatumStd]) -> DatumStd:
     """Smallest of several values; nothing of none."""
     return DatumStd(*(min((getattr(each, name) for each in stds), default=0.0) for name in ("plan", "up")))
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from geo.similarity import Similarity, gross_error
+from geo.similarity import Similarity, gross_error_limit
 from survey.photos.cameras import enu_from_yaw_pitch_roll
 from survey.photos.exif import Exif
 
@@ -23,7 +23,7 @@ from survey.photos.exif import Exif
 MIN_STD_M = 0.02
 # Cameras closer to one line than this many std, or share of its length, leave the roll of the block about it open.
 _LINE_STD, _LINE_SHARE = 3.0, 0.03
-HOLD_THE_ROLL = (
+ROLL_REMEDY = (
     "give a control point some metres beside the line, attitudes of the camera in XMP, or a level of water that the "
     "photographs show, or add images of a second strip"
 )
@@ -89,7 +89,7 @@ def line_of(positions, std_m: float) -> PositionLine | None:
     )
 
 
-def contradicted(residuals) -> np.ndarray:
+def is_contradicted(residuals) -> np.ndarray:
     """Positions (N,) bool that the block contradicts, by their residuals (N, 3) [m], local; NaN counts for nothing.
 
     Residuals may have a shift in common, as heights by a barometer do.
@@ -103,14 +103,14 @@ def contradicted(residuals) -> np.ndarray:
     # At first no more than half of them are trusted, as in `geo.similarity.robust_similarity`.
     num = len(away) // 2 + 1
     for _ in range(2):
-        is_wrong = away > gross_error(float(np.median(away)), num)
+        is_wrong = away > gross_error_limit(float(np.median(away)), num)
         num = max(int((~is_wrong).sum()), num)
     wrong[known] = is_wrong
     return wrong
 
 
 @dataclass(frozen=True)
-class Across:
+class LineAxes:
     """Axes across a line, which with its direction make a right-handed frame."""
 
     # centre, along: (3,) [m], (3,)
@@ -121,7 +121,7 @@ class Across:
     up: np.ndarray
 
     @classmethod
-    def of(cls, line: PositionLine) -> Across:
+    def of(cls, line: PositionLine) -> LineAxes:
         """Directions along and across a line."""
         along = line.direction
         up = np.array([0.0, 0.0, 1.0]) - along[2] * along
@@ -150,7 +150,7 @@ def attitudes_of(heads: Mapping[str, Exif]) -> dict[str, np.ndarray]:
     return found
 
 
-def roll_by_attitudes(across: Across, rotations: np.ndarray, attitudes: np.ndarray) -> float:
+def roll_by_attitudes(across: LineAxes, rotations: np.ndarray, attitudes: np.ndarray) -> float:
     """Roll [rad] about the line that makes a block agree with the attitudes of its cameras.
 
     Parameters
@@ -165,7 +165,7 @@ def roll_by_attitudes(across: Across, rotations: np.ndarray, attitudes: np.ndarr
     return middle + float(np.median((angles - middle + math.pi) % (2.0 * math.pi) - math.pi))
 
 
-def roll_by_ground(across: Across, rotations: np.ndarray, points: np.ndarray) -> float:
+def roll_by_ground(across: LineAxes, rotations: np.ndarray, points: np.ndarray) -> float:
     """Roll [rad] after which cameras look straight down across the line, or else the ground is level there.
 
     Parameters
@@ -181,7 +181,7 @@ def roll_by_ground(across: Across, rotations: np.ndarray, points: np.ndarray) ->
     return angle - steep if abs(steep) > _STEEP else angle
 
 
-def roll_by_control(across: Across, places: np.ndarray, control: np.ndarray) -> float:
+def roll_by_control(across: LineAxes, places: np.ndarray, control: np.ndarray) -> float:
     """Roll [rad] that rotates points of a block onto their control points, by their offsets across the line.
 
     Heights of positions and of control may have different datums, so that heights do not count.

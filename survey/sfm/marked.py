@@ -41,7 +41,7 @@ class BlockControl:
 
 
 @dataclass(frozen=True)
-class Posed:
+class BlockView:
     """A photograph of a block."""
 
     lens: Lens
@@ -64,7 +64,7 @@ class Intersections:
     single: tuple[str, ...]
 
 
-def intersect_marks(control: BlockControl, views: Mapping[str, Posed]) -> Intersections:
+def intersect_marks(control: BlockControl, views: Mapping[str, BlockView]) -> Intersections:
     """Intersections of the rays of the marks of each point in a block."""
     marks_of: dict[str, list[Mark]] = {point.name: [] for point in control.points}
     for mark in control.marks:
@@ -79,7 +79,7 @@ def intersect_marks(control: BlockControl, views: Mapping[str, Posed]) -> Inters
         if len(marks) < 2:
             single.append(point.name)
             continue
-        place, good = _agreed(marks, views)
+        place, good = _majority_point(marks, views)
         if place is None:
             (apart if (~good).any() else single).append(point.name)
             continue
@@ -99,12 +99,12 @@ def intersect_marks(control: BlockControl, views: Mapping[str, Posed]) -> Inters
     )
 
 
-def turned_marks(control: BlockControl) -> BlockControl:
+def swapped_marks(control: BlockControl) -> BlockControl:
     """The control with x and y of its marks swapped."""
     return replace(control, marks=tuple(replace(mark, pixel=mark.pixel[::-1]) for mark in control.marks))
 
 
-def _agreed(marks: list[Mark], views: Mapping[str, Posed]) -> tuple[np.ndarray | None, np.ndarray]:
+def _majority_point(marks: list[Mark], views: Mapping[str, BlockView]) -> tuple[np.ndarray | None, np.ndarray]:
     """The point (3,) that most of the rays of some marks intersect, and which do (N,) bool.
 
     No place where that is not a majority, or all that meet come from one direction.
@@ -130,7 +130,7 @@ def _agreed(marks: list[Mark], views: Mapping[str, Posed]) -> tuple[np.ndarray |
     return place, best
 
 
-def _rays(marks: list[Mark], views: Mapping[str, Posed]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _rays(marks: list[Mark], views: Mapping[str, BlockView]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Origins and directions (N, 3) of the rays of marks, and the angle (N,) [rad] that makes one wrong."""
     posed = [views[mark.view] for mark in marks]
     origins = np.array([view.centre for view in posed])

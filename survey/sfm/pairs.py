@@ -129,7 +129,7 @@ def _by_direction(away: np.ndarray) -> np.ndarray:
     return np.lexsort([np.arange(len(away)), rank])
 
 
-def alike(descriptors: Iterable[np.ndarray], num: int, of: Sequence[int]) -> Iterator[tuple[int, int]]:
+def similar_images(descriptors: Iterable[np.ndarray], num: int, of: Sequence[int]) -> Iterator[tuple[int, int]]:
     """Pairs of photographs, by number: some of them with those that look most like them, the best first.
 
     Parameters

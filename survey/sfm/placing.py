@@ -23,7 +23,7 @@ from survey.sfm.block import CameraBody
 from survey.sfm.control_fit import ControlFit, fit_control
 from survey.sfm.gps import GpsPositions
 from survey.sfm.gps_fit import (
-    Across,
+    LineAxes,
     PositionLine,
     gps_std,
     line_of,
@@ -31,8 +31,8 @@ from survey.sfm.gps_fit import (
     roll_by_control,
     roll_by_ground,
 )
-from survey.sfm.marked import BlockControl, Intersections, Posed, intersect_marks
-from survey.sfm.solve import GIVE_POSES, Free, listed
+from survey.sfm.marked import BlockControl, BlockView, Intersections, intersect_marks
+from survey.sfm.solve import GIVE_POSES, FreeBlocks, listed
 
 if TYPE_CHECKING:
     import pycolmap
@@ -57,7 +57,7 @@ Placement = Callable[["pycolmap.Reconstruction"], str]
 
 
 def place_by_gps(
-    free: Free,
+    free: FreeBlocks,
     gps: GpsPositions,
     alias_of: Mapping[str, str],
     sensors: list[CameraBody],
@@ -98,7 +98,7 @@ def place_by_gps(
         # Control over an area is the better start.
         if nearby is not None and (by_control := _by_area(nearby, block, alias_of)) is not None:
             return by_control
-        met = None if nearby is None else intersect_marks(nearby, posed_of(block, alias_of))
+        met = None if nearby is None else intersect_marks(nearby, views_of_block(block, alias_of))
         return f"{said}; {line.said(len(trusted))}: {_roll(block, line, turned, met)}"
 
     ways: list[Placement] = [by_positions]
@@ -109,7 +109,7 @@ def place_by_gps(
 
 
 def place_by_control(
-    free: Free,
+    free: FreeBlocks,
     control: BlockControl,
     alias_of: Mapping[str, str],
     sensors: list[CameraBody],
@@ -142,7 +142,9 @@ def _placement_by_control(
     control: BlockControl, frame: LocalFrame, alias_of: Mapping[str, str], attitudes: Mapping[str, np.ndarray]
 ) -> Placement:
     def by_control(block: pycolmap.Reconstruction) -> str:
-        fit = fit_control(control if frame is control.frame else control.in_frame(frame), posed_of(block, alias_of))
+        fit = fit_control(
+            control if frame is control.frame else control.in_frame(frame), views_of_block(block, alias_of)
+        )
         said = _onto_control(block, fit)
         if fit.line is None:
             return said
@@ -154,7 +156,7 @@ def _placement_by_control(
 def _by_area(control: BlockControl, block: pycolmap.Reconstruction, alias_of: Mapping[str, str]) -> str | None:
     """Transform a block onto control that spans an area, and describe it; None where that cannot place it."""
     try:
-        fit = fit_control(control, posed_of(block, alias_of))
+        fit = fit_control(control, views_of_block(block, alias_of))
     except ControlError:
         return None
     return _onto_control(block, fit) if fit.line is None else None
@@ -173,7 +175,11 @@ def _onto_control(block: pycolmap.Reconstruction, fit: ControlFit) -> str:
 
 
 def _place(
-    free: Free, ways: Sequence[Placement], frame: LocalFrame, alias_of: Mapping[str, str], sensors: list[CameraBody]
+    free: FreeBlocks,
+    ways: Sequence[Placement],
+    frame: LocalFrame,
+    alias_of: Mapping[str, str],
+    sensors: list[CameraBody],
 ) -> PlacedBlocks:
     """Place each block by the first method that can; where no block can be placed, raise for the largest."""
     notes, placed, found = list(free.notes), [], []
@@ -229,11 +235,11 @@ def _share_lenses(blocks: Sequence[pycolmap.Reconstruction], sensors: Sequence[C
                 sfm_block.set_lens(block, alias, lens.params)
 
 
-def posed_of(block: pycolmap.Reconstruction, alias_of: Mapping[str, str]) -> dict[str, Posed]:
+def views_of_block(block: pycolmap.Reconstruction, alias_of: Mapping[str, str]) -> dict[str, BlockView]:
     """The photographs of a block by their own names."""
     poses = sfm_block.poses_of(block)
     return {
-        name: Posed(sfm_block.lens_of(block, alias), *poses[alias])
+        name: BlockView(sfm_block.lens_of(block, alias), *poses[alias])
         for name, alias in alias_of.items()
         if alias in poses
     }
@@ -263,7 +269,7 @@ def _roll(
     block: pycolmap.Reconstruction, line: PositionLine, attitudes: Mapping[str, np.ndarray], met: Intersections | None
 ) -> str:
     """Roll a block about the line of its positions by attitudes, control or the ground; returns which of them."""
-    poses, across = sfm_block.poses_of(block), Across.of(line)
+    poses, across = sfm_block.poses_of(block), LineAxes.of(line)
     with_attitude = [alias for alias in poses if alias in attitudes]
     if with_attitude:
         ours = np.array([poses[alias][1] for alias in with_attitude])

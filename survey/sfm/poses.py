@@ -36,7 +36,7 @@ from survey.sfm.marked import BlockControl
 from survey.sfm.pairs import image_pairs
 from survey.sfm.placing import PlacedBlocks, place_by_control, place_by_gps
 from survey.sfm.settings import mapper_of, one_focal, require_mapper, require_size
-from survey.sfm.solve import Free, Photographs, aliases, sensors_of, solve
+from survey.sfm.solve import FreeBlocks, Photographs, aliases, sensors_of, solve
 from survey.stage_key import code_hash, stage_key
 from survey.words import Mapper
 
@@ -205,7 +205,7 @@ def blocks_of(
     return found
 
 
-def _solved(photographs: Photographs, workspace: Path, say: Callable[[str], None]) -> Free:
+def _solved(photographs: Photographs, workspace: Path, say: Callable[[str], None]) -> FreeBlocks:
     """The blocks of photographs in their own frames: those in the workspace, or solved now and stored there."""
     # Positions in the images themselves are those of the files.
     images, places = photographs.images, photographs.places
@@ -213,7 +213,7 @@ def _solved(photographs: Photographs, workspace: Path, say: Callable[[str], None
     settings = (photographs.focal_px, photographs.mapper, sorted(places), image_pairs(list(images), places))
     key = stage_key("sfm", code_hash("survey.sfm.solve"), *settings, list(images), list(images.values()))
     busy = f"another process (number {{pid}}) looks for poses in {workspace}; wait until it ends, or stop it"
-    with reporting_disk_errors(workspace), locked(_made(workspace), busy=busy):
+    with reporting_disk_errors(workspace), locked(_make_folder(workspace), busy=busy):
         free = _stored(workspace, key)
         if free is not None:
             say(f"structure from motion: poses of {free.num_images} images from {workspace}")
@@ -236,7 +236,7 @@ def image_names(paths: Sequence[Path]) -> dict[str, Path]:
     return dict(sorted((path.relative_to(folder).as_posix(), path) for path in paths))
 
 
-def _made(folder: Path) -> Path:
+def _make_folder(folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 
@@ -264,16 +264,16 @@ def seconds_of_solve(workspace: Path) -> float | None:
     return read_json_object(workspace / _RECORD).get("seconds")
 
 
-def _stored(workspace: Path, key: str) -> Free | None:
+def _stored(workspace: Path, key: str) -> FreeBlocks | None:
     """Result that `_store` kept with this key; None if there is nothing, or something else."""
     record = read_json_object(workspace / _RECORD)
     if record.get("key") != key or not (workspace / _MODEL).is_dir():
         return None
     folders = [workspace / _MODEL / str(number) for number in range(record["blocks"])]
-    return Free(tuple(sfm_block.read_block(folder) for folder in folders), tuple(record["notes"]))
+    return FreeBlocks(tuple(sfm_block.read_block(folder) for folder in folders), tuple(record["notes"]))
 
 
-def _store(workspace: Path, key: str, work: Path, free: Free, seconds: float) -> None:
+def _store(workspace: Path, key: str, work: Path, free: FreeBlocks, seconds: float) -> None:
     """Store blocks; the record is written last and marks it as complete."""
     (workspace / _RECORD).unlink(missing_ok=True)
     shutil.rmtree(workspace / _MODEL, ignore_errors=True)

@@ -17,7 +17,7 @@ from survey.errors import FILE_NAME, PosesError
 from survey.photos.exif import Exif
 from survey.photos.poses import least_track
 from survey.sfm import block as sfm_block
-from survey.sfm.block import UNTOLD, CameraBody, mapped
+from survey.sfm.block import WITHOUT_PROGRESS, CameraBody, reconstruct
 from survey.sfm.gps_fit import attitudes_of
 from survey.sfm.pairs import LEAST_HEIGHT_M, Place
 
@@ -80,8 +80,8 @@ def _rounded_up(height_m: float) -> float:
 
 
 @dataclass(frozen=True)
-class Free:
-    """Blocks that share no images and no points, each in a frame of its own."""
+class FreeBlocks:
+    """FreeBlocks blocks: they share no images and no points, and each has a frame of its own."""
 
     blocks: tuple[pycolmap.Reconstruction, ...]  # The largest first; their images have the names of `aliases`
     notes: tuple[str, ...]  # sentences: what was left out
@@ -97,7 +97,7 @@ def aliases(images: Mapping[str, Path]) -> dict[str, str]:
     return {name: f"{i:06d}{path.suffix.lower()}" for i, (name, path) in enumerate(images.items())}
 
 
-def solve(photographs: Photographs, work: Path, say: Callable[[str], None]) -> Free:
+def solve(photographs: Photographs, work: Path, say: Callable[[str], None]) -> FreeBlocks:
     """Solve for the poses of photographs.
 
     Parameters
@@ -116,7 +116,7 @@ def solve(photographs: Photographs, work: Path, say: Callable[[str], None]) -> F
     alias_of = aliases(photographs.images)
     blocks = _blocks(photographs, alias_of, work, say)
     apart = without_shared_images(blocks)
-    return Free(apart, tuple(left_out(apart, alias_of)))
+    return FreeBlocks(apart, tuple(left_out(apart, alias_of)))
 
 
 def sensors_of(heads: Mapping[str, Exif], alias_of: Mapping[str, str], focal_px: float | None) -> list[CameraBody]:
@@ -140,10 +140,10 @@ def _blocks(
         (folder / alias).symlink_to(photographs.images[name].absolute())
     places = {alias_of[name]: place for name, place in photographs.places.items()}
     sensors = sensors_of(photographs.heads, alias_of, photographs.focal_px)
-    of_pairs = sfm_block.matched(folder, sensors, places, work, say)
-    untold = "; its progress is not known until it ends" if photographs.mapper in UNTOLD else ""
-    say(f"structure from motion: poses, by {photographs.mapper} mapping{untold}")
-    blocks = mapped(of_pairs, photographs.mapper)
+    of_pairs = sfm_block.match_photographs(folder, sensors, places, work, say)
+    unknown = "; its progress is not known until it ends" if photographs.mapper in WITHOUT_PROGRESS else ""
+    say(f"structure from motion: poses, by {photographs.mapper} mapping{unknown}")
+    blocks = reconstruct(of_pairs, photographs.mapper)
     placed = blocks[0].num_reg_images() if blocks else 0
     if placed < (least := least_track(len(alias_of))):
         raise PosesError(

@@ -34,7 +34,7 @@ from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import NUM_POSE, Layout, State
 from survey.photos.poses import least_track, parts_of
 from survey.sfm.control_fit import line_of_control
-from survey.sfm.gps_fit import Across, PositionLine, gps_std, line_of, roll_by_attitudes
+from survey.sfm.gps_fit import LineAxes, PositionLine, gps_std, line_of, roll_by_attitudes
 
 if TYPE_CHECKING:
     from survey.control.points import ControlPoint
@@ -54,7 +54,7 @@ class Roll:
     """The common roll of some photographs."""
 
     views: np.ndarray  # (K,) int64
-    across: Across  # The line
+    across: LineAxes  # The line
     turns: np.ndarray  # (K, 3): of each photograph, the axis of the line in cam
     # [rad]: by how much attitudes have the block rolled from the rotations that the survey has; 0 without any
     start: float
@@ -128,7 +128,7 @@ def _roll_of(survey: Survey, views: np.ndarray) -> Roll | None:
     )
     if line is None:
         return None
-    across = Across.of(line)
+    across = LineAxes.of(line)
     rotations = np.array([view.camera.cam_from_local for view in chosen])
     known = [k for k, prior in enumerate(priors) if prior and prior.attitude is not None]
     start, std = 0.0, _OPEN_STD

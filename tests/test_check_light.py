@@ -14,7 +14,7 @@ from small_survey import TOML, camera_lines, said, small_survey, write_image
 
 from refract import PinholeCamera
 from survey.photos.exif import read_exif
-from survey.photos.texture import detail_of, image_detail, relative
+from survey.photos.texture import detail_of, image_detail, relative_sharpness
 from survey.plan.check import require_processable
 from survey.plan.check_light import LEAST_SHARP, glitter_text, light_section, motion_text, sharpness_text, times_of
 from survey.plan.glitter import GlitterOfFlight, glitters, largest_facet_slope, slope_variance
@@ -97,7 +97,7 @@ def textured(seed: int) -> np.ndarray:
 def test_an_image_that_moved_or_lost_its_focus_is_less_sharp_than_its_neighbours(kernel):
     images = [textured(seed) for seed in range(6)]
     images[3] = cv2.filter2D(images[3], -1, kernel)
-    found = relative([detail_of(image) for image in images])
+    found = relative_sharpness([detail_of(image) for image in images])
     assert int(np.argmin(found)) == 3
     assert found[3] < LEAST_SHARP
     assert (np.delete(found, 3) > LEAST_SHARP).all()

@@ -44,7 +44,7 @@ def flown(folder, *pairs, text: str = xmp(3.0, 4.0, 0.5)):
 
 
 def head(clock: datetime | None = None, speed=None, taken: datetime | None = None) -> Exif:
-    return Exif((64, 48), None, None, 1, "", None, taken=taken, motion=Motion(speed=speed), clock=clock)
+    return Exif((64, 48), None, None, 1, "", None, taken=taken, motion=Motion(velocity=speed), clock=clock)
 
 
 def test_speeds_in_xmp_move_cameras_from_row_to_row_east_north_and_up(tmp_path):

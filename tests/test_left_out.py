@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 from fields.solver.appearance import brightness_of
 from fields.sweep.block import downsample, fill_small_holes
 from fields.sweep.photo_consistency import Consistency
-from survey.photos.texture import saturated
+from survey.photos.texture import saturated_pixels
 from survey.report.photographs import photograph_warnings, photographs_of, summary, table
 
 
@@ -54,10 +54,10 @@ def test_a_smaller_image_is_the_mean_of_what_is_known():
 
 def test_white_and_what_is_beside_it_is_saturated():
     grey = np.full((9, 9), 240.0, dtype=np.float32)
-    assert not saturated(grey).any()
+    assert not saturated_pixels(grey).any()
     grey[4, 4] = 255.0
-    assert np.argwhere(saturated(grey)).min(axis=0).tolist() == [3, 3]
-    assert saturated(grey).sum() == 9
+    assert np.argwhere(saturated_pixels(grey)).min(axis=0).tolist() == [3, 3]
+    assert saturated_pixels(grey).sum() == 9
 
 
 def test_photographs_that_give_nothing_to_the_cloud_are_named_with_the_reason():

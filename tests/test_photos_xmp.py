@@ -13,7 +13,7 @@ from survey.photos.exif import read_exif
 from survey.photos.xmp import (
     Motion,
     Rtk,
-    from_frame_that_looks_down,
+    gimbal_from_pix4d,
     height_datum,
     motion_of,
     rtk_of,
@@ -92,9 +92,9 @@ def test_fractions_are_divided_and_accuracies_are_east_north_up():
 
 
 def test_sensefly_counts_angles_from_a_frame_that_looks_down():
-    assert from_frame_that_looks_down(62.0, 0.0, 0.0) == pytest.approx((62.0, -90.0, 0.0))
-    assert from_frame_that_looks_down(62.0, 90.0, 0.0) == pytest.approx((62.0, 0.0, 0.0), abs=1e-9)
-    assert from_frame_that_looks_down(-170.0, 13.9, 0.0) == pytest.approx((-170.0, -76.1, 0.0), abs=1e-9)
+    assert gimbal_from_pix4d(62.0, 0.0, 0.0) == pytest.approx((62.0, -90.0, 0.0))
+    assert gimbal_from_pix4d(62.0, 90.0, 0.0) == pytest.approx((62.0, 0.0, 0.0), abs=1e-9)
+    assert gimbal_from_pix4d(-170.0, 13.9, 0.0) == pytest.approx((-170.0, -76.1, 0.0), abs=1e-9)
     yaw, pitch, roll = motion_of(SENSEFLY).gimbal_deg
     # A roll of 3.7 to the right tilts the axis away from the vertical by acos(cos 13.9 cos 3.7).
     assert -pitch == pytest.approx(
@@ -111,7 +111,7 @@ def test_rotations_of_both_ways_of_counting_are_the_same(rng):
 
     for yaw, pitch, roll in rng.uniform(-80.0, 80.0, (50, 3)):
         frame = about(2, yaw) * about(1, pitch) * about(0, roll) * about(1, -90.0)
-        y, p, r = from_frame_that_looks_down(yaw, pitch, roll)
+        y, p, r = gimbal_from_pix4d(yaw, pitch, roll)
         gimbal = about(2, y) * about(1, p) * about(0, r)
         np.testing.assert_allclose(frame.as_matrix(), gimbal.as_matrix(), atol=1e-9)
 

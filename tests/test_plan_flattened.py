@@ -9,7 +9,7 @@ import pytest
 
 from geo.frames import LocalFrame
 from survey.errors import ConfigError, PosesError
-from survey.folder.plausible import require_true
+from survey.folder.plausible import require_plausible
 from survey.plan.area import flattened
 from survey.run.windows import survey_in_frame
 
@@ -41,5 +41,5 @@ def test_low_flights_over_water_that_falls_away_are_not_under_it(shallow_survey)
     above = replace(plane, point=(x, y, z + 500.0))
     centres = np.array([view.camera.centre for view in survey.views])
     with pytest.raises((ConfigError, PosesError)):
-        require_true(survey.frame, list(survey.views), -above.depth(centres), survey.config, {})
-    require_true(survey.frame, list(survey.views), -plane.depth(centres), survey.config, {})
+        require_plausible(survey.frame, list(survey.views), -above.depth(centres), survey.config, {})
+    require_plausible(survey.frame, list(survey.views), -plane.depth(centres), survey.config, {})

@@ -73,9 +73,9 @@ def velocities_of(
 def velocities_by_xmp(heads: Mapping[str, Exif]) -> dict[str, Velocity]:
     """Velocities in XMP. True east and north are those of local to some thousandths."""
     return {
-        name: Velocity(np.array(head.motion.speed), BY_XMP)
+        name: Velocity(np.array(head.motion.velocity), BY_XMP)
         for name, head in heads.items()
-        if head.motion.speed is not None
+        if head.motion.velocity is not None
     }
 
 

@@ -26,7 +26,7 @@ from survey.folder.posed import TiePointMisfit, given_in_local, points_in_local,
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.photos.names import ImageNames
-from survey.photos.poses import Pose, PoseFile, SecondPose, least_track
+from survey.photos.poses import DuplicatePose, Pose, PoseFile, least_track
 from survey.pose_files import read_poses, read_ties
 from survey.settings.config import CamerasConfig
 from survey.settings.tables import per_axis
@@ -230,7 +230,7 @@ def read_file_poses(found: Found, path: Path) -> tuple[FilePoses, Findings]:
     """
     try:
         file = read_poses(path)
-    except SecondPose as error:
+    except DuplicatePose as error:
         # Two photographs of one name are what the user can correct: that error comes first.
         ImageNames(found.images).find(error.called, str(path))
         raise

@@ -76,7 +76,7 @@ def ground_below(cameras: Sequence[PinholeCamera]) -> GroundHeight:
     return GroundHeight(height, f"a guess: neighbours overlap by {100 * USUAL_OVERLAP:.0f} %", is_guess=True)
 
 
-def require_true(
+def require_plausible(
     frame: LocalFrame,
     views: list[View],
     over_water: np.ndarray | None,

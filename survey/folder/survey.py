@@ -28,7 +28,7 @@ from survey.folder.faults import (
 from survey.folder.found import Found, find_survey
 from survey.folder.motion import Velocity, shutter_warnings, velocities_of, with_motion
 from survey.folder.placed_views import PlacedViews, lifted_over_water, views_of_file, views_of_photographs
-from survey.folder.plausible import place_warnings, require_true
+from survey.folder.plausible import place_warnings, require_plausible
 from survey.folder.pose_priors import PosePrior, common_plan_std
 from survey.folder.posed import TiePointMisfit
 from survey.folder.positions import far_from_others
@@ -303,7 +303,7 @@ def _warnings(placed: PlacedViews, water: _LocalWater) -> list[str]:
     found, frame, views = placed.found, placed.frame, placed.views
     centres, is_posed = _centres(views), found.poses_path is not None
     above = None if water.above is None else water.above(centres)
-    require_true(frame, views, above, water.config, found.heads, see_points=placed.reprojection is not None)
+    require_plausible(frame, views, above, water.config, found.heads, see_points=placed.reprojection is not None)
     warnings = require_focal_lengths({view.name: view.lens for view in views}, found.heads) if is_posed else []
     warnings += require_apart(views, above) + place_warnings(frame, views, above, found.heads)
     if len(views) == 2:

@@ -18,7 +18,7 @@ from survey.folder.found import Found, find_survey
 from survey.folder.motion import velocities_of, with_motion
 from survey.folder.pairing import read_file_poses
 from survey.folder.place import water_plane
-from survey.photos.cameras import View, projection_and_slope
+from survey.photos.cameras import View, projection_and_jacobian
 from survey.run.flight import FLIGHT, load_flight
 from survey.settings.config import SurveyConfig, read_config
 from survey.settings.tables import ControlConfig
@@ -106,7 +106,7 @@ def by_gain(
 
 def _information(view: View, place: np.ndarray, water: FlatWater | None, std_px: float) -> np.ndarray:
     """Information of a mark in a photograph about a place (3, 3) [1/m^2]."""
-    _, slope = projection_and_slope(view.camera, place, water)
+    _, slope = projection_and_jacobian(view.camera, place, water)
     # A place on the other side of a camera is told nothing of.
     return slope.T @ slope / std_px**2 if np.isfinite(slope).all() else np.zeros((3, 3))
 

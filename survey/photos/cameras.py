@@ -134,21 +134,21 @@ def intersect(
     place = np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, centres))
     std = np.repeat(np.asarray(stds_px, dtype=np.float64), 2)
     for _ in range(_ROUNDS):
-        miss, slope = _residuals(cameras, pixels, place, water)
-        if not np.isfinite(miss).all() or not np.isfinite(slope).all():
+        residual, jacobian = _residuals(cameras, pixels, place, water)
+        if not np.isfinite(residual).all() or not np.isfinite(jacobian).all():
             return None
-        step = np.linalg.lstsq(slope / std[:, None], -miss / std, rcond=None)[0]
+        step = np.linalg.lstsq(jacobian / std[:, None], -residual / std, rcond=None)[0]
         place = place + step
         if np.abs(step).max() < 1e-6:
             break
-    miss, slope = _residuals(cameras, pixels, place, water)
-    if not np.isfinite(miss).all() or not np.isfinite(slope).all():
+    residual, jacobian = _residuals(cameras, pixels, place, water)
+    if not np.isfinite(residual).all() or not np.isfinite(jacobian).all():
         return None
-    covariance = np.linalg.inv((slope / std[:, None]).T @ (slope / std[:, None]))
-    return Intersection(place, covariance, -miss.reshape(-1, 2))
+    covariance = np.linalg.inv((jacobian / std[:, None]).T @ (jacobian / std[:, None]))
+    return Intersection(place, covariance, -residual.reshape(-1, 2))
 
 
-def projection_and_slope(
+def projection_and_jacobian(
     camera: PinholeCamera, place: np.ndarray, water: FlatWater | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """The pixel (2,) at which a place (3,) appears, and its derivative (2, 3) [px/m]; NaN behind the camera."""
@@ -161,9 +161,9 @@ def _residuals(
     cameras: Sequence[PinholeCamera], pixels: np.ndarray, place: np.ndarray, water: FlatWater | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Residuals of a place at its marks (2 N,) [px], and their derivatives (2 N, 3)."""
-    seen = [projection_and_slope(camera, place, water) for camera in cameras]
-    miss = np.concatenate([at - pixel for (at, _), pixel in zip(seen, pixels, strict=True)])
-    return miss, np.concatenate([slope for _, slope in seen])
+    seen = [projection_and_jacobian(camera, place, water) for camera in cameras]
+    residual = np.concatenate([at - pixel for (at, _), pixel in zip(seen, pixels, strict=True)])
+    return residual, np.concatenate([jacobian for _, jacobian in seen])
 
 
 _GREY = "128 128 128"
@@ -243,17 +243,17 @@ def _observation_lines(num_views: int, ties: TiePoints) -> list[str]:
 
 def _point_lines(views: Sequence[View], ties: TiePoints) -> str:
     """Number, place, a colour that is not known, error [px] and track of each point."""
-    miss, place = np.empty(len(ties.view)), np.empty(len(ties.view), dtype=np.int64)
+    residual, place = np.empty(len(ties.view)), np.empty(len(ties.view), dtype=np.int64)
     for number, view in enumerate(views):
         mine = np.flatnonzero(ties.view == number)
         away = view.camera.project(ties.start[ties.point[mine]], None) - ties.pixel[mine]
-        miss[mine], place[mine] = np.linalg.norm(away, axis=1), np.arange(len(mine))
+        residual[mine], place[mine] = np.linalg.norm(away, axis=1), np.arange(len(mine))
     first = np.searchsorted(ties.point, np.arange(len(ties) + 1))
     lines = []
     for number, (x, y, z) in enumerate(ties.start):
         rows = slice(first[number], first[number + 1])
         track = " ".join(f"{view + 1} {at}" for view, at in zip(ties.view[rows], place[rows], strict=True))
-        lines.append(f"{number + 1} {x:.4f} {y:.4f} {z:.4f} {_GREY} {miss[rows].mean():.3f} {track}\n")
+        lines.append(f"{number + 1} {x:.4f} {y:.4f} {z:.4f} {_GREY} {residual[rows].mean():.3f} {track}\n")
     return "".join(lines)
 
 

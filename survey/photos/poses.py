@@ -20,7 +20,7 @@ from survey.files.csv_table import shortened
 MIN_TRACK = 3
 
 
-class SecondPose(PosesError):
+class DuplicatePose(PosesError):
     """A file has two poses under one name.
 
     Attributes

@@ -67,7 +67,7 @@ _MOST_JPEGS, _MOST_OTHERS = 60, 15
 _JPEG = (".jpg", ".jpeg")
 
 
-def saturated(grey: np.ndarray) -> np.ndarray:
+def saturated_pixels(grey: np.ndarray) -> np.ndarray:
     """Saturated pixels of an image (height, width) of 0 to 255, and those beside them, (height, width) bool."""
     white = (grey >= _WHITE).astype(np.uint8)
     side = 2 * _RIM_PX + 1
@@ -79,7 +79,7 @@ class ImageDetail:
     """Detail in a photograph, for its sharpness."""
 
     detail: np.ndarray  # (4,): see `detail_of`
-    white: float  # [-]: share of its pixels that are white or beside white; see `saturated`
+    white: float  # [-]: share of its pixels that are white or beside white; see `saturated_pixels`
     is_plain: bool = False  # Whether it is black, as under a lens cap, or has one colour all over
 
 
@@ -93,7 +93,7 @@ def image_detail(path: Path) -> ImageDetail:
     """
     grey = grey_levels(read_rgb(path))
     is_plain = bool(np.std(grey) < _PLAIN_STD or np.quantile(grey, 0.99) < _BLACK_LEVEL)
-    return ImageDetail(detail_of(grey), float(saturated(grey).mean()), is_plain)
+    return ImageDetail(detail_of(grey), float(saturated_pixels(grey).mean()), is_plain)
 
 
 def bytes_per_pixel(paths: Sequence[Path], sizes: Sequence[tuple[int, int]]) -> np.ndarray:
@@ -119,7 +119,7 @@ def detail_of(grey: np.ndarray) -> np.ndarray:
     return np.array(found)
 
 
-def relative(details: Sequence[np.ndarray]) -> np.ndarray:
+def relative_sharpness(details: Sequence[np.ndarray]) -> np.ndarray:
     """Relative sharpness of images (N,), by `detail_of`: the worst direction over the median of all images."""
     every = np.array(details)
     return (every / np.median(every, axis=0)).min(axis=1)
@@ -205,7 +205,7 @@ def _smaller(view: View) -> np.ndarray:
     size = (max(pixels.shape[1] // _SMALLER, 1), max(pixels.shape[0] // _SMALLER, 1))
     white = 255.0 if pixels.dtype == np.uint8 else 65535.0
     small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA).astype(np.float32) * np.float32(255.0 / white)
-    used, mask = ~saturated(grey_levels(pixels)), load_mask(view)
+    used, mask = ~saturated_pixels(grey_levels(pixels)), load_mask(view)
     used = used if mask is None else used & mask
     if not used.all():
         share = cv2.resize(used.astype(np.float32), size, interpolation=cv2.INTER_AREA)
@@ -213,7 +213,7 @@ def _smaller(view: View) -> np.ndarray:
     return small
 
 
-def look_like_water(images: Mapping[str, Path]) -> tuple[list[str], int]:
+def photographs_like_water(images: Mapping[str, Path]) -> tuple[list[str], int]:
     """Names of the photographs of a sample that look as if they showed water, and the size of the sample.
 
     Raises

@@ -68,7 +68,7 @@ class Motion:
     # With the pitch -90 it looks straight down.
     gimbal_deg: tuple[float, float, float] | None = None
     # (east, north, up) [m/s] or None: over ground. XMP counts it north, east, down.
-    speed: tuple[float, float, float] | None = None
+    velocity: tuple[float, float, float] | None = None
     is_mechanical: bool = False  # Whether the shutter is said to be mechanical: all rows are then exposed at once
 
 
@@ -168,7 +168,7 @@ def motion_of(xmp: str) -> Motion:
     speed = _three(xmp, _DJI, "FlightYSpeed", "FlightXSpeed", "FlightZSpeed")
     return Motion(
         gimbal_deg=_camera_angles(xmp),
-        speed=None if speed is None else (speed[0], speed[1], 0.0 - speed[2]),
+        velocity=None if speed is None else (speed[0], speed[1], 0.0 - speed[2]),
         is_mechanical=_MECHANICAL.search(xmp) is not None,
     )
 
@@ -179,7 +179,7 @@ def _camera_angles(xmp: str) -> tuple[float, float, float] | None:
     if of_gimbal is not None:
         return of_gimbal
     of_frame = _angles(xmp, "{}", _PIX4D)
-    return None if of_frame is None else from_frame_that_looks_down(*of_frame)
+    return None if of_frame is None else gimbal_from_pix4d(*of_frame)
 
 
 def _angles(xmp: str, name: str, *namespaces: str) -> tuple[float, float, float] | None:
@@ -187,7 +187,7 @@ def _angles(xmp: str, name: str, *namespaces: str) -> tuple[float, float, float]
     return next((found for space in namespaces if (found := _three(xmp, space, *names)) is not None), None)
 
 
-def from_frame_that_looks_down(yaw: float, pitch: float, roll: float) -> tuple[float, float, float]:
+def gimbal_from_pix4d(yaw: float, pitch: float, roll: float) -> tuple[float, float, float]:
     """Yaw, pitch, roll [deg] of a camera as Pix4D counts them, as those of a gimbal.
 
     Pix4D turns a frame whose camera looks down with the top of the image forward, a gimbal one whose camera looks

@@ -18,7 +18,7 @@ from survey.folder.pose_priors import accuracy_of_gps, accuracy_of_priors, commo
 from survey.folder.survey import Found, Survey, find_survey, load_survey
 from survey.folder.unposed import placing_control, require_solvable
 from survey.photos.exif import position_sources
-from survey.photos.texture import look_like_water
+from survey.photos.texture import photographs_like_water
 from survey.plan.area import require_seen
 from survey.plan.check_inputs import control_rows, level_warning, mark_rows, water_stds
 from survey.plan.choices import USUAL, Choices
@@ -85,7 +85,7 @@ def unnamed_water(found: Found) -> list[str]:
     """
     if found.config.water is not None or found.config.dry:
         return []
-    names, num = look_like_water(found.images)
+    names, num = photographs_like_water(found.images)
     of = f"of the {num} photographs looked at " if num < len(found.images) else ""
     return named(
         names,

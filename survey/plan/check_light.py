@@ -17,7 +17,7 @@ from survey.folder.motion import velocities_of
 from survey.folder.survey import Survey
 from survey.photos.cameras import enu_from_yaw_pitch_roll
 from survey.photos.exif import Exif
-from survey.photos.texture import MOSTLY_WHITE, bytes_per_pixel, image_detail, relative
+from survey.photos.texture import MOSTLY_WHITE, bytes_per_pixel, image_detail, relative_sharpness
 from survey.plan.area import in_the_middle
 from survey.plan.check import Checked, CheckSection
 from survey.plan.check_inputs import Verdict, verdict_by_limits, verdict_text
@@ -134,7 +134,7 @@ def sharpness_text(found: Found) -> str:
     }
     clear = [name for name in names if name not in white and name not in plain]
     details = [image.detail for name, image in zip(names, images, strict=True) if name in clear]
-    sharp = relative(details) if clear else np.ones(0)
+    sharp = relative_sharpness(details) if clear else np.ones(0)
     if not np.isfinite(sharp).all():
         return "unknown: the photographs are too small"
     blurred = {name: float(value) for name, value in zip(clear, sharp, strict=True) if value < LEAST_SHARP}

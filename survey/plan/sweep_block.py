@@ -18,7 +18,7 @@ from refract import PinholeCamera
 from survey import machine
 from survey.errors import SurveyError
 from survey.photos.images import ImageStore, load_mask
-from survey.photos.texture import saturated
+from survey.photos.texture import saturated_pixels
 from survey.plan.area import AREA_MARGIN_M, grown, local_area
 from survey.plan.heights import dry_ground
 
@@ -85,7 +85,7 @@ def grey_image(view: View, scale: float, size: tuple[int, int], store: ImageStor
     Padding, masked and saturated pixels are NaN.
     """
     grey = store.grey(view, scale=scale)
-    white = saturated(grey)
+    white = saturated_pixels(grey)
     grey = np.where(white, np.float32(np.nan), grey - np.float32(128.0))
     mask = load_mask(view, scale=scale)
     if mask is not None:

@@ -14,7 +14,7 @@ from refract.lens import LensError
 from survey.errors import PosesError
 from survey.files.csv_table import shortened
 from survey.photos.cameras import rotation_from_quaternion
-from survey.photos.poses import FileTies, Pose, PoseFile, PoseFrame, SecondPose
+from survey.photos.poses import DuplicatePose, FileTies, Pose, PoseFile, PoseFrame
 from survey.pose_files import colmap_files as files
 from survey.pose_files.format import Format
 
@@ -67,7 +67,7 @@ def read_model(folder: Path) -> PoseFile:
                 "the model again"
             )
         if photo.name in poses:
-            raise SecondPose(photo.name, str(path))
+            raise DuplicatePose(photo.name, str(path))
         cam_from_local = rotation_from_quaternion(*photo.pose[:4])
         centre = -cam_from_local.T @ np.array(photo.pose[4:])
         poses[photo.name] = Pose(photo.name, centre, cam_from_local, lens)

@@ -15,7 +15,7 @@ import numpy as np
 from survey.errors import PosesError
 from survey.files.csv_table import number_of, shortened, text_lines
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk
-from survey.photos.poses import Pose, PoseFile, PoseFrame, SecondPose
+from survey.photos.poses import DuplicatePose, Pose, PoseFile, PoseFrame
 from survey.pose_files.format import Format
 from survey.words import GEO_TXT
 
@@ -47,7 +47,7 @@ def read_exterior_text(path: Path) -> PoseFile:
         elif line.strip() and not line.lstrip().startswith("#"):
             name, values = _split(line, where)
             if name in poses:
-                raise SecondPose(name, where)
+                raise DuplicatePose(name, where)
             poses[name] = _pose(name, values, unit, where)
     if heading.lstrip("# ").startswith(("epsg:", "+proj", "wgs84")):
         raise PosesError(

@@ -12,7 +12,7 @@ from survey.errors import PosesError
 from survey.files.csv_table import shortened
 from survey.files.json_values import finite_number, finite_numbers, read_foreign_json
 from survey.photos.cameras import nearest_rotation
-from survey.photos.poses import Pose, PoseFile, PoseFrame, SecondPose
+from survey.photos.poses import DuplicatePose, Pose, PoseFile, PoseFrame
 from survey.pose_files.format import Format, require_understood
 
 _NAME = "transforms.json"
@@ -52,7 +52,7 @@ def read_nerfstudio(path: Path) -> PoseFile:
             raise PosesError(f"{path}: a frame has no file_path, expected the name of its image; {_EXPORT}")
         where = f"{path}, frame {shortened(name)}"
         if name in poses:
-            raise SecondPose(name, str(path))
+            raise DuplicatePose(name, str(path))
         try:
             lens = _lens(_with_root(data, frame))
         except LensError as error:

@@ -16,7 +16,7 @@ from survey.errors import PosesError
 from survey.files.column_units import common_unit_m, crs_of_comment, meaning
 from survey.files.csv_table import Row, column_names, read_table
 from survey.photos.cameras import CAM_FROM_OPK_CAM, enu_from_yaw_pitch_roll, grid_from_opk
-from survey.photos.poses import GivenPosition, Pose, PoseFile, PoseFrame, SecondPose
+from survey.photos.poses import DuplicatePose, GivenPosition, Pose, PoseFile, PoseFrame
 from survey.pose_files.format import Format, is_lens_key
 
 COLUMNS = ("image", "easting", "northing", "height", "omega", "phi", "kappa")
@@ -70,7 +70,7 @@ def read_opk_csv(path: Path) -> PoseFile:
     for row in rows:
         pose = _pose(row, names, units)
         if pose.name in poses:
-            raise SecondPose(pose.name, row.where)
+            raise DuplicatePose(pose.name, row.where)
         poses[pose.name] = pose
     of_lens = [name for name in column_names(path) if is_lens_key(name)]
     warning = f"columns of a lens in {path.name} ({', '.join(of_lens[:10])}) are not read: give it in [cameras]"

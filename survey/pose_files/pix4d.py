@@ -20,7 +20,7 @@ from refract.lens import Lens, LensError
 from survey.errors import PosesError
 from survey.files.csv_table import shortened, text_lines
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk, nearest_rotation
-from survey.photos.poses import Pose, PoseFile, PoseFrame, SecondPose
+from survey.photos.poses import DuplicatePose, Pose, PoseFile, PoseFrame
 from survey.pose_files.format import Format
 
 _EXTERNAL, _CAMERAS = "_calibrated_external_camera_parameters.txt", "_calibrated_camera_parameters.txt"
@@ -65,7 +65,7 @@ def read_pix4d(path: Path) -> PoseFile:
     names = [pose.name for pose in poses]
     twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
     if twice is not None:
-        raise SecondPose(twice, str(path))
+        raise DuplicatePose(twice, str(path))
     notes: tuple[str, ...] = ()
     unit_m = None
     if crs is not None:

@@ -166,7 +166,7 @@ def write_copc(
     # laspy adds the points of each portion of records to the counts in their header.
     header = deepcopy(header)
     header.partial_reset()
-    tree = _grown(header, records, count, portion)
+    tree = _octree_of(header, records, count, portion)
     header.are_points_compressed = True
     laz = lazrs.LazVlr.new_for_compression(
         header.point_format.id, header.point_format.num_extra_bytes, use_variable_size_chunks=True
@@ -194,7 +194,7 @@ def write_copc(
     stream.seek(0, 2)
 
 
-def _grown(header: laspy.LasHeader, records: Records, count: int, portion: int) -> Octree:
+def _octree_of(header: laspy.LasHeader, records: Records, count: int, portion: int) -> Octree:
     """The octree over the points, which are added to the counts and bounds of the header."""
     places = [np.empty(count, dtype=np.int32) for _ in "XYZ"]
     for first in range(0, count, portion):

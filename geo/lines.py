@@ -55,7 +55,7 @@ def read_polygons(path: str | Path, crs: CRS) -> Polygons:
     if not polygons:
         raise UnreadableFile(f"{path} has no polygon, expected one at least; draw the area as a polygon.")
     target = horizontal_crs(crs)
-    return [[in_map_of(ring, source, target, path) for ring in polygon] for polygon in polygons]
+    return [[in_horizontal_crs(ring, source, target, path) for ring in polygon] for polygon in polygons]
 
 
 def cells_inside(
@@ -81,7 +81,7 @@ def points_inside(polygons: Polygons, points: np.ndarray) -> np.ndarray:
     return inside
 
 
-def in_map_of(ring: np.ndarray, source: CRS, target: CRS, path: Path) -> np.ndarray:
+def in_horizontal_crs(ring: np.ndarray, source: CRS, target: CRS, path: Path) -> np.ndarray:
     """Corners (N, 2) of a file, transformed to another horizontal CRS; GeoError where that is not possible."""
     if not source.equals(target, ignore_axis_order=True):
         with_height = np.column_stack([ring, np.zeros(len(ring))])
@@ -213,7 +213,7 @@ def read_lines(path: str | Path, crs: CRS) -> list[Line]:
         raise UnreadableFile(f"{path} has no line of two corners or more; draw the profile as a line.")
     target = horizontal_crs(crs)
     return [
-        Line(name or str(number), corners if source is None else in_map_of(corners, source, target, path))
+        Line(name or str(number), corners if source is None else in_horizontal_crs(corners, source, target, path))
         for number, (name, corners) in enumerate(found, 1)
     ]
 

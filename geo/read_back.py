@@ -46,7 +46,7 @@ class ValueSums:
         self.total = np.uint64((int(self.total) + int(bits.sum(dtype=np.uint64))) % 2**64)
 
 
-def unreadable(path: Path, what: str) -> UnwritableFile:
+def read_back_error(path: Path, what: str) -> UnwritableFile:
     """The error for a file that, read again, differs from what was written."""
     return UnwritableFile(
         f"cannot write {path}: read again, {what}; most likely no space is left on the disk: free some or write "
@@ -74,22 +74,22 @@ def require_raster(
         # Without files beside the raster, which stay behind.
         with rasterio.Env(GDAL_PAM_ENABLED="NO"), rasterio.open(part) as raster:
             if raster.shape != tuple(shape):
-                raise unreadable(path, f"it has {raster.shape} cells in place of {tuple(shape)}")
+                raise read_back_error(path, f"it has {raster.shape} cells in place of {tuple(shape)}")
             cell = max(abs(transform[0]), abs(transform[4]))
             if np.abs(np.array(tuple(raster.transform)[:6]) - transform).max() > _SAME_CELL * cell:
-                raise unreadable(path, "it lies elsewhere")
+                raise read_back_error(path, "it lies elsewhere")
             _require_crs(raster.crs, crs, path)
             for number, expected in enumerate(sums, start=1):
                 found = ValueSums(expected.nodata)
                 for _, window in raster.block_windows(number):
                     found.add(raster.read(number, window=window))
                 if (found.count, found.total) != (expected.count, expected.total):
-                    raise unreadable(
+                    raise read_back_error(
                         path, f"its band {number} has {found.count} other values than the {expected.count}"
                     )
     except rasterio.errors.RasterioError as error:
         said = (str(error).splitlines() or ["no raster"])[0]
-        raise unreadable(path, f"it is damaged ({said[:80]})") from error
+        raise read_back_error(path, f"it is damaged ({said[:80]})") from error
 
 
 def _require_crs(found: rasterio.crs.CRS | None, crs: CRS, path: Path) -> None:
@@ -123,7 +123,7 @@ def require_cloud(stream: BinaryIO, path: Path, count: int, sums: ValueSums) -> 
         stream.seek(0)
         with laspy.open(stream, closefd=False) as reader:
             if reader.header.point_count != count:
-                raise unreadable(path, f"it has {reader.header.point_count} points in place of {count}")
+                raise read_back_error(path, f"it has {reader.header.point_count} points in place of {count}")
             for points in reader.chunk_iterator(_PORTION) if count else ():
                 for values in (points.X, points.Y, points.Z):
                     found.add(np.asarray(values, dtype=np.int32))
@@ -133,6 +133,6 @@ def require_cloud(stream: BinaryIO, path: Path, count: int, sums: ValueSums) -> 
         # laspy and its decoder raise errors of many kinds; a panic of the decoder is no Exception.
         if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
             raise
-        raise unreadable(path, f"it is damaged ({str(error)[:80]})") from error
+        raise read_back_error(path, f"it is damaged ({str(error)[:80]})") from error
     if (found.count, found.total) != (sums.count, sums.total):
-        raise unreadable(path, "its points differ from those that were written")
+        raise read_back_error(path, "its points differ from those that were written")

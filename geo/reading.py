@@ -23,7 +23,7 @@ from geo.las import read_cloud
 from geo.obj import read_obj
 from geo.ply import read_ply
 from geo.raster import read_raster
-from geo.read_back import unreadable
+from geo.read_back import read_back_error
 from geo.shapes import Cloud, Mesh, vertices_of
 from geo.values import check_values
 
@@ -135,17 +135,17 @@ def _require(copy: Path, path: Path, points: np.ndarray, num_faces: int | None, 
     try:
         shape = reader_of(path)(copy)
     except UnreadableFile as error:
-        raise unreadable(path, f"it is damaged ({str(error).replace(str(copy), path.name)[:120]})") from error
+        raise read_back_error(path, f"it is damaged ({str(error).replace(str(copy), path.name)[:120]})") from error
     found = vertices_of(shape)
     if found.shape != points.shape:
-        raise unreadable(path, f"it has {len(found)} points in place of {len(points)}")
+        raise read_back_error(path, f"it has {len(found)} points in place of {len(points)}")
     faces = len(shape.faces) if isinstance(shape, Mesh) else None
     if faces != num_faces:
-        raise unreadable(path, f"it has {faces or 'no'} triangles in place of {num_faces or 'none'}")
+        raise read_back_error(path, f"it has {faces or 'no'} triangles in place of {num_faces or 'none'}")
     difference = None if shape.crs is None else crs_difference(shape.crs, crs)
     if shape.crs is None or difference is not None:
-        raise unreadable(path, f"its CRS is {difference or 'missing'}")
+        raise read_back_error(path, f"its CRS is {difference or 'missing'}")
     step = np.full(3, _STEP_DEG if is_geographic(crs) else _STEP) + _SHARE * np.ptp(points, axis=0)
     step[2] = _STEP + _SHARE * float(np.ptp(points[:, 2]))
     if not (np.abs(found - points) <= step).all():
-        raise unreadable(path, "its points differ from those that were written")
+        raise read_back_error(path, "its points differ from those that were written")

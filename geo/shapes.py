@@ -80,7 +80,7 @@ NOT_GROUND = {
 
 
 # Not ground by LAS 1.4, but a survey may be of such points: a wreck, a quay. They are used, counted and reported.
-_BESIDE_GROUND = {
+_USED_AS_GROUND = {
     3: "low vegetation",
     4: "medium vegetation",
     5: "high vegetation",
@@ -104,7 +104,7 @@ def as_classes(values: np.ndarray | None) -> np.ndarray | None:
     return values.astype(np.uint8)
 
 
-def left_out(cloud: Cloud) -> tuple[np.ndarray, str]:
+def excluded_points(cloud: Cloud) -> tuple[np.ndarray, str]:
     """Mask (N,) of points that are not ground by their classes and flags, and their counts in words."""
     out = np.zeros(len(cloud.points), dtype=bool)
     said = []
@@ -119,15 +119,15 @@ def left_out(cloud: Cloud) -> tuple[np.ndarray, str]:
     return out, ", ".join(said)
 
 
-def beside_ground(cloud: Cloud) -> str:
+def used_as_ground(cloud: Cloud) -> str:
     """Counts, in words, of points that are used as ground although their class says otherwise; "" where none."""
     if cloud.classification is None:
         return ""
     count = np.bincount(cloud.classification, minlength=256)
-    return ", ".join(f"{count[code]} of class {code} ({name})" for code, name in _BESIDE_GROUND.items() if count[code])
+    return ", ".join(f"{count[code]} of class {code} ({name})" for code, name in _USED_AS_GROUND.items() if count[code])
 
 
-def part_of(cloud: Cloud, keep: np.ndarray) -> Cloud:
+def masked_cloud(cloud: Cloud, keep: np.ndarray) -> Cloud:
     """The points of a cloud that a mask (N,) keeps, with all their attributes."""
 
     def kept(values: np.ndarray | None) -> np.ndarray | None:

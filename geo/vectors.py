@@ -133,7 +133,7 @@ def _folder_beside(path: str | Path) -> TemporaryDirectory:
 def _write_verified(copy: Path, path: Path, layer: Layer, driver: str, /, **options) -> None:
     """Write a layer in its own CRS by GDAL to ``copy``, which will become ``path``, and read it again to verify."""
     # Takes a while to load, and most layers are GeoJSON.
-    from geo.read_back import unreadable
+    from geo.read_back import read_back_error
 
     pyogrio = library_for(path, "pyogrio.raw", "vector", to_write=True)
     crs, shapes, kind = horizontal_crs(layer.crs), layer.shapes, str(layer.kind)
@@ -154,9 +154,9 @@ def _write_verified(copy: Path, path: Path, layer: Layer, driver: str, /, **opti
         meta, _, found, _ = pyogrio.read(copy)
         read = CRS.from_user_input(meta["crs"]) if meta["crs"] else None
     except (RuntimeError, ValueError, OSError) as error:
-        raise unreadable(path, f"it is damaged ({str(error)[:80]})") from error
+        raise read_back_error(path, f"it is damaged ({str(error)[:80]})") from error
     if len(found) != len(shapes) or read is None or crs_difference(read, crs) is not None:
-        raise unreadable(path, f"it has {len(found)} of {len(shapes)} shapes, or another CRS")
+        raise read_back_error(path, f"it has {len(found)} of {len(shapes)} shapes, or another CRS")
 
 
 def write_shapefile(path: str | Path, layer: Layer) -> None:

@@ -10,7 +10,7 @@ from pyproj import CRS
 
 from geo import read_reference, write_ply
 from geo.las import WITHHELD_STD_M, write_cloud
-from geo.shapes import NOT_GROUND, Cloud, beside_ground, left_out
+from geo.shapes import NOT_GROUND, Cloud, excluded_points, used_as_ground
 from survey.compare.inputs import read_shape
 from survey.compare.options import CompareError
 
@@ -87,7 +87,7 @@ def test_flags_are_read_in_every_point_format(tmp_path, point_format):
     las.x, las.y, las.z = grid(1.0)[:4].T
     las.classification, las.withheld = [2, 7, 9, 2], [False, False, False, True]
     las.write(tmp_path / "c.las")
-    out, said = left_out(read_reference(tmp_path / "c.las"))
+    out, said = excluded_points(read_reference(tmp_path / "c.las"))
     assert out.tolist() == [False, True, True, True]
     assert said == "1 flagged withheld, 1 of class 7 (low noise), 1 of class 9 (water)"
 
@@ -96,7 +96,7 @@ def test_classes_that_cloudcompare_keeps_in_a_ply_count_too(tmp_path):
     at = grid(1.0)
     scalars = {"Classification": np.where(np.arange(len(at)) < 5, 7, 2)}
     write_ply(tmp_path / "c.ply", at, rgb=np.zeros((len(at), 3), np.uint8), scalars=scalars)
-    assert left_out(read_reference(tmp_path / "c.ply"))[0].sum() == 5
+    assert excluded_points(read_reference(tmp_path / "c.ply"))[0].sum() == 5
 
 
 def test_a_cloud_of_nothing_but_water_is_refused_with_what_it_holds(tmp_path):
@@ -121,7 +121,7 @@ def test_a_flag_of_las_that_a_ply_keeps_counts_too(tmp_path, name):
     at = grid(1.0)
     scalars = {name: (np.arange(len(at)) < 5).astype(np.uint8)}
     write_ply(tmp_path / "c.ply", at, rgb=np.zeros((len(at), 3), np.uint8), scalars=scalars)
-    assert left_out(read_reference(tmp_path / "c.ply"))[1] == "5 flagged withheld"
+    assert excluded_points(read_reference(tmp_path / "c.ply"))[1] == "5 flagged withheld"
 
 
 @pytest.mark.parametrize("name", ["classification", "Class", "Scalar_Classification"])
@@ -129,13 +129,13 @@ def test_a_flag_of_las_that_a_ply_keeps_counts_too(tmp_path, name):
 def test_classes_of_a_table_count_too(tmp_path, name, code):
     lines = [f"{e},{n},{h},{code if i < 5 else 2}" for i, (e, n, h) in enumerate(grid(1.0).tolist())]
     (tmp_path / "c.xyz").write_text("\n".join([f"x,y,z,{name}", *lines]))
-    assert left_out(read_shape(tmp_path / "c.xyz", None))[0].sum() == 5
+    assert excluded_points(read_shape(tmp_path / "c.xyz", None))[0].sum() == 5
 
 
 @pytest.mark.parametrize("code", [3, 4, 5, 6, 12, 14, 17, 20])
 def test_points_that_may_be_none_of_the_ground_count_and_are_named(code):
     points = np.zeros((5, 3))
     cloud = Cloud(points=points, classification=np.array([2, 40, code, code, 1], dtype=np.uint8))
-    assert not left_out(cloud)[0].any()
-    assert beside_ground(cloud).startswith(f"2 of class {code} (")
-    assert beside_ground(Cloud(points=points)) == ""
+    assert not excluded_points(cloud)[0].any()
+    assert used_as_ground(cloud).startswith(f"2 of class {code} (")
+    assert used_as_ground(Cloud(points=points)) == ""

@@ -16,7 +16,16 @@ from geo.compatibility import bounds_in_other_order
 from geo.crs import has_height, height_unit_m, is_geographic
 from geo.files import existing_file
 from geo.reading import read_reference
-from geo.shapes import Cloud, Mesh, as_classes, beside_ground, in_height_unit, left_out, part_of, vertices_of
+from geo.shapes import (
+    Cloud,
+    Mesh,
+    as_classes,
+    excluded_points,
+    in_height_unit,
+    masked_cloud,
+    used_as_ground,
+    vertices_of,
+)
 from geo.values import check_values, rounded_coordinates
 from survey.compare.options import Bounds, CompareError, ShiftedFrame, as_text, within
 from survey.files.column_units import Units, crs_of_comment
@@ -235,11 +244,11 @@ def _in_common_unit(shape: Mesh | Cloud, path: Path, crs: CRS | None) -> tuple[M
 
 def _is_ground(cloud: Cloud, path: Path) -> tuple[np.ndarray, list[str]]:
     """Mask (N,) of the points that are compared, by the classes and flags of their file; a note counts the others."""
-    out, said = left_out(cloud)
+    out, said = excluded_points(cloud)
     if out.all():
         raise CompareError(f"no point of {path} is of the ground: it holds {said}; give it with the points of the bed")
     notes = [f"{int(out.sum())} of {len(out)} points of {path.name} are not of the ground and left out: {said}"]
-    beside = beside_ground(cloud)
+    beside = used_as_ground(cloud)
     of_beside = f"{path.name} counts as ground with {beside}: leave them out of the file where they are none"
     return ~out, [*(notes if said else []), *([of_beside] if beside else [])]
 
@@ -248,7 +257,7 @@ def _of_the_ground(shape: Mesh | Cloud, path: Path) -> tuple[Mesh | Cloud, list[
     if isinstance(shape, Mesh):
         return shape, []
     ground, notes = _is_ground(shape, path)
-    return part_of(shape, ground), notes
+    return masked_cloud(shape, ground), notes
 
 
 def _as_cloud(shape: Mesh | Cloud, path: Path) -> tuple[Cloud, list[str]]:

@@ -37,7 +37,7 @@ from geo import Cloud, Mesh
 from geo.compatibility import require_same_crs, require_same_place
 from geo.crs import height_unit_m
 from geo.files import existing_file
-from geo.shapes import left_out, vertices_of
+from geo.shapes import excluded_points, vertices_of
 from survey.compare.figures import CheckpointFigures, Parts, ReferenceSurface, Vertical, VerticalUncertainty
 from survey.compare.inputs import DEPTH_NAMES, GIVE_LEVEL, Inputs
 from survey.compare.options import Bounds, CompareError, metres_in_crs, to_local, within
@@ -70,7 +70,7 @@ class ComparedScene:
     def of(inputs: Inputs, bounds: Bounds | None, is_left: np.ndarray, largest_m: float) -> ComparedScene:
         """Bring the points that are left (N,) bool, the reference and the visible points into the local frame."""
         near = within(inputs.cloud.points, bounds, metres_in_crs(inputs.frame, largest_m))
-        around = near & is_left & ~left_out(inputs.cloud)[0]
+        around = near & is_left & ~excluded_points(inputs.cloud)[0]
         cloud = to_local(inputs.frame, inputs.cloud.points[around], inputs.paths.cloud)
         reference = to_local(inputs.frame, vertices_of(inputs.reference), inputs.paths.reference)
         samples = targets = _samples(reference, inputs.reference)

@@ -23,7 +23,7 @@ from geo.crs import crs_code, has_height, height_unit_m, is_geographic
 from geo.files import write_whole
 from geo.lines import Line, read_lines
 from geo.projection import ground_units_m
-from geo.shapes import in_height_unit, left_out, part_of
+from geo.shapes import excluded_points, in_height_unit, masked_cloud
 from geo.vectors import DxfLine, write_dxf
 from survey.compare.canvas import save, write_title
 from survey.compare.inputs import InputPaths, load_inputs
@@ -114,14 +114,14 @@ class Bed:
         self._reference: Mesh | Cloud | None = None
         if reference is None:
             cloud = read_cloud(file)
-            out, said = left_out(cloud)
+            out, said = excluded_points(cloud)
             if out.all():
                 raise ProfileError(f"no point of {file} is of the ground: it holds {said}; give the points of the bed")
-            self._cloud = part_of(cloud, ~out)
+            self._cloud = masked_cloud(cloud, ~out)
             crs = cloud.crs
         else:
             inputs = load_inputs(InputPaths(file, reference), None)
-            self._cloud, self._reference, crs = part_of(inputs.cloud, inputs.inside), inputs.reference, inputs.crs
+            self._cloud, self._reference, crs = masked_cloud(inputs.cloud, inputs.inside), inputs.reference, inputs.crs
         if crs is None:
             raise ProfileError(f"{file} names no CRS, which places the lines in it; give the run folder instead")
         self.crs = crs if has_height(crs) else crs.to_3d()

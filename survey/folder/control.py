@@ -22,7 +22,7 @@ from geo.frames import LocalFrame
 from geo.lines import points_inside, read_polygons
 from geo.reading import read_reference
 from geo.reproject import Reprojection
-from geo.shapes import Cloud, Mesh, in_height_unit, left_out, part_of, vertices_of
+from geo.shapes import Cloud, Mesh, excluded_points, in_height_unit, masked_cloud, vertices_of
 from geo.transformation import Transformation
 from refract import FlatWater
 from survey.control.placing import checkpoints_in_local, control_in_local, without_pose
@@ -270,7 +270,7 @@ def read_ground(
         inside = points_inside(read_polygons(folder / given.stable, frame.crs), cloud.points[:, :2])
         if not inside.any():
             raise ControlError(f"no point of {path} lies in the polygons of {given.stable}; correct them or their CRS")
-        cloud = part_of(cloud, inside)
+        cloud = masked_cloud(cloud, inside)
     cloud = _near(cloud, frame, places)
     local = frame.local_from_crs(cloud.points)
     dry = np.ones(len(local), dtype=bool)
@@ -283,7 +283,7 @@ def read_ground(
             f"(of {num_all} points, {len(local)} are near the photographs); give a reference of the bank or of rocks "
             "over the water, in the vertical datum of crs"
         )
-    std, said = _shared_std(given.reference_std_m, part_of(cloud, dry), given.reference)
+    std, said = _shared_std(given.reference_std_m, masked_cloud(cloud, dry), given.reference)
     return StableGround(local[dry], (math.hypot(std[0], way_std[0]), math.hypot(std[1], way_std[1]))), of_file + said
 
 
@@ -292,13 +292,13 @@ def _near(cloud: Cloud, frame: LocalFrame, places: np.ndarray) -> Cloud:
     # Two corners give the box in metres of the map, whatever its units.
     around = frame.crs_from_local(_box(places))
     low, high = around.min(axis=0)[:2], around.max(axis=0)[:2]
-    cloud = part_of(cloud, ((cloud.points[:, :2] >= low) & (cloud.points[:, :2] <= high)).all(axis=1))
+    cloud = masked_cloud(cloud, ((cloud.points[:, :2] >= low) & (cloud.points[:, :2] <= high)).all(axis=1))
     if len(cloud.points) <= _MOST_POINTS:
         return cloud
     chosen = np.random.default_rng(0).choice(len(cloud.points), _MOST_POINTS, replace=False)
     keep = np.zeros(len(cloud.points), dtype=bool)
     keep[chosen] = True
-    return part_of(cloud, keep)
+    return masked_cloud(cloud, keep)
 
 
 def _box(places: np.ndarray) -> np.ndarray:
@@ -314,9 +314,9 @@ def _in_crs(path: Path, crs: CRS) -> tuple[Cloud, tuple[float, float], Findings]
     cloud = Cloud(points=vertices_of(shape), crs=shape.crs) if isinstance(shape, Mesh) else shape
     if isinstance(shape, Mesh):
         cloud = replace(cloud, height_unit_m=shape.height_unit_m)
-    out, said = left_out(cloud)
+    out, said = excluded_points(cloud)
     notes = [f"{path.name}: {said} are left out"] if said else []
-    cloud = part_of(cloud, ~out)
+    cloud = masked_cloud(cloud, ~out)
     own = cloud.crs
     if own is None or not has_height(own):
         of = "its CRS" if own is None else "what its heights count from"

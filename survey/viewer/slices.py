@@ -11,7 +11,7 @@ import numpy as np
 from geo import Cloud, Mesh, read_reference, require_same_crs, require_same_place
 from geo.crs import height_unit_m
 from geo.frames import LocalFrame
-from geo.shapes import in_height_unit, left_out, part_of, vertices_of
+from geo.shapes import excluded_points, in_height_unit, masked_cloud, vertices_of
 from survey.errors import SurveyError
 from survey.viewer.tree import CloudTree
 
@@ -77,10 +77,10 @@ def load_reference(path: Path, frame: LocalFrame, cloud_crs: np.ndarray) -> Refe
     if isinstance(shape, Mesh):
         vertices, faces = weld(shape.vertices, shape.faces)
         return ReferenceSlice(path, frame.local_from_crs(vertices), faces)
-    out, said = left_out(shape)
+    out, said = excluded_points(shape)
     if out.all():
         raise SurveyError(f"no point of {path} is of the ground: it holds {said}")
-    return ReferenceSlice(path, frame.local_from_crs(part_of(shape, ~out).points), None)
+    return ReferenceSlice(path, frame.local_from_crs(masked_cloud(shape, ~out).points), None)
 
 
 @dataclass(frozen=True)

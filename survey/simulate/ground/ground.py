@@ -20,7 +20,7 @@ from scipy.spatial import Delaunay
 from fields.image_store import GAMMA
 from geo import Cloud, LocalFrame, Mesh, crs_difference, read_reference
 from geo.crs import height_unit_m
-from geo.shapes import in_height_unit, left_out, part_of
+from geo.shapes import excluded_points, in_height_unit, masked_cloud
 from refract import PinholeCamera
 from survey.errors import SurveyError
 from survey.simulate.ground.paint import ImageSkin, VertexSkin, look_up, periodic, sand, skin_from_above
@@ -150,7 +150,7 @@ def bed_from_file(path: Path, settings: BedSettings, frame: LocalFrame) -> tuple
     in_crs = settings.frame == "crs"
     shape = in_height_unit(read_reference(path), height_unit_m(frame.crs) if in_crs else 1.0)
     if isinstance(shape, Cloud):
-        shape = part_of(shape, ~left_out(shape)[0])
+        shape = masked_cloud(shape, ~excluded_points(shape)[0])
     points, faces = (shape.vertices, shape.faces) if isinstance(shape, Mesh) else (shape.points, None)
     if settings.kind == "mesh" and faces is None:
         raise SurveyError(f'{path} has no faces; give kind = "cloud" in [bed], or a mesh')

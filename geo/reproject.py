@@ -191,13 +191,13 @@ class Reprojection:
         return turned
 
 
-def _warning(source: CRS, wanted: CRS, way: Transformer, where: str, places: np.ndarray) -> str | None:
+def _warning(source: CRS, wanted: CRS, operation: Transformer, where: str, places: np.ndarray) -> str | None:
     """A warning where the operation makes places or heights less accurate, as PROJ states."""
     in_plan = Transformation.between(source, wanted, places)
-    if in_plan.accuracy_m == 0.0 and not _same_heights(source, wanted) and way.accuracy > 0.0:
+    if in_plan.accuracy_m == 0.0 and not _same_heights(source, wanted) and operation.accuracy > 0.0:
         return (
-            f"{where}: heights are transformed by {way.description}; the accuracy by PROJ is "
-            f"{way.accuracy:.2g} m: an error common to all of them"
+            f"{where}: heights are transformed by {operation.description}; the accuracy by PROJ is "
+            f"{operation.accuracy:.2g} m: an error common to all of them"
         )
     return in_plan.warning(f"{where}: places")
 

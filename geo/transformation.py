@@ -54,7 +54,7 @@ class Transformation:
     # or a single operation outside its area)
     accuracy_m: float | None
     # Names of the grids that the best operation needs and PROJ does not have; the operation is then a worse one
-    missing: tuple[str, ...]
+    missing_grids: tuple[str, ...]
     is_known: bool  # False where PROJ has no operation: one datum is then taken for the other
     _transformer: Transformer = field(repr=False, compare=False)
     is_outside: bool = False  # Whether the place lies outside the areas of all operations
@@ -93,11 +93,11 @@ class Transformation:
 
     def require_best(self, subject: str, remedy: str) -> None:
         """Raise MissingGrid where a grid of the best operation is missing; ``remedy`` says what else would help."""
-        if self.missing:
+        if self.missing_grids:
             raise MissingGrid(
                 f"{subject}: the transformation from {crs_name(self.source)} to {crs_name(self.target)} needs "
-                f"{' and '.join(self.missing)}, which PROJ does not have; fetch it into its data folder "
-                f"(pyproj sync --file {self.missing[0]}), {remedy}"
+                f"{' and '.join(self.missing_grids)}, which PROJ does not have; fetch it into its data folder "
+                f"(pyproj sync --file {self.missing_grids[0]}), {remedy}"
             )
 
     def require_known(self, subject: str, remedy: str) -> None:
@@ -111,7 +111,7 @@ class Transformation:
 
     def warning(self, subject: str) -> str | None:
         """A warning that states the accuracy of the operation where it degrades places; else None."""
-        if self.accuracy_m == 0.0 and not self.missing:
+        if self.accuracy_m == 0.0 and not self.missing_grids:
             return None
         if self.is_outside and self.accuracy_m is not None:
             return (
@@ -124,11 +124,11 @@ class Transformation:
             f"{subject} are transformed from {crs_name(self.source)} to {crs_name(self.target)}; the accuracy by PROJ "
             f"is {known}"
         )
-        if self.missing:
-            grids = " and ".join(self.missing)
+        if self.missing_grids:
+            grids = " and ".join(self.missing_grids)
             return (
                 f"{subject}; a more accurate one needs {grids}, which is not installed: pyproj sync --file "
-                f"{self.missing[0]}"
+                f"{self.missing_grids[0]}"
             )
         return f"{subject}: an error common to all of them"
 
@@ -141,9 +141,9 @@ def transformed(source: CRS, target: CRS, points: np.ndarray, subject: str, reme
     MissingGrid
         If its grid is missing: see `Transformation.require_best`.
     """
-    way = Transformation.between(source, target, points)
-    way.require_best(subject, remedy)
-    return np.column_stack([*way(points[:, 0], points[:, 1]), points[:, 2]])
+    transformation = Transformation.between(source, target, points)
+    transformation.require_best(subject, remedy)
+    return np.column_stack([*transformation(points[:, 0], points[:, 1]), points[:, 2]])
 
 
 def height_scale(source: CRS, target: CRS, subject: str, *, unit_m: float | None = None) -> float:
@@ -329,25 +329,25 @@ def _chosen(source: CRS, target: CRS, middle: np.ndarray) -> _Chosen:
         ) from error
 
 
-def _spread_m(ways: list[Transformer], source: CRS, target: CRS, middle: np.ndarray) -> float | None:
+def _spread_m(candidates: list[Transformer], source: CRS, target: CRS, middle: np.ndarray) -> float | None:
     """Largest difference [m] of other operations from the first, at a place outside all areas; None with one only.
 
     At least the accuracy that is stated for the first in its own area.
     """
-    rated = [way for way in ways if 0.0 <= way.accuracy <= _MOST_STATED_M]
-    if len(rated) < 2 or ways[0] not in rated:
+    rated = [each for each in candidates if 0.0 <= each.accuracy <= _MOST_STATED_M]
+    if len(rated) < 2 or candidates[0] not in rated:
         return None
     x, y = middle
     if not source.is_geographic:
         x, y = _in_one_datum(geodetic_crs(source), source).transform(x, y)
-    there = np.array([way.transform(x, y) for way in rated])
+    there = np.array([each.transform(x, y) for each in rated])
     if not target.is_geographic:
         there = np.column_stack(_in_one_datum(target, geodetic_crs(target)).transform(*there.T))
     unit = geodetic_crs(target).axis_info[0].unit_conversion_factor
-    apart = (there - there[rated.index(ways[0])]) * unit * EARTH_RADIUS_M
+    apart = (there - there[rated.index(candidates[0])]) * unit * EARTH_RADIUS_M
     apart[:, 0] *= np.cos(there[:, 1] * unit)
     far = np.hypot(*apart.T)
-    return float(max(far[np.isfinite(far)].max(initial=0.0), ways[0].accuracy))
+    return float(max(far[np.isfinite(far)].max(initial=0.0), candidates[0].accuracy))
 
 
 def _keeps_degrees(source: CRS, target: CRS, transformer: Transformer, middle: np.ndarray) -> bool:

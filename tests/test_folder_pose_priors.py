@@ -149,7 +149,7 @@ def with_gps(path: Path, lon: float, lat: float, height: float) -> None:
 
 
 def is_grid_missing() -> bool:
-    return bool(Transformation.between(WGS84, CRS("EPSG:27700"), np.array([BRITISH])).missing)
+    return bool(Transformation.between(WGS84, CRS("EPSG:27700"), np.array([BRITISH])).missing_grids)
 
 
 needs_no_grid = pytest.mark.skipif(not is_grid_missing(), reason="the grid of OSTN15 is installed")

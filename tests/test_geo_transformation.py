@@ -55,9 +55,9 @@ SHIFTED = [("EPSG:27700", (1.716073973, 52.658007833)), ("EPSG:31254", (10.3, 47
 def test_a_shift_between_datums_says_its_accuracy_and_the_grid_that_a_better_one_needs(crs, place):
     way = Transformation.between(WGS84, CRS(crs), np.array([place]))
     warning = way.warning("GPS positions")
-    if way.missing:
-        assert way.missing[0] in warning
-        with pytest.raises(MissingGrid, match=way.missing[0].replace(".", r"\.")):
+    if way.missing_grids:
+        assert way.missing_grids[0] in warning
+        with pytest.raises(MissingGrid, match=way.missing_grids[0].replace(".", r"\.")):
             transformed(WGS84, CRS(crs), np.array([[*place, 0.0]]), "it", "or else.")
     else:
         # Where the grid is installed the way is good to what it states.

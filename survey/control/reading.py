@@ -53,11 +53,11 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS) -> tuple[list[GivenPoint], Fi
         if not horizontal_crs(source).equals(horizontal_crs(crs), ignore_axis_order=True):
             remedy = "or give the points in crs"
             what = f"{first.where}: points in {crs_name(source)}"
-            way = Transformation.between(source, crs, places)
-            way.require_best(what, remedy)
-            way.require_known(what, remedy)
-            places = np.column_stack([*way(places[:, 0], places[:, 1]), places[:, 2]])
-            added, warning = way.accuracy_m or 0.0, way.warning(what)
+            transformation = Transformation.between(source, crs, places)
+            transformation.require_best(what, remedy)
+            transformation.require_known(what, remedy)
+            places = np.column_stack([*transformation(places[:, 0], places[:, 1]), places[:, 2]])
+            added, warning = transformation.accuracy_m or 0.0, transformation.warning(what)
             heights = "are converted to the unit of crs" if scale != 1.0 else "are taken as heights in crs"
             assumption = (
                 f"points in {crs_name(source)} ({first.where}) are transformed to {horizontal_crs(crs).name}; their "

@@ -327,10 +327,14 @@ def _in_crs(path: Path, crs: CRS) -> tuple[Cloud, tuple[float, float], Findings]
     if own is not None and not same_crs(own, crs):
         if cloud.height_unit_m is not None:
             cloud = replace(cloud, points=cloud.points * [1.0, 1.0, cloud.height_unit_m / height_unit_m(own)])
-        way = Reprojection.between(own, crs, where=f"the CRS of {path}", places=cloud.points)
-        found = Findings(tuple(notes), () if way.warning is None else (way.warning,))
-        accuracy_m = Transformation.between(own, way.crs, cloud.points).accuracy_m or 0.0
-        return replace(cloud, points=way(cloud.points), crs=crs), (accuracy_m, way.height_std_m), found
+        reprojection = Reprojection.between(own, crs, where=f"the CRS of {path}", places=cloud.points)
+        found = Findings(tuple(notes), () if reprojection.warning is None else (reprojection.warning,))
+        accuracy_m = Transformation.between(own, reprojection.crs, cloud.points).accuracy_m or 0.0
+        return (
+            replace(cloud, points=reprojection(cloud.points), crs=crs),
+            (accuracy_m, reprojection.height_std_m),
+            found,
+        )
     unit_m = height_unit_m(crs)
     if own is not None and has_height(own):
         cloud = replace(cloud, points=cloud.points * [1.0, 1.0, height_unit_m(own) / unit_m])

@@ -106,14 +106,14 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
     findings += added
     if poses_path is not None and config.water is not None:
         config.water.require_level()
-    ways: list[PositionTransform] = []
+    transforms: list[PositionTransform] = []
     if poses_path is None:
         sources = f"the GPS positions in {position_sources(heads)}"
         require_at(crs, _exif_places(heads), sources, f"crs in {FILE_NAME}")
-        ways = transforms_into_crs(heads, crs, config.cameras.gps_height)
-    datum = smallest([DatumStd(plan_std(way.plan), way.up_std_m) for way in ways])
+        transforms = transforms_into_crs(heads, crs, config.cameras.gps_height)
+    datum = smallest([DatumStd(plan_std(transform.plan), transform.up_std_m) for transform in transforms])
     found = Found(folder, config, crs, images, heads, poses_path, (), (), levels=levels, tide=tide, datum=datum)
-    findings += Findings(warnings=tuple(_warnings_of(found, ways)))
+    findings += Findings(warnings=tuple(_warnings_of(found, transforms)))
     if config.control.files:
         control, added = find_control(folder, config.control, crs, heads, _one_level(config, crs))
         findings += added
@@ -127,12 +127,12 @@ def _exif_places(heads: Mapping[str, Exif]) -> np.ndarray:
     return np.array(places).reshape(-1, 2)
 
 
-def _warnings_of(found: Found, ways: Sequence[PositionTransform]) -> Iterator[str]:
+def _warnings_of(found: Found, transforms: Sequence[PositionTransform]) -> Iterator[str]:
     """Warnings about photographs, positions and unused settings, before control is read.
 
     Parameters
     ----------
-    ways : sequence of PositionTransform
+    transforms : sequence of PositionTransform
         Of the GPS positions into crs; none where a file has the poses.
     """
     config, heads = found.config, found.heads
@@ -145,7 +145,7 @@ def _warnings_of(found: Found, ways: Sequence[PositionTransform]) -> Iterator[st
     if config.water is None and not config.dry:
         yield infer.NO_WATER
     if found.poses_path is None:
-        yield from datum_warnings(ways)
+        yield from datum_warnings(transforms)
         yield from find_unread(found.folder)
         has_attitudes = any(head.motion.gimbal_deg is not None for head in heads.values())
         if config.cameras.rotation_std_deg is not None and not has_attitudes:

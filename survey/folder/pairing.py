@@ -259,14 +259,14 @@ def read_file_poses(found: Found, path: Path) -> tuple[FilePoses, Findings]:
 
 def _datum(found: Found, file: PoseFile) -> tuple[DatumStd, Findings]:
     """Std that the transformation of the poses into crs adds, with a warning where it does."""
-    way = transformation_into_crs(file, found.crs)
-    if way is None:
+    transformation = transformation_into_crs(file, found.crs)
+    if transformation is None:
         return EXACT, Findings()
     std = found.config.cameras.position_std_m
     stated = 0.0 if std is None else max(per_axis(std)[:2])
-    require_accurate(way, stated, "the poses", 0 if found.control is None else found.control.num_given)
-    warning = way.warning("the poses")
-    return DatumStd(plan_std(way)), Findings(warnings=() if warning is None else (warning,))
+    require_accurate(transformation, stated, "the poses", 0 if found.control is None else found.control.num_given)
+    warning = transformation.warning("the poses")
+    return DatumStd(plan_std(transformation)), Findings(warnings=() if warning is None else (warning,))
 
 
 def _with_clicked_level(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[Found, Findings]:

@@ -63,8 +63,8 @@ def points_in_crs(file: PoseFile, points: np.ndarray, crs: CRS, gps_height: str)
     height = points[:, 2] * height_scale(file.crs, crs, _HEIGHTS, unit_m=units.height_m)
     if crs_difference(horizontal_crs(file.crs), horizontal_crs(crs)) is None:
         return np.column_stack([points[:, :2], height])
-    way = Transformation.between(file.crs, crs, points)
-    return np.column_stack([*way(points[:, 0], points[:, 1]), height])
+    transformation = Transformation.between(file.crs, crs, points)
+    return np.column_stack([*transformation(points[:, 0], points[:, 1]), height])
 
 
 def transformation_into_crs(file: PoseFile, crs: CRS) -> Transformation | None:

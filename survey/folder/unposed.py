@@ -127,9 +127,9 @@ def require_solvable(found: Found) -> list[str]:
     cameras = found.config.cameras
     require_mapper(cameras.mapper)
     require_level_fits_exif(found.config, found.heads, found.crs)
-    for way in transforms_into_crs(found.heads, found.crs, cameras.gps_height):
-        std = best_plan_std(cameras, [found.heads[name] for name in way.names])
-        require_accurate(way.plan, std, way.said, 0 if found.control is None else found.control.num_given)
+    for transform in transforms_into_crs(found.heads, found.crs, cameras.gps_height):
+        std = best_plan_std(cameras, [found.heads[name] for name in transform.names])
+        require_accurate(transform.plan, std, transform.said, 0 if found.control is None else found.control.num_given)
     require_size(found.images, found.heads, cameras.size_px)
     focal = one_focal(cameras.focal_px)
     require_focal(found)

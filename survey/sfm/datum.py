@@ -1,8 +1,8 @@
 """Transformations of datums: what they add to the accuracy of positions, as PROJ states it, and grids of geoids.
 
 An error of a transformation of datums is the same at all places of a survey. Where control holds the block it widens
-the positions, and counts for nothing; else the whole block lies off by it. A way that is worse than the positions, for
-want of a grid, or because PROJ knows none, is refused where nothing else places the block.
+the positions, and counts for nothing; else the whole block is shifted by it. A transformation that is worse than
+the positions, for want of a grid, or because PROJ knows none, is refused where nothing else places the block.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ class DatumStd:
 EXACT = DatumStd()
 
 
-def plan_std(way: Transformation) -> float:
+def plan_std(transformation: Transformation) -> float:
     """Standard deviation [m] of places in plan by a transformation; 0 where PROJ does not know it."""
-    return way.accuracy_m or 0.0
+    return transformation.accuracy_m or 0.0
 
 
-def require_accurate(way: Transformation, plan_std_m: float, said: str, num_control: int) -> None:
+def require_accurate(transformation: Transformation, plan_std_m: float, said: str, num_control: int) -> None:
     """Raise where a grid is missing, and the best transformation without it is worse than the positions, or not known.
 
     Parameters
@@ -68,18 +68,18 @@ def require_accurate(way: Transformation, plan_std_m: float, said: str, num_cont
     """
     if plan_std_m > WELL_KNOWN_M or num_control >= _PLACING:
         return
-    way.require_known(said, f"or give {_PLACING} control points or more in crs, which then place the block")
-    if not way.missing:
+    transformation.require_known(said, f"or give {_PLACING} control points or more in crs, which then place the block")
+    if not transformation.missing_grids:
         return
-    if way.accuracy_m is not None and way.accuracy_m <= plan_std_m:
+    if transformation.accuracy_m is not None and transformation.accuracy_m <= plan_std_m:
         return
-    known = "an unknown accuracy" if way.accuracy_m is None else f"{way.accuracy_m:.2g} m"
+    known = "an unknown accuracy" if transformation.accuracy_m is None else f"{transformation.accuracy_m:.2g} m"
     as_good = "taken as exact" if plan_std_m == 0.0 else f"good to {plan_std_m:.2g} m"
-    way.require_best(
+    transformation.require_best(
         f"{said} are {as_good}, and the best transformation without a grid has {known}",
         f"or put it into the folder geoid of the survey; or give {_PLACING} control points or more in crs, which then "
-        f"place the block, or position_std_m of {way.accuracy_m or 10.0:.2g} and more in [cameras] in {FILE_NAME}: the "
-        "survey may then lie off by as much",
+        f"place the block, or position_std_m of {transformation.accuracy_m or 10.0:.2g} and more in [cameras] in "
+        f"{FILE_NAME}: the survey may then be shifted by as much",
     )
 
 

@@ -134,14 +134,14 @@ class PositionTransform:
 def transforms_into_crs(heads: Mapping[str, Exif], crs: CRS, gps_height: str) -> list[PositionTransform]:
     """Transformations of GPS positions into crs, one for each of their sources."""
     given = {name: _given(head) for name, head in heads.items() if head.lat_lon_height is not None}
-    ways = []
+    transforms = []
     for source in dict.fromkeys(source for source, _ in given.values()):
         own = {name: place for name, (of, place) in given.items() if of == source}
         places = np.array(list(own.values()))
         up = _geoid_std(crs, source, places) if gps_height == "ellipsoidal" else 0.0
         plan = Transformation.between(source.crs, crs, places)
-        ways.append(PositionTransform(f"GPS positions{source.said}", tuple(own), plan, up))
-    return ways
+        transforms.append(PositionTransform(f"GPS positions{source.said}", tuple(own), plan, up))
+    return transforms
 
 
 def _geoid_std(crs: CRS, source: _Source, places: np.ndarray) -> float:
@@ -157,18 +157,22 @@ def _geoid_std(crs: CRS, source: _Source, places: np.ndarray) -> float:
 
 def datum_stds(heads: Mapping[str, Exif], crs: CRS, gps_height: str) -> dict[str, DatumStd]:
     """Std that the transformation into crs adds to GPS positions, by photograph."""
-    ways = transforms_into_crs(heads, crs, gps_height)
-    return {name: DatumStd(plan_std(way.plan), way.up_std_m) for way in ways for name in way.names}
+    transforms = transforms_into_crs(heads, crs, gps_height)
+    return {
+        name: DatumStd(plan_std(transform.plan), transform.up_std_m)
+        for transform in transforms
+        for name in transform.names
+    }
 
 
-def datum_warnings(ways: Sequence[PositionTransform]) -> list[str]:
+def datum_warnings(transforms: Sequence[PositionTransform]) -> list[str]:
     """Warnings where GPS positions in crs are less well known than as they are given."""
-    warnings = [way.plan.warning(way.said) for way in ways]
+    warnings = [transform.plan.warning(transform.said) for transform in transforms]
     warnings += [
-        f"heights of {way.said} are transformed by a geoid; its accuracy by PROJ is "
-        f"{way.up_std_m:.2g} m: an error common to all of them"
-        for way in ways
-        if way.up_std_m > WELL_KNOWN_M
+        f"heights of {transform.said} are transformed by a geoid; its accuracy by PROJ is "
+        f"{transform.up_std_m:.2g} m: an error common to all of them"
+        for transform in transforms
+        if transform.up_std_m > WELL_KNOWN_M
     ]
     return [warning for warning in warnings if warning is not None]
 
@@ -202,8 +206,8 @@ def is_whole(position: tuple[float, float, float] | None) -> bool:
 def _in_crs(crs: CRS, source: _Source, places: np.ndarray, gps_height: str) -> tuple[np.ndarray, list[str]]:
     """Places (N, 3) in the CRS of their source as points (N, 3) in crs, and what their heights are taken for."""
     # Two dimensions only: the height is not touched by any change of datum.
-    way = Transformation.between(source.crs, crs, places)
-    east, north = way(places[:, 0], places[:, 1])
+    to_crs = Transformation.between(source.crs, crs, places)
+    east, north = to_crs(places[:, 0], places[:, 1])
     if gps_height not in ("crs", "ellipsoidal"):
         raise ConfigError(f'[cameras] gps_height is "{gps_height}", expected "crs" or "ellipsoidal"')
     own, vertical = vertical_crs(source.crs), vertical_crs(crs)

@@ -101,10 +101,10 @@ def place_by_gps(
         met = None if nearby is None else intersect_marks(nearby, views_of_block(block, alias_of))
         return f"{said}; {line.said(len(trusted))}: {_roll(block, line, turned, met)}"
 
-    ways: list[Placement] = [by_positions]
+    placements: list[Placement] = [by_positions]
     if spare is not None:
-        ways.append(_placement_by_control(spare, gps.frame, alias_of, turned))
-    placed = _place(free, ways, gps.frame, alias_of, sensors)
+        placements.append(_placement_by_control(spare, gps.frame, alias_of, turned))
+    placed = _place(free, placements, gps.frame, alias_of, sensors)
     return replace(placed, notes=(*gps.notes, *placed.notes))
 
 
@@ -130,8 +130,8 @@ def place_by_control(
     ControlError
         If the control can place no block.
     """
-    way = _placement_by_control(control, control.frame, alias_of, _by_alias(attitudes, alias_of))
-    return _place(free, [way], control.frame, alias_of, sensors)
+    placement = _placement_by_control(control, control.frame, alias_of, _by_alias(attitudes, alias_of))
+    return _place(free, [placement], control.frame, alias_of, sensors)
 
 
 def _by_alias(attitudes: Mapping[str, np.ndarray] | None, alias_of: Mapping[str, str]) -> dict[str, np.ndarray]:
@@ -176,7 +176,7 @@ def _onto_control(block: pycolmap.Reconstruction, fit: ControlFit) -> str:
 
 def _place(
     free: FreeBlocks,
-    ways: Sequence[Placement],
+    placements: Sequence[Placement],
     frame: LocalFrame,
     alias_of: Mapping[str, str],
     sensors: list[CameraBody],
@@ -186,7 +186,7 @@ def _place(
     refusals: list[SurveyError] = []
     for block in free.blocks:
         try:
-            by = _first_that_places(ways, block)
+            by = _first_that_places(placements, block)
         except (PosesError, ControlError) as error:
             refusals.append(error)
             lost = [name for name, alias in alias_of.items() if alias in sfm_block.poses_of(block)]
@@ -212,12 +212,12 @@ def _place(
     return PlacedBlocks(tuple(placed), _lowered(frame, placed), (*notes, *found))
 
 
-def _first_that_places(ways: Sequence[Placement], block: pycolmap.Reconstruction) -> str:
+def _first_that_places(placements: Sequence[Placement], block: pycolmap.Reconstruction) -> str:
     """Result of the first method that can place a block; the error of the first, with those of others, if none can."""
     refusals: list[SurveyError] = []
-    for way in ways:
+    for placement in placements:
         try:
-            return way(block)
+            return placement(block)
         except (PosesError, ControlError) as error:
             refusals.append(error)
     others = "".join(f"; nor can control place it: {error}" for error in refusals[1:])

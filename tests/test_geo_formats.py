@@ -90,8 +90,9 @@ def test_a_raster_is_the_surface_through_the_middles_of_its_cells_and_has_holes(
 
 
 def test_a_raster_without_data_is_refused(tmp_path):
-    path = tmp_path / "r.tif"
-    with rasterio.open(path, "w", driver="GTiff", height=3, width=3, count=1, dtype="float32", nodata=0.0) as out:
+    path, transform = tmp_path / "r.tif", rasterio.Affine(1.0, 0.0, 0.0, 0.0, -1.0, 0.0)
+    form = {"driver": "GTiff", "height": 3, "width": 3, "count": 1, "dtype": "float32", "nodata": 0.0}
+    with rasterio.open(path, "w", transform=transform, **form) as out:
         out.write(np.zeros((3, 3), np.float32), 1)
     with pytest.raises(UnreadableFile, match="no four neighbouring cells with data"):
         read_reference(path)

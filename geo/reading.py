@@ -127,11 +127,11 @@ def write_verified(
             write(copy)
         except UnwritableFile as error:
             raise UnwritableFile(str(error).replace(str(copy), str(path))) from error
-        _require(copy, path, points, num_faces, crs)
+        _require_same_shape(copy, path, points, num_faces, crs)
         copy.replace(part)
 
 
-def _require(copy: Path, path: Path, points: np.ndarray, num_faces: int | None, crs: CRS) -> None:
+def _require_same_shape(copy: Path, path: Path, points: np.ndarray, num_faces: int | None, crs: CRS) -> None:
     try:
         shape = reader_of(path)(copy)
     except UnreadableFile as error:

@@ -7,7 +7,7 @@ from pathlib import Path
 from small_survey import CRS, E0, LEVEL, N0
 
 from geo.crs import parse_crs
-from survey.control.reading import gather, read_control
+from survey.control.reading import merge_control, read_control
 
 SIZES = {"a/0000.jpg": (64, 48), "a/0001.jpg": (64, 48), "a/0002.JPG": (64, 48)}
 SURVEY_CRS = parse_crs(CRS)
@@ -66,5 +66,5 @@ def written(tmp_path, **files: str | bytes) -> list[Path]:
 
 
 def gathered(paths, crs=SURVEY_CRS):
-    found, said = gather([read_control(path) for path in paths], crs, SIZES)
+    found, said = merge_control([read_control(path) for path in paths], crs, SIZES)
     return found, list(said.assumptions), list(said.warnings)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from small_survey import E0, LEVEL, N0
 
 from geo.errors import GeoError
-from survey.control.reading import gather, read_control
+from survey.control.reading import merge_control, read_control
 from survey.errors import ControlError
 
 BOMB = "<!DOCTYPE d [<!ENTITY a 'aaaaaaaaaa'><!ENTITY b '&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;'>]>\n"
@@ -107,4 +107,4 @@ def test_no_file_however_damaged_ends_in_another_error(tmp_path, data):
     path = tmp_path / data.draw(st.sampled_from(["gcp_list.txt", "a.csv", "a.xml", "a.txt"]))
     path.write_bytes(whole.encode(data.draw(st.sampled_from(["utf-8", "utf-16", "latin-1"]))))
     with contextlib.suppress(ControlError):
-        gather([read_control(path)], SURVEY_CRS, SIZES)
+        merge_control([read_control(path)], SURVEY_CRS, SIZES)

@@ -10,7 +10,7 @@ from control_files import METASHAPE, POINTS, SURVEY_CRS, gathered, marks, odm, t
 from pyproj import CRS, Transformer
 
 from geo.crs import height_unit_m
-from survey.control.reading import gather, in_crs, read_control
+from survey.control.reading import in_crs, merge_control, read_control
 from survey.control.tables import read_checkpoints
 
 WKT = CRS("EPSG:25832").to_wkt("WKT1_GDAL")
@@ -67,7 +67,7 @@ def test_lines_without_names_are_of_one_point_where_their_coordinates_are_the_sa
 
 def test_a_name_of_an_image_with_a_space_is_whole_between_tabs(tmp_path):
     (path,) = written(tmp_path, gcp_list__txt=odm(images=("my photo.jpg",)).replace(" ", "\t").replace("my\t", "my "))
-    found, _ = gather([read_control(path)], SURVEY_CRS, {"my photo.jpg": (64, 48)})
+    found, _ = merge_control([read_control(path)], SURVEY_CRS, {"my photo.jpg": (64, 48)})
     assert {mark.view for mark in found.marks} == {"my photo.jpg"}
 
 

@@ -7,7 +7,7 @@ import json
 import pytest
 from pyproj import CRS
 
-from survey.control.reading import gather, read_control
+from survey.control.reading import merge_control, read_control
 from survey.errors import ControlError
 
 SIZES = {"01.jpg": (400, 300), "02.jpg": (300, 400)}
@@ -26,7 +26,7 @@ def written(folder, content) -> object:
 
 
 def gathered(path):
-    found, said = gather([read_control(path)], CRS("EPSG:4326+5773"), SIZES)
+    found, said = merge_control([read_control(path)], CRS("EPSG:4326+5773"), SIZES)
     return found, list(said.warnings)
 
 

@@ -13,7 +13,7 @@ from pyproj import Transformer
 from small_survey import E0, LEVEL, N0, TOML, camera_lines, said, small_survey, unposed, write_poses
 
 from geo.crs import parse_crs
-from survey.control.reading import gather, read_control
+from survey.control.reading import merge_control, read_control
 from survey.errors import ControlError
 from survey.folder.control import checkpoint_warnings, mark_residuals
 from survey.folder.found import find_survey, survey_inputs
@@ -223,8 +223,8 @@ def test_real_marks_of_photographs_that_were_halved_lie_outside_and_doubled_they
     names = sorted(path.name for path in (folder / "images").iterdir())
     crs = parse_crs("EPSG:32611+5773")
     with pytest.raises(ControlError, match=r"lies outside .* if the photographs were reduced, reduce the marks too"):
-        gather([content], crs, dict.fromkeys(names, (2136, 1424)))
-    found, said = gather([content], crs, dict.fromkeys(names, (4272, 2848)))
+        merge_control([content], crs, dict.fromkeys(names, (2136, 1424)))
+    found, said = merge_control([content], crs, dict.fromkeys(names, (4272, 2848)))
     assert (len(found.points), len(found.marks)) == (len({mark.point for mark in found.marks}), 27)
     assert said.warnings == ("all control points have the height 0; check that the file has their heights",)
 

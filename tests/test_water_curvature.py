@@ -15,7 +15,7 @@ from geo.crs import parse_crs
 from geo.frames import LocalFrame
 from refract import FlatWater
 from refract.curved import SphericalWater, curvature_drop, gaussian_radius
-from survey.folder.placed_views import PlacedViews, lifted_over_water
+from survey.folder.placed_views import PlacedViews, shifted_above_water
 from survey.photos.cameras import View
 from survey.photos.poses import TiePoints
 from survey.run.stage_bed import through_surface
@@ -100,6 +100,6 @@ def test_low_flights_kilometres_away_are_over_their_water(up, is_lifted):
     priors = {"0": SimpleNamespace(position=there, common_up_std=30.0)}
     ties = TiePoints(there + np.zeros((10, 3)), *[np.zeros(0, dtype=int)] * 2, np.zeros((0, 2)))
     placed = PlacedViews(None, FRAME, views, ties.start, ties, None, None, priors, None, ())
-    moved, said = lifted_over_water(placed, PLANE, departure)
+    moved, said = shifted_above_water(placed, PLANE, departure)
     assert bool(said.warnings) == is_lifted
     assert (moved.views is views) != is_lifted

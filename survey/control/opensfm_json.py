@@ -67,7 +67,7 @@ def _marks(each: dict, where: str) -> list[GivenMark]:
                 f"{where}: an observation is {shortened(str(entry))}, expected shot_id and projection, two numbers; "
                 "correct it"
             )
-        marks.append(GivenMark(each["id"], image, where, (at[0], at[1]), in_sides=True))
+        marks.append(GivenMark(each["id"], image, where, (at[0], at[1]), is_normalised=True))
     return marks
 
 

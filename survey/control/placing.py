@@ -11,7 +11,7 @@ from pyproj import CRS
 from geo.crs import EARTH_RADIUS_M, height_unit_m, horizontal_unit, is_geographic
 from geo.frames import LocalFrame
 from survey.control.points import Checkpoint, Control, ControlPoint, GivenPoint, Mark
-from survey.control.reading import Gathered, swapped
+from survey.control.reading import MergedControl, with_swapped_axes
 from survey.display.quantities import named
 from survey.errors import ControlError
 
@@ -42,7 +42,7 @@ def require_near(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) ->
             continue
         east, north, _ = point.place
         said = f"{point.where}: the point {point.name[:40]} at {east:.10g}, {north:.10g}"
-        other = swapped(point, crs)
+        other = with_swapped_axes(point, crs)
         if other is not None and _distance_m(np.array(other.place), cameras, crs) <= _FARTHEST_M:
             raise ControlError(
                 f"{said} lies {_km(apart)} from the cameras, and among them with easting and northing (or longitude "
@@ -130,7 +130,7 @@ def _km(metres: float) -> str:
 
 
 def control_in_local(
-    gathered: Gathered,
+    gathered: MergedControl,
     frame: LocalFrame,
     views: Sequence[str],
     std_m: tuple[float, float, float],

@@ -91,14 +91,14 @@ class GivenMark:
     where: str  # File and line, for messages
     pixel: tuple[float, float]  # (x, y): the centre of the first pixel is 0.5, 0.5
     # Whether `pixel` counts from the middle of the photograph in units of its longer side instead
-    in_sides: bool = False
+    is_normalised: bool = False
 
     def in_pixels(self, size: tuple[int, int]) -> GivenMark:
         """The mark in pixels of a photograph of (width, height) [px]."""
-        if not self.in_sides:
+        if not self.is_normalised:
             return self
         x, y = (value * max(size) + 0.5 * side for value, side in zip(self.pixel, size, strict=True))
-        return replace(self, pixel=(x, y), in_sides=False)
+        return replace(self, pixel=(x, y), is_normalised=False)
 
 
 @dataclass(frozen=True)

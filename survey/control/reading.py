@@ -92,7 +92,7 @@ def _height_scale(first: GivenPoint, source: CRS, crs: CRS) -> float:
     return height_scale(source, crs, f"{first.where}: the heights of points in {crs_name(source)}", unit_m=unit_m)
 
 
-def swapped(point: GivenPoint, crs: CRS) -> GivenPoint | None:
+def with_swapped_axes(point: GivenPoint, crs: CRS) -> GivenPoint | None:
     """A point in crs with the first two numbers of its file swapped; None where that is not on the map."""
     given = point.as_read or point
     first, second, height = given.place
@@ -103,7 +103,7 @@ def swapped(point: GivenPoint, crs: CRS) -> GivenPoint | None:
 
 
 @dataclass(frozen=True)
-class Gathered:
+class MergedControl:
     """Control points with marks, coordinates in the crs of the survey."""
 
     points: tuple[GivenPoint, ...]  # Each name once, each with a mark at least
@@ -132,7 +132,9 @@ def read_control(path: Path) -> Content:
     return known.read(path)
 
 
-def gather(contents: Sequence[Content], crs: CRS, sizes: Mapping[str, tuple[int, int]]) -> tuple[Gathered, Findings]:
+def merge_control(
+    contents: Sequence[Content], crs: CRS, sizes: Mapping[str, tuple[int, int]]
+) -> tuple[MergedControl, Findings]:
     """Points and marks of several files, in the crs of a survey and under the names of its photographs.
 
     Parameters
@@ -157,7 +159,7 @@ def gather(contents: Sequence[Content], crs: CRS, sizes: Mapping[str, tuple[int,
     warnings += _warnings(kept)
     order = {point.name: i for i, point in enumerate(kept)}
     marks.sort(key=lambda mark: (order[mark.point], mark.view))
-    gathered = Gathered(kept, tuple(marks), tuple(point for point in unmarked if point.is_check))
+    gathered = MergedControl(kept, tuple(marks), tuple(point for point in unmarked if point.is_check))
     return gathered, said + Findings(warnings=tuple(warnings))
 
 
@@ -193,15 +195,15 @@ def _marks(
             "image,name,x,y or Metashape's XML in marks, or use a gcp_list.txt, which has both"
         )
     marks: dict[tuple[str, str], GivenMark] = {}
-    strangers: dict[str, GivenMark] = {}
-    nameless: dict[str, GivenMark] = {}
+    unknown_images: dict[str, GivenMark] = {}
+    unknown_points: dict[str, GivenMark] = {}
     called = [(mark, names) for given in of_files for names in [ImageNames(sizes)] for mark in given]
     for said, names in called:
         mark, image = said, names.find(said.image, said.where)
         if image is None:
-            strangers.setdefault(mark.image, mark)
+            unknown_images.setdefault(mark.image, mark)
         elif mark.point not in points:
-            nameless.setdefault(mark.point, mark)
+            unknown_points.setdefault(mark.point, mark)
         else:
             mark = mark.in_pixels(sizes[image])
             _require_inside(mark, image, sizes[image])
@@ -212,19 +214,19 @@ def _marks(
                     f"{first.where}; keep one"
                 )
     if not marks:
-        example = next(iter(strangers.values()), None) or next(iter(nameless.values()))
+        example = next(iter(unknown_images.values()), None) or next(iter(unknown_points.values()))
         what = (
             f"photograph of the survey is called {example.image[:60]}"
-            if strangers
+            if unknown_images
             else (f"point with coordinates is called {example.point[:40]}")
         )
-        like = next(iter(sizes)) if strangers else next(iter(points))
+        like = next(iter(sizes)) if unknown_images else next(iter(points))
         raise ControlError(
             f"{example.where}: no {what}, and none of the {len(called)} marks belongs to one; use the names that they "
             f'have, e.g. "{like}"'
         )
-    warnings = _left_out(strangers, "photograph", "that the survey does not have")
-    warnings += _left_out(nameless, "point", "without coordinates")
+    warnings = _left_out(unknown_images, "photograph", "that the survey does not have")
+    warnings += _left_out(unknown_points, "point", "without coordinates")
     return [Mark(point, image, mark.pixel) for (point, image), mark in marks.items()], warnings
 
 

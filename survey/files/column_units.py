@@ -20,7 +20,7 @@ _IN_BRACKETS = re.compile(r"(.*?)[\s_]*[(\[]\s*([^()\[\]]+?)\s*[)\]]")
 _DEGREES = ("deg", "degree", "degrees", "°", "dd", "decimal degrees")
 # Of two feet, which differ by 2e-6.
 _SAME_UNIT = 1e-9
-_BARE_FOOT = ("ft", "foot", "feet")
+_UNSPECIFIED_FOOT = ("ft", "foot", "feet")
 _FEET = (0.3048, US_SURVEY_FOOT_M)
 _COMMENT = re.compile(r"#\s*CoordinateSystem:\s*(.+)", re.IGNORECASE)
 # A comment that is nothing but a code, under one of the names that people have for it.
@@ -37,7 +37,7 @@ _EPSG = re.compile(r"EPSG:\s*(\d{1,9}(?:\+\d{1,9})?)", re.IGNORECASE)
 _FORM = 'e.g. "EPSG:25832", "WGS84 UTM 32N" or "+proj=utm +zone=32 +datum=WGS84"'
 
 
-class BareFoot(float):
+class UnspecifiedFoot(float):
     """A foot [m] of unknown kind, international or US survey; international where nothing decides."""
 
 
@@ -63,7 +63,7 @@ class Units:
 
         def one(said: float | None, own: float | None) -> float | None:
             is_foot = own is not None and any(same_unit(own, foot) for foot in _FEET)
-            return own if isinstance(said, BareFoot) and is_foot else said
+            return own if isinstance(said, UnspecifiedFoot) and is_foot else said
 
         return Units(one(self.plan_m, target.plan_m), one(self.height_m, target.height_m))
 
@@ -131,7 +131,7 @@ def meaning(cell: str, words: Mapping[str, str]) -> tuple[str, float | None] | N
             return words[bare], None
         metres = unit_named(unit) if bare in words else None
         if metres is not None:
-            return words[bare], BareFoot(metres) if unit in _BARE_FOOT else metres
+            return words[bare], UnspecifiedFoot(metres) if unit in _UNSPECIFIED_FOOT else metres
     return None
 
 

@@ -22,7 +22,7 @@ from survey.errors import OutputError, SurveyError
 _HEAD_BYTES = 2048
 # The file that the system locks, and beside it the number of the process: where a lock keeps others from reading
 # (Windows), the file itself cannot tell.
-NAME, OWNER = ".lock", ".lock.pid"
+LOCK_FILE, LOCK_OWNER = ".lock", ".lock.pid"
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ def locked(folder: Path, *, busy: str) -> Iterator[None]:
     SurveyError
         If another process has the lock.
     """
-    path, owner = folder / NAME, folder / OWNER
+    path, owner = folder / LOCK_FILE, folder / LOCK_OWNER
     lock = FileLock(path, blocking=False)
     try:
         lock.acquire()

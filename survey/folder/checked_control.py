@@ -44,7 +44,7 @@ _OTHER_DATUM_M = 20.0
 # by more than straight rays deform a block, as a share of its size.
 _MOST_STD, _BENT_SHARE = 6.0, 0.02
 # With fewer positions than this the adjustment cannot tell which one is wrong.
-_TELL_A_WRONG_ONE = 4
+_FEWEST_TO_TEST = 4
 
 
 def control_of_block(found: Found) -> BlockControl | None:
@@ -64,7 +64,7 @@ def control_of_block(found: Found) -> BlockControl | None:
     control = control_in_local(
         gathered, frame, list(found.images), per_direction(found.control.config.std_m), marks_std_px=1.0
     )
-    return None if control is None else of_block(control, frame, found)
+    return None if control is None else control_for_block(control, frame, found)
 
 
 def require_placing_control(found: Found) -> BlockControl:
@@ -93,7 +93,7 @@ def require_placing_control(found: Found) -> BlockControl:
             f"{told}, or at least {MIN_POINTS} control points; name a file of poses in [cameras] poses in {FILE_NAME}, "
             f"or control points with their marks in [control] gcps{unread}"
         )
-    enough = of_two_marks(control)
+    enough = with_two_marks(control)
     if len(enough) < MIN_POINTS:
         count = Counter(mark.point for mark in control.marks)
         marks = ", ".join(f"{point.name} {count[point.name]}" for point in control.points[:10])
@@ -108,7 +108,7 @@ def require_placing_control(found: Found) -> BlockControl:
     return control
 
 
-def of_two_marks(control: BlockControl) -> list[ControlPoint]:
+def with_two_marks(control: BlockControl) -> list[ControlPoint]:
     """The points with two marks or more."""
     count = Counter(mark.point for mark in control.marks)
     return [point for point in control.points if count[point.name] >= 2]
@@ -119,7 +119,7 @@ def may_hold_roll(found: Found) -> bool:
     return found.config.water is not None or any(head.motion.gimbal_deg is not None for head in found.heads.values())
 
 
-def of_block(control: Control, frame: LocalFrame, found: Found) -> BlockControl:
+def control_for_block(control: Control, frame: LocalFrame, found: Found) -> BlockControl:
     """Control for structure from motion without check points, with a tolerance in height for the refraction."""
     points = tuple(point for point in control.points if not point.is_check)
     heights = np.array([point.crs[2] for point in points]) * height_unit_m(frame.crs)
@@ -220,7 +220,7 @@ def checked_control(
     ControlError
         If the control fits the block nowhere, or lies elsewhere.
     """
-    block = of_block(control, frame, found)
+    block = control_for_block(control, frame, found)
     posed = {view.name: BlockView(view.lens, view.camera.centre, view.camera.cam_from_local) for view in views}
     met = intersect_marks(block, posed)
     require_consistent_marks(block, posed, met)
@@ -304,7 +304,7 @@ def _other_datum(common: np.ndarray, std: np.ndarray, reach: float, priors: Mapp
 
 def _are_few(priors: Mapping[str, PosePrior]) -> bool:
     """Whether the positions are too few for the adjustment to detect a wrong one."""
-    return sum(prior.position is not None for prior in priors.values()) < _TELL_A_WRONG_ONE
+    return sum(prior.position is not None for prior in priors.values()) < _FEWEST_TO_TEST
 
 
 def _without_far(

@@ -27,7 +27,7 @@ from geo.transformation import Transformation
 from refract import FlatWater
 from survey.control.placing import checkpoints_in_local, control_in_local, without_pose
 from survey.control.points import Checkpoint, Content, Control, GivenPoint, StableGround
-from survey.control.reading import Gathered, gather, in_crs, read_control
+from survey.control.reading import MergedControl, in_crs, merge_control, read_control
 from survey.control.tables import read_checkpoints
 from survey.display.quantities import named
 from survey.errors import ControlError, Findings
@@ -49,7 +49,7 @@ class FoundControl:
     """Contents of the files of [control], in the crs of the survey."""
 
     config: ControlConfig  # With standard deviations, where there are control points
-    gathered: Gathered | None  # None without control points
+    gathered: MergedControl | None  # None without control points
     checkpoints: tuple[GivenPoint, ...]
 
     @property
@@ -95,7 +95,7 @@ def find_control(
         # Metashape's XML has coordinates too, but here only its marks are used.
         contents.append(Content(marks=read_control(folder / config.marks).marks))
     sizes = {name: head.size_px for name, head in heads.items()}
-    gathered, of_files = gather(contents, crs, sizes)
+    gathered, of_files = merge_control(contents, crs, sizes)
     untold = _unstated_accuracy(config, gathered)
     config, assumed = _with_stds(config, gathered)
     said += of_files + Findings(assumed, untold)
@@ -110,7 +110,7 @@ def _repeated_heights(found: FoundControl, crs: CRS) -> tuple[str, ...]:
     return tuple(named(several, "place", "of control with several heights, of which one is true at most"))
 
 
-def _unstated_accuracy(config: ControlConfig, gathered: Gathered) -> tuple[str, ...]:
+def _unstated_accuracy(config: ControlConfig, gathered: MergedControl) -> tuple[str, ...]:
     """Warning where neither settings nor files state the accuracy of control points."""
     untold = [point for point in gathered.points if point.std_m is None]
     if config.std_m is not None or not untold:
@@ -122,7 +122,7 @@ def _unstated_accuracy(config: ControlConfig, gathered: Gathered) -> tuple[str, 
     )
 
 
-def _with_stds(config: ControlConfig, gathered: Gathered) -> tuple[ControlConfig, tuple[str, ...]]:
+def _with_stds(config: ControlConfig, gathered: MergedControl) -> tuple[ControlConfig, tuple[str, ...]]:
     """Settings with all standard deviations, missing ones assumed."""
     std_m, marks_std_px = config.std_m, config.marks_std_px
     assumptions = []

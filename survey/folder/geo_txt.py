@@ -75,11 +75,11 @@ def with_positions(path: Path, heads: Mapping[str, Exif]) -> tuple[dict[str, Exi
     """
     crs, lines = _read(path)
     names, line_of = ImageNames(heads), {}
-    strangers = []
+    unknown = []
     for line in lines:
         name = names.find(line.called, line.where)
         if name is None:
-            strangers.append(line.called)
+            unknown.append(line.called)
         elif name in line_of:
             raise PosesError(f"{line.where}: {name} has a second position; remove one of the two lines")
         else:
@@ -90,7 +90,7 @@ def with_positions(path: Path, heads: Mapping[str, Exif]) -> tuple[dict[str, Exi
             "or remove the file where it is of another flight"
         )
     done = dict(heads) | _placed(heads, line_of, crs)
-    warnings = named(strangers, "image", f"of {path.name} not among the photographs")
+    warnings = named(unknown, "image", f"of {path.name} not among the photographs")
     warnings += named([n for n in heads if n not in line_of], "image", f"not in {path.name}, which keep what EXIF has")
     lacking = [name for name, line in line_of.items() if line.lacks_vertical]
     warnings += named(lacking, "image", f"with a horizontal accuracy alone in {path.name}, which is not used")

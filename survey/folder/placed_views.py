@@ -209,7 +209,7 @@ def _with_images(found: Found, views: list[View], masks: Path | None) -> tuple[l
     return views, said
 
 
-def lifted_over_water(
+def shifted_above_water(
     placed: PlacedViews, water: FlatWater | None, departure: Departure | None
 ) -> tuple[PlacedViews, Findings]:
     """Views shifted in height where all cameras lie under the water or far above it.

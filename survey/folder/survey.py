@@ -27,7 +27,7 @@ from survey.folder.faults import (
 )
 from survey.folder.found import Found, find_survey
 from survey.folder.motion import Velocity, shutter_warnings, velocities_of, with_motion
-from survey.folder.placed_views import PlacedViews, lifted_over_water, views_of_file, views_of_photographs
+from survey.folder.placed_views import PlacedViews, shifted_above_water, views_of_file, views_of_photographs
 from survey.folder.plausible import place_warnings, require_plausible
 from survey.folder.pose_priors import PosePrior, common_plan_std
 from survey.folder.posed import TiePointMisfit
@@ -198,7 +198,7 @@ def load_survey(
     water, added = _local_water(placed)
     findings += added
     if water.is_level_known:
-        placed, added = lifted_over_water(placed, water.plane, water.departure)
+        placed, added = shifted_above_water(placed, water.plane, water.departure)
         findings += added
     views, tide = with_tides(placed.views, found.tide, water.plane)
     placed = replace(placed, views=views)

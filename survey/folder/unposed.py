@@ -18,7 +18,7 @@ from refract.lens import Lens
 from survey.control.placing import require_near
 from survey.display.quantities import named
 from survey.errors import FILE_NAME, ControlError, ImageError, PosesError
-from survey.folder.checked_control import control_of_block, may_hold_roll, of_two_marks, require_placing_control
+from survey.folder.checked_control import control_of_block, may_hold_roll, require_placing_control, with_two_marks
 from survey.folder.faults import (
     above_start_of,
     explanation,
@@ -195,7 +195,7 @@ def _spans_area(found: Found) -> bool:
         control = require_placing_control(found)
     except ControlError:
         return False
-    return line_of_control(of_two_marks(control)) is None
+    return line_of_control(with_two_marks(control)) is None
 
 
 def solve_views(found: Found, workspace: Path | None, report: Callable[[str], None] | None) -> SolvedViews:
@@ -305,4 +305,4 @@ def _marked(found: Found) -> str:
     control = control_of_block(found)
     if control is None:
         return ""
-    return f"; of {len(control.points)} there, {len(of_two_marks(control))} are marked in both"
+    return f"; of {len(control.points)} there, {len(with_two_marks(control))} are marked in both"

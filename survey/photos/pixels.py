@@ -44,7 +44,7 @@ _DAMAGE = (
     struct.error,
     cv2.error,
 )
-_one_at_a_time = threading.RLock()
+_GLOBALS_LOCK = threading.RLock()
 # Read by pillow-heif, an extra.
 HEIC_SUFFIXES = (".heic", ".heif")
 _WIDTH, _HEIGHT, _BITS, _ORIENTATION, _PLANES = 256, 257, 258, 274, 284
@@ -124,7 +124,7 @@ def open_stream(file: BinaryIO, *formats: str) -> Image.Image:
 def without_complaints() -> Iterator[None]:
     """Context manager that silences Pillow's warnings about damaged tags; missing data is reported later."""
     # Filters of warnings are those of the whole process too.
-    with _one_at_a_time, warnings.catch_warnings():
+    with _GLOBALS_LOCK, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield
 
@@ -169,14 +169,20 @@ def read_rgb(path: Path) -> np.ndarray:
     ImageError
         Where the file is cut off or damaged, or of a kind that would lose something.
     """
-    return _decoded(path, lambda image, bits: _deep(path, image, bits) if bits > 8 else _shallow(image, "RGB"))
+    return _decoded(
+        path, lambda image, bits: _decode_16_bits(path, image, bits) if bits > 8 else _decode_8_bits(image, "RGB")
+    )
 
 
 def read_grey(path: Path) -> np.ndarray:
     """Grey levels (height, width) uint8 of a mask, as stored; of more than 8 bits 255 where it is not black."""
 
     def grey(image: Image.Image, bits: int) -> np.ndarray:
-        return _deep(path, image, bits).max(axis=2).astype(bool) * np.uint8(255) if bits > 8 else _shallow(image, "L")
+        return (
+            _decode_16_bits(path, image, bits).max(axis=2).astype(bool) * np.uint8(255)
+            if bits > 8
+            else _decode_8_bits(image, "L")
+        )
 
     return _decoded(path, grey)
 
@@ -189,7 +195,7 @@ def read_opaque(path: Path) -> np.ndarray | None:
     with open_image(path) as image:
         if not _has_alpha(image):
             return None
-    alpha = _decoded(path, lambda image, _: _shallow(image.convert("RGBA").getchannel("A"), "L", image))
+    alpha = _decoded(path, lambda image, _: _decode_8_bits(image.convert("RGBA").getchannel("A"), "L", image))
     # Some programs call every band beyond the colours transparency.
     is_between = (alpha > 0) & (alpha < alpha.max())
     return None if is_between.mean() > _MOST_BETWEEN else alpha > 0
@@ -211,14 +217,14 @@ def _decoded(path: Path, decode: Callable[[Image.Image, int], np.ndarray]) -> np
         return decode(image, bits)
 
 
-def _shallow(image: Image.Image, mode: str, of: Image.Image | None = None) -> np.ndarray:
+def _decode_8_bits(image: Image.Image, mode: str, of: Image.Image | None = None) -> np.ndarray:
     """8 bits, by Pillow, which turns what it reads from a TIFF."""
     of = image if of is None else of
     turn = getattr(of, "tag_v2", {}).get(_ORIENTATION, 1) if of.format == "TIFF" else 1
     return _as_stored(np.asarray(image.convert(mode)), turn)
 
 
-def _deep(path: Path, image: Image.Image, bits: int) -> np.ndarray:
+def _decode_16_bits(path: Path, image: Image.Image, bits: int) -> np.ndarray:
     """More than 8 bits as (height, width, 3) uint16."""
     if path.suffix.lower() in HEIC_SUFFIXES:
         heif = library_for(path, "pillow_heif", "heic")

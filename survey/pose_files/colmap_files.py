@@ -83,7 +83,7 @@ def images_txt(path: Path) -> list[Photo]:
             raise ValueError(f"the line after image {name} is not a list of points (x, y, id) and not empty")
         xy = np.array([features[0::3], features[1::3]], dtype=np.float64).T
         point = np.array(features[2::3], dtype=np.int64)
-        photos.append(Photo(int(parts[0]), int(parts[8]), name, _seven(parts[1:8]), xy, point))
+        photos.append(Photo(int(parts[0]), int(parts[8]), name, _pose_numbers(parts[1:8]), xy, point))
     return photos
 
 
@@ -108,7 +108,7 @@ def rigs_txt(path: Path) -> dict[tuple[int, int], list[float] | None]:
             found[rig, int(numbers[3])] = [1.0, *[0.0] * 6]
         for _ in range(count - 1):
             kind, sensor, has_pose = numbers[at], int(numbers[at + 1]), int(numbers[at + 2])
-            pose = _seven(numbers[at + 3 : at + 10]) if has_pose else None
+            pose = _pose_numbers(numbers[at + 3 : at + 10]) if has_pose else None
             at += 10 if has_pose else 3
             if kind == _CAMERA:
                 found[rig, sensor] = pose
@@ -125,7 +125,7 @@ def frames_txt(path: Path) -> list[tuple[int, list[float], list[tuple[int, int]]
             raise ValueError(f"the line of frame {numbers[0][:20]} has {len(numbers)} words for {count} photographs")
         data = [numbers[10 + 3 * i : 13 + 3 * i] for i in range(count)]
         photos = [(int(sensor), int(image)) for kind, sensor, image in data if kind == _CAMERA]
-        found.append((int(numbers[1]), _seven(numbers[2:9]), photos))
+        found.append((int(numbers[1]), _pose_numbers(numbers[2:9]), photos))
     return found
 
 
@@ -231,7 +231,7 @@ def _lines(path: Path) -> Iterator[str]:
     return (line for line in path.read_text(encoding="utf-8").splitlines() if line.strip() and not line.startswith("#"))
 
 
-def _seven(texts: list[str]) -> list[float]:
+def _pose_numbers(texts: list[str]) -> list[float]:
     """The numbers of a pose."""
     if len(texts) != 7:
         raise ValueError(f"a pose has {len(texts)} numbers, expected 7")

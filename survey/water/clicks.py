@@ -51,7 +51,7 @@ def levels_of_clicks(
     ConfigError
         If the file is missing or damaged, or no place is left.
     """
-    places, strangers = _clicks_by_place(path, views)
+    places, num_without_pose = _clicks_by_place(path, views)
     found, unclear = [], []
     for name, clicks in places.items():
         level = _level_of(clicks, frame)
@@ -60,8 +60,8 @@ def levels_of_clicks(
         else:
             found.append(level)
     warnings = []
-    if strangers:
-        warnings.append(f"{strangers} clicks of {path.name} are in photographs without a pose, and left out")
+    if num_without_pose:
+        warnings.append(f"{num_without_pose} clicks of {path.name} are in photographs without a pose, and left out")
     if unclear:
         warnings.append(
             f"{len(unclear)} places of {path.name} give no level (first: {unclear[0]}), and are left out: click each "
@@ -80,11 +80,11 @@ def _clicks_by_place(path: Path, views: Sequence[View]) -> tuple[dict[str, list[
     rows = read_table(path, ("image", "x", "y", "name"), optional=("std",), error=ConfigError)
     names, by_name = ImageNames(view.name for view in views), {view.name: view for view in views}
     places: dict[str, list[Click]] = {}
-    strangers = 0
+    num_without_pose = 0
     for row in rows:
         view = by_name.get(names.find(row.text("image"), row.where) or "")
         if view is None:
-            strangers += 1
+            num_without_pose += 1
             continue
         pixel, std = np.array([row.number("x"), row.number("y")]), row.number("std", default=CLICK_STD_PX)
         if not ((pixel >= 0.0) & (pixel <= (view.camera.width, view.camera.height))).all() or not 0.0 < std <= 100.0:
@@ -93,7 +93,7 @@ def _clicks_by_place(path: Path, views: Sequence[View]) -> tuple[dict[str, list[
                 f"({view.camera.width} x {view.camera.height}) and a std above 0 and at most 100; correct it"
             )
         places.setdefault(row.text("name"), []).append(Click(view, pixel, std))
-    return places, strangers
+    return places, num_without_pose
 
 
 def _level_of(clicks: Sequence[Click], frame: LocalFrame) -> LevelObservation | None:

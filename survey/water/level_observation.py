@@ -127,7 +127,7 @@ def readings_of_gauge(path: Path, unit_m: float = 1.0) -> tuple[LevelObservation
         If the file is missing or damaged, a time has no time zone, or times do not rise.
     """
     rows = read_table(path, ("time", "level"), optional=("std",), error=ConfigError)
-    times = [moment_of(row.text("time"), row.where) for row in rows]
+    times = [utc_of(row.text("time"), row.where) for row in rows]
     found = tuple(
         LevelObservation(row.number("level") * unit_m, std_of(row, "gauge"), None, time, "gauge")
         for row, time in zip(rows, times, strict=True)
@@ -147,7 +147,7 @@ def std_of(row: Row, source: str) -> float:
     return std
 
 
-def moment_of(text: str, where: str) -> datetime:
+def utc_of(text: str, where: str) -> datetime:
     """A time in UTC from a text at a place of a file; ConfigError where it is none, or has no time zone."""
     try:
         moment = datetime.fromisoformat(text)

@@ -24,7 +24,7 @@ from survey.photos.cameras import View, metres_per_px
 from survey.photos.exif import Exif
 from survey.photos.names import ImageNames
 from survey.settings.water import WaterConfig
-from survey.water.level_observation import LevelObservation, moment_of, std_of
+from survey.water.level_observation import LevelObservation, std_of, utc_of
 
 # A photograph without a time gets the mean level of the others, if these differ by no more than this [m], which moves
 # the bed by less than 2 mm.
@@ -126,7 +126,7 @@ def tide_of_rate(water: WaterConfig, heads: Mapping[str, Exif]) -> Tide:
     taken = _times(heads, f"level_rate_m_per_h gives no levels; give levels of images in {FILE_NAME}")
     start = float(np.mean(list(taken.values())))
     if water.rate.level_time is not None:
-        start = moment_of(water.rate.level_time, "[water] level_time").timestamp()
+        start = utc_of(water.rate.level_time, "[water] level_time").timestamp()
     hours = _hours(taken, start)
     if water.rate.level_rate_std_m_per_h is not None and len(hours) < len(heads):
         raise ConfigError(

@@ -29,7 +29,7 @@ from survey.adjust import pose_check
 from survey.adjust.block.observed import WINDOW
 from survey.adjust.block.windows import load_photographs, measure_loaded_windows
 from survey.errors import SurveyError
-from survey.folder.place import water_plane
+from survey.folder.local_frame import water_plane
 from survey.folder.survey import Survey, load_survey
 from survey.photos.poses import TiePoints
 from survey.plan.plan import Plan, make_plan

@@ -12,8 +12,8 @@ from scipy.spatial import cKDTree
 from geo import LocalFrame, parse_crs
 from survey.adjust.result.adjustment import Adjustment
 from survey.control.points import Control, ControlPoint, Mark
+from survey.folder.local_frame import water_plane
 from survey.folder.motion import BY_XMP, Velocity
-from survey.folder.place import water_plane
 from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import Observations, Survey
 from survey.photos.cameras import View

@@ -13,10 +13,10 @@ from refract.lens import Lens
 from survey.folder.survey import Survey
 from survey.photos.poses import TiePoints
 from survey.sfm import block as sfm_block
+from survey.sfm.absolute_orientation import place_by_gps
 from survey.sfm.block import CameraBody
 from survey.sfm.gps import GpsPositions
 from survey.sfm.pairs import Place, image_pairs
-from survey.sfm.placing import place_by_gps
 from survey.sfm.settings import SEED
 from survey.sfm.solve import FreeBlocks, without_shared_images
 from tests.block_survey import CRS, ORIGIN, survey_of

@@ -19,7 +19,7 @@ from survey.adjust.refine import adjust_survey
 from survey.adjust.result.adjustment import Status
 from survey.adjust.result.std_common import common_error
 from survey.adjust.rounds import RobustSolution, adjust
-from survey.folder.place import water_plane
+from survey.folder.local_frame import water_plane
 from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import Survey
 from survey.water.level_observation import LevelObservation

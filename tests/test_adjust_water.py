@@ -20,7 +20,7 @@ from survey.adjust.block.state import WATER_PARAMETERS, settings_of
 from survey.adjust.observability import dry_or_within_bounds, within_bounds
 from survey.adjust.waterline import calibrate_water, nadir_views, with_water
 from survey.errors import SurveyError
-from survey.folder.place import water_plane
+from survey.folder.local_frame import water_plane
 from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import load_survey
 from survey.photos.cameras import View

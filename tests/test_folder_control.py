@@ -17,8 +17,8 @@ from survey.control.reading import merge_control, read_control
 from survey.errors import ControlError
 from survey.folder.control import checkpoint_warnings, mark_residuals
 from survey.folder.found import find_survey, survey_inputs
+from survey.folder.sfm_views import require_solvable
 from survey.folder.survey import load_survey
-from survey.folder.unposed import require_solvable
 from survey.plan.check import check_survey
 from survey.stage_key import stage_key
 from survey.water.surface import Departure

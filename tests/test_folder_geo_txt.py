@@ -16,8 +16,8 @@ from survey.folder.found import survey_inputs
 from survey.folder.geo_txt import with_positions
 from survey.folder.pose_priors import accuracy_of_gps, common_up_std_of_exif
 from survey.folder.survey import find_survey
+from survey.init.crs import Answers
 from survey.init.draft import draft
-from survey.init.place import Answers
 from survey.photos.exif import Exif, TablePlace, without_void_fixes
 from survey.plan.check import check_survey
 from survey.pose_files import find_poses

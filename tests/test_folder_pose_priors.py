@@ -23,8 +23,8 @@ from survey.folder.pose_priors import (
     common_up_std_of_exif,
     priors_of_gps,
 )
+from survey.folder.sfm_views import require_solvable
 from survey.folder.survey import load_survey
-from survey.folder.unposed import require_solvable
 from survey.photos.cameras import View
 from survey.photos.xmp import Rtk
 from survey.sfm.gps import gps_positions

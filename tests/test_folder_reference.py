@@ -16,7 +16,7 @@ from geo.crs import horizontal_crs
 from geo.transformation import lon_lat
 from survey.errors import ConfigError, ControlError
 from survey.folder.control import read_ground
-from survey.folder.place import water_plane
+from survey.folder.local_frame import water_plane
 from survey.settings.config import SurveyConfig, WaterConfig
 from survey.settings.tables import ControlConfig
 from survey.water.surface import Departure, height_above

@@ -10,8 +10,8 @@ from small_survey import LEVEL, small_survey, unposed
 from geo.crs import parse_crs
 from survey.folder.faults import start_height_warnings
 from survey.folder.found import find_survey
+from survey.folder.sfm_views import require_solvable
 from survey.folder.survey import load_survey
-from survey.folder.unposed import require_solvable
 from survey.photos.exif import Exif
 
 

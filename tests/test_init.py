@@ -17,8 +17,8 @@ from test_pose_files_opensfm import REFERENCE, block_json, tracks_csv
 from geo.area_of_use import height_systems_at
 from geo.crs import vertical_crs
 from survey.errors import ConfigError
+from survey.init.crs import Answers, FolderPhotographs, SettingsTable, write_crs
 from survey.init.draft import draft
-from survey.init.place import Answers, FolderPhotographs, SettingsTable, write_crs
 from survey.photos.exif import Exif
 from survey.photos.xmp import ELLIPSOIDAL
 

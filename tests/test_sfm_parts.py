@@ -13,10 +13,10 @@ from test_sfm_control import FRAME, PLACES, block_control
 from geo.similarity import Similarity
 from survey.errors import PosesError
 from survey.sfm import block as sfm_block
+from survey.sfm.absolute_orientation import place_by_control, place_by_gps, views_of_block
 from survey.sfm.block import CameraBody
 from survey.sfm.gps import GpsPositions
-from survey.sfm.marked import BlockControl
-from survey.sfm.placing import place_by_control, place_by_gps, views_of_block
+from survey.sfm.mark_rays import BlockControl
 from survey.sfm.solve import FreeBlocks, without_shared_images
 
 APART = (200.0, -30.0)

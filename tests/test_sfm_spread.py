@@ -14,7 +14,7 @@ import pytest
 
 from survey.sfm import block
 from survey.sfm.block import CameraBody, match_photographs
-from survey.sfm.spread import computing_on, part_of
+from survey.sfm.distributed import computing_on, part_of
 
 SIZE = (320, 240)
 

@@ -17,8 +17,8 @@ from survey.adjust.block.observed import original_pixels
 from survey.adjust.block.priors import PriorKnowledge
 from survey.adjust.block.state import Layout, State, enlarged
 from survey.adjust.result.adjustment import Adjustment
+from survey.folder.local_frame import water_plane
 from survey.folder.motion import rows_between
-from survey.folder.place import water_plane
 from survey.folder.survey import Survey, View
 from survey.photos.cameras import CAM_FROM_OPK_CAM, FILES, has_spaces, write_model
 from survey.photos.poses import TiePoints, least_track

@@ -24,7 +24,7 @@ from survey.adjust.block.state import NUM_POSE, State, with_parameters
 from survey.adjust.result.adjustment import MOST_SIGMAS, MOST_STD_LEVEL_M, Adjustment
 from survey.adjust.result.std_common import common_error
 from survey.adjust.rounds import RobustSolution
-from survey.folder.place import over_points
+from survey.folder.local_frame import over_points
 from survey.sfm.datum import WELL_KNOWN_M
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from survey.errors import SurveyError
 from survey.files.json_values import json_text
 from survey.files.outputs import is_json, require_file
 from survey.folder.found import survey_inputs
-from survey.folder.place import water_plane
+from survey.folder.local_frame import water_plane
 from survey.folder.survey import Survey, load_survey
 from survey.progress import current
 from survey.settings.config import WaterConfig

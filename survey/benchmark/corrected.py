@@ -11,7 +11,7 @@ from evaluation import per_camera, times_index
 from geo import LocalFrame, read_cloud, write_cloud
 from refract import FlatWater, PinholeCamera
 from survey.errors import SurveyError
-from survey.folder import place
+from survey.folder import local_frame
 from survey.folder.found import find_survey
 from survey.folder.survey import load_survey
 from survey.photos.cameras import View
@@ -102,7 +102,7 @@ def _scene(run: Path, survey: Path) -> _Scene:
         lens = lenses[pose.name]
         assert lens is not None
         views.append(View(pose.name, found.images[pose.name], lens.camera(centre, pose.cam_from_world @ axes.T), lens))
-    plane = place.water_in_local(found.config, frame, views)[1]
+    plane = local_frame.water_in_local(found.config, frame, views)[1]
     if plane is None:
         raise SurveyError(f"{survey} has no water whose refraction could be corrected")
     return _Scene(frame, tuple(view.camera for view in views), plane)

@@ -47,8 +47,8 @@ def run(
     terminal it asks for what no file states.
     """
     with command(verbose, quiet, folder, reads=folder) as results:
+        from survey.init.crs import Answers
         from survey.init.draft import SCHEMA_LINE, require_level_and_dry_apart, write_schema, write_settings
-        from survey.init.place import Answers
         from survey.progress import current
 
         answers = Answers(crs, level, dry, origin, _ask if sys.stdin.isatty() and sys.stderr.isatty() else None)

@@ -25,7 +25,7 @@ from survey.export.novel_views import image_based_field
 from survey.files.outputs import ReadFiles, require_file, require_folder
 from survey.folder.found import poses_inputs, survey_inputs
 from survey.folder.pairing import lens_from_config
-from survey.folder.posed import cams_from_local, points_in_crs
+from survey.folder.pose_frames import cams_from_local, points_in_crs
 from survey.photos.poses import PoseFile, PoseFrame
 from survey.pose_files import read_poses
 from survey.progress import current

@@ -13,7 +13,7 @@ from geo.crs import height_unit_m, is_geographic
 from geo.errors import PlaceMismatch
 from geo.frames import LocalFrame
 from geo.similarity import Similarity
-from survey.control.placing import control_in_local, require_metres
+from survey.control.local_control import control_in_local, require_metres
 from survey.control.points import Control, ControlPoint
 from survey.display.quantities import named
 from survey.errors import FILE_NAME, ControlError, Findings, PosesError
@@ -33,7 +33,7 @@ from survey.sfm.control_fit import (
 )
 from survey.sfm.gps import is_whole, what_is_missing
 from survey.sfm.gps_fit import ROLL_REMEDY
-from survey.sfm.marked import BlockControl, BlockView, Intersections, intersect_marks
+from survey.sfm.mark_rays import BlockControl, BlockView, Intersections, intersect_marks
 from survey.words import GEO_TXT
 
 # On straight rays the bed seems higher than it is by about a quarter of its depth.

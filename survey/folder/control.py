@@ -25,7 +25,7 @@ from geo.reproject import Reprojection
 from geo.shapes import Cloud, Mesh, excluded_points, in_height_unit, masked_cloud, vertices_of
 from geo.transformation import Transformation
 from refract import FlatWater
-from survey.control.placing import checkpoints_in_local, control_in_local, without_pose
+from survey.control.local_control import checkpoints_in_local, control_in_local, without_pose
 from survey.control.points import Checkpoint, Content, Control, GivenPoint, StableGround
 from survey.control.reading import MergedControl, in_crs, merge_control, read_control
 from survey.control.tables import read_checkpoints

@@ -13,7 +13,7 @@ from geo.crs import EGM96_HEIGHT, crs_code, has_height, horizontal_crs, utm_code
 from survey.control.gcp_list import read_gcp_list
 from survey.errors import FILE_NAME, ConfigError, ControlError, Findings
 from survey.folder.plausible import SAME_PLACE_M, distances_to_exif
-from survey.folder.posed import middle_of_geocentric, points_in_crs
+from survey.folder.pose_frames import middle_of_geocentric, points_in_crs
 from survey.photos.exif import SUFFIXES, Exif, position_sources, utm_code_of
 from survey.photos.names import ImageNames
 from survey.photos.poses import PoseFile, PoseFrame

@@ -14,15 +14,21 @@ import numpy as np
 
 from geo.frames import LocalFrame
 from refract.lens import MODELS, Lens, LensError, coefficients_of
-from survey.control.placing import require_near
+from survey.control.local_control import require_near
 from survey.display.quantities import named
 from survey.errors import FILE_NAME, ConfigError, Findings, ImageError, PosesError
 from survey.files.csv_table import shortened
-from survey.folder import place
+from survey.folder import local_frame
 from survey.folder.faults import angle_warnings
 from survey.folder.found import MIN_VIEWS, Found
+from survey.folder.pose_frames import (
+    TiePointMisfit,
+    given_in_local,
+    points_in_local,
+    reprojection,
+    transformation_into_crs,
+)
 from survey.folder.pose_priors import PosePrior, priors_of_poses
-from survey.folder.posed import TiePointMisfit, given_in_local, points_in_local, reprojection, transformation_into_crs
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.photos.names import ImageNames
@@ -241,7 +247,7 @@ def read_file_poses(found: Found, path: Path) -> tuple[FilePoses, Findings]:
     found, of_clicks = _with_clicked_level(found, file, poses)
     said += Findings(warnings=tuple(angle_warnings(poses, file.frame))) + of_datum + of_clicks
     warnings = []
-    frame, views = place.views_in_local(found, file, poses)
+    frame, views = local_frame.views_in_local(found, file, poses)
     if file.tool is not None and found.config.water is not None:
         warnings.append(
             f"{file.tool} ignores refraction: tie points under water have biased its poses; the plan says whether they "
@@ -278,7 +284,7 @@ def _with_clicked_level(found: Found, file: PoseFile, poses: list[Pose]) -> tupl
     if water is None or water.sources.clicks is None:
         return found, Findings()
     dry = replace(found, config=replace(found.config, water=None))
-    frame, views = place.views_in_local(dry, file, poses)
+    frame, views = local_frame.views_in_local(dry, file, poses)
     config, clicked, said = with_level_of_clicks(found.folder, found.config, views, frame)
     return replace(found, config=config, levels=found.levels + clicked), said
 

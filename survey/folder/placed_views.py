@@ -19,12 +19,12 @@ from survey.errors import Findings, ImageError
 from survey.folder.checked_control import ControlledBlock, checked_parts
 from survey.folder.control import place_control
 from survey.folder.found import Found
+from survey.folder.local_frame import over_points
 from survey.folder.pairing import read_file_poses, require_image
-from survey.folder.place import over_points
 from survey.folder.plausible import most_over_water
+from survey.folder.pose_frames import TiePointMisfit
 from survey.folder.pose_priors import PosePrior, common_up_std, priors_of_gps
-from survey.folder.posed import TiePointMisfit
-from survey.folder.unposed import solve_views
+from survey.folder.sfm_views import solve_views
 from survey.photos.cameras import View
 from survey.photos.exif import SUFFIXES
 from survey.photos.images import is_hidden, read_mask, require_all_complete

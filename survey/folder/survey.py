@@ -15,7 +15,7 @@ from geo.transformation import lon_lat
 from refract import FlatWater
 from survey.control.points import Checkpoint, Control, StableGround
 from survey.errors import FILE_NAME, Findings, GivenValueTest, SurveyError
-from survey.folder import place
+from survey.folder import local_frame
 from survey.folder.control import checkpoint_warnings, mark_warnings, read_ground
 from survey.folder.faults import (
     exif_height_warnings,
@@ -29,8 +29,8 @@ from survey.folder.found import Found, find_survey
 from survey.folder.motion import Velocity, shutter_warnings, velocities_of, with_motion
 from survey.folder.placed_views import PlacedViews, shifted_above_water, views_of_file, views_of_photographs
 from survey.folder.plausible import place_warnings, require_plausible
+from survey.folder.pose_frames import TiePointMisfit
 from survey.folder.pose_priors import PosePrior, common_plan_std
-from survey.folder.posed import TiePointMisfit
 from survey.folder.positions import far_from_others
 from survey.photos.cameras import View, metres_per_px
 from survey.photos.images import load_image, load_mask
@@ -265,10 +265,13 @@ def _local_water(placed: PlacedViews) -> tuple[_LocalWater, Findings]:
         cameras = lon_lat(found.crs, frame.crs_from_local(_centres(views)))
         said = Findings(warnings=tuple(water_place_warnings(found.crs, cameras, config.water, levels)))
     if config.water is not None and config.water.level_m is None:
-        (config, of_points), is_level_known = place.with_level_of_points(config, frame, views, placed.points), False
+        (config, of_points), is_level_known = (
+            local_frame.with_level_of_points(config, frame, views, placed.points),
+            False,
+        )
         said += of_points
     config, of_surface = with_plane_of_surface(config, levels, views, frame)
-    config, plane, of_plane = place.water_in_local(config, frame, views)
+    config, plane, of_plane = local_frame.water_in_local(config, frame, views)
     departure = Departure.of(levels, frame, plane)
     if departure is None and plane is not None:
         departure = still_water(frame, plane, _seen(placed))

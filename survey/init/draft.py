@@ -10,7 +10,7 @@ from survey.files.json_values import write_json
 from survey.files.toml_table import schema_of
 from survey.folder import infer
 from survey.folder.geo_txt import find_geo_txt, with_positions
-from survey.init.place import Answers, FolderPhotographs, SettingsTable, require_in_place, write_crs, write_origin
+from survey.init.crs import Answers, FolderPhotographs, SettingsTable, require_in_place, write_crs, write_origin
 from survey.photos.exif import read_exif, without_void_fixes
 from survey.photos.images import list_images
 from survey.pose_files import find_poses, read_poses

@@ -15,9 +15,9 @@ from refract import FlatWater
 from survey.errors import FILE_NAME, SurveyError
 from survey.folder import infer
 from survey.folder.found import Found, find_survey
+from survey.folder.local_frame import water_plane
 from survey.folder.motion import velocities_of, with_motion
 from survey.folder.pairing import read_file_poses
-from survey.folder.place import water_plane
 from survey.photos.cameras import View, projection_and_jacobian
 from survey.run.flight import FLIGHT, load_flight
 from survey.settings.config import SurveyConfig, read_config

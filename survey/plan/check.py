@@ -15,8 +15,8 @@ from survey.display.quantities import length, named
 from survey.errors import SurveyError
 from survey.folder.motion import shutter_text
 from survey.folder.pose_priors import accuracy_of_gps, accuracy_of_priors, common_up_std_of_exif
+from survey.folder.sfm_views import placing_control, require_solvable
 from survey.folder.survey import Found, Survey, find_survey, load_survey
-from survey.folder.unposed import placing_control, require_solvable
 from survey.photos.exif import position_sources
 from survey.photos.texture import photographs_like_water
 from survey.plan.area import require_seen

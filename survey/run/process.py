@@ -47,11 +47,11 @@ from survey.run.folder import RunDir
 from survey.run.repeat import Truth
 from survey.run.result import Owner
 from survey.settings.tables import ProcessConfig
-from survey.sfm.spread import computing_on
+from survey.sfm.distributed import computing_on
 
 if TYPE_CHECKING:
     from survey.run.job import Job
-    from survey.sfm.spread import Workers
+    from survey.sfm.distributed import Workers
 
 QUALITY_GATE_FAILED = 3
 # Load of the machine from which the forecast of the time counts it.

@@ -24,10 +24,10 @@ from survey.photos.images import eight_bits
 from survey.photos.pixels import read_rgb
 from survey.photos.poses import TiePoints, least_track
 from survey.progress import current
+from survey.sfm.distributed import Workers, add_rows, part_of, rows_of, workers
 from survey.sfm.incremental import DIRECT_UP_TO, map_directly, options_of
-from survey.sfm.pairs import VOTING, Place, similar_images, image_pairs
+from survey.sfm.pairs import VOTING, Place, image_pairs, similar_images
 from survey.sfm.settings import ALL_PAIRS_UP_TO, FEATURES_PX, MIN_IMAGES, SEED, THREADS, solver
-from survey.sfm.spread import Workers, add_rows, part_of, rows_of, workers
 from survey.words import Mapper
 
 if TYPE_CHECKING:

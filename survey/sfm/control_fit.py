@@ -17,7 +17,7 @@ from geo.similarity import Similarity, fit_similarity, robust_similarity
 from survey.control.points import ControlPoint
 from survey.errors import ControlError
 from survey.sfm.gps_fit import PositionLine
-from survey.sfm.marked import BlockControl, BlockView, Intersections, intersect_marks, swapped_marks
+from survey.sfm.mark_rays import BlockControl, BlockView, Intersections, intersect_marks, swapped_marks
 
 MIN_POINTS = 3
 # A block may miss its control by this share of the distance to the cameras, and this many standard deviations of it.

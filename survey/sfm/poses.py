@@ -1,8 +1,8 @@
 """Structure from motion: poses in the local frame for a survey that comes without them.
 
 Photographs -> blocks of poses and points by pycolmap (`survey.sfm.block`, `survey.sfm.solve`), one where all overlap ->
-each georeferenced by GPS positions in EXIF or by control points (`survey.sfm.placing`). Here: the entry point, the
-result, and the solved blocks, which are stored, in their own frames, to be used again.
+each georeferenced by GPS positions in EXIF or by control points (`survey.sfm.absolute_orientation`). Here: the entry
+point, the result, and the solved blocks, which are stored, in their own frames, to be used again.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from survey.files.outputs import locked
 from survey.photos.exif import Exif, read_exif
 from survey.photos.poses import TiePoints
 from survey.sfm import block as sfm_block
+from survey.sfm.absolute_orientation import PlacedBlocks, place_by_control, place_by_gps
 from survey.sfm.gps import gps_positions, positions_in_crs
 from survey.sfm.gps_fit import attitudes_of
-from survey.sfm.marked import BlockControl
+from survey.sfm.mark_rays import BlockControl
 from survey.sfm.pairs import image_pairs
-from survey.sfm.placing import PlacedBlocks, place_by_control, place_by_gps
 from survey.sfm.settings import mapper_of, one_focal, require_mapper, require_size
 from survey.sfm.solve import FreeBlocks, Photographs, aliases, sensors_of, solve
 from survey.stage_key import code_hash, stage_key

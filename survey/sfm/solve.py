@@ -1,4 +1,4 @@
-"""Blocks of photographs, each in a frame of its own, which `survey.sfm.placing` places on Earth.
+"""Blocks of photographs, each in a frame of its own, which `survey.sfm.absolute_orientation` places on Earth.
 
 Rays are straight here: `survey.adjust` then adjusts the block with bent ones.
 """

@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from refract import FlatWater
 from refract.lens import MODELS, Lens, is_affine
-from survey.folder.place import water_plane
+from survey.folder.local_frame import water_plane
 from survey.folder.survey import Survey
 from survey.photos.cameras import View
 from survey.settings.config import WaterConfig

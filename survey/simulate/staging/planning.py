@@ -16,7 +16,7 @@ from refract import FlatWater, PinholeCamera
 from refract.lens import MODELS, Lens, LensError, coefficients_of
 from survey.errors import ConfigError, PosesError, SurveyError
 from survey.folder.faults import place_of
-from survey.folder.posed import cams_from_local, points_in_crs
+from survey.folder.pose_frames import cams_from_local, points_in_crs
 from survey.photos.poses import PoseFrame
 from survey.pose_files import read_poses
 from survey.simulate.flight.patterns import Site, plan_flight

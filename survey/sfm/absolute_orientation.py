@@ -1,4 +1,4 @@
-"""Blocks of photographs placed on Earth, each by the GPS positions of its cameras or by control points.
+"""Absolute orientation of blocks of photographs, each by the GPS positions of its cameras or by control points.
 
 A similarity takes a block to local; focal lengths that it does not determine are reset to EXIF; the origin is lowered
 to the ground.
@@ -31,7 +31,7 @@ from survey.sfm.gps_fit import (
     roll_by_control,
     roll_by_ground,
 )
-from survey.sfm.marked import BlockControl, BlockView, Intersections, intersect_marks
+from survey.sfm.mark_rays import BlockControl, BlockView, Intersections, intersect_marks
 from survey.sfm.solve import GIVE_POSES, FreeBlocks, listed
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from geo.frames import LocalFrame
 from refract import FlatWater
 from survey.errors import FILE_NAME, ConfigError, Findings, PosesError
 from survey.folder.found import Found
-from survey.folder.posed import cams_from_local, points_in_crs
+from survey.folder.pose_frames import cams_from_local, points_in_crs
 from survey.photos.cameras import View
 from survey.photos.poses import Pose, PoseFile, PoseFrame
 from survey.photos.texture import matched_light

@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 from geo.crs import EARTH_RADIUS_M, height_unit_m, middle_lon_lat
 from geo.frames import LocalFrame
 from refract.lens import Lens
-from survey.control.placing import require_near
+from survey.control.local_control import require_near
 from survey.display.quantities import named
 from survey.errors import FILE_NAME, ControlError, ImageError, PosesError
 from survey.folder.checked_control import control_of_block, may_hold_roll, require_placing_control, with_two_marks
@@ -47,7 +47,7 @@ from survey.sfm.control_fit import line_of_control
 from survey.sfm.datum import require_accurate
 from survey.sfm.gps import gps_positions, is_whole, positions_in_crs, transforms_into_crs
 from survey.sfm.gps_fit import MIN_STD_M, ROLL_REMEDY, is_contradicted, line_of
-from survey.sfm.marked import BlockControl
+from survey.sfm.mark_rays import BlockControl
 from survey.sfm.settings import one_focal, require_mapper, require_size, require_solver
 from survey.words import RUN_FOLDER, SFM_FOLDER
 

@@ -27,7 +27,7 @@ from geo.frames import LocalFrame
 from survey.errors import ConfigError
 from survey.folder import infer
 from survey.folder.plausible import SAME_PLACE_M, distances_to_exif
-from survey.folder.posed import middle_of_geocentric, points_in_crs
+from survey.folder.pose_frames import middle_of_geocentric, points_in_crs
 from survey.photos.exif import Exif, position_sources, utm_code_of
 from survey.photos.names import ImageNames
 from survey.photos.poses import PoseFile, PoseFrame

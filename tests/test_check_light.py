@@ -110,7 +110,7 @@ def test_a_photograph_that_is_mostly_white_is_called_white_and_not_blurred(tmp_p
     paths = {name: tmp_path / name for name in images}
     for name, image in images.items():
         cv2.imwrite(str(paths[name]), image)
-    found = SimpleNamespace(images=paths, heads={name: SimpleNamespace(size_px=(400, 300)) for name in paths})
+    found = SimpleNamespace(images=paths, headers={name: SimpleNamespace(size_px=(400, 300)) for name in paths})
     text = sharpness_text(found)
     assert text.startswith(
         "poor: 1 of 6 photographs is more than half white by glint of the sun or exposure: 2.png (67"
@@ -181,7 +181,7 @@ def test_a_photograph_that_is_black_or_of_one_colour_is_named(tmp_path, colour, 
         plain = np.clip(colour + rng.normal(0.0, 1.0, (300, 400)), 0, 255)
         cv2.imwrite(str(path), plain if i == 4 else lively[i % 2])
     # So large that a sample has a few of them.
-    found = SimpleNamespace(images=paths, heads={name: SimpleNamespace(size_px=(4000, 3000)) for name in paths})
+    found = SimpleNamespace(images=paths, headers={name: SimpleNamespace(size_px=(4000, 3000)) for name in paths})
     assert f"black or of one colour all over, and show nothing: 04.{suffix}" in sharpness_text(found)
 
 

@@ -129,13 +129,13 @@ def test_a_grid_beside_the_data_takes_ellipsoidal_heights_to_the_sea(tmp_path, d
     )
     found = find_survey(folder)
     with pytest.raises(ConfigError, match=r"us_nga_egm96_15\.tif is not installed; .* the folder geoid of the survey"):
-        gps_positions(found.heads, found.crs, "ellipsoidal")
+        gps_positions(found.headers, found.crs, "ellipsoidal")
     (folder / "geoid").mkdir()
     packed = data_dir / "real" / "geoid" / "egm96_15.gtx.gz"
     with gzip.open(packed) as grid, (folder / "geoid" / "egm96_15.gtx").open("wb") as file:
         shutil.copyfileobj(grid, file)
     found = find_survey(folder)
-    gps = gps_positions(found.heads, found.crs, "ellipsoidal")
+    gps = gps_positions(found.headers, found.crs, "ellipsoidal")
     heights = gps.frame.crs_from_local(np.array(list(gps.local.values())))[:, 2]
     # EGM96 lies 49.2 to 49.8 m over the ellipsoid about 46.9 N, 10.17 E.
     np.testing.assert_allclose(heights, LEVEL + 20.0 - 49.5, atol=1.0)

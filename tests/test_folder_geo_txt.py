@@ -75,7 +75,7 @@ def test_positions_and_accuracies_are_those_of_the_file_in_every_form(tmp_path, 
     folder = unposed(tmp_path / "s")
     (folder / "geo.txt").write_text(geo_txt(header, TAILS[tail]))
     found = find_survey(folder)
-    positions, _ = positions_in_crs(found.heads, found.crs, "crs")
+    positions, _ = positions_in_crs(found.headers, found.crs, "crs")
     expected = PLACES.copy()
     if tail == "no height":
         expected[:, 2] = LEVEL + 20.0  # that of EXIF
@@ -85,10 +85,10 @@ def test_positions_and_accuracies_are_those_of_the_file_in_every_form(tmp_path, 
     assert said_of.startswith("positions of 4 of 4 images are those in geo.txt (")
     assert "instead of those in EXIF of 4, " in said_of
     has_std = tail in ("accuracies", "more")
-    accuracy = accuracy_of_gps(found.config.cameras, found.heads)
+    accuracy = accuracy_of_gps(found.config.cameras, found.headers)
     good = "4 of 4 positions good to 0.02, 0.02 and 0.03 m east, north and up (geo.txt)"
     assert accuracy == (good if has_std else "4 of 4 positions of unknown accuracy (geo.txt)")
-    assert (common_up_std_of_exif(CamerasConfig(), found.heads) == 0.0) is has_std
+    assert (common_up_std_of_exif(CamerasConfig(), found.headers) == 0.0) is has_std
     assert any("horizontal accuracy alone" in warning for warning in found.warnings) is (tail == "one accuracy")
 
 
@@ -128,7 +128,7 @@ def test_photographs_and_lines_without_each_other_are_named(tmp_path):
     found = find_survey(folder)
     assert "1 image of geo.txt not among the photographs: other.jpg" in found.warnings
     assert "1 image not in geo.txt, which keep what EXIF has: 0003.jpg" in found.warnings
-    positions, _ = positions_in_crs(found.heads, found.crs, "crs")
+    positions, _ = positions_in_crs(found.headers, found.crs, "crs")
     assert list(positions) == NAMES
     assert abs(positions["0003.jpg"][2] - (LEVEL + 20.0)) < 1e-9
 
@@ -221,10 +221,10 @@ def at(header: str, place: tuple[float, float, float]) -> Exif:
 
 @pytest.mark.parametrize("has_height", [True, False])
 def test_a_position_of_the_file_is_not_void_and_one_in_exif_still_gives_its_height(tmp_path, has_height):
-    heads = {name: Exif((64, 48), (47.0, 9.0, 500.0), None, 1, "", None, is_void=name == NAMES[0]) for name in NAMES}
+    headers = {name: Exif((64, 48), (47.0, 9.0, 500.0), None, 1, "", None, is_void=name == NAMES[0]) for name in NAMES}
     lines = [f"{name} 9.0 47.0{' 510.0' if has_height else ''}" for name in NAMES]
     (tmp_path / "geo.txt").write_text("\n".join(["EPSG:4326", *lines, ""]))
-    done, _ = with_positions(tmp_path / "geo.txt", heads)
+    done, _ = with_positions(tmp_path / "geo.txt", headers)
     assert without_void_fixes(done) == done
     assert [head.lat_lon_height[2] for head in done.values()] == [510.0 if has_height else 500.0] * len(NAMES)
     assert not any(head.is_void for head in done.values())

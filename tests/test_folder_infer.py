@@ -172,9 +172,9 @@ def test_without_poses_and_positions_there_is_nothing_to_start_from(tmp_path):
     ],
 )
 def test_without_whole_positions_what_is_missing_is_said(exif, missing):
-    heads = {f"{i}.jpg": replace(Exif((64, 48), None, None, 1, "", None), **exif) for i in range(5)}
+    headers = {f"{i}.jpg": replace(Exif((64, 48), None, None, 1, "", None), **exif) for i in range(5)}
     with pytest.raises(PosesError, match=missing):
-        gps_positions(heads, None, "crs")
+        gps_positions(headers, None, "crs")
 
 
 def test_a_survey_without_poses_is_handed_to_structure_from_motion(tmp_path, monkeypatch):

@@ -139,24 +139,24 @@ def test_times_and_positions_give_velocities_along_lines_and_at_their_ends(rng):
     places, times, true = lawnmower()
     order = dict(sorted(places.items(), key=lambda _: rng.random()))
     for clock in ("clock", "taken"):
-        heads = {n: head(**{clock: START + timedelta(seconds=t)}) for n, t in zip(places, times, strict=True)}
-        found = velocities_of(order, heads, None)
+        headers = {n: head(**{clock: START + timedelta(seconds=t)}) for n, t in zip(places, times, strict=True)}
+        found = velocities_of(order, headers, None)
         assert {velocity.source for velocity in found.values()} == {BY_TIMES}
         np.testing.assert_allclose([found[name].local for name in places], true, atol=1e-9)
 
 
 def test_a_clock_of_whole_seconds_is_good_to_a_fifth():
     places, times, true = lawnmower(2.4)
-    heads = {n: head(START + timedelta(seconds=int(t))) for n, t in zip(places, times, strict=True)}
-    found = velocities_of(places, heads, None)
+    headers = {n: head(START + timedelta(seconds=int(t))) for n, t in zip(places, times, strict=True)}
+    found = velocities_of(places, headers, None)
     assert np.linalg.norm([found[name].local - v for name, v in zip(places, true, strict=True)], axis=1).max() < 0.9
 
 
 def test_a_photograph_at_a_turn_has_no_velocity():
     places = [(0, 0, 9), (5, 0, 9), (10, 0, 9), (10, 5, 9), (10, 10, 9)]
     corner = {f"{k}.jpg": np.array(place) for k, place in enumerate(places)}
-    heads = {name: head(START + timedelta(seconds=k)) for k, name in enumerate(corner)}
-    found = velocities_of(corner, heads, None)
+    headers = {name: head(START + timedelta(seconds=k)) for k, name in enumerate(corner)}
+    found = velocities_of(corner, headers, None)
     assert sorted(found) == ["0.jpg", "1.jpg", "3.jpg", "4.jpg"]
     np.testing.assert_allclose(found["1.jpg"].local, [5.0, 0.0, 0.0])
     np.testing.assert_allclose(found["3.jpg"].local, [0.0, 5.0, 0.0])
@@ -165,17 +165,17 @@ def test_a_photograph_at_a_turn_has_no_velocity():
 def test_photographs_without_times_or_far_apart_in_time_have_no_velocity():
     places, times, _ = lawnmower()
     assert velocities_of(places, {name: head() for name in places}, None) == {}
-    heads = {n: head(START + timedelta(seconds=100 * t)) for n, t in zip(places, times, strict=True)}
-    assert velocities_of(places, heads, None) == {}
+    headers = {n: head(START + timedelta(seconds=100 * t)) for n, t in zip(places, times, strict=True)}
+    assert velocities_of(places, headers, None) == {}
     assert velocities_of(places, {name: head(START) for name in places}, None) == {}
 
 
 def test_xmp_counts_before_times_and_times_before_settings():
     places, times, true = lawnmower()
-    heads = {n: head(START + timedelta(seconds=t)) for n, t in zip(places, times, strict=True)}
-    heads["2.jpg"] = head(START + timedelta(seconds=4), speed=(1.0, 2.0, 3.0))
-    heads["7.jpg"] = head()
-    found = velocities_of(places, heads, 5.0)
+    headers = {n: head(START + timedelta(seconds=t)) for n, t in zip(places, times, strict=True)}
+    headers["2.jpg"] = head(START + timedelta(seconds=4), speed=(1.0, 2.0, 3.0))
+    headers["7.jpg"] = head()
+    found = velocities_of(places, headers, 5.0)
     assert (found["2.jpg"].source, found["2.jpg"].local.tolist()) == (BY_XMP, [1.0, 2.0, 3.0])
     assert found["3.jpg"].source == BY_TIMES
     # Of one photograph the time is missing: its neighbours are linked over it, and it has its order by name.

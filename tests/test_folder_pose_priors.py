@@ -69,7 +69,7 @@ def test_gps_positions_are_in_the_frame_of_the_views_however_far_it_was_lowered(
     local = np.array([prior.position for prior in priors.values()])
     assert np.abs(local - frame.local_from_crs(expected)).max() < ROUNDING_M
     # As the residuals of structure from motion have it: straight down from the frame of the positions.
-    gps = gps_positions(found.heads, found.crs, "crs")
+    gps = gps_positions(found.headers, found.crs, "crs")
     lowered = LocalFrame(found.crs, (*gps.frame.origin[:2], gps.frame.origin[2] - fall))
     below = priors_of_gps(found, lowered, views_of(found, lowered))
     assert np.abs(below["0002.jpg"].position - (gps.local["0002.jpg"] + [0.0, 0.0, fall])).max() < ROUNDING_M
@@ -82,18 +82,18 @@ def test_gps_positions_are_in_the_frame_of_the_views_however_far_it_was_lowered(
 def test_without_a_number_in_survey_toml_a_fixed_receiver_tells_its_own_and_no_other_does(tmp_path):
     found = find_survey(unposed(tmp_path / "s"))
     std = (0.011, 0.012, 0.025)
-    heads = dict(found.heads)
-    heads["0000.jpg"] = replace(heads["0000.jpg"], rtk=Rtk(50, std))
-    heads["0001.jpg"] = replace(heads["0001.jpg"], rtk=Rtk(34, std))
-    found = replace(found, heads=heads)
+    headers = dict(found.headers)
+    headers["0000.jpg"] = replace(headers["0000.jpg"], rtk=Rtk(50, std))
+    headers["0001.jpg"] = replace(headers["0001.jpg"], rtk=Rtk(34, std))
+    found = replace(found, headers=headers)
     frame = LocalFrame(found.crs, (E0, N0, LEVEL))
     priors = priors_of_gps(found, frame, views_of(found, frame))
     assert [prior.source for prior in priors.values()] == ["XMP RTK", "GPS EXIF", "GPS EXIF", "GPS EXIF"]
     assert tuple(priors["0000.jpg"].position_std) == std
     assert priors["0001.jpg"].position_std is None
     assert [prior.common_up_std for prior in priors.values()] == [0.0, 80.0, 80.0, 80.0]
-    assert common_up_std(priors) == common_up_std_of_exif(found.config.cameras, found.heads) == 0.0
-    assert accuracy_of_gps(found.config.cameras, found.heads) == accuracy_of_priors(priors)
+    assert common_up_std(priors) == common_up_std_of_exif(found.config.cameras, found.headers) == 0.0
+    assert accuracy_of_gps(found.config.cameras, found.headers) == accuracy_of_priors(priors)
     assert accuracy_of_priors(priors) == (
         "1 of 4 positions good to 0.011, 0.012 and 0.025 m east, north and up (XMP RTK); 3 of 4 positions of unknown "
         "accuracy (GPS EXIF)"
@@ -102,10 +102,10 @@ def test_without_a_number_in_survey_toml_a_fixed_receiver_tells_its_own_and_no_o
 
 def test_an_accuracy_of_centimetres_by_another_maker_is_believed_and_one_of_metres_is_not(tmp_path):
     found = find_survey(unposed(tmp_path / "s"))
-    heads = dict(found.heads)
-    heads["0000.jpg"] = replace(heads["0000.jpg"], std_m=(0.02, 0.02, 0.03))
-    heads["0001.jpg"] = replace(heads["0001.jpg"], std_m=(1.2, 1.2, 1.7))
-    found = replace(found, heads=heads)
+    headers = dict(found.headers)
+    headers["0000.jpg"] = replace(headers["0000.jpg"], std_m=(0.02, 0.02, 0.03))
+    headers["0001.jpg"] = replace(headers["0001.jpg"], std_m=(1.2, 1.2, 1.7))
+    found = replace(found, headers=headers)
     frame = LocalFrame(found.crs, (E0, N0, LEVEL))
     priors = priors_of_gps(found, frame, views_of(found, frame))
     assert [prior.source for prior in priors.values()] == ["stated accuracy", "GPS EXIF", "GPS EXIF", "GPS EXIF"]
@@ -117,7 +117,7 @@ def test_heights_that_are_good_to_decimetres_or_worse_have_their_error_in_common
     found = find_survey(unposed(tmp_path / "s", ("[water]", f"position_std_m = {stated}\n[water]")))
     frame = LocalFrame(found.crs, (E0, N0, LEVEL))
     assert common_up_std(priors_of_gps(found, frame, views_of(found, frame))) == common
-    assert common_up_std_of_exif(found.config.cameras, found.heads) == common
+    assert common_up_std_of_exif(found.config.cameras, found.headers) == common
     posed = load_survey(small_survey(tmp_path / "p", toml=replaced(("[water]", f"position_std_m = {stated}\n[water]"))))
     assert common_up_std(posed.observations.priors) == 0.0
 
@@ -172,7 +172,7 @@ def test_what_a_change_of_datums_costs_is_shared_by_all_positions_and_said(tmp_p
     priors = priors_of_gps(found, frame, views_of(found, frame))
     assert {prior.common_plan_std for prior in priors.values()} == {2.0} == {common_plan_std(priors)}
     assert any("the accuracy by PROJ is 2 m" in warning for warning in found.warnings)
-    assert accuracy_of_gps(found.config.cameras, found.heads, found.datum) == accuracy_of_priors(priors)
+    assert accuracy_of_gps(found.config.cameras, found.headers, found.datum) == accuracy_of_priors(priors)
     assert "plus 2 m in plan in common" in accuracy_of_priors(priors)
     # Where control decides they are widened by it.
     held = priors["0000.jpg"].held_by_control()
@@ -197,16 +197,16 @@ def test_poses_of_a_file_count_as_exact_and_are_refused_alike(tmp_path):
 
 def test_a_photograph_without_a_position_or_its_height_has_no_prior(tmp_path):
     found = find_survey(unposed(tmp_path / "s", ("[water]", "position_std_m = 0.04\n[water]")))
-    heads = dict(found.heads)
-    lat, lon, _ = heads["0003.jpg"].lat_lon_height
-    heads["0003.jpg"] = replace(heads["0003.jpg"], lat_lon_height=(lat, lon, float("nan")))
-    found = replace(found, heads=heads)
+    headers = dict(found.headers)
+    lat, lon, _ = headers["0003.jpg"].lat_lon_height
+    headers["0003.jpg"] = replace(headers["0003.jpg"], lat_lon_height=(lat, lon, float("nan")))
+    found = replace(found, headers=headers)
     frame = LocalFrame(found.crs, (E0, N0, LEVEL))
     priors = priors_of_gps(found, frame, views_of(found, frame))
     assert priors["0003.jpg"].position is None
     assert priors["0003.jpg"].position_std is None
     assert "1 of 4 positions not known" in accuracy_of_priors(priors)
-    assert accuracy_of_gps(found.config.cameras, found.heads) == accuracy_of_priors(priors)
+    assert accuracy_of_gps(found.config.cameras, found.headers) == accuracy_of_priors(priors)
 
 
 def test_priors_make_a_key_that_changes_with_them(tmp_path):
@@ -221,6 +221,8 @@ def test_priors_make_a_key_that_changes_with_them(tmp_path):
 @pytest.mark.parametrize("told_by", ["camera", "serial", "focal_warning"])
 def test_photographs_of_two_cameras_get_a_lens_for_each(tmp_path, told_by):
     found = find_survey(unposed(tmp_path / "s"))
-    heads = {name: replace(head, **{told_by: f"camera {i % 2}"}) for i, (name, head) in enumerate(found.heads.items())}
-    sensors = sensors_of(heads, {name: name for name in heads}, None)
+    headers = {
+        name: replace(head, **{told_by: f"camera {i % 2}"}) for i, (name, head) in enumerate(found.headers.items())
+    }
+    sensors = sensors_of(headers, {name: name for name in headers}, None)
     assert [sensor.names for sensor in sensors] == [("0000.jpg", "0002.jpg"), ("0001.jpg", "0003.jpg")]

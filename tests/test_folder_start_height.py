@@ -15,7 +15,7 @@ from survey.folder.survey import load_survey
 from survey.photos.exif import Exif
 
 
-def heads(above_start_m: float | None) -> dict[str, Exif]:
+def headers(above_start_m: float | None) -> dict[str, Exif]:
     return {f"{i}.jpg": Exif((64, 48), None, None, 1, "", above_start_m) for i in range(4)}
 
 
@@ -33,7 +33,7 @@ def heads(above_start_m: float | None) -> dict[str, Exif]:
 def test_a_start_under_the_water_or_far_over_it_is_doubted(over_water, above_start, words):
     found = start_height_warnings(
         {f"{i}.jpg": over_water for i in range(4)},
-        heads(above_start),
+        headers(above_start),
         LEVEL,
         (46.9, 10.17),
         parse_crs("EPSG:25832+5778"),
@@ -43,7 +43,7 @@ def test_a_start_under_the_water_or_far_over_it_is_doubted(over_water, above_sta
 
 def with_start(found, above_start_m: float):
     return replace(
-        found, heads={name: replace(head, above_start_m=above_start_m) for name, head in found.heads.items()}
+        found, headers={name: replace(head, above_start_m=above_start_m) for name, head in found.headers.items()}
     )
 
 

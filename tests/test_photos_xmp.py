@@ -1,4 +1,4 @@
-"""What the heads of photographs say of accuracy, attitude, speed and focal length."""
+"""What the headers of photographs say of accuracy, attitude, speed and focal length."""
 
 from __future__ import annotations
 

@@ -45,9 +45,9 @@ def looking(survey, tilts, yaw):
 
 def flown(found, tilts, yaw, num_untold):
     """The same as photographs whose XMP has the attitude of the gimbal, and some whose has none."""
-    head = next(iter(found.heads.values()))
+    head = next(iter(found.headers.values()))
     motions = [Motion(gimbal_deg=(yaw, tilt - 90.0, 0.0)) for tilt in tilts] + [Motion()] * num_untold
-    return replace(found, heads={f"{i}.jpg": replace(head, motion=motion) for i, motion in enumerate(motions)})
+    return replace(found, headers={f"{i}.jpg": replace(head, motion=motion) for i, motion in enumerate(motions)})
 
 
 @given(tilts=ANGLES, yaw=st.floats(-180.0, 180.0), num_untold=st.integers(0, 5))

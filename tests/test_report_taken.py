@@ -1,4 +1,4 @@
-"""The head of the report: project, dates, cameras, by survey.toml and the heads of photographs."""
+"""The head of the report: project, dates, cameras, by survey.toml and the headers of photographs."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ HEAD = Exif((64, 48), None, None, 1, "DJI FC6310", None, taken=START, serial="0A
 SAID = ReportConfig("Harbour & basin", "A. Surveyor")
 
 
-def heads(**others: Exif) -> dict[str, Exif]:
+def headers(**others: Exif) -> dict[str, Exif]:
     return {"0.jpg": HEAD, **{f"{name}.jpg": head for name, head in others.items()}}
 
 
 def test_the_head_says_who_when_and_with_what():
-    found = taken_of(SAID, heads(a=replace(HEAD, taken=START + timedelta(minutes=19))), NOW)
+    found = taken_of(SAID, headers(a=replace(HEAD, taken=START + timedelta(minutes=19))), NOW)
     assert found.cameras == (CameraFigures("DJI FC6310", ("0A1B",), 2),)
     assert (found.first, found.last, found.clock) == ("2026-06-01T10:12:40", "2026-06-01T10:31:40", "UTC")
     assert head_lines(found) == [
@@ -44,7 +44,7 @@ def test_the_head_says_who_when_and_with_what():
     ],
 )
 def test_one_moment_and_several_days_are_said_as_such(others, expected):
-    assert flight_time(taken_of(SAID, heads(**others), NOW)) == expected
+    assert flight_time(taken_of(SAID, headers(**others), NOW)) == expected
 
 
 def test_without_gps_time_the_clock_of_the_camera_counts_and_without_any_nothing():

@@ -113,9 +113,9 @@ def some_heads() -> dict[str, Exif]:
 
 def test_gps_distances_are_kept_in_local():
     """Horizontal ones against geodesics on the ellipsoid, which are shorter than at the survey's height."""
-    heads = {name: h for name, h in some_heads().items() if name != "1.jpg"}
-    gps = gps_positions(heads, parse_crs(UTM), "crs")
-    (lat_a, lon_a, h_a), (lat_b, lon_b, h_b) = (heads[n].lat_lon_height for n in ("0.jpg", "3.jpg"))
+    headers = {name: h for name, h in some_heads().items() if name != "1.jpg"}
+    gps = gps_positions(headers, parse_crs(UTM), "crs")
+    (lat_a, lon_a, h_a), (lat_b, lon_b, h_b) = (headers[n].lat_lon_height for n in ("0.jpg", "3.jpg"))
     _, _, metres = Geod(ellps="WGS84").inv(lon_a, lat_a, lon_b, lat_b)
     apart = gps.local["3.jpg"] - gps.local["0.jpg"]
     raised = metres * (1.0 + 0.5 * (h_a + h_b) / Geod(ellps="WGS84").a)
@@ -138,8 +138,8 @@ def test_a_crs_without_heights_is_refused():
 
 
 def test_heights_in_feet_stay_metres_in_local():
-    heads = {f"{i}.jpg": head((46.84 + 1e-4 * i, -91.99, 200.0 + i)) for i in range(3)}
-    gps = gps_positions(heads, parse_crs("EPSG:26915+6360"), "crs")
+    headers = {f"{i}.jpg": head((46.84 + 1e-4 * i, -91.99, 200.0 + i)) for i in range(3)}
+    gps = gps_positions(headers, parse_crs("EPSG:26915+6360"), "crs")
     assert abs(gps.local["2.jpg"][2] - gps.local["0.jpg"][2] - 2.0) < 1e-3
 
 
@@ -164,23 +164,23 @@ def test_ellipsoidal_heights_need_the_grid_of_the_geoid():
     ],
 )
 def test_the_grid_that_is_missing_is_one_of_the_geoid_and_not_of_horizontal_datums(crs, place, grid):
-    heads = {f"{i}.jpg": head((place[0] + 1e-4 * i, place[1], 30.0)) for i in range(3)}
+    headers = {f"{i}.jpg": head((place[0] + 1e-4 * i, place[1], 30.0)) for i in range(3)}
     with pytest.raises(ConfigError, match=rf"the grid {grid} is not installed; install with pyproj sync --file {grid}"):
-        gps_positions(heads, parse_crs(crs), "ellipsoidal")
+        gps_positions(headers, parse_crs(crs), "ellipsoidal")
 
 
 def test_a_vertical_datum_of_another_country_is_said_not_to_hold_at_the_place():
-    heads = {f"{i}.jpg": head((53.8 + 1e-4 * i, 9.0, 30.0)) for i in range(3)}
+    headers = {f"{i}.jpg": head((53.8 + 1e-4 * i, 9.0, 30.0)) for i in range(3)}
     with pytest.raises(ConfigError, match="PROJ does not have for the place of these photographs"):
-        gps_positions(heads, parse_crs("EPSG:25832+5703"), "ellipsoidal")
+        gps_positions(headers, parse_crs("EPSG:25832+5703"), "ellipsoidal")
 
 
 def test_images_without_positions_are_told_what_to_give():
-    heads = some_heads() | {"1.jpg": head(None), "2.jpg": head((46.9, 10.2, math.nan))}
+    headers = some_heads() | {"1.jpg": head(None), "2.jpg": head((46.9, 10.2, math.nan))}
     with pytest.raises(PosesError, match=r"3 of 4 images have a GPS .* 2 of them with a height.*\[cameras\] poses"):
-        gps_positions(heads, None, "crs")
-    heads |= {"4.jpg": head((46.9, 10.171, 2127.0))}
-    gps = gps_positions(heads, None, "crs")
+        gps_positions(headers, None, "crs")
+    headers |= {"4.jpg": head((46.9, 10.171, 2127.0))}
+    gps = gps_positions(headers, None, "crs")
     assert sorted(gps.local) == ["0.jpg", "3.jpg", "4.jpg"]
     assert "2 of 5 images have no GPS position" in gps.notes[-1]
 

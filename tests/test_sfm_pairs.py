@@ -122,11 +122,11 @@ def test_photographs_without_a_position_are_paired_by_the_features_of_the_databa
     assert found[0] == (names[2], names[11])
 
 
-def photographs(**heads) -> Photographs:
-    """Ten photographs that look down from 60 m, with these in their heads."""
+def photographs(**headers) -> Photographs:
+    """Ten photographs that look down from 60 m, with these in their headers."""
     names = [f"{k}.jpg" for k in range(10)]
     head = {"size_px": (4000, 3000), "lat_lon_height": None, "focal_px": 3000.0, "orientation": 1, "camera": ""}
-    each = Exif(**{**head, "above_start_m": None, **heads})
+    each = Exif(**{**head, "above_start_m": None, **headers})
     positions = {name: np.array([10.0 * k, 0.0, 60.0]) for k, name in enumerate(names)}
     return Photographs({}, dict.fromkeys(names, each), positions, None, "auto")
 
@@ -137,13 +137,13 @@ def test_footprints_are_those_of_the_larger_height_that_is_known():
     assert given.places["3.jpg"].spread == pytest.approx(2.0 / 3.0)
     started = photographs(above_start_m=40.0).places["3.jpg"].height_m
     assert started == 40.0
-    levels = [Photographs({}, given.heads, given.positions, None, "auto", level) for level in (0.0, 0.5, -200.0)]
+    levels = [Photographs({}, given.headers, given.positions, None, "auto", level) for level in (0.0, 0.5, -200.0)]
     heights = [each.places["3.jpg"].height_m for each in levels]
     assert heights[0] == heights[1]
     # Rounded up, by a tenth at most.
     assert 60.0 <= heights[0] < 66.1
     assert heights[2] >= 260.0
-    under = Photographs({}, given.heads, given.positions, None, "auto", 80.0)
+    under = Photographs({}, given.headers, given.positions, None, "auto", 80.0)
     assert under.places["3.jpg"].height_m is None
 
 
@@ -163,11 +163,11 @@ def flown(low_m: float, high_m: float) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("told_by", ["level", "start", "start of half"])
 def test_photographs_of_two_heights_are_tied_to_those_of_their_own_height_first(told_by):
     positions = flown(30.0, 120.0)
-    one = photographs().heads["3.jpg"]
+    one = photographs().headers["3.jpg"]
     above = {name: float(at[2]) - 100.0 for name, at in positions.items()}
     told = {"level": [], "start": list(positions), "start of half": list(positions)[::2]}[told_by]
-    heads = {name: replace(one, above_start_m=above[name] if name in told else None) for name in positions}
-    given = Photographs({}, heads, positions, None, "auto", 100.0 if told_by == "level" else None)
+    headers = {name: replace(one, above_start_m=above[name] if name in told else None) for name in positions}
+    given = Photographs({}, headers, positions, None, "auto", 100.0 if told_by == "level" else None)
     places = given.places
     # A level's height is rounded up, by a tenth of that of most at most.
     assert all(above[name] - 1e-9 <= place.height_m < above[name] + 3.1 for name, place in places.items())
@@ -181,13 +181,13 @@ def test_photographs_of_two_heights_are_tied_to_those_of_their_own_height_first(
 
 def test_a_photograph_of_the_take_off_does_not_touch_all_others():
     given = photographs(above_start_m=40.0)
-    heads = {**given.heads, "0.jpg": replace(given.heads["0.jpg"], above_start_m=0.1)}
-    places = Photographs({}, heads, given.positions, None, "auto").places
+    headers = {**given.headers, "0.jpg": replace(given.headers["0.jpg"], above_start_m=0.1)}
+    places = Photographs({}, headers, given.positions, None, "auto").places
     assert places["0.jpg"].height_m == LEAST_HEIGHT_M
     assert places["1.jpg"].height_m == 40.0
 
 
 def test_a_focal_length_of_a_calibration_counts_before_that_of_exif():
     given = photographs()
-    calibrated = Photographs({}, given.heads, given.positions, 1500.0, "auto")
+    calibrated = Photographs({}, given.headers, given.positions, 1500.0, "auto")
     assert calibrated.places["3.jpg"].spread == pytest.approx(4.0 / 3.0)

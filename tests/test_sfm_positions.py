@@ -84,7 +84,7 @@ def test_a_line_stays_one_with_and_without_a_wrong_position(rng):
     assert line_of(positions, 0.02) is not None
 
 
-def heads(positions: np.ndarray) -> dict[str, Exif]:
+def headers(positions: np.ndarray) -> dict[str, Exif]:
     degrees = positions / [111_200.0, 111_200.0, 1.0]
     return {
         f"{i:04d}.jpg": Exif((64, 48), (52.0 + n, 9.0 + e, h), None, 1, "", None) for i, (e, n, h) in enumerate(degrees)
@@ -97,15 +97,15 @@ def heads(positions: np.ndarray) -> dict[str, Exif]:
 )
 def test_check_names_the_photograph_that_is_far_from_the_others(rng, axis, value, words):
     positions = strips(rng, 20, 0.1)
-    assert position_warnings(heads(positions)) == []
+    assert position_warnings(headers(positions)) == []
     positions[7, axis] = value
-    (warning,) = position_warnings(heads(positions))
+    (warning,) = position_warnings(headers(positions))
     assert words in warning
     assert "0007.jpg" in warning
 
 
 def test_a_survey_across_the_meridian_of_180_degrees_is_one(rng):
-    given = heads(strips(rng, 20, 0.1))
+    given = headers(strips(rng, 20, 0.1))
     east = np.mean([head.lat_lon_height[1] for head in given.values()])
     moved = {}
     for name, head in given.items():
@@ -120,19 +120,19 @@ def test_a_survey_across_the_meridian_of_180_degrees_is_one(rng):
 def test_photographs_of_another_place_are_named_however_many_they_are(rng):
     positions = strips(rng, 20, 0.1)
     positions[13:] += [0.0, 30_000.0, 0.0]
-    (warning,) = position_warnings(heads(positions))
+    (warning,) = position_warnings(headers(positions))
     assert warning.startswith("7 images kilometres away from the others by GPS")
     assert "0013.jpg" in warning
     # Parts of one survey that lie two kilometres apart.
     positions[13:] -= [0.0, 28_000.0, 0.0]
-    assert position_warnings(heads(positions)) == []
+    assert position_warnings(headers(positions)) == []
 
 
 @pytest.mark.parametrize("num", [1, 2, 9])
 def test_heights_of_exactly_0_are_named_however_many_they_are(rng, num):
     positions = serpentine(rng) + np.array([0.0, 0.0, 400.0])
     positions[:num, 2] = 0.0
-    (warning,) = position_warnings(heads(positions))
+    (warning,) = position_warnings(headers(positions))
     assert warning.startswith(f"{num} image{'s' * (num > 1)} far from the others by its GPS height, which are at 429.")
     assert all(f"{i:04d}.jpg (0.0 m)" in warning for i in range(min(num, 2)))
 
@@ -140,7 +140,7 @@ def test_heights_of_exactly_0_are_named_however_many_they_are(rng, num):
 def test_two_flying_heights_are_no_doubt(rng):
     positions = strips(rng, 20, 0.1)
     positions[14:, 2] += 40.0
-    assert position_warnings(heads(positions)) == []
+    assert position_warnings(headers(positions)) == []
 
 
 def flown(kind: str, seed: int) -> np.ndarray:
@@ -165,7 +165,7 @@ def flown(kind: str, seed: int) -> np.ndarray:
 @pytest.mark.parametrize("kind", ["strips", "orbit", "hovering", "by hand"])
 @pytest.mark.parametrize("seed", range(10))
 def test_turns_and_stops_are_no_doubt(kind, seed):
-    assert position_warnings(heads(flown(kind, seed))) == []
+    assert position_warnings(headers(flown(kind, seed))) == []
 
 
 def serpentine(rng) -> np.ndarray:
@@ -181,7 +181,7 @@ def serpentine(rng) -> np.ndarray:
 def test_a_place_off_the_line_of_flight_is_named_though_others_are_near(rng, which, off):
     positions = serpentine(rng)
     positions[which, :2] += off
-    (warning,) = position_warnings(heads(positions))
+    (warning,) = position_warnings(headers(positions))
     assert warning.startswith("1 image off the line of flight by its GPS position")
     assert f"{which:04d}.jpg" in warning
 
@@ -189,7 +189,7 @@ def test_a_place_off_the_line_of_flight_is_named_though_others_are_near(rng, whi
 def test_a_flight_off_and_back_for_one_photograph_is_no_doubt_where_clocks_tell_it(rng):
     positions = serpentine(rng)
     positions[8, :2] += [0.0, 35.0]
-    given = heads(positions)
+    given = headers(positions)
     begin, seconds = datetime(2026, 5, 1, 10, 0), np.cumsum([2.0] * 8 + [20.0, 20.0] + [2.0] * 10)
 
     def at(seconds):
@@ -209,7 +209,7 @@ def test_a_flight_off_and_back_for_one_photograph_is_no_doubt_where_clocks_tell_
 def test_photographs_with_one_position_are_named(rng, same):
     positions = serpentine(rng)
     positions[list(same)] = positions[same[0]]
-    doubts = position_warnings(heads(positions))
+    doubts = position_warnings(headers(positions))
     if len(same) == 20:
         assert doubts == ["all 20 images have the same GPS position to the last digit: it tells nothing of them"]
     else:
@@ -222,7 +222,7 @@ def taken(positions: np.ndarray, seconds: np.ndarray, **changes) -> dict[str, Ex
     begin = datetime(2026, 5, 1, 10, 0)
     return {
         name: replace(head, clock=begin + timedelta(seconds=float(s)), **changes)
-        for (name, head), s in zip(heads(positions).items(), seconds, strict=True)
+        for (name, head), s in zip(headers(positions).items(), seconds, strict=True)
     }
 
 

@@ -1,4 +1,4 @@
-"""Photographs of a drawn survey: light, noise, shutter, tide, the heads of their files and where they are taken."""
+"""Photographs of a drawn survey: light, noise, shutter, tide, the headers of their files and where they are taken."""
 
 from __future__ import annotations
 

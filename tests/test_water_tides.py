@@ -29,16 +29,16 @@ DOWN = np.diag([1.0, -1.0, -1.0])
 
 def heads_at(*minutes, without=()):
     """Headers of photographs a.jpg, b.jpg, ... taken at these minutes, and of some without a time."""
-    heads = {
+    headers = {
         f"{chr(97 + k)}.jpg": dataclasses.replace(HEAD, taken=datetime(2024, 6, 1, 10, minute, tzinfo=UTC))
         for k, minute in enumerate(minutes)
     }
-    return heads | dict.fromkeys(without, HEAD)
+    return headers | dict.fromkeys(without, HEAD)
 
 
-def tide_of(folder, text, heads):
+def tide_of(folder, text, headers):
     """The level and the tide by lines of [water]."""
-    config, _, tide, _ = with_level(folder, parse_config(f"[water]\n{text}\n"), heads, CRS)
+    config, _, tide, _ = with_level(folder, parse_config(f"[water]\n{text}\n"), headers, CRS)
     return config.water.level_m, tide
 
 
@@ -103,12 +103,12 @@ def test_rates_that_cannot_be_are_refused(tmp_path, text, message):
 
 def test_photographs_without_a_time_have_the_mean_level_only_where_it_hardly_moves(tmp_path):
     slow, fast = ("level_m = 2.0\nlevel_rate_m_per_h = " + rate for rate in ("0.012", "0.12"))
-    heads = heads_at(0, 20, without=("x.jpg",))
-    assert tide_of(tmp_path, slow, heads)[1].over == pytest.approx({"a.jpg": -0.002, "b.jpg": 0.002, "x.jpg": 0.0})
+    headers = heads_at(0, 20, without=("x.jpg",))
+    assert tide_of(tmp_path, slow, headers)[1].over == pytest.approx({"a.jpg": -0.002, "b.jpg": 0.002, "x.jpg": 0.0})
     with pytest.raises(ConfigError, match=r"1 of 3 images have no time of exposure in EXIF \(first: x.jpg\).*40 mm"):
-        tide_of(tmp_path, fast, heads)
+        tide_of(tmp_path, fast, headers)
     with pytest.raises(ConfigError, match=r"1 of 3 images have no time of exposure.*finds the rate"):
-        tide_of(tmp_path, slow + "\nlevel_rate_std_m_per_h = 0.3", heads)
+        tide_of(tmp_path, slow + "\nlevel_rate_std_m_per_h = 0.3", headers)
 
 
 @pytest.mark.parametrize("share", [0.9, 1.1])

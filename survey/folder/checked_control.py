@@ -80,12 +80,12 @@ def require_placing_control(found: Found) -> BlockControl:
     """
     require_metres(() if found.control is None else found.control.points, found.crs)
     control = control_of_block(found)
-    num = sum(head.lat_lon_height is not None for head in found.heads.values())
-    num_whole = sum(is_whole(head.lat_lon_height) for head in found.heads.values())
-    least = least_track(len(found.heads))
+    num = sum(header.lat_lon_height is not None for header in found.headers.values())
+    num_whole = sum(is_whole(header.lat_lon_height) for header in found.headers.values())
+    least = least_track(len(found.headers))
     told = (
-        f"{found.folder} has no poses file, and {num} of {len(found.heads)} images have a GPS position in EXIF or "
-        f"{GEO_TXT} ({num_whole} with a height){what_is_missing(found.heads)}, expected at least {least}"
+        f"{found.folder} has no poses file, and {num} of {len(found.headers)} images have a GPS position in EXIF or "
+        f"{GEO_TXT} ({num_whole} with a height){what_is_missing(found.headers)}, expected at least {least}"
     )
     if control is None:
         unread = "".join(f". {sentence}" for sentence in find_unread(found.folder))
@@ -116,7 +116,9 @@ def with_two_marks(control: BlockControl) -> list[ControlPoint]:
 
 def may_hold_roll(found: Found) -> bool:
     """Whether level water or attitudes may determine the roll about a line of positions or control points."""
-    return found.config.water is not None or any(head.motion.gimbal_deg is not None for head in found.heads.values())
+    return found.config.water is not None or any(
+        header.motion.gimbal_deg is not None for header in found.headers.values()
+    )
 
 
 def control_for_block(control: Control, frame: LocalFrame, found: Found) -> BlockControl:

@@ -67,7 +67,7 @@ def find_control(
     folder: Path,
     config: ControlConfig,
     crs: CRS,
-    heads: Mapping[str, Exif],
+    headers: Mapping[str, Exif],
     level: float | None = None,
 ) -> tuple[FoundControl, Findings]:
     """Read the files of [control].
@@ -94,7 +94,7 @@ def find_control(
     if config.marks is not None:
         # Metashape's XML has coordinates too, but here only its marks are used.
         contents.append(Content(marks=read_control(folder / config.marks).marks))
-    sizes = {name: head.size_px for name, head in heads.items()}
+    sizes = {name: header.size_px for name, header in headers.items()}
     gathered, of_files = merge_control(contents, crs, sizes)
     untold = _unstated_accuracy(config, gathered)
     config, assumed = _with_stds(config, gathered)

@@ -42,12 +42,12 @@ _LEVEL_ROWS = 0.03
 _EXACT = 1e-4
 
 
-def require_focal_lengths(lenses: dict[str, Lens], heads: dict[str, Exif]) -> list[str]:
+def require_focal_lengths(lenses: dict[str, Lens], headers: dict[str, Exif]) -> list[str]:
     """Warnings about focal lengths that disagree with EXIF.
 
     Parameters
     ----------
-    lenses, heads : by name of the image
+    lenses, headers : by name of the image
 
     Raises
     ------
@@ -61,14 +61,16 @@ def require_focal_lengths(lenses: dict[str, Lens], heads: dict[str, Exif]) -> li
             raise ConfigError(
                 f"the focal length of {name} is {min(lens.focal):g} px, so that its {lens.width} x {lens.height} px "
                 f"span {degrees:.1f} degrees from corner to corner, expected {_NARROWEST_DEG:g} to {_WIDEST_DEG:g}; "
-                f"give it in pixels of these images{_by_exif(heads[name])}"
+                f"give it in pixels of these images{_by_exif(headers[name])}"
             )
         if degrees < _NARROW_DEG and not warnings:
             warnings.append(
                 f"the focal length of {name} is {min(lens.focal):g} px, a view of {degrees:.1f} degrees from "
                 "corner to corner; check that it is in pixels of these images, unless it is a telephoto lens"
             )
-    known = {name: head.focal_px for name, head in heads.items() if name in lenses and head.focal_px is not None}
+    known = {
+        name: header.focal_px for name, header in headers.items() if name in lenses and header.focal_px is not None
+    }
     if not known:
         return warnings
     ratios = [lenses[name].focal[0] / by_exif for name, by_exif in known.items()]
@@ -173,8 +175,8 @@ def _opk_deg(cam_from_grid: np.ndarray) -> tuple[float, float, float]:
     return math.degrees(omega), math.degrees(phi), math.degrees(kappa)
 
 
-def _by_exif(head: Exif) -> str:
-    return "" if head.focal_px is None else f"; EXIF gives {head.focal_px:.0f} px"
+def _by_exif(header: Exif) -> str:
+    return "" if header.focal_px is None else f"; EXIF gives {header.focal_px:.0f} px"
 
 
 # A barometer drifts by some metres during a flight, and a drone may start from a boat.
@@ -196,9 +198,9 @@ def place_of(crs: CRS, point_crs: np.ndarray) -> tuple[float, float]:
     return float(lat), float(lon)
 
 
-def above_start_of(heads: Mapping[str, Exif]) -> float | None:
+def above_start_of(headers: Mapping[str, Exif]) -> float | None:
     """The median height [m] over the take-off point, by XMP; None where no photograph has one."""
-    heights = [head.above_start_m for head in heads.values() if head.above_start_m is not None]
+    heights = [header.above_start_m for header in headers.values() if header.above_start_m is not None]
     return float(np.median(heights)) if heights else None
 
 
@@ -254,18 +256,18 @@ def low_flight_warnings(over_m: np.ndarray, level_m: float, place: tuple[float, 
     ]
 
 
-def exif_height_warnings(heights_m: Mapping[str, float], heads: Mapping[str, Exif]) -> list[str]:
+def exif_height_warnings(heights_m: Mapping[str, float], headers: Mapping[str, Exif]) -> list[str]:
     """A warning where poses and EXIF differ in height by as much as the geoid and the ellipsoid do.
 
     Parameters
     ----------
     heights_m : name to [m]
         Of the cameras, by their poses.
-    heads : name to Exif
+    headers : name to Exif
     """
-    if above_start_of(heads) is not None:
+    if above_start_of(headers) is not None:
         return []  # `start_height_warnings` is more specific
-    known = [(name, head.lat_lon_height) for name, head in heads.items() if name in heights_m]
+    known = [(name, header.lat_lon_height) for name, header in headers.items() if name in heights_m]
     pairs = [(heights_m[name], position) for name, position in known if position is not None]
     pairs = [(height, position) for height, position in pairs if np.isfinite(position[2])]
     if not pairs:
@@ -282,29 +284,32 @@ def exif_height_warnings(heights_m: Mapping[str, float], heads: Mapping[str, Exi
     ]
 
 
-def xmp_height_warnings(gps_height: str, crs: CRS, heads: Mapping[str, Exif]) -> list[str]:
+def xmp_height_warnings(gps_height: str, crs: CRS, headers: Mapping[str, Exif]) -> list[str]:
     """A warning where XMP says that GPS heights count from something else than `gps_height` takes them for."""
-    vertical, said = vertical_crs(crs), [head.height_datum for head in heads.values() if head.height_datum is not None]
+    vertical, said = (
+        vertical_crs(crs),
+        [header.height_datum for header in headers.values() if header.height_datum is not None],
+    )
     if not said or vertical is None:
         return []
     ellipsoidal = sum(datum == ELLIPSOIDAL for datum in said)
     if gps_height == "crs" and ellipsoidal > len(said) / 2:
         return [
-            f"XMP says that the heights of {ellipsoidal} of {len(heads)} images count from the ellipsoid, and "
+            f"XMP says that the heights of {ellipsoidal} of {len(headers)} images count from the ellipsoid, and "
             f'gps_height = "crs" takes them as {vertical.name}: write gps_height = "ellipsoidal" in [cameras], and '
             "level_m in the heights of crs"
         ]
     if gps_height == "ellipsoidal" and ellipsoidal < len(said) / 2:
         other = next(datum for datum in said if datum != ELLIPSOIDAL)
         return [
-            f'gps_height = "ellipsoidal", but XMP says that the heights of {len(said) - ellipsoidal} of {len(heads)} '
+            f'gps_height = "ellipsoidal", but XMP says that the heights of {len(said) - ellipsoidal} of {len(headers)} '
             f'images count from {other[:40]}: write gps_height = "crs" in [cameras] if that is the datum of crs'
         ]
     return []
 
 
 def start_height_warnings(
-    over_water: Mapping[str, float], heads: Mapping[str, Exif], level_m: float, place: tuple[float, float], crs: CRS
+    over_water: Mapping[str, float], headers: Mapping[str, Exif], level_m: float, place: tuple[float, float], crs: CRS
 ) -> list[str]:
     """Warning where cameras, water and the drone's height over its take-off point are inconsistent.
 
@@ -312,14 +317,14 @@ def start_height_warnings(
     ----------
     over_water : name to [m]
         Heights of the cameras over the water.
-    heads : name to Exif
+    headers : name to Exif
     level_m : [m]
     place : (latitude, longitude) [deg]
     """
     starts = [
         over - above
         for name, over in over_water.items()
-        if (above := heads[name].above_start_m) is not None and np.isfinite(over)
+        if (above := headers[name].above_start_m) is not None and np.isfinite(over)
     ]
     if not starts:
         return []

@@ -49,7 +49,7 @@ class Found:
     crs: CRS  # Horizontal and vertical
     # name to path: sorted by name; a name is the path below the image folder, with forward slashes
     images: dict[str, Path]
-    heads: dict[str, Exif]  # name to Exif
+    headers: dict[str, Exif]  # name to Exif
     poses_path: Path | None  # None where structure from motion has to find the poses
     # assumptions, warnings: sentences
     assumptions: tuple[str, ...]
@@ -89,41 +89,41 @@ def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
     if is_url(config.images.dir):
         fetch_images(config.images.dir, place)
     images = list_images(place, deep=config.images.dir != ".")
-    heads = {name: read_exif(path) for name, path in images.items()}
+    headers = {name: read_exif(path) for name, path in images.items()}
     table = find_geo_txt(folder, place)
     if table is not None:
-        heads, added = with_positions(table, heads)
+        headers, added = with_positions(table, headers)
         findings += added
-    heads = without_void_fixes(heads)
+    headers = without_void_fixes(headers)
     if not toml.is_file() or (config.crs is None and infer.says_no_place(config)):
-        config, added = infer.config_of_images(folder, config, heads, poses_path)
+        config, added = infer.config_of_images(folder, config, headers, poses_path)
         findings += added
     if config.crs is None:
-        raise ConfigError(f"{toml}: crs is missing; {infer.crs_advice(heads)}")
+        raise ConfigError(f"{toml}: crs is missing; {infer.crs_advice(headers)}")
     use_grids(folder / GRIDS_FOLDER)
     crs = parse_crs(config.crs, where=f"crs in {toml}" if toml.is_file() else "the inferred crs")
-    config, levels, tide, added = with_level(folder, config, heads, crs)
+    config, levels, tide, added = with_level(folder, config, headers, crs)
     findings += added
     if poses_path is not None and config.water is not None:
         config.water.require_level()
     transforms: list[PositionTransform] = []
     if poses_path is None:
-        sources = f"the GPS positions in {position_sources(heads)}"
-        require_at(crs, _exif_places(heads), sources, f"crs in {FILE_NAME}")
-        transforms = transforms_into_crs(heads, crs, config.cameras.gps_height)
+        sources = f"the GPS positions in {position_sources(headers)}"
+        require_at(crs, _exif_places(headers), sources, f"crs in {FILE_NAME}")
+        transforms = transforms_into_crs(headers, crs, config.cameras.gps_height)
     datum = smallest([DatumStd(plan_std(transform.plan), transform.up_std_m) for transform in transforms])
-    found = Found(folder, config, crs, images, heads, poses_path, (), (), levels=levels, tide=tide, datum=datum)
+    found = Found(folder, config, crs, images, headers, poses_path, (), (), levels=levels, tide=tide, datum=datum)
     findings += Findings(warnings=tuple(_warnings_of(found, transforms)))
     if config.control.files:
-        control, added = find_control(folder, config.control, crs, heads, _one_level(config, crs))
+        control, added = find_control(folder, config.control, crs, headers, _one_level(config, crs))
         findings += added
         found = replace(found, control=control, config=replace(config, control=control.config))
     return replace(found, assumptions=findings.assumptions, warnings=findings.warnings)
 
 
-def _exif_places(heads: Mapping[str, Exif]) -> np.ndarray:
+def _exif_places(headers: Mapping[str, Exif]) -> np.ndarray:
     """Longitudes and latitudes (n, 2) [deg] of the photographs that have a position."""
-    places = [head.lat_lon_height[1::-1] for head in heads.values() if head.lat_lon_height is not None]
+    places = [header.lat_lon_height[1::-1] for header in headers.values() if header.lat_lon_height is not None]
     return np.array(places).reshape(-1, 2)
 
 
@@ -135,19 +135,19 @@ def _warnings_of(found: Found, transforms: Sequence[PositionTransform]) -> Itera
     transforms : sequence of PositionTransform
         Of the GPS positions into crs; none where a file has the poses.
     """
-    config, heads = found.config, found.heads
-    yield from head_warnings(heads)
+    config, headers = found.config, found.headers
+    yield from head_warnings(headers)
     for names in same_files(found.images):
         copies = " and ".join(names[:4])
         yield f"{copies} are copies of one photograph, which agree wherever they are compared: keep one"
     if found.poses_path is None:
-        yield from water_place_warnings(found.crs, _exif_places(heads), config.water, found.levels)
+        yield from water_place_warnings(found.crs, _exif_places(headers), config.water, found.levels)
     if config.water is None and not config.dry:
         yield infer.NO_WATER
     if found.poses_path is None:
         yield from datum_warnings(transforms)
         yield from find_unread(found.folder)
-        has_attitudes = any(head.motion.gimbal_deg is not None for head in heads.values())
+        has_attitudes = any(header.motion.gimbal_deg is not None for header in headers.values())
         if config.cameras.rotation_std_deg is not None and not has_attitudes:
             yield (
                 "[cameras] rotation_std_deg is not used: it is that of poses from a file or of attitudes in XMP, and "
@@ -183,22 +183,22 @@ def _poses_path(folder: Path, config: SurveyConfig) -> tuple[Path | None, str | 
     return paths[0], f"the poses are those in {paths[0].relative_to(folder).as_posix()}, the only poses found"
 
 
-def head_warnings(heads: Mapping[str, Exif]) -> list[str]:
+def head_warnings(headers: Mapping[str, Exif]) -> list[str]:
     """Warnings about EXIF of the photographs: faulty positions, other datums, rotation, several pages."""
-    num = len(heads)
-    rotated = sum(head.orientation != 1 for head in heads.values())
-    paged = sum(head.has_pages for head in heads.values())
+    num = len(headers)
+    rotated = sum(header.orientation != 1 for header in headers.values())
+    paged = sum(header.has_pages for header in headers.values())
     warnings = []
-    for fault in dict.fromkeys(head.gps_fault for head in heads.values() if head.gps_fault):
-        without = [name for name, head in heads.items() if head.gps_fault == fault]
+    for fault in dict.fromkeys(header.gps_fault for header in headers.values() if header.gps_fault):
+        without = [name for name, header in headers.items() if header.gps_fault == fault]
         warnings += named(without, "image", f"without {fault} in EXIF, whose GPS position is not used")
-    void = [name for name, head in heads.items() if head.is_void and head.lat_lon_height is not None]
+    void = [name for name, header in headers.items() if header.is_void and header.lat_lon_height is not None]
     warnings += named(void, "image", "whose receiver had no fix by EXIF (GPSStatus is V), and whose position is used")
-    for datum in dict.fromkeys(head.gps_datum for head in heads.values() if head.gps_datum):
-        such = [name for name, head in heads.items() if head.gps_datum == datum and head.table_place is None]
+    for datum in dict.fromkeys(header.gps_datum for header in headers.values() if header.gps_datum):
+        such = [name for name, header in headers.items() if header.gps_datum == datum and header.table_place is None]
         warnings += named(such, "image", f"with a GPS position on {datum} by EXIF or XMP, which is taken as WGS 84")
-    for warning in dict.fromkeys(head.focal_warning for head in heads.values() if head.focal_warning):
-        such = [name for name, head in heads.items() if head.focal_warning == warning]
+    for warning in dict.fromkeys(header.focal_warning for header in headers.values() if header.focal_warning):
+        such = [name for name, header in headers.items() if header.focal_warning == warning]
         warnings += named(such, "image", f"with {warning}; give [cameras] focal_px if it is known")
     if rotated:
         warnings.append(
@@ -210,7 +210,7 @@ def head_warnings(heads: Mapping[str, Exif]) -> list[str]:
             f"{paged} of {num} images have several pages, of which the first is used; if they are bands or other "
             "photographs, split them"
         )
-    return warnings + position_warnings(heads)
+    return warnings + position_warnings(headers)
 
 
 def survey_inputs(folder: Path) -> ReadFiles:

@@ -63,7 +63,7 @@ def _is_geo_txt(path: Path) -> bool:
     return path.name.casefold() == GEO_TXT and path.is_file()
 
 
-def with_positions(path: Path, heads: Mapping[str, Exif]) -> tuple[dict[str, Exif], Findings]:
+def with_positions(path: Path, headers: Mapping[str, Exif]) -> tuple[dict[str, Exif], Findings]:
     """Heads of photographs with the positions of a geo.txt; those that it does not name keep the ones in EXIF.
 
     Raises
@@ -74,7 +74,7 @@ def with_positions(path: Path, heads: Mapping[str, Exif]) -> tuple[dict[str, Exi
         If the places lie far outside the area of its CRS.
     """
     crs, lines = _read(path)
-    names, line_of = ImageNames(heads), {}
+    names, line_of = ImageNames(headers), {}
     unknown = []
     for line in lines:
         name = names.find(line.called, line.where)
@@ -86,19 +86,21 @@ def with_positions(path: Path, heads: Mapping[str, Exif]) -> tuple[dict[str, Exi
             line_of[name] = line
     if not line_of:
         raise PosesError(
-            f'{path} names none of the photographs: "{lines[0].called}" for "{next(iter(heads))}"; correct its names, '
-            "or remove the file where it is of another flight"
+            f'{path} names none of the photographs: "{lines[0].called}" for "{next(iter(headers))}"; correct its '
+            "names, or remove the file where it is of another flight"
         )
-    done = dict(heads) | _placed(heads, line_of, crs)
+    done = dict(headers) | _placed(headers, line_of, crs)
     warnings = named(unknown, "image", f"of {path.name} not among the photographs")
-    warnings += named([n for n in heads if n not in line_of], "image", f"not in {path.name}, which keep what EXIF has")
+    warnings += named(
+        [n for n in headers if n not in line_of], "image", f"not in {path.name}, which keep what EXIF has"
+    )
     lacking = [name for name, line in line_of.items() if line.lacks_vertical]
     warnings += named(lacking, "image", f"with a horizontal accuracy alone in {path.name}, which is not used")
-    return done, _replaced(path, crs, heads, line_of) + Findings(warnings=tuple(warnings))
+    return done, _replaced(path, crs, headers, line_of) + Findings(warnings=tuple(warnings))
 
 
-def _placed(heads: Mapping[str, Exif], line_of: Mapping[str, _Line], crs: CRS) -> dict[str, Exif]:
-    """The heads of photographs at the places of their lines."""
+def _placed(headers: Mapping[str, Exif], line_of: Mapping[str, _Line], crs: CRS) -> dict[str, Exif]:
+    """The headers of photographs at the places of their lines."""
     places = np.array([line.place for line in line_of.values()])
     where = lon_lat(crs, places)
     on_map = np.isfinite(where).all(axis=1) & (np.abs(where) <= [180.0, 90.0]).all(axis=1)
@@ -111,19 +113,19 @@ def _placed(heads: Mapping[str, Exif], line_of: Mapping[str, _Line], crs: CRS) -
     require_in_area(crs, places, f"the positions in {GEO_TXT}", f"in the first line of {GEO_TXT}")
     done = {}
     for (name, line), (lon, lat) in zip(line_of.items(), where.tolist(), strict=True):
-        head = heads[name]
+        header = headers[name]
         own, (x, y, height) = crs, line.place
-        if math.isnan(height) and head.lat_lon_height is not None:
+        if math.isnan(height) and header.lat_lon_height is not None:
             # The height in EXIF has the datum of all heights in EXIF.
             own = horizontal_crs(crs)
-            height = head.lat_lon_height[2] / _unit_m(own)
+            height = header.lat_lon_height[2] / _unit_m(own)
         done[name] = replace(
-            head,
+            header,
             lat_lon_height=(lat, lon, height * _unit_m(own)),
             table_place=TablePlace(GEO_TXT, own, (x, y, height), line.std_m),
             rtk=None,
             std_m=None,
-            height_datum=head.height_datum if math.isnan(line.place[2]) else None,
+            height_datum=header.height_datum if math.isnan(line.place[2]) else None,
             gps_fault="",
             is_void=False,
         )
@@ -137,11 +139,11 @@ def _unit_m(crs: CRS) -> float:
     return 1.0 if is_geographic(crs) else horizontal_unit(crs)
 
 
-def _replaced(path: Path, crs: CRS, heads: Mapping[str, Exif], line_of: Mapping[str, _Line]) -> Findings:
+def _replaced(path: Path, crs: CRS, headers: Mapping[str, Exif], line_of: Mapping[str, _Line]) -> Findings:
     """Note on the replaced positions and their distance from the file's."""
-    in_exif = {name: heads[name].lat_lon_height for name in line_of}
+    in_exif = {name: headers[name].lat_lon_height for name in line_of}
     replaced = {name: position for name, position in in_exif.items() if position is not None}
-    said = f"positions of {len(line_of)} of {len(heads)} images are those in {path.name} ({crs.name})"
+    said = f"positions of {len(line_of)} of {len(headers)} images are those in {path.name} ({crs.name})"
     if not replaced:
         return Findings((f"{said}; EXIF has none of them",))
     lat, lon = np.array([position[:2] for position in replaced.values()]).T
@@ -165,8 +167,8 @@ def _read(path: Path) -> tuple[CRS, list[_Line]]:
     ]
     if not lines:
         raise PosesError(f"{path} is empty, expected a line with its CRS, then lines {_FORM}; write it again")
-    number, head = lines[0]
-    crs = odm_crs(head, f"{path}, line {number}", GEO_TXT, PosesError)
+    number, first = lines[0]
+    crs = odm_crs(first, f"{path}, line {number}", GEO_TXT, PosesError)
     if len(lines) == 1:
         raise PosesError(f"{path} has no line after its CRS, expected lines {_FORM}; complete it, or remove it")
     return crs, [_line(line, f"{path}, line {number}") for number, line in lines[1:]]

@@ -45,7 +45,7 @@ def config_of_folder(folder: Path) -> SurveyConfig:
 def config_of_images(
     folder: Path,
     config: SurveyConfig,
-    heads: dict[str, Exif],
+    headers: dict[str, Exif],
     poses_path: Path | None,
 ) -> tuple[SurveyConfig, Findings]:
     """Settings inferred from the GPS positions in EXIF, else from geocentric poses, and the assumptions made.
@@ -56,8 +56,8 @@ def config_of_images(
         Where there is too little to infer them from.
     """
     file = None if poses_path is None else read_poses(poses_path)
-    by_exif = utm_code_of(heads)
-    table = table_crs(heads)
+    by_exif = utm_code_of(headers)
+    table = table_crs(headers)
     if table is not None and file is None:
         crs, name = (table, "") if "+" in table else (f"{table}+{EGM96_HEIGHT}", ": above mean sea level")
         said = f'crs = "{crs}", that of {GEO_TXT}, with heights taken as they are there{name}'
@@ -83,8 +83,8 @@ def config_of_images(
         )
     crs = f"EPSG:{code}+{EGM96_HEIGHT}"
     if by_exif is not None and file is not None and poses_path is not None:
-        _require_same_place(CRS(crs), file, poses_path, heads)
-    source = position_sources(heads) if poses_path is None else poses_path.name
+        _require_same_place(CRS(crs), file, poses_path, headers)
+    source = position_sources(headers) if poses_path is None else poses_path.name
     assumptions = [
         f'crs = "{crs}", the UTM zone of the {"GPS positions" if by_exif is not None else "poses"}, with heights '
         f"taken as they are in {source}: above mean sea level",
@@ -112,15 +112,15 @@ def _crs_of_control(path: Path) -> tuple[str, str]:
     return f"EPSG:{code}+{EGM96_HEIGHT}", ", with its heights taken as above mean sea level"
 
 
-def table_crs(heads: Mapping[str, Exif]) -> str | None:
+def table_crs(headers: Mapping[str, Exif]) -> str | None:
     """Code of the CRS of the table that gives positions of photographs; None without a table, or of degrees."""
-    table = next((head.table_place.crs for head in heads.values() if head.table_place is not None), None)
+    table = next((header.table_place.crs for header in headers.values() if header.table_place is not None), None)
     return None if table is None or not table.is_projected else crs_code(table)
 
 
-def crs_advice(heads: dict[str, Exif]) -> str:
+def crs_advice(headers: dict[str, Exif]) -> str:
     """Advice on crs, with the UTM zone of the images if they have positions."""
-    code = utm_code_of(heads) or 25832
+    code = utm_code_of(headers) or 25832
     return (
         "give the one that positions and heights in survey.toml and its files count in, with a vertical part: "
         f'crs = "EPSG:{code}+{EGM96_HEIGHT}" where heights are above mean sea level (EGM96), as those of GPS are'
@@ -145,12 +145,12 @@ NO_WATER = (
 )
 
 
-def _require_same_place(crs: CRS, file: PoseFile, poses_path: Path, heads: dict[str, Exif]) -> None:
+def _require_same_place(crs: CRS, file: PoseFile, poses_path: Path, headers: dict[str, Exif]) -> None:
     centres = points_in_crs(file, np.array([pose.centre for pose in file.poses]), crs, "crs")
-    names = ImageNames(heads)
+    names = ImageNames(headers)
     called = [names.find(pose.name, str(poses_path)) for pose in file.poses]
     known = {name: centre for name, centre in zip(called, centres, strict=True) if name is not None}
-    distances = distances_to_exif(crs, known, heads)
+    distances = distances_to_exif(crs, known, headers)
     if not distances.size or np.median(distances) > SAME_PLACE_M:
         raise ConfigError(
             f"{poses_path} does not fit the GPS positions of the images in the UTM zone {crs.sub_crs_list[0].name}; "

@@ -45,7 +45,7 @@ class Velocity:
 
 
 def velocities_of(
-    places: Mapping[str, np.ndarray], heads: Mapping[str, Exif], speed_m_s: float | None
+    places: Mapping[str, np.ndarray], headers: Mapping[str, Exif], speed_m_s: float | None
 ) -> dict[str, Velocity]:
     """Velocities of the photographs, where XMP, times or settings give them.
 
@@ -53,14 +53,14 @@ def velocities_of(
     ----------
     places : name to (3,) [m], local
         Of the cameras.
-    heads : name to Exif
+    headers : name to Exif
     speed_m_s : float or None
         Along the flight lines, where neither XMP nor times give it; the order is that of times, else of names.
     """
-    found = velocities_by_xmp({name: heads[name] for name in places})
+    found = velocities_by_xmp({name: headers[name] for name in places})
     if len(found) == len(places):
         return found
-    seconds = _seconds(heads, places)
+    seconds = _seconds(headers, places)
     for name, local in _along_lines(places, seconds, None).items():
         found.setdefault(name, Velocity(local, BY_TIMES))
     if speed_m_s is not None:
@@ -70,19 +70,19 @@ def velocities_of(
     return found
 
 
-def velocities_by_xmp(heads: Mapping[str, Exif]) -> dict[str, Velocity]:
+def velocities_by_xmp(headers: Mapping[str, Exif]) -> dict[str, Velocity]:
     """Velocities in XMP. True east and north are those of local to some thousandths."""
     return {
-        name: Velocity(np.array(head.motion.velocity), BY_XMP)
-        for name, head in heads.items()
-        if head.motion.velocity is not None
+        name: Velocity(np.array(header.motion.velocity), BY_XMP)
+        for name, header in headers.items()
+        if header.motion.velocity is not None
     }
 
 
-def _seconds(heads: Mapping[str, Exif], places: Mapping[str, np.ndarray]) -> dict[str, float]:
+def _seconds(headers: Mapping[str, Exif], places: Mapping[str, np.ndarray]) -> dict[str, float]:
     """Seconds since the first photograph, by one clock: the camera's, or where fewer have that, UTC."""
     clocks = [
-        {name: time for name in places if (time := getattr(heads[name], clock)) is not None}
+        {name: time for name in places if (time := getattr(headers[name], clock)) is not None}
         for clock in ("clock", "taken")
     ]
     times = max(clocks, key=len)
@@ -157,19 +157,19 @@ def rows_between(height: int) -> int:
     return max(height - 1, 1)
 
 
-def shutter_warnings(cameras: CamerasConfig, heads: Mapping[str, Exif], metres_per_px: float | None) -> list[str]:
+def shutter_warnings(cameras: CamerasConfig, headers: Mapping[str, Exif], metres_per_px: float | None) -> list[str]:
     """A warning about photographs that were taken in flight, by XMP, with an unknown type of shutter.
 
     Parameters
     ----------
-    heads : name to Exif
+    headers : name to Exif
         Of the photographs.
     metres_per_px : [m/px] or None
         On the ground; None where it is not known.
     """
     if cameras.rolling_shutter_s is not None:
         return []
-    rolling = {name: head for name, head in heads.items() if not head.motion.is_mechanical}
+    rolling = {name: header for name, header in headers.items() if not header.motion.is_mechanical}
     speeds = [velocity.speed for velocity in velocities_by_xmp(rolling).values()]
     fastest = max(speeds, default=0.0)
     if fastest < _HOVERS_M_S:

@@ -87,7 +87,7 @@ def with_lenses(found: Found, poses: list[Pose]) -> tuple[list[Pose], Findings]:
     cameras = found.config.cameras
     lens = poses[0].lens
     if lens is None or any(pose.lens is None for pose in poses):
-        of_config, said = lenses_from_config(cameras, {pose.name: found.heads[pose.name] for pose in poses})
+        of_config, said = lenses_from_config(cameras, {pose.name: found.headers[pose.name] for pose in poses})
         return [replace(pose, lens=pose.lens or of_config[pose.name]) for pose in poses], said
     own, size = lens.focal[0], (lens.width, lens.height)
     given = cameras.focal_px[0] if isinstance(cameras.focal_px, tuple) else cameras.focal_px
@@ -104,20 +104,20 @@ def with_lenses(found: Found, poses: list[Pose]) -> tuple[list[Pose], Findings]:
     return poses, Findings(warnings=tuple(warnings))
 
 
-def require_image(view: View, head: Exif) -> None:
+def require_image(view: View, header: Exif) -> None:
     """Raise ImageError where an image does not have the size of its camera."""
     expected = (view.lens.width, view.lens.height)
-    if head.size_px != expected:
+    if header.size_px != expected:
         remedy = "use the images that the poses were made from, or correct the size of the camera"
-        if head.orientation >= 5 and head.size_px == expected[::-1]:
+        if header.orientation >= 5 and header.size_px == expected[::-1]:
             remedy = "EXIF marks it as rotated, which is ignored here: rotate the pixels and remove the orientation tag"
         raise ImageError(
-            f"{view.path} has {head.size_px[0]} x {head.size_px[1]} pixels, expected {expected[0]} x {expected[1]} "
+            f"{view.path} has {header.size_px[0]} x {header.size_px[1]} pixels, expected {expected[0]} x {expected[1]} "
             f"as its camera has; {remedy}"
         )
 
 
-def lenses_from_config(cameras: CamerasConfig, heads: dict[str, Exif]) -> tuple[dict[str, Lens], Findings]:
+def lenses_from_config(cameras: CamerasConfig, headers: dict[str, Exif]) -> tuple[dict[str, Lens], Findings]:
     """The lens of each image: one for all, or one for each camera where survey.toml gives no parameter.
 
     Cameras are told apart by maker, model and serial number, size, and focal length in EXIF. Parameters and errors are
@@ -125,13 +125,15 @@ def lenses_from_config(cameras: CamerasConfig, heads: dict[str, Exif]) -> tuple[
     """
     groups: dict[tuple, dict[str, Exif]] = {}
     if (cameras.size_px, cameras.focal_px, cameras.principal_point_px, cameras.distortion) == (None,) * 4:
-        for name, head in heads.items():
+        for name, header in headers.items():
             # Focal lengths within 1 % are roundings of one.
-            focal = None if head.focal_px is None else round(100.0 * math.log(head.focal_px))
-            groups.setdefault((head.camera, head.serial, head.size_px, focal, head.focal_warning), {})[name] = head
-    if len(groups) < 2 or any(head.focal_px is None for head in heads.values()):
-        lens, said = lens_from_config(cameras, heads)
-        return dict.fromkeys(heads, lens), said
+            focal = None if header.focal_px is None else round(100.0 * math.log(header.focal_px))
+            groups.setdefault((header.camera, header.serial, header.size_px, focal, header.focal_warning), {})[name] = (
+                header
+            )
+    if len(groups) < 2 or any(header.focal_px is None for header in headers.values()):
+        lens, said = lens_from_config(cameras, headers)
+        return dict.fromkeys(headers, lens), said
     lenses: dict[str, Lens] = {}
     notes: list[str] = []
     for (camera, *_), own in groups.items():
@@ -141,20 +143,20 @@ def lenses_from_config(cameras: CamerasConfig, heads: dict[str, Exif]) -> tuple[
     return lenses, Findings(tuple(notes))
 
 
-def lens_from_config(cameras: CamerasConfig, heads: dict[str, Exif]) -> tuple[Lens, Findings]:
+def lens_from_config(cameras: CamerasConfig, headers: dict[str, Exif]) -> tuple[Lens, Findings]:
     """Lens for all images, with a note for each parameter that survey.toml does not give.
 
     Parameters
     ----------
-    heads : name to Exif, of the images that have a pose
+    headers : name to Exif, of the images that have a pose
 
     Raises
     ------
     ConfigError
         Where a number is missing, or does not fit the camera model.
     """
-    width, height = cameras.size_px or _common_size(heads)
-    (fx, fy), said = _focal(cameras, heads)
+    width, height = cameras.size_px or _common_size(headers)
+    (fx, fy), said = _focal(cameras, headers)
     if cameras.principal_point_px is None:
         said += Findings(("the principal point is the centre of the image",))
     cx, cy = cameras.principal_point_px or (0.5 * width, 0.5 * height)
@@ -181,8 +183,8 @@ def lens_from_config(cameras: CamerasConfig, heads: dict[str, Exif]) -> tuple[Le
         raise ConfigError(f"[cameras] in {FILE_NAME}: {error}") from error
 
 
-def _common_size(heads: dict[str, Exif]) -> tuple[int, int]:
-    sizes = {head.size_px: name for name, head in heads.items()}
+def _common_size(headers: dict[str, Exif]) -> tuple[int, int]:
+    sizes = {header.size_px: name for name, header in headers.items()}
     if len(sizes) > 1:
         (a, name_a), (b, name_b) = list(sizes.items())[:2]
         raise ConfigError(
@@ -192,10 +194,10 @@ def _common_size(heads: dict[str, Exif]) -> tuple[int, int]:
     return next(iter(sizes))
 
 
-def _focal(cameras: CamerasConfig, heads: dict[str, Exif]) -> tuple[tuple[float, float], Findings]:
+def _focal(cameras: CamerasConfig, headers: dict[str, Exif]) -> tuple[tuple[float, float], Findings]:
     if (given := cameras.focal_px) is not None:
         return given if isinstance(given, tuple) else (given, given), Findings()
-    found = sorted({head.focal_px for head in heads.values() if head.focal_px is not None})
+    found = sorted({header.focal_px for header in headers.values() if header.focal_px is not None})
     if not found:
         raise ConfigError(
             f"focal_px is missing from [cameras] in {FILE_NAME}, and EXIF does not give it; give the calibrated "

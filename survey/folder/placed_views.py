@@ -204,7 +204,7 @@ def _with_images(found: Found, views: list[View], masks: Path | None) -> tuple[l
     """Views by name with their masks; images must have the size of their lens."""
     views, said = with_masks(found, sorted(views, key=lambda view: view.name), masks)
     for view in views:
-        require_image(view, found.heads[view.name])
+        require_image(view, found.headers[view.name])
     require_all_complete([path for view in views for path in (view.path, view.mask_path) if path is not None])
     return views, said
 

@@ -81,7 +81,7 @@ def require_plausible(
     views: list[View],
     over_water: np.ndarray | None,
     config: SurveyConfig,
-    heads: Mapping[str, Exif],
+    headers: Mapping[str, Exif],
     *,
     see_points: bool = False,
 ) -> None:
@@ -106,7 +106,7 @@ def require_plausible(
     centres = np.array([view.camera.centre for view in views])
     _require_together(frame, views, centres)
     if over_water is not None and config.water is not None:
-        _require_above_water(frame, views, over_water, config.water, heads)
+        _require_above_water(frame, views, over_water, config.water, headers)
     if config.area.bounds is not None:
         _require_bounds_near(frame, centres, config.area.bounds)
 
@@ -123,11 +123,11 @@ def _require_together(frame: LocalFrame, views: list[View], centres: np.ndarray)
 
 
 def _require_above_water(
-    frame: LocalFrame, views: list[View], over_water: np.ndarray, water: WaterConfig, heads: Mapping[str, Exif]
+    frame: LocalFrame, views: list[View], over_water: np.ndarray, water: WaterConfig, headers: Mapping[str, Exif]
 ) -> None:
     centres = frame.crs_from_local(np.array([view.camera.centre for view in views]))
     heights, at = centres[:, 2] * height_unit_m(frame.crs), place_of(frame.crs, np.median(centres, axis=0))
-    why = explanation(float(np.median(over_water)), water.known_level_m, at, frame.crs, above_start_of(heads))
+    why = explanation(float(np.median(over_water)), water.known_level_m, at, frame.crs, above_start_of(headers))
     most_m = DRONE_HEIGHT_M if why else most_over_water([view.camera for view in views])
     like = f"the poses ({frame.crs.name}){why}"
     require_level_fits(water, "the cameras are", heights, over_water, like, most_m=most_m)
@@ -194,7 +194,7 @@ def _require_bounds_near(frame: LocalFrame, centres: np.ndarray, bounds: tuple[f
 
 
 def place_warnings(
-    frame: LocalFrame, views: list[View], over_water: np.ndarray | None, heads: dict[str, Exif]
+    frame: LocalFrame, views: list[View], over_water: np.ndarray | None, headers: dict[str, Exif]
 ) -> list[str]:
     """Warnings about positions and heights that are possible but more likely a mistake.
 
@@ -210,7 +210,7 @@ def place_warnings(
             names, "camera", f"more than {DRONE_HEIGHT_M:.0f} m over the water: check that both count from one datum"
         )
     crs_centres = dict(zip((view.name for view in views), frame.crs_from_local(centres), strict=True))
-    distances = distances_to_exif(frame.crs, crs_centres, heads)
+    distances = distances_to_exif(frame.crs, crs_centres, headers)
     if distances.size and np.median(distances) > _EXIF_DOUBT_M:
         found.append(
             f"the poses lie {np.median(distances):.0f} m (median) from the GPS positions in EXIF; check crs and, for "
@@ -219,9 +219,9 @@ def place_warnings(
     return found
 
 
-def distances_to_exif(crs: CRS, centres: dict[str, np.ndarray], heads: dict[str, Exif]) -> np.ndarray:
+def distances_to_exif(crs: CRS, centres: dict[str, np.ndarray], headers: dict[str, Exif]) -> np.ndarray:
     """Horizontal distances (N,) [m] between camera centres in crs and the GPS positions of their images."""
-    positions = {name: heads[name].lat_lon_height for name in centres if name in heads}
+    positions = {name: headers[name].lat_lon_height for name in centres if name in headers}
     known = {name: position for name, position in positions.items() if position is not None}
     if not known:
         return np.zeros(0)

@@ -100,15 +100,15 @@ def priors_of_gps(
     As accurate as [cameras] says, else as XMP does, where the receiver had a fixed solution.
     """
     cameras = found.config.cameras
-    positions, _ = positions_in_crs(found.heads, found.crs, cameras.gps_height)
+    positions, _ = positions_in_crs(found.headers, found.crs, cameras.gps_height)
     local = {name: frame.local_from_crs(place) for name, place in positions.items() if name not in rejected}
-    datums = datum_stds(found.heads, found.crs, cameras.gps_height)
-    attitudes = attitudes_of({view.name: found.heads[view.name] for view in views})
+    datums = datum_stds(found.headers, found.crs, cameras.gps_height)
+    attitudes = attitudes_of({view.name: found.headers[view.name] for view in views})
     std_deg = cameras.rotation_std_deg
     attitude_std = ATTITUDE_STD_DEG if std_deg is None else float(np.max(per_axis(std_deg)))
     return {
         view.name: replace(
-            _by_gps(cameras, local.get(view.name), found.heads[view.name], datums.get(view.name, EXACT)),
+            _by_gps(cameras, local.get(view.name), found.headers[view.name], datums.get(view.name, EXACT)),
             attitude=attitudes.get(view.name),
             attitude_std_deg=attitude_std,
         )
@@ -126,10 +126,10 @@ def common_plan_std(priors: Mapping[str, PosePrior]) -> float:
     return min((prior.common_plan_std for prior in priors.values() if prior.position is not None), default=0.0)
 
 
-def common_up_std_of_exif(cameras: CamerasConfig, heads: Mapping[str, Exif], datum: DatumStd = EXACT) -> float:
+def common_up_std_of_exif(cameras: CamerasConfig, headers: Mapping[str, Exif], datum: DatumStd = EXACT) -> float:
     """`common_up_std` of heights in EXIF, before structure from motion; ``datum`` is added by the transformation."""
-    placed = [head for head in heads.values() if head.lat_lon_height is not None]
-    return min((_common_up(_std_by_exif(cameras, head, datum)[0]) for head in placed), default=0.0)
+    placed = [header for header in headers.values() if header.lat_lon_height is not None]
+    return min((_common_up(_std_by_exif(cameras, header, datum)[0]) for header in placed), default=0.0)
 
 
 def _common_up(std: np.ndarray | None) -> float:
@@ -137,41 +137,41 @@ def _common_up(std: np.ndarray | None) -> float:
     return up if up > WELL_KNOWN_M else 0.0
 
 
-def _std_by_exif(cameras: CamerasConfig, head: Exif, datum: DatumStd = EXACT) -> tuple[np.ndarray | None, str]:
+def _std_by_exif(cameras: CamerasConfig, header: Exif, datum: DatumStd = EXACT) -> tuple[np.ndarray | None, str]:
     """The standard deviation (3,) [m] of a GPS position in crs, and its source; None where it is unknown.
 
     In plan without the std of the transformation into crs, which all positions share.
     """
-    std, source = _std_as_given(cameras, head)
+    std, source = _std_as_given(cameras, header)
     return None if std is None else DatumStd(up=datum.up).onto(std), source
 
 
-def _std_as_given(cameras: CamerasConfig, head: Exif) -> tuple[np.ndarray | None, str]:
+def _std_as_given(cameras: CamerasConfig, header: Exif) -> tuple[np.ndarray | None, str]:
     if cameras.position_std_m is not None:
         return np.array(per_axis(cameras.position_std_m)), "survey.toml"
-    if head.table_place is not None:
+    if header.table_place is not None:
         # Given for these positions, as position_std_m is.
-        std_m = head.table_place.std_m
-        return None if std_m is None else np.array(std_m), head.table_place.source
-    if head.rtk is not None and head.rtk.flag == _RTK_FIXED:
-        return np.array(head.rtk.std_m), "XMP RTK"
+        std_m = header.table_place.std_m
+        return None if std_m is None else np.array(std_m), header.table_place.source
+    if header.rtk is not None and header.rtk.flag == _RTK_FIXED:
+        return np.array(header.rtk.std_m), "XMP RTK"
     # Receivers of other makers do not state the source of their accuracy: one of centimetres is by corrections; errors
     # of metres are nearly the same in all photographs, and a stated accuracy of metres says nothing of them.
-    if head.std_m is not None and max(head.std_m) <= WELL_KNOWN_M:
-        return np.array(head.std_m), "stated accuracy"
+    if header.std_m is not None and max(header.std_m) <= WELL_KNOWN_M:
+        return np.array(header.std_m), "stated accuracy"
     return None, "GPS EXIF"
 
 
-def best_plan_std(cameras: CamerasConfig, heads: Iterable[Exif]) -> float:
+def best_plan_std(cameras: CamerasConfig, headers: Iterable[Exif]) -> float:
     """The smallest standard deviation [m] in plan that is known of GPS positions as given; infinite where none is."""
-    stds = [_std_as_given(cameras, head)[0] for head in heads if head.lat_lon_height is not None]
+    stds = [_std_as_given(cameras, header)[0] for header in headers if header.lat_lon_height is not None]
     return min((float(std[:2].max()) for std in stds if std is not None), default=math.inf)
 
 
-def _by_gps(cameras: CamerasConfig, position: np.ndarray | None, head: Exif, datum: DatumStd) -> PosePrior:
+def _by_gps(cameras: CamerasConfig, position: np.ndarray | None, header: Exif, datum: DatumStd) -> PosePrior:
     if position is None:
         return PosePrior(None, None, None, "none")
-    std, source = _std_by_exif(cameras, head, datum)
+    std, source = _std_by_exif(cameras, header, datum)
     return PosePrior(position, std, None, source, _common_up(std), datum.plan)
 
 
@@ -185,17 +185,17 @@ def _in_common(plan_std: float) -> str:
     return f"; plus {plan_std:.2g} m in plan in common, by the datum transformation" if plan_std else ""
 
 
-def accuracy_of_gps(cameras: CamerasConfig, heads: Mapping[str, Exif], datum: DatumStd = EXACT) -> str:
+def accuracy_of_gps(cameras: CamerasConfig, headers: Mapping[str, Exif], datum: DatumStd = EXACT) -> str:
     """Expected accuracy of the positions in EXIF, in one sentence, before structure from motion.
 
     ``datum`` is the std that their transformation into crs adds.
     """
-    given = [head.lat_lon_height for head in heads.values()]
+    given = [header.lat_lon_height for header in headers.values()]
     known = [position is not None and math.isfinite(position[2]) for position in given]
     said = _accuracy(
         [
-            _std_by_exif(cameras, head, datum) if is_known else (None, "none")
-            for head, is_known in zip(heads.values(), known, strict=True)
+            _std_by_exif(cameras, header, datum) if is_known else (None, "none")
+            for header, is_known in zip(headers.values(), known, strict=True)
         ]
     )
     return f"{said}{_in_common(datum.plan)}"

@@ -31,18 +31,18 @@ _LONGER, _CLOCK_STEP_S = 2.0, 1.0
 _BETWEEN_FIXES_S = 2.0
 
 
-def position_warnings(heads: Mapping[str, Exif]) -> list[str]:
+def position_warnings(headers: Mapping[str, Exif]) -> list[str]:
     """Warnings that name the photographs whose GPS position or height lies far from all others."""
-    known = {name: head for name, head in heads.items() if head.lat_lon_height is not None}
+    known = {name: header for name, header in headers.items() if header.lat_lon_height is not None}
     if len(known) < _FEWEST:
         return []
-    names, places = np.array(list(known)), np.array([head.lat_lon_height for head in known.values()])
+    names, places = np.array(list(known)), np.array([header.lat_lon_height for header in known.values()])
     # Longitudes are unwrapped across the antimeridian, relative to the first.
     away = places[:, 1] - places[0, 1]
     plan = EARTH_RADIUS_M * np.radians(np.column_stack([places[:, 0], (away + 180.0) % 360.0 - 180.0]))
     plan[:, 1] *= np.cos(np.radians(np.median(places[:, 0])))
-    cameras = np.array([head.serial for head in known.values()])
-    clocks = [head.clock for head in known.values() if head.clock is not None]
+    cameras = np.array([header.serial for header in known.values()])
+    clocks = [header.clock for header in known.values() if header.clock is not None]
     seconds = None
     if len(clocks) == len(known):
         seconds = np.array([(clock - clocks[0]).total_seconds() for clock in clocks])

@@ -63,7 +63,7 @@ _SHORT_SIDE = 0.6
 _MOST_SCALE_STD = 0.1
 
 
-def require_level_fits_exif(config: SurveyConfig, heads: Mapping[str, Exif], crs: CRS) -> None:
+def require_level_fits_exif(config: SurveyConfig, headers: Mapping[str, Exif], crs: CRS) -> None:
     """Raise where the level cannot fit the heights in EXIF, which structure from motion would use.
 
     Raises
@@ -72,15 +72,17 @@ def require_level_fits_exif(config: SurveyConfig, heads: Mapping[str, Exif], crs
         Where all images lie under the water or far above it, by more than heights in EXIF may have in common; or by
         less, if a mix-up of datums explains it and `position_std_m` does not say that they are as bad.
     """
-    places = np.array([h.lat_lon_height for h in heads.values() if h.lat_lon_height is not None]).reshape(-1, 3)
+    places = np.array([h.lat_lon_height for h in headers.values() if h.lat_lon_height is not None]).reshape(-1, 3)
     places = places[np.isfinite(places).all(axis=1)]
     heights = places[:, 2]
     if config.water is None or config.water.level_m is None or config.cameras.gps_height != "crs" or not heights.size:
         return
     over_water = heights - config.water.known_level_m
     lon, lat = middle_lon_lat(places[:, 1::-1]).tolist()
-    why = explanation(float(np.median(over_water)), config.water.known_level_m, (lat, lon), crs, above_start_of(heads))
-    unknown_m = _MOST_STD * common_up_std_of_exif(config.cameras, heads)
+    why = explanation(
+        float(np.median(over_water)), config.water.known_level_m, (lat, lon), crs, above_start_of(headers)
+    )
+    unknown_m = _MOST_STD * common_up_std_of_exif(config.cameras, headers)
     if why and config.cameras.position_std_m is None:
         unknown_m = 0.0
     most_m = DRONE_HEIGHT_M if why else _most_over_water(places)
@@ -126,16 +128,16 @@ def require_solvable(found: Found) -> list[str]:
     require_solver()
     cameras = found.config.cameras
     require_mapper(cameras.mapper)
-    require_level_fits_exif(found.config, found.heads, found.crs)
-    for transform in transforms_into_crs(found.heads, found.crs, cameras.gps_height):
-        std = best_plan_std(cameras, [found.heads[name] for name in transform.names])
+    require_level_fits_exif(found.config, found.headers, found.crs)
+    for transform in transforms_into_crs(found.headers, found.crs, cameras.gps_height):
+        std = best_plan_std(cameras, [found.headers[name] for name in transform.names])
         require_accurate(transform.plan, std, transform.said, 0 if found.control is None else found.control.num_given)
-    require_size(found.images, found.heads, cameras.size_px)
+    require_size(found.images, found.headers, cameras.size_px)
     focal = one_focal(cameras.focal_px)
     require_focal(found)
     if placing_control(found) is None:
         require_scale(found)
-    positions, _ = positions_in_crs(found.heads, found.crs, cameras.gps_height)
+    positions, _ = positions_in_crs(found.headers, found.crs, cameras.gps_height)
     warnings: list[str] = []
     if positions:
         cameras_crs = np.array(list(positions.values()))
@@ -144,15 +146,15 @@ def require_solvable(found: Found) -> list[str]:
             over_water = cameras_crs[:, 2] * height_unit_m(found.crs) - found.config.water.level_m
             over = dict(zip(positions, over_water.tolist(), strict=True))
             at = place_of(found.crs, np.median(cameras_crs, axis=0))
-            warnings += start_height_warnings(over, found.heads, found.config.water.level_m, at, found.crs)
-    warnings += xmp_height_warnings(cameras.gps_height, found.crs, found.heads)
-    warnings += shutter_warnings(cameras, found.heads, None)
+            warnings += start_height_warnings(over, found.headers, found.config.water.level_m, at, found.crs)
+    warnings += xmp_height_warnings(cameras.gps_height, found.crs, found.headers)
+    warnings += shutter_warnings(cameras, found.headers, None)
     _require_readable(found.images)
     if focal is None:
         return warnings
-    sizes = {name: head.size_px for name, head in found.heads.items()}
+    sizes = {name: header.size_px for name, header in found.headers.items()}
     lenses = {name: Lens("SIMPLE_PINHOLE", (focal, 0.5 * w, 0.5 * h), w, h) for name, (w, h) in sizes.items()}
-    return warnings + require_focal_lengths(lenses, found.heads)
+    return warnings + require_focal_lengths(lenses, found.headers)
 
 
 def _require_readable(images: Mapping[str, Path]) -> None:
@@ -174,10 +176,10 @@ def placing_control(found: Found) -> BlockControl | None:
     PosesError, ControlError
         If neither can.
     """
-    num = sum(is_whole(head.lat_lon_height) for head in found.heads.values())
-    if num < least_track(len(found.heads)):
+    num = sum(is_whole(header.lat_lon_height) for header in found.headers.values())
+    if num < least_track(len(found.headers)):
         return require_placing_control(found)
-    positions = gps_positions(found.heads, found.crs, found.config.cameras.gps_height)
+    positions = gps_positions(found.headers, found.crs, found.config.cameras.gps_height)
     line = line_of(list(positions.local.values()), MIN_STD_M)
     if line is None:
         return None
@@ -251,7 +253,7 @@ def _photographs(found: Found) -> UnposedPhotographs:
     cameras, water = found.config.cameras, found.config.water
     return UnposedPhotographs(
         list(found.images.values()),
-        {path: found.heads[name] for name, path in found.images.items()},
+        {path: found.headers[name] for name, path in found.images.items()},
         cameras.gps_height,
         cameras.size_px,
         cameras.focal_px,
@@ -272,8 +274,8 @@ def _rejected_positions(views: list[View], residuals: np.ndarray) -> dict[str, f
 def require_focal(found: Found) -> None:
     """Raise ImageError where two photographs have no focal length: over flat ground they do not determine it."""
     known = one_focal(found.config.cameras.focal_px) is not None
-    lacking = [name for name, head in found.heads.items() if head.focal_px is None]
-    if len(found.heads) == 2 and lacking and not known:
+    lacking = [name for name, header in found.headers.items() if header.focal_px is None]
+    if len(found.headers) == 2 and lacking and not known:
         raise ImageError(
             f"{lacking[0]} has no focal length in EXIF, and two photographs do not tell it; give [cameras] focal_px in "
             f"{FILE_NAME}"
@@ -282,12 +284,12 @@ def require_focal(found: Found) -> None:
 
 def require_scale(found: Found) -> None:
     """Raise PosesError where two GPS positions are too close, for their accuracy, to determine the scale."""
-    if len(found.heads) != 2:
+    if len(found.headers) != 2:
         return
     cameras = found.config.cameras
-    positions = list(gps_positions(found.heads, found.crs, cameras.gps_height).local.values())
+    positions = list(gps_positions(found.headers, found.crs, cameras.gps_height).local.values())
     apart = float(np.linalg.norm(positions[0] - positions[1]))
-    std = best_plan_std(cameras, found.heads.values())
+    std = best_plan_std(cameras, found.headers.values())
     said = "good to" if math.isfinite(std) else "of unstated accuracy, taken as"
     std = std if math.isfinite(std) else GPS_STD_M
     share = math.sqrt(2.0) * std / max(apart, 1e-9)

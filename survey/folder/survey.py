@@ -192,7 +192,7 @@ def load_survey(
     findings = Findings(found.assumptions, found.warnings) + added
     found, cameras = placed.found, placed.found.config.cameras
     places = {view.name: view.camera.centre for view in placed.views}
-    velocities = velocities_of(places, found.heads, cameras.speed_m_s)
+    velocities = velocities_of(places, found.headers, cameras.speed_m_s)
     views, added = with_motion(placed.views, velocities, cameras)
     placed, findings = replace(placed, views=views), findings + added
     water, added = _local_water(placed)
@@ -306,9 +306,9 @@ def _warnings(placed: PlacedViews, water: _LocalWater) -> list[str]:
     found, frame, views = placed.found, placed.frame, placed.views
     centres, is_posed = _centres(views), found.poses_path is not None
     above = None if water.above is None else water.above(centres)
-    require_plausible(frame, views, above, water.config, found.heads, see_points=placed.reprojection is not None)
-    warnings = require_focal_lengths({view.name: view.lens for view in views}, found.heads) if is_posed else []
-    warnings += require_apart(views, above) + place_warnings(frame, views, above, found.heads)
+    require_plausible(frame, views, above, water.config, found.headers, see_points=placed.reprojection is not None)
+    warnings = require_focal_lengths({view.name: view.lens for view in views}, found.headers) if is_posed else []
+    warnings += require_apart(views, above) + place_warnings(frame, views, above, found.headers)
     if len(views) == 2:
         warnings.append(
             "two photographs: no third view checks a height; outliers against their surroundings are left out, heights "
@@ -319,8 +319,8 @@ def _warnings(placed: PlacedViews, water: _LocalWater) -> list[str]:
         return warnings
     heights = frame.crs_from_local(centres)[:, 2] * height_unit_m(frame.crs)
     warnings += far_from_others(np.array([view.name for view in views]), centres[:, :2], heights, "pose")
-    heads = {view.name: found.heads[view.name] for view in views}
-    warnings += shutter_warnings(water.config.cameras, heads, metres_per_px(views, water.plane))
+    headers = {view.name: found.headers[view.name] for view in views}
+    warnings += shutter_warnings(water.config.cameras, headers, metres_per_px(views, water.plane))
     if placed.control is not None:
         warnings += mark_warnings(placed.control, views, water.plane)
     if above is not None:
@@ -335,10 +335,10 @@ def _height_warnings(placed: PlacedViews, water: WaterConfig | None, over_water:
         return []
     found, crs = placed.found, placed.frame.crs
     centres = placed.frame.crs_from_local(_centres(placed.views))
-    at, heads = place_of(crs, np.median(centres, axis=0)), {name: found.heads[name] for name in over_water}
-    heights_m = dict(zip(heads, (centres[:, 2] * height_unit_m(crs)).tolist(), strict=True))
+    at, headers = place_of(crs, np.median(centres, axis=0)), {name: found.headers[name] for name in over_water}
+    heights_m = dict(zip(headers, (centres[:, 2] * height_unit_m(crs)).tolist(), strict=True))
     return [
         *low_flight_warnings(np.array(list(over_water.values())), water.known_level_m, at, crs),
-        *start_height_warnings(over_water, found.heads, water.known_level_m, at, crs),
-        *exif_height_warnings(heights_m, heads),
+        *start_height_warnings(over_water, found.headers, water.known_level_m, at, crs),
+        *exif_height_warnings(heights_m, headers),
     ]

@@ -109,7 +109,7 @@ def _toml(value: Any) -> str:
 class FolderPhotographs:
     """Photographs of a folder, and the poses found with them."""
 
-    heads: Mapping[str, Exif]  # mapping of name to Exif
+    headers: Mapping[str, Exif]  # mapping of name to Exif
     poses_path: Path | None
     file: PoseFile | None  # What `poses_path` holds
 
@@ -118,14 +118,14 @@ class FolderPhotographs:
         """Camera centres (3,) in the frame of the poses file, by names of photographs."""
         if self.file is None:
             return {}
-        names = ImageNames(self.heads)
+        names = ImageNames(self.headers)
         called = {names.find(pose.name, str(self.poses_path)): pose.centre for pose in self.file.poses}
         return {name: centre for name, centre in called.items() if name is not None}
 
     @property
     def lat_lon(self) -> tuple[float, float] | None:
         """Latitude and longitude of the survey [deg], by EXIF, else by geocentric poses; None without both."""
-        places = [head.lat_lon_height[1::-1] for head in self.heads.values() if head.lat_lon_height is not None]
+        places = [header.lat_lon_height[1::-1] for header in self.headers.values() if header.lat_lon_height is not None]
         if places:
             lon, lat = middle_lon_lat(np.array(places)).tolist()
             return lat, lon
@@ -137,7 +137,7 @@ class FolderPhotographs:
     @property
     def says_ellipsoidal(self) -> bool:
         """Whether XMP says of most photographs that their heights count from the ellipsoid."""
-        said = [head.height_datum for head in self.heads.values() if head.height_datum is not None]
+        said = [header.height_datum for header in self.headers.values() if header.height_datum is not None]
         return 2 * sum(datum == ELLIPSOIDAL for datum in said) > len(said)
 
 
@@ -182,18 +182,18 @@ def _horizontal(photographs: FolderPhotographs) -> tuple[str | None, str]:
         code = crs_code(file.crs)
         if code is not None and file.crs.is_projected:
             return code, f"that of the poses, {file.crs.name}"
-    table = infer.table_crs(photographs.heads)
+    table = infer.table_crs(photographs.headers)
     if table is not None and file is None:
         return table, f"that of {GEO_TXT}"
-    zone = utm_code_of(dict(photographs.heads))
-    by = f"the UTM zone of the GPS positions in {position_sources(photographs.heads)}"
+    zone = utm_code_of(dict(photographs.headers))
+    by = f"the UTM zone of the GPS positions in {position_sources(photographs.headers)}"
     if zone is None and photographs.lat_lon is not None:
         zone, by = utm_code(*photographs.lat_lon), "the UTM zone of the poses"
     if zone is None:
         return None, "neither the photographs nor their poses tell the coordinate reference system (crs)"
     if file is not None and file.crs is None and file.frame in (PoseFrame.GRID, PoseFrame.ENU):
         crs = CRS(f"EPSG:{zone}+{EGM96_HEIGHT}")
-        away = distances_to_exif(crs, photographs.centres, dict(photographs.heads))
+        away = distances_to_exif(crs, photographs.centres, dict(photographs.headers))
         if not away.size or np.median(away) > SAME_PLACE_M:
             return (
                 None,
@@ -218,7 +218,7 @@ def _vertical(
     if photographs.says_ellipsoidal:
         return _of_ellipsoidal(photographs, horizontal, chosen, listed, cameras)
     if chosen is not None:
-        source = position_sources(photographs.heads)
+        source = position_sources(photographs.headers)
         warning = f"Not certain: that the level, all other heights and those in {source} count from there."
         return chosen.to_epsg(), f"the heights of {_area(chosen)} ({chosen.name})", (warning,)
     more: tuple[str, ...] = (
@@ -227,7 +227,7 @@ def _vertical(
     more += tuple(f"    {system}" for system in listed)
     return (
         EGM96_HEIGHT,
-        f"heights above mean sea level (EGM96), as those in {position_sources(photographs.heads)}",
+        f"heights above mean sea level (EGM96), as those in {position_sources(photographs.headers)}",
         more,
     )
 
@@ -240,7 +240,7 @@ def _of_ellipsoidal(
     A national system is taken where the grid of its geoid is installed, which turns those heights into it; `check`
     names the grid where it is missing.
     """
-    places = np.array([h.lat_lon_height[:2] for h in photographs.heads.values() if h.lat_lon_height is not None])
+    places = np.array([h.lat_lon_height[:2] for h in photographs.headers.values() if h.lat_lon_height is not None])
     if chosen is not None and len(places):
         crs = parse_crs(f"{horizontal}+{chosen.to_epsg()}")
         try:
@@ -280,7 +280,7 @@ def write_origin(photographs: FolderPhotographs, answers: Answers, crs: CRS, loc
         local.set("origin", list(answers.origin))
         return
     where = f"the poses in {photographs.poses_path}"
-    positions, _ = positions_in_crs(photographs.heads, crs, "crs")
+    positions, _ = positions_in_crs(photographs.headers, crs, "crs")
     centres = photographs.centres
     both = sorted(positions.keys() & centres.keys())
     if len(both) < 3:

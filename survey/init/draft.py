@@ -84,11 +84,11 @@ def draft(folder: Path, answers: Answers) -> str:
         images.set("dir", inferred.images.dir)
     if (folder / "masks").is_dir():
         images.set("masks", "masks", "black is left out")
-    heads = {name: read_exif(path) for name, path in found.items()}
+    headers = {name: read_exif(path) for name, path in found.items()}
     table, said = find_geo_txt(folder, folder / inferred.images.dir), Findings()
     if table is not None:
-        heads, said = with_positions(table, heads)
-    heads = without_void_fixes(heads)
+        headers, said = with_positions(table, headers)
+    headers = without_void_fixes(headers)
     poses = find_poses(folder)
     if poses:
         others = ", ".join(path.relative_to(folder).as_posix() for path in poses[1:])
@@ -98,7 +98,7 @@ def draft(folder: Path, answers: Answers) -> str:
         cameras.say(f"No poses found: structure from motion computes them from the {len(found)} photographs.")
     cameras.say(*(f"Found: {sentence}." for sentence in said.assumptions))
     cameras.say(*(f"Not certain: {sentence}." for sentence in said.warnings))
-    photographs = FolderPhotographs(heads, poses[0] if poses else None, read_poses(poses[0]) if poses else None)
+    photographs = FolderPhotographs(headers, poses[0] if poses else None, read_poses(poses[0]) if poses else None)
     if photographs.file is not None and any(pose.lens is None for pose in photographs.file.poses):
         cameras.say(
             "Not certain: the lens, by EXIF where it states the focal length. With a calibration:",
@@ -121,7 +121,7 @@ def _write_water(folder: Path, photographs: FolderPhotographs, answers: Answers,
     files = {key: name for key in _WATER_FILES if (name := _named(folder, _WATER_FILES[key])) is not None}
     level = answers.level_m
     if level is None and not files:
-        num_placed = sum(is_whole(head.lat_lon_height) for head in photographs.heads.values())
+        num_placed = sum(is_whole(header.lat_lon_height) for header in photographs.headers.values())
         can_do_without = photographs.poses_path is None and num_placed >= _FEWEST_FOR_LEVEL
         otherwise = (
             "the height of the water is not known; give it in the heights of crs, e.g. --level 12.34, put a file "

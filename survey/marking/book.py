@@ -65,7 +65,7 @@ class Book:
 
     def __init__(self, config: SurveyConfig, found: Found, points: Path | None = None):
         self._config, self._found, self._points_path = config, found, points
-        self._sizes = {name: head.size_px for name, head in found.heads.items()}
+        self._sizes = {name: header.size_px for name, header in found.headers.items()}
         self.control_path = found.folder / _control_name(found.folder, config)
         water = config.water
         named = None if water is None else water.sources.clicks

@@ -176,7 +176,7 @@ def _of_file(found: Found, path: Path) -> PosedSurvey:
         file, _ = read_file_poses(found, path)
     found, frame, views = file.found, file.frame, file.views
     places = {view.name: view.camera.centre for view in views}
-    velocities = velocities_of(places, found.heads, found.config.cameras.speed_m_s)
+    velocities = velocities_of(places, found.headers, found.config.cameras.speed_m_s)
     views, _ = with_motion(views, velocities, found.config.cameras)
     water = _water(found, frame, views)
     views, _ = with_tides(views, found.tide, water)

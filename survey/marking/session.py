@@ -71,7 +71,8 @@ class MarkingSession:
             "files": {GROUND: str(self.book.control_path), WATER: str(self.book.clicks_path)},
             "can_undo": self.book.can_undo,
             "photographs": [
-                {"name": name, "size": self._found.heads[name].size_px, "posed": name in posed} for name in self.images
+                {"name": name, "size": self._found.headers[name].size_px, "posed": name in posed}
+                for name in self.images
             ],
             "points": [self._point(key, point, marks.get(key, {})) for key, point in sorted(points.items(), key=_rank)],
         }
@@ -136,7 +137,7 @@ class MarkingSession:
 
     def _without_poses(self, point: GivenPoint | None, own: Mapping[str, Pixel], image: str) -> list[str]:
         """Photographs by the distance of their GPS positions from a point, or in their order."""
-        known = {name: head.lat_lon_height for name, head in self._found.heads.items() if head.lat_lon_height}
+        known = {name: header.lat_lon_height for name, header in self._found.headers.items() if header.lat_lon_height}
         if point is None or not known:
             return self._in_order(own, image)
         lon, lat = lon_lat(self._found.crs, np.array([point.place]))[0, :2]

@@ -156,18 +156,18 @@ def _read_exif(path: Path, _changed: int, _size: int) -> Exif:
     )
 
 
-def without_void_fixes(heads: Mapping[str, Exif]) -> dict[str, Exif]:
+def without_void_fixes(headers: Mapping[str, Exif]) -> dict[str, Exif]:
     """Heads of photographs by name, without the positions that receivers call void, where their camera has others.
 
     Cameras that mark most of their positions as void do so wrongly: these positions are kept.
     """
-    void = Counter(head.serial for head in heads.values() if head.is_void)
-    known = Counter(head.serial for head in heads.values() if head.lat_lon_height is not None)
+    void = Counter(header.serial for header in headers.values() if header.is_void)
+    known = Counter(header.serial for header in headers.values() if header.lat_lon_height is not None)
     return {
-        name: replace(head, lat_lon_height=None, gps_fault=_VOID)
-        if head.is_void and 2 * void[head.serial] <= known[head.serial]
-        else head
-        for name, head in heads.items()
+        name: replace(header, lat_lon_height=None, gps_fault=_VOID)
+        if header.is_void and 2 * void[header.serial] <= known[header.serial]
+        else header
+        for name, header in headers.items()
     }
 
 
@@ -230,16 +230,16 @@ def _exposure(details: dict) -> float | None:
     return seconds if 0.0 < seconds < _LONGEST_EXPOSURE_S else None
 
 
-def position_sources(heads: Mapping[str, Exif]) -> str:
+def position_sources(headers: Mapping[str, Exif]) -> str:
     """Sources of the GPS positions of photographs, in words: EXIF, a table, or both."""
-    places = [head for head in heads.values() if head.lat_lon_height is not None]
-    sources = {"EXIF" if head.table_place is None else head.table_place.source for head in places}
+    places = [header for header in headers.values() if header.lat_lon_height is not None]
+    sources = {"EXIF" if header.table_place is None else header.table_place.source for header in places}
     return " and ".join(sorted(sources)) or "EXIF"
 
 
-def utm_code_of(heads: Mapping[str, Exif]) -> int | None:
+def utm_code_of(headers: Mapping[str, Exif]) -> int | None:
     """EPSG code of the UTM zone (WGS 84) in which the GPS positions of photographs lie; None without positions."""
-    places = [head.lat_lon_height[1::-1] for head in heads.values() if head.lat_lon_height is not None]
+    places = [header.lat_lon_height[1::-1] for header in headers.values() if header.lat_lon_height is not None]
     if not places:
         return None
     lon, lat = middle_lon_lat(np.array(places)).tolist()

@@ -210,10 +210,10 @@ def _without_poses(checked: Checked, chosen: Choices) -> list[CheckSection]:
     found = checked.found
     require_placeable(found.config.control.reference, chosen.poses)
     sfm = Decision("structure from motion", "on", f"there is no poses file; georeferenced by {_placed_by(found)}")
-    mapper = Decision("mapper", *mapper_of(len(found.heads), found.config.cameras.mapper))
+    mapper = Decision("mapper", *mapper_of(len(found.headers), found.config.cameras.mapper))
     rest = Decision("refraction and the rest", "later", "decided once the poses are known")
     decisions = (sfm, mapper, device_decision(chosen.device), rest)
-    sizes = [header.size_px for header in found.heads.values()]
+    sizes = [header.size_px for header in found.headers.values()]
     workload = workload_of_images(sizes, quality=chosen.quality, scale=chosen.image_scale)
     warnings = (*checked.ordered_warnings, *room_warnings(workload, found.folder / RUN_FOLDER))
     return _sections(_rows_without_poses(found), decisions, workload, found.assumptions, warnings)
@@ -230,8 +230,8 @@ def _placed_by(found: Found) -> str:
 
 def _rows_without_poses(found: Found) -> list[tuple[str, str]]:
     """Rows on a survey whose poses are not known yet."""
-    places = [header.lat_lon_height for header in found.heads.values() if header.lat_lon_height is not None]
-    num_of_size = Counter(header.size_px for header in found.heads.values())
+    places = [header.lat_lon_height for header in found.headers.values() if header.lat_lon_height is not None]
+    num_of_size = Counter(header.size_px for header in found.headers.values())
     heights = np.array([height for _, _, height in places])
     on_places = f", heights {_range(heights)} m" if places else ""
     return [
@@ -243,10 +243,10 @@ def _rows_without_poses(found: Found) -> list[tuple[str, str]]:
         ),
         (
             "positions",
-            f"{len(places)} of {len(found.heads)} images have one in {position_sources(found.heads)}{on_places}",
+            f"{len(places)} of {len(found.headers)} images have one in {position_sources(found.headers)}{on_places}",
         ),
         ("poses", "none"),
-        ("accuracy", accuracy_of_gps(found.config.cameras, found.heads, found.datum)),
+        ("accuracy", accuracy_of_gps(found.config.cameras, found.headers, found.datum)),
         *_shared_error(found),
         ("water", _water_below(found, heights)),
         *control_rows(found.control),
@@ -255,7 +255,7 @@ def _rows_without_poses(found: Found) -> list[tuple[str, str]]:
 
 def _shared_error(found: Found) -> list[tuple[str, str]]:
     """Row on the common error of heights in EXIF, where the level of the water places the block."""
-    std = common_up_std_of_exif(found.config.cameras, found.heads, found.datum)
+    std = common_up_std_of_exif(found.config.cameras, found.headers, found.datum)
     water = found.config.water
     if std == 0.0 or found.control is not None or water is None or water.level_m is None:
         return []
@@ -279,7 +279,7 @@ def _water_below(found: Found, heights: np.ndarray) -> str:
         return "of unknown level: the adjustment finds it, where oblique photographs or a dry shore determine it"
     level = water.level_m / height_unit_m(found.crs)
     over = (
-        f"; by {position_sources(found.heads)} the cameras are {_range(heights - level)} m over it"
+        f"; by {position_sources(found.headers)} the cameras are {_range(heights - level)} m over it"
         if len(heights)
         else ""
     )

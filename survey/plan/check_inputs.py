@@ -156,7 +156,7 @@ def tilts_deg(cam_from_local: np.ndarray) -> np.ndarray:
 
 def _tilts_by_headers(found: Found) -> np.ndarray:
     """Tilts by the attitudes in XMP, of the photographs that have one."""
-    gimbals = [header.motion.gimbal_deg for header in found.heads.values() if header.motion.gimbal_deg is not None]
+    gimbals = [header.motion.gimbal_deg for header in found.headers.values() if header.motion.gimbal_deg is not None]
     rotations = [
         enu_from_yaw_pitch_roll(math.radians(yaw), math.radians(pitch + 90.0), math.radians(roll)).T
         for yaw, pitch, roll in gimbals

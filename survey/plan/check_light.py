@@ -175,10 +175,10 @@ def _some(found: Found) -> list[str]:
     Photographs that show nothing compress to few bytes.
     """
     names = sorted(found.images)
-    mpx = np.median([header.size_px[0] * header.size_px[1] for header in found.heads.values()]) / 1e6
+    mpx = np.median([header.size_px[0] * header.size_px[1] for header in found.headers.values()]) / 1e6
     number = int(np.clip(_MOST_MPX / mpx, 3, len(names)))
     chosen = {names[place] for place in np.linspace(0, len(names) - 1, number).round().astype(int)}
-    per_pixel = bytes_per_pixel([found.images[name] for name in names], [found.heads[name].size_px for name in names])
+    per_pixel = bytes_per_pixel([found.images[name] for name in names], [found.headers[name].size_px for name in names])
     small = np.flatnonzero(per_pixel < _SMALL * np.median(per_pixel))
     return sorted(chosen | {names[place] for place in small[np.argsort(per_pixel[small], kind="stable")][:_MOST_SMALL]})
 
@@ -188,9 +188,9 @@ def _motion(found: Found, survey: Survey | None) -> tuple[float | None, float | 
     if survey is not None:
         velocities = survey.observations.velocities
     else:
-        velocities = velocities_of(_gps_places(found), found.heads, None)
+        velocities = velocities_of(_gps_places(found), found.headers, None)
     speeds = {name: velocity.speed for name, velocity in velocities.items()}
-    exposures = {name: header.exposure_s for name, header in found.heads.items() if header.exposure_s is not None}
+    exposures = {name: header.exposure_s for name, header in found.headers.items() if header.exposure_s is not None}
     both = sorted(speeds.keys() & exposures.keys(), key=lambda name: speeds[name] * exposures[name])
     pixel = make_plan(survey).gsd_m if survey is not None else _gsd_by_headers(found)
     if not both:
@@ -201,7 +201,7 @@ def _motion(found: Found, survey: Survey | None) -> tuple[float | None, float | 
 
 def _gps_places(found: Found) -> dict[str, np.ndarray]:
     """Places (3,) [m] of the photographs that have a GPS position, east, north and up of one of them."""
-    known = {name: header.lat_lon_height for name, header in found.heads.items() if header.lat_lon_height is not None}
+    known = {name: header.lat_lon_height for name, header in found.headers.items() if header.lat_lon_height is not None}
     if not known:
         return {}
     lat0, lon0, height0 = next(iter(known.values()))
@@ -223,19 +223,19 @@ def _focal_px(found: Found) -> float | None:
     given = found.config.cameras.focal_px
     if given is not None:
         return given[0] if isinstance(given, tuple) else given
-    focals = [header.focal_px for header in found.heads.values() if header.focal_px is not None]
+    focals = [header.focal_px for header in found.headers.values() if header.focal_px is not None]
     return float(np.median(focals)) if focals else None
 
 
 def _height_m(found: Found) -> float | None:
     """Median height [m] of the cameras over the water, else over the take-off point."""
     water = found.config.water
-    heights = [header.lat_lon_height[2] for header in found.heads.values() if header.lat_lon_height is not None]
+    heights = [header.lat_lon_height[2] for header in found.headers.values() if header.lat_lon_height is not None]
     if water is not None and water.level_m is not None and heights:
         height = float(np.nanmedian(heights)) - water.level_m / height_unit_m(found.crs)
         if height > 0.0:
             return height
-    return above_start_of(found.heads)
+    return above_start_of(found.headers)
 
 
 def _sun_rows(found: Found, survey: Survey | None, wind_m_s: float) -> list[tuple[str, str]]:
@@ -243,17 +243,17 @@ def _sun_rows(found: Found, survey: Survey | None, wind_m_s: float) -> list[tupl
     place = _place(found, survey)
     if place is None:
         return [("sun", "unknown: no photograph has a position")]
-    names = sorted(found.heads)
+    names = sorted(found.headers)
     if survey is not None:
         survey = in_the_middle(survey)
         names = [view.name for view in survey.views]
-    times, assumed = times_of({name: found.heads[name] for name in names}, place[1])
+    times, assumed = times_of({name: found.headers[name] for name in names}, place[1])
     if times is None:
         return [("sun", "unknown: EXIF has no times")]
     suns = [sun_at(time, *place) for time in times]
     later = sun_at(times[len(times) // 2] - timedelta(hours=1), *place)
     summer = f"summer time, the sun was {math.degrees(later.elevation):.0f} degrees high"
-    told = any(found.heads[name].taken is not None for name in names)
+    told = any(found.headers[name].taken is not None for name in names)
     assumption = f"; {assumed}" + ("" if told else f": if it was {summer}") if assumed else ""
     first, last = min(times), max(times)
     rows = [("sun", sun_text(suns, f"{first:%Y-%m-%d %H:%M} to {last:%H:%M} UTC{assumption}"))]
@@ -295,7 +295,7 @@ def _place(found: Found, survey: Survey | None) -> tuple[float, float] | None:
     """Latitude and longitude [deg] of the survey."""
     if survey is not None:
         return place_of(survey.frame.crs, np.array(survey.frame.origin))
-    places = [header.lat_lon_height[1::-1] for header in found.heads.values() if header.lat_lon_height is not None]
+    places = [header.lat_lon_height[1::-1] for header in found.headers.values() if header.lat_lon_height is not None]
     if not places:
         return None
     lon, lat = middle_lon_lat(np.array(places)).tolist()
@@ -310,8 +310,8 @@ def _flight(found: Found, survey: Survey | None) -> GlitterOfFlight | None:
     if found.config.water is None or focal is None:
         return None
     cameras = []
-    for name in sorted(found.heads):
-        header = found.heads[name]
+    for name in sorted(found.headers):
+        header = found.headers[name]
         yaw, pitch, roll = np.radians(header.motion.gimbal_deg or (0.0, -90.0, 0.0))
         cam_from_enu = enu_from_yaw_pitch_roll(yaw, pitch + 0.5 * math.pi, roll).T
         width, height = header.size_px

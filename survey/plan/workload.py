@@ -221,13 +221,13 @@ def survey_amounts(survey: Survey, plan: Plan) -> SurveyAmounts:
 
 def workload_of_found(found: Found, chosen: Choices) -> Workload:
     """Estimate for photographs without poses: an upper bound of memory and disk; time with structure from motion."""
-    sizes = [header.size_px for header in found.heads.values()]
+    sizes = [header.size_px for header in found.headers.values()]
     return workload_of_images(sizes, quality=chosen.quality, scale=chosen.image_scale)
 
 
 def parts_of_found(found: Found, chosen: Choices) -> dict[str, float]:
     """Times [s] of the parts of a run that begins with structure from motion, by the names of their stages."""
-    sizes = [header.size_px for header in found.heads.values()]
+    sizes = [header.size_px for header in found.headers.values()]
     return _parts_of_images(sizes, _scale_of(sizes, chosen.quality, chosen.image_scale), chosen.quality)
 
 

@@ -34,12 +34,12 @@ class GpsPositions:
     notes: tuple[str, ...]  # sentences: what was assumed
 
 
-def gps_positions(heads: Mapping[str, Exif], crs: CRS | None, gps_height: str) -> GpsPositions:
+def gps_positions(headers: Mapping[str, Exif], crs: CRS | None, gps_height: str) -> GpsPositions:
     """Positions of photographs, in a local frame of their own.
 
     Parameters
     ----------
-    heads : mapping of name to Exif
+    headers : mapping of name to Exif
     crs : pyproj.CRS or None
         With a vertical part. None: the UTM zone of the positions with heights above EGM96.
     gps_height : "crs" or "ellipsoidal"
@@ -55,48 +55,50 @@ def gps_positions(heads: Mapping[str, Exif], crs: CRS | None, gps_height: str) -
     MissingVerticalDatum, UnsupportedCRS
         As `geo.crs.parse_crs`.
     """
-    num = sum(head.lat_lon_height is not None for head in heads.values())
-    num_with_height = sum(is_whole(head.lat_lon_height) for head in heads.values())
-    if num_with_height < (least := least_track(len(heads))):
+    num = sum(header.lat_lon_height is not None for header in headers.values())
+    num_with_height = sum(is_whole(header.lat_lon_height) for header in headers.values())
+    if num_with_height < (least := least_track(len(headers))):
         raise PosesError(
-            f"{num} of {len(heads)} images have a GPS position in EXIF or {GEO_TXT}, {num_with_height} of them with a "
-            f"height{what_is_missing(heads)}, expected at least {least} to place the survey on Earth; "
+            f"{num} of {len(headers)} images have a GPS position in EXIF or {GEO_TXT}, {num_with_height} of them with "
+            f"a height{what_is_missing(headers)}, expected at least {least} to place the survey on Earth; "
             f"{_GIVE_POSES}"
         )
     notes = []
     if crs is None:
-        code = f"EPSG:{utm_code_of(heads)}+{EGM96_HEIGHT}"
+        code = f"EPSG:{utm_code_of(headers)}+{EGM96_HEIGHT}"
         crs = parse_crs(code)
         notes.append(f'crs = "{code}", the UTM zone of the GPS positions with heights above mean sea level (EGM96)')
     crs = parse_crs(crs)
-    positions, of_heights = positions_in_crs(heads, crs, gps_height)
+    positions, of_heights = positions_in_crs(headers, crs, gps_height)
     notes += of_heights
     points = np.array(list(positions.values()))
     frame = LocalFrame(crs, _origin(crs, points))
-    missing = len(heads) - num_with_height
+    missing = len(headers) - num_with_height
     if missing:
-        notes.append(f"{missing} of {len(heads)} images have no GPS position with a height; the others place the block")
+        notes.append(
+            f"{missing} of {len(headers)} images have no GPS position with a height; the others place the block"
+        )
     return GpsPositions(frame, dict(zip(positions, frame.local_from_crs(points), strict=True)), tuple(notes))
 
 
-def what_is_missing(heads: Mapping[str, Exif]) -> str:
+def what_is_missing(headers: Mapping[str, Exif]) -> str:
     """Missing parts of positions in EXIF, as a part of a sentence; empty where it holds nothing of them."""
-    faults = Counter(head.gps_fault for head in heads.values() if head.gps_fault)
-    flat = sum(head.lat_lon_height is not None and not is_whole(head.lat_lon_height) for head in heads.values())
+    faults = Counter(header.gps_fault for header in headers.values() if header.gps_fault)
+    flat = sum(header.lat_lon_height is not None and not is_whole(header.lat_lon_height) for header in headers.values())
     if flat:
         faults["the altitude"] = flat
     said = [f"{fault} is missing in {num} of the images" for fault, num in faults.items()]
     return f", as {' and '.join(said)}" if said else ""
 
 
-def positions_in_crs(heads: Mapping[str, Exif], crs: CRS, gps_height: str) -> tuple[dict[str, np.ndarray], list[str]]:
+def positions_in_crs(headers: Mapping[str, Exif], crs: CRS, gps_height: str) -> tuple[dict[str, np.ndarray], list[str]]:
     """Positions (3,) in crs of photographs that have one with a height, by name, and what heights are taken for.
 
     There may be none.
 
     Parameters
     ----------
-    heads, crs, gps_height
+    headers, crs, gps_height
         As for `gps_positions`.
 
     Raises
@@ -104,7 +106,7 @@ def positions_in_crs(heads: Mapping[str, Exif], crs: CRS, gps_height: str) -> tu
     ConfigError
         As `gps_positions`.
     """
-    given = {name: _given(head) for name, head in heads.items() if is_whole(head.lat_lon_height)}
+    given = {name: _given(header) for name, header in headers.items() if is_whole(header.lat_lon_height)}
     found: dict[str, np.ndarray] = {}
     notes: list[str] = []
     for source in dict.fromkeys(source for source, _ in given.values()):
@@ -114,8 +116,8 @@ def positions_in_crs(heads: Mapping[str, Exif], crs: CRS, gps_height: str) -> tu
         if not np.isfinite(points).all():
             name = list(of_source)[int(np.argmin(np.isfinite(points).all(axis=1)))]
             raise ConfigError(
-                f"the GPS position {heads[name].lat_lon_height} of {name} is not on the map of {crs.name}; correct crs "
-                f"in {FILE_NAME}"
+                f"the GPS position {headers[name].lat_lon_height} of {name} is not on the map of {crs.name}; correct "
+                f"crs in {FILE_NAME}"
             )
         found |= dict(zip(of_source, points, strict=True))
     return {name: found[name] for name in given}, notes
@@ -131,9 +133,9 @@ class PositionTransform:
     up_std_m: float  # [m]: that the geoid adds to heights above the ellipsoid; 0 where they are taken as they are
 
 
-def transforms_into_crs(heads: Mapping[str, Exif], crs: CRS, gps_height: str) -> list[PositionTransform]:
+def transforms_into_crs(headers: Mapping[str, Exif], crs: CRS, gps_height: str) -> list[PositionTransform]:
     """Transformations of GPS positions into crs, one for each of their sources."""
-    given = {name: _given(head) for name, head in heads.items() if head.lat_lon_height is not None}
+    given = {name: _given(header) for name, header in headers.items() if header.lat_lon_height is not None}
     transforms = []
     for source in dict.fromkeys(source for source, _ in given.values()):
         own = {name: place for name, (of, place) in given.items() if of == source}
@@ -155,9 +157,9 @@ def _geoid_std(crs: CRS, source: _Source, places: np.ndarray) -> float:
     return 0.0
 
 
-def datum_stds(heads: Mapping[str, Exif], crs: CRS, gps_height: str) -> dict[str, DatumStd]:
+def datum_stds(headers: Mapping[str, Exif], crs: CRS, gps_height: str) -> dict[str, DatumStd]:
     """Std that the transformation into crs adds to GPS positions, by photograph."""
-    transforms = transforms_into_crs(heads, crs, gps_height)
+    transforms = transforms_into_crs(headers, crs, gps_height)
     return {
         name: DatumStd(plan_std(transform.plan), transform.up_std_m)
         for transform in transforms
@@ -189,12 +191,12 @@ class _Source:
         return "" if self.name == _EXIF else f" in {self.name}"
 
 
-def _given(head: Exif) -> tuple[_Source, tuple[float, float, float]]:
+def _given(header: Exif) -> tuple[_Source, tuple[float, float, float]]:
     """Source of the position of a photograph, and the position, easting or longitude first."""
-    if head.table_place is not None:
-        return _Source(head.table_place.source, head.table_place.crs), head.table_place.place
-    assert head.lat_lon_height is not None
-    lat, lon, height = head.lat_lon_height
+    if header.table_place is not None:
+        return _Source(header.table_place.source, header.table_place.crs), header.table_place.place
+    assert header.lat_lon_height is not None
+    lat, lon, height = header.lat_lon_height
     return _Source(_EXIF, WGS84), (lon, lat, height)
 
 

@@ -140,12 +140,12 @@ class LineAxes:
         return Similarity(1.0, turn, self.centre - turn @ self.centre)
 
 
-def attitudes_of(heads: Mapping[str, Exif]) -> dict[str, np.ndarray]:
+def attitudes_of(headers: Mapping[str, Exif]) -> dict[str, np.ndarray]:
     """Rotations (3, 3) from true east, north, up to cam, by the attitudes of the camera in XMP, where it has them."""
     found = {}
-    for name, head in heads.items():
-        if head.motion.gimbal_deg is not None:
-            yaw, pitch, roll = np.radians(head.motion.gimbal_deg)
+    for name, header in headers.items():
+        if header.motion.gimbal_deg is not None:
+            yaw, pitch, roll = np.radians(header.motion.gimbal_deg)
             found[name] = enu_from_yaw_pitch_roll(yaw, pitch + 0.5 * math.pi, roll).T
     return found
 

@@ -78,7 +78,7 @@ class UnposedPhotographs:
 
     paths: Sequence[Path]
     # mapping of path to Exif, optional: with positions that a table gives; default: what the images themselves have
-    heads: Mapping[Path, Exif] | None = None
+    headers: Mapping[Path, Exif] | None = None
     gps_height: str = "crs"  # "crs" or "ellipsoidal": what the heights in EXIF count from
     size_px: tuple[int, int] | None = None  # (width, height), optional: that all images must have
     # float, optional: of a calibration; it is kept. Without it, the one in EXIF is where the search starts.
@@ -124,7 +124,7 @@ def solve_poses(
     """
     say = report or (lambda _text: None)
     images, gps_height = image_names(photographs.paths), photographs.gps_height
-    given = {path.absolute(): head for path, head in (photographs.heads or {}).items()}
+    given = {path.absolute(): header for path, header in (photographs.headers or {}).items()}
     known = {name: given[path] if path in given else read_exif(path) for name, path in images.items()}
     require_size(images, known, photographs.size_px)
     focal_px = one_focal(photographs.focal_px)
@@ -193,11 +193,11 @@ def blocks_of(
         Where overlap or room on the disk do not suffice, or pycolmap does not have the mapper.
     """
     require_mapper(mapper)
-    heads = {name: read_exif(path) for name, path in images.items()}
+    headers = {name: read_exif(path) for name, path in images.items()}
     found = []
     mapper, why = mapper_of(len(images), mapper)
     say(f"plan: mapper: {mapper} ({why})")
-    for block in _solved(Photographs(images, heads, positions, focal_px, mapper), workspace, say).blocks:
+    for block in _solved(Photographs(images, headers, positions, focal_px, mapper), workspace, say).blocks:
         by_alias = sfm_block.poses_of(block)
         alias_of = {name: alias for name, alias in aliases(images).items() if alias in by_alias}
         poses = {name: by_alias[alias] for name, alias in alias_of.items()}

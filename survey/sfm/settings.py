@@ -84,12 +84,12 @@ def require_solver(module: str = "pycolmap") -> None:
         )
 
 
-def require_size(images: Mapping[str, Path], heads: Mapping[str, Exif], size_px: tuple[int, int] | None) -> None:
+def require_size(images: Mapping[str, Path], headers: Mapping[str, Exif], size_px: tuple[int, int] | None) -> None:
     """Raise ImageError where an image does not have the size that the settings say."""
-    for name, head in heads.items():
-        if size_px is not None and head.size_px != tuple(size_px):
+    for name, header in headers.items():
+        if size_px is not None and header.size_px != tuple(size_px):
             raise ImageError(
-                f"{images[name]} has {head.size_px[0]} x {head.size_px[1]} pixels, expected {size_px[0]} x "
+                f"{images[name]} has {header.size_px[0]} x {header.size_px[1]} pixels, expected {size_px[0]} x "
                 f"{size_px[1]} as in [cameras] size_px in {FILE_NAME}; correct it, or leave the image out"
             )
 

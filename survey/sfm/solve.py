@@ -34,9 +34,9 @@ GIVE_POSES = f"give poses made elsewhere in [cameras] poses in {FILE_NAME}"
 class Photographs:
     """Photographs for structure from motion, with prior knowledge of them."""
 
-    # images, heads: mapping of name to Path, to Exif; in order of names
+    # images, headers: mapping of name to Path, to Exif; in order of names
     images: Mapping[str, Path]
-    heads: Mapping[str, Exif]
+    headers: Mapping[str, Exif]
     # mapping of name to (3,) [m]: of the cameras, where known, in any one frame with z up; they select pairs to match
     positions: Mapping[str, np.ndarray]
     focal_px: float | None  # Of a calibration: to start from; None for those in EXIF
@@ -46,19 +46,19 @@ class Photographs:
     @property
     def places(self) -> dict[str, Place]:
         """Places of the photographs whose position is known."""
-        turned, heights = attitudes_of(self.heads), self._heights()
+        turned, heights = attitudes_of(self.headers), self._heights()
         found = {}
         for name, position in self.positions.items():
-            head = self.heads[name]
-            focal = self.focal_px or head.focal_px
-            spread = None if focal is None else 0.5 * max(head.size_px) / focal
+            header = self.headers[name]
+            focal = self.focal_px or header.focal_px
+            spread = None if focal is None else 0.5 * max(header.size_px) / focal
             found[name] = Place(position, turned.get(name), spread, heights.get(name))
         return found
 
     def _heights(self) -> dict[str, float]:
         """Approximate height [m] of each camera over ground or water; empty where they are unknown."""
         up = {name: float(position[2]) for name, position in self.positions.items()}
-        started = {name: height for name in up if (height := self.heads[name].above_start_m) is not None}
+        started = {name: height for name in up if (height := self.headers[name].above_start_m) is not None}
         known: list[dict[str, float]] = []
         if started:
             start = float(np.median([up[name] - height for name, height in started.items()]))
@@ -119,11 +119,11 @@ def solve(photographs: Photographs, work: Path, say: Callable[[str], None]) -> F
     return FreeBlocks(apart, tuple(left_out(apart, alias_of)))
 
 
-def sensors_of(heads: Mapping[str, Exif], alias_of: Mapping[str, str], focal_px: float | None) -> list[CameraBody]:
+def sensors_of(headers: Mapping[str, Exif], alias_of: Mapping[str, str], focal_px: float | None) -> list[CameraBody]:
     """The cameras that took the images: bodies with one lens at one zoom."""
     groups: dict[tuple, list[str]] = {}
-    for name, head in heads.items():
-        lens = (head.camera, head.serial, head.size_px, head.focal_px, head.focal_warning)
+    for name, header in headers.items():
+        lens = (header.camera, header.serial, header.size_px, header.focal_px, header.focal_warning)
         groups.setdefault(lens, []).append(alias_of[name])
     return [
         CameraBody(tuple(names), size, focal_px if focal_px is not None else exif_focal)
@@ -139,7 +139,7 @@ def _blocks(
     for name, alias in alias_of.items():
         (folder / alias).symlink_to(photographs.images[name].absolute())
     places = {alias_of[name]: place for name, place in photographs.places.items()}
-    sensors = sensors_of(photographs.heads, alias_of, photographs.focal_px)
+    sensors = sensors_of(photographs.headers, alias_of, photographs.focal_px)
     of_pairs = sfm_block.match_photographs(folder, sensors, places, work, say)
     unknown = "; its progress is not known until it ends" if photographs.mapper in WITHOUT_PROGRESS else ""
     say(f"structure from motion: poses, by {photographs.mapper} mapping{unknown}")

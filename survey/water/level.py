@@ -74,7 +74,7 @@ class SurfaceFit:
 
 
 def with_level(
-    folder: Path, config: SurveyConfig, heads: Mapping[str, Exif], crs: CRS
+    folder: Path, config: SurveyConfig, headers: Mapping[str, Exif], crs: CRS
 ) -> tuple[SurveyConfig, tuple[LevelObservation, ...], Tide | None, Findings]:
     """Settings with the water level from the file that [water] names, the measurements, and the tide.
 
@@ -88,18 +88,18 @@ def with_level(
     water = config.water
     if water is None:
         return config, (), None, Findings()
-    tide = None if water.rate.level_rate_m_per_h is None else tide_of_rate(water, heads)
+    tide = None if water.rate.level_rate_m_per_h is None else tide_of_rate(water, headers)
     if water.level_m is not None:
         std = STAFF_STD_M if water.level_std_m is None else water.level_std_m
         return config, (LevelObservation(water.level_m, std, water.level_at, None, "level_m"),), tide, Findings()
     if water.sources.gauge is not None:
         readings = readings_of_gauge(folder / water.sources.gauge, height_unit_m(crs))
-        level, tide, count = tide_of_gauge(folder / water.sources.gauge, readings, heads)
-        note = f"mean at {count} of {len(heads)} images, over which it changes by {1000.0 * tide.moves_m:.0f} mm"
+        level, tide, count = tide_of_gauge(folder / water.sources.gauge, readings, headers)
+        note = f"mean at {count} of {len(headers)} images, over which it changes by {1000.0 * tide.moves_m:.0f} mm"
         water, said = _of_tide(water, level, readings, note)
         return replace(config, water=water), readings, tide, said
     if water.sources.image_levels is not None:
-        level, tide, found = tide_of_levels(folder / water.sources.image_levels, heads, height_unit_m(crs))
+        level, tide, found = tide_of_levels(folder / water.sources.image_levels, headers, height_unit_m(crs))
         note = f"mean of {len(found)} images, over which it changes by {1000.0 * tide.moves_m:.0f} mm"
         water, said = _of_tide(water, level, found, note)
         return replace(config, water=water), found, tide, said

@@ -59,7 +59,7 @@ class Tide:
 
 
 def tide_of_gauge(
-    path: Path, readings: Sequence[LevelObservation], heads: Mapping[str, Exif]
+    path: Path, readings: Sequence[LevelObservation], headers: Mapping[str, Exif]
 ) -> tuple[float, Tide, int]:
     """The mean level of the photographs, their tide, and how many of them have a time.
 
@@ -70,7 +70,7 @@ def tide_of_gauge(
     """
     times = np.array([reading.time.timestamp() for reading in readings if reading.time is not None])
     levels = np.array([reading.level_m for reading in readings])
-    taken = _times(heads, f"no level can be interpolated from {path}; give level_m in {FILE_NAME}")
+    taken = _times(headers, f"no level can be interpolated from {path}; give level_m in {FILE_NAME}")
     moments = np.array(list(taken.values()))
     if moments.min() < times[0] or moments.max() > times[-1]:
         raise ConfigError(
@@ -80,11 +80,11 @@ def tide_of_gauge(
     at_images = np.interp(moments, times, levels)
     mean = float(at_images.mean())
     over = dict(zip(taken, (at_images - mean).tolist(), strict=True))
-    return mean, Tide("gauge", _completed(over, heads), _hours(taken, float(moments.mean()))), len(taken)
+    return mean, Tide("gauge", _completed(over, headers), _hours(taken, float(moments.mean()))), len(taken)
 
 
 def tide_of_levels(
-    path: Path, heads: Mapping[str, Exif], unit_m: float = 1.0
+    path: Path, headers: Mapping[str, Exif], unit_m: float = 1.0
 ) -> tuple[float, Tide, tuple[LevelObservation, ...]]:
     """The mean level of the photographs, their tide, and the levels of a table, heights in crs of this unit [m].
 
@@ -93,7 +93,7 @@ def tide_of_levels(
     ConfigError
         If the table is missing or damaged, or has no level for a photograph, or two.
     """
-    names = ImageNames(heads)
+    names = ImageNames(headers)
     found: dict[str, LevelObservation] = {}
     for row in read_table(path, ("image", "level"), optional=("std",), error=ConfigError):
         # Photographs that are not there were left out.
@@ -102,19 +102,19 @@ def tide_of_levels(
             raise ConfigError(f"{row.where}: {name} has a level already; keep one")
         if name is not None:
             std = std_of(row, "image_levels")
-            found[name] = LevelObservation(row.number("level") * unit_m, std, None, heads[name].taken, "image_levels")
-    without = [name for name in heads if name not in found]
+            found[name] = LevelObservation(row.number("level") * unit_m, std, None, headers[name].taken, "image_levels")
+    without = [name for name in headers if name not in found]
     if without:
         raise ConfigError(
-            f"{path} has no level for {len(without)} of {len(heads)} images (first: {without[0]}); expected "
+            f"{path} has no level for {len(without)} of {len(headers)} images (first: {without[0]}); expected "
             "image,level with a row for each"
         )
     mean = float(np.mean([each.level_m for each in found.values()]))
-    over = {name: found[name].level_m - mean for name in heads}
+    over = {name: found[name].level_m - mean for name in headers}
     return mean, Tide("image_levels", over, {}), tuple(found.values())
 
 
-def tide_of_rate(water: WaterConfig, heads: Mapping[str, Exif]) -> Tide:
+def tide_of_rate(water: WaterConfig, headers: Mapping[str, Exif]) -> Tide:
     """The tide by ``level_rate_m_per_h``.
 
     Raises
@@ -123,17 +123,17 @@ def tide_of_rate(water: WaterConfig, heads: Mapping[str, Exif]) -> Tide:
         If too few photographs have a time.
     """
     rate = water.rate.level_rate_m_per_h or 0.0
-    taken = _times(heads, f"level_rate_m_per_h gives no levels; give levels of images in {FILE_NAME}")
+    taken = _times(headers, f"level_rate_m_per_h gives no levels; give levels of images in {FILE_NAME}")
     start = float(np.mean(list(taken.values())))
     if water.rate.level_time is not None:
         start = utc_of(water.rate.level_time, "[water] level_time").timestamp()
     hours = _hours(taken, start)
-    if water.rate.level_rate_std_m_per_h is not None and len(hours) < len(heads):
+    if water.rate.level_rate_std_m_per_h is not None and len(hours) < len(headers):
         raise ConfigError(
-            f"{len(heads) - len(hours)} of {len(heads)} images have no time of exposure in EXIF, and "
+            f"{len(headers) - len(hours)} of {len(headers)} images have no time of exposure in EXIF, and "
             "level_rate_std_m_per_h finds the rate of the level from all of them; leave them out, or remove it"
         )
-    return Tide("level_rate_m_per_h", _completed({n: rate * h for n, h in hours.items()}, heads), hours)
+    return Tide("level_rate_m_per_h", _completed({n: rate * h for n, h in hours.items()}, headers), hours)
 
 
 def with_tides(views: Sequence[View], tide: Tide | None, water: FlatWater | None) -> tuple[list[View], Tide | None]:
@@ -165,9 +165,9 @@ def _shift_per_m(view: View, water: FlatWater) -> float:
     return float(sine / np.sqrt(1.0 - sine**2) - in_water / np.sqrt(1.0 - in_water**2))
 
 
-def _times(heads: Mapping[str, Exif], lack: str) -> dict[str, float]:
+def _times(headers: Mapping[str, Exif], lack: str) -> dict[str, float]:
     """Moments [s] of the photographs that have one; ConfigError where none has."""
-    taken = {name: head.taken.timestamp() for name, head in heads.items() if head.taken is not None}
+    taken = {name: header.taken.timestamp() for name, header in headers.items() if header.taken is not None}
     if not taken:
         raise ConfigError(
             "no image has its time of exposure in UTC (EXIF GPS time, or DateTimeOriginal with an offset from UTC), so "
@@ -180,14 +180,14 @@ def _hours(taken: Mapping[str, float], start: float) -> dict[str, float]:
     return {name: (moment - start) / 3600.0 for name, moment in taken.items()}
 
 
-def _completed(over: Mapping[str, float], heads: Mapping[str, Exif]) -> dict[str, float]:
+def _completed(over: Mapping[str, float], headers: Mapping[str, Exif]) -> dict[str, float]:
     """Levels [m] of all photographs; those without a time have the mean, where that is good enough."""
-    without, moves = [name for name in heads if name not in over], float(np.ptp(list(over.values())))
+    without, moves = [name for name in headers if name not in over], float(np.ptp(list(over.values())))
     if without and moves > _MOST_UNKNOWN_M:
         raise ConfigError(
-            f"{len(without)} of {len(heads)} images have no time of exposure in EXIF (first: {without[0]}), while the "
-            f"level moves by {1000.0 * moves:.0f} mm over the others; leave them out, or give [water] image_levels, "
-            "a table of image,level"
+            f"{len(without)} of {len(headers)} images have no time of exposure in EXIF (first: {without[0]}), while "
+            f"the level moves by {1000.0 * moves:.0f} mm over the others; leave them out, or give [water] "
+            "image_levels, a table of image,level"
         )
     return dict(over) | dict.fromkeys(without, float(np.mean(list(over.values()))))
 

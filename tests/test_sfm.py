@@ -25,7 +25,7 @@ from survey.errors import ConfigError, ImageError, PosesError, SurveyError
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.photos.exif import Exif
 from survey.sfm import block as sfm_block
-from survey.sfm import placing as sfm_placing
+from survey.sfm import absolute_orientation
 from survey.sfm import solve as sfm_solve
 from survey.sfm.gps import gps_positions
 from survey.sfm.gps_fit import MIN_STD_M, gps_std, line_of
@@ -216,7 +216,7 @@ def test_poses_and_lenses_of_a_block_project_as_pycolmap_does():
 
 def test_a_focal_length_that_parallel_views_cannot_tell_is_put_back(rng):
     block, centres = synthetic_block(rng, focal=1130.0)
-    is_reset, notes = sfm_placing.reset_focals(block, dict.fromkeys(centres, 889.0))
+    is_reset, notes = absolute_orientation.reset_focals(block, dict.fromkeys(centres, 889.0))
     assert is_reset
     assert sfm_block.focal_of(block, "00.jpg") == 889.0
     assert "889 px, is kept instead of the solved 1130 px" in notes[0]
@@ -232,7 +232,7 @@ def test_a_focal_length_that_parallel_views_cannot_tell_is_put_back(rng):
 )
 def test_other_focal_lengths_are_left_alone(rng, focal, tilt_deg, nominal, said):
     block, centres = synthetic_block(rng, focal=focal, tilt_deg=tilt_deg)
-    is_reset, notes = sfm_placing.reset_focals(block, dict.fromkeys(centres, nominal))
+    is_reset, notes = absolute_orientation.reset_focals(block, dict.fromkeys(centres, nominal))
     assert not is_reset
     assert sfm_block.focal_of(block, "00.jpg") == focal
     assert len(notes) == said

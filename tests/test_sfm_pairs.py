@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from survey.photos.exif import Exif
-from survey.sfm.block import _alike
+from survey.sfm.block import _similar_pairs
 from survey.sfm.pairs import LEAST_HEIGHT_M, VOTING, Place, image_pairs, similar_images
 from survey.sfm.settings import NEIGHBOURS, pairs_about
 from survey.sfm.solve import Photographs
@@ -114,7 +114,7 @@ def test_photographs_without_a_position_are_paired_by_the_features_of_the_databa
         for name, own in zip(names, descriptors, strict=True):
             number = opened.write_image(pycolmap.Image(name=name, camera_id=camera))
             opened.write_descriptors(number, pycolmap.FeatureDescriptors(pycolmap.FeatureExtractorType.SIFT, own))
-    found = _alike(tmp_path / "database.db", names, [names[11], names[0]])
+    found = _similar_pairs(tmp_path / "database.db", names, [names[11], names[0]])
     voted = similar_images(iter(descriptors), 12, [11, 0])
     of_names = [(9, 11), (10, 11), (0, 1), (0, 2)]
     expected = [*(tuple(sorted(pair)) for pair in voted), *of_names]

@@ -45,14 +45,14 @@ class RasterForm:
     """Metadata of a raster."""
 
     crs: CRS
-    # six floats: coefficients a to f of ``east = a column + b row + c, north = d column + e row + f``, from outer
+    # Coefficients a to f of ``east = a column + b row + c, north = d column + e row + f``, from outer
     # corners
     transform: tuple[float, float, float, float, float, float]
     shape: tuple[int, int]  # (rows, columns)
     bands: tuple[RasterBand, ...]
     dtype: str = "float32"  # Of all bands, e.g. "float32".
     nodata: float | None = None
-    # dict of str to str: Metadata, e.g. how the values were computed.
+    # Metadata, e.g. how the values were computed
     tags: dict[str, str] = field(default_factory=dict)
     resampling: str = "AVERAGE"  # How overviews are made: "AVERAGE", or "NEAREST" for codes
     is_colour: bool = False  # Whether the bands are red, green, blue and transparency

@@ -42,12 +42,12 @@ class Layer:
     """Features of one kind."""
 
     name: str  # One word, e.g. "contours".
-    kind: Literal["LineString", "Polygon"]  # "LineString" or "Polygon"
+    kind: Literal["LineString", "Polygon"]
     # For each feature a line (N, 2), or the closed rings (N, 2) of a polygon, the outer one first; in crs, easting or
     # longitude first
     shapes: list
     crs: CRS  # Its horizontal part counts
-    columns: dict[str, list] = field(default_factory=dict)  # dict of list: Attributes of the features, by name
+    columns: dict[str, list] = field(default_factory=dict)  # Attributes of the features, by name
     notes: str = ""  # What the features are
     # For each line its heights (N,), in crs; None where there are none. Only shapefiles and DXF store them.
     heights: list | None = None

@@ -88,7 +88,7 @@ class Load:
 
     # Processor time of known work: below 1 on faster cores, above it where another program shares the core's units
     work: float
-    turns: float  # Wall clock for each second of processor time: above 1 where other programs take turns
+    turns: float  # Wall clock per second of processor time: above 1 where other programs take turns on the core
 
     @classmethod
     def of(cls, probes_s: list[float], wall_s: float, ran_and_waited: tuple[int, int] | None) -> Load:

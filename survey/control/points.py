@@ -114,8 +114,8 @@ class ControlFormat:
     """A format of control files."""
 
     name: str  # In a sentence: "expected ..."
-    recognises: Callable[[Path], bool]  # callable: whether a path, which is a file, is of this format
-    read: Callable[[Path], Content]  # callable: the content of such a file; raises ControlError
+    recognises: Callable[[Path], bool]  # whether a path, which is a file, is of this format
+    read: Callable[[Path], Content]  # the content of such a file; raises ControlError
 
 
 # Words for roles, in lower case.

@@ -89,7 +89,7 @@ def require_focal_lengths(lenses: dict[str, Lens], headers: dict[str, Exif]) -> 
 
 
 def require_apart(views: list[View], over_water: np.ndarray | None) -> list[str]:
-    """Warnings about views that share a pose, by their heights (N,) [m] over the water; None for a dry survey.
+    """Warnings about views that share a pose; ``over_water`` are their heights (N,) [m], None for a dry survey.
 
     Raises
     ------
@@ -162,7 +162,7 @@ def angle_warnings(poses: list[Pose], frame: PoseFrame) -> list[str]:
         return []
     most = np.abs(angles).max()
     return [
-        f"omega, phi and kappa lie within {most:.2f}, expected degrees; they look like radians: if they are, multiply "
+        f"omega, phi and kappa are at most {most:.2f}, expected degrees; they look like radians: if they are, multiply "
         "them by 57.29578"
     ]
 

@@ -24,8 +24,8 @@ from refract import PinholeCamera
 from survey.errors import ConfigError, ImageError, PosesError, SurveyError
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.photos.exif import Exif
-from survey.sfm import block as sfm_block
 from survey.sfm import absolute_orientation
+from survey.sfm import block as sfm_block
 from survey.sfm import solve as sfm_solve
 from survey.sfm.gps import gps_positions
 from survey.sfm.gps_fit import MIN_STD_M, gps_std, line_of

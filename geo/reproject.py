@@ -196,8 +196,8 @@ def _warning(source: CRS, wanted: CRS, operation: Transformer, where: str, place
     in_plan = Transformation.between(source, wanted, places)
     if in_plan.accuracy_m == 0.0 and not _same_heights(source, wanted) and operation.accuracy > 0.0:
         return (
-            f"{where}: heights are transformed by {operation.description}; the accuracy by PROJ is "
-            f"{operation.accuracy:.2g} m: an error common to all of them"
+            f"{where}: heights are transformed by {operation.description} with an accuracy of "
+            f"{operation.accuracy:.2g} m by PROJ: an error common to all of them"
         )
     return in_plan.warning(f"{where}: places")
 

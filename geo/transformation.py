@@ -119,11 +119,8 @@ class Transformation:
                 f"of each operation that PROJ knows, which are good to {self.accuracy_m:.2g} m there: an error common "
                 "to all of them"
             )
-        known = "unknown" if self.accuracy_m is None else f"{self.accuracy_m:.2g} m"
-        subject = (
-            f"{subject} are transformed from {crs_name(self.source)} to {crs_name(self.target)}; the accuracy by PROJ "
-            f"is {known}"
-        )
+        known = "an unknown accuracy" if self.accuracy_m is None else f"an accuracy of {self.accuracy_m:.2g} m by PROJ"
+        subject = f"{subject} are transformed from {crs_name(self.source)} to {crs_name(self.target)} with {known}"
         if self.missing_grids:
             grids = " and ".join(self.missing_grids)
             return (

@@ -44,7 +44,7 @@ def test_speed_is_turned_from_north_east_down_and_angles_are_yaw_pitch_roll():
         'drone-dji:FlightXSpeed="+4.0" drone-dji:FlightYSpeed="-1.5" drone-dji:FlightZSpeed="0.25"'
     )
     assert motion_of(xmp) == Motion((45.0, -89.9, 0.5), (-1.5, 4.0, -0.25))
-    assert motion_of(xmp.replace("FlightZSpeed", "Other")).speed is None
+    assert motion_of(xmp.replace("FlightZSpeed", "Other")).velocity is None
     assert motion_of("") == Motion()
 
 

@@ -171,8 +171,8 @@ def datum_warnings(transforms: Sequence[PositionTransform]) -> list[str]:
     """Warnings where GPS positions in crs are less well known than as they are given."""
     warnings = [transform.plan.warning(transform.said) for transform in transforms]
     warnings += [
-        f"heights of {transform.said} are transformed by a geoid; its accuracy by PROJ is "
-        f"{transform.up_std_m:.2g} m: an error common to all of them"
+        f"heights of {transform.said} are transformed by a geoid with an accuracy of "
+        f"{transform.up_std_m:.2g} m by PROJ: an error common to all of them"
         for transform in transforms
         if transform.up_std_m > WELL_KNOWN_M
     ]

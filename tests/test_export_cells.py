@@ -257,7 +257,7 @@ def test_cells_lie_at_multiples_of_their_side_and_cover_all_points():
     cells = PlanCells.over(points, CRS_OF_TEST, 0.25)
     assert (cells.west, cells.north) == (691000.25, 5334003.0)
     assert cells.shape == (11, 28)
-    at = cells.place(points)
+    at = cells.columns_rows(points)
     assert (at >= 0.0).all()
     assert (at[:, ::-1] <= cells.shape).all()
     np.testing.assert_allclose(cells.middles(CellWindow(0, 1, 0, 1))[0, 0], [691000.375, 5334002.875])

@@ -321,7 +321,7 @@ def _spacing_m(points: np.ndarray, metres: np.ndarray) -> float:
 
 def _raster_of(survey: SurveyPoints, cells: PlanCells, crs: CRS, spacing_m: float) -> tuple[np.ndarray, ...]:
     """Heights, their own and their common standard deviations (rows, columns) [m]; NaN where there are none."""
-    at = cells.place(survey.points)
+    at = cells.columns_rows(survey.points)
     inside = ((at >= 0.0) & (at < cells.shape[::-1])).all(axis=1)
     at, std, common = at[inside], survey.std[inside], survey.common[inside]
     height = survey.points[inside, 2] * height_unit_m(crs)

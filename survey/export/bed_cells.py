@@ -117,13 +117,13 @@ class PlanCells:
         """Coefficients a to f of ``east = a column + b row + c, north = d column + e row + f``."""
         return (self.side[0], 0.0, self.west, 0.0, -self.side[1], self.north)
 
-    def finer(self, side_m: float) -> PlanCells:
-        """Cells of another side over the same place."""
+    def with_side(self, side_m: float) -> PlanCells:
+        """Cells of another side [m] over the same area."""
         rows, columns = self.shape
         east, north = self.west + columns * self.side[0], self.north - rows * self.side[1]
         return PlanCells.over(np.array([[self.west, north], [east, self.north]]), self.crs, side_m)
 
-    def place(self, points_crs: np.ndarray) -> np.ndarray:
+    def columns_rows(self, points_crs: np.ndarray) -> np.ndarray:
         """Column and row (N, 2) of points (N, 2 or more), from the outer corner of the first cell, with fractions."""
         return np.column_stack(
             [(points_crs[:, 0] - self.west) / self.side[0], (self.north - points_crs[:, 1]) / self.side[1]]
@@ -132,7 +132,7 @@ class PlanCells:
     def numbers(self, points_crs: np.ndarray) -> np.ndarray:
         """Number (N,) of the cell of each point, row by row; points on the outer edge lie in the last cell."""
         last = np.array(self.shape[::-1]) - 1
-        column, row = np.clip(np.floor(self.place(points_crs)).astype(np.int64), 0, last).T
+        column, row = np.clip(np.floor(self.columns_rows(points_crs)).astype(np.int64), 0, last).T
         return row * self.shape[1] + column
 
     def middles(self, window: CellWindow) -> np.ndarray:

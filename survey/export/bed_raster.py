@@ -101,7 +101,7 @@ def _bed_raster(run: LoadedRun, options: ExportOptions) -> BedRaster:
     placed = columns.get("std_placed", np.zeros(len(points), dtype=np.float32))
     std = np.sqrt(np.maximum(columns["std"] ** 2 - placed**2, 0.0))
     # Points on the outer edge lie in the last cell.
-    at = cells.place(points).clip(0.0, np.nextafter(np.array(cells.shape[::-1], dtype=np.float64), 0.0))
+    at = cells.columns_rows(points).clip(0.0, np.nextafter(np.array(cells.shape[::-1], dtype=np.float64), 0.0))
     _fill_in(grid, _Points(at, points[:, 2], std, placed, common, columns["incidence"]))
     if not grid.origin.any():
         raise SurveyError(too_coarse(grid.cells.side_m, points, crs, pixel))

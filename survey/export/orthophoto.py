@@ -62,7 +62,7 @@ def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
     scale = min(1.0, grid.pixel_m / side_m)
     _require_pixels(flight, scale, side_m, run.bed_header.gsd_m)
     photographs = at_scale(flight, scale)
-    cells = grid.cells.finer(side_m)
+    cells = grid.cells.with_side(side_m)
     mosaic, colour_of = Mosaic.empty(cells, run.scratch), _colour_of(run, grid, cells)
     coarse = Windows(flight, grid.cells, grid.heights)
     fine = Windows(flight, cells, lambda window: _heights(grid, cells, window))
@@ -99,7 +99,7 @@ def _heights(grid: BedRaster, cells: PlanCells, window: CellWindow) -> np.ndarra
     """Heights (rows, columns) [m] of finer cells, linear between those of the bed's raster; NaN where it has none."""
     import numpy as np
 
-    at = grid.cells.place(cells.middles(window).reshape(-1, 2))
+    at = grid.cells.columns_rows(cells.middles(window).reshape(-1, 2))
     shape = grid.cells.shape
     own = np.clip(np.floor(at).astype(np.int64), 0, np.array(shape[::-1]) - 1)
     first = np.floor(at - 0.5).astype(np.int64)

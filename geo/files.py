@@ -177,6 +177,11 @@ def existing_file(path: str | Path) -> Path:
 
 
 def _unwritable(error: OSError, path: str | Path) -> UnwritableFile:
+    # What is written may come from other files: of these an error names another folder.
+    named = Path(error.filename) if isinstance(error.filename, str) else None
+    if named is not None and named.absolute().parent not in (Path(path).absolute().parent, Path(path).resolve().parent):
+        text = disk_error_text(error, named, verb="use") or f"cannot use {named}: {error.strerror or error}"
+        return UnwritableFile(f"cannot write {path}: {text}.")
     text = disk_error_text(error, path) or f"cannot write {path}: {error.strerror or error}; write elsewhere"
     return UnwritableFile(f"{text}.")
 

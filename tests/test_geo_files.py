@@ -129,3 +129,10 @@ def test_an_error_that_says_nothing_of_a_disk_is_no_refusal(tmp_path):
     assert disk_error_text(OSError("of a library"), tmp_path) is None
     missing = FileNotFoundError(errno.ENOENT, "no such file")
     assert disk_error_text(missing, "r.ply", verb="use") == "cannot use r.ply: it does not exist; correct the path"
+
+
+def test_an_error_of_a_file_that_is_read_meanwhile_names_that_file(tmp_path):
+    words = r"cannot write .*result\.bin: cannot use .*cloud\.bin: it does not exist; correct the path\."
+    with pytest.raises(UnwritableFile, match=words), write_whole(tmp_path / "result.bin") as stream:
+        stream.write((tmp_path / "run" / "cloud.bin").read_bytes())
+    assert list(tmp_path.iterdir()) == []

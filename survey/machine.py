@@ -112,7 +112,7 @@ class Load:
         )
 
 
-def load() -> Load:
+def measure_load() -> Load:
     """Load of this machine now; takes 0.2 s of processor time.
 
     Turns of other programs come and go within seconds: they are counted since the process started, unless that is long

@@ -141,7 +141,7 @@ class Hand:
 @pytest.fixture
 def clock(monkeypatch):
     """Lets runs have a clock of a test's own, on a machine that is as fast as the rates say."""
-    monkeypatch.setattr(machine, "load", lambda: machine.Load(1.0, 1.0))
+    monkeypatch.setattr(machine, "measure_load", lambda: machine.Load(1.0, 1.0))
 
     def use(step: float) -> None:
         hand = Hand(step)

@@ -81,7 +81,7 @@ def test_the_flight_of_the_examples_is_good():
 
 @pytest.mark.slow
 def test_a_plan_says_what_an_aim_promises_and_costs(tmp_path, monkeypatch):
-    monkeypatch.setattr(machine, "load", lambda: machine.Load(1.0, 2.0))
+    monkeypatch.setattr(machine, "measure_load", lambda: machine.Load(1.0, 2.0))
     path = str(plan_file(tmp_path))
     asked = CliRunner().invoke(app, ["check", path, "--target-std", "0.004", "--time-budget", "6"]).output
     before, _, said_of_aim = asked.partition("Aim\n")

@@ -68,7 +68,7 @@ def test_turns_are_those_that_the_system_counted():
 
 
 def test_this_machine_is_loaded_by_a_number():
-    load = machine.load()
+    load = machine.measure_load()
     assert load.work > 0.0
     assert load.turns >= 1.0
 

@@ -98,7 +98,7 @@ def _sections(folder: Path, asked: ProcessConfig, wind: float, deep: bool) -> It
         current().warn(shortage)
     aim, chosen = _chosen(asked.over(process_config(folder)))
     checked = require_processable(folder)
-    load = None if aim is None else machine.load()
+    load = None if aim is None else machine.measure_load()
     slowness = None if load is None else load.slowness
     yield from check_survey(folder, chosen=chosen, checked=checked, slowness=slowness, chooses_workers=True)
     yield light_section(checked, wind_m_s=wind)
@@ -132,7 +132,7 @@ def _sections_of_plan(path: Path, asked: ProcessConfig, wind: float, deep: bool)
         from survey.run.feasibility import rows_of
 
         plan = flight_of(path)
-        rows = rows_of(aim, survey_of(plan), Choices(device=chosen.device), machine.load(), depth_of(plan))
+        rows = rows_of(aim, survey_of(plan), Choices(device=chosen.device), machine.measure_load(), depth_of(plan))
         yield CheckSection("Aim", rows)
 
 

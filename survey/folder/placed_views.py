@@ -158,7 +158,7 @@ class PlacedViews:
 
 
 def views_of_file(found: Found, path: Path) -> tuple[PlacedViews, Findings]:
-    """The views that a poses file places."""
+    """Views with the poses of a file."""
     file, said = read_file_poses(found, path)
     found, frame = file.found, file.frame
     views, of_images = _with_images(found, file.views, file.masks)

@@ -154,7 +154,7 @@ def begin_aimed_run(
     SurveyError
         If the time is too short, or the standard deviation cannot be meant.
     """
-    found = assess_feasibility(aim, survey, chosen, machine.load())
+    found = assess_feasibility(aim, survey, chosen, machine.measure_load())
     progress.note(f"asked: {aim}")
     progress.note(f"machine: {found.load}")
     for text in aim_warnings(aim, found):

@@ -237,7 +237,7 @@ def _workers_of_sfm(chosen: Choices, run: RunDir, found: Found, progress: Progre
 
 def _forecast(progress: Progress, checked: Checked, chosen: Choices) -> None:
     """Initialise the remaining time by stated rates and the load of the machine."""
-    progress.forecast = Forecast(machine.load().slowness)
+    progress.forecast = Forecast(machine.measure_load().slowness)
     if checked.survey is not None:
         return
     workload = workload_of_found(checked.found, chosen)

@@ -166,7 +166,7 @@ def _agreements(met: Intersections, theirs: np.ndarray, std: np.ndarray) -> list
     for triple in _triples(len(theirs)):
         start = np.zeros(len(theirs), dtype=bool)
         start[list(triple)] = True
-        good, cost = _grown(met, theirs, std, start)
+        good, cost = _consistent_points(met, theirs, std, start)
         if good.sum() >= MIN_POINTS and 2 * good.sum() > len(theirs):
             found[good.tobytes()] = (int(good.sum()), cost, good)
     if not found:
@@ -184,8 +184,10 @@ def _triples(num: int) -> Iterator[tuple[int, ...]]:
         yield tuple(rng.choice(num, MIN_POINTS, replace=False))
 
 
-def _grown(met: Intersections, theirs: np.ndarray, std: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, float]:
-    """The points (K,) bool that agree with the similarity of some of them, until they stay the same, and their cost."""
+def _consistent_points(
+    met: Intersections, theirs: np.ndarray, std: np.ndarray, start: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Points (K,) bool within tolerance of the similarity fitted to them, from some to start with, and their cost."""
     good, cost = start, np.inf
     for _ in range(10):
         if good.sum() < MIN_POINTS or _is_line(met.places[good]):

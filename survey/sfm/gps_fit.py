@@ -46,8 +46,8 @@ def gps_std(residuals) -> np.ndarray:
     residuals = np.asarray(residuals, dtype=np.float64)
     share = max(3.0 * len(residuals) - 7.0, 1.0) / (3.0 * len(residuals))
     mean_squares = (residuals**2).mean(axis=0) / share
-    level = math.sqrt(0.5 * (mean_squares[0] + mean_squares[1]))
-    return np.maximum([level, level, math.sqrt(mean_squares[2])], MIN_STD_M)
+    plan = math.sqrt(0.5 * (mean_squares[0] + mean_squares[1]))
+    return np.maximum([plan, plan, math.sqrt(mean_squares[2])], MIN_STD_M)
 
 
 @dataclass(frozen=True)

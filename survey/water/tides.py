@@ -137,7 +137,7 @@ def tide_of_rate(water: WaterConfig, headers: Mapping[str, Exif]) -> Tide:
 
 
 def with_tides(views: Sequence[View], tide: Tide | None, water: FlatWater | None) -> tuple[list[View], Tide | None]:
-    """The views with the levels of their photographs, where these move what they show by more than `MOST_SHIFT_PX`."""
+    """Views with the levels of their photographs, where a level shifts the image by more than `MOST_SHIFT_PX`."""
     if tide is None or water is None:
         return list(views), None
     tide = with_shift(replace(tide, over={view.name: tide.over[view.name] for view in views}), views, water)

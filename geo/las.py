@@ -52,7 +52,7 @@ def write_cloud(
     is_wet: np.ndarray,
     std_common_m: np.ndarray | None = None,
     classification: np.ndarray | None = None,
-    origin: np.ndarray | None = None,
+    user_data: np.ndarray | None = None,
 ) -> None:
     """Write a cloud as LAS 1.4, point format 7, whole or not at all; compressed if the suffix is .laz.
 
@@ -83,7 +83,7 @@ def write_cloud(
         not include; "no data" where not given.
     classification : (N,) uint8, optional
         Classes to write instead of those by ``is_wet``, e.g. with 45 (no bottom found) among them.
-    origin : (N,) uint8, optional
+    user_data : (N,) uint8, optional
         How each point was found, written to the field "user data"; 0 where not given.
 
     Raises
@@ -118,8 +118,8 @@ def write_cloud(
         las.synthetic[:] = 1
         las.classification[:] = classes[part]
         las.withheld[:] = np.asarray(std_m)[part] > WITHHELD_STD_M
-        if origin is not None:
-            las.user_data[:] = origin[part]
+        if user_data is not None:
+            las.user_data[:] = user_data[part]
         # 257 maps 0..255 onto the whole of 0..65535.
         las.red, las.green, las.blue = np.asarray(rgb[part], dtype=np.uint16).T * np.uint16(257)
         for name, values in stored_extra(extra, part).items():

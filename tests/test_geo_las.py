@@ -138,7 +138,7 @@ def test_other_readers_see_single_synthetic_returns_and_16_bit_colours(written):
 def test_how_points_were_found_is_in_the_field_for_the_users_data(tmp_path, rng, crs):
     path, points, values = tmp_path / "cloud.las", ORIGIN + rng.uniform(-1, 1, (5, 3)), values_for(5, rng)
     origin = np.array([0, 1, 0, 1, 1], dtype=np.uint8)
-    write_cloud(path, points, crs, **values, origin=origin)
+    write_cloud(path, points, crs, **values, user_data=origin)
     np.testing.assert_array_equal(laspy.read(path).user_data, origin)
     write_cloud(path, points, crs, **values)
     assert not np.asarray(laspy.read(path).user_data).any()

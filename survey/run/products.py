@@ -73,7 +73,7 @@ def write_bed_las(path: Path, stored: StoredBed, classification: np.ndarray | No
         is_wet=bed.wet,
         std_common_m=stored.std_common,
         classification=classification,
-        origin=bed.origin,
+        user_data=bed.origin,
     )
 
 

@@ -19,7 +19,7 @@ from refract.lens import distorted
 from survey.adjust.refine import adjust_survey
 from survey.errors import PosesError
 from survey.folder.survey import Survey, load_survey
-from survey.photos.poses import TiePoints, least_track, parts_of
+from survey.photos.poses import TiePoints, connected_parts, least_track
 from survey.sfm import block as sfm_block
 from survey.sfm.solve import FreeBlocks, Photographs, aliases
 from survey.simulate.ground.shapes import BedGrid
@@ -112,7 +112,7 @@ def _free(
     ties: TiePoints, taken: list[int], flight: Flight, alias_of: Mapping[str, str], rng: np.random.Generator
 ) -> FreeBlocks:
     """The blocks that structure from motion would find, each in a frame of its own."""
-    part, least = parts_of(len(taken), ties.point, ties.view), least_track(len(taken))
+    part, least = connected_parts(len(taken), ties.point, ties.view), least_track(len(taken))
     blocks, names = [], list(alias_of.values())
     start = _apparent(ties.start, flight) + _START_M * rng.standard_normal(ties.start.shape)
     for number in range(int(part.max(initial=-1)) + 1):

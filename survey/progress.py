@@ -23,7 +23,7 @@ from rich.progress import Progress as Bars
 from rich.text import Text
 
 from survey.forecast import LEAST_SHARE, Forecast, StepForecast
-from survey.words import fitted
+from survey.words import wrap_for
 
 # Seconds between plain lines of one stage, where there is no terminal, and between looks whether one is due.
 _LINE_EVERY_S, _TICK_S = 60.0, 5.0
@@ -283,7 +283,7 @@ class Progress:
         stamped = f"{time.strftime(_TIME)} {text}"
         if self.verbosity >= at_verbosity and not self._console.quiet:
             try:
-                self._console.print(fitted(text, self._console.file) if self._console.is_terminal else stamped)
+                self._console.print(wrap_for(text, self._console.file) if self._console.is_terminal else stamped)
             except BrokenPipeError:
                 raise
             except OSError:

@@ -83,8 +83,8 @@ SCALES = (1.0, 0.5, 0.25, 0.125, 0.0625)
 _LEAST_COLUMNS = 20
 
 
-def fitted(text: str, stream: IO[str], *, label: str = "", indent: str = "  ") -> str:
-    """A line after its label as a stream takes it; a terminal would break it in the middle of words.
+def wrap_for(text: str, stream: IO[str], *, label: str = "", indent: str = "  ") -> str:
+    """Text behind its label, wrapped between words to the width of a terminal; as it is for other streams.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from survey.adjust.result.adjustment import Adjustment, Residuals
 from survey.adjust.result.std_of_block import parts_of_adjustment, parts_warning
 from survey.display.quantities import length
-from survey.photos.poses import parts_of
+from survey.photos.poses import connected_parts
 
 
 @given(st.lists(st.integers(-1, 4), min_size=1, max_size=30), st.integers(0, 2**32 - 1))
@@ -27,7 +27,7 @@ def test_views_are_of_one_part_where_points_lead_from_one_to_the_other(groups, s
             view += pair
             point += [num_points] * 2
             num_points += 1
-    part = parts_of(len(groups), np.array(point, dtype=np.int64), np.array(view, dtype=np.int64))
+    part = connected_parts(len(groups), np.array(point, dtype=np.int64), np.array(view, dtype=np.int64))
     sizes = [int((part == number).sum()) for number in range(int(part.max()) + 1)]
     assert sizes == sorted(sizes, reverse=True)
     for a, of_a in enumerate(groups):

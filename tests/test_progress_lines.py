@@ -11,7 +11,7 @@ from command_line import without_times
 
 from survey import progress as progress_room
 from survey.progress import Progress, clock
-from survey.words import fitted
+from survey.words import wrap_for
 
 
 def test_stages_are_plain_lines_with_the_time_left_where_there_is_no_terminal(tmp_path):
@@ -80,7 +80,7 @@ def test_a_terminal_gets_whole_words_and_paths(monkeypatch, columns):
     lines = stream.getvalue().splitlines()
     assert " ".join(line.strip() for line in lines) == f"warning: {words}"
     assert all(len(line) <= columns or "xxx" in line for line in lines)
-    assert fitted(words, io.StringIO()) == words
+    assert wrap_for(words, io.StringIO()) == words
 
 
 def test_all_lines_go_to_the_logger_and_its_handlers_take_the_place_of_warnings(caplog, capsys):

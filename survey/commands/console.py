@@ -12,7 +12,7 @@ from pathlib import Path
 import typer
 
 from survey.commands.faults import STANDARD_OUTPUT, disk_error, fault_of, say_error
-from survey.words import fitted
+from survey.words import wrap_for
 
 # One -q silences the progress, two silence the results as well.
 _NO_RESULTS = -2
@@ -55,7 +55,7 @@ class ConsoleResults:
         if title is not None:
             self.line(title, bold=True)
         for label, text in rows:
-            self.line(fitted(text, sys.stdout, label=label.ljust(left), indent=" " * left))
+            self.line(wrap_for(text, sys.stdout, label=label.ljust(left), indent=" " * left))
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from survey.errors import FILE_NAME, ControlError, Findings, PosesError
 from survey.folder.found import Found
 from survey.folder.pose_priors import GPS_STD_M, PosePrior
 from survey.photos.cameras import View
-from survey.photos.poses import TiePoints, least_track, parts_of
+from survey.photos.poses import TiePoints, connected_parts, least_track
 from survey.pose_files import find_unread
 from survey.settings.tables import per_direction
 from survey.sfm.control_fit import (
@@ -166,7 +166,7 @@ def checked_parts(found: Found, frame: LocalFrame, block: ControlledBlock) -> tu
     if control is None:
         return block, Findings()
     # Views that share no point with two others have no part of their own.
-    part = np.maximum(parts_of(len(views), ties.point, ties.view), 0)
+    part = np.maximum(connected_parts(len(views), ties.point, ties.view), 0)
     moved_views, priors, marks = list(views), dict(block.priors), []
     refusals: list[ControlError] = []
     said = Findings()

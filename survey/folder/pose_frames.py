@@ -1,4 +1,4 @@
-"""Poses and points of a file, in its frame, crs and local, and the reprojection error of its tie points."""
+"""Poses and points of a file transformed to crs and local, and the reprojection error of its tie points."""
 
 from __future__ import annotations
 

@@ -151,7 +151,7 @@ class TiePoints:
         return TiePoints(*kept, self.least)
 
 
-def parts_of(num_views: int, point: np.ndarray, view: np.ndarray) -> np.ndarray:
+def connected_parts(num_views: int, point: np.ndarray, view: np.ndarray) -> np.ndarray:
     """Connected component (num_views,) int64 of each view, by shared points.
 
     Observations (N,) are of points and of views. Parts are numbered from the largest, that with most views, on; of

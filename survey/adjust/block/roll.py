@@ -32,7 +32,7 @@ import numpy as np
 from survey.adjust.block.bundle import NotConvergedError, Solution, cost, levenberg_marquardt, solve
 from survey.adjust.block.problem import Problem
 from survey.adjust.block.state import NUM_POSE, Layout, State
-from survey.photos.poses import least_track, parts_of
+from survey.photos.poses import connected_parts, least_track
 from survey.sfm.control_fit import line_of_control
 from survey.sfm.gps_fit import LineAxes, PositionLine, gps_std, line_of, roll_by_attitudes
 
@@ -89,7 +89,7 @@ def rolls_of(survey: Survey) -> tuple[Roll, ...]:
     """The rolls that positions leave open, of each part that shares no points with others; none of poses of a file."""
     if survey.observations.ties is None or survey.config.cameras.poses is not None:
         return ()
-    part = parts_of(len(survey.views), survey.observations.ties.point, survey.observations.ties.view)
+    part = connected_parts(len(survey.views), survey.observations.ties.point, survey.observations.ties.view)
     found = [_roll_of(survey, np.flatnonzero(part == number)) for number in range(int(part.max(initial=-1)) + 1)]
     return tuple(roll for roll in found if roll is not None)
 

@@ -33,7 +33,7 @@ from survey.adjust.result.std_common import (
 )
 from survey.display.column import portions
 from survey.display.quantities import length
-from survey.photos.poses import parts_of
+from survey.photos.poses import connected_parts
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey
@@ -208,9 +208,9 @@ class Part:
 
 
 def part_numbers(found: Adjustment) -> np.ndarray:
-    """Part of each view by shared tie points, without marks of control (`survey.photos.poses.parts_of`)."""
+    """Part of each view by shared tie points, without marks of control (`survey.photos.poses.connected_parts`)."""
     is_tie = found.residuals.point < len(found.points) - len(found.control)
-    return parts_of(len(found.poses.names), found.residuals.point[is_tie], found.residuals.view[is_tie])
+    return connected_parts(len(found.poses.names), found.residuals.point[is_tie], found.residuals.view[is_tie])
 
 
 def parts_of_adjustment(found: Adjustment, water: FlatWater | None) -> tuple[Part, ...]:

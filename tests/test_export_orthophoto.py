@@ -30,7 +30,7 @@ from survey.errors import SurveyError
 from survey.export.bed_cells import CellWindow, PlanCells
 from survey.export.export import export
 from survey.export.loaded import Pixels
-from survey.export.occlusion import CellProjection, HeightBuffer, Mosaic, Windows, common_exposure
+from survey.export.occlusion import BedWindows, CellProjection, HeightBuffer, Mosaic, common_exposure
 from survey.export.product import ExportOptions
 from survey.folder.survey import Survey
 from survey.run.flight import Flight
@@ -103,7 +103,7 @@ def test_pixels_of_cells_are_those_of_the_exact_way_through_the_water():
     bed = flown(water)
     heights = LEVEL - 1.0 - 2.5 * rng.random(cells.shape)
     worst = 0.0
-    for window, height, sight in Windows(bed, cells, lambda w: heights[w.slices]).through(camera):
+    for window, height, sight in BedWindows(bed, cells, lambda w: heights[w.slices]).projected_into(camera):
         places = np.concatenate([cells.middles(window), height[..., None]], axis=-1)[::37, ::31]
         exact = camera.project(bed.frame.local_from_crs(places), water)
         found = np.stack([sight.u, sight.v], axis=-1)[::37, ::31]
@@ -116,7 +116,9 @@ def test_exposures_are_compared_however_many_cells_one_window_has():
     window, height = CellWindow(0, 190, 0, 200), np.zeros((190, 200))
     u, v = np.meshgrid(np.linspace(1.0, 99.0, 200), np.linspace(1.0, 99.0, 190))
     sight = CellProjection(u, v, np.ones_like(u), np.zeros_like(u))
-    bed = SimpleNamespace(all=lambda: iter([(window, height)]), through=lambda _: iter([(window, height, sight)]))
+    bed = SimpleNamespace(
+        heights=lambda: iter([(window, height)]), projected_into=lambda _: iter([(window, height, sight)])
+    )
     hides_nothing = SimpleNamespace(visible=lambda sight, _: sight)
     shown = [
         SimpleNamespace(camera=None, pixels=lambda grey=grey: Pixels(np.full((100, 100, 3), grey, np.uint8), None))
@@ -139,9 +141,9 @@ def test_what_stands_behind_something_is_hidden():
     window = CellWindow(0, 60, 0, 120)
     x, y = np.moveaxis(cells.middles(window) - [E0, N0], -1, 0)
     heights = LEVEL + np.where((np.abs(x) < 1.0) & (np.abs(y) < 1.0), 2.0, 0.0)
-    bed = Windows(flown(None), cells, lambda w: heights[w.slices])
+    bed = BedWindows(flown(None), cells, lambda w: heights[w.slices])
     buffer = HeightBuffer.of(camera, bed, cell_m=0.1, cell_px=300.0 * 0.1 / 11.3)
-    ((_, height, sight),) = bed.through(camera)
+    ((_, height, sight),) = bed.projected_into(camera)
     seen = np.isfinite(buffer.visible(sight, height).u)
     # The ray over the far edge of the deck comes down to the bed at x = 4; the deck's own edges are blurred.
     shadow = (x > 1.4) & (x < 3.4) & (np.abs(y) < 0.7)

@@ -60,7 +60,7 @@ class CellProjection:
         return CellProjection(*(np.where(seen, layer, np.nan) for layer in layers))
 
 
-class Windows:
+class BedWindows:
     """The windows of a raster in which the bed has a height, ready to be looked up in photographs.
 
     Parameters
@@ -77,12 +77,12 @@ class Windows:
             if np.isfinite(height).any():
                 self._windows.append(_Knots.of(flight, cells, window, height))
 
-    def all(self) -> Iterator[tuple[CellWindow, np.ndarray]]:
+    def heights(self) -> Iterator[tuple[CellWindow, np.ndarray]]:
         """Each window with its heights."""
         for knots in self._windows:
             yield knots.window, self._heights(knots.window)
 
-    def through(self, camera: PinholeCamera) -> Iterator[tuple[CellWindow, np.ndarray, CellProjection]]:
+    def projected_into(self, camera: PinholeCamera) -> Iterator[tuple[CellWindow, np.ndarray, CellProjection]]:
         """The windows of which a camera may see something, with their heights, and how it sees them."""
         for knots in self._windows:
             found = knots.seen_by(camera, self._water)
@@ -170,7 +170,7 @@ class HeightBuffer:
     allowed: float  # [m]: by so much a cell may lie lower and be seen
 
     @staticmethod
-    def of(camera: PinholeCamera, bed: Windows, *, cell_m: float, cell_px: float) -> HeightBuffer:
+    def of(camera: PinholeCamera, bed: BedWindows, *, cell_m: float, cell_px: float) -> HeightBuffer:
         """The height buffer of a camera.
 
         Parameters
@@ -181,7 +181,7 @@ class HeightBuffer:
         block = max(_BLOCK_CELLS * cell_px, 1.0)
         highest = np.full((int(camera.height / block) + 1, int(camera.width / block) + 1), -np.inf)
         buffer = HeightBuffer(highest, block, _HIDDEN_CELLS * cell_m)
-        for _, height, projection in bed.through(camera):
+        for _, height, projection in bed.projected_into(camera):
             seen, place = buffer._block_of(projection)
             np.maximum.at(highest, tuple(at[seen] for at in place), height[seen])
         return buffer
@@ -199,7 +199,7 @@ class HeightBuffer:
 
 
 def common_exposure(
-    photographs: list[Photograph], buffers: list[HeightBuffer], bed: Windows, advance: Callable[[], object]
+    photographs: list[Photograph], buffers: list[HeightBuffer], bed: BedWindows, advance: Callable[[], object]
 ) -> np.ndarray:
     """Factors (V, 3) on the colours of photographs that make them alike; they are 1 on average.
 
@@ -210,7 +210,7 @@ def common_exposure(
     advance : callable
         Called after each photograph.
     """
-    known = {window: np.flatnonzero(np.isfinite(height)) for window, height in bed.all()}
+    known = {window: np.flatnonzero(np.isfinite(height)) for window, height in bed.heights()}
     # Rounded up: OpenCV looks up less than 32,768 places of a row at a time.
     step = max(-(-sum(len(at) for at in known.values()) // _COMPARED), 1)
     compared = {window: at[::step] for window, at in known.items()}
@@ -218,7 +218,7 @@ def common_exposure(
     shown = np.full((len(photographs), sum(map(len, compared.values())), 3), np.nan, dtype=np.float32)
     for number, photograph in enumerate(photographs):
         pixels = photograph.pixels()
-        for window, height, projection in bed.through(photograph.camera):
+        for window, height, projection in bed.projected_into(photograph.camera):
             at = compared[window]
             seen = buffers[number].visible(projection, height)
             colour = pixels.at(seen.u.ravel()[at][None], seen.v.ravel()[at][None])[0]

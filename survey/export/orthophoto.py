@@ -50,7 +50,7 @@ def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
 
     from survey.export.bed_raster import bed_raster
     from survey.export.loaded import at_scale, flight_of
-    from survey.export.occlusion import HeightBuffer, Mosaic, Windows, common_exposure, log_weight
+    from survey.export.occlusion import BedWindows, HeightBuffer, Mosaic, common_exposure, log_weight
     from survey.progress import current
 
     require_not_too_fine(side_m, run.bed_header.gsd_m)
@@ -64,15 +64,15 @@ def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
     photographs = at_scale(flight, scale)
     cells = grid.cells.with_side(side_m)
     mosaic, colour_of = Mosaic.empty(cells, run.scratch), _colour_of(run, grid, cells)
-    coarse = Windows(flight, grid.cells, grid.heights)
-    fine = Windows(flight, cells, lambda window: _heights(grid, cells, window))
+    coarse = BedWindows(flight, grid.cells, grid.heights)
+    fine = BedWindows(flight, cells, lambda window: _heights(grid, cells, window))
     with current().stage("Orthophoto", 2.0 * len(photographs)) as stage:
         cell_px = grid.cells.side_m / grid.pixel_m * scale
         buffers = [HeightBuffer.of(p.camera, coarse, cell_m=grid.cells.side_m, cell_px=cell_px) for p in photographs]
         factors = common_exposure(photographs, buffers, coarse, stage.advance)
         for photograph, buffer, factor in zip(photographs, buffers, factors, strict=True):
             pixels = photograph.pixels()
-            for window, height, projection in fine.through(photograph.camera):
+            for window, height, projection in fine.projected_into(photograph.camera):
                 seen = buffer.visible(projection, height)
                 colour = pixels.at(seen.u, seen.v) * factor
                 weight = np.where(np.isfinite(colour[..., 0]), log_weight(seen, photograph.camera), np.nan)

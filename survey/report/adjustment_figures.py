@@ -169,15 +169,16 @@ def _positions(survey: Survey, found: Adjustment) -> PositionFigures | None:
 
 
 def _poses(found: Adjustment) -> PoseFigures:
-    far, turned = np.linalg.norm(found.poses.position_std, axis=1), np.linalg.norm(found.poses.rotation_std_deg, axis=1)
-    worst, most_turned = int(np.argmax(far)), int(np.argmax(turned))
+    position = np.linalg.norm(found.poses.position_std, axis=1)
+    rotation = np.linalg.norm(found.poses.rotation_std_deg, axis=1)
+    worst, worst_rotation = int(np.argmax(position)), int(np.argmax(rotation))
     return PoseFigures(
         _axes(np.median(found.poses.position_std, axis=0)),
         _axes(np.median(found.poses.rotation_std_deg, axis=0)),
-        float(far[worst]),
+        float(position[worst]),
         found.poses.names[worst],
-        float(turned[most_turned]),
-        found.poses.names[most_turned],
+        float(rotation[worst_rotation]),
+        found.poses.names[worst_rotation],
     )
 
 

@@ -243,7 +243,7 @@ def iho_s44(found: VerticalUncertainty | None) -> list[Block]:
          _percent(order.share_within), *(_percent(band.share_within) for band in order.bands))
         for order in iho.orders
     ]  # fmt: skip
-    titles = ("order", "", "TVU at the median depth [m]", "wet points within their TVU [%]",
+    titles = ("order", "result", "TVU at the median depth [m]", "wet points within their TVU [%]",
               *(f"{label.replace(' ', NO_BREAK)} [%]" for label in labels))  # fmt: skip
     said = (
         f"The error of 95 % of the {count(iho.n_points)} wet points is below {length(iho.error_95_m)} ({found.error})."
@@ -288,7 +288,7 @@ def _each_checkpoint(found: CheckpointAccuracy, unit: LengthUnit) -> Table:
     ]  # fmt: skip
     titles = (
         "check point", "height in crs", f"depth [{deep.name}]", f"difference [{unit.name}]",
-        f"std stated [{unit.name}]", "",
+        f"std stated [{unit.name}]", "note",
     )  # fmt: skip
     return Table(titles, rows, heading="Each check point")
 
@@ -304,7 +304,7 @@ def baselines(found: Baselines | None) -> list[Block]:
         (row.name, row.kind, *(unit.number(value) for value in (row.median_m, row.nmad_m, row.mean_m)))
         for row in found.rows
     ]
-    titles = ("method", "", *(f"{name} [{unit.name}]" for name in ("median", "spread (NMAD)", "mean")))
+    titles = ("method", "kind", *(f"{name} [{unit.name}]" for name in ("median", "spread (NMAD)", "mean")))
     return [Table(titles, rows, num_texts=2), Text(found.note, is_soft=True)]
 
 

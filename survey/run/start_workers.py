@@ -57,6 +57,8 @@ def workers_for(
         "distributed.worker.memory.spill": False,
         "distributed.worker.memory.pause": False,
         "distributed.worker.memory.terminate": False,
+        # Samples of the stack, a hundred a second, take time, and 60 MB of memory in five minutes.
+        "distributed.worker.profile.enabled": False,
         "distributed.admin.tick.limit": "1h",
         "logging.distributed": "error",
     }

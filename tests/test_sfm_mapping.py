@@ -137,8 +137,8 @@ def test_a_mapper_that_does_not_tell_its_progress_is_said_not_to(monkeypatch, tm
     ("num", "why"),
     [
         (10, "10 photographs are added one by one"),
-        (520, "520 photographs are added one by one, which is faster than all at once and bends the block less"),
-        (5000, "5,000 photographs .* less; more than 2,080 were not tried"),
+        (520, "520 photographs are added one by one, which bends the block less than all at once"),
+        (5000, "5,000 photographs .* all at once; more than 2,080 were not tried"),
     ],
 )
 def test_photographs_are_added_one_by_one_at_every_size_and_the_plan_says_why(num, why):

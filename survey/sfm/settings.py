@@ -22,7 +22,7 @@ SEED = 0
 # Images of a block, at least, but for those of two photographs.
 MIN_IMAGES = 3
 _ERRORS_ONLY = 2
-# From so many photographs on incremental mapping is known to be faster than global mapping; so many were tried at most.
+# From so many photographs on the plan says why they are added one by one; so many were tried at most.
 LARGE, MEASURED = 500, 2080
 # What each mapper needs of pycolmap.
 _NEEDED = {
@@ -37,8 +37,8 @@ _PAIRS_OF_NEIGHBOUR = 0.65
 def mapper_of(num: int, asked: str) -> tuple[str, str]:
     """The mapper, and why, in words that fit so many images: the one that is asked for, else incremental mapping.
 
-    Global mapping takes less time for 100 photographs and more for 500, and bends blocks more; in parts large blocks
-    fall apart (docs/notes/scaling.md). Two photographs alone are placed by incremental mapping only.
+    Global mapping bends blocks more, whatever their size; in parts large blocks fall apart (docs/notes/scaling.md). Two
+    photographs alone are placed by incremental mapping only.
     """
     if num == 2 and asked in (Mapper.hierarchical, Mapper.global_):
         return Mapper.incremental.value, f"{asked} mapping, as set in {FILE_NAME}, does not place two photographs alone"
@@ -47,7 +47,7 @@ def mapper_of(num: int, asked: str) -> tuple[str, str]:
     if num < LARGE:
         return Mapper.incremental.value, f"{num} photographs are added one by one"
     beyond = f"; more than {MEASURED:,} were not tried" if num > MEASURED else ""
-    why = f"{num:,} photographs are added one by one, which is faster than all at once and bends the block less{beyond}"
+    why = f"{num:,} photographs are added one by one, which bends the block less than all at once{beyond}"
     return Mapper.incremental.value, why
 
 

@@ -143,7 +143,7 @@ def test_weights_that_lack_something_are_refused_with_what_to_give(pair, vgg):
         lpips(*pair, without)
     with pytest.raises(ValueError, match=r"lack features\.0\.weight"):
         dists(*pair, {})
-    with pytest.raises(ValueError, match="got grey images; use ssim or gmsd"):
+    with pytest.raises(ValueError, match="need colour images, got grey ones; use ssim or gmsd"):
         dists(*(v[..., 0] for v in pair), vgg)
 
 

@@ -42,9 +42,10 @@ def test_a_task_fetches_what_it_needs_and_leaves_its_result_at_the_url(tmp_path,
 
     def job_of(survey, _chosen, _tiles, _found, images, _saturated):
         plan, camera = SimpleNamespace(image_scale=1.0), survey.views[0].camera
-        whole = SimpleNamespace(survey=survey, plan=plan, cameras=[camera], progress=SimpleNamespace(lines=[]))
+        progress = SimpleNamespace(lines=[])
+        whole = SimpleNamespace(survey=survey, plan=plan, cameras=[camera], progress=progress, release=lambda: None)
         windows = ([SimpleNamespace(view=1)], [SimpleNamespace(view=1), SimpleNamespace(view=2)])
-        idle = {"release": lambda: None, "drop": lambda: None, "whole": whole, "images": images}
+        idle = {"drop": lambda: None, "whole": whole, "images": images}
         tiles = [SimpleNamespace(windows=each, **idle) for each in windows]
         return SimpleNamespace(whole=whole, tile=lambda number: tiles[number])
 

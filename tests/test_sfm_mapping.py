@@ -22,7 +22,7 @@ from survey.sfm import poses as sfm_poses
 from survey.sfm import settings as sfm_settings
 from survey.sfm import solve as sfm_solve
 from survey.sfm.block import MatchedPhotographs, reconstruct
-from survey.sfm.incremental import map_directly, options_of
+from survey.sfm.incremental import map_directly, pipeline_options
 from survey.sfm.settings import mapper_of, require_mapper
 from survey.sfm.solve import Photographs
 from survey.simulate.drawn import DrawnScene, draw_survey
@@ -115,7 +115,7 @@ def test_blocks_of_direct_solvers_are_those_of_the_pipeline(matched, one_by_one,
 def test_photographs_without_matches_make_no_block(tmp_path):
     pycolmap.Database.open(tmp_path / "database.db").close()
     added = []
-    assert map_directly(tmp_path / "database.db", options_of(20), lambda: added.append(1)) == []
+    assert map_directly(tmp_path / "database.db", pipeline_options(20), lambda: added.append(1)) == []
     assert not added
 
 

@@ -21,7 +21,7 @@ _MARGIN = 0.05
 _ENOUGH = 200_000
 # Points whose cells are worked out at a time, of 100 bytes each: the cells of all points are never held.
 _PORTION = 100_000
-# Factor on the side of a cell, by which the outermost point lies inside the last cell and not on its edge.
+# Factor on the side of a cell: the outermost point lies inside the last cell, not on its edge.
 _EDGE_FACTOR = 1.0 + 1e-6
 # Points per cell on average, so that a hole in a map is a hole in the cloud and not one by chance.
 _POINTS_PER_CELL = 3.0

@@ -43,7 +43,7 @@ _SQUARE_PX = 1.25
 _STEEPEST = 3.0
 # Uncertainty of the position of a wall, in squares to either side.
 _WALL_SQUARES = 2
-# Standard deviations by which points are lowered before they count as a roof: uncertain ones are none.
+# A point counts as a roof lowered by so many of its standard deviations: uncertain ones are none.
 _STD_OF_ROOF = 2.0
 # Squares around a tile whose points decide which of its own are seen from above.
 MARGIN_SQUARES = _WALL_SQUARES + 1

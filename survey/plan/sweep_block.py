@@ -67,7 +67,7 @@ def load_block(
 def _read_ahead(
     read: Callable[[View], tuple[np.ndarray, float]], views: Iterable[View], most: int
 ) -> Iterator[tuple[np.ndarray, float]]:
-    """Results of a function in the order of the views, of which no more than ``most``, and one a core, are held."""
+    """Results of a function in the order of the views; at most ``most`` of them, and one a core, are under way."""
     at_once = max(min(most, machine.num_cores()), 1)
     with ThreadPoolExecutor(at_once) as pool:
         under_way = deque[Any]()

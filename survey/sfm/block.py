@@ -25,7 +25,7 @@ from survey.photos.pixels import read_rgb
 from survey.photos.poses import TiePoints, least_track
 from survey.progress import current
 from survey.sfm.distributed import Workers, add_rows, part_of, rows_of, workers
-from survey.sfm.incremental import DIRECT_UP_TO, map_directly, options_of
+from survey.sfm.incremental import DIRECT_UP_TO, map_directly, pipeline_options
 from survey.sfm.pairs import VOTING, Place, image_pairs, similar_images
 from survey.sfm.settings import ALL_PAIRS_UP_TO, FEATURES_PX, MIN_IMAGES, SEED, THREADS, solver
 from survey.words import Mapper
@@ -318,7 +318,7 @@ def reconstruct(matched: MatchedPhotographs, mapper: str) -> list[pycolmap.Recon
 
 
 def _incremental(matched: MatchedPhotographs, advance: Callable[..., None]) -> dict[int, pycolmap.Reconstruction]:
-    options = options_of(matched.num)
+    options = pipeline_options(matched.num)
     # The first two come together.
     advance(2.0)
     if matched.num > DIRECT_UP_TO:
@@ -331,7 +331,7 @@ def _incremental(matched: MatchedPhotographs, advance: Callable[..., None]) -> d
 def _hierarchical(matched: MatchedPhotographs, _advance: Callable[..., None]) -> dict[int, pycolmap.Reconstruction]:
     options = solver().HierarchicalPipelineOptions()
     options.num_threads, options.num_workers = THREADS, 1
-    options.incremental_options = options_of(matched.num)
+    options.incremental_options = pipeline_options(matched.num)
     return solver().hierarchical_mapping(matched.database, matched.folder, matched.work, options)
 
 

@@ -1,8 +1,9 @@
 """Incremental mapping by pycolmap: images are added to a block one by one.
 
 COLMAP's pipeline solves bundle adjustments of more than 1,000 images by conjugate gradients, and has no setting for
-another solver: of 2,080 images it takes hours. Larger blocks are therefore built here from the steps of its mapper (J.
-Schoenberger and J.-M. Frahm, Structure-from-motion revisited, 2016), with sparse Cholesky factors at every size.
+another solver: of 2,080 images it did not end in 27 minutes (docs/notes/scaling.md). Larger blocks are therefore built
+here from the steps of its mapper (J. Schoenberger and J.-M. Frahm, Structure-from-motion revisited, 2016), with sparse
+Cholesky factors at every size.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ DIRECT_UP_TO = 1000
 _GROWN = 1.3
 # Of two photographs: the least angle [deg] at which their rays meet, and the least number of matches, to start from.
 _PAIR_ANGLE_DEG, _PAIR_MATCHES = 1.0, 30
-# Factors of the least number of matches and of the least angle of the first two images, tried in turn, as by COLMAP.
-_OF_FIRST_TWO = ((1.0, 1.0), (0.5, 1.0), (0.5, 0.5), (0.25, 0.5), (0.25, 0.25))
+# Factors on the least number of matches and on the least angle of the initial pair, tried in turn, as by COLMAP.
+_INITIAL_PAIR_FACTORS = ((1.0, 1.0), (0.5, 1.0), (0.5, 0.5), (0.25, 0.5), (0.25, 0.25))
 # Images that are tried as the third before other two are.
 _TRIED_AS_THIRD = 30
 
 
-def options_of(num: int) -> pycolmap.IncrementalPipelineOptions:
+def pipeline_options(num: int) -> pycolmap.IncrementalPipelineOptions:
     """Options of COLMAP's pipeline for a number of images."""
     options = solver().IncrementalPipelineOptions()
     options.num_threads, options.random_seed, options.min_model_size = THREADS, SEED, MIN_IMAGES
@@ -62,24 +63,24 @@ def map_directly(
     advance : callable
         Called whenever an image is added.
     """
-    colmap, of_cache = solver(), solver().DatabaseCacheOptions()
-    of_cache.min_num_matches = options.min_num_matches
+    colmap, cache_options = solver(), solver().DatabaseCacheOptions()
+    cache_options.min_num_matches = options.min_num_matches
     with colmap.Database.open(database) as opened:
-        cache = colmap.DatabaseCache.create(opened, of_cache)
-    growth = _Growth(cache, options, advance)
+        cache = colmap.DatabaseCache.create(opened, cache_options)
+    reconstruction = _IncrementalReconstruction(cache, options, advance)
     settings = options.get_mapper()
     matches, angle = settings.init_min_num_inliers, settings.init_min_tri_angle
-    for of_matches, of_angle in _OF_FIRST_TWO:
+    for of_matches, of_angle in _INITIAL_PAIR_FACTORS:
         settings.init_min_num_inliers, settings.init_min_tri_angle = int(of_matches * matches), of_angle * angle
-        growth.mapper.reset_initialization_stats()
-        blocks = list(growth.blocks(settings))
+        reconstruction.mapper.reset_initialization_stats()
+        blocks = list(reconstruction.blocks(settings))
         if blocks:
             return blocks
     return []
 
 
-class _Growth:
-    """Growth of blocks, image by image.
+class _IncrementalReconstruction:
+    """Reconstruction of blocks, image by image.
 
     Parameters
     ----------

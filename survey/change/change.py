@@ -318,6 +318,8 @@ def _write_raster(change: Change, first: Path, second: Path, path: Path) -> None
 
 def _draw(change: Change, path: Path) -> None:
     """A map of the differences; those within the level of detection are pale."""
+    from matplotlib.colors import Normalize
+
     from survey.compare.canvas import colour_bar, map_canvas, nice_limit, save, show, write_title
     from survey.display.palette import DIFFERENCES
     from survey.display.quantities import LengthUnit
@@ -330,7 +332,7 @@ def _draw(change: Change, path: Path) -> None:
     extent = (*east, cells.north - cells.shape[0] * cells.side[1], cells.north)
     figure, axes = map_canvas(extent, cells.crs)
     end = limit * unit.per_metre
-    look = {"cmap": DIFFERENCES, "vmin": -end, "vmax": end}
+    look = {"cmap": DIFFERENCES, "norm": Normalize(-end, end)}
     show(axes, d * unit.per_metre, extent, alpha=0.3, **look)
     drawn = show(axes, np.where(differences.is_significant, d, np.nan) * unit.per_metre, extent, **look)
     colour_bar(axes, drawn, f"second minus first [{unit.name}], pale where not significant")

@@ -14,6 +14,7 @@ import numpy as np
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.image import PcolorImage
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, ScalarFormatter
 from pyproj import CRS
@@ -55,9 +56,12 @@ def nice_limit(distances: np.ndarray) -> float:
 
 def show(axes: Axes, image: np.ndarray, extent: Extent, **colours) -> AxesImage:
     """Draw a raster, its first row in the north, into axes in crs, whose limits stay as they are."""
-    across, along = axes.get_xlim(), axes.get_ylim()
-    drawn = axes.imshow(image, extent=extent, aspect=axes.get_aspect(), interpolation="nearest", zorder=1, **colours)
-    axes.set(xlim=across, ylim=along)
+    west, east, south, north = extent
+    rows, columns = image.shape[:2]
+    edges = np.linspace(west, east, columns + 1), np.linspace(south, north, rows + 1)
+    # What `imshow` makes resamples colours in floating point, with 60 bytes a cell.
+    drawn = PcolorImage(axes, *edges, image[::-1], zorder=1, **colours)
+    axes.add_image(drawn)
     return drawn
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from pyproj import CRS
 
@@ -121,9 +122,8 @@ def error_map(
     is_signed = bool((d < 0.0).any())
     axes, image, extent = _map_of_means(points, d * unit.per_metre, _POINTS_PER_CELL, crs)
     end = limit * unit.per_metre
-    drawn = show(
-        axes, image, extent, cmap=DIFFERENCES if is_signed else SIZES, vmin=-end if is_signed else 0.0, vmax=end
-    )
+    norm = Normalize(-end if is_signed else 0.0, end)
+    drawn = show(axes, image, extent, cmap=DIFFERENCES if is_signed else SIZES, norm=norm)
     label = f"{'above (+) or below (−)' if is_signed else 'distance to'} the reference [{unit.name}]"
     colour_bar(axes, drawn, label, extend="both" if is_signed else "max")
     write_title(axes, "Distance to the reference in plan view", subtitle)
@@ -144,7 +144,7 @@ def completeness_map(
         As `error_map`.
     """
     axes, image, extent = _map_of_means(targets, 100.0 * (1.0 - is_reached), _SAMPLES_PER_CELL, crs)
-    drawn = show(axes, image, extent, cmap=NOT_REACHED, vmin=0.0, vmax=100.0)
+    drawn = show(axes, image, extent, cmap=NOT_REACHED, norm=Normalize(0.0, 100.0))
     colour_bar(axes, drawn, "not reached [%]", extend="neither")
     axes.set_facecolor("white")
     write_title(axes, "What the cloud does not reach", subtitle)

@@ -121,7 +121,7 @@ class PlanGrid:
 
     def mean(self, values: np.ndarray | ComputedColumn, among: np.ndarray | None = None) -> np.ndarray:
         """Mean of values (N,) in each cell, NaN where there is none; values that are NaN do not count."""
-        count, total = np.zeros(self.shape, dtype=np.int64), np.zeros(self.shape)
+        count, total = np.zeros(self.shape, dtype=np.int32), np.zeros(self.shape)
         for part, number in self._portions():
             here = np.asarray(values[part], dtype=np.float64)
             use = (number >= 0) & np.isfinite(here)
@@ -129,7 +129,9 @@ class PlanGrid:
                 use &= among[part]
             _add(count, number[use])
             _add(total, number[use], here[use])
-        return np.where(count == 0, np.nan, total / np.maximum(count, 1))
+        with np.errstate(invalid="ignore"):
+            total /= count
+        return total
 
     def highest(self, height: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Values (N, ...) of the highest point of each cell, (rows, columns, ...), NaN where none.

@@ -22,7 +22,7 @@ from survey.display.quantities import LengthUnit, cell_size, share
 from survey.photos.images import load_image
 from survey.report.facts import ReportFacts
 from survey.report.profile import Cut, draw_line
-from survey.report.raster import Picture, shaded_bed, without_pinholes
+from survey.report.raster import Picture, image_of, shaded_bed, without_pinholes
 from survey.report.seen_cells import SeenCells, cells_of
 
 if TYPE_CHECKING:
@@ -53,9 +53,10 @@ def representative(height_maps: Sequence[HeightMap]) -> int:
 def draw_orthophoto(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     """The cloud in its colours, in plan, the highest point of each cell on top."""
     colours = without_pinholes(grid.highest(facts.points_crs[:, 2], facts.bed.rgb))
-    known = np.isfinite(colours[..., :1])
-    image = np.concatenate([np.where(known, colours, 0.0), np.where(known, 255.0, 0.0)], axis=-1)
-    axes = _show(image.astype(np.uint8), facts, grid)
+    known = np.isfinite(colours[..., 0])
+    image = np.zeros((*known.shape, 4), dtype=np.uint8)
+    image[known, :3], image[known, 3] = colours[known], 255
+    axes = _show(image, facts, grid)
     title = "The bed from above"
     write_title(axes, title, f"the cloud in its own colours, cells of {cell_size(grid.cell_m)}")
     save(figure_of(axes), path)
@@ -95,7 +96,7 @@ def draw_num_views(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     top = max(4, int(np.nanquantile(values, 0.99)) + 1)
     steps = np.arange(1, top + 1, max(1, top // 10))
     scale = ScalarMappable(BoundaryNorm(np.append(steps, steps[-1] + 1), 256), COUNTS)
-    axes = _show(scale.to_rgba(np.ma.masked_invalid(values), bytes=True), facts, grid)
+    axes = _show(image_of(values, scale), facts, grid)
     colour_bar(axes, scale, "views", extend="max").minorticks_off()
     title = "Views that agree"
     write_title(axes, title, f"mean of each cell of {cell_size(grid.cell_m)}")
@@ -111,7 +112,7 @@ def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     low, middle, high = np.maximum(np.quantile(known, (0.01, 0.5, 0.99)), 1e-6) if known.size else (1e-3, 1e-3, 1e-3)
     unit = LengthUnit.of([middle])
     scale = ScalarMappable(LogNorm(low * unit.per_metre, max(high, 1.1 * low) * unit.per_metre), SPREADS)
-    axes = _show(scale.to_rgba(np.ma.masked_invalid(values * unit.per_metre), bytes=True), facts, grid)
+    axes = _show(image_of(values * unit.per_metre, scale), facts, grid)
     bar = colour_bar(axes, scale, f"standard deviation [{unit.name}]")
     plain_log_ticks(bar.ax.yaxis)
     title = "Standard deviation of the height"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -22,30 +23,35 @@ def without_pinholes(raster: np.ndarray) -> np.ndarray:
 
     A cell is single where at least five of the eight cells around it are filled; larger gaps stay.
     """
-    empty = np.isnan(raster.reshape(*raster.shape[:2], -1)).any(axis=-1)
-    around = np.ones((3, 3))
-    filled = ndimage.convolve((~empty).astype(np.float64), around, mode="constant")
-    single = empty & (filled >= 5.0)
-    if not single.any():
-        return raster
-    layers = np.where(empty[..., None], 0.0, raster.reshape(*raster.shape[:2], -1))
-    result = raster.reshape(*raster.shape[:2], -1).copy()
-    for number in range(layers.shape[-1]):
-        total = ndimage.convolve(layers[..., number], around, mode="constant")
-        result[single, number] = total[single] / filled[single]
+    layers = raster.reshape(*raster.shape[:2], -1)
+    empty = np.isnan(layers).any(axis=-1)
+    around = np.ones((3, 3), dtype=np.float32)
+    filled = ndimage.convolve((~empty).astype(np.float32), around, mode="constant")
+    rows, columns = np.nonzero(empty & (filled >= 5.0))
+    total = np.zeros((len(rows), layers.shape[-1]))
+    for down, across in product((-1, 0, 1), repeat=2):
+        # Beyond the raster the cell itself, which is empty.
+        row, column = rows + down, columns + across
+        beyond = (row < 0) | (row >= len(empty)) | (column < 0) | (column >= empty.shape[1])
+        row, column = np.where(beyond, rows, row), np.where(beyond, columns, column)
+        total += np.where(empty[row, column][:, None], 0.0, layers[row, column])
+    result = layers.copy()
+    result[rows, columns] = total / filled[rows, columns][:, None]
     return result.reshape(raster.shape)
 
 
 def hillshade(height: np.ndarray, cell_m: float) -> np.ndarray:
-    """Light on a relief (rows, columns) [m] from the north-west, 0 to 1; 0.5 where level or unknown.
+    """Light on a relief (rows, columns) [m] from the north-west, float32, 0 to 1; 0.5 where level or unknown.
 
     The relief is exaggerated so that its steeper parts stand at about 45 degrees: it shows form, not slope.
     """
     known = np.isfinite(height)
-    if min(height.shape) < 2:
-        return np.full(height.shape, 0.5)
-    weight = ndimage.gaussian_filter(known.astype(np.float64), 1.0)
-    smooth = ndimage.gaussian_filter(np.where(known, height, 0.0), 1.0) / np.maximum(weight, 1e-9)
+    if min(height.shape) < 2 or not known.any():
+        return np.full(height.shape, 0.5, dtype=np.float32)
+    weight = ndimage.gaussian_filter(known.astype(np.float32), 1.0)
+    # About their mean, heights have all digits in single precision.
+    relief = np.where(known, height - height[known].mean(), 0.0).astype(np.float32)
+    smooth = ndimage.gaussian_filter(relief, 1.0) / np.maximum(weight, 1e-9)
     south, east = np.gradient(smooth, cell_m)
     # Beyond the edge of what is known, the ratio above is meaningless.
     inner = known & (weight > 0.6)
@@ -54,8 +60,18 @@ def hillshade(height: np.ndarray, cell_m: float) -> np.ndarray:
     exaggeration = min(1.0 / steep, 20.0) if steep > 1e-9 else 1.0
     length = np.sqrt(1.0 + (exaggeration * slope) ** 2)
     # Light from the north-west at 45 degrees: east -1/2, north 1/2, up 1/sqrt(2).
-    light = (0.5 * exaggeration * east + 0.5 * exaggeration * south + math.sqrt(0.5)) / length
-    return np.where(inner, np.clip(0.5 + 0.6 * (light - math.sqrt(0.5)), 0.0, 1.0), 0.5)
+    light = (0.5 * exaggeration * (east + south) + math.sqrt(0.5)) / length
+    return np.where(inner, np.clip(0.5 + 0.6 * (light - math.sqrt(0.5)), 0.0, 1.0), np.float32(0.5))
+
+
+def image_of(values: np.ndarray, scale: ScalarMappable) -> np.ndarray:
+    """Values (rows, columns) in the colours of a scale (rows, columns, 4) uint8, transparent where NaN."""
+    image = np.empty((*values.shape, 4), dtype=np.uint8)
+    # Colours of a value take 100 bytes while they are worked out.
+    for first in range(0, len(values), _ROWS):
+        rows = slice(first, first + _ROWS)
+        image[rows] = scale.to_rgba(np.ma.masked_invalid(values[rows]), bytes=True)
+    return image
 
 
 @dataclass(frozen=True)

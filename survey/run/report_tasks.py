@@ -5,6 +5,7 @@ Workers read what they draw from a file, in which the columns of the points are 
 
 from __future__ import annotations
 
+import gc
 import pickle
 import uuid
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -77,6 +78,8 @@ def _draw(picture: Path, code: str) -> Picture:
         with lengths_in_feet(foot):
             return drawings[picture.stem](picture)
     finally:
+        # Figures hold their canvas and it holds them.
+        gc.collect()
         trim_heap()
 
 

@@ -17,6 +17,7 @@ from lazrs import LazrsError
 from pyproj import CRS
 
 from geo import copc
+from geo.columns import ComputedColumn, portions
 from geo.crs import is_geographic, wkt1
 from geo.errors import EmptyCloud, GeoError, UnreadableFile, UnwritableFile
 from geo.files import existing_file, write_whole
@@ -32,7 +33,7 @@ WITHHELD_STD_M = 1.0
 SCALE_LENGTH = 0.001
 SCALE_ANGLE = 1e-8
 # Points that are made into records at a time, of 60 bytes and more each.
-_PORTION = 500_000
+_PORTION = 100_000
 _SUFFIXES = (".las", ".laz")
 
 # laspy logs damage as well; the user sees the error raised below, which names the file.
@@ -48,7 +49,7 @@ def write_cloud(
     depth_m: np.ndarray,
     std_m: np.ndarray,
     num_views: np.ndarray,
-    incidence_deg: np.ndarray,
+    incidence_deg: np.ndarray | ComputedColumn,
     is_wet: np.ndarray,
     std_common_m: np.ndarray | None = None,
     classification: np.ndarray | None = None,
@@ -103,8 +104,7 @@ def write_cloud(
     extra = {
         "depth": depth_m, "std": std_m, "std_common": common, "num_views": num_views, "incidence": incidence_deg,
     }  # fmt: skip
-    classes = classes_of(is_wet) if classification is None else classification
-    _require_sound(points, {"rgb": rgb, "is_wet": classes} | extra)
+    _require_sound(points, {"rgb": rgb, "is_wet": is_wet if classification is None else classification} | extra)
 
     header = _header(points, crs, path)
     add_extra_bytes(header, extra)
@@ -116,7 +116,7 @@ def write_cloud(
         las.return_number[:] = 1
         las.number_of_returns[:] = 1
         las.synthetic[:] = 1
-        las.classification[:] = classes[part]
+        las.classification[:] = classes_of(is_wet[part]) if classification is None else classification[part]
         las.withheld[:] = np.asarray(std_m)[part] > WITHHELD_STD_M
         if user_data is not None:
             las.user_data[:] = user_data[part]
@@ -144,8 +144,8 @@ def _write(records: copc.Records, count: int, header: laspy.LasHeader, path: Pat
                 return
             writer = laspy.open(stream, mode="w", header=header, do_compress=compress, closefd=False)
             with writer:
-                for first in range(0, max(count, 1), _PORTION):
-                    points = records(slice(first, first + _PORTION)).points
+                for part in portions(max(count, 1), _PORTION):
+                    points = records(part).points
                     writer.write_points(points)
                     for values in (points.X, points.Y, points.Z):
                         sums.add(np.asarray(values, dtype=np.int32))
@@ -166,9 +166,10 @@ def _require_sound(points: np.ndarray, others: dict) -> None:
         raise ValueError(f"expected points of shape (N, 3), got {points.shape}")
     for name, values in others.items():
         expected = points.shape if name == "rgb" else points.shape[:1]
-        if np.shape(values) != expected:
-            raise ValueError(f"{name} has shape {np.shape(values)}, expected {expected}")
-    bad = int((~np.isfinite(points).all(axis=1)).sum())
+        shape = np.shape(values) if isinstance(values, np.ndarray) else (len(values),)
+        if shape != expected:
+            raise ValueError(f"{name} has shape {shape}, expected {expected}")
+    bad = sum(int((~np.isfinite(points[part]).all(axis=1)).sum()) for part in portions(len(points), _PORTION))
     if bad:
         raise ValueError(f"{bad} of {len(points)} points have coordinates that are not finite; leave them out")
 

@@ -12,6 +12,7 @@ from pyproj import CRS
 from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError
 
+from geo.columns import ComputedColumn, portions
 from geo.crs import has_height, horizontal_crs
 from geo.stated import checked_height_unit, unit_of_code, with_height_unit
 
@@ -148,7 +149,7 @@ def _crs_of_keys(table: GeoKeyDirectoryVlr) -> CRS:
     return CompoundCRS(f"{crs.name} + {vertical.name}", [crs, vertical])
 
 
-def add_extra_bytes(header: laspy.LasHeader, values: dict[str, np.ndarray]) -> None:
+def add_extra_bytes(header: laspy.LasHeader, values: dict[str, np.ndarray | ComputedColumn]) -> None:
     """Declare `EXTRA_BYTES` in a header, for values (N,) by name.
 
     Notes
@@ -158,14 +159,23 @@ def add_extra_bytes(header: laspy.LasHeader, values: dict[str, np.ndarray]) -> N
     """
     descriptors = []
     for name, dtype, description in EXTRA_BYTES:
-        raw = np.asarray(values[name])
         header.add_extra_dim(laspy.ExtraBytesParams(name, dtype, description))
-        descriptors.append(_descriptor(name, dtype, description, raw[np.isfinite(raw)].astype(dtype)))
+        descriptors.append(_descriptor(name, dtype, description, _range(values[name], dtype)))
     header.vlrs.extract("ExtraBytesVlr")
     header.vlrs.append(laspy.VLR("LASF_Spec", 4, "Extra Bytes Record", b"".join(descriptors)))
 
 
-def stored_extra(values: dict[str, np.ndarray], part: slice | np.ndarray) -> dict[str, np.ndarray]:
+def _range(values: np.ndarray | ComputedColumn, dtype: np.dtype) -> np.ndarray:
+    """Lowest and highest (2,) of values (N,), as they are stored; (0,) where all are "no data"."""
+    ends = []
+    for part in portions(len(values)):
+        raw = np.asarray(values[part])
+        known = raw[np.isfinite(raw)].astype(dtype)
+        ends += [known.min(), known.max()] if len(known) else []
+    return np.array([min(ends), max(ends)] if ends else [], dtype=dtype)
+
+
+def stored_extra(values: dict[str, np.ndarray | ComputedColumn], part: slice | np.ndarray) -> dict[str, np.ndarray]:
     """A part of values (N,), by name, as they are to be stored."""
     found = {}
     for name, dtype, _ in EXTRA_BYTES:
@@ -175,7 +185,7 @@ def stored_extra(values: dict[str, np.ndarray], part: slice | np.ndarray) -> dic
 
 
 def _descriptor(name: str, dtype: np.dtype, description: str, known: np.ndarray) -> bytes:
-    """Descriptor of 192 bytes of an extra byte; ``known`` are the values that are not "no data"."""
+    """Descriptor of 192 bytes of an extra byte; ``known`` holds the lowest and highest value that is not "no data"."""
     is_float = dtype.kind == "f"
     code, slot, number = (9, "<d", float) if is_float else (3, "<Q", int)
     low, high = (number(known.min()), number(known.max())) if len(known) else (number(0), number(0))

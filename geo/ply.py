@@ -16,13 +16,13 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from pyproj import CRS
 
+from geo.columns import portions
 from geo.crs import crs_code
 from geo.errors import UnreadableFile
 from geo.files import existing_file, write_whole
@@ -96,7 +96,7 @@ def write_ply(
         lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
     with write_whole(path) as stream:
         stream.write("\n".join([*lines, "end_header", ""]).encode())
-        for rows in _portions(len(points)):
+        for rows in portions(len(points), _PORTION):
             table = np.empty(len(points[rows]), dtype=fields)
             for values, names in ((points[rows].T, "xyz"), (np.asarray(rgb[rows], dtype=np.uint8).T, _COLOURS)):
                 for column, name in zip(values, names, strict=True):
@@ -106,14 +106,10 @@ def write_ply(
             stream.write(table.view(np.uint8).data)
         if faces is None:
             return
-        for rows in _portions(len(faces)):
+        for rows in portions(len(faces), _PORTION):
             triangles = np.empty(len(faces[rows]), dtype=[("corners", "u1"), ("vertices", "<i4", 3)])
             triangles["corners"], triangles["vertices"] = 3, faces[rows]
             stream.write(triangles.view(np.uint8).data)
-
-
-def _portions(count: int) -> Iterator[slice]:
-    return (slice(first, first + _PORTION) for first in range(0, count, _PORTION))
 
 
 def _crs_comments(crs: CRS | None) -> list[str]:

@@ -20,7 +20,7 @@ from geo.compatibility import crs_difference
 from geo.crs import has_height
 from geo.errors import UnwritableFile
 
-_PORTION = 500_000
+_PORTION = 100_000
 # Tolerance of the transform, in cells: some formats store it in decimals.
 _SAME_CELL = 1e-6
 

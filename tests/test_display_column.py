@@ -5,15 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from survey.display import column
-from survey.display.column import ColumnStatistics, ComputedColumn
+from geo import columns
+from geo.columns import ComputedColumn
+from survey.display.column import ColumnStatistics
 
 KINDS = [np.float16, np.float32, np.float64, np.uint8, np.int64]
 
 
 @pytest.fixture(autouse=True)
 def small_portions(monkeypatch):
-    monkeypatch.setattr(column, "_PORTION", 37)
+    monkeypatch.setattr(columns, "_PORTION", 37)
 
 
 @pytest.mark.parametrize("kind", KINDS)

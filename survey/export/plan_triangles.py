@@ -11,6 +11,8 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
+from geo.columns import portions
+
 # Points that are read at a time, and those of a band of rows: 60 bytes each while they are sorted.
 _PORTION, _POINTS_OF_BAND = 200_000, 2_000_000
 # Vertices of a band, of which Qhull takes 0.4 kB each.
@@ -37,7 +39,7 @@ def most_certain(points: np.ndarray, std: np.ndarray, cell_m: float, of_band: in
     low = points[:, :2].min(axis=0)
     rows, columns = (int(np.floor((points[:, axis].max() - low[axis]) / cell_m)) + 1 for axis in (1, 0))
     count, ends = np.zeros(rows, dtype=np.int64), []
-    for part in _portions(len(points)):
+    for part in portions(len(points), _PORTION):
         row = _cell(points[part, 1], low[1], cell_m)
         count += np.bincount(row, minlength=rows)
         ends.append((part, row.min(), row.max()))
@@ -99,10 +101,6 @@ def triangles(
             faces = faces[~doubtful]
         found.append((faces + begin).astype(np.int32))
     return np.concatenate(found)
-
-
-def _portions(count: int) -> Iterator[slice]:
-    return (slice(first, min(first + _PORTION, count)) for first in range(0, count, _PORTION))
 
 
 def _cell(values: np.ndarray, low: float, cell_m: float) -> np.ndarray:

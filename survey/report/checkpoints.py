@@ -10,8 +10,9 @@ from scipy.spatial import cKDTree
 
 from evaluation import height_at
 from evaluation.standards import TVU, order_by_tvu
+from geo.columns import ComputedColumn, portions
 from survey.control.points import Checkpoint, ControlPoint
-from survey.display.column import ColumnStatistics, ComputedColumn, portions
+from survey.display.column import ColumnStatistics
 from survey.display.quantities import count, length, named, share
 from survey.folder.survey import Survey
 from survey.report.blocks import Block, Rows, Text

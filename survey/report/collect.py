@@ -10,11 +10,12 @@ import numpy as np
 from pyproj import CRS
 
 from evaluation import DistanceStatistics, apparent_points, distance_statistics, per_camera, times_index
+from geo.columns import ComputedColumn
 from geo.crs import crs_code
 from refract import FlatWater, crossing_point, water_index
 from refract.media import USUAL_SALINITY_PSU, USUAL_TEMPERATURE_C
 from survey.adjust.result.adjustment import Status
-from survey.display.column import ColumnStatistics, ComputedColumn
+from survey.display.column import ColumnStatistics
 from survey.display.plan_grid import PlanGrid
 from survey.files.json_values import plain
 from survey.folder.motion import shutter_text

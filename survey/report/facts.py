@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from geo.columns import ComputedColumn
 from survey.adjust.result.adjustment import Adjustment
-from survey.display.column import ComputedColumn
 from survey.display.quantities import height
 from survey.folder.survey import Survey
 from survey.photos.exif import Exif

@@ -17,6 +17,7 @@ import numpy as np
 
 from fields.sweep.maps import HeightMap
 from fields.sweep.photo_consistency import Consistency
+from geo.columns import ComputedColumn
 from geo.e57 import write_e57
 from geo.files import reporting_disk_errors
 from geo.las import write_cloud
@@ -49,7 +50,7 @@ from survey.run.stage_solver import SIGHTINGS
 from survey.run.stage_sweep import CONSISTENCY, MAPS, SATURATED
 from survey.run.stored import StoredBed, load_bed
 from survey.run.stored_maps import Stored
-from survey.run.worker_task import loaded_code, require_code
+from survey.run.worker_task import forget_jobs, loaded_code, require_code
 
 if TYPE_CHECKING:
     from survey.run.workers import Workers
@@ -69,7 +70,7 @@ def write_bed_las(path: Path, stored: StoredBed, classification: np.ndarray | No
         depth_m=bed.depth,
         std_m=bed.std,
         num_views=bed.num_views,
-        incidence_deg=np.degrees(bed.incidence),
+        incidence_deg=ComputedColumn(np.degrees, bed.incidence),
         is_wet=bed.wet,
         std_common_m=stored.std_common,
         classification=classification,
@@ -125,6 +126,7 @@ def write_products(finished: FinishedRun, workers: Workers | None = None) -> Run
             written: Callable[[], None] = pool.submit(write_bed_las, cloud, stored).result
             draw: Draw = draw_pictures
         else:
+            workers.on_each(forget_jobs)
             place = scratch.absolute() / f"cloud-{uuid.uuid4().hex}.las"
             under_way = workers.submit(_write_cloud, place, bed.absolute(), loaded_code())
             written = cache(lambda: _move(under_way(), cloud))

@@ -23,7 +23,7 @@ from survey.display.quantities import foot_m, lengths_in_feet
 from survey.report.facts import ReportFacts
 from survey.report.pictures import drawings_of
 from survey.report.raster import Picture
-from survey.run.worker_task import forget_jobs, loaded_code, require_code, with_absolute_paths
+from survey.run.worker_task import loaded_code, require_code, with_absolute_paths
 
 if TYPE_CHECKING:
     from survey.run.workers import Workers
@@ -48,7 +48,6 @@ def draw_on(workers: Workers, scratch: Path, folder: Path, facts: ReportFacts) -
     sent.__dict__["checkpoints"] = facts.checkpoints
     with write_whole(place / _FACTS) as stream:
         _Pickler(stream).dump(sent)
-    workers.on_each(forget_jobs)
     under_way = [workers.submit(_draw, place / f"{name}.png", code) for name in names]
     return _moved(under_way, folder, workers)
 

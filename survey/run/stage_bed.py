@@ -22,10 +22,11 @@ from fields.sweep.bed import BedPoints, unique_pixels
 from fields.sweep.maps import HeightMap
 from fields.sweep.overhangs import without_ghosts
 from fields.sweep.views import Footprint
+from geo.columns import portions
 from refract import FlatWater, PinholeCamera, kernels
 from refract.curved import BicubicWater
 from survey.adjust.result.std_common import BASIS_ADJUSTED, BASIS_STATED, std_common
-from survey.display.column import ColumnStatistics, portions
+from survey.display.column import ColumnStatistics
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.plan.sweep_block import backend

@@ -25,8 +25,8 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 from pyproj import CRS
 
+from geo.columns import ComputedColumn
 from geo.files import reporting_disk_errors, write_whole
-from survey.display.column import ComputedColumn
 from survey.errors import SurveyError
 
 if TYPE_CHECKING:

@@ -26,13 +26,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
+from geo.columns import portions
 from refract import FlatWater
 from survey.adjust.block.observed import original_rows
 from survey.adjust.block.prediction import linearise
 from survey.adjust.block.priors import EXACT_STD_DEG, EXACT_STD_M, parameters_of, prior_of
 from survey.adjust.block.state import NUM_RELIEF, NUM_WATER, Layout, State
 from survey.adjust.result.adjustment import Adjustment
-from survey.display.column import portions
 from survey.photos.poses import TiePoints, least_track
 
 if TYPE_CHECKING:

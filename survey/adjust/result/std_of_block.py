@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import ndimage
 
+from geo.columns import portions
 from refract import FlatWater
 from survey.adjust.result.adjustment import Adjustment, Residuals
 from survey.adjust.result.std_common import (
@@ -31,7 +32,6 @@ from survey.adjust.result.std_common import (
     places_of,
     seen_places,
 )
-from survey.display.column import portions
 from survey.display.quantities import length
 from survey.photos.poses import connected_parts
 

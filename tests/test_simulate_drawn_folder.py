@@ -51,6 +51,22 @@ def test_a_finished_folder_is_left_alone_until_told_and_keeps_what_is_not_of_it(
     assert [p.name for p in tmp_path.iterdir()] == ["survey"]
 
 
+@pytest.mark.parametrize("renamed", [1, 2])
+def test_files_of_the_user_come_back_after_a_run_was_killed_while_it_replaced_a_survey(tmp_path, renamed):
+    path, old = tmp_path / "survey", tmp_path / ".survey.part" / "old"
+    draw_survey(path, FEW)
+    (path / "bathynerf").mkdir()
+    (path / "bathynerf" / "cloud.las").write_text("a run")
+    old.parent.mkdir()
+    path.rename(old)
+    if renamed == 2:
+        draw_survey(tmp_path / "new", FEW)
+        (tmp_path / "new").rename(path)
+    draw_survey(path, FEW if renamed == 2 else dataclasses.replace(FEW, seed=5))
+    assert (path / "bathynerf" / "cloud.las").read_text() == "a run"
+    assert not old.exists()
+
+
 def test_a_change_of_any_file_of_the_simulator_draws_the_survey_anew(tmp_path, monkeypatch):
     code = tmp_path / "simulate"
     for place in (".", "drawn", "render"):

@@ -186,6 +186,8 @@ def write_survey(
         If the folder holds something that was not simulated here.
     """
     folder, mark = Path(folder), _mark(settings)
+    work = folder.absolute().parent / f".{folder.absolute().name}.part"
+    _put_back(folder, work)
     marker = folder / MARKER
     if marker.is_file():
         if not again and marker.read_text(encoding="utf-8") == mark:
@@ -194,7 +196,6 @@ def write_survey(
         raise SurveyError(
             f"{folder} is not empty and was not simulated here (no {MARKER} in it); give another folder or empty it"
         )
-    work = folder.absolute().parent / f".{folder.absolute().name}.part"
     started = work / MARKER
     if again or not started.is_file() or started.read_text(encoding="utf-8") != mark:
         shutil.rmtree(work, ignore_errors=True)
@@ -218,9 +219,6 @@ def _mark(settings: dict) -> str:
 def _replace(folder: Path, work: Path) -> None:
     """Replace `folder` by work/new, and move files that were not simulated back into it."""
     new, old = work / "new", work / "old"
-    # Left by an earlier run that was killed between the two renames.
-    if old.exists() and not folder.exists():
-        old.rename(folder)
     if folder.exists():
         folder.rename(old)
     try:
@@ -229,10 +227,22 @@ def _replace(folder: Path, work: Path) -> None:
         if old.exists():
             old.rename(folder)
         raise
-    if old.exists():
-        for entry in old.iterdir():
-            if not (folder / entry.name).exists():
-                entry.rename(folder / entry.name)
+    _put_back(folder, work)
+
+
+def _put_back(folder: Path, work: Path) -> None:
+    """Move files out of work/old into `folder`: now, or after a run that was killed before it could."""
+    old = work / "old"
+    if not old.exists():
+        return
+    if not folder.exists():
+        old.rename(folder)
+        return
+    for entry in list(old.iterdir()):
+        if not (folder / entry.name).exists():
+            entry.rename(folder / entry.name)
+    # The rest are the simulated files that were replaced.
+    shutil.rmtree(old)
 
 
 def _write(folder: Path, scene: StagedScene, progress: Progress) -> None:

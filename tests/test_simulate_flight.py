@@ -15,7 +15,7 @@ from refract.lens import Lens
 from survey.display.palette import OBLIQUE
 from survey.errors import SurveyError
 from survey.simulate.flight.coverage import SYSTEMATIC_PX, coverage, picture
-from survey.simulate.flight.patterns import FlightSettings, Site, plan_flight
+from survey.simulate.flight.patterns import PATTERNS, FlightSettings, Site, plan_flight
 
 LENS = Lens("PINHOLE", (1750.0, 1750.0, 512.0, 384.0), 1024, 768)
 WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.333)
@@ -161,6 +161,12 @@ def test_flights_deviate_by_chance_alike_for_the_same_seed():
 def test_flights_that_cannot_be_are_refused_with_the_mend(changes, named):
     with pytest.raises(SurveyError, match=named):
         fly(**changes)
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_an_area_in_wrong_units_is_refused_before_its_stations_are_computed(pattern):
+    with pytest.raises(SurveyError, match="more than 5000 photographs"):
+        fly(Site((676120e3, 5311480e3), 3.5, WATER), patterns=(pattern,), ring_views=10**12)
 
 
 def test_a_view_of_the_horizon_is_refused():

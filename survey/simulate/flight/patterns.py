@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 
@@ -75,25 +77,32 @@ def plan_flight(flight: FlightSettings, lens: Lens, site: Site, seed: int) -> li
             f"{math.degrees(half_down):.1f} degrees; give a smaller tilt or a longer focal length"
         )
     height = site.flying_height(flight, lens.focal[0])
-    heading, tilt = math.radians(flight.heading_deg), math.radians(flight.tilt_deg)
-    poses = []
-    for pattern in flight.patterns:
-        if pattern == "nadir":
-            poses += [(x, y, 0.0, turn) for x, y, turn in _strips(flight, lens, site, height)]
-        elif pattern == "five":
-            for x, y, turn in _strips(flight, lens, site, height):
-                poses += [(x, y, 0.0, turn)] + [(x, y, tilt, turn + k * 0.5 * math.pi) for k in range(4)]
-        elif pattern == "oblique":
-            poses += _rings(flight, site, height)
-        else:
-            poses += _outer(flight, lens, site, height, heading)
+    # No more than tell that they are too many: an area in wrong units has billions.
+    poses = list(islice(_poses(flight, lens, site, height), _MOST_VIEWS + 1))
     if not 3 <= len(poses) <= _MOST_VIEWS:
+        found = str(len(poses)) if len(poses) < 3 else f"more than {_MOST_VIEWS}"
         raise SurveyError(
-            f"the flight has {len(poses)} photographs, expected 3 to {_MOST_VIEWS}; change the overlaps, the height or "
+            f"the flight has {found} photographs, expected 3 to {_MOST_VIEWS}; change the overlaps, the height or "
             "the area"
         )
     shakes = flight.wobble * np.random.default_rng([seed, 1]).standard_normal((len(poses), 6))
     return [_camera(pose, site.level, lens, height, shake) for pose, shake in zip(poses, shakes, strict=True)]
+
+
+def _poses(flight: FlightSettings, lens: Lens, site: Site, height: float) -> Iterator[Pose]:
+    """Exposure stations of all patterns, one pattern after the other."""
+    heading, tilt = math.radians(flight.heading_deg), math.radians(flight.tilt_deg)
+    for pattern in flight.patterns:
+        if pattern == "nadir":
+            yield from ((x, y, 0.0, turn) for x, y, turn in _strips(flight, lens, site, height))
+        elif pattern == "five":
+            for x, y, turn in _strips(flight, lens, site, height):
+                yield x, y, 0.0, turn
+                yield from ((x, y, tilt, turn + k * 0.5 * math.pi) for k in range(4))
+        elif pattern == "oblique":
+            yield from _rings(flight, site, height)
+        else:
+            yield from _outer(flight, lens, site, height, heading)
 
 
 def _footprint(lens: Lens, site: Site, height: float) -> tuple[float, float]:
@@ -108,8 +117,8 @@ def _footprint(lens: Lens, site: Site, height: float) -> tuple[float, float]:
     return sizes[0], sizes[1]
 
 
-def _strips(flight: FlightSettings, lens: Lens, site: Site, height: float) -> list[tuple[float, float, float]]:
-    """x, y [m] and heading [rad] along strips, to and fro, over the whole area."""
+def _strips(flight: FlightSettings, lens: Lens, site: Site, height: float) -> Iterator[tuple[float, float, float]]:
+    """x, y [m] and heading [rad] of nadir views in parallel strips over the whole area, flown back and forth."""
     heading = math.radians(flight.heading_deg)
     ahead, aside = _axes(heading)
     long, wide = _extent(site, ahead), _extent(site, aside)
@@ -117,19 +126,16 @@ def _strips(flight: FlightSettings, lens: Lens, site: Site, height: float) -> li
     step, gap = along * (1.0 - flight.forward_overlap), across * (1.0 - flight.side_overlap)
     num_strips = max(math.ceil(wide / gap) + 1, 1)
     num_views = max(math.ceil(long / step) + 1, 1)
-    places = []
     for strip in range(num_strips):
         b = (strip - 0.5 * (num_strips - 1)) * gap
         order = range(num_views) if strip % 2 == 0 else reversed(range(num_views))
         for view in order:
             x, y = (view - 0.5 * (num_views - 1)) * step * ahead + b * aside
-            places.append((float(x), float(y), heading + math.pi * (strip % 2)))
-    return places
+            yield float(x), float(y), heading + math.pi * (strip % 2)
 
 
-def _rings(flight: FlightSettings, site: Site, height: float) -> list[Pose]:
+def _rings(flight: FlightSettings, site: Site, height: float) -> Iterator[Pose]:
     """x, y [m], tilt and heading [rad] of views from all around at the point of interest."""
-    poses = []
     tilts = flight.ring_tilts_deg or (flight.tilt_deg,)
     for ring, tilt_deg in enumerate(tilts):
         tilt = math.radians(tilt_deg)
@@ -138,18 +144,16 @@ def _rings(flight: FlightSettings, site: Site, height: float) -> list[Pose]:
             # Rings are turned against each other, so that no two views look from the same side.
             heading = 2.0 * math.pi * (view + ring / len(tilts)) / flight.ring_views
             x, y = np.array(flight.target) - reach * _axes(heading)[0]
-            poses.append((float(x), float(y), tilt, heading))
-    return poses
+            yield float(x), float(y), tilt, heading
 
 
-def _outer(flight: FlightSettings, lens: Lens, site: Site, height: float, heading: float) -> list[Pose]:
+def _outer(flight: FlightSettings, lens: Lens, site: Site, height: float, heading: float) -> Iterator[Pose]:
     """x, y [m], tilt and heading [rad] of strips outside the four sides that look at the area's border."""
     tilt = math.radians(flight.tilt_deg)
     reach = (height + site.apparent_depth) * math.tan(tilt)
     # The footprint of an oblique view widens with distance; that of its middle row counts.
     across = _footprint(lens, site, height)[0] / math.cos(tilt)
     step = across * (1.0 - flight.forward_overlap)
-    poses = []
     for side in range(4):
         inward = heading + 0.5 * math.pi * side
         ahead, aside = _axes(inward)
@@ -159,8 +163,7 @@ def _outer(flight: FlightSettings, lens: Lens, site: Site, height: float, headin
         for view in range(num_views):
             # From right to left, so that the next side begins where this one ends.
             x, y = start - (view - 0.5 * (num_views - 1)) * step * aside
-            poses.append((float(x), float(y), tilt, inward))
-    return poses
+            yield float(x), float(y), tilt, inward
 
 
 def _camera(pose: Pose, level: float, lens: Lens, height: float, shake: np.ndarray) -> PinholeCamera:

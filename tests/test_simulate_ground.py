@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 from scene_files import SCENE, scene_file, staged, write_mesh
 
+from geo.errors import GeoError
 from refract import FlatWater
 from survey.errors import SurveyError
 from survey.simulate.ground.ground import NOTHING, Ground, Material, shade_of_normals
@@ -153,5 +154,5 @@ def test_a_bed_in_another_crs_or_without_faces_is_refused(tmp_path):
     bed = staged(scene_file(tmp_path, kind='kind = "cloud"\nfile = "here.las"')).renderer.ground.bed
     # Heights of crs lie 1.2 m under the origin; millimetres are what LAS holds.
     assert bed.height(0.0, 0.0) == pytest.approx(-1.2, abs=1e-3)
-    with pytest.raises(SurveyError, match=r"another crs than the scene.*UTM zone 33N"):
+    with pytest.raises(GeoError, match=r"the scene and .*there.las are in different.*UTM zone 33N"):
         staged(scene_file(tmp_path, kind='kind = "cloud"\nfile = "there.las"'))

@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 from scene_files import SCENE, scene_file, staged, write_mesh
 
+from geo.crs import parse_crs
+from geo.errors import GeoError
+from geo.ply import write_ply
 from survey.simulate.scene_file import read_scene
 from survey.simulate.staging.planning import plan_scene
 from survey.simulate.staging.simulate import light_of
@@ -32,6 +35,8 @@ EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
      ({"focal_px": 'focal_px = 160.0\nmodel = "OPENCV"'}, "expected 4 for OPENCV: k1, k2, p1, p2"),
      ({"slope_north": "refractive_index = 2.4"}, "expected 1.0 to 1.6"),
      ({"mode": 'mode = "fast"'}, "expected one of direct, physical"),
+     ({"noise": "noise = -1.0"}, "sensor.noise is -1, expected zero or more"),
+     ({"noise": "exposure = 0.0"}, "sensor.exposure is 0, expected a number above zero"),
      ({"[area]": "[area"}, "not valid TOML")],
 )  # fmt: skip
 def test_what_is_wrong_in_a_scene_file_is_named_with_the_mend(tmp_path, change, named):
@@ -83,3 +88,11 @@ def test_a_measured_surface_is_laid_through_its_points(tmp_path):
     np.testing.assert_allclose(
         scene.cameras[0].project(hits.points, scene.water), [[30.0, 30.0], [70.0, 20.0]], atol=1e-6
     )
+
+
+def test_a_measured_surface_in_another_crs_is_refused(tmp_path):
+    points = np.array([[676100.0, 5311460.0, 584.2], [676140.0, 5311460.0, 584.2], [676120.0, 5311500.0, 584.2]])
+    there = parse_crs("EPSG:25833+7837")
+    write_ply(tmp_path / "surface.ply", points, rgb=np.zeros((3, 3), np.uint8), scalars={}, crs=there)
+    with pytest.raises(GeoError, match=r"the scene and .*surface.ply are in different.*UTM zone 33N"):
+        staged(scene_file(tmp_path, slope_north='heights = "surface.ply"'))

@@ -209,7 +209,10 @@ class SensorSettings:
     shutter_s: float | None = None  # open for so long, at flight.speed_m_s: instead of blur_m
 
     def __post_init__(self):
-        require_positive("sensor", shutter_s=self.shutter_s)
+        require_positive("sensor", shutter_s=self.shutter_s, exposure=self.exposure)
+        for name in ("noise", "photons_at_white", "exposure_drift", "blur_m"):
+            if getattr(self, name) < 0.0:
+                raise ConfigError(f"sensor.{name} is {getattr(self, name):g}, expected zero or more")
         if self.shutter_s is not None and self.blur_m != 0.0:
             raise ConfigError("sensor.shutter_s and sensor.blur_m say the same; keep one")
 

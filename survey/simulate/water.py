@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geo import read_reference
+from geo import read_reference, require_same_crs
 from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from geo.shapes import in_height_unit, vertices_of
@@ -66,9 +66,11 @@ def measured(path: Path, frame: LocalFrame, n_water: float) -> HeightFieldWater:
     Raises
     ------
     SurveyError, GeoError
-        If no surface can be fitted through them.
+        If the file is in another CRS than the scene, or no surface can be fitted through its points.
     """
-    shape = in_height_unit(read_reference(path), height_unit_m(frame.crs))
+    shape = read_reference(path)
+    require_same_crs(frame.crs, shape.crs, "the scene", str(path))
+    shape = in_height_unit(shape, height_unit_m(frame.crs))
     points = frame.local_from_crs(vertices_of(shape))
     try:
         return HeightFieldWater.from_points(points[:, :2], points[:, 2], n_water=n_water)

@@ -18,7 +18,7 @@ from scipy.sparse import coo_matrix
 from scipy.spatial import Delaunay
 
 from fields.image_store import GAMMA
-from geo import Cloud, LocalFrame, Mesh, crs_difference, read_reference
+from geo import Cloud, LocalFrame, Mesh, read_reference, require_same_crs
 from geo.crs import height_unit_m
 from geo.shapes import excluded_points, in_height_unit, masked_cloud
 from refract import PinholeCamera
@@ -167,9 +167,7 @@ def bed_from_file(path: Path, settings: BedSettings, frame: LocalFrame) -> tuple
 
 
 def _in_local(points: np.ndarray, crs: CRS | None, path: Path, frame: LocalFrame) -> np.ndarray:
-    difference = crs_difference(crs, frame.crs) if crs is not None else None
-    if difference is not None:
-        raise SurveyError(f"{path} is in another crs than the scene ({difference}); transform it, or give its crs")
+    require_same_crs(frame.crs, crs, "the scene", str(path))
     points = frame.local_from_crs(points)
     if not np.isfinite(points).all():
         raise SurveyError(

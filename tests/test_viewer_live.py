@@ -57,6 +57,20 @@ def test_points_of_a_map_lie_where_its_heights_are(tmp_path, scale):
     assert len(load_flight(tmp_path / LIVE).views) == len(survey.views)
 
 
+def test_a_viewer_goes_on_when_another_one_of_the_run_closes(tmp_path, server):
+    with RunDir(tmp_path / "run"):
+        pass
+    first, second = (LiveRun(RunDir(tmp_path / "run"), server) for _ in range(2))
+    second.close()
+    assert first.look() == 0
+    assert (tmp_path / "run" / LIVE).is_dir()
+    # A map that is gone before it is read.
+    (tmp_path / "run" / LIVE / "sweep-0.npz").symlink_to("nowhere")
+    first._cameras = SimpleNamespace()
+    assert first.look() == 0
+    first.close()
+
+
 @pytest.mark.slow
 def test_maps_are_shown_as_they_come_and_change_nothing(tmp_path, server):
     alone, watched = drawn(tmp_path / "alone"), drawn(tmp_path / "watched")

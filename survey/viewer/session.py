@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock, Thread
@@ -51,7 +52,7 @@ _SIZE_SHARE = 0.002
 
 
 class LiveRun:
-    """The maps of a run without a result, on a server; the run is asked to show them from here on."""
+    """The maps of a run without a result, on a server. `process` writes them for viewers while the folder exists."""
 
     def __init__(self, run: RunDir, server: viser.ViserServer):
         self._run, self._server, self._folder = run, server, run.path / LIVE
@@ -70,13 +71,19 @@ class LiveRun:
 
     def look(self) -> int:
         """Show the maps that have come or changed since the last look; their number."""
+        # Another viewer of the run removes the folder when it closes.
+        with suppress(OSError):
+            self._folder.mkdir(exist_ok=True)
         if self._cameras is None and (self._folder / FLIGHT).is_file():
             self._show_cameras()
         if self._cameras is None:
             return 0
         fresh = 0
         for path in sorted(self._folder.glob("*.npz")):
-            stamp = path.stat().st_mtime_ns
+            try:
+                stamp = path.stat().st_mtime_ns
+            except FileNotFoundError:
+                continue
             if self._stamps.get(path) != stamp:
                 self._stamps[path] = stamp
                 self._show(path)

@@ -13,13 +13,13 @@ from small_survey import small_survey
 
 from geo.errors import GeoError
 from refract import FlatWater
-from survey.errors import OutputError
+from survey.errors import OutputError, SurveyError
 from survey.files.outputs import ReadFiles
 from survey.folder.survey import load_survey
 from survey.viewer.layers import OnDemand, grid_faces
 from survey.viewer.page import require_page, thinned, write_page
 from survey.viewer.sightings import DISTANCE, RAYS, SLICE, distance_between, facts_of
-from survey.viewer.slices import ReferenceSlice, load_reference, picture_of, slice_of
+from survey.viewer.slices import LocalReference, load_reference, picture_of, slice_of
 from survey.viewer.tree import build_tree
 
 RAISED_M = 0.04
@@ -52,7 +52,7 @@ def test_errors_are_distances_below_a_raised_plane(shown):
 def test_a_reference_of_points_is_looked_up_between_them():
     x, y = (v.ravel() for v in np.meshgrid(np.arange(40) * 0.25, np.arange(40) * 0.25))
     plane = np.column_stack([x, y, 0.1 * x])
-    reference = ReferenceSlice(None, plane, None)
+    reference = LocalReference(None, plane, None)
     places = np.array([[3.1, 4.2, 5.0], [8.03, 1.9, -5.0], [-30.0, 0.0, 0.0]])
     np.testing.assert_allclose(reference.heights(places)[:2], 0.1 * places[:2, 0], atol=1e-9)
     np.testing.assert_allclose(reference.errors(places)[:2], places[:2, 2] - 0.1 * places[:2, 0], atol=1e-9)
@@ -107,9 +107,9 @@ def test_the_facts_of_a_point_are_those_of_the_cloud(shown):
     east, north, height = shown.flight.frame.crs_from_local(shown.tree.points[row][None])[0]
     assert (float(facts["easting"]), float(facts["northing"])) == pytest.approx((east, north), abs=6e-4)
     assert float(facts["height"]) == pytest.approx(height, abs=6e-4)
-    assert facts["error to the reference"] == "−40.0\u00a0mm"
+    assert facts["distance to the reference"] == "−40.0\u00a0mm"
     assert distance_between(np.zeros(3), np.array([3.0, 4.0, -12.0])) == [
-        ("distance", "13.00\u00a0m"), ("in plan", "5.000\u00a0m"), ("height", "−12.00\u00a0m"),
+        ("distance", "13.00\u00a0m"), ("in plan", "5.000\u00a0m"), ("height difference", "−12.00\u00a0m"),
     ]  # fmt: skip
 
 
@@ -162,6 +162,25 @@ def test_a_layer_is_made_once_and_when_it_is_asked_for(session):
     layer.show(False)
     layer.show(True)
     assert made == [1]
+
+
+def test_a_layer_that_cannot_be_computed_is_told_in_the_browser_and_tried_again():
+    said, made = [], []
+
+    def notify(*words, **_):
+        said.append(words)
+        return SimpleNamespace(remove=lambda: None)
+
+    def make():
+        made.append(1)
+        raise SurveyError("the cloud has no surface")
+
+    server = SimpleNamespace(get_clients=lambda: {0: SimpleNamespace(add_notification=notify)})
+    layer = OnDemand(server, "mesh", make)
+    layer.show(True)
+    layer.show(False)
+    layer.show(True)
+    assert said.count(("mesh", "the cloud has no surface")) == len(made) == 2
 
 
 @pytest.mark.parametrize("most", [10**9, 9000, 500])

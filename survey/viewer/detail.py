@@ -22,7 +22,7 @@ NODE = "/cloud/{}"
 
 @dataclass(frozen=True)
 class Style:
-    """Style of the points."""
+    """How points are drawn: colours, size, visibility."""
 
     kind: str = "colour"  # A column of `Shown`, or ``colour``
     limits: tuple[float, float] | None = None  # (low, high) or None: values of the first and the last colour
@@ -42,9 +42,9 @@ def viewpoint_of(camera: viser.CameraHandle) -> Viewpoint:
 
 
 def node_arrays(shown: Shown, node: int, style: Style) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Middle (3,) float64, points from there (K, 3) float16 and colours (K, 3) uint8 of a node.
+    """Middle (3,) float64, points relative to it (K, 3) float16 and colours (K, 3) uint8 of a node.
 
-    Half precision is off by 2048th of the half side at most, a thirtieth of the spacing of a node's points.
+    float16 rounds by at most 1/2048 of half the side, a thirtieth of the spacing of a node's points.
     """
     rows = shown.tree.rows(node)
     points = shown.tree.points[rows]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geo.errors import GeoError
 from survey.display.quantities import count, number
 from survey.errors import SurveyError
 from survey.photos.cameras import View
@@ -17,7 +18,7 @@ from survey.progress import current
 from survey.viewer.detail import Style, viewpoint_of
 from survey.viewer.shown import SCALES, Shown, TrainedField
 from survey.viewer.sightings import thumbnail
-from survey.viewer.slices import ReferenceSlice
+from survey.viewer.slices import LocalReference
 
 if TYPE_CHECKING:
     import viser
@@ -29,8 +30,7 @@ _CAMERA = (34, 48, 60)
 _CAMERA_SHARE = 0.04
 # Initial viewpoint, relative to the middle of the cloud, in units of its extent.
 _FROM = np.array([0.0, -0.55, 0.6])
-# Cells of a terrain model and of a mesh along the extent of the cloud, for a number of triangles that browsers can
-# draw.
+# Most cells of a terrain model and of a mesh along the extent of the cloud: triangles that browsers can draw.
 _MOST_CELLS = 500
 # A cell has this many ground sampling distances at least: some points, so that few are empty.
 _CELL_GSD = 2.0
@@ -193,7 +193,7 @@ def coloured_mesh(server: viser.ViserServer, name: str, parts: tuple[np.ndarray,
     return server.scene.add_mesh_trimesh(name, made, cast_shadow=False, receive_shadow=False)
 
 
-def reference_node(server: viser.ViserServer, reference: ReferenceSlice, size_m: float) -> Any:
+def reference_node(server: viser.ViserServer, reference: LocalReference, size_m: float) -> Any:
     """A reference in the scene: a mesh in one colour, or its points."""
     if reference.faces is not None:
         return server.scene.add_mesh_simple(
@@ -222,14 +222,18 @@ class OnDemand:
         self._node: Any = None
 
     def show(self, on: bool) -> None:
-        """Show or hide it."""
+        """Show or hide it; what cannot be computed is told in the browsers, and tried again the next time."""
         if on and self._node is None:
+            clients = self._server.get_clients().values()
             said = [
                 client.add_notification(self._label, "is being computed", loading=True, with_close_button=False)
-                for client in self._server.get_clients().values()
+                for client in clients
             ]
             try:
                 self._node = self._make()
+            except (GeoError, SurveyError) as error:
+                for client in clients:
+                    client.add_notification(self._label, str(error), color="red")
             finally:
                 for each in said:
                     each.remove()

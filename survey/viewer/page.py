@@ -56,7 +56,7 @@ def open_server(host: str, port: int, title: str) -> viser.ViserServer:
         server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
     if not guarded:
         server.stop()
-        raise RuntimeError(f"viser {viser.__version__} serves in another way than the check of origins knows")
+        raise RuntimeError(f"viser {viser.__version__} does not serve by websockets.serve: origins cannot be checked")
     server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
     light(server)
     # A page in the browser could ask for a public address of the run.

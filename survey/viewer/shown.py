@@ -19,24 +19,24 @@ from survey.export.loaded import LoadedRun, flight_of
 from survey.photos.cameras import View
 from survey.progress import current
 from survey.run.flight import Flight
-from survey.viewer.slices import ReferenceSlice, load_reference
+from survey.viewer.slices import LocalReference, load_reference
 from survey.viewer.tree import CloudTree, Viewpoint, build_tree
 
 if TYPE_CHECKING:
     from fields.image_based import NovelView
 
-# Rows of a picture: a second or two of one core.
+# Rows of a rendered picture, which then takes a second or two of one core.
 _ROWS = 200
 _PAPER = 255
-# What a camera sees of a field, with the water or (True) without it.
+# Renders a field for a camera, with the water or (True) without it.
 Render = Callable[[PinholeCamera, bool], "NovelView"]
-# Points that tell where a cloud lies.
+# Points by which the extent of a cloud is found.
 _SOME = 200_000
 _FIELD = "field"
 _COLUMNS = ("xyz", "rgb", "std", "std_common", "num_views", "depth")
 # Colour of unknown values.
 UNKNOWN = (128, 128, 128)
-# Quantiles at the ends of the colours; for errors the ends leave out a tenth, at rims and walls.
+# Quantiles of the values at the two ends of the colours, and of the absolute distances to a reference.
 _SHARES, _OF_ERRORS = (0.02, 0.98), 0.9
 # Points by which a range is found.
 _SOME_VALUES = 200_000
@@ -173,7 +173,7 @@ SCALES = {
     "std": Scale("std, random", "m", "SPREADS"),
     "std_common": Scale("std, shared", "m", "SPREADS"),
     "num_views": Scale("number of views", "", "COUNTS"),
-    "error": Scale("error to the reference", "m", "DIFFERENCES", is_signed=True),
+    "error": Scale("distance to the reference", "m", "DIFFERENCES", is_signed=True),
 }
 
 
@@ -190,7 +190,7 @@ class Shown:
     flight: Flight
     has_photographs: bool  # Whether the files of the photographs are where the run found them
     gsd_m: float  # [m]: ground sampling distance, about that of the points
-    reference: ReferenceSlice | None = None  # What the cloud is compared with
+    reference: LocalReference | None = None  # What the cloud is compared with
     # Of the run's own stage, where it has one, and of a folder of `bathynerf field`
     fields: list[TrainedField] = field(default_factory=list)
     # low, high (3,) [m], local: corners of a box about all points but strays

@@ -34,11 +34,11 @@ WINDOW_PX, ENLARGED, _BESIDE = 48, 3, 3
 # Bytes of decoded photographs that are kept for the next click.
 _MOST_BYTES = 500_000_000
 _LINE, _CROSS = 16, 6
-# In ground sampling distances: points this near to a ray block it, unless they are this near to its end, within which a
-# ray 35 degrees off nadir leaves a bed of that slope.
+# In ground sampling distances: points of the cloud this near to a ray occlude it, except those this near to its end: so
+# far a ray 35 degrees off nadir runs close to a bed of that slope.
 _BLOCKS_GSD, _FREE_GSD = 1.0, 6.0
 _INK, _PAPER, _MARK = (34, 48, 60), (255, 255, 255), (255, 230, 0)
-RAYS, DISTANCE, SLICE = "shows its rays", "measures a distance", "cuts a slice"
+RAYS, DISTANCE, SLICE = "show its rays", "measure a distance", "cut a slice"
 # By how many pixels a click may miss a point.
 _AIM_PX = 3.0
 # A slice takes points up to so many ground sampling distances to either side.
@@ -173,11 +173,11 @@ def facts_of(
 def distance_between(start: np.ndarray, end: np.ndarray) -> list[tuple[str, str]]:
     """Distances between two points (3,) [m], local, as labels and texts."""
     away = end - start
-    fall = float(away[2])
+    up = float(away[2])
     return [
         ("distance", length(float(np.linalg.norm(away)))),
         ("in plan", length(float(np.linalg.norm(away[:2])))),
-        ("height", ("+" if fall > 0.0 else "") + length(fall).replace("-", MINUS)),
+        ("height difference", ("+" if up > 0.0 else "") + length(up).replace("-", MINUS)),
     ]
 
 
@@ -202,8 +202,8 @@ class Clicks:
         self._first: np.ndarray | None = None
         self._lock = Lock()
         panel = server.gui.add_panel()
-        with panel.add_tab("a click on a point"):
-            self._does = server.gui.add_dropdown("it", (RAYS, DISTANCE, SLICE))
+        with panel.add_tab("click on a point"):
+            self._does = server.gui.add_dropdown("action", (RAYS, DISTANCE, SLICE))
             self._text: Any = server.gui.add_markdown("")
             self._picture = server.gui.add_image(_BLANK, visible=False)
             clear = server.gui.add_button("clear")

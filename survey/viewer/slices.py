@@ -26,15 +26,18 @@ _SIZE_IN, _DPI = (4.0, 3.0), 160
 
 
 @dataclass(frozen=True)
-class ReferenceSlice:
-    """A mesh, or a cloud, in the local frame of a run."""
+class LocalReference:
+    """A reference, mesh or cloud, in the local frame of a run."""
 
     path: Path
     points: np.ndarray  # (V, 3) float64 [m], local: Vertices, or points
     faces: np.ndarray | None  # (F, 3) int or None: None of a cloud
 
     def errors(self, points: np.ndarray) -> np.ndarray:
-        """Heights (N,) [m] of points (N, 3), local, above it: as `bathynerf compare` measures, nothing aligned."""
+        """Signed distances (N,) [m] of points (N, 3), local, to a mesh (C2M), or heights over the surface of a cloud.
+
+        As `bathynerf compare` measures them; nothing is aligned.
+        """
         # Imported where they are needed: they take a second, and most runs are shown without a reference.
         from evaluation import distance_to_mesh, local_surface
 
@@ -51,7 +54,7 @@ class ReferenceSlice:
         return local_surface(self.points, places[:, :2]).height
 
 
-def load_reference(path: Path, frame: LocalFrame, cloud_crs: np.ndarray) -> ReferenceSlice:
+def load_reference(path: Path, frame: LocalFrame, cloud_crs: np.ndarray) -> LocalReference:
     """The reference in a file.
 
     Parameters
@@ -76,11 +79,11 @@ def load_reference(path: Path, frame: LocalFrame, cloud_crs: np.ndarray) -> Refe
     require_same_place(cloud_crs, vertices_of(shape), "the run", str(path))
     if isinstance(shape, Mesh):
         vertices, faces = weld(shape.vertices, shape.faces)
-        return ReferenceSlice(path, frame.local_from_crs(vertices), faces)
+        return LocalReference(path, frame.local_from_crs(vertices), faces)
     out, said = excluded_points(shape)
     if out.all():
         raise SurveyError(f"no point of {path} is of the ground: it holds {said}")
-    return ReferenceSlice(path, frame.local_from_crs(masked_cloud(shape, ~out).points), None)
+    return LocalReference(path, frame.local_from_crs(masked_cloud(shape, ~out).points), None)
 
 
 @dataclass(frozen=True)
@@ -104,7 +107,7 @@ def slice_of(
     end: np.ndarray,
     half_m: float,
     water: FlatWater | None = None,
-    reference: ReferenceSlice | None = None,
+    reference: LocalReference | None = None,
 ) -> Slice:
     """The slice between two points (3,) [m], local, that differ in plan."""
     length = float(np.linalg.norm((end - start)[:2]))
@@ -143,7 +146,7 @@ def _corridor(
 
 
 def _heights_near(along: np.ndarray, distance: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """A height of the cloud (P,) at each place: of several surfaces of a reference that near the bed counts."""
+    """Heights of the cloud (P,) [m] along the line, to choose among several surfaces of a reference there."""
     if not len(distance):
         return np.zeros(len(along))
     order = np.argsort(distance)

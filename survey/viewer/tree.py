@@ -1,7 +1,7 @@
-"""The cloud of a run as an octree: its nodes, the point that a ray meets, and what is worth drawing of it.
+"""The cloud of a run as an octree: its nodes, picking, and the level of detail for a viewpoint.
 
 Each point is in one node; coarse nodes hold a thinned cloud of all below them. Picking is done on the server, where all
-points are. From a viewpoint those nodes are drawn that it sees, as fine as its pixels show.
+points are. Drawn are the nodes in the view frustum, refined until their points are a pixel apart.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from geo.copc import CELLS, build_octree
 
 # Steps along the largest extent: finer than any cloud, and they fit into 32 bits.
 _STEPS = 2**30
-# Points behind the first one by so many widths of the ray are of the same surface, and the one nearest to its middle
-# is meant.
+# Points at most this many ray widths behind the first one belong to the same surface; the one nearest to the axis of
+# the ray is picked.
 _SAME_SURFACE = 2.0
-# So many points in the way of a ray are no stray.
+# Points that occlude a ray; fewer are outliers.
 _BLOCKING = 3
 # Points that a browser draws smoothly.
 MOST_POINTS = 3_000_000
@@ -120,8 +120,8 @@ def pick(tree: CloudTree, origin: np.ndarray, direction: np.ndarray, *, angle: f
 def is_blocked(tree: CloudTree, start: np.ndarray, end: np.ndarray, *, width_m: float, free_m: float) -> bool:
     """Whether points of a cloud occlude the line between two places (3,) [m], local.
 
-    Points within ``width_m`` of the line count, from ``free_m`` behind its start on, where the surface that it leaves
-    is; single ones are strays.
+    Points within ``width_m`` of the line count, farther than ``free_m`` from its start, which lies on the surface;
+    fewer than three are taken as outliers.
     """
     way = end - start
     length = float(np.linalg.norm(way))

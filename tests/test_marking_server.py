@@ -110,6 +110,13 @@ def test_bad_requests_are_answered_in_words_and_write_nothing(server, folder):
     assert not (folder / "gcp_list.txt").exists()
 
 
+def test_the_page_knows_whether_coordinates_are_degrees(server, tmp_path):
+    assert not state(server)["is_geographic"]
+    folder = small_survey(tmp_path / "g", toml='crs = "EPSG:4326+3855"\n', gps=True)
+    (folder / "cameras.csv").unlink()
+    assert MarkingSession(folder).state()["is_geographic"]
+
+
 def test_clicks_become_marks_with_residuals_and_predictions(server, folder):
     shown = seen(folder)
     names = list(shown)

@@ -24,7 +24,7 @@ from survey.photos.names import ImageNames
 from survey.settings.config import SurveyConfig
 
 GCP_LIST, CLICKS = "gcp_list.txt", "clicks.csv"
-# Kinds of points: of known coordinates, or spots where the water ends.
+# Kinds of points: control and check points, and points of the waterline.
 GROUND, WATER = "ground", "water"
 # Characters that files use as separators, comments and quotes.
 _NOT_IN_NAMES = set('\t\r\n,;"#')
@@ -41,7 +41,7 @@ class PointKey(NamedTuple):
 
 
 class Edit(NamedTuple):
-    """A mark before it was set, moved or removed; its pixel is None where there was none."""
+    """A change of a mark, for undo: the pixel that it had before, None where there was no mark."""
 
     key: PointKey
     image: str
@@ -118,7 +118,9 @@ class Book:
         name = name.strip()
         key = PointKey(kind, name)
         if not name or _NOT_IN_NAMES & set(name):
-            raise SurveyError("the name of a point needs a letter, and no comma, semicolon, quote or #; give another")
+            raise SurveyError(
+                "the name of a point needs a letter or digit, and no comma, semicolon, quote or #; give another name"
+            )
         if key in self.points():
             raise SurveyError(f"there is a point {name} already; give another name")
         if kind == WATER:

@@ -34,7 +34,7 @@ _NEAREST = 0.1
 _FARTHEST = 300.0
 # Longest leg under water [m]: no bed is seen through more.
 _DEEPEST_M = 60.0
-# Without marks a place is taken as known to this [m], so that a first mark has something to add to.
+# Prior standard deviation of the place of a point [m], which makes its covariance finite without marks.
 _UNKNOWN_M = 1.0
 
 
@@ -107,7 +107,7 @@ def by_gain(
 def _information(view: View, place: np.ndarray, water: FlatWater | None, std_px: float) -> np.ndarray:
     """Information of a mark in a photograph about a place (3, 3) [1/m^2]."""
     _, slope = projection_and_jacobian(view.camera, place, water)
-    # A place on the other side of a camera is told nothing of.
+    # Behind a camera the projection has no derivatives.
     return slope.T @ slope / std_px**2 if np.isfinite(slope).all() else np.zeros((3, 3))
 
 
@@ -156,12 +156,12 @@ def poses_to_mark(found: Found, run: Path | None) -> tuple[PosedSurvey | None, s
         ), None
     if found.poses_path is None:
         return None, (
-            "no poses are known yet, so no places are predicted; after `bathynerf process --quality draft` they are"
+            "no poses are known yet, so no positions are predicted; run `bathynerf process --quality draft` for poses"
         )
     try:
         return _of_file(found, found.poses_path), None
     except (SurveyError, GeoError) as error:
-        return None, f"no places are predicted, the poses cannot be used: {error}"
+        return None, f"no positions are predicted, because the poses cannot be used: {error}"
 
 
 def _of_file(found: Found, path: Path) -> PosedSurvey:

@@ -145,6 +145,7 @@ function addControl(event) {
 // ---- lists ------------------------------------------------------------------------------------------------------
 
 const length = (values) => Math.hypot(...values);
+const axes = () => [...(state.is_geographic ? ["longitude", "latitude"] : ["easting", "northing"]), "height"];
 const metres = (values) => values.map((value) => value.toFixed(3)).join("  ");
 
 function rms(point) {
@@ -166,6 +167,7 @@ function row(list, text, value, isChosen, isBad, onclick, title) {
 
 function lists() {
   $("survey").textContent = state.name;
+  $("new-point").place.placeholder = axes().join(", ");
   $("undo").disabled = !state.can_undo;
   $("previous").disabled = !visited.length;
   if ($("photograph").options.length !== state.photographs.length) {
@@ -177,7 +179,7 @@ function lists() {
     const count = Object.keys(point.marks).length, error = rms(point);
     const sign = point.kind === "water" ? "≈ " : point.check ? "◇ " : "◆ ";
     const value = `${count}${error === null ? "" : ` · ${error.toFixed(2)} px`}`;
-    const title = point.kind === "water" ? "spot of the waterline" : point.check ? "check point" : "control point";
+    const title = point.kind === "water" ? "point of the waterline" : point.check ? "check point" : "control point";
     row($("points"), sign + point.name, value, isSame(point, chosen), error > point.limit_px, () => choose(point), title);
   }
   $("points").querySelector(".chosen")?.scrollIntoView({ block: "nearest" });
@@ -200,12 +202,13 @@ function lists() {
 
 function detail(point) {
   const rows = [];
-  const axes = ["east", "north", "height"];
-  if (point && point.place) axes.forEach((axis, i) => rows.push([axis, point.place[i].toFixed(3)]));
-  if (point && point.depth_m) rows.push(["under water", `${point.depth_m.toFixed(2)} m`]);
+  // Degrees to a millimetre on the ground.
+  const digits = state.is_geographic ? [8, 8, 3] : [3, 3, 3];
+  if (point && point.place) axes().forEach((axis, i) => rows.push([axis, point.place[i].toFixed(digits[i])]));
+  if (point && point.depth_m) rows.push(["depth", `${point.depth_m.toFixed(2)} m`]);
   if (point && point.level !== null) rows.push(["level", `${point.level.toFixed(3)} m`]);
   if (point && point.std_m) rows.push(["std [m]", metres(point.std_m)]);
-  if (point && point.off_m) rows.push(["off [m]", metres(point.off_m)]);
+  if (point && point.off_m) rows.push(["error [m]", metres(point.off_m)]);
   const list = document.createElement("dl");
   for (const pair of rows) {
     const [label, value] = ["dt", "dd"].map((tag) => document.createElement(tag));

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geo.crs import EARTH_RADIUS_M, height_unit_m
+from geo.crs import EARTH_RADIUS_M, height_unit_m, is_geographic
 from geo.transformation import lon_lat
 from refract import FlatWater
 from survey.control.points import GivenPoint
@@ -61,19 +61,14 @@ class MarkingSession:
     def state(self) -> dict:
         """All points and marks, for the lists of the page."""
         points, marks = self.book.points(), self.book.marks()
-        posed = {} if self._posed is None else self._posed.views
         return {
             "name": self.name,
-            "crs": self._found.crs.name,
+            "is_geographic": is_geographic(self._found.crs),
             "poses": None if self._posed is None else self._posed.source,
             "notes": [*self.notes, *self._moved_note(points, marks)],
             "settings": self.book.settings(),
-            "files": {GROUND: str(self.book.control_path), WATER: str(self.book.clicks_path)},
             "can_undo": self.book.can_undo,
-            "photographs": [
-                {"name": name, "size": self._found.headers[name].size_px, "posed": name in posed}
-                for name in self.images
-            ],
+            "photographs": [{"name": name, "size": self._found.headers[name].size_px} for name in self.images],
             "points": [self._point(key, point, marks.get(key, {})) for key, point in sorted(points.items(), key=_rank)],
         }
 
@@ -147,7 +142,7 @@ class MarkingSession:
         return [name for name in order if name != image][:_MOST_NEXT]
 
     def _point(self, key: PointKey, point: GivenPoint | None, own: Mapping[str, Pixel]) -> dict:
-        """A point with its marks: residuals [px], standard deviation and error of its place [m]."""
+        """A point with its marks: residuals [px], standard deviation and error of their intersection [m]."""
         said: dict = {
             "kind": key.kind,
             "name": key.name,
@@ -156,7 +151,6 @@ class MarkingSession:
             "marks": own,
             "limit_px": _MOST_MISS * self._std_px[key.kind],
             "residuals": {},
-            "off_px": {},
             "std_m": None,
             "off_m": None,
             "level": None,
@@ -164,14 +158,9 @@ class MarkingSession:
         }
         if self._posed is None:
             return said
-        water = self._water_of(key)
         given = self._given(point)
         met = self._meet(key, own)
         if given is not None:
-            seen = {name: self._views[name].camera.project(given, water) for name in own if name in self._views}
-            said["off_px"] = {
-                name: (np.array(own[name]) - at).tolist() for name, at in seen.items() if np.isfinite(at).all()
-            }
             said["depth_m"] = self._depth(given)
         if met is None:
             return said
@@ -226,7 +215,7 @@ class MarkingSession:
     ) -> np.ndarray | None:
         """Predicted place of a point (3,), local: intersection of its marks, else its coordinates, else on the water.
 
-        Coordinates are moved by what the marked points have in common: positions by GPS put a block metres aside.
+        Coordinates are shifted by ``common`` (`_common`): poses by GPS alone may be metres off.
         """
         met = self._meet(key, own)
         if met is not None:
@@ -254,8 +243,8 @@ class MarkingSession:
             return []
         east, north, up = common.tolist()
         return [
-            f"by the poses the marked points lie {east:.2f} m east, {north:.2f} m north and {up:.2f} m up of their "
-            "coordinates (median), and the others are looked for with that"
+            f"the marks intersect {east:.2f} m east, {north:.2f} m north and {up:.2f} m up of the given coordinates "
+            f"(median of {num} points); the predicted positions of the others are shifted by as much"
         ]
 
 

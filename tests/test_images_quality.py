@@ -107,7 +107,7 @@ def test_images_without_features_or_saliency_are_alike():
         (np.zeros((32, 32, 4)), np.zeros((32, 32, 4)), r"\(H, W\) or \(H, W, 3\)"),
         (np.zeros((9, 32)), np.zeros((9, 32)), r"at least 11 x 11 pixels, got 32 x 9"),
         (np.zeros((32, 32)), np.full((32, 32), 255.0), r"from 0 to 1, got 255 to 255; divide by 255\?"),
-        (np.zeros((32, 32)), np.full((32, 32), np.nan), r"from 0 to 1, got nan to nan"),
+        (np.zeros((32, 32)), np.full((32, 32), np.nan), "expected finite values, got 1024 that are NaN"),
     ],
 )
 def test_pairs_that_cannot_be_compared_are_refused(a, b, message):

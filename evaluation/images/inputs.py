@@ -17,7 +17,8 @@ def checked_pair(reference, image, *, smallest: int) -> tuple[np.ndarray, np.nda
     Raises
     ------
     ValueError
-        If shapes differ or are not those of images, a side is shorter than ``smallest``, or values are outside 0 to 1.
+        If shapes differ or are not those of images, a side is shorter than ``smallest`` [px], or values are not finite
+        or outside 0 to 1.
     """
     pair = np.asarray(reference, dtype=np.float64), np.asarray(image, dtype=np.float64)
     shape = pair[0].shape
@@ -26,8 +27,9 @@ def checked_pair(reference, image, *, smallest: int) -> tuple[np.ndarray, np.nda
     if min(shape[:2]) < smallest:
         raise ValueError(f"expected images of at least {smallest} x {smallest} pixels, got {shape[1]} x {shape[0]}")
     for values in pair:
-        # False for NaN too.
-        if not (values.min() >= 0.0 and values.max() <= 1.0):
+        if not np.isfinite(values).all():
+            raise ValueError(f"expected finite values, got {np.sum(~np.isfinite(values))} that are NaN or infinite")
+        if values.min() < 0.0 or values.max() > 1.0:
             raise ValueError(f"expected values from 0 to 1, got {values.min():g} to {values.max():g}; divide by 255?")
     return pair
 

@@ -1,7 +1,7 @@
 """Learned image similarity: LPIPS and DISTS, by weights that the user supplies.
 
 No weights come with this package. They are the arrays of a state dict: the convolutions of VGG16 or AlexNet as
-torchvision names them (``features.0.weight``, ...), and beside them the few numbers that each measure learned
+torchvision names them (``features.0.weight``, ...), and beside them the weights of each measure
 (``lin0.model.1.weight``, ... of LPIPS; ``alpha`` and ``beta`` of DISTS), as their authors publish them.
 """
 
@@ -106,7 +106,7 @@ def _weight(weights: Mapping[str, Tensor], name: str) -> Tensor:
         found = ", ".join(list(weights)[:4])
         raise ValueError(
             f"the weights lack {name} (they have {len(weights)} arrays: {found} ...); give one file with the features "
-            "of torchvision's VGG16 or AlexNet and the measure's own numbers, lin0.model.1.weight to lin4 for LPIPS, "
+            "of torchvision's VGG16 or AlexNet and the weights of the measure, lin0.model.1.weight to lin4 for LPIPS, "
             "alpha and beta for DISTS"
         )
     return torch.as_tensor(weights[name]).float()

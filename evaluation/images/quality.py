@@ -6,14 +6,14 @@ The measures are written out here, after the equations of their papers, rather t
 
 - torchmetrics 1.9 has PSNR, SSIM and MS-SSIM of them. Its SSIM averages windows that reach beyond the image as well,
   where it mirrors the image, and the paper only those inside: 0.002 apart on the test image, equal to 1e-12 over the
-  windows inside, as a test holds. Its PSNR is equal to 1e-6 dB (a sum in float32). On a CPU its SSIM takes about forty
+  windows inside, as a test checks. Its PSNR is equal to 1e-6 dB (a sum in float32). On a CPU its SSIM takes about forty
   times as long.
 - piq 0.8 has all of them, but requires torchvision in the version that fits torch, which none of these needs. Tests
-  hold its values for the test images: equal to 1e-12 for SSIM, MS-SSIM, GMSD and MS-GMSD, 3e-6 for FSIM, 1e-4 for VSI.
+  have its values for the test images: equal to 1e-12 for SSIM, MS-SSIM, GMSD and MS-GMSD, 3e-6 for FSIM, 1e-4 for VSI.
 
-FSIM (phase congruency) and VSI (visual saliency) look at images whose shorter side is about 256 pixels: larger ones are
-averaged over squares of pixels first. In phase congruency, where the waves that make up an image are in step, there is
-an edge or a corner, dark or bright.
+FSIM (phase congruency) and VSI (visual saliency) are computed on images whose shorter side is about 256 pixels: larger
+ones are averaged over blocks of pixels first. Phase congruency is high where the Fourier components of an image are in
+phase: at edges and corners, dark or bright.
 """
 
 from __future__ import annotations

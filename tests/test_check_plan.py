@@ -138,7 +138,7 @@ def test_heights_of_photographs_that_are_halved_are_half_as_good(tmp_path):
 
 
 def test_a_short_way_is_said_in_seconds(tmp_path):
-    way = said(checked(plan_file(tmp_path, ("height_m = 12.0", "height_m = 12.0\nspeed_m_s = 4.0"))), "Flight")["way"]
+    way = said(checked(plan_file(tmp_path, ("height_m = 12.0", "height_m = 12.0\nspeed_m_s = 4.0"))), "Flight")["path"]
     metres, seconds = (int(way.partition(f" {unit} ")[0].split()[-1]) for unit in ("m", "seconds"))
     assert seconds == pytest.approx(metres / 4.0, abs=1.0)
 
@@ -191,7 +191,7 @@ def test_a_scene_is_lit_by_the_sun_of_its_time(tmp_path):
         ("2026-06-21T13:15+02:00", "noon", "expected a time with its zone"),
         ("[light]", "[light]\nsun_elevation_deg = 30.0", "remove sun_elevation_deg"),
         ("[light]", "[sensor]\nshutter_s = 0.001\n[light]", "without flight.speed_m_s"),
-        ("height_m = 12.0", "", "give one of height_m"),
+        ("height_m = 12.0", "", "give exactly one of height_m"),
         ("height_m = 12.0", 'height_m = 12.0\nposes = "cameras.csv"', "not both"),
         ("height_m = 12.0", 'poses = "none.csv"', "does not exist"),
     ],

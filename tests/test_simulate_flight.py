@@ -103,7 +103,7 @@ def test_a_block_that_looks_down_hides_the_level_and_says_so_and_obliques_show_i
     nadir, crossed = coverage(fly(patterns=("nadir",)), SITE), coverage(fly(patterns=("nadir", "oblique")), SITE)
     assert any("cannot observe the water level" in warning for warning in nadir.warnings)
     assert crossed.level_px_per_m > 5.0 * nadir.level_px_per_m
-    assert crossed.level_hidden_m == SYSTEMATIC_PX / crossed.level_px_per_m
+    assert crossed.masked_level_error_m == SYSTEMATIC_PX / crossed.level_px_per_m
     assert not any("water level" in warning for warning in crossed.warnings)
 
 
@@ -135,7 +135,7 @@ def test_what_a_level_leaves_between_rays_is_what_points_cannot_follow():
 
 def test_a_dry_site_has_no_level_to_observe():
     dry = Site((60.0, 40.0), 0.0, None)
-    assert coverage(fly(dry), dry).level_hidden_m is None
+    assert coverage(fly(dry), dry).masked_level_error_m is None
 
 
 def test_a_gap_in_the_plan_is_named():

@@ -1,4 +1,4 @@
-"""Light from above: a sky that is the same all around, and a sun of finite size."""
+"""Light from above: a sky whose radiance depends on elevation alone, and a sun of finite size."""
 
 from __future__ import annotations
 

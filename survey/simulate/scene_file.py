@@ -69,7 +69,7 @@ class ObjectSettings:
     at: tuple[float, float]  # [m] east and north of the origin
     above_bed_m: float = 0.0  # its lowest point
     scale: float = 1.0
-    yaw_deg: float = 0.0  # against the clock, seen from above
+    yaw_deg: float = 0.0  # counter-clockwise, seen from above
     pitch_deg: float = 0.0
     heel_deg: float = 0.0
     up: str = "z"  # the axis of the file that points up; of glTF it is known
@@ -114,7 +114,7 @@ class WaterSettings:
         if min(*self.absorption, self.scattering) < 0.0:
             raise ConfigError("water.absorption and water.scattering are expected at zero or above [1/m]")
         if not 0.0 < self.asymmetry < 1.0:
-            raise ConfigError(f"water.asymmetry is {self.asymmetry:g}, expected above 0 (all ways alike) and below 1")
+            raise ConfigError(f"water.asymmetry is {self.asymmetry:g}, expected above 0 (isotropic) and below 1")
         if self.waves and self.heights is not None:
             raise ConfigError("water.waves and water.heights contradict each other; keep one")
 
@@ -138,7 +138,7 @@ class LightSettings:
             raise ConfigError(f"light.sun_elevation_deg is {self.sun_elevation_deg:g}, expected 5 to 90")
         require_positive("light", sun_diameter_deg=self.sun_diameter_deg)
         if self.time is not None and (self.sun_elevation_deg is not None or self.sun_azimuth_deg is not None):
-            raise ConfigError("light.time gives the place of the sun; remove sun_elevation_deg and sun_azimuth_deg")
+            raise ConfigError("light.time gives the position of the sun; remove sun_elevation_deg and sun_azimuth_deg")
         _ = self.known_time
 
     @property
@@ -199,10 +199,10 @@ class CameraSettings:
 
 @dataclass(frozen=True)
 class SensorSettings:
-    """[sensor]: its imperfections."""
+    """[sensor]: noise, exposure and motion blur."""
 
     noise: float = 1.0  # [grey levels]
-    photons_at_white: float = 0.0  # 0: no noise of counting
+    photons_at_white: float = 0.0  # 0: no shot noise
     exposure: float = 1.0
     exposure_drift: float = 0.0  # step of the logarithm from image to image
     blur_m: float = 0.0  # flown while the shutter is open
@@ -219,7 +219,7 @@ class SensorSettings:
 
 @dataclass(frozen=True)
 class RenderSettings:
-    """[render]: how light is followed."""
+    """[render]: light transport."""
 
     mode: str = "physical"
     samples: int = 64  # rays per pixel

@@ -24,13 +24,14 @@ SYSTEMATIC_PX = 0.1
 # A level that systematic errors can shift by more than this is not observed [m]: the bed would follow by a third to a
 # half as much, beyond the vertical uncertainty of 0.25 m that IHO S-44 allows its special order at the surface.
 _LEVEL_KNOWN_M = 0.5
-_LOOKS_DOWN = np.cos(np.radians(7.0))
+# Largest tilt of a nadir photograph [deg].
+NADIR_DEG = 7.0
 _SIDE_IN = 7.0
 
 
 @dataclass(frozen=True)
 class BedCoverage:
-    """Coverage by a block."""
+    """Coverage of the bed by a block of photographs."""
 
     footprints: np.ndarray  # (views, 5, 2) [m], local: east and north of the corners of each image on the bed, closed
     # east, north: (columns,), (rows,) [m], local
@@ -42,7 +43,7 @@ class BedCoverage:
     level_px_per_m: float | None
 
     @property
-    def level_hidden_m(self) -> float | None:
+    def masked_level_error_m(self) -> float | None:
         """Error of the level that systematic image errors can mask [m]."""
         return None if self.level_px_per_m is None else SYSTEMATIC_PX / max(self.level_px_per_m, 1e-9)
 
@@ -50,11 +51,11 @@ class BedCoverage:
     def warnings(self) -> list[str]:
         """Warnings about the flight, in sentences."""
         found = []
-        hidden = self.level_hidden_m
+        hidden = self.masked_level_error_m
         if hidden is not None and hidden > _LEVEL_KNOWN_M:
             found.append(
-                f"the block cannot observe the water level: an error of {min(hidden, 99.0):.1f} m leaves only "
-                f"{SYSTEMATIC_PX:g} px between its rays. Measure the level, or fly oblique views that cross "
+                f"the block cannot observe the water level: an error of {min(hidden, 99.0):.1f} m changes image "
+                f"residuals by only {SYSTEMATIC_PX:g} px. Measure the level, or fly oblique views that cross "
                 '(patterns "oblique", "five" or "outer")'
             )
         few = float((self.num_views < 3).mean())
@@ -93,7 +94,7 @@ def _footprint(camera: PinholeCamera, site: Site) -> np.ndarray:
 
 
 def _level_sensitivity(cameras: Sequence[PinholeCamera], site: Site) -> float:
-    """See `Coverage.level_px_per_m`.
+    """Root mean square residual per metre of error in the level: `BedCoverage.level_px_per_m`.
 
     Notes
     -----
@@ -146,9 +147,9 @@ def picture(cameras: Sequence[PinholeCamera], cover: BedCoverage, site: Site) ->
         axes.plot(*corners.T, color=SOFT, linewidth=0.4, alpha=0.6)
     centres = np.array([camera.centre for camera in cameras])
     forward = np.array([camera.cam_from_local[2] for camera in cameras])
-    down = -forward[:, 2] > _LOOKS_DOWN
+    down = -forward[:, 2] > np.cos(np.radians(NADIR_DEG))
     axes.plot(*centres[:, :2].T, color=INK, linewidth=0.6, alpha=0.7)
-    axes.plot(*centres[down, :2].T, "o", color=BLUE, markersize=4, label="looks down")
+    axes.plot(*centres[down, :2].T, "o", color=BLUE, markersize=4, label="nadir")
     if not down.all():
         axes.plot(*centres[~down, :2].T, "o", color=OBLIQUE, markersize=4, label="oblique")
         reach = (centres[~down, 2] - site.level)[:, None] * forward[~down, :2] / -forward[~down, 2:]

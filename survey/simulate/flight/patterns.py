@@ -73,8 +73,8 @@ def plan_flight(flight: FlightSettings, lens: Lens, site: Site, seed: int) -> li
     tilts = [flight.tilt_deg, *flight.ring_tilts_deg] if set(flight.patterns) != {"nadir"} else [0.0]
     if math.radians(max(tilts)) + half_down > 0.5 * math.pi - _BELOW_HORIZON:
         raise SurveyError(
-            f"views tilted by {max(tilts):g} degrees show the horizon with this lens, whose half angle is "
-            f"{math.degrees(half_down):.1f} degrees; give a smaller tilt or a longer focal length"
+            f"views tilted by {max(tilts):g} degrees show the horizon with this lens, half of whose vertical field of "
+            f"view is {math.degrees(half_down):.1f} degrees; give a smaller tilt or a longer focal length"
         )
     height = site.flying_height(flight, lens.focal[0])
     # No more than tell that they are too many: an area in wrong units has billions.
@@ -197,7 +197,7 @@ class FlightSettings:
     # File of planned poses, in a format of poses of surveys; the settings of patterns are then not used
     poses: str | None = None
     speed_m_s: float | None = None  # [m/s] or None: of the drone while it photographs
-    # [m]: of the positions of its receiver, in each direction: 0.02 with corrections, 3 without
+    # [m]: standard deviation of GPS positions, in each direction: 0.02 with RTK or PPK, 3 without
     position_std_m: float = 0.02
     height_m: float | None = None  # [m]: of the cameras above the water, or above the origin where there is none
     gsd_m: float | None = None  # [m]: of the bed straight below, seen through the water
@@ -221,7 +221,7 @@ class FlightSettings:
     def __post_init__(self):
         if sum(value is not None for value in (self.poses, self.height_m, self.gsd_m)) != 1:
             raise ConfigError(
-                "flight: give one of height_m, above the water, gsd_m, on the bed, and poses, a file; not both"
+                "flight: give exactly one of height_m, above the water, gsd_m, on the bed, and poses, a file; not both"
             )
         for name in ("height_m", "gsd_m", "ring_views", "speed_m_s", "position_std_m"):
             value = getattr(self, name)

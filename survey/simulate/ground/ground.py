@@ -35,7 +35,7 @@ Shape = BedGrid | Solid | TriangleMesh
 Shade = Callable[[np.ndarray, np.ndarray], np.ndarray]
 # Margin beyond the view of the outermost pixels [m].
 _MARGIN_M = 0.5
-# Between the vertices of a plane [m]: it is one in any case, and light is mixed between vertices.
+# Spacing of the vertices of a level bed [m]: only light is interpolated between them.
 _PLANE_CELL_M = 0.5
 
 
@@ -259,7 +259,7 @@ def place_object(settings: ObjectSettings, folder: Path, bed, light: Light) -> t
 
 
 def _speckled(shape: TriangleMesh, settings: ObjectSettings) -> ImageSkin:
-    """A periodic speckle of one colour, laid along the axes of local on the faces that look along the third one."""
+    """A periodic speckle of one colour by triplanar mapping: along the local axes nearest to the plane of each face."""
     rng = np.random.default_rng([len(shape.faces), 10])
     tile = np.exp(sum(0.15 * periodic(rng, size) for size in (2, 4, 8, 32)))
     image = (tile[..., None] * np.array(settings.colour)).astype(np.float32)

@@ -261,10 +261,10 @@ def _write(folder: Path, scene: StagedScene, progress: Progress) -> None:
             write_image(path, scene.photograph(index), exifs[index], xmps[index])
 
     count = len(scene.cameras)
-    with progress.stage("photographing the scene", count) as step, ThreadPoolExecutor(_threads(scene)) as pool:
+    with progress.stage("Photographs", count) as step, ThreadPoolExecutor(_threads(scene)) as pool:
         for _ in pool.map(take, range(count)):
             step.advance()
-    with progress.stage("writing the truth", count) as step, ThreadPoolExecutor(_threads()) as pool:
+    with progress.stage("Ground truth", count) as step, ThreadPoolExecutor(_threads()) as pool:
         _write_truth(folder / "truth", scene, pool, step)
 
 

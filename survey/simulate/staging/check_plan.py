@@ -26,13 +26,12 @@ from survey.plan.glitter import GlitterOfFlight
 from survey.plan.plan import make_plan
 from survey.plan.workload import room_warnings, workload_of
 from survey.settings.config import AreaConfig, SurveyConfig, WaterConfig
-from survey.simulate.flight.coverage import coverage
+from survey.simulate.flight.coverage import NADIR_DEG, coverage
 from survey.simulate.scene_file import read_scene
 from survey.simulate.staging.planning import ScenePlan, plan_scene
 
 # Shares of the area seen by fewer than three photographs, up to which coverage is good, and fair.
 _UNSEEN = 0.0, 0.05
-_LOOKS_DOWN_DEG = 7.0
 # Shorter flights are given in seconds.
 _SHORT_S = 120.0
 # The day is sampled in these steps, while the sun is high enough to light the bed.
@@ -87,7 +86,7 @@ def depth_of(plan: ScenePlan) -> float:
 
 
 def survey_of(plan: ScenePlan) -> Survey:
-    """A planned flight as the survey that it would be, without photographs: GPS, the lens of a data sheet, no ties."""
+    """A planned flight as a survey without photographs: GPS, the lens of its data sheet, no tie points."""
     settings, frame = plan.settings, plan.frame
     water = None
     if plan.level is not None:
@@ -129,22 +128,22 @@ def _flight_rows(plan: ScenePlan, survey: Survey) -> list[tuple[str, str]]:
     centres = np.array([camera.centre for camera in cameras])
     height = float(np.median(centres[:, 2])) - site.level
     tilted = [math.degrees(math.acos(min(-float(camera.cam_from_local[2, 2]), 1.0))) for camera in cameras]
-    down = sum(tilt <= _LOOKS_DOWN_DEG for tilt in tilted)
-    way = float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum())
+    down = sum(tilt <= NADIR_DEG for tilt in tilted)
+    path = float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum())
     speed = plan.settings.flight.speed_m_s
-    duration = "" if speed is None else f", {_duration(way / speed)} at {speed:g} m/s without the turns"
+    duration = "" if speed is None else f", {_duration(path / speed)} at {speed:g} m/s without the turns"
     over = "the water" if site.water is not None else "the ground"
     wide, deep = plan.settings.area.size_m
     unseen = float((coverage(cameras, site).num_views < 3).mean())
     return [
         ("area", f"{wide:g} x {deep:g} m, the bed {site.depth_m:g} m deep, in {survey.frame.crs.name}"),
         ("camera", f"{lens.model}, {lens.width} x {lens.height} px, focal length {lens.focal[0]:.1f} px"),
-        ("photographs", f"{len(cameras)} from {height:.1f} m over {over}: {down} look down, {len(cameras) - down} are "
-                        f"tilted by up to {max(tilted):.0f} degrees"),
-        ("pixels", f"{length((height + site.apparent_depth) / lens.focal[0])} on the bed, straight below"),
-        ("positions", f"good to {plan.settings.flight.position_std_m:g} m ([flight] position_std_m), the lens by its "
-                      "data sheet"),
-        ("way", f"{way:.0f} m in the order of the photographs{duration}"),
+        ("photographs", f"{len(cameras)} from {height:.1f} m over {over}: {down} nadir, {len(cameras) - down} oblique "
+                        f"(tilted by up to {max(tilted):.0f} degrees)"),
+        ("GSD", f"{length((height + site.apparent_depth) / lens.focal[0])} on the bed at nadir"),
+        ("positions", f"standard deviation {plan.settings.flight.position_std_m:g} m ([flight] position_std_m); the "
+                      "lens by its data sheet"),
+        ("path", f"{path:.0f} m in the order of the photographs{duration}"),
         ("coverage", verdict_text(
             verdict_by_limits(unseen, *_UNSEEN),
             f"{100.0 * (1.0 - unseen):.0f} % of the area is in three photographs or more",

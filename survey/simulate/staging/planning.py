@@ -53,7 +53,7 @@ def plan_scene(settings: SceneSettings, folder: Path) -> ScenePlan:
     Raises
     ------
     SurveyError, GeoError
-        If the crs has no heights, the lens is none, or no flight covers the area.
+        If the crs has no heights, the lens is invalid, or no flight covers the area.
     """
     crs = parse_crs(settings.crs)
     frame = LocalFrame(crs, settings.origin)
@@ -83,7 +83,7 @@ def files_of(settings: SceneSettings) -> list[str]:
     return [name for name in files if name]
 
 
-def marks_of(settings: SceneSettings, folder: Path) -> dict:
+def inputs_of(settings: SceneSettings, folder: Path) -> dict:
     """All inputs of a scene, as values for JSON: its settings, and a hash of every file that they name."""
     hashes = {}
     for name in files_of(settings):

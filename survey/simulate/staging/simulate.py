@@ -1,4 +1,4 @@
-"""The verb simulate: a scene file becomes a survey folder, or the plan of its flight.
+"""`bathynerf simulate`: a survey folder rendered from a scene file, or the plan of its flight.
 
 `stage_scene` builds the planned scene: bed, bodies, water and light.
 """
@@ -20,7 +20,7 @@ from survey.files.outputs import ReadFiles, require_folder
 from survey.progress import current
 from survey.simulate.drawn.ground import build_ground
 from survey.simulate.drawn.settings import DrawnScene
-from survey.simulate.flight.coverage import BedCoverage, coverage, picture
+from survey.simulate.flight.coverage import SYSTEMATIC_PX, BedCoverage, coverage, picture
 from survey.simulate.ground.ground import (
     Ground,
     Material,
@@ -39,7 +39,7 @@ from survey.simulate.render.direct import DirectRenderer
 from survey.simulate.render.mitsuba_scene import load_mitsuba, solid_scene, water_scene
 from survey.simulate.scene_file import LightSettings, SceneSettings, read_scene
 from survey.simulate.sensor import Sensor
-from survey.simulate.staging.planning import ScenePlan, files_of, marks_of, plan_scene, sun_of
+from survey.simulate.staging.planning import ScenePlan, files_of, inputs_of, plan_scene, sun_of
 from survey.simulate.water import WaterOptics, measured, with_waves
 
 if TYPE_CHECKING:
@@ -79,8 +79,8 @@ def simulate(
     _require_output(output, path, settings)
     plan = plan_scene(settings, path.parent)
     _say_of(plan, coverage(plan.cameras, plan.site))
-    marks = marks_of(settings, path.parent)
-    write_survey(output, marks, lambda: stage_scene(plan), again=again, progress=current())
+    inputs = inputs_of(settings, path.parent)
+    write_survey(output, inputs, lambda: stage_scene(plan), again=again, progress=current())
 
 
 def simulate_flight(path: str | Path, output: str | Path) -> None:
@@ -132,11 +132,14 @@ def _say_of(plan: ScenePlan, cover: BedCoverage) -> None:
     gsd_cm = 100.0 * (height + plan.site.apparent_depth) / focal
     progress = current()
     progress.note(
-        f"{len(plan.cameras)} photographs from {height:.1f} m, {gsd_cm:.1f} cm per pixel on the bed, which "
-        f"{cover.num_views.min()} to {cover.num_views.max()} of them see"
+        f"{len(plan.cameras)} photographs from {height:.1f} m, GSD {gsd_cm:.1f} cm on the bed, each point of it in "
+        f"{cover.num_views.min()} to {cover.num_views.max()} of them"
     )
-    if cover.level_hidden_m is not None:
-        progress.note(f"systematic errors of 0.1 px hide a water level {min(cover.level_hidden_m, 99.0):.2f} m off")
+    if cover.masked_level_error_m is not None:
+        progress.note(
+            f"systematic image errors of {SYSTEMATIC_PX:g} px can shift the estimated water level by "
+            f"{min(cover.masked_level_error_m, 99.0):.2f} m"
+        )
     for warning in cover.warnings:
         progress.warn(warning)
 
@@ -243,6 +246,7 @@ def _drawn(plan: ScenePlan, light: Light) -> Ground:
         shore=bed.shore,
         objects=bed.bodies,
         seed=settings.seed,
+        # The cameras are those of the plan; a drawn scene needs a height of its own that fits its depth.
         flying_m=2.0 * bed.depth_m,
         cell_m=bed.cell_m,
         texel_m=texture.texel_m,

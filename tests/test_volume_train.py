@@ -16,7 +16,14 @@ from fields.volume.photographs import Photographs
 from fields.volume.renderer import VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
 from fields.volume.tensor import TensorSettings, TensorVolume
-from fields.volume.train import POOL_STEPS, Training, _restore_generators, proxy_of, train_volume
+from fields.volume.train import (
+    POOL_STEPS,
+    Training,
+    _generator_states,
+    _restore_generators,
+    proxy_of,
+    train_volume,
+)
 
 BED_M = -1.5
 SMALL = {"n_min": 8, "n_max": 32, "channels": 4, "degree": 0, "hidden": 16, "switch_window": 20}
@@ -162,9 +169,8 @@ def test_the_proxy_of_a_field_is_where_it_stops_light():
     assert not fog.occupied.any()
 
 
-@pytest.mark.parametrize("wrapped", [lambda state: state, lambda state: {"cpu": state}], ids=["first version", "today"])
-def test_random_numbers_go_on_from_states_of_either_version(wrapped):
-    state = torch.get_rng_state()
+def test_random_numbers_go_on_from_their_saved_states():
+    states = _generator_states()
     drawn = torch.rand(3)
-    _restore_generators(wrapped(state))
+    _restore_generators(states)
     assert torch.equal(torch.rand(3), drawn)

@@ -198,11 +198,11 @@ def _of_colours(rendered: torch.Tensor, seen: torch.Tensor, huber: float) -> tor
 def proxy_of(renderer: VolumeRenderer, cells: Cells, margin: float) -> Cells:
     """The cells of a proxy in which the volume itself stops light, and those within ``margin`` [m] of them.
 
-    A cell counts if it takes a tenth of the light that crosses it: ten times what fog would that fills the box.
+    A cell counts if its opacity is a tenth or more, ten times that of a cell of fog that fills the box.
     """
-    thick = torch.cat([renderer.model.evaluate(part)[0] for part in cells.centres().split(CHUNK)])
+    density = torch.cat([renderer.model.evaluate(part)[0] for part in cells.centres().split(CHUNK)])
     cell = cells.box.edge / max(cells.occupied.shape)
-    return cells.refined(1.0 - torch.exp(-thick * cell), 0.1, margin)
+    return cells.refined(1.0 - torch.exp(-density * cell), 0.1, margin)
 
 
 def _batches(
@@ -228,9 +228,7 @@ def _generator_states() -> dict[str, torch.Tensor]:
     return states | ({"cuda": torch.cuda.get_rng_state()} if torch.cuda.is_available() else {})
 
 
-def _restore_generators(states: dict[str, torch.Tensor] | torch.Tensor) -> None:
-    if isinstance(states, torch.Tensor):  # states of the first version: of the host alone
-        states = {"cpu": states}
+def _restore_generators(states: dict[str, torch.Tensor]) -> None:
     torch.set_rng_state(states["cpu"])
     if "cuda" in states and torch.cuda.is_available():
         torch.cuda.set_rng_state(states["cuda"])

@@ -32,10 +32,10 @@ CLOUD, VIEWS, HELD = "cloud.las", "views", "held out"
 
 
 def train_field(run: str | Path, output: str | Path, options: VolumeOptions | None = None) -> dict[str, Any]:
-    """Train a radiance field on a run, or go on with it, and write what it shows.
+    """Train a radiance field on a run, or continue its training, and write its surface, figures and views.
 
-    Into the folder go the state of the training (an interrupted one goes on), ``cloud.las`` with the surface,
-    ``report.json`` with all figures, and pictures of views and of photographs that were left out.
+    Into the folder go the state of the training, from which an interrupted one continues, ``cloud.las`` with the
+    surface, ``report.json`` with all figures, and pictures of views and of the photographs that were held out.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def _over_bed(made: Made) -> dict[str, Any]:
 
 
 def _held_out(made: Made, folder: Path) -> dict[str, float]:
-    """PSNR [dB] of the photographs that were left out, over the pixels that show the box; their pictures go there."""
+    """PSNR [dB] of the photographs held out, over the pixels that show the box; their renderings go into the folder."""
     held, found = made.held, {}
     targets = [
         Target(name, camera, folder / Path(name).with_suffix(""))
@@ -140,11 +140,11 @@ def rows_of(report: dict[str, Any], output: Path) -> list[tuple[str, str]]:
     rows = [
         ("model", f"{report['model']}, {training['parameters']:,} parameters, {training['steps']:,} steps"),
         *([("submodules", str(len(report["submodules"])))] if "submodules" in report else []),
-        ("photographs", f"{report['photographs']} learned from, to {training['psnr_db']:.1f} dB"),
+        ("training", f"{report['photographs']} photographs, PSNR {training['psnr_db']:.1f} dB"),
     ]
     if report["held_out_psnr_db"]:
         held = list(report["held_out_psnr_db"].values())
-        rows.append(("held out", f"{len(held)} photographs predicted to {np.mean(held):.1f} dB (mean)"))
+        rows.append(("held out", f"{len(held)} photographs, PSNR {np.mean(held):.1f} dB (mean)"))
     rows.append(("surface", f"{report['points']:,} points"))
     if report["points"]:
         inner = f"{length(over['mean_inner90_m'])} +- {length(over['std_inner90_m'])}"
@@ -152,4 +152,4 @@ def rows_of(report: dict[str, Any], output: Path) -> list[tuple[str, str]]:
     if "compared" in report:
         to = report["compared"]
         rows.append(("over the reference", f"{length(to['mean_inner90_m'])} +- {length(to['std_inner90_m'])}"))
-    return [*rows, ("in", str(output))]
+    return [*rows, ("folder", str(output))]

@@ -26,7 +26,7 @@ def monocular_priors(folder: Path, names: list[str], cameras: list[PinholeCamera
     Of the photograph ``a/0001.jpg`` they are ``a/0001_depth``, or ``a/0001_disparity`` for its inverse, and
     ``a/0001_normal``, each ``.npy``, ``.tif`` or ``.png``. Depth is true up to a scale and a shift, and unknown where
     it is not finite, or 0 in whole numbers. Normals (height, width, 3) have the axes of the camera, x right, y down, z
-    ahead, and point at the camera; in whole numbers of 8 bits they are ``2 value / 255 - 1``.
+    forward, and point at the camera; unsigned integers are ``2 value / maximum - 1``, with the maximum of their type.
 
     Raises
     ------
@@ -34,7 +34,7 @@ def monocular_priors(folder: Path, names: list[str], cameras: list[PinholeCamera
         If the folder has nothing for any photograph, or a file is none of these.
     """
     if not folder.is_dir():
-        raise SurveyError(f"{folder} is no folder; expected one with monocular depth or normals of the photographs")
+        raise SurveyError(f"{folder} is not a folder; expected one with monocular depth or normals of the photographs")
     found = [_priors(folder, name, camera) for name, camera in zip(names, cameras, strict=True)]
     if all(each.depth is None and each.normal is None for each in found):
         stem = Path(names[0]).with_suffix("")
@@ -106,7 +106,7 @@ def _normals(path: Path, camera: PinholeCamera) -> np.ndarray:
     if away > 0.5:
         raise SurveyError(
             f"{path}: {100 * away:.0f} % of its normals point away from the camera; expected axes x right, y down, "
-            "z ahead, in which z of a normal that points at the camera is negative"
+            "z forward, in which z of a normal that points at the camera is negative"
         )
     return _resized(normals, path, camera) @ camera.cam_from_local.astype(np.float32)
 
@@ -115,7 +115,7 @@ def _resized(values: np.ndarray, path: Path, camera: PinholeCamera) -> np.ndarra
     height, width = values.shape[:2]
     if abs(width * camera.height / (height * camera.width) - 1.0) > _MOST_STRETCH:
         raise SurveyError(
-            f"{path} is {width} x {height} px, and its photograph is {camera.width} x {camera.height}: expected the "
-            "same shape"
+            f"{path} is {width} x {height} px, and its photograph is {camera.width} x {camera.height}; expected the "
+            "same ratio of width to height"
         )
     return cv2.resize(values, (camera.width, camera.height), interpolation=cv2.INTER_NEAREST)

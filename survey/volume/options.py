@@ -81,11 +81,9 @@ class VolumeOptions:
             )
 
     def of_training(self, run: LoadedRun) -> dict[str, Any]:
-        """Dependencies of the trained field."""
+        """All that the trained field depends on: the result of the run, the options, and the monocular priors."""
         made = ("rule", "density", "reference", "cameras", "dry", "survey", "device", "drop")
-        # Those that earlier trainings did not have are named where they are not what these did.
-        later = {"shell": False, "submodules": None}
-        settings = {k: v for k, v in asdict(self).items() if k not in made and not (k in later and v == later[k])}
+        settings = {name: value for name, value in asdict(self).items() if name not in made}
         priors = None if self.monocular is None else priors_hash(self.monocular)
         return {"result": run.stages} | settings | {"monocular": priors}
 

@@ -1,6 +1,6 @@
-"""Training data of a volume: the photographs of a run that look into a box about its bed.
+"""Training data of a volume, the photographs of a run that look into a box about its bed, and the folder of its state.
 
-In a folder it has a state in training, from which it goes on after an interruption, and one when it is trained.
+The state is saved during training, so that an interrupted one continues, and at its end.
 """
 
 from __future__ import annotations
@@ -186,8 +186,8 @@ def learned_from(shown: list[Shown], ground: Ground, options: SceneOptions, phot
     """
     if len(shown) < LEAST_VIEWS:
         raise TooFewPhotographs(
-            f"{len(shown)} of {photographs} photographs see the box about the bed down to its floor, expected "
-            f"at least {LEAST_VIEWS} to learn from; give larger --bounds, or a smaller --cells"
+            f"{len(shown)} of {photographs} photographs show the floor of the box about the bed, expected "
+            f"at least {LEAST_VIEWS} for training; give larger --bounds, or a smaller --cells"
         )
     learned = _named([each.whole() for each in shown] if options.shell else shown, ground.bent)
     if options.monocular is not None:

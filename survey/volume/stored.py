@@ -51,8 +51,6 @@ class StoredVolume:
                 "train one on this result: bathynerf field, into another folder"
             )
         try:
-            # Those of one volume without a background do not name what they do without.
-            settings = {"shell": False, "submodules": None} | settings
             recipe = VolumeRecipe(**{name: settings[name] for name in VolumeRecipe.__dataclass_fields__})
             bounds = None if settings["bounds"] is None else tuple(settings["bounds"])
             scene = SceneOptions(recipe.cells, bounds, straight=recipe.straight)
@@ -67,7 +65,7 @@ class StoredVolume:
     def load(
         self, device: str = "auto", note: Callable[[str], None] = lambda said: current().note(said)
     ) -> Callable[[PinholeCamera, bool], NovelView]:
-        """Renderer of the field, with the water or, ``dry``, without it; ``note`` gets a sentence on one half trained.
+        """Render function of the field, with the water or, ``dry``, without; ``note`` is told of unfinished training.
 
         Raises
         ------

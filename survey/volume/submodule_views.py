@@ -71,7 +71,7 @@ class SubmoduleViews:
                 self.folders[number], self.boxes[number] = folder / FOLDER / name, part.box
         if not self.folders:
             raise SurveyError(
-                f"nothing of the field in {folder} is trained yet; the command that began it goes on: bathynerf field"
+                f"nothing of the field in {folder} is trained yet; run bathynerf field again with the same options"
             )
         self.grid = replace(self.grid, trained=tuple(self.folders))
         self._kept = lru_cache(IN_MEMORY)(self.load)

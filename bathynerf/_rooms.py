@@ -53,8 +53,8 @@ def require_rooms() -> None:
         init = _ROOT / room / "__init__.py"
         if not init.is_file() or _MARK not in init.read_text(encoding="utf-8", errors="replace"):
             raise ForeignPackage(
-                f"{_owner_of(room)} lies in {_ROOT / room}, in the way of the package of this name that bathynerf is "
-                "made of; install bathynerf in an environment of its own, as uv tool install and pipx install make it"
+                f"{_owner_of(room)} lies in {_ROOT / room}, where bathynerf installs a package of the same name; "
+                "install bathynerf in an environment of its own, as uv tool install and pipx install make it"
             )
 
 

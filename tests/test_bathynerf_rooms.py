@@ -58,7 +58,7 @@ def test_a_package_of_others_in_the_place_of_ours_is_named_with_its_place_and_wh
     shown = run("-m", "bathynerf", "--help", path=installed, cwd=tmp_path)
     assert shown.returncode == 2
     assert "Traceback" not in shown.stderr
-    assert f"error: evaluation 0.0.2 of another project lies in {installed / 'evaluation'}, in the way" in shown.stderr
+    assert f"error: evaluation 0.0.2 of another project lies in {installed / 'evaluation'}, where" in shown.stderr
     assert "an environment of its own" in shown.stderr
     shown = run("-c", "from bathynerf import process", path=installed, cwd=tmp_path)
     assert "ForeignPackage: evaluation 0.0.2 of another project lies in" in shown.stderr

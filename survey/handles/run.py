@@ -43,7 +43,7 @@ Places = Sequence[Sequence[float]] | np.ndarray
 
 @dataclass(frozen=True)
 class Dem:
-    """Heights of the bed in cells, the first row in the north; NaN where nothing is known.
+    """Terrain model: heights of the bed in square cells, the first row in the north; NaN where there is no point.
 
     ``numpy.asarray(dem)`` are its heights.
 
@@ -51,14 +51,14 @@ class Dem:
     ----------
     height : (rows, columns) float32, in the heights of crs
     std, std_common : (rows, columns) float32 [m]
-        Standard deviation of the height by errors of its own, and by what all heights have in common.
+        Standard deviation of the height, random, and that which all heights share.
     num_points : (rows, columns) int
     depth : (rows, columns) float32 [m]
         Below the water, negative above it; NaN for a dry survey.
     east, north : (columns,), (rows,), in crs
-        Middles of the cells.
+        Centres of the cells.
     crs : pyproj.CRS
-        Of heights too.
+        Compound: with the vertical datum of the heights.
     """
 
     height: np.ndarray
@@ -131,6 +131,7 @@ class Run:
         self._run = RunDir(folder)
         self._run.require_run()
         self.folder = self._run.path
+        self._beds: dict[Path | None, Bed] = {}
 
     @staticmethod
     def open(folder: str | Path) -> Run:
@@ -234,7 +235,9 @@ class Run:
         return cast("Figure", axes.get_figure(root=True))
 
     def to_open3d(self) -> Any:
-        """The cloud as ``open3d.geometry.PointCloud``, from its lowest corner on: Open3D draws in float32.
+        """The cloud as ``open3d.geometry.PointCloud``, shifted because Open3D draws in float32.
+
+        Coordinates in crs are those of Open3D plus ``numpy.floor(run.cloud.points.min(axis=0))``.
 
         Raises
         ------
@@ -253,10 +256,10 @@ class Run:
         return shown
 
     def _bed(self, reference: Path | None) -> Bed:
-        beds = self.__dict__.setdefault("_beds", {})
-        if reference not in beds:
-            beds[reference] = Bed(self.folder, reference)
-        return beds[reference]
+        """The bed beside a reference, read once."""
+        if reference not in self._beds:
+            self._beds[reference] = Bed(self.folder, reference)
+        return self._beds[reference]
 
     def _repr_html_(self) -> str:
         """HTML for notebooks: the verdict in numbers, and a picture of the report."""

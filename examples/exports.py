@@ -1,12 +1,11 @@
-"""Draw a survey of a cove, and write it as four programs leave it.
+"""Draw a survey of a cove, and write it as a drone, Metashape, OpenDroneMap and COLMAP do.
 
     python examples/exports.py FOLDER
 
-FOLDER/photographs: a drone's photographs alone, with positions of RTK in EXIF and XMP. metashape: with cameras.xml.
+FOLDER/photographs: a drone's photographs alone, with RTK positions in EXIF and XMP. metashape: with cameras.xml.
 odm: with the project folder of OpenDroneMap. colmap: with a model in metres, binary; colmap-text: the same as text.
-The poses are those of COLMAP's structure from motion on these photographs, with straight rays as all three programs
-have them, fitted to the positions. The water stands at 584.2 m over DHHN2016; truth/ has
-the bed. Photographs that are there are kept.
+The poses are those of COLMAP's structure from motion on these photographs, with straight rays as in all three programs,
+aligned to the positions. The water level is 584.2 m in DHHN2016; truth/ has the bed. Existing photographs are kept.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ _XMP = (
     f'drone-dji:RtkStdLon="{_RTK_STD_M}" drone-dji:RtkStdLat="{_RTK_STD_M}" drone-dji:RtkStdHgt="{_RTK_STD_M}"/>'
     "</rdf:RDF></x:xmpmeta>"
 )
-# From a chunk of Metashape, of no particular scale and place, to the Earth.
+# Metres per unit of the chunk of Metashape, whose scale is arbitrary.
 _CHUNK_SCALE = 12.354
 
 
@@ -54,7 +53,7 @@ def main() -> None:
 
 
 def draw_photographs(folder: Path) -> None:
-    """Draw the photographs into FOLDER/photographs/images, with GPS good to two centimetres, and FOLDER/truth."""
+    """Draw the photographs into FOLDER/photographs/images, with GPS positions to 2 cm, and FOLDER/truth."""
     drawn, images = folder / "drawn", folder / "photographs" / "images"
     if images.exists():
         return
@@ -74,7 +73,7 @@ def frame() -> LocalFrame:
 
 
 def aligned_block(images: Path) -> pycolmap.Reconstruction:
-    """COLMAP's own poses, metres east, north and up of the origin by a similarity to the positions in EXIF."""
+    """COLMAP's own poses, aligned by a similarity to the positions in EXIF: metres east, north and up of the origin."""
     names = sorted(path.name for path in images.iterdir())
     with tempfile.TemporaryDirectory() as work:
         database = Path(work, "database.db")
@@ -84,9 +83,9 @@ def aligned_block(images: Path) -> pycolmap.Reconstruction:
         pycolmap.match_exhaustive(database)
         blocks = pycolmap.incremental_mapping(database, images, work)
     block = max(blocks.values(), key=lambda block: block.num_reg_images())
-    heard = [read_exif(images / name).lat_lon_height for name in names]
-    east, north = Transformer.from_crs("EPSG:4326", CRS(SCENE.crs).sub_crs_list[0]).transform(*np.array(heard).T[:2])
-    places = frame().local_from_crs(np.column_stack([east, north, np.array(heard)[:, 2]]))
+    lat, lon, height = np.array([read_exif(images / name).lat_lon_height for name in names]).T
+    east, north = Transformer.from_crs("EPSG:4326", CRS(SCENE.crs).sub_crs_list[0]).transform(lat, lon)
+    places = frame().local_from_crs(np.column_stack([east, north, height]))
     ransac = pycolmap.RANSACOptions(max_error=0.5)
     local_from_block = pycolmap.align_reconstruction_to_locations(block, names, places, 3, ransac)
     block.transform(local_from_block)
@@ -108,7 +107,7 @@ def write_colmap_text(folder: Path, block: pycolmap.Reconstruction) -> None:
 def write_metashape(folder: Path, block: pycolmap.Reconstruction) -> None:
     """cameras.xml of File > Export > Export Cameras, of a chunk in WGS 84 with the accuracies of its positions."""
     lon, lat, height = origin()
-    ecef_from_local, ecef = earth(lon, lat, height)
+    ecef_from_local, ecef = geocentric(lon, lat, height)
     camera = one_camera(block)
     fx, fy, cx, cy, k1, k2, p1, p2 = camera.params
     size = f'<resolution width="{camera.width}" height="{camera.height}"/>'
@@ -143,7 +142,7 @@ def write_metashape(folder: Path, block: pycolmap.Reconstruction) -> None:
 
 
 def write_odm(folder: Path, block: pycolmap.Reconstruction) -> None:
-    """The parts of a project folder that are read: opensfm/ with the topocentric block, its origin and its tracks."""
+    """Those parts of a project folder that bathynerf reads: opensfm/ with the topocentric block, origin and tracks."""
     opensfm = folder / "opensfm"
     opensfm.mkdir()
     lon, lat, height = origin()
@@ -188,8 +187,8 @@ def origin() -> tuple[float, float, float]:
     return lon, lat, SCENE.level_m
 
 
-def earth(lon: float, lat: float, height: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (3, 3) from east, north and up to geocentric axes, and the geocentric place (3,) [m]."""
+def geocentric(lon: float, lat: float, height: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation (3, 3) from east, north and up to ECEF axes, and the position in ECEF (3,) [m]."""
     turn = Rotation.from_euler("ZY", [lon, -lat], degrees=True).as_matrix() @ np.eye(3)[[2, 0, 1]]
     place = Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True).transform(lon, lat, height)
     return turn, np.array(place)

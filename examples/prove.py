@@ -15,13 +15,13 @@ from pathlib import Path
 
 # Of a normal distribution, 95 % lie within so many standard deviations.
 TO_95 = 1.959964
-# Rods in less water than this tell no ratio [m].
+# Least depth of a rod that counts for the ratio [m].
 LEAST_DEPTH_M = 0.1
 
 
 def table(rows: list[dict]) -> list[str]:
     """Lines for the check points of a report, and what they say together."""
-    lines = [f"{'rod':16} {'depth':>8} {'found':>8} {'off':>8} {'std':>8}  within 1.96 std"]
+    lines = [f"{'rod':16} {'depth':>8} {'found':>8} {'error':>8} {'std':>8}  within 1.96 std"]
     told = [row for row in rows if row["difference_m"] is not None]
     for row in rows:
         if row["difference_m"] is None:
@@ -41,7 +41,7 @@ def table(rows: list[dict]) -> list[str]:
     judged = [row for row in told if row["stated_m"] is not None]
     if judged:
         inside = sum(abs(row["difference_m"]) <= TO_95 * row["stated_m"] for row in judged)
-        lines.append(f"{inside} of {len(judged)} within 1.96 of the stated standard deviation (95 of 100 should be)")
+        lines.append(f"{inside} of {len(judged)} within 1.96 of the stated standard deviation (expected: 95 %)")
     wet = [row for row in told if (row["depth_m"] or 0.0) > LEAST_DEPTH_M]
     if wet:
         square = sum(row["depth_m"] ** 2 for row in wet)

@@ -2,7 +2,7 @@
 
 python scripts/licences.py
 
-What fits may be used and distributed together with work under Apache-2.0. MPL-2.0 does: it is for its own files.
+What fits may be used and distributed together with work under Apache-2.0. MPL-2.0 does: it covers its own files alone.
 """
 
 from __future__ import annotations

@@ -13,10 +13,10 @@ photograph shows, with the columns
     u_px, v_px  where it is in the photograph, the centre of the first pixel at 0.5, 0.5
 
 The board is photographed in three places or more, tilted in different ways, and best in the same places in both
-media: fill the tank and leave the board where it is. A pane is told apart from the way to it only where that is
-measured (--distance-std). Lens, plane of the water (or pane), places of the board and what is unknown of the optics
-are estimated together by least squares, with rays bent by `refract`. Prints each with its standard deviation, and for
-each photograph the root mean square of its residuals.
+media: fill the tank and leave the board where it is. The thickness of a pane can be separated from its distance only
+where the distance is measured (--distance-std). Lens, plane of the water (or pane), poses of the board and the unknown
+optics are estimated together by least squares, with rays bent by `refract`. Prints each with its standard deviation,
+and for each photograph the root mean square of its residuals.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ COLUMNS = ("place", "medium", "x_m", "y_m", "u_px", "v_px")
 # Of the plane of the water or pane: two slopes against the optical axis, and the distance along it.
 DISTANCE, INDEX, PANE = "distance_m", "index", "pane_m"
 LENS, PLANE, BOARD = ("f", "cx", "cy", "k1", "k2"), ("slope_x", "slope_y", DISTANCE), 6
-# Fewest places of the board in air that tell a lens, and fewest corners that tell a place.
+# Fewest places of the board in air that determine a lens, and fewest corners that determine a place.
 FEWEST_PLACES, FEWEST_CORNERS = 3, 4
 WATER, GLASS = 1.333, 1.52
 
@@ -128,22 +128,23 @@ def read_corners(path: Path) -> Corners:
     in_air = {int(each) for each in place[~wet]}
     if len(in_air) < FEWEST_PLACES:
         raise SystemExit(
-            f"{path} has {len(in_air)} places of the board in air, expected {FEWEST_PLACES}, tilted in different ways: "
-            "they tell the lens"
+            f"{path} has {len(in_air)} places of the board in air, expected at least {FEWEST_PLACES}, tilted in "
+            "different ways: they determine the lens"
         )
     for number, name in enumerate(places):
         for medium in (False, True):
             count = int(np.sum((place == number) & (wet == medium)))
             if 0 < count < FEWEST_CORNERS:
-                raise SystemExit(f"{path}: {name} has {count} corners in a medium, expected {FEWEST_CORNERS}")
+                where = "water" if medium else "air"
+                raise SystemExit(f"{path}: {name} has {count} corners in {where}, expected at least {FEWEST_CORNERS}")
     return Corners(places, place, wet, numbers[:, :2], numbers[:, 2:])
 
 
 def estimate(corners: Corners, optics: Optics) -> Found:
     """Least squares over all corners.
 
-    Lengths scale with the board. Residuals of known optics count by their standard deviations against that of a pixel,
-    which the corners tell.
+    The board gives the scale. Known optics are priors with their standard deviations; that of an image coordinate is
+    estimated from the residuals.
     """
     start, names = _start(corners, optics), _names(corners)
     given = {DISTANCE: optics.distance_m, INDEX: optics.index, PANE: optics.pane_m}
@@ -165,15 +166,15 @@ def estimate(corners: Corners, optics: Optics) -> Found:
     # A pane has a thickness, and no medium an index below that of air.
     lowest = np.array([{INDEX: 1.0, PANE: 0.0}.get(name, -np.inf) for name in names])[~held]
     free = start[~held]
-    # Where something is known, again with the standard deviation of a pixel that the first time found.
+    # With priors a second time, weighted by the standard deviation of an image coordinate from the first.
     for _ in range(2 if priors else 1):
         found = least_squares(misfit, free, x_scale="jac", bounds=(lowest, np.inf))
         free, residuals = found.x, project(values(found.x), corners, optics) - corners.pixel
         scale, std_px = std_px, float(np.sqrt(np.sum(residuals**2) / (residuals.size + len(priors) - len(free))))
-    slopes = found.jac
-    slopes[: residuals.size] *= scale / std_px
+    jacobian = found.jac
+    jacobian[: residuals.size] *= scale / std_px
     covariance = np.zeros((len(start), len(start)))
-    covariance[np.ix_(~held, ~held)] = np.linalg.inv(slopes.T @ slopes)
+    covariance[np.ix_(~held, ~held)] = np.linalg.inv(jacobian.T @ jacobian)
     return Found(names, values(free), covariance, residuals, std_px)
 
 
@@ -194,6 +195,7 @@ def project(values: np.ndarray, corners: Corners, optics: Optics) -> np.ndarray:
     x, y = rays[:, 0] / rays[:, 2], rays[:, 1] / rays[:, 2]
     square = x * x + y * y
     radial = f * (1.0 + square * (k1 + square * k2))
+    # Where no ray reaches a corner, a residual that turns the estimation away.
     return np.nan_to_num(np.column_stack([cx + radial * x, cy + radial * y]), nan=1e6)
 
 
@@ -212,19 +214,19 @@ def _start(corners: Corners, optics: Optics) -> np.ndarray:
     flags = cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
     width, height = optics.size
     guess = np.array([[width, 0.0, 0.5 * width], [0.0, width, 0.5 * height], [0.0, 0.0, 1.0]])
-    _, matrix, bends, *_ = cv2.calibrateCamera(flat, pixels, optics.size, guess, None, flags=flags)
-    bends = np.ravel(bends)
-    lens = [matrix[0, 0], matrix[0, 2] + 0.5, matrix[1, 2] + 0.5, bends[0], bends[1]]
+    _, matrix, distortion, *_ = cv2.calibrateCamera(flat, pixels, optics.size, guess, None, flags=flags)
+    distortion = np.ravel(distortion)
+    lens = [matrix[0, 0], matrix[0, 2] + 0.5, matrix[1, 2] + 0.5, distortion[0], distortion[1]]
     boards = []
     for number, rows in enumerate(seen):
         rows = rows if len(rows) else np.flatnonzero(corners.place == number)
         board = np.column_stack([corners.board[rows], np.zeros(len(rows))])
-        _, turn, shift = cv2.solvePnP(board, corners.pixel[rows] - 0.5, matrix, bends)
+        _, turn, shift = cv2.solvePnP(board, corners.pixel[rows] - 0.5, matrix, distortion)
         turn, shift = np.ravel(turn), np.ravel(shift)
         if corners.wet[rows[0]]:
-            # Seen through the water it seems nearer than it is.
-            way = optics.distance_m[0]
-            shift *= (way + optics.index[0] * (shift[2] - way)) / shift[2]
+            # Apparent depth: through the water the board seems nearer than it is.
+            distance = optics.distance_m[0]
+            shift *= (distance + optics.index[0] * (shift[2] - distance)) / shift[2]
         boards.append(np.concatenate([turn, shift]))
     plane = [0.0, 0.0, optics.distance_m[0]]
     return np.concatenate([lens, plane, [optics.index[0], optics.pane_m[0]], *boards])
@@ -235,8 +237,8 @@ def table(corners: Corners, found: Found) -> list[str]:
     lines = [f"{'':12} {'value':>12} {'std':>10}"]
     for name in (*LENS, *PLANE, INDEX, PANE):
         value, std = found[name]
-        lines.append(f"{name:12} {value:12.5f} {std:10.5f}" + ("  (held)" if std == 0.0 else ""))
-    lines += ["", f"a corner is good to {found.std_px:.3f} px", f"{'photograph':20} corners  rms [px]"]
+        lines.append(f"{name:12} {value:12.5f} {std:10.5f}" + ("  (fixed)" if std == 0.0 else ""))
+    lines += ["", f"std of an image coordinate: {found.std_px:.3f} px", f"{'photograph':20} corners  rms [px]"]
     for number, name in enumerate(corners.places):
         for wet, medium in ((False, "air"), (True, "water")):
             mine = (corners.place == number) & (corners.wet == wet)

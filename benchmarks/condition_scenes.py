@@ -16,8 +16,8 @@ from refract import FlatWater
 from refract.curved import WavyWater
 from survey.simulate.drawn import DrawnScene, stage_drawing
 from survey.simulate.ground.ground import Ground, Material, shade_of_normals
-from survey.simulate.ground.paint import TILE, ImageSkin, periodic
 from survey.simulate.ground.shapes import Solid
+from survey.simulate.ground.textures import TILE, ImageTexture, periodic
 from survey.simulate.light import Light
 from survey.simulate.output.sidecars import StagedScene
 from survey.simulate.sensor import Eye
@@ -251,7 +251,7 @@ def reeds(scene: StagedScene, number: float) -> StagedScene:
     boughs = rng.uniform((-4.0, 1.2, 1.5), (4.0, 3.0, 2.6), (12, 3))
     light, green = Light(), np.array([0.20, 0.30, 0.08], dtype=np.float32)
     matrix = np.array([[[TILE / 0.6, 0.0, 0.0, 0.0], [0.0, TILE / 0.6, 0.0, 0.0]]])
-    skin = ImageSkin(tile[..., None] * green, matrix, np.zeros(1, dtype=np.int64), repeats=True)
+    texture = ImageTexture(tile[..., None] * green, matrix, np.zeros(1, dtype=np.int64), repeats=True)
 
     def at(plain: StagedScene, k: int) -> StagedScene:
         wind = np.random.default_rng([scene.seed, 57, k])
@@ -259,8 +259,8 @@ def reeds(scene: StagedScene, number: float) -> StagedScene:
         solids = [Solid.around(_stalk(foot, high, way)) for foot, high, way in zip(feet, tall, sway, strict=True)] + [
             _leaves(place + 0.04 * wind.standard_normal(3)) for place in boughs
         ]
-        materials = [Material(skin, shade_of_normals(solid.normals, light)) for solid in solids]
-        ground = Ground(bed, tuple(solids), (plain.renderer.ground.looks[0], *materials))
+        materials = [Material(texture, shade_of_normals(solid.normals, light)) for solid in solids]
+        ground = Ground(bed, tuple(solids), (plain.renderer.ground.materials[0], *materials))
         return replace(plain, renderer=replace(plain.renderer, ground=ground))
 
     return changing(scene, at)

@@ -22,8 +22,8 @@ from refract.curved import WavyWater
 from refract.lens import Lens, normalised
 from refract.snell import fresnel_coefficients
 from survey.simulate.ground.ground import BED, Ground, Material, seen_area, shade_of_map
-from survey.simulate.ground.paint import in_texels, light_of_bed, noise, sand, skin_from_above
 from survey.simulate.ground.shapes import BedGrid
+from survey.simulate.ground.textures import draped_texture, in_texels, light_of_bed, noise, sand
 from survey.simulate.light import Light
 from survey.simulate.render.direct import DirectRenderer, depth_below
 from survey.simulate.water import WaterLevel, WaterOptics
@@ -223,8 +223,8 @@ def _ground(settings: FieldSettings, cameras: tuple[PinholeCamera, ...]) -> Grou
     strength = settings.contrast * (1.0 - (1.0 - settings.bare_contrast) * in_texels(bare, _CELL_M, texel))
     painted = np.maximum(mean + strength[..., None] * (painted - mean), 0.02).astype(np.float32)
     lit = light_of_bed(bed, (), Light())
-    look = Material(skin_from_above(painted, west, south, texel), shade_of_map(bed, lit))
-    return Ground(bed, (), (look,))
+    material = Material(draped_texture(painted, west, south, texel), shade_of_map(bed, lit))
+    return Ground(bed, (), (material,))
 
 
 def _heights(settings: FieldSettings, x: np.ndarray, y: np.ndarray, bare: np.ndarray, rng) -> np.ndarray:

@@ -16,7 +16,7 @@ from fields.volume.photographs import Photographs
 from geo import read_reference
 from refract import FlatWater, PinholeCamera
 from survey.folder.survey import load_image, load_survey
-from survey.simulate.ground.ground import NOTHING, Ground, Material, place_object, plane, skin_of_bed
+from survey.simulate.ground.ground import NOTHING, Ground, Material, place_object, plane, texture_of_bed
 from survey.simulate.ground.shapes import TriangleMesh
 from survey.simulate.light import Light
 from survey.simulate.render.direct import DirectRenderer
@@ -140,18 +140,18 @@ def _orbit(
     reach = 12.0
     area = (-reach, -reach, reach, reach)
     bed = plane(area, 0.0)
-    body, look = place_object(settings, Path(), bed, light)
+    body, material = place_object(settings, Path(), bed, light)
     low, high = body.vertices.min(axis=0), body.vertices.max(axis=0)
     box = Box(np.r_[low[:2] - 0.3, -0.15], high + np.array([0.3, 0.3, 0.15]))
     # In air the sand ends with the box, before black; under water it goes on, and what lies beyond the box is masked.
     (x0, y0), (x1, y1) = ((-reach, -reach), (reach, reach)) if water else (box.low[:2], box.high[:2])
     corners = np.array([[x0, y0, 0.0], [x1, y0, 0.0], [x1, y1, 0.0], [x0, y1, 0.0]])
     sand = Material(
-        skin_of_bed(TextureSettings(texel_m=GRAIN_M), Path(), bed, None, area, 1),
+        texture_of_bed(TextureSettings(texel_m=GRAIN_M), Path(), bed, None, area, 1),
         lambda points, face: np.ones(len(points)),
     )
     floor = TriangleMesh(corners, np.array([[0, 1, 2], [0, 2, 3]]))
-    renderer = DirectRenderer(Ground(floor, (body,), (sand, look)), water, WaterOptics())
+    renderer = DirectRenderer(Ground(floor, (body,), (sand, material)), water, WaterOptics())
     cameras = _rings(box, scale, lift, above=None if water is None else 2.5 * box.edge)
     pictures, pixels, surface = [], [], []
     for camera in cameras:

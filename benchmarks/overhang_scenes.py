@@ -11,8 +11,8 @@ import numpy as np
 
 from survey.simulate.drawn import DrawnScene, stage_drawing
 from survey.simulate.ground.ground import Ground, Material, shade_beside_bed, shade_of_map
-from survey.simulate.ground.paint import ROCK, ImageSkin, light_of_bed, periodic
 from survey.simulate.ground.shapes import BedGrid, Solid, rotation
+from survey.simulate.ground.textures import ROCK, ImageTexture, light_of_bed, periodic
 from survey.simulate.light import Light
 from survey.simulate.output.sidecars import StagedScene
 from survey.simulate.output.writing import write_survey
@@ -58,15 +58,17 @@ class OverhangSurvey:
     def _staged(self) -> StagedScene:
         scene = self.scene
         staged = stage_drawing(scene)
-        bed, look = staged.renderer.ground.bed, staged.renderer.ground.looks[0]
+        bed, material = staged.renderer.ground.bed, staged.renderer.ground.materials[0]
         assert isinstance(bed, BedGrid)
         rng = np.random.default_rng([self.seed, 52])
         bodies = (pier if self.kind == "pier" else boulders)(rng, bed, scene.size_m)
         solids, light = tuple(solid for solid, _ in bodies), Light()
-        looks = [Material(look.skin, shade_of_map(bed, light_of_bed(bed, solids, light)))]
+        materials = [Material(material.texture, shade_of_map(bed, light_of_bed(bed, solids, light)))]
         texel = 0.5 * scene.flying_m / scene.focal_px
-        looks += [Material(_speckled(rng, s, colour, texel), shade_beside_bed(s, bed, light)) for s, colour in bodies]
-        return replace(staged, renderer=replace(staged.renderer, ground=Ground(bed, solids, tuple(looks))))
+        materials += [
+            Material(_speckled(rng, s, colour, texel), shade_beside_bed(s, bed, light)) for s, colour in bodies
+        ]
+        return replace(staged, renderer=replace(staged.renderer, ground=Ground(bed, solids, tuple(materials))))
 
 
 Bodies = list[tuple[Solid, tuple[float, float, float]]]
@@ -145,7 +147,9 @@ def _shaded(rng: np.random.Generator, colour: tuple[float, float, float]) -> tup
     return float(red), float(green), float(blue)
 
 
-def _speckled(rng: np.random.Generator, solid: Solid, colour: tuple[float, float, float], texel_m: float) -> ImageSkin:
+def _speckled(
+    rng: np.random.Generator, solid: Solid, colour: tuple[float, float, float], texel_m: float
+) -> ImageTexture:
     """A periodic speckle, laid along each plane of a body."""
     tile = np.exp(sum(0.15 * periodic(rng, spacing) for spacing in _SPECKLE)).astype(np.float32)
     across = np.cross(solid.normals, (0.8, 0.1, 0.6)) + 1e-12
@@ -153,4 +157,4 @@ def _speckled(rng: np.random.Generator, solid: Solid, colour: tuple[float, float
     axes = np.stack([across, np.cross(across, solid.normals)], axis=1) / texel_m
     shift = np.arange(len(axes))[:, None] * (7.0, 31.0) - axes @ solid.centre
     image = tile[..., None] * np.array(colour, dtype=np.float32)
-    return ImageSkin(image, np.concatenate([axes, shift[..., None]], axis=-1), np.arange(len(axes)), repeats=True)
+    return ImageTexture(image, np.concatenate([axes, shift[..., None]], axis=-1), np.arange(len(axes)), repeats=True)

@@ -11,8 +11,8 @@ import numpy as np
 
 from survey.simulate.drawn import DrawnScene, stage_drawing
 from survey.simulate.ground.ground import Ground, Material, shade_of_map, shade_of_normals
-from survey.simulate.ground.paint import ImageSkin, light_of_bed, periodic
 from survey.simulate.ground.shapes import BedGrid, Solid
+from survey.simulate.ground.textures import ImageTexture, light_of_bed, periodic
 from survey.simulate.light import Light
 from survey.simulate.output.sidecars import StagedScene
 from survey.simulate.output.writing import write_survey
@@ -106,15 +106,15 @@ class PlantSurvey:
     def staged(self) -> StagedScene:
         """The scene, ready to be photographed."""
         staged = stage_drawing(self.scene)
-        bed, look = staged.renderer.ground.bed, staged.renderer.ground.looks[0]
+        bed, material = staged.renderer.ground.bed, staged.renderer.ground.materials[0]
         assert isinstance(bed, BedGrid)
         leaves, rng = self.leaves(bed), np.random.default_rng([self.seed, 63])
         tile = np.exp(sum(0.2 * periodic(rng, spacing) for spacing in (2, 4, 8)))[..., None]
         paints = [(tile * np.array(GREEN) * shade).astype(np.float32) for shade in np.linspace(0.6, 1.5, SHADES)]
         # The shadow on the bed is that of upright leaves in all photographs.
         solids = tuple(leaf.solid(np.zeros(2)) for leaf in leaves)
-        look = replace(look, shade=shade_of_map(bed, light_of_bed(bed, solids, Light())))
-        upright = _ground(bed, look, leaves, paints, np.zeros((len(leaves), 2)))
+        material = replace(material, shade=shade_of_map(bed, light_of_bed(bed, solids, Light())))
+        upright = _ground(bed, material, leaves, paints, np.zeros((len(leaves), 2)))
         renderer = replace(staged.renderer, ground=upright)
         if not self.sway:
             return replace(staged, renderer=renderer)
@@ -122,22 +122,22 @@ class PlantSurvey:
         for number, _ in enumerate(staged.cameras):
             phase = np.array([leaf.phase for leaf in leaves]) + 2.0 * math.pi * 0.37 * number
             lean = self.sway * np.stack([np.sin(phase), 0.4 * np.cos(phase)], axis=-1)
-            grounds.append(_ground(bed, look, leaves, paints, lean))
+            grounds.append(_ground(bed, material, leaves, paints, lean))
         return Swaying(**{**vars(staged), "renderer": renderer}, grounds=tuple(grounds))
 
 
-def _ground(bed: BedGrid, look: Material, leaves: list[Leaf], paints: list[np.ndarray], lean: np.ndarray) -> Ground:
+def _ground(bed: BedGrid, material: Material, leaves: list[Leaf], paints: list[np.ndarray], lean: np.ndarray) -> Ground:
     """The bed and leaves that lean by ``lean`` (leaves, 2), painted in turn."""
-    light, looks = Light(), [look]
+    light, materials = Light(), [material]
     solids = tuple(leaf.solid(aside) for leaf, aside in zip(leaves, lean, strict=True))
     for number, solid in enumerate(solids):
-        skin = _skin(solid, paints[number % len(paints)])
-        looks.append(Material(skin, shade_of_normals(solid.normals, light)))
-    return Ground(bed, solids, tuple(looks))
+        texture = _texture(solid, paints[number % len(paints)])
+        materials.append(Material(texture, shade_of_normals(solid.normals, light)))
+    return Ground(bed, solids, tuple(materials))
 
 
-def _skin(solid: Solid, image: np.ndarray, texel_m: float = 0.008) -> ImageSkin:
+def _texture(solid: Solid, image: np.ndarray, texel_m: float = 0.008) -> ImageTexture:
     """A periodic speckle along the axes of local, as `survey.simulate.ground.ground` lays one."""
     axes = np.eye(3)[[[1, 2], [2, 0], [0, 1]]] / texel_m
     texel_from_point = np.concatenate([axes, np.zeros((3, 2, 1))], axis=-1)
-    return ImageSkin(image, texel_from_point, np.abs(solid.normals).argmax(axis=1), repeats=True)
+    return ImageTexture(image, texel_from_point, np.abs(solid.normals).argmax(axis=1), repeats=True)

@@ -18,9 +18,9 @@ from stress_scenes import with_waves
 
 from survey.simulate.drawn import DrawnScene, stage_drawing
 from survey.simulate.ground.ground import Ground, Material, shade_of_map
-from survey.simulate.ground.paint import light_of_bed
-from survey.simulate.ground.paint import noise as smooth_noise
 from survey.simulate.ground.shapes import BedGrid
+from survey.simulate.ground.textures import light_of_bed
+from survey.simulate.ground.textures import noise as smooth_noise
 from survey.simulate.light import Light
 from survey.simulate.output.sidecars import StagedScene
 from survey.simulate.output.writing import write_survey
@@ -137,6 +137,6 @@ def _rougher(scene: StagedScene, relief: float) -> StagedScene:
         heights += relief * _SHARE * spacing * smooth_noise(rng, heights.shape, spacing / bed.cell)
         spacing *= 0.5
     rough = BedGrid(heights, bed.west, bed.south, bed.cell)
-    look = Material(ground.looks[0].skin, shade_of_map(rough, light_of_bed(rough, ground.solids, Light())))
-    ground = Ground(rough, ground.solids, (look, *ground.looks[1:]))
+    material = Material(ground.materials[0].texture, shade_of_map(rough, light_of_bed(rough, ground.solids, Light())))
+    ground = Ground(rough, ground.solids, (material, *ground.materials[1:]))
     return replace(scene, renderer=replace(scene.renderer, ground=ground))

@@ -14,8 +14,8 @@ from refract import FlatWater, PinholeCamera
 from refract.curved import WavyWater
 from survey.simulate.drawn import DrawnScene
 from survey.simulate.ground.ground import Ground, Material, shade_of_map
-from survey.simulate.ground.paint import TILE, ImageSkin, light_of_bed, periodic, sand
 from survey.simulate.ground.shapes import BedGrid
+from survey.simulate.ground.textures import TILE, ImageTexture, light_of_bed, periodic, sand
 from survey.simulate.light import Light
 from survey.simulate.output.sidecars import StagedScene
 
@@ -148,7 +148,7 @@ def repeated(scene: StagedScene, period_m: float) -> StagedScene:
     bright = np.exp(sum(_SPECKLE * periodic(rng, spacing) for spacing in _SPACINGS))
     return _smooth(
         scene,
-        ImageSkin(
+        ImageTexture(
             image=(0.5 * bright[..., None] * np.array([0.66, 0.57, 0.42])).astype(np.float32),
             texel_from_point=np.array([[[scale, 0.0, 0.0, 0.0], [0.0, scale, 0.0, 0.0]]]),
             map_of_face=np.zeros(1, dtype=np.int64),
@@ -159,19 +159,19 @@ def repeated(scene: StagedScene, period_m: float) -> StagedScene:
 
 def bare_sand(scene: StagedScene, share: float) -> StagedScene:
     """A smooth bed of sand without stones or bodies, whose paint keeps a share of its contrast."""
-    bed, skin = scene.renderer.ground.bed, scene.renderer.ground.looks[0].skin
+    bed, texture = scene.renderer.ground.bed, scene.renderer.ground.materials[0].texture
     assert isinstance(bed, BedGrid)
-    assert isinstance(skin, ImageSkin)
-    texel_m = float(1.0 / skin.texel_from_point[0, 0, 0])
-    paint = sand(skin.image.shape[:2], texel_m, np.random.default_rng([scene.seed, 33]))
+    assert isinstance(texture, ImageTexture)
+    texel_m = float(1.0 / texture.texel_from_point[0, 0, 0])
+    paint = sand(texture.image.shape[:2], texel_m, np.random.default_rng([scene.seed, 33]))
     middle = paint.mean(axis=(0, 1))
-    return _smooth(scene, replace(skin, image=(middle + share * (paint - middle)).astype(np.float32)))
+    return _smooth(scene, replace(texture, image=(middle + share * (paint - middle)).astype(np.float32)))
 
 
-def _smooth(scene: StagedScene, skin: ImageSkin) -> StagedScene:
+def _smooth(scene: StagedScene, texture: ImageTexture) -> StagedScene:
     """The same scene with nothing on its bed, and nothing in it that is smaller than `_SMOOTH_M`."""
     bed = scene.renderer.ground.bed
     assert isinstance(bed, BedGrid)
     bed = BedGrid(gaussian_filter(bed.heights, _SMOOTH_M / bed.cell), bed.west, bed.south, bed.cell)
-    look = Material(skin, shade_of_map(bed, light_of_bed(bed, (), Light())))
-    return replace(scene, renderer=replace(scene.renderer, ground=Ground(bed, (), (look,))))
+    material = Material(texture, shade_of_map(bed, light_of_bed(bed, (), Light())))
+    return replace(scene, renderer=replace(scene.renderer, ground=Ground(bed, (), (material,))))

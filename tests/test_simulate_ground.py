@@ -13,8 +13,8 @@ from geo.errors import GeoError
 from refract import FlatWater
 from survey.errors import SurveyError
 from survey.simulate.ground.ground import NOTHING, Ground, Material, shade_of_normals
-from survey.simulate.ground.paint import VertexSkin
 from survey.simulate.ground.shapes import BedGrid, TriangleMesh
+from survey.simulate.ground.textures import VertexTexture
 from survey.simulate.light import Light
 from survey.simulate.output.writing import depth_map
 from survey.simulate.render.direct import DirectRenderer
@@ -44,9 +44,11 @@ def test_rays_meet_any_mesh_where_they_meet_the_same_bed_as_a_grid(rng):
 
 def test_a_ray_beside_a_bed_of_limited_extent_meets_nothing_and_is_black():
     mesh = TriangleMesh(np.array([[0.0, 0, -1], [1, 0, -1], [0, 1, -1]]), np.array([[0, 1, 2]]))
-    look = Material(VertexSkin(np.ones((3, 3)), mesh.vertices, mesh.faces), shade_of_normals(mesh.normals, Light()))
+    material = Material(
+        VertexTexture(np.ones((3, 3)), mesh.vertices, mesh.faces), shade_of_normals(mesh.normals, Light())
+    )
     for water in (None, FlatWater((0.0, 0.0, 0.0))):
-        renderer = DirectRenderer(Ground(mesh, (), (look,)), water, WaterOptics(veil=(0.0, 0.0, 0.0), sky=0.0))
+        renderer = DirectRenderer(Ground(mesh, (), (material,)), water, WaterOptics(veil=(0.0, 0.0, 0.0), sky=0.0))
         origin = np.array([[0.2, 0.2, 3.0], [5.0, 5.0, 3.0]])
         down = np.tile([0.0, 0.0, -1.0], (2, 1))
         hits = renderer.trace_rays(origin, down)
@@ -104,10 +106,10 @@ def test_an_object_is_scaled_turned_heeled_and_stands_on_the_bed(tmp_path):
 def test_depth_is_nan_where_a_pixel_sees_nothing(tmp_path):
     scene = staged(scene_file(tmp_path))
     triangle = TriangleMesh(np.array([[-0.3, -9.0, -1.0], [9.0, -9.0, -1.0], [-0.3, 9.0, -1.0]]), np.array([[0, 1, 2]]))
-    look = Material(
-        VertexSkin(np.ones((3, 3)), triangle.vertices, triangle.faces), shade_of_normals(triangle.normals, Light())
+    material = Material(
+        VertexTexture(np.ones((3, 3)), triangle.vertices, triangle.faces), shade_of_normals(triangle.normals, Light())
     )
-    renderer = dataclasses.replace(scene.renderer, ground=Ground(triangle, (), (look,)))
+    renderer = dataclasses.replace(scene.renderer, ground=Ground(triangle, (), (material,)))
     depth, wet = depth_map(renderer, scene.cameras[1], scene.lens)
     assert 0.1 < np.isnan(depth).mean() < 0.9
     assert np.nanmax(np.abs(depth - 1.0)) < 0.03  # the slope of the water over the picture
@@ -127,9 +129,9 @@ def test_an_object_of_glb_stands_upright_with_the_colours_of_its_vertices_or_its
     for name, channel in (("coloured", 1), ("textured", 0)):
         text = SCENE + f'[[objects]]\nfile = "{name}.glb"\nat = [0.0, 0.0]\nscale = 0.1\n'
         scene = staged(scene_file(tmp_path, text))
-        (body,), look = scene.renderer.ground.solids, scene.renderer.ground.looks[1]
+        (body,), material = scene.renderer.ground.solids, scene.renderer.ground.materials[1]
         np.testing.assert_allclose(np.ptp(body.vertices, axis=0), [0.1, 0.1, 0.3], atol=1e-6)
-        albedo = look.skin.albedo(body.vertices[body.faces[:1, 0]], np.array([0]))[0]
+        albedo = material.texture.albedo(body.vertices[body.faces[:1, 0]], np.array([0]))[0]
         np.testing.assert_allclose(albedo, np.eye(3)[channel], atol=0.02)
 
 

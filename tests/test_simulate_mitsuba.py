@@ -13,7 +13,7 @@ from refract import FlatWater, PinholeCamera
 from refract.curved import HeightFieldWater, WavyWater
 from refract.lens import Lens
 from survey.errors import ConfigError
-from survey.simulate.ground.ground import Ground, Material, shade_of_normals, skin_of_bed
+from survey.simulate.ground.ground import Ground, Material, shade_of_normals, texture_of_bed
 from survey.simulate.ground.shapes import BedGrid, rotation
 from survey.simulate.light import Light
 from survey.simulate.render.direct import DirectRenderer
@@ -76,12 +76,12 @@ CAMERAS = [camera_at(0.3, -0.2, 9.0, 0.05), camera_at(1.0, 4.5, 8.0, -0.5)]
 def checkered(albedo: float | None = None, reach: float = 60.0) -> Ground:
     """A level bed with a corner of its checker under the origin, or of one albedo; wide, so that no light is lost."""
     bed = BedGrid(np.full((13, 13), -DEPTH), -reach, -reach, reach / 6.0)
-    skin = skin_of_bed(
+    texture = texture_of_bed(
         TextureSettings(kind="checker", square_m=3.0), None, bed, None, (-reach, -reach, reach, reach), 1
     )
     if albedo is not None:
-        skin.image[:] = albedo
-    return Ground(bed, (), (Material(skin, shade_of_normals(np.array([[0.0, 0.0, 1.0]]), NO_SUN)),))
+        texture.image[:] = albedo
+    return Ground(bed, (), (Material(texture, shade_of_normals(np.array([[0.0, 0.0, 1.0]]), NO_SUN)),))
 
 
 def tracer(

@@ -47,7 +47,7 @@ def test_a_repeated_pattern_is_the_same_a_period_further_and_nothing_lies_on_its
     assert ground.solids == ()
     points = np.random.default_rng(1).uniform(-1.0, 1.0, (200, 3))
     here, there, between = (
-        ground.looks[0].skin.albedo(points + np.array([step, 0.0, 0.0]), np.zeros(200, dtype=int))
+        ground.materials[0].texture.albedo(points + np.array([step, 0.0, 0.0]), np.zeros(200, dtype=int))
         for step in (0.0, 0.4, 0.2)
     )
     np.testing.assert_allclose(here, there, atol=1e-3)
@@ -56,7 +56,9 @@ def test_a_repeated_pattern_is_the_same_a_period_further_and_nothing_lies_on_its
 
 def test_bare_sand_keeps_the_share_of_contrast_that_is_asked_for(stress):
     staged = stage_drawing(TINY)
-    whole, faint = (stress.scenes.bare_sand(staged, share).renderer.ground.looks[0].skin.image for share in (1.0, 0.1))
+    whole, faint = (
+        stress.scenes.bare_sand(staged, share).renderer.ground.materials[0].texture.image for share in (1.0, 0.1)
+    )
     assert faint.std(axis=(0, 1)) == pytest.approx(0.1 * whole.std(axis=(0, 1)), rel=1e-3)
     assert faint.mean() == pytest.approx(whole.mean(), rel=1e-4)
 

@@ -45,7 +45,7 @@ class BedSettings:
 
 @dataclass(frozen=True)
 class TextureSettings:
-    """[texture]: the paint of the bed."""
+    """[texture]: albedo of the bed."""
 
     kind: str = "sand"
     file: str | None = None  # image: laid over the bed from above

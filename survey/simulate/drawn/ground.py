@@ -1,4 +1,4 @@
-"""A drawn scene: the shape of its bed, the bodies on it and their paint, staged for rendering."""
+"""A drawn scene: the shape of its bed, the bodies on it and their materials, staged for rendering."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from refract import FlatWater, PinholeCamera, channel_indices, water_index
 from refract.lens import Lens
 from survey.simulate.drawn.settings import DrawnScene
 from survey.simulate.ground.ground import Ground, Material, seen_area, shade_beside_bed, shade_of_map
-from survey.simulate.ground.paint import (
+from survey.simulate.ground.shapes import BedGrid, Solid, rotation
+from survey.simulate.ground.textures import (
     ROCK,
-    ImageSkin,
+    ImageTexture,
+    draped_texture,
     in_texels,
     light_of_bed,
     noise,
     periodic,
     sand,
-    skin_from_above,
 )
-from survey.simulate.ground.shapes import BedGrid, Solid, rotation
 from survey.simulate.light import Light
 from survey.simulate.output.sidecars import StagedScene
 from survey.simulate.render.direct import DirectRenderer
@@ -59,20 +59,20 @@ def build_ground(scene: DrawnScene, cameras: Sequence[PinholeCamera], light: Lig
     bodies = _bodies(scene, bed, rng) if scene.objects else []
     solids = tuple(solid for solid, _, _ in bodies)
     stone = in_texels(stones, cell, texel)
-    skin = skin_from_above(sand(stone.shape, texel, rng, stone), west, south, texel)
-    looks = [Material(skin, shade_of_map(bed, light_of_bed(bed, solids, light)))]
+    texture = draped_texture(sand(stone.shape, texel, rng, stone), west, south, texel)
+    materials = [Material(texture, shade_of_map(bed, light_of_bed(bed, solids, light)))]
     tile = np.exp(sum(0.15 * periodic(rng, size) for size in (2, 4, 8, 32))).astype(np.float32)
-    looks += [
-        Material(_skin(scene, solid, tile, colour, grain), shade_beside_bed(solid, bed, light))
+    materials += [
+        Material(_texture(scene, solid, tile, colour, grain), shade_beside_bed(solid, bed, light))
         for solid, colour, grain in bodies
     ]
-    return Ground(bed, solids, tuple(looks))
+    return Ground(bed, solids, tuple(materials))
 
 
-def _skin(
+def _texture(
     scene: DrawnScene, solid: Solid, tile: np.ndarray, colour: tuple[float, float, float], grain: np.ndarray | None
-) -> ImageSkin:
-    """A periodic tile of brightness, laid along each plane of a body; stretched along its grain, if it has one."""
+) -> ImageTexture:
+    """Texture of a body: a periodic tile of brightness along each of its planes, stretched along its grain if any."""
     along, stretch = (np.array([0.8, 0.0, 0.6]), 1.0) if grain is None else (grain, 0.15)
     across = np.cross(solid.normals, along) + 1e-12
     across = across / np.linalg.norm(across, axis=1, keepdims=True)
@@ -80,7 +80,7 @@ def _skin(
     # Planes show different parts of the tile.
     shift = np.arange(len(axes))[:, None] * (7.0, 31.0) - axes @ solid.centre
     image = tile[..., None] * np.array(colour, dtype=np.float32)
-    return ImageSkin(image, np.concatenate([axes, shift[..., None]], axis=-1), np.arange(len(axes)), repeats=True)
+    return ImageTexture(image, np.concatenate([axes, shift[..., None]], axis=-1), np.arange(len(axes)), repeats=True)
 
 
 def _heights(scene: DrawnScene, x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -110,12 +110,12 @@ def _add_stones(heights: np.ndarray, rng: np.random.Generator, scene: DrawnScene
     count = int(1.5 * ny * nx * scene.cell_m**2)
     centres = rng.uniform((0.0, 0.0), (nx - 1.0, ny - 1.0), (count, 2))
     radii = rng.uniform(0.04, 0.04 + 0.09 * min(1.0, 2.0 * scene.unit_m), count) / scene.cell_m
-    looks = np.stack([rng.uniform(0.6, 1.5, count), rng.uniform(0.4, 0.8, count)], axis=-1)
-    for (u, v), radius, (bright, flatness) in zip(centres, radii, looks, strict=True):
+    brightness, flatness = rng.uniform(0.6, 1.5, count), rng.uniform(0.4, 0.8, count)
+    for (u, v), radius, bright, flat in zip(centres, radii, brightness, flatness, strict=True):
         i0, i1 = max(int(u - radius), 0), min(int(u + radius) + 2, nx)
         j0, j1 = max(int(v - radius), 0), min(int(v + radius) + 2, ny)
         apart = ((np.arange(i0, i1) - u) ** 2 + ((np.arange(j0, j1) - v) ** 2)[:, None]) / radius**2
-        cap = flatness * radius * scene.cell_m * np.sqrt(np.maximum(1.0 - apart, 0.0))
+        cap = flat * radius * scene.cell_m * np.sqrt(np.maximum(1.0 - apart, 0.0))
         heights[j0:j1, i0:i1] += cap
         stones[j0:j1, i0:i1] = np.where(apart < 1.0, bright, stones[j0:j1, i0:i1])
     return stones

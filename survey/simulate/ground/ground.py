@@ -1,7 +1,7 @@
-"""Everything solid in a scene: the bed, the bodies on it, their appearance, the first hit of a ray, and the extent.
+"""Everything solid in a scene: the bed, the bodies on it, their materials, the first hit of a ray, and the extent.
 
-Bodies from files are scaled, turned, heeled and set on the bed. Paint is sand drawn at a resolution, a checker, an
-image laid from above, or colours of vertices.
+Bodies from files are scaled, turned, heeled and set on the bed. Textures of the bed are sand drawn at a resolution, a
+checker, an image draped from above, or colours of vertices.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from geo.crs import height_unit_m
 from geo.shapes import excluded_points, in_height_unit, masked_cloud
 from refract import PinholeCamera
 from survey.errors import SurveyError
-from survey.simulate.ground.paint import ImageSkin, VertexSkin, look_up, periodic, sand, skin_from_above
 from survey.simulate.ground.shapes import BedGrid, Solid, TriangleMesh, near_solids, rotation
+from survey.simulate.ground.textures import ImageTexture, VertexTexture, draped_texture, look_up, periodic, sand
 from survey.simulate.light import Light
 from survey.simulate.scene_file import BedSettings, ObjectSettings, TextureSettings
 
@@ -41,9 +41,9 @@ _PLANE_CELL_M = 0.5
 
 @dataclass(frozen=True)
 class Material:
-    """Material of a body."""
+    """Lambertian material of a body: albedo, and light in the mode without light transport."""
 
-    skin: ImageSkin | VertexSkin  # Its albedo
+    texture: ImageTexture | VertexTexture
     shade: Shade  # callable: light (N,) at points (N, 3) on faces (N,) in the mode without light transport
 
 
@@ -53,9 +53,9 @@ class Ground:
 
     bed: BedGrid | TriangleMesh
     solids: tuple[Solid | TriangleMesh, ...]  # tuple of Solid or TriangleMesh: the bodies on the bed
-    looks: tuple[Material, ...]  # Of the bed, then of each body
+    materials: tuple[Material, ...]  # Of the bed, then of each body
 
-    def first(self, origin: np.ndarray, direction: np.ndarray, t_end: np.ndarray):
+    def first_hit(self, origin: np.ndarray, direction: np.ndarray, t_end: np.ndarray):
         """First hits of rays up to ``t_end``: distance (N,) [m], body (N,) and face (N,).
 
         The distance is infinite, and the body `NOTHING`, where a ray meets nothing.
@@ -80,11 +80,11 @@ class Ground:
     def colour(self, points: np.ndarray, body: np.ndarray, face: np.ndarray) -> np.ndarray:
         """Linear radiance (N, 3) of points (N, 3) [m] in dry air; black where there is nothing."""
         colour = np.zeros((len(points), 3))
-        for index, look in enumerate(self.looks, start=BED):
+        for index, material in enumerate(self.materials, start=BED):
             on = np.flatnonzero(body == index)
             if on.size:
-                shade = look.shade(points[on], face[on])
-                colour[on] = look.skin.albedo(points[on], face[on]) * shade[:, None]
+                shade = material.shade(points[on], face[on])
+                colour[on] = material.texture.albedo(points[on], face[on]) * shade[:, None]
         return colour
 
 
@@ -229,7 +229,7 @@ Area = tuple[float, float, float, float]
 
 
 def place_object(settings: ObjectSettings, folder: Path, bed, light: Light) -> tuple[TriangleMesh, Material]:
-    """A body with its look, standing on the bed.
+    """A body from a file with its material, standing on the bed.
 
     The axes of the file are those of a ship: x ahead, z up; heel turns about x, then pitch about y, yaw about z. The
     middle of its extent comes to `at`, its lowest point ``above_bed_m`` over the bed there.
@@ -254,24 +254,24 @@ def place_object(settings: ObjectSettings, folder: Path, bed, light: Light) -> t
     if not np.isfinite(z):
         raise SurveyError(f"{path} is placed at {x:g}, {y:g} m, outside the bed; correct at, in metres from the origin")
     shape = TriangleMesh(points - [*(0.5 * (low + high)[:2]), low[2]] + (x, y, z), mesh.faces)
-    skin = _speckled(shape, settings) if mesh.rgb is None else vertex_skin(shape, mesh.rgb)
-    return shape, Material(skin, shade_beside_bed(shape, bed, light))
+    texture = _speckled(shape, settings) if mesh.rgb is None else vertex_texture(shape, mesh.rgb)
+    return shape, Material(texture, shade_beside_bed(shape, bed, light))
 
 
-def _speckled(shape: TriangleMesh, settings: ObjectSettings) -> ImageSkin:
+def _speckled(shape: TriangleMesh, settings: ObjectSettings) -> ImageTexture:
     """A periodic speckle of one colour by triplanar mapping: along the local axes nearest to the plane of each face."""
     rng = np.random.default_rng([len(shape.faces), 10])
     tile = np.exp(sum(0.15 * periodic(rng, size) for size in (2, 4, 8, 32)))
     image = (tile[..., None] * np.array(settings.colour)).astype(np.float32)
     axes = np.eye(3)[[[1, 2], [2, 0], [0, 1]]] / settings.texel_m
     texel_from_point = np.concatenate([axes, np.zeros((3, 2, 1))], axis=-1)
-    return ImageSkin(image, texel_from_point, np.abs(shape.normals).argmax(axis=1), repeats=True)
+    return ImageTexture(image, texel_from_point, np.abs(shape.normals).argmax(axis=1), repeats=True)
 
 
-def skin_of_bed(
+def texture_of_bed(
     settings: TextureSettings, folder: Path, shape, rgb: np.ndarray | None, area: Area, seed: int
-) -> ImageSkin | VertexSkin:
-    """The skin of a bed.
+) -> ImageTexture | VertexTexture:
+    """The texture of a bed.
 
     Parameters
     ----------
@@ -288,7 +288,7 @@ def skin_of_bed(
     if settings.kind == "vertex":
         if rgb is None:
             raise SurveyError('texture.kind is "vertex", but the file of the bed has no colours; give another kind')
-        return vertex_skin(shape, rgb)
+        return vertex_texture(shape, rgb)
     if settings.file is not None:
         return _image(folder / settings.file, settings.texel_m)
     if settings.kind == "checker":
@@ -297,7 +297,7 @@ def skin_of_bed(
     west, south, east, north = area
     require_texels(texel, area)
     size = (math.ceil((north - south) / texel) + 1, math.ceil((east - west) / texel) + 1)
-    return skin_from_above(sand(size, texel, np.random.default_rng([seed, 9])), west, south, texel)
+    return draped_texture(sand(size, texel, np.random.default_rng([seed, 9])), west, south, texel)
 
 
 def require_texels(texel_m: float, area: Area) -> None:
@@ -311,10 +311,10 @@ def require_texels(texel_m: float, area: Area) -> None:
         )
 
 
-def vertex_skin(shape: TriangleMesh, rgb: np.ndarray) -> VertexSkin:
+def vertex_texture(shape: TriangleMesh, rgb: np.ndarray) -> VertexTexture:
     """Colours (V, 3) uint8 of a file as linear albedo."""
     vertices, faces, _ = shape.mesh()
-    return VertexSkin((np.asarray(rgb) / 255.0) ** GAMMA, vertices, faces)
+    return VertexTexture((np.asarray(rgb) / 255.0) ** GAMMA, vertices, faces)
 
 
 def linear_image(path: Path) -> np.ndarray:
@@ -326,19 +326,19 @@ def linear_image(path: Path) -> np.ndarray:
         raise SurveyError(f"{path} cannot be read as an image ({error}); correct the path or convert it") from error
 
 
-def _image(path: Path, texel_m: float) -> ImageSkin:
+def _image(path: Path, texel_m: float) -> ImageTexture:
     # The first row of an image is its north.
     image = np.ascontiguousarray(linear_image(path)[::-1])
     rows, columns = image.shape[:2]
     west, south = -0.5 * (columns - 1) * texel_m, -0.5 * (rows - 1) * texel_m
-    return skin_from_above(image, west, south, texel_m)
+    return draped_texture(image, west, south, texel_m)
 
 
-def _checker(square: float, area: Area) -> ImageSkin:
+def _checker(square: float, area: Area) -> ImageTexture:
     """Squares with sharp borders; one corner lies on the origin. A texel is a square."""
     west, south, east, north = (math.floor(area[0] / square), math.floor(area[1] / square), *area[2:])
     columns, rows = math.ceil(east / square) - west, math.ceil(north / square) - south
     bright = (np.arange(rows)[:, None] + south + np.arange(columns) + west) % 2 == 0
     image = np.where(bright, _BRIGHT, _DARK)[..., None] * np.ones(3, dtype=np.float32)
     middle = (west + 0.5) * square, (south + 0.5) * square
-    return skin_from_above(image.astype(np.float32), *middle, square, sharp=True)
+    return draped_texture(image.astype(np.float32), *middle, square, sharp=True)

@@ -59,14 +59,14 @@ class DirectRenderer:
     def trace_rays(self, origin: np.ndarray, direction: np.ndarray) -> Hits:
         """Hits of rays from origins (N, 3) [m] in unit directions (N, 3), local."""
         if self.water is None:
-            t, body, face = self.ground.first(origin, direction, np.full(len(direction), np.inf))
+            t, body, face = self.ground.first_hit(origin, direction, np.full(len(direction), np.inf))
             return Hits(_at(origin, direction, t), body, face, np.zeros(len(t)), np.ones(len(t)))
         in_air, bent, incidence = _cross(self.water, origin, direction)
-        t, body, face = self.ground.first(origin, direction, in_air)
+        t, body, face = self.ground.first_hit(origin, direction, in_air)
         points, in_water = _at(origin, direction, t), np.zeros(len(t))
         wet = np.flatnonzero(~np.isfinite(t) & np.isfinite(in_air))
         crossing = origin[wet] + in_air[wet, None] * direction[wet]
-        in_water[wet], body[wet], face[wet] = self.ground.first(crossing, bent[wet], np.full(len(wet), np.inf))
+        in_water[wet], body[wet], face[wet] = self.ground.first_hit(crossing, bent[wet], np.full(len(wet), np.inf))
         points[wet] = _at(crossing, bent[wet], in_water[wet])
         return Hits(points, body, face, in_water, incidence)
 

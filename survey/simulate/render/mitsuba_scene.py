@@ -11,7 +11,7 @@ from refract.curved import HeightFieldWater, WavyWater
 from refract.surfaces import WaterSurface
 from survey.errors import SurveyError
 from survey.simulate.ground.ground import Ground, Shape
-from survey.simulate.ground.paint import ImageSkin, VertexSkin
+from survey.simulate.ground.textures import ImageTexture, VertexTexture
 
 # The plane of the water reaches this far beyond the solids, as a share of their extent: light comes from there.
 _BEYOND = 0.1
@@ -47,8 +47,8 @@ def load_mitsuba(device: str = "auto") -> ModuleType:
 def solid_scene(mi: ModuleType, ground: Ground):
     """The solids, matt and with their albedo, as a Mitsuba scene."""
     shapes = (ground.bed, *ground.solids)
-    bodies = enumerate(zip(shapes, ground.looks, strict=True))
-    parts = {f"shape_{i}": _matt(mi, f"shape_{i}", shape, look.skin) for i, (shape, look) in bodies}
+    bodies = enumerate(zip(shapes, ground.materials, strict=True))
+    parts = {f"shape_{i}": _matt(mi, f"shape_{i}", shape, material.texture) for i, (shape, material) in bodies}
     return mi.load_dict({"type": "scene", **parts})
 
 
@@ -100,27 +100,27 @@ def _grid(area: tuple[np.ndarray, np.ndarray], spacing: float) -> tuple[np.ndarr
     return x.ravel(), y.ravel(), faces
 
 
-def _matt(mi: ModuleType, name: str, shape: Shape, skin: ImageSkin | VertexSkin):
+def _matt(mi: ModuleType, name: str, shape: Shape, texture: ImageTexture | VertexTexture):
     """Matt body: corners of its triangles carry texel coordinates, or its vertices colours."""
     vertices, faces, of_hit = shape.mesh()
-    if isinstance(skin, VertexSkin):
+    if isinstance(texture, VertexTexture):
         bsdf = _two_sided({"type": "mesh_attribute", "name": "vertex_color"})
-        return _mesh(mi, name, vertices, faces, bsdf, colours=skin.colours)
-    rows, columns = skin.image.shape[:2]
+        return _mesh(mi, name, vertices, faces, bsdf, colours=texture.colours)
+    rows, columns = texture.image.shape[:2]
     bitmap = {
         "type": "bitmap",
-        "data": mi.TensorXf(np.clip(skin.image, 0.0, 1.0).astype(np.float32)),
+        "data": mi.TensorXf(np.clip(texture.image, 0.0, 1.0).astype(np.float32)),
         "raw": True,
-        "wrap_mode": "repeat" if skin.repeats else "clamp",
-        "filter_type": "nearest" if skin.sharp else "bilinear",
+        "wrap_mode": "repeat" if texture.repeats else "clamp",
+        "filter_type": "nearest" if texture.sharp else "bilinear",
     }
-    if len(skin.texel_from_point) > 1:
+    if len(texture.texel_from_point) > 1:
         # Neighbours are laid out differently: no vertex is shared.
         of_hit, vertices = np.repeat(of_hit, 3), vertices[faces.ravel()]
         faces = np.arange(len(vertices)).reshape(-1, 3)
-        texels = skin.texels(vertices, of_hit)
+        texels = texture.texels(vertices, of_hit)
     else:
-        texels = skin.texels(vertices, np.zeros(len(vertices), dtype=np.int64))
+        texels = texture.texels(vertices, np.zeros(len(vertices), dtype=np.int64))
     # Mitsuba counts from the border of the first texel, as a share of the image.
     uv = (texels + 0.5) / (columns, rows)
     return _mesh(mi, name, vertices, faces, _two_sided(bitmap), uv=uv)

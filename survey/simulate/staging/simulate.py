@@ -29,7 +29,7 @@ from survey.simulate.ground.ground import (
     require_texels,
     seen_area,
     shade_of_normals,
-    skin_of_bed,
+    texture_of_bed,
 )
 from survey.simulate.ground.shapes import BedGrid, TriangleMesh
 from survey.simulate.light import Light
@@ -224,15 +224,15 @@ def _ground(plan: ScenePlan, light: Light) -> Ground:
     settings = plan.settings
     if settings.bed.kind == "drawn":
         ground = _drawn(plan, light)
-        shape, solids, looks = ground.bed, list(ground.solids), list(ground.looks)
+        shape, solids, materials = ground.bed, list(ground.solids), list(ground.materials)
     else:
-        shape, look = _bed(plan, light)
-        solids, looks = [], [look]
+        shape, material = _bed(plan, light)
+        solids, materials = [], [material]
     for wanted in settings.objects:
-        body, look = place_object(wanted, plan.folder, shape, light)
+        body, material = place_object(wanted, plan.folder, shape, light)
         solids.append(body)
-        looks.append(look)
-    return Ground(shape, tuple(solids), tuple(looks))
+        materials.append(material)
+    return Ground(shape, tuple(solids), tuple(materials))
 
 
 def _drawn(plan: ScenePlan, light: Light) -> Ground:
@@ -254,8 +254,8 @@ def _drawn(plan: ScenePlan, light: Light) -> Ground:
     ground = build_ground(drawn, plan.cameras, light)
     if texture.kind == "sand":
         return ground
-    skin = skin_of_bed(texture, plan.folder, ground.bed, None, area, settings.seed)
-    return Ground(ground.bed, ground.solids, (Material(skin, ground.looks[0].shade), *ground.looks[1:]))
+    draped = texture_of_bed(texture, plan.folder, ground.bed, None, area, settings.seed)
+    return Ground(ground.bed, ground.solids, (Material(draped, ground.materials[0].shade), *ground.materials[1:]))
 
 
 def _bed(plan: ScenePlan, light: Light) -> tuple[BedGrid | TriangleMesh, Material]:
@@ -270,5 +270,5 @@ def _bed(plan: ScenePlan, light: Light) -> tuple[BedGrid | TriangleMesh, Materia
         shape, normals = mesh, mesh.normals
         low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
         area = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
-    skin = skin_of_bed(settings.texture, plan.folder, shape, rgb, area, settings.seed)
-    return shape, Material(skin, shade_of_normals(normals, light))
+    texture = texture_of_bed(settings.texture, plan.folder, shape, rgb, area, settings.seed)
+    return shape, Material(texture, shade_of_normals(normals, light))

@@ -1,4 +1,4 @@
-"""Paint of a drawn bed and skin of a body: their albedo, and the light that falls on the bed in dry air.
+"""Textures of bed and bodies, which are their albedo, and the light that falls on the bed in dry air.
 
 Both are affine functions of position on every face, so that photographs in float64 and the path tracer, which
 interpolates between corners, see the same.
@@ -51,13 +51,13 @@ def sand(
     weed = 0.85 * _soft_step(patches + 0.35 * speckle(0.04), 0.9)
     stone = np.zeros(shape, dtype=np.float32) if stone is None else stone
     colour = np.empty((*shape, 3), dtype=np.float32)
-    paint = np.exp(bright)
+    bright = np.exp(bright)
     on_stone = np.minimum(stone, 1.0)
     for k in range(3):
         ground = _SAND[k] + gravel * (_GRAVEL[k] - _SAND[k])
         ground += weed * (_WEED[k] - ground)
         ground += on_stone * (stone * ROCK[k] - ground)
-        colour[..., k] = paint * ground
+        colour[..., k] = bright * ground
     return colour
 
 
@@ -124,8 +124,8 @@ def periodic(rng: np.random.Generator, spacing: int) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class ImageSkin:
-    """An image laid over a body."""
+class ImageTexture:
+    """Texture of a body by an image and a map to its texels for each face."""
 
     image: np.ndarray  # (rows, columns, 3) float32: linear albedo; texels are points at whole numbers
     texel_from_point: np.ndarray  # (K, 2, 4): texel (u, v) = matrix @ (x, y, z, 1) [m], local
@@ -154,8 +154,8 @@ class ImageSkin:
 
 
 @dataclass(frozen=True)
-class VertexSkin:
-    """Colours of the vertices, mixed between them."""
+class VertexTexture:
+    """Texture of a body by colours of its vertices, linear between them."""
 
     colours: np.ndarray  # (V, 3): linear albedo
     # vertices, faces (V, 3) [m], local, and (F, 3): of the body
@@ -173,10 +173,12 @@ class VertexSkin:
         return np.einsum("nk,nkc->nc", np.clip(weights, 0.0, 1.0), self.colours[self.faces[face]])
 
 
-def skin_from_above(image: np.ndarray, west: float, south: float, texel_m: float, *, sharp: bool = False) -> ImageSkin:
-    """An image (rows, columns, 3) laid over a body from above: its first texel at west, south [m], rows going north."""
+def draped_texture(
+    image: np.ndarray, west: float, south: float, texel_m: float, *, sharp: bool = False
+) -> ImageTexture:
+    """An image (rows, columns, 3) draped from above: its first texel at west, south [m], rows going north."""
     texel_from_point = np.array([[[1.0, 0.0, 0.0, -west], [0.0, 1.0, 0.0, -south]]]) / texel_m
-    return ImageSkin(image, texel_from_point, np.zeros(1, dtype=np.int64), sharp=sharp)
+    return ImageTexture(image, texel_from_point, np.zeros(1, dtype=np.int64), sharp=sharp)
 
 
 def look_up(image: np.ndarray, at: np.ndarray, border: int = cv2.BORDER_REPLICATE) -> np.ndarray:

@@ -20,7 +20,7 @@ from survey.simulate.ground.shapes import Solid
 from survey.simulate.ground.textures import TILE, ImageTexture, periodic
 from survey.simulate.light import Light
 from survey.simulate.output.sidecars import StagedScene
-from survey.simulate.sensor import Eye
+from survey.simulate.sensor import RadianceFunction
 from survey.simulate.water import WaterOptics
 
 # Between two photographs [s], and the acceleration of gravity [m/s2].
@@ -86,12 +86,12 @@ class Flakes:
     colours: np.ndarray
     velocities: np.ndarray
 
-    def over(self, eye: Eye, time_s: float) -> Eye:
-        """What an eye sees with the discs, at a time, on the plane z = 0."""
+    def over(self, radiance_of: RadianceFunction, time_s: float) -> RadianceFunction:
+        """Radiance along rays with the discs, at a time, on the plane z = 0."""
         tree, order = cKDTree(self.places + time_s * self.velocities), min(6, len(self.places))
 
         def seen(origin: np.ndarray, direction: np.ndarray, seed: int) -> np.ndarray:
-            light = eye(origin, direction, seed)
+            light = radiance_of(origin, direction, seed)
             at = origin[:, :2] - (origin[:, 2] / direction[:, 2])[:, None] * direction[:, :2]
             distance, which = tree.query(at, k=order)
             inside = distance < self.radii[which]
@@ -120,7 +120,7 @@ def foam(scene: StagedScene, share: float) -> StagedScene:
     white, leaf = np.array([0.85, 0.88, 0.85]), np.array([0.45, 0.30, 0.10])
     colours = np.where(rng.random((number, 1)) < 0.75, white, leaf) * rng.uniform(0.6, 1.1, (number, 1))
     flakes = Flakes(np.array(places), np.array(radii), colours, drift + 0.01 * rng.standard_normal((number, 2)))
-    return changing(scene, lambda plain, k: replace(plain, eye=flakes.over(_eye(plain), BETWEEN_S * k)))
+    return changing(scene, lambda plain, k: replace(plain, radiance_of=flakes.over(_radiance_of(plain), BETWEEN_S * k)))
 
 
 def people(scene: StagedScene, number: float) -> StagedScene:
@@ -137,7 +137,7 @@ def people(scene: StagedScene, number: float) -> StagedScene:
         place = np.abs((centres + BETWEEN_S * k * ways + 4.0) % 16.0 - 8.0) - 4.0
         turned = parts @ _turn(0.7 * k)
         flakes = Flakes((place[:, None] + turned).reshape(-1, 2), radii, colours, np.zeros((5 * count, 2)))
-        return replace(plain, eye=flakes.over(_eye(plain), 0.0))
+        return replace(plain, radiance_of=flakes.over(_radiance_of(plain), 0.0))
 
     return changing(scene, at)
 
@@ -147,16 +147,16 @@ def shadow(scene: StagedScene, size_m: float) -> StagedScene:
     to_sun, darkest, soft = np.array([0.1, 0.06, 1.0]), 0.35, 0.15
 
     def at(plain: StagedScene, k: int) -> StagedScene:
-        eye, centre = _eye(plain), plain.cameras[k].centre
+        radiance_of, centre = _radiance_of(plain), plain.cameras[k].centre
 
         def seen(origin: np.ndarray, direction: np.ndarray, seed: int) -> np.ndarray:
             points = plain.renderer.trace_rays(origin, direction).points
             middle = centre[:2] - (centre[2] - points[:, 2:]) * to_sun[:2]
             away = np.nan_to_num(np.abs(points[:, :2] - middle).max(axis=1), nan=np.inf)
             light = 1.0 - (1.0 - darkest) * np.clip((0.5 * size_m * (1.0 + soft) - away) / (soft * size_m), 0.0, 1.0)
-            return eye(origin, direction, seed) * light[:, None]
+            return radiance_of(origin, direction, seed) * light[:, None]
 
-        return replace(plain, eye=seen)
+        return replace(plain, radiance_of=seen)
 
     return changing(scene, at)
 
@@ -202,7 +202,7 @@ def ripples(scene: StagedScene, slope: float) -> StagedScene:
                 moved.radiance_of_rays(origin, direction, seed) + 0.04 * np.clip(1.0 - nx / nz / 0.1, 0.0, 4.0)[:, None]
             )
 
-        return replace(plain, eye=seen)
+        return replace(plain, radiance_of=seen)
 
     return changing(scene, at)
 
@@ -228,15 +228,15 @@ def zones(scene: StagedScene, number: float) -> StagedScene:
     """Rolling shutters read in so many zones of rows: all rows of a zone at once, in its middle."""
 
     def at(plain: StagedScene, k: int) -> StagedScene:
-        eye, camera = _eye(plain), plain.cameras[k]
+        radiance_of, camera = _radiance_of(plain), plain.cameras[k]
         motion, rows = camera.motion, camera.height / number
 
         def seen(origin: np.ndarray, direction: np.ndarray, seed: int) -> np.ndarray:
             late = (origin - camera.centre) @ motion / (motion @ motion)
             read = (np.floor((late + camera.cy) / rows) + 0.5) * rows - camera.cy
-            return eye(origin + (read - late)[:, None] * motion, direction, seed)
+            return radiance_of(origin + (read - late)[:, None] * motion, direction, seed)
 
-        return replace(plain, eye=seen)
+        return replace(plain, radiance_of=seen)
 
     return changing(scene, at)
 
@@ -266,8 +266,8 @@ def reeds(scene: StagedScene, number: float) -> StagedScene:
     return changing(scene, at)
 
 
-def _eye(scene: StagedScene) -> Eye:
-    return scene.eye or scene.renderer.radiance_of_rays
+def _radiance_of(scene: StagedScene) -> RadianceFunction:
+    return scene.radiance_of or scene.renderer.radiance_of_rays
 
 
 def _turn(angle: float) -> np.ndarray:

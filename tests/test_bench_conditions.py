@@ -48,7 +48,7 @@ def test_photographs_differ_from_each_other_and_the_truth_does_not(bench, still,
 
 
 def test_foam_covers_what_it_is_asked_to(bench, still):
-    eye = bench.scenes.foam(still, 0.2).of_photograph(still, 1).eye
+    eye = bench.scenes.foam(still, 0.2).of_photograph(still, 1).radiance_of
     x, y = (v.ravel() for v in np.meshgrid(np.linspace(-5.0, 5.0, 90), np.linspace(-5.0, 5.0, 90)))
     down = np.tile([0.0, 0.0, -1.0], (len(x), 1))
     above = np.column_stack([x, y, np.full(len(x), 5.0)])
@@ -61,7 +61,7 @@ def test_rows_of_a_zone_are_read_at_once(bench, still):
     camera = replace(still.cameras[0], motion=np.array([0.01, 0.0, 0.0]))
     scene = replace(still, cameras=(camera,))
     at = []
-    scene = replace(scene, eye=lambda origin, direction, seed: at.append(origin) or np.zeros_like(direction))
+    scene = replace(scene, radiance_of=lambda origin, direction, seed: at.append(origin) or np.zeros_like(direction))
     bench.scenes.zones(scene, 3.0).photograph(0)
     # 30 rows in three zones; their middles are 10 rows apart.
     late = np.unique(np.round((np.concatenate(at)[:, 0] - camera.centre[0]) / 0.01, 6))

@@ -156,7 +156,7 @@ def test_a_corner_of_a_checker_lands_where_refract_projects_it(mode, request):
         # is found in one line of 25 pixels, half of them bright, and 0.003 px of an edge fitted to 14 such lines.
         sun = Light(sun_share=0.999, sun_radius=1e-4)
         mi = request.getfixturevalue("mi")
-        eye, sensor = tracer(mi, ground, water, light=sun, bounces=3), Sensor(samples=2000, by_chance=True)
+        eye, sensor = tracer(mi, ground, water, light=sun, bounces=3), Sensor(samples=2000, is_jittered=True)
     camera = camera_at(0.15, 0.1, 9.0, 0.04)
     expected = camera.project(np.array([0.0, 0.0, -DEPTH]), water)
     image = sensor.light(eye, camera, LENS, (1, 1)).mean(axis=-1)
@@ -207,7 +207,7 @@ def test_light_of_the_sky_is_that_of_mitsubas_volumetric_path_tracer(mi):
 
 def of_volpath(mi, ground: Ground, colour: WaterOptics, rays) -> np.ndarray:
     """Radiance (N, 3) by Mitsuba's integrator, in a box of the same water with the same bed as its floor."""
-    scattering, asymmetry = colour.similar
+    scattering, asymmetry = colour.delta_eddington
     extinction = [a + scattering for a in colour.absorption]
     medium = {
         "type": "homogeneous",
@@ -310,7 +310,7 @@ def test_no_pixel_is_brighter_than_the_water_can_mirror_of_the_sun(mi, radius, s
     light = Light(to_sun=(0.0, 0.0, 1.0), sun_share=0.9, sun_radius=radius)
     camera, level = CAMERAS[0], FlatWater((0.0, 0.0, 0.0), n_water=1.333)
     eye = tracer(mi, checkered(albedo=0.5), level, light=light, bounces=6)
-    image = Sensor(samples=16, by_chance=True).light(eye, camera, LENS, (seed, 1)).max(axis=-1)
+    image = Sensor(samples=16, is_jittered=True).light(eye, camera, LENS, (seed, 1)).max(axis=-1)
     rows, columns = np.indices(image.shape) + 0.5
     cosine = -camera.directions(np.stack([columns, rows], axis=-1).reshape(-1, 2))[:, 2].reshape(image.shape)
     # At most a pixel is all in the disc, which has at least its area; all other light is that on white ground.

@@ -55,7 +55,7 @@ def test_the_sun_stands_where_the_scene_file_says(tmp_path):
     plan = plan_scene(read_scene(scene_file(tmp_path, text)), tmp_path)
     light = light_of(plan.settings.light, plan.frame)
     np.testing.assert_allclose(light.sun, [math.cos(math.radians(30.0)), 0.0, 0.5], atol=1e-12)
-    assert light.on(np.array([0.0, 0.0, 1.0])) == pytest.approx(1.0)
+    assert light.irradiance(np.array([0.0, 0.0, 1.0])) == pytest.approx(1.0)
 
 
 def test_waves_run_where_the_scene_file_says_and_photographs_bend_with_them(tmp_path):

@@ -92,7 +92,7 @@ def test_a_moving_camera_smears_its_image_along_its_flight_and_not_across(tmp_pa
 
 
 def test_rays_of_chance_fill_pixels_and_time_evenly():
-    sensor = Sensor(samples=64, by_chance=True)
+    sensor = Sensor(samples=64, is_jittered=True)
     turn = np.random.default_rng(1).random((20, 3))
     parts = [offsets for _, offsets in sensor._samples(turn)]
     offsets = np.concatenate(parts, axis=1)

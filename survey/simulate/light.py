@@ -51,7 +51,7 @@ class Light:
         """Elevation of the middle of the sun [rad]."""
         return math.asin(min(float(self.sun[2]), 1.0))
 
-    def on(self, normal: np.ndarray) -> np.ndarray:
+    def irradiance(self, normal: np.ndarray) -> np.ndarray:
         """Light (...) that a surface of unit normals (..., 3) gets where nothing shades it; 1 if level."""
         sky = 0.5 + 0.5 * normal[..., 2]
         # A uniform sky suffices: the mode that uses this is about geometry.

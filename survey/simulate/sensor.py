@@ -11,8 +11,8 @@ from fields.image_store import GAMMA
 from refract import PinholeCamera
 from refract.lens import Lens, normalised
 
-# Radiance (N, 3) along rays from origins (N, 3) in directions (N, 3), with a seed for random sampling.
-Eye = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
+# Linear radiance (N, 3) along rays from origins (N, 3) in directions (N, 3), with a seed for random sampling.
+RadianceFunction = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
 
 # Rays at a time.
 _RAYS = 1 << 21
@@ -22,20 +22,22 @@ _STEPS = 1.0 / 1.2207440846057596 ** np.arange(1, 4)
 
 @dataclass(frozen=True)
 class Sensor:
-    """Sensor: from radiance to an image."""
+    """Sensor of a camera: from radiance to grey levels."""
 
     samples: int = 4  # Rays per pixel
-    by_chance: bool = False  # Whether they are random in the pixel; else on a regular square grid
+    is_jittered: bool = False  # Whether rays are jittered in the pixel; else on a regular square grid
     noise: float = 0.0  # [grey levels]: standard deviation of the signal-independent noise
     photons_at_white: float = 0.0  # [-]: photons that a white pixel counts; 0 for no shot noise
     exposure: float = 1.0  # [-]: linear grey per radiance
     drift: float = 0.0  # [-]: step of the random walk that the logarithm of the exposure takes from image to image
     blur_m: float = 0.0  # [m]: distance flown, toward the top of the image, while the shutter is open
 
-    def photograph(self, eye: Eye, camera: PinholeCamera, lens: Lens, seed: tuple[int, int]) -> np.ndarray:
+    def photograph(
+        self, radiance_of: RadianceFunction, camera: PinholeCamera, lens: Lens, seed: tuple[int, int]
+    ) -> np.ndarray:
         """The image (height, width, 3) uint8 of a camera; `seed` is that of the scene and the number of the image."""
         scene, index = seed
-        linear = self.exposure * self._walk(scene, index) * self.light(eye, camera, lens, seed)
+        linear = self.exposure * self._walk(scene, index) * self.light(radiance_of, camera, lens, seed)
         if self.photons_at_white > 0.0:
             rng = np.random.default_rng([scene, 8, index])
             linear = rng.poisson(linear * self.photons_at_white) / self.photons_at_white
@@ -44,10 +46,12 @@ class Sensor:
             grey += self.noise * np.random.default_rng([scene, 3, index]).standard_normal(grey.shape)
         return np.clip(np.round(grey), 0.0, 255.0).astype(np.uint8)
 
-    def light(self, eye: Eye, camera: PinholeCamera, lens: Lens, seed: tuple[int, int]) -> np.ndarray:
+    def light(
+        self, radiance_of: RadianceFunction, camera: PinholeCamera, lens: Lens, seed: tuple[int, int]
+    ) -> np.ndarray:
         """Mean radiance (height, width, 3) of the pixels of a camera."""
-        # An eye that samples at random works in float32: 1e-4 px.
-        dtype = np.float32 if self.by_chance else np.float64
+        # Renderers that sample at random work in float32: 1e-4 px.
+        dtype = np.float32 if self.is_jittered else np.float64
         middle, across, down = (part.astype(dtype) for part in _rays_of(lens, camera))
         total = np.zeros((camera.height * camera.width, 3))
         forward = self.blur_m * _horizontal(-camera.cam_from_local[1])
@@ -62,7 +66,9 @@ class Sensor:
             if camera.motion is not None:
                 late = rows[part, None] + v - camera.cy
                 origin = origin + np.broadcast_to(late * camera.motion, rays.shape).reshape(-1, 3)
-            radiance = eye(np.broadcast_to(origin, (rays.size // 3, 3)), rays.reshape(-1, 3), _seed_of(seed, number))
+            radiance = radiance_of(
+                np.broadcast_to(origin, (rays.size // 3, 3)), rays.reshape(-1, 3), _seed_of(seed, number)
+            )
             total[part] += radiance.reshape(rays.shape).sum(axis=1)
         return (total / self.samples).reshape(camera.height, camera.width, 3)
 
@@ -72,7 +78,7 @@ class Sensor:
         Time runs from -0.5 to 0.5 while the shutter is open. Random samples are one low-discrepancy sequence, shifted
         for each pixel by ``turn`` (pixels, 3).
         """
-        if self.by_chance:
+        if self.is_jittered:
             table = (np.arange(1, self.samples + 1)[:, None] * _STEPS % 1.0).astype(turn.dtype)
         else:
             side = round(self.samples**0.5)
@@ -85,7 +91,7 @@ class Sensor:
             rows = table[first : first + at_once]
             for start in range(0, len(turn), pixels):
                 part = slice(start, min(start + pixels, len(turn)))
-                if self.by_chance:
+                if self.is_jittered:
                     sums = turn[part, None] + rows
                     yield part, np.where(sums >= 1.0, sums - 1.5, sums - 0.5)
                 else:

@@ -60,7 +60,7 @@ def with_waves(plane: FlatWater, waves: Sequence[WaveSettings]) -> WavyWater:
     )
 
 
-def measured(path: Path, frame: LocalFrame, n_water: float) -> HeightFieldWater:
+def measured_surface(path: Path, frame: LocalFrame, n_water: float) -> HeightFieldWater:
     """The surface interpolated between measured points in crs, from a raster, cloud or mesh.
 
     Raises
@@ -93,12 +93,11 @@ class WaterOptics:
     sky: float = 0.55  # [-]: radiance that the surface reflects, in the same mode
 
     @property
-    def similar(self) -> tuple[float, float]:
-        """Scattering [1/m] and asymmetry of water whose light is nearly the same, without the forward peak.
+    def delta_eddington(self) -> tuple[float, float]:
+        """Scattering [1/m] and asymmetry by delta-Eddington scaling (Joseph, Wiscombe and Weinman 1976).
 
-        The delta-Eddington scaling (Joseph, Wiscombe and Weinman 1976): the share ``g**2`` that is scattered least
-        counts as not scattered, the rest has the asymmetry ``g / (1 + g)``. What is lost is the soft halo of a few
-        degrees around bright things.
+        The share ``g**2`` in the forward peak counts as not scattered, the rest has the asymmetry ``g / (1 + g)``. Lost
+        is the halo of a few degrees around bright objects.
         """
         g = self.asymmetry
         return self.scattering * (1.0 - g * g), g / (1.0 + g)

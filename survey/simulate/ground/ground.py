@@ -100,13 +100,13 @@ def shade_of_map(bed: BedGrid, lit: np.ndarray) -> Shade:
 
 def shade_of_normals(normals: np.ndarray, light: Light) -> Shade:
     """Light by the normals (F, 3) of faces."""
-    lit = light.on(normals)
+    lit = light.irradiance(normals)
     return lambda points, face: lit[face]
 
 
 def shade_beside_bed(solid: Solid | TriangleMesh, bed: BedGrid | TriangleMesh, light: Light) -> Shade:
     """Light by the normals of a body, darker near the corner between it and the bed."""
-    lit = light.on(solid.normals)
+    lit = light.irradiance(solid.normals)
 
     def shade(points: np.ndarray, face: np.ndarray) -> np.ndarray:
         over_bed = (points[:, 2] - bed.height(points[:, 0], points[:, 1])) / (0.6 * solid.radius)

@@ -80,7 +80,7 @@ def light_of_bed(bed: BedGrid, solids: Sequence[Solid], light: Light) -> np.ndar
     smooth = gaussian_filter(bed.heights, 0.7)
     dy, dx = np.gradient(smooth, bed.cell)
     normal = np.stack([-dx, -dy, np.ones_like(dx)], axis=-1)
-    lit = light.on(normal / np.linalg.norm(normal, axis=-1, keepdims=True))
+    lit = light.irradiance(normal / np.linalg.norm(normal, axis=-1, keepdims=True))
     for reach_m, strength in ((0.05, 6.0), (0.25, 1.6)):
         hollow = gaussian_filter(covered, reach_m / bed.cell, truncate=3.0) - bed.heights
         lit *= 1.0 / (1.0 + strength * np.maximum(hollow, 0.0) / (4.0 * reach_m))

@@ -23,7 +23,7 @@ from refract.surfaces import WaterSurface
 from survey.photos.cameras import CAM_FROM_OPK_CAM
 from survey.simulate.render.direct import DirectRenderer
 from survey.simulate.render.sun_on_waves import SunOnWaves
-from survey.simulate.sensor import Eye, Sensor
+from survey.simulate.sensor import RadianceFunction, Sensor
 from survey.simulate.water import WaterLevel
 
 _JPEG_QUALITY = 92
@@ -50,7 +50,8 @@ class StagedScene:
     sensor: Sensor
     bounds: tuple[float, float, float, float]  # (e0, n0, e1, n1), in crs: what is evaluated
     seed: int
-    eye: Eye | None = None  # callable, optional: light along rays; by default that of `renderer`
+    # callable, optional: radiance along rays; by default that of `renderer`
+    radiance_of: RadianceFunction | None = None
     velocities: np.ndarray | None = None  # (cameras, 3) [m/s], local, or None: for XMP; None writes none
     position_std_m: float = 0.02  # [m]: of the positions in EXIF, in each direction
     readout_s: float = 0.0  # [s]: of rolling shutters, for survey.toml; 0 where all rows are exposed at once
@@ -69,7 +70,7 @@ class StagedScene:
     @property
     def names(self) -> list[str]:
         """File names of the photographs: JPEG, or PNG without loss where there is no noise."""
-        suffix = ".jpg" if self.sensor.noise > 0.0 or self.sensor.by_chance else ".png"
+        suffix = ".jpg" if self.sensor.noise > 0.0 or self.sensor.is_jittered else ".png"
         return [f"{k:04d}{suffix}" for k in range(len(self.cameras))]
 
     def photograph(self, index: int) -> np.ndarray:
@@ -77,8 +78,8 @@ class StagedScene:
         renderer, camera = self.at(index)
         if self.suns:
             renderer = replace(renderer, sun=self.suns[index])
-        eye = self.eye or renderer.radiance_of_rays
-        return self.sensor.photograph(eye, camera, self.lens, (self.seed, index))
+        radiance_of = self.radiance_of or renderer.radiance_of_rays
+        return self.sensor.photograph(radiance_of, camera, self.lens, (self.seed, index))
 
     def at(self, index: int) -> tuple[DirectRenderer, PinholeCamera]:
         """The renderer with the water level at the time of a photograph, and the camera without its tide."""

@@ -303,6 +303,6 @@ def _write_picture(path: Path, picture: Image.Image, **options) -> None:
 
 def _threads(scene: StagedScene | None = None) -> int:
     """Each view takes about 0.2 GB while it is evaluated; a custom renderer runs its own threads."""
-    if scene is not None and scene.eye is not None:
+    if scene is not None and scene.radiance_of is not None:
         return 1
     return min(num_cores(), 8)

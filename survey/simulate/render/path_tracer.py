@@ -60,7 +60,7 @@ class Sunlight:
         self.mi, self.solids, self.plane, self.colour, self.light = mi, solids, plane, colour, light
         self.seen_radius = max(light.sun_radius, pixel / math.sqrt(math.pi))
         self.seen_radiance = light.sun_irradiance / (math.pi * math.sin(self.seen_radius) ** 2)
-        self.scattering, _ = colour.similar
+        self.scattering, _ = colour.delta_eddington
 
     def seen(self, direction):
         """Whether unit directions, local, meet the disc as a camera sees it."""
@@ -134,7 +134,7 @@ def _fresnel(cosine, inside, n: float):
 
 
 class PathTracer:
-    """Radiance along rays; an `Eye`. Not a dataclass: Dr.Jit would treat its fields as loop variables.
+    """Radiance along rays; a `RadianceFunction`. Not a dataclass: Dr.Jit would treat its fields as loop variables.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ class PathTracer:
         self.mi, self.solids, self.surface, self.sun = sun.mi, sun.solids, surface, sun
         self.n_water = 1.0 if sun.plane is None else float(sun.plane[2])
         self.colour, self.light, self.max_bounces = sun.colour, sun.light, max_bounces
-        self.scattering, self.asymmetry = sun.colour.similar
+        self.scattering, self.asymmetry = sun.colour.delta_eddington
 
     def __call__(self, origin: np.ndarray, direction: np.ndarray, seed: int) -> np.ndarray:
         """Linear radiance (N, 3) along rays from origins in unit directions (N, 3), local."""

@@ -43,7 +43,7 @@ _PROBES, _BRIGHTEST = (40, 30), 1000.0
 
 @dataclass(frozen=True)
 class SunOnWaves:
-    """The sun on the waves of one photograph."""
+    """Caustics and glint of the sun on the waves of one photograph."""
 
     plane: FlatWater  # The mean surface
     light: Light
@@ -52,24 +52,24 @@ class SunOnWaves:
     ripples: float  # [-]: standard deviation of slopes below a pixel of the tile
     # (layers, cells, cells) [-]: light on level ground over its mean, at depths from 0 to ``deepest_m``; empty without
     # caustics
-    net: np.ndarray
+    caustics: np.ndarray
     deepest_m: float  # [m]
     glint: float  # [-]: brightness of the reflected sun as a multiple of the formula's; 0 for none
 
     def on_bed(self, points: np.ndarray, depth: np.ndarray) -> np.ndarray:
         """Light (N,) on points (N, 3) [m], local, at depths (N,) [m], relative to that under still water."""
-        if not len(self.net):
+        if not len(self.caustics):
             return np.ones(len(points))
         sun = self.light.sun[:2] / self.plane.n_water
         way = depth[:, None] * sun / np.sqrt(1.0 - sun @ sun)
-        layer = np.clip(depth / self.deepest_m, 0.0, 1.0) * (len(self.net) - 1)
-        below = np.minimum(layer.astype(int), len(self.net) - 2)
+        layer = np.clip(depth / self.deepest_m, 0.0, 1.0) * (len(self.caustics) - 1)
+        below = np.minimum(layer.astype(int), len(self.caustics) - 2)
         at = _cells(points[:, :2] + way)
         # Whole layers take turns: the tile repeats along its own axes alone.
         gain = np.ones(len(points))
         for number in np.unique(below):
             here = below == number
-            low, high = (_on_tile(self.net[number + k], at[:, here]) for k in (0, 1))
+            low, high = (_on_tile(self.caustics[number + k], at[:, here]) for k in (0, 1))
             gain[here] = low + (layer[here] - number) * (high - low)
         return gain
 
@@ -121,8 +121,8 @@ def suns_of(
     found, slope_std = [], _SLOPE_STD + _SLOPE_PER_SHARE * glint_share
     for index in range(len(cameras)):
         slopes = slope_std * _tile(np.random.default_rng([seed, 31, index]))
-        net = _net(slopes, plane.n_water, 2.0 * depth_m, depth_m, contrast) if contrast > 0.0 else slopes[:0]
-        found.append(SunOnWaves(plane, light, slopes, _RIPPLES * slope_std, net, 2.0 * depth_m, 0.0))
+        caustics = _caustics(slopes, plane.n_water, 2.0 * depth_m, depth_m, contrast) if contrast > 0.0 else slopes[:0]
+        found.append(SunOnWaves(plane, light, slopes, _RIPPLES * slope_std, caustics, 2.0 * depth_m, 0.0))
     if glint_share <= 0.0:
         return tuple(found)
     seen = np.concatenate([_probed(sun, camera) for sun, camera in zip(found, cameras, strict=True)])
@@ -157,7 +157,7 @@ def _tile(rng: np.random.Generator) -> np.ndarray:
     return slopes / np.sqrt(np.mean(slopes**2))
 
 
-def _net(slopes: np.ndarray, n: float, deepest_m: float, depth_m: float, contrast: float) -> np.ndarray:
+def _caustics(slopes: np.ndarray, n: float, deepest_m: float, depth_m: float, contrast: float) -> np.ndarray:
     """Light (layers, cells, cells) over its mean, at depths from 0 to the deepest."""
     depths = np.append(np.linspace(0.0, deepest_m, _LAYERS), depth_m)
     at = (np.arange(_CELLS * _RAYS) + 0.5) / _RAYS - 0.5
@@ -170,9 +170,9 @@ def _net(slopes: np.ndarray, n: float, deepest_m: float, depth_m: float, contras
         count = np.bincount((landed[0] * _CELLS + landed[1]).ravel(), minlength=_CELLS**2).reshape(_CELLS, _CELLS)
         disc = max(0.5 * 0.0093 / n * depth / _CELL_M, 0.5)
         found.append(gaussian_filter(count / _RAYS**2, disc, mode="wrap"))
-    net = np.array(found)
-    scale = contrast / net[-1].std()
-    return np.maximum(1.0 + scale * (net[:-1] - 1.0), _LEAST_LIGHT).astype(np.float32)
+    caustics = np.array(found)
+    scale = contrast / caustics[-1].std()
+    return np.maximum(1.0 + scale * (caustics[:-1] - 1.0), _LEAST_LIGHT).astype(np.float32)
 
 
 def _cells(places: np.ndarray) -> np.ndarray:

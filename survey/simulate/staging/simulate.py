@@ -40,7 +40,7 @@ from survey.simulate.render.mitsuba_scene import load_mitsuba, solid_scene, wate
 from survey.simulate.scene_file import LightSettings, SceneSettings, read_scene
 from survey.simulate.sensor import Sensor
 from survey.simulate.staging.planning import ScenePlan, files_of, inputs_of, plan_scene, sun_of
-from survey.simulate.water import WaterOptics, measured, with_waves
+from survey.simulate.water import WaterOptics, measured_surface, with_waves
 
 if TYPE_CHECKING:
     from survey.simulate.render.path_tracer import PathTracer
@@ -167,7 +167,7 @@ def stage_scene(plan: ScenePlan) -> StagedScene:
         renderer=renderer,
         sensor=Sensor(
             samples=_DIRECT_SAMPLES if direct else settings.render.samples,
-            by_chance=not direct,
+            is_jittered=not direct,
             noise=sensor.noise,
             photons_at_white=sensor.photons_at_white,
             exposure=sensor.exposure,
@@ -177,7 +177,7 @@ def stage_scene(plan: ScenePlan) -> StagedScene:
         bounds=(e - 0.5 * wide, n - 0.5 * deep, e + 0.5 * wide, n + 0.5 * deep),
         seed=settings.seed,
         position_std_m=settings.flight.position_std_m,
-        eye=None if direct else _path_tracer(plan, renderer, light),
+        radiance_of=None if direct else _path_tracer(plan, renderer, light),
     )
 
 
@@ -187,7 +187,7 @@ def _surface(plan: ScenePlan) -> WaterSurface | None:
     if water is None or plane is None:
         return None
     if water.heights is not None:
-        return measured(plan.folder / water.heights, plan.frame, water.refractive_index)
+        return measured_surface(plan.folder / water.heights, plan.frame, water.refractive_index)
     return with_waves(plane, water.waves) if water.waves else plane
 
 

@@ -38,10 +38,10 @@ from fields.volume.submodules import (
     Submodule,
     ground_shares,
     kept,
-    match_looks,
+    match_submodules,
     pose_weights,
     render_submodules,
-    single_look,
+    single_vector,
     vectors_of,
 )
 from fields.volume.surface import surface_of
@@ -179,7 +179,7 @@ def of_left_half(submodules: list[Submodule], scene: FlatScene, view: int) -> in
     photograph = Photographs([camera], [left.images[view]], [pixels[root]], WATER)
     chosen = submodules[root]
     vectors = match_appearance(chosen.renderer, photograph, chosen.cells, rays=RAYS)
-    chosen.renderer.appearance = single_look(vectors.weight[0])
+    chosen.renderer.appearance = single_vector(vectors.weight[0])
     return root
 
 
@@ -244,11 +244,11 @@ def rows_of_submodules(kind: Kind, views: Views, state: dict) -> dict[str, list[
         root = of_left_half(views.submodules, views.scene, view)
         for number, each in enumerate(views.submodules):
             if number != root:
-                each.renderer.appearance = single_look(vectors_of(each).mean(dim=0))
+                each.renderer.appearance = single_vector(vectors_of(each).mean(dim=0))
         views.show("", view)
         for number, (each, own) in enumerate(zip(views.submodules, owns, strict=True)):
             each.renderer.appearance = each.renderer.appearance if number == root else own
-        match_looks(views.submodules, root, views.scene.train.cameras, views.bed, WATER, rays=RAYS)
+        match_submodules(views.submodules, root, views.scene.train.cameras, views.bed, WATER, rays=RAYS)
         views.show("matched", view)
         if networks:
             views.own_ground("matched, each on its own ground", view)

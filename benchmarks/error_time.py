@@ -28,7 +28,7 @@ SCENES = {"dry": None, "wet": WATER}
 def held_paths(scene: SwitchScene) -> Paths:
     """Pixels of the held-out photographs, with the true distances as their priors."""
     ones = np.ones_like(scene.length[0])
-    scene.held.priors = [PriorImages(length=length, spread=ones) for length in scene.length]
+    scene.held.priors = [PriorImages(length=length, std=ones) for length in scene.length]
     return scene.held.draw(PATHS, BOX, np.random.default_rng(0))
 
 

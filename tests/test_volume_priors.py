@@ -39,13 +39,13 @@ def test_priors_travel_with_the_pixels_that_they_were_given_for():
     index = np.arange(64.0).reshape(8, 8)
     images = [np.repeat(index[..., None], 3, axis=2).astype(np.uint8)] * 2
     normal = np.broadcast_to([0.0, 0.6, 0.8], (8, 8, 3))
-    known = [PriorImages(length=index, spread=index + 0.5), PriorImages(normal=normal)]
+    known = [PriorImages(length=index, std=index + 0.5), PriorImages(normal=normal)]
     paths = Photographs(cameras, images, [np.arange(64)] * 2, priors=known).draw(200, BOX, np.random.default_rng(0))
     priors = Priors.of(paths.priors)
     first = paths.view == 0
     pixel = torch.round(255.0 * paths.rgb[:, 0])
     assert torch.equal(priors.length[first], pixel[first])
-    assert torch.equal(priors.spread[first], pixel[first] + 0.5)
+    assert torch.equal(priors.std[first], pixel[first] + 0.5)
     assert priors.length[~first].isnan().all()
     assert priors.normal[first].isnan().all()
     assert torch.equal(priors.normal[~first], torch.tensor([0.0, 0.6, 0.8]).expand(int((~first).sum()), 3))
@@ -61,15 +61,15 @@ def test_paths_without_priors_carry_no_columns_and_a_loss_on_them_says_so():
 
 
 def test_wrong_priors_are_refused():
-    with pytest.raises(ValueError, match="needs its spread"):
+    with pytest.raises(ValueError, match="needs its std"):
         PriorImages(length=np.ones((2, 2)))
     with pytest.raises(ValueError, match="one size"):
         PriorImages(depth=np.ones((2, 2)), normal=np.ones((2, 3, 3)))
 
 
 def test_the_length_loss_is_its_equation_and_nothing_where_all_light_stops_at_the_prior():
-    length, spread = np.full((8, 8), 5.0), np.full((8, 8), 0.1)
-    paths = paths_with(length=length, spread=spread)
+    length, std = np.full((8, 8), 5.0), np.full((8, 8), 0.1)
+    paths = paths_with(length=length, std=std)
     s = torch.full((64,), 5.0)
     assert length_loss(paths, stopped_at(s)).item() == 0.0
     assert length_loss(paths, stopped_at(s + 0.2)).item() == pytest.approx(math.log(3.0), rel=1e-4)
@@ -78,15 +78,15 @@ def test_the_length_loss_is_its_equation_and_nothing_where_all_light_stops_at_th
 
 
 def test_pixels_without_a_length_cost_nothing():
-    length, spread = np.full((8, 8), np.nan), np.full((8, 8), 0.1)
-    assert length_loss(paths_with(length=length, spread=spread), stopped_at(torch.ones(64))).item() == 0.0
+    length, std = np.full((8, 8), np.nan), np.full((8, 8), 0.1)
+    assert length_loss(paths_with(length=length, std=std), stopped_at(torch.ones(64))).item() == 0.0
     length[2, 3] = 5.0
-    found = length_loss(paths_with(length=length, spread=spread), stopped_at(torch.full((64,), 5.2)))
+    found = length_loss(paths_with(length=length, std=std), stopped_at(torch.full((64,), 5.2)))
     assert found.item() == pytest.approx(math.log(3.0), rel=1e-4)  # float32 at 5 m over 0.1 m
 
 
 def test_gradients_of_the_length_loss_are_those_of_finite_differences():
-    paths = paths_with(length=np.full((8, 8), 5.0), spread=np.full((8, 8), 0.3))[:4]
+    paths = paths_with(length=np.full((8, 8), 5.0), std=np.full((8, 8), 0.3))[:4]
     rendered = stopped_at(torch.linspace(4.7, 5.2, 4, dtype=torch.float64))
     weights = (0.2 * torch.rand(4, 3, dtype=torch.float64)).requires_grad_()
 

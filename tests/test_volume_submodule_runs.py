@@ -17,14 +17,14 @@ from PIL import Image
 import survey.volume.scene as scene
 import survey.volume.submodules as submodules
 from fields.volume.paths import Box
-from fields.volume.submodules import Grid, give_look
+from fields.volume.submodules import Grid, match_submodule
 from geo import read_cloud
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun
 from survey.files.json_values import read_json_object
 from survey.volume.field import train_field
 from survey.volume.options import VolumeOptions
-from survey.volume.scene import Ground
+from survey.volume.scene import BedBox
 from survey.volume.stored import StoredVolume
 from survey.volume.submodule_views import SubmoduleViews
 
@@ -43,9 +43,9 @@ def folder(tmp_path_factory):
     return folder
 
 
-def ground_of(folder) -> Ground:
+def ground_of(folder) -> BedBox:
     with LoadedRun(folder / "run") as run:
-        return Ground.of_run(run, run.flight, OPTIONS.scene)
+        return BedBox.of_run(run, run.flight, OPTIONS.scene)
 
 
 def test_each_cell_has_a_field_of_its_own_and_the_points_on_its_ground(folder):
@@ -104,10 +104,10 @@ def test_all_submodules_get_the_look_of_the_one_in_the_middle(folder, monkeypatc
     def give(*of):
         gc.collect()
         in_memory.append(sum(each() is not None for each in loaded))
-        return give_look(*of, steps=2, rays=64)
+        return match_submodule(*of, steps=2, rays=64)
 
     monkeypatch.setattr(SubmoduleViews, "load", counted)
-    monkeypatch.setattr(submodules, "give_look", give)
+    monkeypatch.setattr(submodules, "match_submodule", give)
     options = replace(OPTIONS, model="vm", appearance=True, shell=True, drop="geometry", submodules="3x1", steps=1)
     train_field(folder / "run", folder / "looks", options)
     assert in_memory == [2, 2]
@@ -120,14 +120,14 @@ def test_all_submodules_get_the_look_of_the_one_in_the_middle(folder, monkeypatc
 
 
 def test_cells_without_a_bed_are_named_and_left_out(folder, monkeypatch):
-    real = Ground.within
+    real = BedBox.within
     first = lambda self, box, cells: None if box.low[0] == self.box.low[0] else real(self, box, cells)  # noqa: E731
-    monkeypatch.setattr(Ground, "within", first)
+    monkeypatch.setattr(BedBox, "within", first)
     report = train_field(folder / "run", folder / "half", replace(OPTIONS, drop="geometry"))
     assert report["left_out"] == {"0_0": "the run has no bed there"}
     assert report["submodules"].keys() == {"1_0"}
     assert [each.name for each in (folder / "half" / "submodules").iterdir()] == ["1_0"]
-    monkeypatch.setattr(Ground, "within", lambda self, box, cells: None)
+    monkeypatch.setattr(BedBox, "within", lambda self, box, cells: None)
     with pytest.raises(SurveyError, match="none of 2 submodules can be learned; ask for fewer --submodules"):
         train_field(folder / "run", folder / "nothing", OPTIONS)
 
@@ -160,8 +160,8 @@ def test_cells_too_small_for_the_photographs_are_refused_before_any_folder(folde
 def test_no_photograph_is_looked_at_where_none_is_held(folder, monkeypatch):
     monkeypatch.setattr(scene, "pixels_over", lambda *_: pytest.fail("no pixels are asked for"))
     with LoadedRun(folder / "run") as run:
-        ground = Ground.of_run(run, run.flight, OPTIONS.scene)
-        assert scene.held_in(ground, run.flight, replace(OPTIONS, held_every=None).scene).names == []
+        ground = BedBox.of_run(run, run.flight, OPTIONS.scene)
+        assert scene.held_photographs(ground, run.flight, replace(OPTIONS, held_every=None).scene).names == []
         far = replace(ground, box=Box(ground.box.low + 500.0, ground.box.high + 500.0))
         assert scene.shown_in(far, run.flight, lambda: None) == []
 

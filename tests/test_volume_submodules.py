@@ -16,7 +16,7 @@ from fields.image_store import as_stored
 from fields.volume.appearance import appearance_vectors
 from fields.volume.paths import Box
 from fields.volume.photographs import pixels_over
-from fields.volume.renderer import Backdrop, View, VolumeRenderer, render_volume
+from fields.volume.renderer import Backdrop, VolumeImage, VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
 from fields.volume.submodules import (
     Blend,
@@ -25,12 +25,12 @@ from fields.volume.submodules import (
     counts_of,
     ground_shares,
     kept,
-    match_looks,
-    matched_look,
+    match_submodules,
+    matched_vector,
     pose_weights,
     render_submodules,
     shared_rays,
-    single_look,
+    single_vector,
     vectors_of,
 )
 
@@ -132,7 +132,7 @@ def test_weights_follow_the_power_of_the_distance():
 
 def test_an_empty_blend_is_black_and_knows_no_place():
     view = Blend(looking_down(), GRID).view()
-    assert isinstance(view, View)
+    assert isinstance(view, VolumeImage)
     assert not view.rgb.any()
     assert np.isnan(view.distance).all()
 
@@ -184,7 +184,7 @@ def test_a_look_is_matched_to_that_of_a_neighbour_and_nothing_else_changes():
     before = {k: v.clone() for k, v in target.renderer.state_dict().items()}
     cameras = [high_over(x) for x in (-0.5, 0.0, 0.4)]
     shared = shared_rays(cameras, bed(0.0), source.box, target.box, None)
-    look = matched_look(target, source, shared, None, rays=256)
+    look = matched_vector(target, source, shared, None, rays=256)
     # The gain of 0.5 is made up for by exp of the mean of the vector; 2 % is a grey value or two.
     assert float(torch.exp(look.weight.detach().mean())) == pytest.approx(2.0, rel=0.02)
     assert all(torch.equal(before[k], v) for k, v in target.renderer.state_dict().items())
@@ -194,9 +194,9 @@ def test_looks_go_from_neighbour_to_neighbour():
     """The cells at both ends share no ground: the third is matched through the second."""
     gains = (1.0, 0.7, 0.5)
     submodules = [lit(n, DRY, torch.full((2, 3), 0.3), gain) for n, gain in enumerate(gains)]
-    submodules[0].renderer.appearance = single_look(torch.zeros(3))
+    submodules[0].renderer.appearance = single_vector(torch.zeros(3))
     cameras = [high_over(x) for x in (-0.6, 0.0, 0.6)]
-    assert match_looks(submodules, 0, cameras, bed(0.0), None) == ["root", "0", "1"]
+    assert match_submodules(submodules, 0, cameras, bed(0.0), None) == ["root", "0", "1"]
     found = [float(torch.exp(vectors_of(each).mean())) for each in submodules]
     assert found == pytest.approx([1.0 / gain for gain in gains], rel=0.03)
 
@@ -204,12 +204,12 @@ def test_looks_go_from_neighbour_to_neighbour():
 def test_one_that_shares_no_ground_keeps_the_mean_of_its_own():
     far = lit(2, DRY, torch.tensor([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]]), 1.0)
     root = lit(0, DRY, torch.zeros(1, 3), 1.0)
-    assert match_looks([root, far], 0, [high_over()], bed(0.0), None) == ["root", "none"]
+    assert match_submodules([root, far], 0, [high_over()], bed(0.0), None) == ["root", "none"]
     assert vectors_of(far).tolist() == [[0.5, 1.0, 1.5]]
 
 
-def test_without_vectors_there_are_no_looks():
-    with pytest.raises(ValueError, match="no looks to match; train them"):
+def test_submodules_without_vectors_cannot_be_matched():
+    with pytest.raises(ValueError, match="no appearance vectors to match; train them"):
         vectors_of(coloured(0, RED))
 
 

@@ -23,7 +23,7 @@ SAMPLES = 48
 
 
 def appearance_vectors(photographs: int, length: int) -> nn.Embedding:
-    """Vectors of ``length`` numbers, all zero: every photograph begins with the look that is common to all.
+    """Vectors of ``length`` numbers, all zero: every photograph begins with the same appearance.
 
     Parameters
     ----------
@@ -49,8 +49,8 @@ def match_appearance(
 ) -> nn.Embedding:
     """Vectors fitted so that a trained volume matches other photographs; all else is unchanged.
 
-    As a submodule of the tidal flats takes on the look of its neighbour: about 100 steps, from the mean of the volume's
-    own vectors.
+    Appearance matching of a submodule to its neighbour in the NeRF of tidal flats: about 100 steps, from the mean of
+    the volume's own vectors.
 
     Parameters
     ----------

@@ -10,7 +10,7 @@
 As printed the losses are (5), of the density s itself, here per half of the box's longest edge, which is 1 in p as in
 the authors' scenes. It has no bound, and where an exponent exceeds `LIMIT` exp goes on along its tangent, since a wall
 overflows it. The printed l1(exp(grad s)) has no magnitude inside; without one it would depend on the way that axes
-point. In (2) and (3), which we train with, opacity over one length takes the place of density: its differences over l
+point. In (2) and (3), which are used here, opacity over one length takes the place of density: its differences over l
 and its variance stay within 1, and the one taken off in (2) lets even density cost nothing. Means and variances run
 over the points drawn uniformly in each node of a coarse grid. (6) is the transparency of Inf-NeRF's code, of opacity
 over a cell in place of the unit of its scenes.

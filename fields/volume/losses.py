@@ -93,40 +93,40 @@ class Losses:
         self, renderer: VolumeRenderer, paths: Paths, rendered: Rendered, cells: Cells, water: WaterSurface | None
     ) -> Tensor:
         """The weighted sum, a scalar."""
-        seen = Seen(renderer, paths, rendered, cells)
+        batch = Batch(renderer, paths, rendered, cells)
         size = self.patches.size
         terms: list[tuple[float, Callable[[], Tensor]]] = [
             (self.transparency, lambda: transparency_loss(rendered)),
             (self.distortion, lambda: distortion_loss(paths, rendered)),
-            (self.orientation, lambda: orientation_loss(seen.normals, seen.direction, rendered.opacity.detach())),
+            (self.orientation, lambda: orientation_loss(batch.normals, batch.direction, rendered.opacity.detach())),
             (self.appearance, lambda: appearance_loss(renderer, paths)),
-            (self.density, lambda: density_loss(draw_nodes(renderer.model, seen.cell))),
-            (self.gaussian_density, lambda: gaussian_density_loss(renderer.model, seen.cell)),
-            (self.printed_density, lambda: printed_density_loss(renderer.model, seen.cell)),
+            (self.density, lambda: density_loss(draw_nodes(renderer.model, batch.cell))),
+            (self.gaussian_density, lambda: gaussian_density_loss(renderer.model, batch.cell)),
+            (self.printed_density, lambda: printed_density_loss(renderer.model, batch.cell)),
             (
                 self.printed_gaussian_density,
-                lambda: gaussian_density_loss(renderer.model, seen.cell, of=density_per_half),
+                lambda: gaussian_density_loss(renderer.model, batch.cell, of=density_per_half),
             ),
-            (self.empty, lambda: empty_loss(renderer.model, seen.cell)),
+            (self.empty, lambda: empty_loss(renderer.model, batch.cell)),
             (self.virtual_views, lambda: virtual_view_loss(renderer, paths, rendered, cells, water)),
             (self.patches.ncc, lambda: ncc_loss(as_patches(rendered.rgb, size), as_patches(paths.rgb, size))),
             (self.patches.ssim, lambda: ssim_loss(as_patches(rendered.rgb, size), as_patches(paths.rgb, size))),
             (
                 self.patches.smooth_normals,
-                lambda: smooth_normals_loss(as_patches(seen.normals, size), as_patches(paths.rgb, size)),
+                lambda: smooth_normals_loss(as_patches(batch.normals, size), as_patches(paths.rgb, size)),
             ),
             (self.patches.virtual, lambda: virtual_patch_loss(renderer, paths, rendered, cells, water, size)),
             (self.priors.length, lambda: length_loss(paths, rendered)),
             (self.priors.depth, lambda: relative_depth_loss(paths, rendered, renderer.model.box.edge)),
-            (self.priors.normal, lambda: normal_prior_loss(paths, seen.normals)),
+            (self.priors.normal, lambda: normal_prior_loss(paths, batch.normals)),
             (self.priors.predicted_normal, lambda: normal_prior_loss(paths, predicted_normals(rendered))),
         ]
         return sum((weight * loss() for weight, loss in terms if weight), rendered.rgb.new_zeros(()))
 
 
 @dataclass
-class Seen:
-    """Samples and renderings of a batch of paths, computed once for all losses that ask for it."""
+class Batch:
+    """A batch of rendered paths; depth, directions and normals are computed once for all losses that need them."""
 
     renderer: VolumeRenderer
     paths: Paths

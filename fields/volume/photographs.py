@@ -1,7 +1,7 @@
 """The photographs that a volume is trained from, the paths drawn through them, and priors of their pixels.
 
 Priors are a distance with its std, monocular depth and a normal. On paths (N, 8), NaN where unknown: length [m], its
-spread [m], two terms and a power of monocular depth, normal (3).
+std [m], two terms and a power of monocular depth, normal (3).
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ class PriorImages:
     Raises
     ------
     ValueError
-        If shapes differ, or a length comes without a spread.
+        If shapes differ, or a length comes without a std.
     """
 
-    # length, spread (height, width) float [m]: path length from the camera to the surface, in air and water together,
+    # length, std (height, width) float [m]: path length from the camera to the surface, in air and water together,
     # and its standard deviation: of the sweep, or of points of structure from motion. NaN where none.
     length: np.ndarray | None = None
-    spread: np.ndarray | None = None
+    std: np.ndarray | None = None
     # (height, width) float: monocular depth along the camera's axis, true up to a scale and a shift; NaN where none
     depth: np.ndarray | None = None
     is_inverse: bool = False  # `depth` holds the inverse of depth instead (disparity), true up to a scale and a shift
@@ -42,17 +42,17 @@ class PriorImages:
     normal: np.ndarray | None = None
 
     def __post_init__(self):
-        if (self.length is None) != (self.spread is None):
-            raise ValueError("a prior of length needs its spread, and a spread its length; got one of them")
-        shapes = {np.shape(v)[:2] for v in (self.length, self.spread, self.depth, self.normal) if v is not None}
+        if (self.length is None) != (self.std is None):
+            raise ValueError("a prior of length needs its std, and a std its length; got one of them")
+        shapes = {np.shape(v)[:2] for v in (self.length, self.std, self.depth, self.normal) if v is not None}
         if len(shapes) > 1:
             raise ValueError(f"expected priors of one size (height, width), got {sorted(shapes)}")
 
     def at(self, camera: PinholeCamera, rows: np.ndarray, columns: np.ndarray) -> Tensor:
         """Priors (N, 8) of pixels at rows and columns (N,) of the camera."""
         found = np.full((len(rows), COLUMNS), np.nan, dtype=np.float32)
-        if self.length is not None and self.spread is not None:
-            found[:, 0], found[:, 1] = self.length[rows, columns], self.spread[rows, columns]
+        if self.length is not None and self.std is not None:
+            found[:, 0], found[:, 1] = self.length[rows, columns], self.std[rows, columns]
         if self.depth is not None:
             ahead = camera.directions(np.stack([columns + 0.5, rows + 0.5], axis=-1)) @ camera.cam_from_local[2]
             # depth = a m + b along the axis is length = a m / ahead + b / ahead along the ray; its inverse likewise.
@@ -68,9 +68,9 @@ class PriorImages:
 class Priors:
     """Priors of paths (N), NaN where unknown."""
 
-    # length, spread: (N,) [m]
+    # length, std: (N,) [m]
     length: Tensor
-    spread: Tensor
+    std: Tensor
     # (N, 2): ``a terms[0] + b terms[1]`` is the path length to ``power`` for the scale and shift a, b of the photograph
     terms: Tensor
     power: Tensor  # (N,): 1 for depth, -1 for inverse depth

@@ -1,4 +1,4 @@
-"""Losses from prior knowledge: lengths with a spread, monocular depth, monocular normals.
+"""Losses from prior knowledge: lengths with a standard deviation, monocular depth, monocular normals.
 
 On patches of neighbouring pixels (P, size, size, 3), colours as stored, 0 to 1: correlation, structural similarity, and
 normals that change smoothly. Against virtual views close to the photographs' own: equal colour and depth. MonoPatchNeRF
@@ -23,7 +23,7 @@ from refract import WaterSurface, crossing_point
 MIN_FITTED = 8
 # A path meets a surface if its opacity exceeds this.
 MIN_OPACITY = 0.5
-# Below a spread of one grey value of 255 a patch has no structure to correlate.
+# Below a standard deviation of one grey value of 255 a patch has no structure to correlate.
 NOISE = (1.0 / 255.0) ** 2
 # C1 and C2 of SSIM for colours from 0 to 1 (Wang et al. 2004).
 C1, C2 = 0.01**2, 0.03**2
@@ -41,7 +41,7 @@ SAMPLES = 48
 def length_loss(paths: Paths, rendered: Rendered) -> Tensor:
     """Weights off the path length that the sweep or structure from motion gives, robustly.
 
-        mean over paths of  sum_i w_i rho((s_i - length) / spread) + (1 - sum_i w_i) rho((far - length) / spread)
+        mean over paths of  sum_i w_i rho((s_i - length) / std) + (1 - sum_i w_i) rho((far - length) / std)
         rho(e) = log(1 + e^2 / 2)
 
     The form of DS-NeRF (Deng et al. 2022), which holds the weights of a path and not their mean alone to the depth of a
@@ -49,11 +49,11 @@ def length_loss(paths: Paths, rendered: Rendered) -> Tensor:
     light stops at the prior.
     """
     priors = Priors.of(paths.priors)
-    known = torch.isfinite(priors.length) & torch.isfinite(priors.spread)
-    length, spread = priors.length[known, None], priors.spread[known, None]
+    known = torch.isfinite(priors.length) & torch.isfinite(priors.std)
+    length, std = priors.length[known, None], priors.std[known, None]
     weights, s = rendered.weights[known], rendered.samples.s[known]
-    stopped = (weights * _cauchy((s - length) / spread)).sum(dim=1)
-    passed = (1.0 - weights.sum(dim=1)) * _cauchy((paths.far[known, None] - length) / spread)[:, 0]
+    stopped = (weights * _cauchy((s - length) / std)).sum(dim=1)
+    passed = (1.0 - weights.sum(dim=1)) * _cauchy((paths.far[known, None] - length) / std)[:, 0]
     return _mean(stopped + passed)
 
 

@@ -1,6 +1,6 @@
 """Volume rendering of paths: a model with the water, appearance vectors and a background, as a camera sees it.
 
-A small perceptron may say normals from a field's features (MonoPatchNeRF, Wu et al. 2024; Verbin et al. 2022):
+A small perceptron may predict normals from a field's features (MonoPatchNeRF, Wu et al. 2024; Verbin et al. 2022):
 
     n_i = normalised MLP(features_i), one hidden layer;  n = normalised sum_i w_i n_i of a path
 
@@ -177,8 +177,8 @@ class Backdrop(nn.Module):
 
 
 @dataclass(frozen=True)
-class View:
-    """View of a volume by a camera; where a path misses the box, the background, and NaN for distance and point.
+class VolumeImage:
+    """Image of a volume by a camera; where a path misses the box, the background, and NaN for distance and point.
 
     Attributes
     ----------
@@ -210,7 +210,7 @@ def render_volume(
     dry: bool = False,
     chunk: int | None = None,
     shown: np.ndarray | None = None,
-) -> View:
+) -> VolumeImage:
     """A volume as a camera sees it, with the appearance of photograph ``view``.
 
     Paths are rendered ``chunk`` at a time; by default as many as keep their samples within `WORKING_BYTES`, so that a
@@ -232,7 +232,7 @@ def render_volume(
     columns = [torch.cat(column).cpu().numpy() for column in zip(*parts, strict=True)]
     if shown is not None:
         columns = [_spread(column, shown, camera, rest) for column, rest in zip(columns, _UNSEEN, strict=True)]
-    return View(*(c.reshape(camera.height, camera.width, *c.shape[1:]) for c in columns))
+    return VolumeImage(*(c.reshape(camera.height, camera.width, *c.shape[1:]) for c in columns))
 
 
 # What a pixel has of which nothing is known: colour, distance, opacity, point.

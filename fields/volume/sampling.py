@@ -89,7 +89,7 @@ class Cells:
     def refined(self, opacity: Tensor, least: float, margin: float) -> Cells:
         """Cells whose opacity (cells,) is at least ``least`` and those within ``margin`` [m] of them."""
         filled = (opacity.view(self.occupied.shape) >= least).cpu().numpy()
-        return Cells(self.box, torch.from_numpy(_thickened(filled, self.box, margin)).to(opacity.device))
+        return Cells(self.box, torch.from_numpy(_dilated(filled, self.box, margin)).to(opacity.device))
 
     @torch.no_grad()
     def samples(self, paths: Paths, num: int, *, jitter: bool) -> Samples:
@@ -111,6 +111,6 @@ class Cells:
         return inside & self.occupied.view(-1)[flat]
 
 
-def _thickened(occupied: np.ndarray, box: Box, margin: float) -> np.ndarray:
+def _dilated(occupied: np.ndarray, box: Box, margin: float) -> np.ndarray:
     reach = np.ceil(margin * np.array(occupied.shape) / box.size).astype(int)
     return binary_dilation(occupied, np.ones(tuple(2 * reach + 1), dtype=bool))

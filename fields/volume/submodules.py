@@ -12,8 +12,8 @@ without one it shows those whose path ends inside its box. Distances and points 
 is equally far from would have equal weights, however well each knows a place. They are those of the submodule on whose
 own ground its point lies.
 
-What photographs' vectors change must be the same in all of them: one submodule gives the look, and the vector of a
-neighbour is fitted until both show the places that they share alike, which changes nothing else.
+Appearance vectors are matched as in Block-NeRF: one submodule keeps its own; the vector of a neighbour is
+fitted until both render the places that they share alike, with all else fixed.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from fields.device import half_the_threads
 from fields.volume.appearance import SAMPLES, appearance_vectors, fit_vectors
 from fields.volume.paths import Box, Paths, Rays
 from fields.volume.photographs import pixels_over
-from fields.volume.renderer import View, VolumeRenderer, render_volume
+from fields.volume.renderer import VolumeImage, VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
 from fields.volume.surface import LEAST_OPACITY
 from fields.volume.visibility import ACROSS
@@ -41,9 +41,9 @@ RIM = 0.25
 POWER = 4.0
 # A submodule is left out of a view that shows it, or its ground, by less than this share.
 LEAST_VISIBLE = 0.01
-# Points of the bed that visibility is taken from, and at which looks are matched.
+# Points of the bed by which visibility is computed, and at which appearance is matched.
 MOST_POINTS = 50_000
-# Cameras that see two submodules when their looks are matched.
+# Cameras by which the appearance of two submodules is matched.
 MOST_CAMERAS = 32
 
 
@@ -133,8 +133,8 @@ def render_submodules(
     *,
     samples: int = 48,
     dry: bool = False,
-) -> View:
-    """View of submodules from a camera, blended by their weights as in equation (1).
+) -> VolumeImage:
+    """Image of submodules by a camera, blended by their weights as in equation (1).
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ class Blend:
         self._distance, self._points = np.full(shape, np.nan, np.float32), np.full((*shape, 3), np.nan, np.float32)
         self._opacity = np.zeros(shape, np.float32)
 
-    def add(self, weight: float, number: int, seen: View, shown: np.ndarray | None) -> None:
+    def add(self, weight: float, number: int, seen: VolumeImage, shown: np.ndarray | None) -> None:
         """Add the view of a submodule that has a weight and the number of a cell; None: it shows every pixel."""
         mask = np.ones(self._weight.shape, bool)
         if shown is not None:
@@ -180,10 +180,10 @@ class Blend:
             kept[better] = new[better]
         self._points[better] = seen.points[better]
 
-    def view(self) -> View:
+    def view(self) -> VolumeImage:
         """The picture."""
         rgb = self._rgb / np.where(self._weight > 0.0, self._weight, 1.0)[..., None]
-        return View(rgb.astype(np.float32), self._distance, self._opacity, self._points)
+        return VolumeImage(rgb.astype(np.float32), self._distance, self._opacity, self._points)
 
 
 def ground_shares(grid: Grid, bed: np.ndarray, camera: PinholeCamera, water: WaterSurface | None) -> np.ndarray:
@@ -233,7 +233,7 @@ def _inside(points: np.ndarray, box: Box) -> np.ndarray:
 
 
 @half_the_threads()
-def matched_look(
+def matched_vector(
     target: Submodule,
     source: Submodule,
     shared: Rays,
@@ -243,14 +243,14 @@ def matched_look(
     rays: int = 512,
     seed: int = 0,
 ) -> nn.Embedding:
-    """The one vector with which a submodule looks most like another along rays to places that both show.
+    """The appearance vector with which a submodule matches another along rays to places that both show.
 
     Its start is the mean of the submodule's own vectors. All else of both is unchanged.
 
     Parameters
     ----------
     source : Submodule
-        One whose renderer has a single vector: the look that is wanted.
+        One whose renderer has a single vector: the appearance to match.
 
     Raises
     ------
@@ -259,8 +259,8 @@ def matched_look(
     """
     own = vectors_of(target)
     rng, place = np.random.default_rng(seed), target.renderer.model.place
-    look = appearance_vectors(1, own.shape[1]).to(place)
-    look.weight.data += own.mean(dim=0)
+    vector = appearance_vectors(1, own.shape[1]).to(place)
+    vector.weight.data += own.mean(dim=0)
     wanted = source.cells.to(place)
 
     def draw() -> Paths:
@@ -271,12 +271,12 @@ def matched_look(
             paths.rgb = source.renderer.render(theirs, samples).rgb.clamp(max=1.0)
         return paths
 
-    fit_vectors(target.renderer, look, target.cells, draw, steps=steps, seed=seed)
-    return look
+    fit_vectors(target.renderer, vector, target.cells, draw, steps=steps, seed=seed)
+    return vector
 
 
-def single_look(vector: torch.Tensor) -> nn.Embedding:
-    """The appearance of a renderer that shows all photographs alike: one vector (A,)."""
+def single_vector(vector: torch.Tensor) -> nn.Embedding:
+    """The appearance of a renderer that is the same for all photographs: one vector (A,)."""
     return nn.Embedding.from_pretrained(vector.detach().clone()[None], freeze=True)
 
 
@@ -290,11 +290,11 @@ def vectors_of(submodule: Submodule) -> torch.Tensor:
     """
     own = submodule.renderer.appearance
     if own is None:
-        raise ValueError("submodules without appearance vectors have no looks to match; train them with some")
+        raise ValueError("the submodules have no appearance vectors to match; train them with some")
     return own.weight.detach()
 
 
-def match_looks(
+def match_submodules(
     submodules: Sequence[Submodule],
     root: int,
     cameras: Sequence[PinholeCamera],
@@ -304,7 +304,7 @@ def match_looks(
     steps: int = 100,
     rays: int = 512,
 ) -> list[str]:
-    """Give all submodules the look that one of them, the ``root``, has, from neighbour to neighbour.
+    """Match the appearance of all submodules to that of one, the ``root``, from neighbour to neighbour.
 
     Each is matched to the one, of those that have it already, with which it shares the most ground. Renderers get
     single vectors; one that shares no ground keeps the mean of its own.
@@ -312,19 +312,19 @@ def match_looks(
     Returns
     -------
     list of str
-        Where the look of each submodule comes from: "root", the number of the cell of another one, or "none".
+        What each submodule is matched to: "root" itself, the number of the cell of another one, or "none".
     """
     sources = [""] * len(submodules)
     sources[root] = "root"
-    for m, n in look_pairs([each.box for each in submodules], root, bed):
+    for m, n in matching_pairs([each.box for each in submodules], root, bed):
         target, source = submodules[m], submodules[n]
-        matched = give_look(target, source, cameras, bed, water, steps=steps, rays=rays)
+        matched = match_submodule(target, source, cameras, bed, water, steps=steps, rays=rays)
         sources[m] = str(source.number) if matched else "none"
     return sources
 
 
-def look_pairs(boxes: Sequence[Box], root: int, bed: np.ndarray) -> Iterator[tuple[int, int]]:
-    """Indices (m, n): m gets its look from n, which has it; of such pairs the one that shares the most ground first."""
+def matching_pairs(boxes: Sequence[Box], root: int, bed: np.ndarray) -> Iterator[tuple[int, int]]:
+    """Pairs (m, n) in which m is to be matched to n, which is matched: those that share the most ground first."""
     points = thinned(bed)
     inside = np.array([_inside(points, box) for box in boxes])
     common = inside.astype(int) @ inside.T.astype(int)
@@ -336,7 +336,7 @@ def look_pairs(boxes: Sequence[Box], root: int, bed: np.ndarray) -> Iterator[tup
         done.append(m)
 
 
-def give_look(
+def match_submodule(
     target: Submodule,
     source: Submodule,
     cameras: Sequence[PinholeCamera],
@@ -346,10 +346,10 @@ def give_look(
     steps: int = 100,
     rays: int = 512,
 ) -> bool:
-    """Give a submodule the look of another; False: they share no ground, and it gets the mean of its own vectors."""
+    """Match a submodule to another; False: they share no ground, and it gets the mean of its own vectors."""
     shared = shared_rays(cameras, bed, target.box, source.box, water)
     if shared is None:
-        target.renderer.appearance = single_look(vectors_of(target).mean(dim=0))
+        target.renderer.appearance = single_vector(vectors_of(target).mean(dim=0))
     else:
-        target.renderer.appearance = matched_look(target, source, shared, water, steps=steps, rays=rays)
+        target.renderer.appearance = matched_vector(target, source, shared, water, steps=steps, rays=rays)
     return shared is not None

@@ -26,7 +26,7 @@ from survey.run.flight import Flight
 from survey.volume.options import VolumeOptions
 from survey.volume.scene import REPORT, VolumeFolder, load_scene
 from survey.volume.submodules import train_submodules
-from survey.volume.training import Made, surface_in, train
+from survey.volume.training import FieldResult, surface_in, train
 
 CLOUD, VIEWS, HELD = "cloud.las", "views", "held out"
 
@@ -82,12 +82,12 @@ def train_field(run: str | Path, output: str | Path, options: VolumeOptions | No
     return report
 
 
-def _one(run: LoadedRun, flight: Flight, options: VolumeOptions, folder: VolumeFolder) -> Made:
+def _one(run: LoadedRun, flight: Flight, options: VolumeOptions, folder: VolumeFolder) -> FieldResult:
     """One field over the whole bed."""
     with current().stage("Photographs", len(flight.views)) as stage:
         scene = load_scene(run, flight, options.scene, stage.advance)
     trained = train(scene, flight, options, folder)
-    return Made(surface_in(trained), scene.bed, scene.held, trained.view, trained.report())
+    return FieldResult(surface_in(trained), scene.bed, scene.held, trained.view, trained.report())
 
 
 def _targets(run: LoadedRun, flight: Flight, output: Path, options: VolumeOptions) -> list[Target]:
@@ -109,13 +109,13 @@ def _write_cloud(path: Path, surface: Surface, run: LoadedRun, flight: Flight) -
     )
 
 
-def _over_bed(made: Made) -> dict[str, Any]:
+def _over_bed(made: FieldResult) -> dict[str, Any]:
     """Heights [m] of the surface over the nearest points of the run's bed in plan."""
     _, nearest = cKDTree(made.bed[:, :2]).query(made.surface.xyz[:, :2])
     return asdict(distance_statistics(made.surface.xyz[:, 2] - made.bed[nearest, 2]))
 
 
-def _held_out(made: Made, folder: Path) -> dict[str, float]:
+def _held_out(made: FieldResult, folder: Path) -> dict[str, float]:
     """PSNR [dB] of the photographs held out, over the pixels that show the box; their renderings go into the folder."""
     held, found = made.held, {}
     targets = [

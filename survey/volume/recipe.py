@@ -13,7 +13,7 @@ from fields.image_based import NovelView, heights_over, normals_of
 from fields.volume.appearance import appearance_vectors
 from fields.volume.models import APPEARANCE, build_model, proposal_for
 from fields.volume.paths import Box
-from fields.volume.renderer import NormalHead, View, VolumeRenderer, render_volume
+from fields.volume.renderer import NormalHead, VolumeImage, VolumeRenderer, render_volume
 from fields.volume.sampling import Cells
 from fields.volume.shell import Shell
 from fields.volume.surface import LEAST_OPACITY
@@ -78,7 +78,7 @@ class VolumeRecipe:
             ) from error
 
 
-def novel_view(seen: View, water: FlatWater | None) -> NovelView:
+def novel_view(seen: VolumeImage, water: FlatWater | None) -> NovelView:
     """A rendered volume as products have views: heights over the water, normals, black where nothing is seen."""
     points = seen.points.astype(np.float64)
     known = np.isfinite(seen.distance) & (seen.opacity > LEAST_OPACITY)

@@ -42,8 +42,8 @@ _EVERY_S = 30.0
 
 
 @dataclass(frozen=True)
-class Named:
-    """Photographs with their names."""
+class NamedPhotographs:
+    """Photographs of a volume with their names."""
 
     names: list[str]
     photographs: Photographs
@@ -51,13 +51,13 @@ class Named:
 
 @dataclass(frozen=True)
 class Scene:
-    """Photographs for a volume."""
+    """Training data of a volume: its box, the run's bed in it, photographs for training and held out."""
 
     box: Box
     bed: np.ndarray  # (N, 3) [m], local: points of the run inside the box
-    # train, held: Learned from, and left out
-    train: Named
-    held: Named
+    # train, held: for training, and held out
+    train: NamedPhotographs
+    held: NamedPhotographs
     pixel_m: float  # [m]: of a photograph, on the bed
 
     def cells_about_bed(self, num: int, margin: float) -> Cells:
@@ -88,8 +88,8 @@ class TooFewPhotographs(SurveyError):
 
 
 @dataclass(frozen=True)
-class Ground:
-    """A box about the bed of a run, and the size at which photographs are read."""
+class BedBox:
+    """A box about the bed of a run, and the scale at which photographs are read for it."""
 
     box: Box
     bed: np.ndarray  # (N, 3) [m], local: points of the run, in the box or about it
@@ -104,11 +104,11 @@ class Ground:
         return self.gsd_m / self.scale
 
     @staticmethod
-    def of_run(run: LoadedRun, flight: Flight, options: SceneOptions) -> Ground:
+    def of_run(run: LoadedRun, flight: Flight, options: SceneOptions) -> BedBox:
         """That of the whole bed, or of the part in the bounds."""
         bed = _bed_of(run, flight.frame, options.bounds)
         box = _box_about(bed, options.cells)
-        ground = Ground(box, bed, flight.water, options.straight, run.bed_header.gsd_m)
+        ground = BedBox(box, bed, flight.water, options.straight, run.bed_header.gsd_m)
         return ground.read_for(box.edge, options)
 
     @property
@@ -116,12 +116,12 @@ class Ground:
         """The water at which rays are bent; None where they are straight."""
         return None if self.straight else self.water
 
-    def read_for(self, edge: float, options: SceneOptions) -> Ground:
+    def read_for(self, edge: float, options: SceneOptions) -> BedBox:
         """The same with photographs as large as they are needed for volumes with an edge [m]."""
         suited = min(1.0, _PIXELS_PER_CELL * self.gsd_m * options.cells / edge)
         return replace(self, scale=options.image_scale or suited)
 
-    def within(self, box: Box, cells: int) -> Ground | None:
+    def within(self, box: Box, cells: int) -> BedBox | None:
         """The part of it on the ground of a box, as high as the bed is there; None where there is none."""
         part = self.bed[((self.bed[:, :2] > box.low[:2]) & (self.bed[:, :2] < box.high[:2])).all(axis=1)]
         if not len(part):
@@ -129,7 +129,7 @@ class Ground:
         low, high = _heights_about(part, float(box.size[:2].max()) / cells)
         return replace(self, box=Box(np.append(box.low[:2], low), np.append(box.high[:2], high)), bed=part)
 
-    def scene(self, train: Named, held: Named) -> Scene:
+    def scene(self, train: NamedPhotographs, held: NamedPhotographs) -> Scene:
         """Photographs with what is known of the bed in the box."""
         inside = ((self.bed > self.box.low) & (self.bed < self.box.high)).all(axis=1)
         return Scene(self.box, self.bed[inside], train, held, self.pixel_m)
@@ -155,19 +155,19 @@ def load_scene(
     SurveyError
         If no bed lies in the bounds, or too few photographs look into the box.
     """
-    ground = Ground.of_run(run, flight, options)
-    shown = shown_in(ground, flight, advance)
+    ground = BedBox.of_run(run, flight, options)
+    shown = photographs_of(ground, flight, advance)
     held = shown[_held_of(options)]
     train = [each for each in shown if not any(each is other for other in held)]
-    return ground.scene(learned_from(train, ground, options, len(flight.views)), _named(held, ground.bent))
+    return ground.scene(training_photographs(train, ground, options, len(flight.views)), _named(held, ground.bent))
 
 
-def held_in(ground: Ground, flight: Flight, options: SceneOptions) -> Named:
+def held_photographs(ground: BedBox, flight: Flight, options: SceneOptions) -> NamedPhotographs:
     """The photographs of a flight that `load_scene` leaves out."""
     if options.held_every is None:
         return _named([], ground.bent)
     names = [each.view.name for each, _ in _showing(ground, flight, lambda: None)][_held_of(options)]
-    return _named(shown_in(ground, flight, lambda: None, lambda name: name in names), ground.bent)
+    return _named(photographs_of(ground, flight, lambda: None, lambda name: name in names), ground.bent)
 
 
 def _held_of(options: SceneOptions) -> slice:
@@ -176,7 +176,9 @@ def _held_of(options: SceneOptions) -> slice:
     return slice(0, 0) if every is None else slice(every // 2, None, every)
 
 
-def learned_from(shown: list[Shown], ground: Ground, options: SceneOptions, photographs: int) -> Named:
+def training_photographs(
+    shown: list[BoxPhotograph], ground: BedBox, options: SceneOptions, photographs: int
+) -> NamedPhotographs:
     """Photographs to learn from, of so many of the flight.
 
     Raises
@@ -201,8 +203,8 @@ def _bed_of(run: LoadedRun, frame: LocalFrame, bounds: tuple[float, float, float
 
 
 @dataclass(frozen=True)
-class Shown:
-    """A photograph with the pixels (n,) that show the box."""
+class BoxPhotograph:
+    """A decoded photograph with the pixels (n,) that show a box."""
 
     name: str
     camera: PinholeCamera
@@ -210,13 +212,13 @@ class Shown:
     pixels: np.ndarray
     mask: np.ndarray | None  # (height, width) bool or None: pixels that may be used
 
-    def whole(self) -> Shown:
+    def whole(self) -> BoxPhotograph:
         """The same with all pixels that may be used."""
         size = self.camera.width * self.camera.height
         return replace(self, pixels=np.arange(size) if self.mask is None else np.flatnonzero(self.mask))
 
 
-def _showing(ground: Ground, flight: Flight, advance: Callable[[], object]) -> Iterator[tuple[Photograph, np.ndarray]]:
+def _showing(ground: BedBox, flight: Flight, advance: Callable[[], object]) -> Iterator[tuple[Photograph, np.ndarray]]:
     """Photographs that show the box, before they are decoded, with the pixels that do."""
     for photograph in at_scale(flight, ground.scale):
         camera = photograph.camera
@@ -227,12 +229,12 @@ def _showing(ground: Ground, flight: Flight, advance: Callable[[], object]) -> I
         advance()
 
 
-def shown_in(
-    ground: Ground,
+def photographs_of(
+    ground: BedBox,
     flight: Flight,
     advance: Callable[[], object],
     wanted: Callable[[str], bool] = lambda name: True,
-) -> list[Shown]:
+) -> list[BoxPhotograph]:
     """The photographs of wanted names that show the box, decoded; ``advance`` is called after each of the flight."""
     found = []
     for photograph, pixels in _showing(ground, flight, advance):
@@ -240,13 +242,13 @@ def shown_in(
         if wanted(name):
             decoded = photograph.pixels()
             pixels = pixels if decoded.mask is None else pixels[decoded.mask.ravel()[pixels]]
-            found.append(Shown(name, photograph.camera, decoded.rgb, pixels, decoded.mask))
+            found.append(BoxPhotograph(name, photograph.camera, decoded.rgb, pixels, decoded.mask))
     return found
 
 
-def _named(shown: list[Shown], water: FlatWater | None) -> Named:
+def _named(shown: list[BoxPhotograph], water: FlatWater | None) -> NamedPhotographs:
     cameras, images, pixels = [e.camera for e in shown], [e.rgb for e in shown], [e.pixels for e in shown]
-    return Named([each.name for each in shown], Photographs(cameras, images, pixels, water))
+    return NamedPhotographs([each.name for each in shown], Photographs(cameras, images, pixels, water))
 
 
 def _within(points: np.ndarray, bounds: tuple[float, float, float, float] | None) -> np.ndarray:

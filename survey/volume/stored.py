@@ -14,7 +14,7 @@ from survey.export.loaded import LoadedRun
 from survey.files.json_values import read_json_object
 from survey.progress import current
 from survey.volume.recipe import VolumeRecipe, view_of
-from survey.volume.scene import SETTINGS, STATE, Ground, SceneOptions
+from survey.volume.scene import SETTINGS, STATE, BedBox, SceneOptions
 from survey.volume.submodule_views import FOLDER, SubmoduleViews
 from survey.words import Drop
 
@@ -25,7 +25,7 @@ class StoredVolume:
 
     folder: Path
     recipe: VolumeRecipe
-    ground: Ground
+    ground: BedBox
     counts: tuple[int, int] | None  # submodules along x and y; None: it is one volume
     water: FlatWater | None  # Of the run
     drop: str = Drop.geometry  # A word of `survey.words.Drop`
@@ -54,7 +54,7 @@ class StoredVolume:
             recipe = VolumeRecipe(**{name: settings[name] for name in VolumeRecipe.__dataclass_fields__})
             bounds = None if settings["bounds"] is None else tuple(settings["bounds"])
             scene = SceneOptions(recipe.cells, bounds, straight=recipe.straight)
-            ground = Ground.of_run(run, run.flight, scene)
+            ground = BedBox.of_run(run, run.flight, scene)
             counts = settings["submodules"] and counts_of(settings["submodules"], ground.box.size)
         except (KeyError, TypeError, ValueError) as error:
             raise SurveyError(

@@ -12,17 +12,25 @@ import torch
 from fields.image_based import NovelView
 from fields.volume.paths import Box
 from fields.volume.sampling import Cells
-from fields.volume.submodules import Grid, Submodule, ground_shares, kept, pose_weights, render_submodules, single_look
+from fields.volume.submodules import (
+    Grid,
+    Submodule,
+    ground_shares,
+    kept,
+    pose_weights,
+    render_submodules,
+    single_vector,
+)
 from fields.volume.visibility import Visibility
 from refract import FlatWater, PinholeCamera
 from survey.errors import SurveyError
 from survey.files.json_values import read_json_object
 from survey.volume.recipe import VolumeRecipe, novel_view
-from survey.volume.scene import REPORT, STATE, Ground, read_state
+from survey.volume.scene import REPORT, STATE, BedBox, read_state
 from survey.words import Drop
 
-# Of the submodules in the folder of their field; the vectors of their common look there; the visibility of each.
-FOLDER, LOOKS, VISIBILITY = "submodules", "looks.json", "visibility.pt"
+# Folder of the submodules in that of their field; file of their matched appearance vectors there; visibility of each.
+FOLDER, VECTORS, VISIBILITY = "submodules", "looks.json", "visibility.pt"
 # Submodules that are kept in memory between views.
 IN_MEMORY = 8
 
@@ -34,7 +42,7 @@ class SubmoduleViews:
     ----------
     folder : Path
         Of the field.
-    ground : Ground
+    ground : BedBox
         Of all of them.
     counts : (int, int)
         Cells along x and y.
@@ -51,7 +59,7 @@ class SubmoduleViews:
         self,
         folder: Path,
         recipe: VolumeRecipe,
-        ground: Ground,
+        ground: BedBox,
         counts: tuple[int, int],
         device: str,
         drop: str = Drop.geometry,
@@ -90,13 +98,13 @@ class SubmoduleViews:
         return said
 
     def load(self, number: int) -> Submodule:
-        """A submodule, with the common look where there is one."""
+        """A submodule, with the matched appearance where there is one."""
         folder = self.folders[number]
         renderer, cells, _ = self.recipe.restored(folder / STATE, self.boxes[number], self.ground.water, self.device)
-        looks = folder.parent / LOOKS
-        if self.recipe.appearance and looks.is_file():
-            vector = torch.tensor(read_json_object(looks)[folder.name], dtype=torch.float32)
-            renderer.appearance = single_look(vector.to(renderer.model.place))
+        vectors = folder.parent / VECTORS
+        if self.recipe.appearance and vectors.is_file():
+            vector = torch.tensor(read_json_object(vectors)[folder.name], dtype=torch.float32)
+            renderer.appearance = single_vector(vector.to(renderer.model.place))
         return Submodule(number, renderer, cells)
 
     def _load_visibility(self, number: int) -> tuple[Visibility, Cells]:

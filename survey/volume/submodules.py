@@ -13,7 +13,7 @@ import torch
 
 from fields.device import choose_device
 from fields.sweep.kernels.arrays import free_unused
-from fields.volume.submodules import RIM, Grid, counts_of, give_look, look_pairs, single_look, vectors_of
+from fields.volume.submodules import RIM, Grid, counts_of, match_submodule, matching_pairs, single_vector, vectors_of
 from fields.volume.surface import Surface
 from fields.volume.visibility import train_visibility
 from geo.files import write_whole
@@ -23,9 +23,17 @@ from survey.files.json_values import write_json
 from survey.progress import current
 from survey.run.flight import Flight
 from survey.volume.options import VolumeOptions
-from survey.volume.scene import Ground, Named, TooFewPhotographs, VolumeFolder, held_in, learned_from, shown_in
-from survey.volume.submodule_views import FOLDER, LOOKS, VISIBILITY, SubmoduleViews
-from survey.volume.training import Made, Trained, surface_in, train
+from survey.volume.scene import (
+    BedBox,
+    NamedPhotographs,
+    TooFewPhotographs,
+    VolumeFolder,
+    held_photographs,
+    photographs_of,
+    training_photographs,
+)
+from survey.volume.submodule_views import FOLDER, VECTORS, VISIBILITY, SubmoduleViews
+from survey.volume.training import FieldResult, Trained, surface_in, train
 from survey.words import Drop
 
 # Steps of the training of a network of visibility, of those of the field.
@@ -34,7 +42,7 @@ VISIBILITY_STEPS = 0.1
 MOST_CELLS_PER_PIXEL = 4
 
 
-def train_submodules(run: LoadedRun, flight: Flight, options: VolumeOptions, folder: VolumeFolder) -> Made:
+def train_submodules(run: LoadedRun, flight: Flight, options: VolumeOptions, folder: VolumeFolder) -> FieldResult:
     """A field for each cell on the ground that has a bed and photographs, each in a folder of its own.
 
     A cell is read, trained and made a surface of before the next, so that one of them is in memory; a training that was
@@ -45,11 +53,11 @@ def train_submodules(run: LoadedRun, flight: Flight, options: VolumeOptions, fol
     SurveyError
         If no cell can be learned, or cells would be too small.
     """
-    ground = Ground.of_run(run, flight, options.scene)
+    ground = BedBox.of_run(run, flight, options.scene)
     grid = _grid_of(ground, options)
     # Photographs are as large as the largest cell needs them.
     ground = ground.read_for(max(grid.box_of(number).size[:2].max() for number in range(len(grid))), options.scene)
-    held = held_in(ground, flight, options.scene)
+    held = held_photographs(ground, flight, options.scene)
     surfaces: list[Surface] = []
     reports, left_out = {}, {}
     for number, name in enumerate(grid.names()):
@@ -68,14 +76,14 @@ def train_submodules(run: LoadedRun, flight: Flight, options: VolumeOptions, fol
     if not reports:
         raise SurveyError(f"none of {len(grid)} submodules can be learned; ask for fewer --submodules")
     views = SubmoduleViews(folder.path, options.recipe, ground, grid.counts, options.device, options.drop)
-    if options.appearance and not (folder.path / FOLDER / LOOKS).is_file():
-        write_json(folder.path / FOLDER / LOOKS, _looks(views, flight, ground))
+    if options.appearance and not (folder.path / FOLDER / VECTORS).is_file():
+        write_json(folder.path / FOLDER / VECTORS, _matched_vectors(views, flight, ground))
         views = SubmoduleViews(folder.path, options.recipe, ground, grid.counts, options.device, options.drop)
     report = _summary(reports, ground, held) | {"left_out": left_out, "submodules": reports}
-    return Made(_joined(surfaces), ground.scene(held, held).bed, held, views.view, report)
+    return FieldResult(_joined(surfaces), ground.scene(held, held).bed, held, views.view, report)
 
 
-def _grid_of(ground: Ground, options: VolumeOptions) -> Grid:
+def _grid_of(ground: BedBox, options: VolumeOptions) -> Grid:
     grid = Grid(ground.box, counts_of(str(options.submodules), ground.box.size))
     least = options.cells * ground.gsd_m / MOST_CELLS_PER_PIXEL / (1 + 2 * RIM)
     if grid.size.min() < least:
@@ -89,11 +97,11 @@ def _grid_of(ground: Ground, options: VolumeOptions) -> Grid:
 
 
 def _trained(
-    part: Ground | None,
+    part: BedBox | None,
     flight: Flight,
     options: VolumeOptions,
     begun: Callable[[], VolumeFolder],
-    held: Named,
+    held: NamedPhotographs,
     said: str,
 ) -> Trained:
     """The field of a cell, by the photographs that show its box and are not held; ``begun`` makes its folder."""
@@ -101,8 +109,8 @@ def _trained(
         raise TooFewPhotographs("the run has no bed there")
     names = set(held.names)
     with current().stage(f"Photographs of {said}", len(flight.views)) as stage:
-        shown = shown_in(part, flight, stage.advance, lambda name: name not in names)
-    learned = learned_from(shown, part, options.scene, len(flight.views))
+        shown = photographs_of(part, flight, stage.advance, lambda name: name not in names)
+    learned = training_photographs(shown, part, options.scene, len(flight.views))
     folder = begun()
     trained = train(part.scene(learned, held), flight, options, folder)
     if options.drop == Drop.network and not (folder.path / VISIBILITY).is_file():
@@ -119,24 +127,24 @@ def _save_visibility(trained: Trained, path: Path) -> None:
         torch.save({"network": network.cpu().state_dict(), "occupied": trained.cells.occupied.cpu()}, stream)
 
 
-def _looks(views: SubmoduleViews, flight: Flight, ground: Ground) -> dict[str, list[float]]:
-    """The vectors (A,) with which all submodules look alike: as the one in the middle does in its first photograph."""
+def _matched_vectors(views: SubmoduleViews, flight: Flight, ground: BedBox) -> dict[str, list[float]]:
+    """Appearance vectors (A,) of all submodules, matched to that of the middle one in its first photograph."""
     numbers, boxes = list(views.boxes), list(views.boxes.values())
     middle = 0.5 * (ground.box.low + ground.box.high)
     root = int(np.argmin([np.linalg.norm(0.5 * (box.low + box.high) - middle) for box in boxes]))
-    looks = {root: vectors_of(views.load(numbers[root]))[0]}
+    vectors = {root: vectors_of(views.load(numbers[root]))[0]}
     cameras = [view.camera for view in flight.views]
-    with current().stage("Looks", len(numbers) - 1) as stage:
+    with current().stage("Appearance", len(numbers) - 1) as stage:
         # Two are in memory at a time.
-        for m, n in look_pairs(boxes, root, ground.bed):
+        for m, n in matching_pairs(boxes, root, ground.bed):
             source, target = views.load(numbers[n]), views.load(numbers[m])
-            source.renderer.appearance = single_look(looks[n])
-            give_look(target, source, cameras, ground.bed, ground.bent)
-            looks[m] = vectors_of(target)[0]
+            source.renderer.appearance = single_vector(vectors[n])
+            match_submodule(target, source, cameras, ground.bed, ground.bent)
+            vectors[m] = vectors_of(target)[0]
             del source, target
             free_unused(choose_device(views.device))
             stage.advance()
-    return {views.folders[number].name: looks[k].tolist() for k, number in enumerate(numbers)}
+    return {views.folders[number].name: vectors[k].tolist() for k, number in enumerate(numbers)}
 
 
 def _chosen(surface: Surface, keep: np.ndarray) -> Surface:
@@ -147,7 +155,7 @@ def _joined(surfaces: list[Surface]) -> Surface:
     return Surface(*(np.concatenate([getattr(e, column.name) for e in surfaces]) for column in fields(Surface)))
 
 
-def _summary(reports: dict[str, dict[str, Any]], ground: Ground, held: Named) -> dict[str, Any]:
+def _summary(reports: dict[str, dict[str, Any]], ground: BedBox, held: NamedPhotographs) -> dict[str, Any]:
     """Figures of all submodules together, as one field has them."""
     trainings = [each["training"] for each in reports.values()]
     return {

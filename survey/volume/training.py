@@ -18,7 +18,7 @@ from survey.progress import current, shares
 from survey.run.flight import Flight
 from survey.volume.options import VolumeOptions
 from survey.volume.recipe import view_of
-from survey.volume.scene import Named, Scene
+from survey.volume.scene import NamedPhotographs, Scene
 
 
 @dataclass(frozen=True)
@@ -48,12 +48,12 @@ class Trained:
 
 
 @dataclass(frozen=True)
-class Made:
-    """Results of a trained field, for its report, comparison and views."""
+class FieldResult:
+    """A trained field for its products: surface, figures, views, and the photographs held out."""
 
     surface: Surface
     bed: np.ndarray  # (N, 3) [m], local: of the run
-    held: Named  # Photographs that were left out
+    held: NamedPhotographs  # Photographs that were left out
     view: Callable[[PinholeCamera, bool], NovelView]  # As `Trained.view`
     report: dict[str, Any]
 

@@ -128,7 +128,7 @@ def test_cells_without_a_bed_are_named_and_left_out(folder, monkeypatch):
     assert report["submodules"].keys() == {"1_0"}
     assert [each.name for each in (folder / "half" / "submodules").iterdir()] == ["1_0"]
     monkeypatch.setattr(BedBox, "within", lambda self, box, cells: None)
-    with pytest.raises(SurveyError, match="none of 2 submodules can be learned; ask for fewer --submodules"):
+    with pytest.raises(SurveyError, match="none of 2 submodules has enough photographs; ask for fewer --submodules"):
         train_field(folder / "run", folder / "nothing", OPTIONS)
 
 
@@ -163,7 +163,7 @@ def test_no_photograph_is_looked_at_where_none_is_held(folder, monkeypatch):
         ground = BedBox.of_run(run, run.flight, OPTIONS.scene)
         assert scene.held_photographs(ground, run.flight, replace(OPTIONS, held_every=None).scene).names == []
         far = replace(ground, box=Box(ground.box.low + 500.0, ground.box.high + 500.0))
-        assert scene.shown_in(far, run.flight, lambda: None) == []
+        assert scene.photographs_of(far, run.flight, lambda: None) == []
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,8 @@ takes those S where it is stationary (Fermat). Three steps, each with a bound be
 1. No path that obeys Snell's law crosses outside a disc, which follows from bounds of the surface (range of height,
    slope, curvature), because slopes turn the refracted ray only so far (`refract.curved._disc`).
 2. If the length is strictly convex over the disc, it holds exactly one path, and Newton's steps find it.
-3. Elsewhere the disc is cut into boxes until interval arithmetic proves each one empty or the home of exactly one
-   path (`refract.curved._branches`). What it cannot prove within its budget is NaN, with a count of -1.
+3. Elsewhere the disc is cut into boxes until interval arithmetic proves that each contains no path or exactly one
+   (`refract.curved._branches`). What it cannot prove within its budget is NaN, with a count of -1.
 
 Vectors are triples of component arrays (numpy, torch, Dr.Jit), as in `refract.kernels`.
 """
@@ -103,8 +103,8 @@ def newton(surface, camera, point, disc):
     return x, y, converged
 
 
-def _least(surface, camera, point, disc):
-    """Crossing of the shortest of all clear paths (numpy), and their number; -1 where that is open."""
+def _shortest_of_all(surface, camera, point, disc):
+    """Crossing of the shortest of all unobstructed paths (numpy), and their number; -1 where that is not proven."""
     owner, x, y, unproven = every_path(surface, path_slope, camera, point, disc)
     camera, point = tuple(c[owner] for c in camera), tuple(p[owner] for p in point)
     crossing = x, y, surface.height(x, y)
@@ -142,7 +142,7 @@ def located(surface, *arrays):
             hard = ~proven
             hard_camera, hard_point = (tuple(c[hard] for c in end) for end in (camera, point))
             hard_disc = Disc(disc.x[hard], disc.y[hard], disc.radius[hard], None)
-            found_x[hard], found_y[hard], paths[hard] = _least(surface, hard_camera, hard_point, hard_disc)
+            found_x[hard], found_y[hard], paths[hard] = _shortest_of_all(surface, hard_camera, hard_point, hard_disc)
     x[bent], y[bent], count[bent] = found_x, found_y, paths
     return x, y, count
 

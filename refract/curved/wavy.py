@@ -141,9 +141,9 @@ class WavyWater:
         zx, zy, zxx, zxy, zyy = self.slope_x, self.slope_y, 0.0, 0.0, 0.0
         for amplitude, (kx, ky), phase in self._waves():
             angle = kx * rx + ky * ry + phase
-            rise, climb = amplitude * xp.sin(angle), amplitude * xp.cos(angle)
-            z, zx, zy = z + rise, zx + kx * climb, zy + ky * climb
-            zxx, zxy, zyy = zxx - kx * kx * rise, zxy - kx * ky * rise, zyy - ky * ky * rise
+            sine, cosine = amplitude * xp.sin(angle), amplitude * xp.cos(angle)
+            z, zx, zy = z + sine, zx + kx * cosine, zy + ky * cosine
+            zxx, zxy, zyy = zxx - kx * kx * sine, zxy - kx * ky * sine, zyy - ky * ky * sine
         return z, zx, zy, zxx, zxy, zyy
 
     def height(self, x, y):

@@ -11,9 +11,9 @@ from geo.crs import parse_crs
 from survey.control.gcp_list import read_gcp_list
 from survey.errors import SurveyError
 from survey.folder.found import find_survey
-from survey.marking.book import GROUND, WATER, Book, PointKey
 from survey.marking.gcp_file import ControlMark, header_of, points_without_mark, read_clicks, with_click, with_marks
 from survey.marking.geometry import survey_to_mark
+from survey.marking.mark_store import GROUND, WATER, MarkStore, PointKey
 
 CRS = parse_crs("EPSG:25832+5778")
 IMAGES = ("0000.jpg", "0001.jpg", "my photograph 2.jpg")
@@ -80,8 +80,8 @@ def test_new_points_of_a_list_in_another_crs_come_back_where_they_are(tmp_path, 
     path.write_text(f"{header}\n")
     path.write_text(with_marks(path, [mark()], CRS, IMAGES))
     (tmp_path / "s").mkdir()
-    book = book_of(tmp_path / "s", gcps=path.read_text())
-    assert np.abs(np.array(book.points()[PointKey(GROUND, "new")].place) - PLACE).max() < 2e-4
+    store = store_of(tmp_path / "s", gcps=path.read_text())
+    assert np.abs(np.array(store.points()[PointKey(GROUND, "new")].place) - PLACE).max() < 2e-4
 
 
 @pytest.mark.parametrize(
@@ -120,22 +120,22 @@ def test_clicks_keep_columns_order_comments_and_decimal_commas(tmp_path):
     ]
 
 
-def book_of(folder, *, gcps: str | None = None, points=None, control: str = 'gcps = "gcp_list.txt"') -> Book:
+def store_of(folder, *, gcps: str | None = None, points=None, control: str = 'gcps = "gcp_list.txt"') -> MarkStore:
     small_survey(folder, toml=replaced() + f"[control]\n{control}\n")
     if gcps is not None:
         (folder / "gcp_list.txt").write_text(gcps)
     config, found = survey_to_mark(folder)
-    return Book(config, found, points)
+    return MarkStore(config, found, points)
 
 
 def test_process_reads_what_was_marked(tmp_path):
     folder, points = tmp_path / "s", tmp_path / "gcps.csv"
     points.write_text(table())
-    book = book_of(folder, points=points)
-    assert [key.name for key in book.points()] == ["p1", "p2", "p3"]
+    store = store_of(folder, points=points)
+    assert [key.name for key in store.points()] == ["p1", "p2", "p3"]
     for i, name in enumerate(("p1", "p2", "p3")):
         for j in range(2):
-            book.set(PointKey(GROUND, name), f"000{j}.jpg", (10.125 + i, 20.5 + j))
+            store.set(PointKey(GROUND, name), f"000{j}.jpg", (10.125 + i, 20.5 + j))
     found = find_survey(folder)
     assert found.control is not None
     assert [(mark.point, mark.view) for mark in found.control.gathered.marks][:2] == [
@@ -143,30 +143,30 @@ def test_process_reads_what_was_marked(tmp_path):
         ("p1", "0001.jpg"),
     ]
     assert [mark.pixel for mark in found.control.gathered.marks][:2] == [(10.125, 20.5), (10.125, 21.5)]
-    assert book.settings() == []
+    assert store.settings() == []
 
 
 def test_edits_are_taken_back_one_by_one(tmp_path):
-    book = book_of(tmp_path / "s", gcps=odm(images=("0000.jpg",)))
+    store = store_of(tmp_path / "s", gcps=odm(images=("0000.jpg",)))
     key, path = PointKey(GROUND, "p1"), tmp_path / "s" / "gcp_list.txt"
-    before = book.marks()
-    book.set(key, "0000.jpg", (1.0, 2.0))
-    book.set(key, "0000.jpg", None)
-    book.set(key, "0001.jpg", (5.0, 6.0))
-    assert [book.undo().image for _ in range(3)] == ["0001.jpg", "0000.jpg", "0000.jpg"]
-    assert book.marks() == before
-    assert not book.can_undo
+    before = store.marks()
+    store.set(key, "0000.jpg", (1.0, 2.0))
+    store.set(key, "0000.jpg", None)
+    store.set(key, "0001.jpg", (5.0, 6.0))
+    assert [store.undo().image for _ in range(3)] == ["0001.jpg", "0000.jpg", "0000.jpg"]
+    assert store.marks() == before
+    assert not store.can_undo
     with pytest.raises(SurveyError, match="nothing to undo"):
-        book.undo()
+        store.undo()
     assert sorted(line.split()[6] for line in path.read_text().splitlines()[1:]) == ["p1", "p2", "p3"]
 
 
 def test_what_another_program_writes_meanwhile_stays(tmp_path):
-    book = book_of(tmp_path / "s", gcps=odm(images=("0000.jpg",)))
+    store = store_of(tmp_path / "s", gcps=odm(images=("0000.jpg",)))
     path = tmp_path / "s" / "gcp_list.txt"
     path.write_text(path.read_text() + f"{E0} {N0} {LEVEL} 1 2 0003.jpg p1\n")
-    book.set(PointKey(GROUND, "p2"), "0001.jpg", (5.0, 6.0))
-    assert book.marks()[PointKey(GROUND, "p1")]["0003.jpg"] == (1.5, 2.5)
+    store.set(PointKey(GROUND, "p2"), "0001.jpg", (5.0, 6.0))
+    assert store.marks()[PointKey(GROUND, "p1")]["0003.jpg"] == (1.5, 2.5)
     assert len(path.read_text().splitlines()) == 6
 
 
@@ -175,37 +175,37 @@ def test_marks_of_other_files_go_into_the_list_when_it_is_written_first(tmp_path
     folder.mkdir()
     (folder / "gcps.csv").write_text(table())
     (folder / "marks.csv").write_text("image,name,x,y\n0000.jpg,p1,10.5,20.5\n0001.jpg,p2,3.5,4.5\n")
-    book = book_of(folder, control='gcps = "gcps.csv"\nmarks = "marks.csv"')
-    assert book.marks()[PointKey(GROUND, "p1")] == {"0000.jpg": (10.5, 20.5)}
-    assert not book.control_path.exists()
-    book.set(PointKey(GROUND, "p3"), "0000.jpg", (7.5, 8.5))
-    assert {key.name: len(own) for key, own in book.marks().items()} == {"p1": 1, "p2": 1, "p3": 1}
-    assert book.settings() == ['[control] gcps = ["gcps.csv", "gcp_list.txt"], without marks']
+    store = store_of(folder, control='gcps = "gcps.csv"\nmarks = "marks.csv"')
+    assert store.marks()[PointKey(GROUND, "p1")] == {"0000.jpg": (10.5, 20.5)}
+    assert not store.control_path.exists()
+    store.set(PointKey(GROUND, "p3"), "0000.jpg", (7.5, 8.5))
+    assert {key.name: len(own) for key, own in store.marks().items()} == {"p1": 1, "p2": 1, "p3": 1}
+    assert store.settings() == ['[control] gcps = ["gcps.csv", "gcp_list.txt"], without marks']
 
 
 def test_points_and_spots_are_added_by_name(tmp_path):
-    book = book_of(tmp_path / "s")
-    new = book.add(GROUND, " n1 ", PLACE)
-    spot = book.add(WATER, "w1", None)
+    store = store_of(tmp_path / "s")
+    new = store.add(GROUND, " n1 ", PLACE)
+    spot = store.add(WATER, "w1", None)
     assert (new, spot) == (PointKey(GROUND, "n1"), PointKey(WATER, "w1"))
     for name, what in (("n1", "already"), ("", "needs a letter"), ("a,b", "no comma")):
         with pytest.raises(SurveyError, match=what):
-            book.add(GROUND, name, PLACE)
+            store.add(GROUND, name, PLACE)
     with pytest.raises(SurveyError, match="no coordinates"):
-        book.add(GROUND, "n2", None)
+        store.add(GROUND, "n2", None)
     with pytest.raises(SurveyError, match="outside of"):
-        book.set(new, "0000.jpg", (65.0, 3.0))
+        store.set(new, "0000.jpg", (65.0, 3.0))
     with pytest.raises(SurveyError, match="no photograph"):
-        book.set(new, "else.jpg", (5.0, 3.0))
-    book.set(spot, "0002.jpg", (64.0, 0.0))
+        store.set(new, "else.jpg", (5.0, 3.0))
+    store.set(spot, "0002.jpg", (64.0, 0.0))
     assert (tmp_path / "s" / "clicks.csv").read_text() == "image,x,y,name\n0002.jpg,64.000,0.000,w1\n"
-    assert book.settings() == ['[water] clicks = "clicks.csv", in place of the level that is there']
+    assert store.settings() == ['[water] clicks = "clicks.csv", in place of the level that is there']
 
 
 def test_a_file_that_cannot_be_read_is_not_written_over(tmp_path):
-    book = book_of(tmp_path / "s", gcps=odm())
+    store = store_of(tmp_path / "s", gcps=odm())
     path = tmp_path / "s" / "gcp_list.txt"
     path.write_text("not a list\n")
     with pytest.raises(SurveyError, match="not a CRS"):
-        book.set(PointKey(GROUND, "p1"), "0000.jpg", (5.0, 3.0))
+        store.set(PointKey(GROUND, "p1"), "0000.jpg", (5.0, 3.0))
     assert path.read_text() == "not a list\n"

@@ -9,6 +9,7 @@ import threading
 import urllib.error
 import urllib.request
 from dataclasses import replace
+from types import SimpleNamespace
 from urllib.parse import quote, urlencode
 
 import numpy as np
@@ -23,7 +24,7 @@ from survey.control.gcp_list import read_gcp_list
 from survey.errors import SurveyError
 from survey.folder.found import find_survey
 from survey.folder.survey import load_survey
-from survey.marking.book import Book, PointKey
+from survey.marking.mark_store import MarkStore, PointKey
 from survey.marking.server import TILE_PX, TOKEN_HEADER, MarkingServer, PhotographTiles, pyramid
 from survey.marking.session import MarkingSession
 from survey.run.flight import save_flight
@@ -117,6 +118,11 @@ def test_the_page_knows_whether_coordinates_are_degrees(server, tmp_path):
     assert MarkingSession(folder).state()["is_geographic"]
 
 
+def test_the_address_of_a_server_at_every_address_can_be_opened():
+    with MarkingServer(SimpleNamespace(images={}), "0.0.0.0") as running:
+        assert running.url.startswith("http://localhost:")
+
+
 def test_clicks_become_marks_with_residuals_and_predictions(server, folder):
     shown = seen(folder)
     names = list(shown)
@@ -189,7 +195,7 @@ def test_without_poses_photographs_are_proposed_by_their_positions(tmp_path):
     found = session.state()
     assert found["poses"] is None
     assert "no poses are known yet" in " ".join(found["notes"])
-    keys = [key for key in session.book.points() if key.name == "p1"]
+    keys = [key for key in session.store.points() if key.name == "p1"]
     look = session.look(keys[0], "0003.jpg")
     assert (look["predicted"], look["curves"]) == (None, [])
     assert look["next"] == ["0001.jpg", "0002.jpg"]
@@ -203,7 +209,7 @@ def test_the_poses_of_a_finished_run_count_before_those_of_the_file(tmp_path):
     save_flight(folder / "bathynerf", raised)
     session = MarkingSession(folder)
     assert session.state()["poses"] == f"the run {folder / 'bathynerf'}"
-    session.book.add("ground", "p", PLACE)
+    session.store.add("ground", "p", PLACE)
     local = survey.frame.local_from_crs(np.array(PLACE))
     expected = raised.views[1].camera.project(local, survey.water)
     assert session.look(PointKey("ground", "p"), "0001.jpg")["predicted"] == pytest.approx(tuple(expected), abs=1e-6)
@@ -241,11 +247,11 @@ def test_the_command_prints_the_address_and_at_its_end_what_it_wrote(folder, mon
     (folder / "gcp_list.txt").write_text(odm())
 
     def serve(server):
-        server.session.book.set(PointKey("water", "w1"), "0000.jpg", (5.0, 6.0))
+        server.session.store.set(PointKey("water", "w1"), "0000.jpg", (5.0, 6.0))
         raise KeyboardInterrupt
 
     monkeypatch.setattr(MarkingServer, "serve_forever", serve)
-    monkeypatch.setattr(Book, "points", lambda self: {PointKey("water", "w1"): None})
+    monkeypatch.setattr(MarkStore, "points", lambda self: {PointKey("water", "w1"): None})
     found = bathynerf("mark", folder, "--no-browser")
     assert found.exit_code == 0
     lines = found.stdout.split("\n")

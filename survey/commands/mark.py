@@ -59,10 +59,10 @@ def run(
                 webbrowser.open(server.url)
             with suppress(KeyboardInterrupt):
                 server.serve_forever()
-        for path in (session.book.control_path, session.book.clicks_path):
+        for path in (session.store.control_path, session.store.clicks_path):
             if path.is_file():
                 results.line(path)
-        for line in session.book.settings():
+        for line in session.store.settings():
             results.line(f"in survey.toml: {line}")
 
 

@@ -32,7 +32,7 @@ _COLUMNS = ("image", "x", "y", "name")
 
 @dataclass(frozen=True)
 class ControlMark:
-    """A mark with all that its line says."""
+    """A mark with its point: the values of a line of gcp_list.txt."""
 
     point: str
     place: tuple[float, float, float]  # (easting, northing, height): in the crs of the survey
@@ -58,7 +58,7 @@ def with_marks(path: Path, marks: Iterable[ControlMark], crs: CRS, images: Itera
     else:
         lines, content = [header_of(crs)], Content()
     head = next(i for i, line in enumerate(lines) if is_of_content(line))
-    theirs = odm_crs(lines[head].strip(), str(path), path.name, ControlError)
+    file_crs = odm_crs(lines[head].strip(), str(path), path.name, ControlError)
     at = [i for i in range(head + 1, len(lines)) if is_of_content(lines[i])]
     names = ImageNames(images)
     called = [names.find(mark.image, mark.where) for mark in content.marks]
@@ -76,7 +76,7 @@ def with_marks(path: Path, marks: Iterable[ControlMark], crs: CRS, images: Itera
                 cells = _cells_without_mark(lines[unmarked[mark.point]])
                 kept[unmarked[mark.point]] = None
             else:
-                cells = [*_coordinates(mark.place, crs, theirs), *[""] * 3, *_words(mark)]
+                cells = [*_coordinates(mark.place, crs, file_crs), *[""] * 3, *_words(mark)]
             line = mark_line(cells[:3], mark.pixel, mark.image, cells[6:])
             if of_mark:
                 kept |= dict.fromkeys(of_mark) | {of_mark[0]: line}
@@ -98,7 +98,7 @@ def points_without_mark(path: Path) -> list[GivenPoint]:
     """
     lines = list(text_lines(path, ControlError))
     head = next((line for _, line in lines if is_of_content(line)), "")
-    theirs = odm_crs(head.strip(), str(path), path.name, ControlError)
+    file_crs = odm_crs(head.strip(), str(path), path.name, ControlError)
     found = []
     for number, line in lines:
         cells = _cells_without_mark(line)
@@ -106,7 +106,7 @@ def points_without_mark(path: Path) -> list[GivenPoint]:
             if len(cells) > 6:
                 place = (float(cells[0]), float(cells[1]), float(cells[2]))
                 found.append(
-                    GivenPoint(cells[6], f"{path}, line {number}", place, theirs, is_check="check" in cells[7:])
+                    GivenPoint(cells[6], f"{path}, line {number}", place, file_crs, is_check="check" in cells[7:])
                 )
     return found
 
@@ -139,20 +139,20 @@ def header_of(crs: CRS) -> str:
         return plan.to_proj4()
 
 
-def _coordinates(place: tuple[float, float, float], crs: CRS, theirs: CRS) -> list[str]:
-    """Coordinates in the crs of a survey as texts in that of a file, the inverse of what its reader does."""
+def _coordinates(place: tuple[float, float, float], crs: CRS, file_crs: CRS) -> list[str]:
+    """Coordinates in the crs of a survey as texts in that of a file: the inverse of its reader."""
     at = np.array([place])
-    if not horizontal_crs(theirs).equals(horizontal_crs(crs), ignore_axis_order=True):
-        at = transformed(crs, theirs, at, "points of the survey in the CRS of gcp_list.txt", "or give both the same")
-    at[:, 2] /= height_scale(theirs, crs, "the heights of gcp_list.txt")
-    decimals = _DECIMALS_DEG if is_geographic(theirs) else _DECIMALS_M
+    if not horizontal_crs(file_crs).equals(horizontal_crs(crs), ignore_axis_order=True):
+        at = transformed(crs, file_crs, at, "points of the survey in the CRS of gcp_list.txt", "or give both the same")
+    at[:, 2] /= height_scale(file_crs, crs, "the heights of gcp_list.txt")
+    decimals = _DECIMALS_DEG if is_geographic(file_crs) else _DECIMALS_M
     east, north, height = at[0].tolist()
     return [f"{east:.{decimals}f}", f"{north:.{decimals}f}", f"{height:.{_DECIMALS_M}f}"]
 
 
 @dataclass(frozen=True)
 class ClickRow:
-    """A row: the photograph as the survey calls it, None where it has none; pixel, name of the place, all cells."""
+    """A row of clicks.csv: photograph of the survey (None: not in it), pixel, name of the point, all cells."""
 
     image: str | None
     pixel: tuple[float, float]
@@ -184,7 +184,7 @@ def read_clicks(path: Path, images: Iterable[str]) -> list[ClickRow]:
 
 
 def with_click(path: Path, name: str, image: str, pixel: tuple[float, float] | None, images: Iterable[str]) -> str:
-    """The text of a table of clicks with the click on a place in a photograph; None as pixel removes it.
+    """The text of a table of clicks with the click on a point in a photograph set, or removed (pixel None).
 
     Raises
     ------

@@ -88,7 +88,7 @@ def crossing(view: View, pixel: tuple[float, float], water: FlatWater) -> np.nda
 def by_gain(
     views: Iterable[View], place: np.ndarray, water: FlatWater | None, marked: Sequence[View], std_px: float
 ) -> list[str]:
-    """Names of the photographs that show a place and have no mark of it, ordered by the information of such a mark.
+    """Names of photographs that show a place without a mark of it, those whose mark would inform most first.
 
     The first is the one after whose mark the trace of the covariance of the place is smallest.
     """
@@ -165,7 +165,7 @@ def poses_to_mark(found: Found, run: Path | None) -> tuple[PosedSurvey | None, s
 
 
 def _of_file(found: Found, path: Path) -> PosedSurvey:
-    """The photographs as the poses file of a survey places them, without the checks that `check` makes."""
+    """The photographs with the poses of the survey's poses file, without the checks of `check`."""
     try:
         file, _ = read_file_poses(found, path)
     except SurveyError:

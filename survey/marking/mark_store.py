@@ -54,13 +54,13 @@ class _Cached:
     content: object
 
 
-class Book:
-    """Points, their marks, and the files in which they are stored.
+class MarkStore:
+    """Points and their marks in gcp_list.txt and the table of clicks, with undo.
 
     Attributes
     ----------
     control_path, clicks_path : Path
-        What is written.
+        The files that are written.
     """
 
     def __init__(self, config: SurveyConfig, found: Found, points: Path | None = None):
@@ -73,12 +73,12 @@ class Book:
         self._cache: dict[Path, _Cached] = {}
         self._done: list[Edit] = []
         contents = self._contents()
-        self._fixed = self._placed([point for content in contents for point in content.points])
+        self._fixed = self._in_survey_crs([point for content in contents for point in content.points])
         # Marks of other files go into gcp_list.txt when it is written first.
-        self._foreign = self._named([mark for content in contents for mark in content.marks])
-        self._accurate = self._coordinate_files()
+        self._foreign = self._of_photographs([mark for content in contents for mark in content.marks])
+        self._accuracy_files = self._coordinate_files()
         self._added: dict[str, GivenPoint] = {}
-        self._spots: dict[str, None] = {}
+        self._waterline: dict[str, None] = {}
 
     @property
     def can_undo(self) -> bool:
@@ -86,14 +86,14 @@ class Book:
         return bool(self._done)
 
     def points(self) -> dict[PointKey, GivenPoint | None]:
-        """All points with their coordinates in the crs of the survey; spots of the waterline have none."""
+        """All points with their coordinates in the crs of the survey; points of the waterline have none."""
         _, ground = self._control()
         # In the order of the files, those of gcp_list.txt alone after the others.
         known = {**self._fixed, **{name: point for name, point in ground.items() if name not in self._fixed}}
         points: dict[PointKey, GivenPoint | None] = {
             PointKey(GROUND, name): point for name, point in {**self._added, **known}.items()
         }
-        names = dict.fromkeys(row.name for row in self._clicks()) | self._spots
+        names = dict.fromkeys(row.name for row in self._clicks()) | self._waterline
         return points | {PointKey(WATER, name): None for name in names}
 
     def marks(self) -> dict[PointKey, dict[str, Pixel]]:
@@ -108,7 +108,7 @@ class Book:
         return found
 
     def add(self, kind: str, name: str, place: tuple[float, float, float] | None) -> PointKey:
-        """A point that a mark can be set of: it is in no file before one is.
+        """Add a point, which is written into a file with its first mark.
 
         Raises
         ------
@@ -124,7 +124,7 @@ class Book:
         if key in self.points():
             raise SurveyError(f"there is a point {name} already; give another name")
         if kind == WATER:
-            self._spots[name] = None
+            self._waterline[name] = None
         elif place is None:
             raise SurveyError(f"the control point {name} has no coordinates, expected easting, northing and height")
         else:
@@ -151,7 +151,7 @@ class Book:
         self._done.append(Edit(key, image, before))
 
     def undo(self) -> Edit:
-        """Take back the last edit; returns it.
+        """Undo the last edit, and return it.
 
         Raises
         ------
@@ -162,7 +162,7 @@ class Book:
             raise SurveyError("there is nothing to undo")
         edit = self._done[-1]
         if edit.key.kind == WATER:
-            self._spots[edit.key.name] = None
+            self._waterline[edit.key.name] = None
         self._write(edit.key, edit.image, edit.before)
         self._done.pop()
         return edit
@@ -171,7 +171,7 @@ class Book:
         """Lines that survey.toml lacks for `process` to use what was written."""
         control, lines = self._config.control, []
         if self.control_path.is_file():
-            wanted = [*self._accurate, self.control_path.relative_to(self._found.folder).as_posix()]
+            wanted = [*self._accuracy_files, self.control_path.relative_to(self._found.folder).as_posix()]
             if list(control.gcp_files) != wanted or control.marks is not None:
                 named = ", ".join(f'"{name}"' for name in wanted)
                 without = ", without marks" if control.marks is not None else ""
@@ -204,17 +204,19 @@ class Book:
 
         def read(path: Path) -> tuple[Mapping[tuple[str, str], Pixel], Mapping[str, GivenPoint]]:
             content = gcp_list.read_gcp_list(path)
-            return self._named(content.marks), self._placed([*content.points, *points_without_mark(path)])
+            return self._of_photographs(content.marks), self._in_survey_crs(
+                [*content.points, *points_without_mark(path)]
+            )
 
         if not self.control_path.is_file():
             return self._foreign, {}
-        return self._fresh(self.control_path, read)
+        return self._read_if_changed(self.control_path, read)
 
     def _clicks(self):
-        return self._fresh(self.clicks_path, lambda path: read_clicks(path, self._sizes))
+        return self._read_if_changed(self.clicks_path, lambda path: read_clicks(path, self._sizes))
 
-    def _fresh(self, path: Path, read: Callable[[Path], _Read]) -> _Read:
-        """The content of a file, read again where it has changed."""
+    def _read_if_changed(self, path: Path, read: Callable[[Path], _Read]) -> _Read:
+        """Content of a file, from the cache unless the file has changed."""
         status = path.stat() if path.is_file() else None
         stamp = None if status is None else (status.st_mtime_ns, status.st_size, status.st_ino)
         if path not in self._cache or self._cache[path].stamp != stamp:
@@ -247,13 +249,13 @@ class Book:
                 found.append(name)
         return found
 
-    def _placed(self, points: list[GivenPoint]) -> dict[str, GivenPoint]:
+    def _in_survey_crs(self, points: list[GivenPoint]) -> dict[str, GivenPoint]:
         found: dict[str, GivenPoint] = {}
         for point in in_crs(points, self._found.crs)[0]:
             found.setdefault(point.name, point)
         return found
 
-    def _named(self, marks: list[GivenMark] | tuple[GivenMark, ...]) -> dict[tuple[str, str], Pixel]:
+    def _of_photographs(self, marks: list[GivenMark] | tuple[GivenMark, ...]) -> dict[tuple[str, str], Pixel]:
         names, found = ImageNames(self._sizes), {}
         for mark in marks:
             image = names.find(mark.image, mark.where)

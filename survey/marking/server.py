@@ -25,7 +25,7 @@ import numpy as np
 
 from geo.errors import GeoError
 from survey.errors import ImageError, SurveyError
-from survey.marking.book import PointKey
+from survey.marking.mark_store import PointKey
 from survey.marking.session import MarkingSession
 from survey.photos.images import eight_bits
 from survey.photos.pixels import read_rgb
@@ -48,7 +48,7 @@ _KEPT_BYTES = 600e6
 
 
 class PhotographTiles:
-    """Tiles of photographs, of which the last ones are kept decoded; for several threads.
+    """Image tiles of photographs, with a cache of decoded photographs; thread-safe.
 
     Level 0 has the pixels of the file; each further level has half as many along each side, every pixel of it the mean
     of four of the level before, so that pixel x of level k begins at ``2**k * x``.
@@ -103,7 +103,7 @@ class PhotographTiles:
 
 
 def pyramid(pixels: np.ndarray) -> list[np.ndarray]:
-    """A photograph (height, width, 3) uint8 and its halves, down to one that is a tile."""
+    """Image pyramid of a photograph (height, width, 3) uint8, halved down to the size of a tile."""
     levels = [pixels]
     while max(levels[-1].shape[:2]) > TILE_PX:
         height, width = levels[-1].shape[:2]
@@ -113,7 +113,7 @@ def pyramid(pixels: np.ndarray) -> list[np.ndarray]:
 
 
 class MarkingServer(ThreadingHTTPServer):
-    """Serves a session.
+    """HTTP server of a session.
 
     Parameters
     ----------
@@ -134,7 +134,9 @@ class MarkingServer(ThreadingHTTPServer):
         self.lock = threading.Lock()
         self.is_loopback = host in _LOOPBACK
         super().__init__((host, port), _Handler)
-        self.url = f"http://{host}:{self.server_address[1]}/?token={quote(self.token)}"
+        # 0.0.0.0 stands for every address of this machine, and cannot be opened.
+        name = "localhost" if host == "0.0.0.0" else host
+        self.url = f"http://{name}:{self.server_address[1]}/?token={quote(self.token)}"
 
     def handle_error(self, request, client_address):
         """Handle errors as the library does, but ignore browsers that close the connection early."""
@@ -147,7 +149,7 @@ class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
 
     def do_GET(self):
-        """Page, state, what a photograph shows of a point, and tiles."""
+        """Answer with the page, the state, a point in a photograph, or a tile."""
         url = urlsplit(self.path)
         asked = {name: values[0] for name, values in parse_qs(url.query).items()}
         if url.path == "/":
@@ -162,7 +164,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(HTTPStatus.NOT_FOUND, "text/plain", b"there is no such page")
 
     def do_POST(self):
-        """Marks set, moved and removed, points added, the last edit undone: answered with the new state."""
+        """Set, move or remove a mark, add a point, or undo; answer with the new state."""
         length = self.headers.get("Content-Length", "")
         if not (length.isdigit() and int(length) <= _LONGEST_REQUEST):
             self.close_connection = True
@@ -204,7 +206,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(HTTPStatus.OK, kind, content)
 
     def _is_ours(self, token: str) -> bool:
-        """Whether a request knows the token, and comes from this page alone."""
+        """Whether a request has the token and comes from this page."""
         host, origin = self.headers.get("Host", ""), self.headers.get("Origin")
         name = urlsplit(f"//{host}").hostname
         is_right = secrets.compare_digest(token.encode(), self.server.token.encode())
@@ -236,18 +238,18 @@ def _key(said: dict) -> PointKey:
 
 def _mark(session: MarkingSession, said: dict) -> dict:
     pixel = None if said["pixel"] is None else _numbers(said["pixel"], 2)
-    session.book.set(_key(said), str(said["image"]), pixel)
+    session.store.set(_key(said), str(said["image"]), pixel)
     return session.state()
 
 
 def _add(session: MarkingSession, said: dict) -> dict:
     place = said.get("place")
-    session.book.add(*_key(said), None if place is None else _numbers(place, 3))
+    session.store.add(*_key(said), None if place is None else _numbers(place, 3))
     return session.state()
 
 
 def _undo(session: MarkingSession, said: dict) -> dict:
-    edit = session.book.undo()
+    edit = session.store.undo()
     return session.state() | {"undone": {"kind": edit.key.kind, "name": edit.key.name, "image": edit.image}}
 
 

@@ -12,8 +12,8 @@ from geo.transformation import lon_lat
 from refract import FlatWater
 from survey.control.points import GivenPoint
 from survey.errors import SurveyError
-from survey.marking.book import GROUND, WATER, Book, Pixel, PointKey
 from survey.marking.geometry import by_gain, crossing, epipolar_curve, poses_to_mark, seen_at, survey_to_mark
+from survey.marking.mark_store import GROUND, WATER, MarkStore, Pixel, PointKey
 from survey.photos.cameras import Intersection, View, intersect
 from survey.settings.tables import DEFAULT_MARKS_STD_PX
 from survey.water.clicks import CLICK_STD_PX
@@ -42,7 +42,7 @@ class MarkingSession:
 
     Attributes
     ----------
-    book : Book
+    store : MarkStore
     images : dict of name to Path
     notes : list of sentences
     """
@@ -50,7 +50,7 @@ class MarkingSession:
     def __init__(self, folder: Path, *, run: Path | None = None, points: Path | None = None):
         config, self._found = survey_to_mark(folder)
         self.name = config.name or folder.resolve().name
-        self.book = Book(config, self._found, points)
+        self.store = MarkStore(config, self._found, points)
         self.images = self._found.images
         self._posed, note = poses_to_mark(self._found, run)
         self.notes: list[str] = [] if note is None else [note]
@@ -60,27 +60,27 @@ class MarkingSession:
 
     def state(self) -> dict:
         """All points and marks, for the lists of the page."""
-        points, marks = self.book.points(), self.book.marks()
+        points, marks = self.store.points(), self.store.marks()
         return {
             "name": self.name,
             "is_geographic": is_geographic(self._found.crs),
             "poses": None if self._posed is None else self._posed.source,
             "notes": [*self.notes, *self._moved_note(points, marks)],
-            "settings": self.book.settings(),
-            "can_undo": self.book.can_undo,
+            "settings": self.store.settings(),
+            "can_undo": self.store.can_undo,
             "photographs": [{"name": name, "size": self._found.headers[name].size_px} for name in self.images],
             "points": [self._point(key, point, marks.get(key, {})) for key, point in sorted(points.items(), key=_rank)],
         }
 
     def look(self, key: PointKey, image: str) -> dict:
-        """A point in a photograph: its mark, the predicted place, epipolar curves; photographs to go on in.
+        """A point in a photograph: predicted position, epipolar curves, other points; the next photographs to mark.
 
         Raises
         ------
         SurveyError
             If there is no such point or photograph.
         """
-        points, marks = self.book.points(), self.book.marks()
+        points, marks = self.store.points(), self.store.marks()
         if key not in points or image not in self.images:
             raise SurveyError(f"there is no point {key.name[:40]}, or no photograph {image[:60]}; load the page again")
         point, own = points[key], marks.get(key, {})
@@ -99,7 +99,7 @@ class MarkingSession:
         }
 
     def _others(self, key: PointKey, view: View, points: _Points, marks: _Marks, common: np.ndarray) -> list[dict]:
-        """Places of other points that a photograph shows without a mark."""
+        """Predicted positions of other points in a photograph that have no mark there."""
         found = []
         for other, point in points.items():
             own = marks.get(other, {})
@@ -180,7 +180,7 @@ class MarkingSession:
         return {} if self._posed is None else self._posed.views
 
     def _water_of(self, key: PointKey) -> FlatWater | None:
-        """The water that bends the rays to a point: none to one where the water ends."""
+        """The water that refracts the rays to a point; None for a point of the waterline."""
         return None if self._posed is None or key.kind == WATER else self._posed.water
 
     def _depth(self, place: np.ndarray) -> float | None:

@@ -112,7 +112,10 @@ class WaterSettings:
         if not 1.0 <= self.refractive_index <= 1.6:
             raise ConfigError(f"water.refractive_index is {self.refractive_index:g}, expected 1.0 to 1.6; fresh: 1.333")
         if min(*self.absorption, self.scattering) < 0.0:
-            raise ConfigError("water.absorption and water.scattering are expected at zero or above [1/m]")
+            raise ConfigError(
+                f"water.absorption is {list(self.absorption)} and water.scattering {self.scattering:g}, expected "
+                "zero or more, in 1/m"
+            )
         if not 0.0 < self.asymmetry < 1.0:
             raise ConfigError(f"water.asymmetry is {self.asymmetry:g}, expected above 0 (isotropic) and below 1")
         if self.waves and self.heights is not None:

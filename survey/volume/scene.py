@@ -84,7 +84,7 @@ class SceneOptions:
 
 
 class TooFewPhotographs(SurveyError):
-    """Fewer photographs see a box than a field can be learned from."""
+    """Fewer photographs show a box than the training of a field needs."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class BedBox:
 
     @staticmethod
     def of_run(run: LoadedRun, flight: Flight, options: SceneOptions) -> BedBox:
-        """That of the whole bed, or of the part in the bounds."""
+        """The box of the whole bed, or of the part in the bounds."""
         bed = _bed_of(run, flight.frame, options.bounds)
         box = _box_about(bed, options.cells)
         ground = BedBox(box, bed, flight.water, options.straight, run.bed_header.gsd_m)
@@ -117,12 +117,12 @@ class BedBox:
         return None if self.straight else self.water
 
     def read_for(self, edge: float, options: SceneOptions) -> BedBox:
-        """The same with photographs as large as they are needed for volumes with an edge [m]."""
+        """The same with the scale of photographs that volumes of an edge [m] need."""
         suited = min(1.0, _PIXELS_PER_CELL * self.gsd_m * options.cells / edge)
         return replace(self, scale=options.image_scale or suited)
 
     def within(self, box: Box, cells: int) -> BedBox | None:
-        """The part of it on the ground of a box, as high as the bed is there; None where there is none."""
+        """The part within a box in plan, with the heights of the bed there; None where there is no bed."""
         part = self.bed[((self.bed[:, :2] > box.low[:2]) & (self.bed[:, :2] < box.high[:2])).all(axis=1)]
         if not len(part):
             return None
@@ -130,7 +130,7 @@ class BedBox:
         return replace(self, box=Box(np.append(box.low[:2], low), np.append(box.high[:2], high)), bed=part)
 
     def scene(self, train: NamedPhotographs, held: NamedPhotographs) -> Scene:
-        """Photographs with what is known of the bed in the box."""
+        """Training data: photographs, and the bed in the box."""
         inside = ((self.bed > self.box.low) & (self.bed < self.box.high)).all(axis=1)
         return Scene(self.box, self.bed[inside], train, held, self.pixel_m)
 
@@ -141,7 +141,7 @@ def load_scene(
     options: SceneOptions,
     advance: Callable[[], object],
 ) -> Scene:
-    """The photographs of a run about its bed.
+    """The training data of a run.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def _held_of(options: SceneOptions) -> slice:
 def training_photographs(
     shown: list[BoxPhotograph], ground: BedBox, options: SceneOptions, photographs: int
 ) -> NamedPhotographs:
-    """Photographs to learn from, of so many of the flight.
+    """Photographs for training, with their priors.
 
     Raises
     ------
@@ -260,8 +260,8 @@ def _within(points: np.ndarray, bounds: tuple[float, float, float, float] | None
     if not inside.any():
         low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
         raise SurveyError(
-            f"no bed lies in --bounds {e0:g} {n0:g} {e1:g} {n1:g}; it reaches from {low[0]:.1f} to {high[0]:.1f} east "
-            f"and from {low[1]:.1f} to {high[1]:.1f} north"
+            f"no bed lies in --bounds {e0:.10g} {n0:.10g} {e1:.10g} {n1:.10g}; it reaches from {low[0]:.10g} to "
+            f"{high[0]:.10g} east and from {low[1]:.10g} to {high[1]:.10g} north"
         )
     return points[inside]
 
@@ -281,7 +281,7 @@ def _heights_about(bed: np.ndarray, cell: float) -> tuple[float, float]:
 
 
 class VolumeFolder:
-    """The folder of a volume.
+    """The folder of a volume: settings and state of its training.
 
     Parameters
     ----------
@@ -314,7 +314,7 @@ class VolumeFolder:
         self._settings = settings
 
     def part(self, name: str) -> VolumeFolder:
-        """The folder in it of a part that is trained apart."""
+        """Subfolder of a submodule."""
         return VolumeFolder(self.path / name, self._settings | {"part": name}, self._inputs)
 
     def _require_same(self, before: dict[str, Any], settings: dict[str, Any]) -> None:
@@ -343,7 +343,7 @@ class VolumeFolder:
 
 
 def read_state(path: Path) -> dict[str, Any]:
-    """A state of a training.
+    """The saved state of a training.
 
     Raises
     ------

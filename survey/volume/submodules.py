@@ -74,7 +74,7 @@ def train_submodules(run: LoadedRun, flight: Flight, options: VolumeOptions, fol
         surfaces.append(_chosen(surface, grid.owner(surface.xyz) == number))
         reports[name] = trained.report() | {"points": len(surfaces[-1].xyz)}
     if not reports:
-        raise SurveyError(f"none of {len(grid)} submodules can be learned; ask for fewer --submodules")
+        raise SurveyError(f"none of {len(grid)} submodules has enough photographs; ask for fewer --submodules")
     views = SubmoduleViews(folder.path, options.recipe, ground, grid.counts, options.device, options.drop)
     if options.appearance and not (folder.path / FOLDER / VECTORS).is_file():
         write_json(folder.path / FOLDER / VECTORS, _matched_vectors(views, flight, ground))
@@ -156,7 +156,7 @@ def _joined(surfaces: list[Surface]) -> Surface:
 
 
 def _summary(reports: dict[str, dict[str, Any]], ground: BedBox, held: NamedPhotographs) -> dict[str, Any]:
-    """Figures of all submodules together, as one field has them."""
+    """Figures of all submodules together, with the keys of those of one field."""
     trainings = [each["training"] for each in reports.values()]
     return {
         "training": {

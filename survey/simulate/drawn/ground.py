@@ -46,7 +46,7 @@ FLIGHT_S = 3600.0
 
 
 def build_ground(scene: DrawnScene, cameras: Sequence[PinholeCamera], light: Light) -> Ground:
-    """The ground of a scene, as far as cameras see."""
+    """The ground of a scene, over the area that its cameras see."""
     rng = np.random.default_rng([scene.seed, 2])
     west, south, east, north = seen_area(cameras, scene.size_m, -1.5 * scene.depth_m)
     cell, texel = scene.cell_m, scene.texel_m
@@ -201,7 +201,7 @@ def stage_drawing(scene: DrawnScene) -> StagedScene:
 
 
 def _indices(scene: DrawnScene) -> tuple[float, tuple[float, float, float] | None]:
-    """The index that survey.toml states, and those of red, green and blue; None where all have the stated one."""
+    """Refractive index for survey.toml, and those of red, green and blue; None where all have the stated one."""
     if scene.temperature_c is None:
         return scene.n_water, None
     red, green, blue = (float(n) for n in channel_indices(scene.temperature_c, 0.0))

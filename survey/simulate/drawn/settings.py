@@ -193,7 +193,7 @@ class DrawnScene:
 
 
 def _grid(count: int, size_m: tuple[float, float], image_px: tuple[int, int]) -> list[tuple[int, float, float]]:
-    """Row, x and y [m] of `count` views in strips along x, with forward and side overlap alike."""
+    """Row, x and y [m] of `count` views in strips along x, with equal forward and side overlap."""
     rows = max(round(math.sqrt(count * size_m[1] / size_m[0] * image_px[0] / image_px[1])), 1)
     per_row = [count // rows + (r < count % rows) for r in range(rows)]
     places = []

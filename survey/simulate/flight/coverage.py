@@ -49,7 +49,7 @@ class BedCoverage:
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings about the flight, in sentences."""
+        """Warnings about the flight, as sentences."""
         found = []
         hidden = self.masked_level_error_m
         if hidden is not None and hidden > _LEVEL_KNOWN_M:
@@ -137,7 +137,7 @@ def _lowered(camera: PinholeCamera) -> PinholeCamera:
 
 
 def picture(cameras: Sequence[PinholeCamera], cover: BedCoverage, site: Site) -> bytes:
-    """A plan view as PNG: views of the bed as shades, footprints, cameras with their direction of view."""
+    """Plan view as PNG: number of views of the bed, footprints, and cameras with their viewing direction."""
     figure = matplotlib.figure.Figure(figsize=(_SIDE_IN, _SIDE_IN), layout="constrained")
     axes = figure.add_subplot()
     most = max(int(cover.num_views.max()), 1)

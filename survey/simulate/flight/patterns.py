@@ -27,7 +27,7 @@ PATTERNS = ("nadir", "five", "oblique", "outer")
 
 @dataclass(frozen=True)
 class Site:
-    """Site of a flight, local."""
+    """Area, depth and water of a flight, local."""
 
     size_m: tuple[float, float]  # (east, north) [m]: about the origin
     depth_m: float  # [m]: of the bed below the water, on average; 0 for a dry site
@@ -106,7 +106,7 @@ def _poses(flight: FlightSettings, lens: Lens, site: Site, height: float) -> Ite
 
 
 def _footprint(lens: Lens, site: Site, height: float) -> tuple[float, float]:
-    """Width and height [m] of the footprint on the bed of a camera that looks down."""
+    """Width and height [m] of the footprint of a nadir view on the bed."""
     sizes = []
     for size, focal in zip((lens.width, lens.height), lens.focal, strict=True):
         tangent = 0.5 * size / focal
@@ -192,7 +192,7 @@ def _extent(site: Site, axis: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class FlightSettings:
-    """A block of photographs over an area; one of `poses`, `height_m` and `gsd_m` is given."""
+    """[flight]: a block of photographs over the area; exactly one of `poses`, `height_m` and `gsd_m` is given."""
 
     # File of planned poses, in a format of poses of surveys; the settings of patterns are then not used
     poses: str | None = None

@@ -89,7 +89,7 @@ class Ground:
 
 
 def shade_of_map(bed: BedGrid, lit: np.ndarray) -> Shade:
-    """Light from values (ny, nx) at the vertices of a bed."""
+    """Light on a bed from values (ny, nx) at its vertices."""
     lit = np.ascontiguousarray(lit, dtype=np.float32)
 
     def shade(points: np.ndarray, face: np.ndarray) -> np.ndarray:
@@ -99,13 +99,13 @@ def shade_of_map(bed: BedGrid, lit: np.ndarray) -> Shade:
 
 
 def shade_of_normals(normals: np.ndarray, light: Light) -> Shade:
-    """Light by the normals (F, 3) of faces."""
+    """Light on faces by their normals (F, 3)."""
     lit = light.irradiance(normals)
     return lambda points, face: lit[face]
 
 
 def shade_beside_bed(solid: Solid | TriangleMesh, bed: BedGrid | TriangleMesh, light: Light) -> Shade:
-    """Light by the normals of a body, darker near the corner between it and the bed."""
+    """Light on a body by its normals, darker near the bed."""
     lit = light.irradiance(solid.normals)
 
     def shade(points: np.ndarray, face: np.ndarray) -> np.ndarray:
@@ -140,7 +140,7 @@ def seen_area(
 
 
 def bed_from_file(path: Path, settings: BedSettings, frame: LocalFrame) -> tuple[TriangleMesh, np.ndarray | None]:
-    """The bed of a file, in local, and the colours (V, 3) uint8 of its vertices if it has any.
+    """The bed from a file, in local, and the colours (V, 3) uint8 of its vertices if it has any.
 
     Raises
     ------

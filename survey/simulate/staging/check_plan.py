@@ -28,7 +28,7 @@ from survey.plan.workload import room_warnings, workload_of
 from survey.settings.config import AreaConfig, SurveyConfig, WaterConfig
 from survey.simulate.flight.coverage import NADIR_DEG, coverage
 from survey.simulate.scene_file import read_scene
-from survey.simulate.staging.planning import ScenePlan, plan_scene
+from survey.simulate.staging.planning import ScenePlan, plan_scene, sun_of
 
 # Shares of the area seen by fewer than three photographs, up to which coverage is good, and fair.
 _UNSEEN = 0.0, 0.05
@@ -161,9 +161,7 @@ def _light_rows(plan: ScenePlan, survey: Survey, wind_m_s: float) -> list[tuple[
     rows = [("sun", _NO_TIME)]
     if time is not None:
         place = place_of(survey.frame.crs, np.array(survey.frame.origin))
-        sun = sun_at(time, *place)
-        if sun.elevation <= 0.0:
-            raise SurveyError(f"light.time is {plan.settings.light.time}, when the sun is below the horizon here")
+        sun = sun_of(plan.settings.light, survey.frame)
         rows = [("sun", sun_text([sun], f"{time:%Y-%m-%d %H:%M %Z}"))]
         if survey.water is not None:
             flight = GlitterOfFlight.of(in_the_middle(survey))

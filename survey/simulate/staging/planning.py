@@ -95,10 +95,19 @@ def inputs_of(settings: SceneSettings, folder: Path) -> dict:
 
 
 def sun_of(light: LightSettings, frame: LocalFrame) -> Sun:
-    """The sun of [light], seen from the origin of a frame."""
+    """The sun of [light], seen from the origin of a frame.
+
+    Raises
+    ------
+    ConfigError
+        If it is below the horizon at the time that is given.
+    """
     time = light.known_time
     if time is not None:
-        return sun_at(time, *place_of(frame.crs, np.array(frame.origin)))
+        sun = sun_at(time, *place_of(frame.crs, np.array(frame.origin)))
+        if sun.elevation <= 0.0:
+            raise ConfigError(f"light.time is {light.time}, when the sun is below the horizon here; give a time by day")
+        return sun
     elevation = _USUAL_SUN_DEG[0] if light.sun_elevation_deg is None else light.sun_elevation_deg
     azimuth = _USUAL_SUN_DEG[1] if light.sun_azimuth_deg is None else light.sun_azimuth_deg
     return Sun(math.radians(azimuth), math.radians(elevation))

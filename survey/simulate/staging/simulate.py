@@ -15,7 +15,7 @@ import numpy as np
 from geo import write_whole
 from geo.frames import LocalFrame
 from refract.surfaces import WaterSurface
-from survey.errors import ConfigError, OutputError
+from survey.errors import OutputError
 from survey.files.outputs import ReadFiles, require_folder
 from survey.progress import current
 from survey.simulate.drawn.ground import build_ground
@@ -205,16 +205,8 @@ def _path_tracer(plan: ScenePlan, renderer: DirectRenderer, light: Light) -> Pat
 
 
 def light_of(light: LightSettings, frame: LocalFrame) -> Light:
-    """The light of [light] at the origin of a frame.
-
-    Raises
-    ------
-    ConfigError
-        If the sun is below the horizon at the time that is given.
-    """
+    """The light of [light] at the origin of a frame; errors as those of `sun_of`."""
     sun = sun_of(light, frame)
-    if sun.elevation <= 0.0:
-        raise ConfigError(f"light.time is {light.time}, when the sun is below the horizon here; give a time by day")
     east, north, up = sun.direction.tolist()
     to_sun = (east, north, up)
     return Light(to_sun, light.sun_share, math.radians(0.5 * light.sun_diameter_deg), light.sky == "overcast")

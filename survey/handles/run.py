@@ -115,7 +115,7 @@ def dem_of(path: Path, options: ExportOptions) -> Dem:
 
 
 class Run:
-    """A run folder that `process` wrote; nothing is read before it is asked for.
+    """A run folder that `process` wrote; files are read when they are first needed.
 
     Attributes
     ----------
@@ -153,7 +153,7 @@ class Run:
 
     @property
     def report_path(self) -> Path:
-        """The report as a page."""
+        """Path of report.html."""
         return self._run.report_html_path
 
     @property
@@ -225,7 +225,7 @@ class Run:
         name: str = "profile",
         axes: Axes | None = None,
     ) -> Figure:
-        """A picture of `profile`, into axes or a figure of its own."""
+        """Plot of `profile`, into axes or a new figure."""
         from survey.export.profiles import draw, figure_of
 
         profile = self.profile(line, step_m=step_m, reference=reference, name=name)

@@ -14,7 +14,7 @@ from survey.plan.choices import Choices
 
 
 class Survey:
-    """A survey folder whose settings and image headers were read and found right.
+    """A survey folder, its settings and image headers read and checked.
 
     >>> run = Survey.open("harbour").process(quality="standard")        # doctest: +SKIP
 
@@ -52,11 +52,11 @@ class Survey:
         return check_survey(self.folder, chosen=Choices(**choices))
 
     def load(self) -> folder_survey.Survey:
-        """Photographs, poses and water in the local frame; poses that are missing are computed, which takes long."""
+        """Photographs, poses and water in the local frame; missing poses are computed, which takes long."""
         return folder_survey.load_survey(self.folder)
 
     def process(self, run: str | Path | None = None, **options: Any) -> Run:
-        """Make the point cloud of the bed, or use what is finished of it.
+        """Process the survey to a point cloud of the bed; stages that are finished are kept.
 
         Parameters
         ----------
@@ -76,7 +76,7 @@ class Survey:
         return Run(self._run_folder(run))
 
     def run(self, run: str | Path | None = None) -> Run:
-        """A run that was made before."""
+        """An existing run of the survey."""
         return Run(self._run_folder(run))
 
     def _run_folder(self, run: str | Path | None) -> Path:

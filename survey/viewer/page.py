@@ -117,7 +117,7 @@ async def _listen(host: str) -> None:
 
 
 def close_server(server: viser.ViserServer) -> None:
-    """Stop a server, without viser's message."""
+    """Stop a server silently."""
     with redirect_stdout(io.StringIO()):
         server.stop()
 
@@ -174,7 +174,7 @@ def thinned(tree: CloudTree, most: int) -> np.ndarray:
 
 
 def _add_points(server: viser.ViserServer, shown: Shown, rows: np.ndarray) -> None:
-    """The points once for each way to colour them, that of the photographs shown."""
+    """The points once for each colour scale, of which the colours of the photographs are shown at first."""
     points = shown.tree.points[rows] - shown.middle
     size = shown.gsd_m * float(np.sqrt(len(shown.tree.points) / len(rows)))
     for kind in ("colour", *(kind for kind in SCALES if kind in shown.columns)):

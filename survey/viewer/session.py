@@ -119,7 +119,7 @@ class LiveRun:
         )  # fmt: skip
 
     def _look_at(self, middle: np.ndarray) -> None:
-        """Point the cameras of all browsers, new and connected, at the first map."""
+        """Point the cameras of new and connected browsers at the first map."""
         away = np.array([0.0, -0.6, 0.7]) * self._size_m / _SIZE_SHARE
         start: Any = self._server.initial_camera
         for camera in (start, *(client.camera for client in self._server.get_clients().values())):

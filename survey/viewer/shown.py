@@ -44,7 +44,7 @@ _STEPS = 256
 
 
 class TrainedField:
-    """A field on the disk, loaded when it is first rendered.
+    """A trained field in a folder, loaded when it is first rendered.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ class TrainedField:
         return self._load(self.notes.append)
 
     def picture(self, view: Viewpoint, *, dry: bool) -> np.ndarray:
-        """Rendering from a viewpoint (rows, columns, 3) uint8, white where no bed is; ``dry``: along straight rays.
+        """Rendering (rows, columns, 3) uint8 from a viewpoint, white beside the bed; ``dry``: along straight rays.
 
         Raises
         ------

@@ -49,7 +49,7 @@ _BLANK = np.full((1, 1, 3), 255, dtype=np.uint8)
 
 @dataclass(frozen=True)
 class PointSighting:
-    """Sighting of a point in a photograph whose frame holds it; see `unhidden` for what occludes it."""
+    """Projection of a point into a photograph whose frame contains it, whether or not it is occluded there."""
 
     view: View
     pixel: np.ndarray  # (2,) [px]
@@ -73,7 +73,7 @@ def sightings_of(views: Sequence[View], point: np.ndarray, water: FlatWater | No
 
 
 def unhidden(seen: Sequence[PointSighting], tree: CloudTree, gsd_m: float) -> list[PointSighting]:
-    """The sightings whose rays no point of the cloud blocks, in the water and in the air.
+    """The sightings whose rays are not occluded by points of the cloud, in water or air.
 
     Points within some ground sampling distances of the end of the ray are ignored: they are the bed itself.
     """
@@ -114,7 +114,7 @@ def thumbnail(view: View, longer_px: int = THUMBNAIL_PX) -> np.ndarray:
 
 
 class PhotographCache:
-    """Photographs at full size, the last ones that were asked for kept in memory."""
+    """Cache of photographs at full size."""
 
     def __init__(self, views: Sequence[View]):
         pixels = max((view.camera.width * view.camera.height for view in views), default=1)
@@ -151,7 +151,7 @@ def mosaic(windows: Sequence[np.ndarray], names: Sequence[str]) -> np.ndarray:
 def facts_of(
     shown: Shown, row: int, seen: Sequence[PointSighting] | None = None, num_hidden: int = 0
 ) -> list[tuple[str, str]]:
-    """A point of the cloud, as labels and texts; with the photographs that show it, and how many it is hidden from."""
+    """Values of a point of the cloud as labels and texts, with the number of photographs that show or hide it."""
     frame = shown.new_frame()
     east, north, height = frame.crs_from_local(shown.tree.points[row][None])[0]
     names, digits = (("longitude", "latitude"), 8) if is_geographic(frame.crs) else (("easting", "northing"), 3)

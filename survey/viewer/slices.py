@@ -88,7 +88,7 @@ def load_reference(path: Path, frame: LocalFrame, cloud_crs: np.ndarray) -> Loca
 
 @dataclass(frozen=True)
 class Slice:
-    """The points near a vertical plane."""
+    """Cross-section: the points near a vertical plane, with water and reference in it."""
 
     rows: np.ndarray  # (K,) int: of the cloud
     # distance, height (K,) [m]: along the line, and local
@@ -154,7 +154,7 @@ def _heights_near(along: np.ndarray, distance: np.ndarray, height: np.ndarray) -
 
 
 def picture_of(found: Slice, base_m: float, colours: np.ndarray) -> np.ndarray:
-    """The slice as a picture (rows, columns, 3) uint8.
+    """Plot of the slice (rows, columns, 3) uint8.
 
     Parameters
     ----------

@@ -83,7 +83,7 @@ def _parents(levels: np.ndarray, cells: np.ndarray) -> np.ndarray:
 
 
 def pick(tree: CloudTree, origin: np.ndarray, direction: np.ndarray, *, angle: float, least_m: float) -> int | None:
-    """The row of the point that a ray meets first; None where it meets none.
+    """Row of the first point that a ray hits; None where it hits none.
 
     Parameters
     ----------

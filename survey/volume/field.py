@@ -110,7 +110,7 @@ def _write_cloud(path: Path, surface: Surface, run: LoadedRun, flight: Flight) -
 
 
 def _over_bed(made: FieldResult) -> dict[str, Any]:
-    """Heights [m] of the surface over the nearest points of the run's bed in plan."""
+    """Statistics of the heights [m] of the surface over the nearest points of the run's bed in plan."""
     _, nearest = cKDTree(made.bed[:, :2]).query(made.surface.xyz[:, :2])
     return asdict(distance_statistics(made.surface.xyz[:, 2] - made.bed[nearest, 2]))
 
@@ -135,7 +135,7 @@ def _held_out(made: FieldResult, folder: Path) -> dict[str, float]:
 
 
 def rows_of(report: dict[str, Any], output: Path) -> list[tuple[str, str]]:
-    """Rows that the command prints of `train_field`: labels and values."""
+    """Summary of a report of `train_field` for the console: labels and values."""
     training, over = report["training"], report["over_the_bed_of_the_run_m"]
     rows = [
         ("model", f"{report['model']}, {training['parameters']:,} parameters, {training['steps']:,} steps"),

@@ -119,7 +119,7 @@ class VolumeOptions:
 
 
 def field_config(run: str | Path, survey: str | None) -> FieldConfig:
-    """[field] of the survey that a run is of, as its survey.toml has it now; paths in it are absolute.
+    """[field] in the current survey.toml of a run's survey, with absolute paths.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def field_config(run: str | Path, survey: str | None) -> FieldConfig:
 
 
 def volume_options(config: FieldConfig, **others: Any) -> VolumeOptions:
-    """`VolumeOptions` of what a configuration says; what it leaves open has its default."""
+    """`VolumeOptions` of a configuration; what it leaves open has its default."""
     said = {each.name: value for each in fields(config) if (value := getattr(config, each.name)) is not None}
     if config.monocular is not None:
         said["monocular"] = Path(config.monocular)

@@ -25,7 +25,7 @@ from survey.volume.scene import SETTINGS, read_state
 
 @dataclass(frozen=True)
 class VolumeRecipe:
-    """Settings that determine the parameters of a model and how its paths run."""
+    """Settings that determine the parameters of a model and its paths."""
 
     model: str  # key of `fields.volume.models.MODELS`
     # cells, steps, seed: As in `survey.volume.options.VolumeOptions`
@@ -79,7 +79,7 @@ class VolumeRecipe:
 
 
 def novel_view(seen: VolumeImage, water: FlatWater | None) -> NovelView:
-    """A rendered volume as products have views: heights over the water, normals, black where nothing is seen."""
+    """A rendered volume as a `NovelView`: with heights over the water and normals, black where nothing is seen."""
     points = seen.points.astype(np.float64)
     known = np.isfinite(seen.distance) & (seen.opacity > LEAST_OPACITY)
     points[~known] = np.nan
@@ -98,6 +98,6 @@ def view_of(
     *,
     dry: bool,
 ) -> NovelView:
-    """A trained volume as a camera sees it, over the water of its survey or, ``dry``, with the water taken away."""
+    """Rendering of a trained volume by a camera, through the water of its survey or, ``dry``, without it."""
     bent = None if dry else recipe.bends(water)
     return novel_view(render_volume(renderer, camera, bent, cells, samples=recipe.samples, dry=dry), water)

@@ -36,7 +36,7 @@ IN_MEMORY = 8
 
 
 class SubmoduleViews:
-    """The submodules of a field that have been trained, by the numbers of their cells.
+    """Renderer of the trained submodules of a field, loaded from their folders when they are needed.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class SubmoduleViews:
         self._visibility = cache(self._load_visibility)
 
     def unfinished(self) -> list[str]:
-        """Sentences on what is not trained yet: cells with a bed that were not left out, and steps."""
+        """Notes on missing training: cells with a bed that have none, and steps."""
         said, report = [], self.folder / REPORT
         left_out = read_json_object(report).get("left_out", {}) if report.is_file() else {}
         cells = sum(name not in left_out for name in self._with_bed)

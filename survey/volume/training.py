@@ -23,7 +23,7 @@ from survey.volume.scene import NamedPhotographs, Scene
 
 @dataclass(frozen=True)
 class Trained:
-    """A field with what it was trained on."""
+    """A trained field with its training data."""
 
     renderer: VolumeRenderer
     cells: Cells
@@ -59,7 +59,7 @@ class FieldResult:
 
 
 def train(scene: Scene, flight: Flight, options: VolumeOptions, checkpoints: Checkpoints | None = None) -> Trained:
-    """Train the field of the options on a scene of a flight, or go on from a checkpoint."""
+    """Train the field of the options on a scene of a flight, or continue from a checkpoint."""
     renderer = options.recipe.renderer(
         scene.box,
         flight.water,
@@ -91,7 +91,7 @@ def train(scene: Scene, flight: Flight, options: VolumeOptions, checkpoints: Che
 
 
 def surface_in(trained: Trained) -> Surface:
-    """The surface in cells of a pixel, or of half a cell of the field where that is more."""
+    """Surface points of a field, in cells of a pixel or of half a cell of the field, whichever is larger."""
     of, scene = trained.options, trained.scene
     cell = scene.box.edge / of.cells
     photographs = scene.train.photographs

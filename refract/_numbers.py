@@ -13,7 +13,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields, is_dataclass, replace
-from functools import wraps
+from functools import cache, wraps
 from typing import Any
 
 import numpy as np
@@ -151,11 +151,22 @@ def of_any_size(function):
     return call
 
 
+# Most arguments: asking Dr.Jit about each would take as long as some calls.
+_NOT_OF_DRJIT = (np.ndarray, float, int, type(None))
+
+
+@cache
+def _names_of_fields(kind: type) -> tuple[str, ...]:
+    return tuple(each.name for each in fields(kind))
+
+
 def _has_empty(drjit, value) -> bool:
+    if isinstance(value, _NOT_OF_DRJIT):
+        return False
     if isinstance(value, tuple | list):
         return any(_has_empty(drjit, each) for each in value)
     if is_dataclass(value) and not isinstance(value, type):
-        return any(_has_empty(drjit, getattr(value, each.name)) for each in fields(value))
+        return any(_has_empty(drjit, getattr(value, name)) for name in _names_of_fields(type(value)))
     return drjit.is_array_v(value) and drjit.width(value) == 0
 
 

@@ -6,12 +6,13 @@ to choose by.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_array
 
-from refract import BentPaths, FlatWater, PinholeCamera, crossing_point
+from refract import BentPaths, FlatWater, PinholeCamera, crossing_point, trace
 
 # NCC over small windows holds to about 30 degrees between views and gains depth precision with the angle;
 # the best trade-off is flat around 15 to 20 degrees.
@@ -27,6 +28,8 @@ GRID_CELLS, MOST_CELLS = 48, 400
 CELLS_PER_VIEW = 8
 # Rays nearer to the horizon than this sine meet no ground.
 _LEAST_FALL = 0.05
+# Cameras whose rays are searched for together.
+_AT_ONCE = 64
 # Places along each side of an image, and the share of its extent by which a rectangle is wider than they say.
 _PLACES, _MARGIN = 17, 0.02
 
@@ -81,19 +84,23 @@ def coverage(
         else _visible_nodes(cameras, height, x, y)
     )
     cells = np.column_stack([plan, np.full(len(plan), height)])
+    y_of_plan = np.ascontiguousarray(plan[:, 1])
     rows = []
-    for camera in cameras:
-        near = _near(camera, height, plan)
-        rows.append(near[camera.sees(camera.project(cells[near], water))])
+    for first in range(0, len(cameras), _AT_ONCE):
+        some = cameras[first : first + _AT_ONCE]
+        near = [_near(camera, height, plan, y_of_plan) for camera in some]
+        pixels = pixels_in(some, [cells[number] for number in near], water)
+        rows += [number[camera.sees(seen)] for number, camera, seen in zip(near, some, pixels, strict=True)]
     ends = np.concatenate([[0], np.cumsum([len(row) for row in rows])])
     columns = np.concatenate(rows)
     return csr_array((np.ones(len(columns), dtype=bool), columns, ends), shape=(len(cameras), len(cells))), cells
 
 
-def _near(camera: PinholeCamera, height: float, plan: np.ndarray) -> np.ndarray:
+def _near(camera: PinholeCamera, height: float, plan: np.ndarray, y_of_plan: np.ndarray) -> np.ndarray:
     """Numbers of the places (N, 2) in the rectangle about a camera and what it sees at z = height by straight rays.
 
-    Bent rays end between. All places where one of its rays is near to the horizon.
+    Bent rays end between. All places where one of its rays is near to the horizon. Places are in ascending order of
+    ``y_of_plan`` (N,).
     """
     over, rays = camera.centre[2] - height, camera.directions(camera.outline())
     if over <= 0.0 or not (rays[:, 2] < -_LEAST_FALL).all():
@@ -101,7 +108,10 @@ def _near(camera: PinholeCamera, height: float, plan: np.ndarray) -> np.ndarray:
     ends = np.concatenate([camera.centre[:2] - rays[:, :2] * (over / rays[:, 2:]), camera.centre[None, :2]])
     low, high = ends.min(axis=0), ends.max(axis=0)
     margin = _MARGIN * (high - low).max()
-    return np.flatnonzero((plan >= low - margin).all(axis=1) & (plan <= high + margin).all(axis=1))
+    low, high = low - margin, high + margin
+    first, last = np.searchsorted(y_of_plan, low[1]), np.searchsorted(y_of_plan, high[1], side="right")
+    x = plan[first:last, 0]
+    return first + np.flatnonzero((x >= low[0]) & (x <= high[0]))
 
 
 def _visible_nodes(cameras: list[PinholeCamera], height: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -238,21 +248,24 @@ def parallax(
     the others; the sweep's steps and tolerances follow from it. At least 1e-3.
     """
     ends = path.at_height(height + np.array([-0.05, 0.05]), water)
-    pixels = _pixels([cameras[other] for other in others], ends, water)
+    pixels = pixels_in([cameras[other] for other in others], [ends] * len(others), water)
     moves = [np.linalg.norm(np.diff(each, axis=0)) / 0.1 for each in pixels]
     return max(float(np.nanquantile(moves, 0.75)), 1e-3)
 
 
-def _pixels(cameras: list[PinholeCamera], points: np.ndarray, water: FlatWater | None) -> list[np.ndarray]:
-    """Pixels (N, 2) [px] of points (N, 3) [m], local, in each camera.
+def pixels_in(
+    cameras: Sequence[PinholeCamera], points: Sequence[np.ndarray], water: FlatWater | None
+) -> list[np.ndarray]:
+    """Pixels (N, 2) [px] of the points (N, 3) [m], local, that belong to each camera.
 
     One search of crossings for all, where cameras neither move nor have tides: with few points calls take the time.
     """
     if not cameras or any(camera.motion is not None or camera.tide != 0.0 for camera in cameras):
-        return [camera.project(points, water) for camera in cameras]
-    centres = np.array([camera.centre for camera in cameras])[:, None]
-    rays_of_cameras = crossing_point(np.broadcast_to(points, (len(cameras), *points.shape)), centres, water) - centres
-    return [camera.pixels_of(direction) for camera, direction in zip(cameras, rays_of_cameras, strict=True)]
+        return [camera.project(own, water) for camera, own in zip(cameras, points, strict=True)]
+    counts = [len(own) for own in points]
+    centres = np.repeat([camera.centre for camera in cameras], counts, axis=0)
+    directions = np.split(crossing_point(np.concatenate(points), centres, water) - centres, np.cumsum(counts)[:-1])
+    return [camera.pixels_of(direction) for camera, direction in zip(cameras, directions, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -265,12 +278,36 @@ class Footprint:
     @staticmethod
     def of(camera: PinholeCamera, water: FlatWater | None, heights: tuple[float, float]) -> Footprint:
         """Footprint of the ground between two heights [m] over the water plane."""
+        return Footprint.of_each([camera], water, heights)[0]
+
+    @staticmethod
+    def of_each(
+        cameras: Sequence[PinholeCamera], water: FlatWater | None, heights: tuple[float, float]
+    ) -> list[Footprint]:
+        """Footprints of cameras; in one search without tides: with few rays of each, calls take the time."""
+        if not cameras:
+            return []
         share = np.linspace(0.0, 1.0, _PLACES)
         sides = [[(x, y) for x in share for y in (0.0, 1.0)], [(x, y) for x in (0.0, 1.0) for y in share]]
-        paths = camera.paths(np.concatenate(sides) * (camera.width, camera.height), water)
+        border = np.concatenate(sides)
+        pixels = [border * (camera.width, camera.height) for camera in cameras]
+        if any(camera.tide != 0.0 for camera in cameras):
+            paths = [camera.paths(own, water) for camera, own in zip(cameras, pixels, strict=True)]
+        else:
+            shape = (len(border), 3)
+            centres = [np.broadcast_to(c.centres(own), shape) for c, own in zip(cameras, pixels, strict=True)]
+            directions = [camera.directions(own) for camera, own in zip(cameras, pixels, strict=True)]
+            paths = [trace(np.concatenate(centres), np.concatenate(directions), water)]
         # Paths are straight between these heights: they bend at the water.
         levels = {*heights, float(np.clip(0.0, *heights))}
-        points = np.concatenate([paths.at_height(np.full(4 * _PLACES, level), water)[:, :2] for level in levels])
+        count = len(cameras) * len(border) // len(paths)
+        places = [[path.at_height(np.full(count, level), water)[:, :2] for level in levels] for path in paths]
+        each = np.split(np.concatenate(places, axis=1), len(cameras), axis=1)
+        return [Footprint._about(own.reshape(-1, 2)) for own in each]
+
+    @staticmethod
+    def _about(points: np.ndarray) -> Footprint:
+        """Rectangle about points (N, 2) with a margin; without end where one of them is not finite."""
         if not np.isfinite(points).all():
             return Footprint(np.full(2, -np.inf), np.full(2, np.inf))
         low, high = points.min(axis=0), points.max(axis=0)

@@ -116,7 +116,7 @@ class TileJob(Job):
         cameras = {view: self._camera_in_frame(whole.cameras[view]) for view in showing}
         footprints = None
         if self._moved is None:
-            footprints = {view: whole.outlines.footprint(view, water, self._bound) for view in showing}
+            footprints = whole.outlines.footprints(showing, water, self._bound)
         return windows_of(cameras, water, own, self.ground, self._bound, footprints)
 
     @property

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fields.sweep.view_pass import outline_of
-from fields.sweep.views import Footprint
+from fields.sweep.views import Footprint, pixels_in
 from geo.frames import LocalFrame
 from refract import FlatWater, PinholeCamera
 from survey.photos.cameras import View
@@ -77,14 +77,18 @@ class Outlines:
             for camera, outline in zip(cameras, outlines, strict=True)
         ]
         self._rays = np.array(rays)
-        self._cameras, self._footprints = cameras, dict[tuple, Footprint]()
+        self._cameras, self._footprints = cameras, dict[tuple, dict[int, Footprint]]()
 
-    def footprint(self, number: int, water: FlatWater | None, bound: tuple[float, float]) -> Footprint:
-        """Footprint of a camera between two heights [m], worked out once for all tiles over one plane."""
-        key = (number, water, bound)
-        if key not in self._footprints:
-            self._footprints[key] = Footprint.of(self._cameras[number], water, bound)
-        return self._footprints[key]
+    def footprints(
+        self, numbers: Sequence[int], water: FlatWater | None, bound: tuple[float, float]
+    ) -> dict[int, Footprint]:
+        """Footprints of cameras between two heights [m], worked out once for all tiles over one plane."""
+        known = self._footprints.setdefault((water, bound), {})
+        new = [number for number in numbers if number not in known]
+        if new:
+            found = Footprint.of_each([self._cameras[number] for number in new], water, bound)
+            known.update(zip(new, found, strict=True))
+        return {number: known[number] for number in numbers}
 
     def may_show(
         self, water: FlatWater | None, area: Area, bound: tuple[float, float], moved: Similarity | None = None
@@ -132,12 +136,16 @@ def windows_of(
     """
     found = []
     tile = Footprint(np.array(own[:2]), np.array(own[2:]))
-    for view, camera in cameras.items():
-        # Of ground behind a camera nothing can be projected.
-        footprint = Footprint.of(camera, water, bound) if footprints is None else footprints[view]
-        if not footprint.meets(tile):
-            continue
-        seen, box = _boxes(camera, water, ((own, 0), (ground, _MARGIN_PX)), bound)
+    if footprints is None:
+        footprints = dict(zip(cameras, Footprint.of_each(list(cameras.values()), water, bound), strict=True))
+    # Of ground behind a camera nothing can be projected.
+    meeting = [view for view in cameras if footprints[view].meets(tile)]
+    outlines = [outline_of(area, water, bound) for area in (own, ground)]
+    places = np.concatenate(outlines)
+    pixels = pixels_in([cameras[view] for view in meeting], [places] * len(meeting), water)
+    for view, of_both in zip(meeting, pixels, strict=True):
+        camera, (of_own, of_ground) = cameras[view], np.split(of_both[:, ::-1], [len(outlines[0])])
+        seen, box = _box(camera, of_own, 0), _box(camera, of_ground, _MARGIN_PX)
         if min(seen[2] - seen[0], seen[3] - seen[1]) < _LEAST_SEEN_PX:
             continue
         row, height = _side(box[0], box[2], camera.height, _ROWS_PX)
@@ -153,25 +161,11 @@ def _side(first: int, last: int, whole: int, step: int) -> tuple[int, int]:
     return min(begin, whole - length) // _BEGIN_PX * _BEGIN_PX, length
 
 
-def _boxes(
-    camera: PinholeCamera,
-    water: FlatWater | None,
-    areas: Sequence[tuple[Area, int]],
-    bound: tuple[float, float],
-) -> list[tuple[int, int, int, int]]:
-    """Top, left, bottom and right of the parts of an image that may show areas, with margins [px] about them.
-
-    The whole image where it is not certain. All outlines are projected in one call, which takes most of the time.
-    """
-    outlines = [outline_of(area, water, bound) for area, _ in areas]
-    parts = np.split(
-        camera.project(np.concatenate(outlines), water)[:, ::-1], np.cumsum([len(o) for o in outlines])[:-1]
-    )
-    return [_box(camera, seen, margin) for seen, (_, margin) in zip(parts, areas, strict=True)]
-
-
 def _box(camera: PinholeCamera, seen: np.ndarray, margin: int) -> tuple[int, int, int, int]:
-    """Top, left, bottom and right of an image about places (N, 2), (row, column) [px]."""
+    """Top, left, bottom and right of an image about places (N, 2), (row, column) [px], with a margin [px].
+
+    The whole image where it is not certain.
+    """
     size = np.array([camera.height, camera.width])
     if not np.isfinite(seen).all():
         return 0, 0, camera.height, camera.width

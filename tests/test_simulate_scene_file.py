@@ -35,6 +35,7 @@ EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
      ({"focal_px": 'focal_px = 160.0\nmodel = "OPENCV"'}, "expected 4 for OPENCV: k1, k2, p1, p2"),
      ({"slope_north": "refractive_index = 2.4"}, "expected 1.0 to 1.6"),
      ({"mode": 'mode = "fast"'}, "expected one of direct, physical"),
+     ({"kind": 'kind = "plane"\nsmoothing = -1'}, "bed.smoothing is -1, expected a number of passes"),
      ({"noise": "noise = -1.0"}, "sensor.noise is -1, expected zero or more"),
      ({"noise": "exposure = 0.0"}, "sensor.exposure is 0, expected a number above zero"),
      ({"[area]": "[area"}, "not valid TOML")],

@@ -41,6 +41,8 @@ class BedSettings:
             )
             raise ConfigError(f"bed.kind {self.kind} does not go with bed.file {self.file}; {remedy}")
         require_positive("bed", depth_m=self.depth_m, cell_m=self.cell_m, spacing_m=self.spacing_m)
+        if self.smoothing < 0:
+            raise ConfigError(f"bed.smoothing is {self.smoothing}, expected a number of passes, zero or more")
 
 
 @dataclass(frozen=True)

@@ -342,7 +342,10 @@ class ByChance(PathTracer):
 
     def __init__(self, *args, **options):
         super().__init__(*args, **options)
-        self.sun.on = lambda sampler, place, normal, wet: (self.mi.Vector3f(0.0, 0.0, 1.0), self.mi.Color3f(0.0))
+        self.sun.connection = lambda sampler, place, normal, wet: (
+            self.mi.Vector3f(0.0, 0.0, 1.0),
+            self.mi.Color3f(0.0),
+        )
 
     def _glint(self, surface, active):
         return self.mi.Color3f(0.0)

@@ -68,8 +68,8 @@ class Sunlight:
         apart = dr.squared_norm(direction - self.mi.Vector3f(*self.light.sun.tolist()))
         return apart < (2.0 * math.sin(0.5 * self.seen_radius)) ** 2
 
-    def on(self, sampler, place, normal, wet):
-        """Direction from places toward a random point of the sun, bent by the water, and irradiance across it.
+    def connection(self, sampler, place, normal, wet):
+        """Direct connections of places to a random point of the sun: refracted direction, and irradiance across it.
 
         The irradiance is that of the whole disc if all of it stood there: its mean over points of the disc, drawn
         uniformly, is the light of the disc. `normal` is that of the ground, or zero for a place within the water.
@@ -178,7 +178,7 @@ class PathTracer:
         the camera, and whether the sun was counted at its last reflection.
         """
         mi = self.mi
-        light, share = mi.Color3f(0.0), mi.Color3f(1.0)
+        light, throughput = mi.Color3f(0.0), mi.Color3f(1.0)
         wet, straight, counted, active = mi.Bool(False), mi.Bool(True), mi.Bool(False), mi.Bool(True)
         bounce = mi.UInt32(0)
         while active:
@@ -189,33 +189,33 @@ class PathTracer:
                 flight = dr.select(wet, -dr.log(1.0 - sampler.next_1d(active)) / self.scattering, dr.inf)
             scattered = active & (flight < t)
             way = dr.minimum(t, flight)
-            share = dr.select(wet, share * absorbed(mi, self.colour, way), share)
+            throughput = dr.select(wet, throughput * absorbed(mi, self.colour, way), throughput)
             gone = active & not_(scattered) & not_(dr.isfinite(t))
-            light += dr.select(gone & not_(wet), share * self._above(ray.d, straight & not_(counted)), 0.0)
+            light += dr.select(gone & not_(wet), throughput * self._above(ray.d, straight & not_(counted)), 0.0)
             active &= not_(gone)
             at_surface &= active & not_(scattered)
             at_ground = active & not_(scattered) & not_(at_surface)
 
             ahead = mi.Ray3f(ray)
             if at_surface:
-                light += dr.select(straight & not_(wet), share * self._glint(surface, straight & not_(wet)), 0.0)
+                light += dr.select(straight & not_(wet), throughput * self._glint(surface, straight & not_(wet)), 0.0)
                 ahead, through, bent = self._cross(sampler, surface, ray)
-                share *= through
+                throughput *= through
                 counted = not_(wet) & not_(bent)
                 wet ^= bent
             if at_ground:
                 ahead, reflected, sun = self._leave_ground(sampler, ground, ray, wet)
-                light += share * sun
-                share *= reflected
+                light += throughput * sun
+                throughput *= reflected
                 straight = mi.Bool(False)
             if scattered:
                 ahead, sun = self._scatter(sampler, ray, flight)
-                light += share * sun
+                light += throughput * sun
                 straight = mi.Bool(False)
             ray = ahead
             bounce += 1
             active &= bounce < self.max_bounces
-            share, active = self._thinned(sampler, share, bounce, active)
+            throughput, active = self._thinned(sampler, throughput, bounce, active)
         return light
 
     def _meet(self, ray, active):
@@ -228,15 +228,15 @@ class PathTracer:
         at_surface = active & surface.is_valid() & (surface.t < t)
         return ground, surface, dr.select(at_surface, surface.t, t), at_surface
 
-    def _thinned(self, sampler, share, bounce, active):
+    def _thinned(self, sampler, throughput, bounce, active):
         """Russian roulette: faint paths end and others are weighted up; the new throughputs, and which paths go on."""
-        keep = dr.minimum(dr.max(share), 0.95)
+        keep = dr.minimum(dr.max(throughput), 0.95)
         late = bounce > _SURE_BOUNCES
         goes_on = active & (not_(late) | (sampler.next_1d(active) < keep))
-        return dr.select(late, share / dr.maximum(keep, 1e-6), share), goes_on
+        return dr.select(late, throughput / dr.maximum(keep, 1e-6), throughput), goes_on
 
     def _cross(self, sampler, surface, ray):
-        """Reflected or refracted by the water: the next ray, its share of the light, and whether it was refracted."""
+        """Reflected or refracted by the water: the next ray, its weight, and whether it was refracted."""
         mi = self.mi
         sample, through = surface.bsdf(ray).sample(mi.BSDFContext(), surface, sampler.next_1d(), sampler.next_2d())
         bent = mi.Frame3f.cos_theta(sample.wo) * mi.Frame3f.cos_theta(surface.wi) < 0.0
@@ -253,10 +253,10 @@ class PathTracer:
         return mi.Color3f(dr.select(active, mirrored * self.sun.seen_radiance, 0.0))
 
     def _leave_ground(self, sampler, ground, ray, wet):
-        """Reflected by the ground: the next ray, its share of the light, and the sunlight that is reflected."""
+        """Reflected by the ground: the next ray, its weight, and the sunlight that is reflected."""
         mi = self.mi
         bsdf, context = ground.bsdf(ray), mi.BSDFContext()
-        toward, irradiance = self.sun.on(sampler, ground.p, ground.n, wet)
+        toward, irradiance = self.sun.connection(sampler, ground.p, ground.n, wet)
         value = bsdf.eval(context, ground, ground.to_local(toward))
         sample, reflected = bsdf.sample(context, ground, sampler.next_1d(), sampler.next_2d())
         return ground.spawn_ray(ground.to_world(sample.wo)), mi.Color3f(reflected), mi.Color3f(value) * irradiance
@@ -265,7 +265,7 @@ class PathTracer:
         """Scattered in water: the next ray, and the sunlight that is scattered into the path."""
         mi, g = self.mi, self.asymmetry
         place = ray(flight)
-        toward, irradiance = self.sun.on(sampler, place, mi.Normal3f(0.0), mi.Bool(True))
+        toward, irradiance = self.sun.connection(sampler, place, mi.Normal3f(0.0), mi.Bool(True))
         cosine = dr.dot(toward, ray.d)
         value = (1.0 - g * g) / (4.0 * math.pi * (1.0 + g * g - 2.0 * g * cosine) ** 1.5)
         # A direction by Henyey and Greenstein's law, from the inverse of its distribution.

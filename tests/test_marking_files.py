@@ -183,6 +183,22 @@ def test_marks_of_other_files_go_into_the_list_when_it_is_written_first(tmp_path
     assert store.settings() == ['[control] gcps = ["gcps.csv", "gcp_list.txt"], without marks']
 
 
+def test_points_without_names_keep_their_marks_when_the_first_is_removed_and_put_back(tmp_path):
+    rows = [(1, "0000.jpg", 10), (2, "0000.jpg", 20), (1, "0001.jpg", 11), (2, "0001.jpg", 21), (3, "0002.jpg", 30)]
+    lines = [f"{E0 + east} {N0} {LEVEL} {at} {at} {image}" for east, image, at in rows]
+    store = store_of(tmp_path / "s", gcps="\n".join(["EPSG:25832", *lines, ""]))
+    points, before = store.points(), store.marks()
+    places = {key: point.place for key, point in points.items()}
+    for key, image in [(key, image) for key, own in before.items() for image in own]:
+        store.set(key, image, None)
+        assert {key: point.place for key, point in store.points().items()} == places
+    assert store.marks() == {}
+    while store.can_undo:
+        store.undo()
+    assert store.marks() == before
+    assert {key: point.place for key, point in store.points().items()} == places
+
+
 def test_points_and_spots_are_added_by_name(tmp_path):
     store = store_of(tmp_path / "s")
     new = store.add(GROUND, " n1 ", PLACE)

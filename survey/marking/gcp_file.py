@@ -1,4 +1,7 @@
-"""gcp_list.txt and clicks.csv edited mark by mark; every other line, column and comment is kept."""
+"""gcp_list.txt and clicks.csv edited mark by mark; every other line, column and comment is kept.
+
+Lines of gcp_list.txt without a name get the one that their point has here when the mark of such a line is removed.
+"""
 
 from __future__ import annotations
 
@@ -63,6 +66,12 @@ def with_marks(path: Path, marks: Iterable[ControlMark], crs: CRS, images: Itera
     names = ImageNames(images)
     called = [names.find(mark.image, mark.where) for mark in content.marks]
     said = list(zip(at, (point.name for point in content.points), called, strict=True))
+    marks = list(marks)
+    removed = {(mark.point, mark.image) for mark in marks if mark.pixel is None}
+    # Points without names are numbered in the order of their lines, which a removal may change.
+    if any((point, image) in removed and _is_nameless(lines[i]) for i, point, image in said):
+        for i, point, _ in said:
+            lines[i] = "\t".join([*line_cells(lines[i]), point]) if _is_nameless(lines[i]) else lines[i]
     unmarked = {cells[6]: i for i, line in enumerate(lines) if len(cells := _cells_without_mark(line)) > 6}
     kept: dict[int, str | None] = dict(enumerate(lines))
     new = []
@@ -114,6 +123,10 @@ def points_without_mark(path: Path) -> list[GivenPoint]:
 def _cells_without_mark(line: str) -> list[str]:
     """Values of a line of a point whose mark was removed; none of another line."""
     return line_cells(line.removeprefix(_UNMARKED)) if line.startswith(_UNMARKED) else []
+
+
+def _is_nameless(line: str) -> bool:
+    return len(line_cells(line)) == 6
 
 
 def _words(mark: ControlMark) -> list[str]:

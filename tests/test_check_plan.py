@@ -75,7 +75,7 @@ def test_a_plan_is_checked_by_the_command_that_checks_surveys(tmp_path):
 def test_the_flight_of_the_examples_is_good():
     result = CliRunner().invoke(app, ["check", str(EXAMPLES / "flight.toml"), "--quality", "draft"])
     assert result.exit_code == 0, result.output
-    assert "81 from 40.0 m over the water: 55 look down, 26 are tilted" in result.output
+    assert "81 from 40.0 m over the water: 55 nadir, 26 oblique (tilted by up to 31" in result.output
     assert "good: blurs by 0.36 px at most (4.0 m/s, open for 1 ms)" in result.output
 
 

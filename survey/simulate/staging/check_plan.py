@@ -176,7 +176,7 @@ def _light_rows(plan: ScenePlan, survey: Survey, wind_m_s: float) -> list[tuple[
 
 
 def _hours_text(flight: GlitterOfFlight, time: datetime, place: tuple[float, float], wind_m_s: float) -> str:
-    """Hours of the day in which the sun lights the bed and glitters little, by the clock of the given time."""
+    """Hours of the day with little glitter and enough light on the bed, by the clock of the given time."""
     day = time.replace(hour=0, minute=0, second=0, microsecond=0)
     lost: dict[datetime, float] = {}
     for minute in range(0, 24 * 60, _STEP_MIN):
@@ -189,7 +189,7 @@ def _hours_text(flight: GlitterOfFlight, time: datetime, place: tuple[float, flo
     good = [at for at, share in lost.items() if share <= LOST_GOOD]
     if not good:
         best = min(lost, key=lambda at: lost[at])
-        return f"no hour of that day is good; the least glitter is at {best:%H:%M}"
+        return f"no hour of that day has little glitter; the least is at {best:%H:%M}"
     spans: list[list[datetime]] = []
     for at in good:
         if spans and at - spans[-1][1] == timedelta(minutes=_STEP_MIN):
@@ -197,7 +197,7 @@ def _hours_text(flight: GlitterOfFlight, time: datetime, place: tuple[float, flo
         else:
             spans.append([at, at])
     said = " and ".join(f"{first:%H:%M} to {last:%H:%M}" for first, last in spans)
-    return f"{said} are good that day: the sun is {_LOWEST_SUN_DEG:g} degrees high or more, and glitters little"
+    return f"{said}: little glitter, and the sun at {_LOWEST_SUN_DEG:g} degrees or higher"
 
 
 def _processing_rows(survey: Survey, quality: str, device: str) -> list[tuple[str, str]]:

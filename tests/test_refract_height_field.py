@@ -287,3 +287,9 @@ def test_wrong_numbers_are_named():
         HeightFieldWater(np.zeros((4, 2)), np.zeros(3), [[0, 1, 2]])
     with pytest.raises(ValueError, match=r"0\.5"):
         HeightFieldWater.from_raster(x, x, np.zeros((3, 3)), n_water=0.5)
+
+
+@pytest.mark.parametrize("points", [[(0.0, 0.0), (1.0, 0.0)], [(0.0, 0.0), (1.0, 1.0), (2.0, 2.0)], [(0.0, 0.0)] * 5])
+def test_points_that_span_no_area_are_refused(points):
+    with pytest.raises(ValueError, match="not on one line"):
+        HeightFieldWater.from_points(points, np.zeros(len(points)))

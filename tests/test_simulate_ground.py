@@ -89,6 +89,13 @@ def test_a_cloud_becomes_a_bed_by_triangles_thinned_and_smoothed(tmp_path, rng):
     assert (rough.normals[:, 2] > 0.0).all()
 
 
+@pytest.mark.parametrize("num", [2, 5])
+def test_a_cloud_on_one_line_is_refused(tmp_path, num):
+    write_mesh(tmp_path / "points.ply", np.arange(3.0 * num).reshape(num, 3), [])
+    with pytest.raises(SurveyError, match=rf"points\.ply has {num} points, expected a cloud .* not on one line"):
+        staged(scene_file(tmp_path, kind='kind = "cloud"\nfile = "points.ply"\nframe = "local"'))
+
+
 def test_an_object_is_scaled_turned_heeled_and_stands_on_the_bed(tmp_path):
     corners = np.array([[x, y, z] for x in (0.0, 4.0) for y in (0.0, 1.0) for z in (0.0, 1.0)]) + 100.0
     from scipy.spatial import ConvexHull

@@ -13,6 +13,7 @@ from scene_files import SCENE, scene_file, staged, write_mesh
 from geo.crs import parse_crs
 from geo.errors import GeoError
 from geo.ply import write_ply
+from survey.errors import SurveyError
 from survey.simulate.scene_file import read_scene
 from survey.simulate.staging.planning import plan_scene
 from survey.simulate.staging.simulate import light_of
@@ -89,6 +90,13 @@ def test_a_measured_surface_is_laid_through_its_points(tmp_path):
     np.testing.assert_allclose(
         scene.cameras[0].project(hits.points, scene.water), [[30.0, 30.0], [70.0, 20.0]], atol=1e-6
     )
+
+
+def test_a_measured_surface_of_two_points_is_refused(tmp_path):
+    frame = plan_scene(read_scene(scene_file(tmp_path)), tmp_path).frame
+    write_mesh(tmp_path / "surface.ply", frame.crs_from_local([[0.0, 0.0, 0.0], [1.0, 1.0, 0.0]]), [])
+    with pytest.raises(SurveyError, match=r"gives no water surface: expected three points or more, .* not on one line"):
+        staged(scene_file(tmp_path, slope_north='heights = "surface.ply"'))
 
 
 def test_a_measured_surface_in_another_crs_is_refused(tmp_path):

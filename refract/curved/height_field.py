@@ -128,11 +128,21 @@ class HeightFieldWater:
 
     @classmethod
     def from_points(cls, points, heights, *, n_water=1.333) -> HeightFieldWater:
-        """Water over scattered points (points, 2) [m], local, with heights (points,) [m], by Delaunay's triangles."""
-        from scipy.spatial import Delaunay
+        """Water over scattered points (points, 2) [m], local, with heights (points,) [m], by Delaunay's triangles.
+
+        Raises
+        ------
+        ValueError
+            If the points are fewer than three, on one line, or not finite.
+        """
+        from scipy.spatial import Delaunay, QhullError
 
         points = np.asarray(points, dtype=np.float64)
-        return cls(points, heights, Delaunay(points).simplices, n_water=n_water)
+        try:
+            triangles = Delaunay(points).simplices
+        except (QhullError, ValueError) as error:
+            raise ValueError(f"expected three points or more, finite and not on one line, got {len(points)}") from error
+        return cls(points, heights, triangles, n_water=n_water)
 
     @cached_property
     def plain_heights(self) -> np.ndarray:

@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 from pyproj import CRS
 from scipy.sparse import coo_matrix
-from scipy.spatial import Delaunay
+from scipy.spatial import Delaunay, QhullError
 
 from fields.image_store import GAMMA
 from geo import Cloud, LocalFrame, Mesh, read_reference, require_same_crs
@@ -161,9 +161,12 @@ def bed_from_file(path: Path, settings: BedSettings, frame: LocalFrame) -> tuple
     rgb = shape.rgb
     if settings.spacing_m is not None:
         points, rgb = _thinned(points, rgb, settings.spacing_m)
-    if len(points) < 3:
-        raise SurveyError(f"{path} has {len(points)} points, expected a cloud that covers the bed")
-    return mesh_of_points(points, settings.smoothing), rgb
+    try:
+        return mesh_of_points(points, settings.smoothing), rgb
+    except (QhullError, ValueError) as error:
+        raise SurveyError(
+            f"{path} has {len(points)} points, expected a cloud that covers the bed: three or more, not on one line"
+        ) from error
 
 
 def _in_local(points: np.ndarray, crs: CRS | None, path: Path, frame: LocalFrame) -> np.ndarray:

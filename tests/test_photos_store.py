@@ -44,6 +44,17 @@ def test_stages_that_share_a_store_decode_each_photograph_once(survey, decoded):
     assert sorted(decoded) == [view.name for view in survey.views]
 
 
+def test_a_store_that_was_cleared_keeps_what_comes_next(survey, decoded):
+    first, second = survey.views[:2]
+    store = ImageStore(BYTES)
+    for view in (first, first, second, second):
+        store.load(view)
+    store.clear()
+    for view in (second, second):
+        store.load(view)
+    assert decoded == [view.name for view in (first, second, second, second)]
+
+
 def test_a_block_is_the_same_with_a_store_and_without(survey):
     plan = make_plan(survey, Choices(device="cpu"))
     blocks = [load_block(survey, plan, lambda _share: None, store) for store in (None, ImageStore(2 * BYTES))]

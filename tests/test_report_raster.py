@@ -56,8 +56,15 @@ def test_rasters_do_not_depend_on_how_many_points_are_looked_at_at_a_time(block,
 
     whole = rasters()
     monkeypatch.setattr(plan_grid, "_PORTION", 77)
+    monkeypatch.setattr(plan_grid, "_CELLS_OF_BAND", 45)
     for found, expected in zip(rasters(), whole, strict=True):
         np.testing.assert_array_equal(found, expected)
+
+
+def test_the_covered_area_is_that_of_cells_with_points(block):
+    grid = PlanGrid.of_cells(block, 0.7)
+    column, row = np.floor((block[:, 0] - grid.west) / 0.7), np.floor((grid.north - block[:, 1]) / 0.7)
+    assert grid.covered_m2 == pytest.approx(0.49 * len(set(zip(column, row, strict=True))))
 
 
 def test_values_that_are_nan_and_points_left_out_do_not_count(block):

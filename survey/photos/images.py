@@ -212,7 +212,7 @@ class ImageStore:
     def __init__(self, budget_bytes: int | None = None):
         if budget_bytes is None:
             budget_bytes = min(int(_SHARE_OF_FREE * machine.free_memory_bytes()), _MOST_BYTES)
-        self._left, self._lock = budget_bytes, Lock()
+        self._budget, self._left, self._lock = budget_bytes, budget_bytes, Lock()
         self._images: dict[tuple, np.ndarray] = {}
 
     def load(self, view: View, *, scale: float = 1.0) -> np.ndarray:
@@ -225,10 +225,16 @@ class ImageStore:
         """The brightness (height, width) float32 of the photograph, 0 to 255, with the depth of its file."""
         return grey_levels(self._pixels(view, scale))
 
+    def clear(self) -> None:
+        """Forget the kept images: others come next."""
+        with self._lock:
+            self._images.clear()
+            self._left = self._budget
+
     def _pixels(self, view: View, scale: float) -> np.ndarray:
         key = (view.path, view.lens, scale)
-        if key in self._images:
-            return self._images[key]
+        if (kept := self._images.get(key)) is not None:
+            return kept
         image = load_pixels(view, scale=scale)
         with self._lock:
             if image.nbytes <= self._left and key not in self._images:

@@ -266,8 +266,9 @@ class TileJob(Job):
         return _over(self.whole.survey.water, self.in_survey(xyz)).astype(heights.dtype)
 
     def drop(self) -> None:
-        """Forget the windows."""
+        """Forget the windows, and photographs that the next tile may not see."""
         self.__dict__.pop("block", None)
+        self.whole.photographs.clear()
 
     def unique_masks(self, folder: Path, find: Callable[[], Masks]) -> Masks:
         """Pixels that become points of the tile or stand beside it, as its sweep left them."""

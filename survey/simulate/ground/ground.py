@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 from pyproj import CRS
 from scipy.sparse import coo_matrix
 from scipy.spatial import Delaunay, QhullError
@@ -23,6 +22,8 @@ from geo.crs import height_unit_m
 from geo.shapes import excluded_points, in_height_unit, masked_cloud
 from refract import PinholeCamera
 from survey.errors import SurveyError
+from survey.photos.images import eight_bits
+from survey.photos.pixels import read_rgb
 from survey.simulate.ground.shapes import BedGrid, Solid, TriangleMesh, near_solids, rotation
 from survey.simulate.ground.textures import ImageTexture, VertexTexture, draped_texture, look_up, periodic, sand
 from survey.simulate.light import Light
@@ -321,12 +322,15 @@ def vertex_texture(shape: TriangleMesh, rgb: np.ndarray) -> VertexTexture:
 
 
 def linear_image(path: Path) -> np.ndarray:
-    """An image file as linear albedo (rows, columns, 3) float32."""
-    try:
-        with Image.open(path) as image:
-            return ((np.asarray(image.convert("RGB")) / 255.0) ** GAMMA).astype(np.float32)
-    except OSError as error:
-        raise SurveyError(f"{path} cannot be read as an image ({error}); correct the path or convert it") from error
+    """An image file as linear albedo (rows, columns, 3) float32.
+
+    Raises
+    ------
+    ImageError
+        If it is not an image, damaged, or too large for this machine.
+    """
+    linear = ((np.arange(256) / 255.0) ** GAMMA).astype(np.float32)
+    return linear[eight_bits(read_rgb(path))]
 
 
 def _image(path: Path, texel_m: float) -> ImageTexture:

@@ -183,6 +183,17 @@ def test_marks_of_other_files_go_into_the_list_when_it_is_written_first(tmp_path
     assert store.settings() == ['[control] gcps = ["gcps.csv", "gcp_list.txt"], without marks']
 
 
+def test_a_mark_of_a_point_that_was_taken_out_of_the_file_is_not_put_back(tmp_path):
+    store = store_of(tmp_path / "s", gcps=odm())
+    store.set(PointKey(GROUND, "p1"), "0000.jpg", (1.0, 2.0))
+    store.set(PointKey(GROUND, "p2"), "0000.jpg", (3.0, 4.0))
+    lines = store.control_path.read_text().splitlines()
+    store.control_path.write_text("\n".join([line for line in lines if " p2" not in line]) + "\n")
+    with pytest.raises(SurveyError, match="mark of p2 cannot be put back"):
+        store.undo()
+    assert store.undo().key == PointKey(GROUND, "p1")
+
+
 def test_points_without_names_keep_their_marks_when_the_first_is_removed_and_put_back(tmp_path):
     rows = [(1, "0000.jpg", 10), (2, "0000.jpg", 20), (1, "0001.jpg", 11), (2, "0001.jpg", 21), (3, "0002.jpg", 30)]
     lines = [f"{E0 + east} {N0} {LEVEL} {at} {at} {image}" for east, image, at in rows]

@@ -156,11 +156,14 @@ class MarkStore:
         Raises
         ------
         SurveyError
-            If there is none.
+            If there is none, or its point was taken out of the files meanwhile.
         """
         if not self._done:
             raise SurveyError("there is nothing to undo")
         edit = self._done[-1]
+        if edit.key.kind == GROUND and edit.key not in self.points():
+            self._done.pop()
+            raise SurveyError(f"the mark of {edit.key.name} cannot be put back: the point is in no file any more")
         if edit.key.kind == WATER:
             self._waterline[edit.key.name] = None
         self._write(edit.key, edit.image, edit.before)

@@ -95,7 +95,7 @@ class MarkingSession:
             "predicted": predicted,
             "curves": [] if view is None else self._curves(others[:_MOST_CURVES], view, water),
             "others": [] if view is None else self._others(key, view, points, marks, common),
-            "next": self._next(place, water, own, image),
+            "next": self._next(place, water, own, image, self._std_px[key.kind]),
         }
 
     def _others(self, key: PointKey, view: View, points: _Points, marks: _Marks, common: np.ndarray) -> list[dict]:
@@ -117,12 +117,13 @@ class MarkingSession:
         return found
 
     def _next(
-        self, place: np.ndarray | None, water: FlatWater | None, own: Mapping[str, Pixel], image: str
+        self, place: np.ndarray | None, water: FlatWater | None, own: Mapping[str, Pixel], image: str, std_px: float
     ) -> list[str]:
+        """Photographs to mark next; ``std_px`` is that of the marks."""
         if place is None:
             return self._in_order(own, image)
         marked = [self._views[name] for name in own if name in self._views]
-        return by_gain(self._views.values(), place, water, marked, self._std_px[GROUND])[:_MOST_NEXT]
+        return by_gain(self._views.values(), place, water, marked, std_px)[:_MOST_NEXT]
 
     def _in_order(self, own: Mapping[str, Pixel], image: str) -> list[str]:
         """Photographs after one, in their order, and then from the first."""

@@ -15,7 +15,7 @@ from PIL import Image
 import survey.viewer.shown
 import survey.volume.scene
 from survey.commands.faults import BAD_INPUT
-from survey.errors import SurveyError
+from survey.errors import OutputError, SurveyError
 from survey.export.loaded import LoadedRun
 from survey.files.outputs import ReadFiles
 from survey.viewer.shown import load_shown
@@ -92,6 +92,12 @@ def test_a_page_without_a_server_has_no_field(folder):
     done = bathynerf("view", folder / "run", "--field", folder / "f", "--export", folder / "view.html")
     assert done.exit_code == BAD_INPUT
     assert "leave out --field or --export" in done.stderr
+
+
+def test_a_folder_of_another_result_is_refused_without_its_hashes(tmp_path):
+    VolumeFolder(tmp_path / "f", {"result": {"bed": "3f"}, "steps": 2}, ReadFiles())
+    with pytest.raises(OutputError, match="trained on another run, or on an earlier result of this one; name another"):
+        VolumeFolder(tmp_path / "f", {"result": {"bed": "7a"}, "steps": 3}, ReadFiles())
 
 
 def test_a_training_of_quick_steps_saves_its_state_every_half_minute(tmp_path, monkeypatch):

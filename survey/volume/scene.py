@@ -319,6 +319,11 @@ class VolumeFolder:
 
     def _require_same(self, before: dict[str, Any], settings: dict[str, Any]) -> None:
         keys = [key for key in {**before, **settings} if before.get(key) != settings.get(key)]
+        if "result" in keys:
+            raise OutputError(
+                f"-o names {self.path}, whose field was trained on another run, or on an earlier result of this one; "
+                "name another folder"
+            )
         if keys:
             differ = "; ".join(f"{key}: {before.get(key)} there, {settings.get(key)} asked for" for key in keys)
             raise OutputError(f"-o names {self.path}, which holds a volume of other settings ({differ}); name another")

@@ -183,6 +183,15 @@ def test_marks_of_other_files_go_into_the_list_when_it_is_written_first(tmp_path
     assert store.settings() == ['[control] gcps = ["gcps.csv", "gcp_list.txt"], without marks']
 
 
+def test_removing_a_mark_that_is_not_there_writes_no_file(tmp_path):
+    store = store_of(tmp_path / "s")
+    for key in (store.add(GROUND, "new", PLACE), store.add(WATER, "w1", None)):
+        store.set(key, "0000.jpg", None)
+    assert not store.can_undo
+    assert not store.control_path.exists()
+    assert not store.clicks_path.exists()
+
+
 def test_a_mark_of_a_point_that_was_taken_out_of_the_file_is_not_put_back(tmp_path):
     store = store_of(tmp_path / "s", gcps=odm())
     store.set(PointKey(GROUND, "p1"), "0000.jpg", (1.0, 2.0))

@@ -147,6 +147,8 @@ class MarkStore:
         if pixel is not None and not (0.0 <= pixel[0] <= width and 0.0 <= pixel[1] <= height):
             raise SurveyError(f"{pixel[0]:g}, {pixel[1]:g} is outside of {image}, which has {width} x {height} pixels")
         before = self.marks().get(key, {}).get(image)
+        if pixel is None and before is None:
+            return
         self._write(key, image, pixel)
         self._done.append(Edit(key, image, before))
 

@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 
 from geo import LocalFrame, parse_crs, read_cloud, read_reference
 from refract.lens import Lens, undistorted
-from survey.photos.cameras import CAM_FROM_OPK_CAM
+from survey.photos.rotations import CAM_FROM_OPK_CAM
 
 # Of the grids of heights [m], and of the checkerboard, of which one colour decides the translation.
 CELL_M, BOARD_M = 0.2, 2.0

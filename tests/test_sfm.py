@@ -22,8 +22,8 @@ from geo.errors import MissingVerticalDatum, UnwritableFile
 from geo.similarity import fit_similarity, robust_similarity
 from refract import PinholeCamera
 from survey.errors import ConfigError, ImageError, PosesError, SurveyError
-from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.photos.exif import Exif
+from survey.photos.rotations import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.sfm import absolute_orientation
 from survey.sfm import block as sfm_block
 from survey.sfm import solve as sfm_solve

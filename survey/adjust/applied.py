@@ -20,8 +20,9 @@ from survey.adjust.result.adjustment import Adjustment
 from survey.folder.local_frame import water_plane
 from survey.folder.motion import rows_between
 from survey.folder.survey import Survey, View
-from survey.photos.cameras import CAM_FROM_OPK_CAM, FILES, has_spaces, write_model
+from survey.photos.colmap_model import FILES, has_spaces, write_model
 from survey.photos.poses import TiePoints, least_track
+from survey.photos.rotations import CAM_FROM_OPK_CAM
 from survey.water.tides import with_shift
 
 # Decimals of coordinates in metres and in degrees: to a tenth of a micrometre, so that nothing is lost.

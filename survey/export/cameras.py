@@ -70,7 +70,7 @@ def _in_colmap(lens: Lens) -> Lens:
 
 def _write_colmap(path: Path, run: LoadedRun, _options: ExportOptions) -> None:
     from geo.files import reporting_disk_errors
-    from survey.photos.cameras import write_model
+    from survey.photos.colmap_model import write_model
 
     flight = run.flight
     views = [replace(view, lens=_in_colmap(view.lens)) for view in flight.views]

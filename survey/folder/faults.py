@@ -19,9 +19,10 @@ from geo.transformation import lon_lat
 from refract.lens import Lens
 from survey.display.quantities import named
 from survey.errors import ConfigError, PosesError
-from survey.photos.cameras import CAM_FROM_OPK_CAM, View, grid_from_opk
+from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.photos.poses import Pose, PoseFrame
+from survey.photos.rotations import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.photos.xmp import ELLIPSOIDAL
 
 # Diagonal field of view [degrees] of a pinhole of the same focal length: a fisheye lens of 180 degrees has 115, the
@@ -168,7 +169,7 @@ def angle_warnings(poses: list[Pose], frame: PoseFrame) -> list[str]:
 
 
 def _opk_deg(cam_from_grid: np.ndarray) -> tuple[float, float, float]:
-    """Omega, phi, kappa [degrees] of a rotation, the inverse of `survey.photos.cameras.grid_from_opk`."""
+    """Omega, phi, kappa [degrees] of a rotation, the inverse of `survey.photos.rotations.grid_from_opk`."""
     r = cam_from_grid.T @ CAM_FROM_OPK_CAM
     omega, kappa = math.atan2(-r[1, 2], r[2, 2]), math.atan2(-r[0, 1], r[0, 0])
     phi = math.asin(max(-1.0, min(r[0, 2], 1.0)))

@@ -15,7 +15,7 @@ from survey.errors import FILE_NAME
 from survey.folder.control import FoundControl, mark_residuals
 from survey.folder.found import Found
 from survey.folder.survey import Survey
-from survey.photos.cameras import enu_from_yaw_pitch_roll
+from survey.photos.rotations import enu_from_yaw_pitch_roll
 from survey.settings.config import WaterConfig
 from survey.water.level import STAFF_STD_M
 from survey.water.level_observation import LevelObservation

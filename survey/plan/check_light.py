@@ -15,8 +15,8 @@ from survey.folder.faults import above_start_of, place_of
 from survey.folder.found import Found
 from survey.folder.motion import velocities_of
 from survey.folder.survey import Survey
-from survey.photos.cameras import enu_from_yaw_pitch_roll
 from survey.photos.exif import Exif
+from survey.photos.rotations import enu_from_yaw_pitch_roll
 from survey.photos.texture import MOSTLY_WHITE, bytes_per_pixel, image_detail, relative_sharpness
 from survey.plan.area import in_the_middle
 from survey.plan.check import Checked, CheckSection

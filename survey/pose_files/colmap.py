@@ -13,8 +13,8 @@ import numpy as np
 from refract.lens import LensError
 from survey.errors import PosesError
 from survey.files.csv_table import shortened
-from survey.photos.cameras import rotation_from_quaternion
 from survey.photos.poses import DuplicatePose, FileTies, Pose, PoseFile, PoseFrame
+from survey.photos.rotations import rotation_from_quaternion
 from survey.pose_files import colmap_files as files
 from survey.pose_files.format import Format
 

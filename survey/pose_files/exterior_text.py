@@ -14,8 +14,8 @@ import numpy as np
 
 from survey.errors import PosesError
 from survey.files.csv_table import number_of, shortened, text_lines
-from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.photos.poses import DuplicatePose, Pose, PoseFile, PoseFrame
+from survey.photos.rotations import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.pose_files.format import Format
 from survey.words import GEO_TXT
 

@@ -23,8 +23,8 @@ from survey.display.quantities import named
 from survey.errors import PosesError
 from survey.files.csv_table import shortened
 from survey.files.xml_tree import read_xml
-from survey.photos.cameras import nearest_rotation
 from survey.photos.poses import GivenPosition, Pose, PoseFile, PoseFrame
+from survey.photos.rotations import nearest_rotation
 from survey.pose_files.format import Format, require_understood
 
 # What is read of a calibration, and when it was made.

@@ -11,8 +11,8 @@ from refract.lens import Lens, LensError
 from survey.errors import PosesError
 from survey.files.csv_table import shortened
 from survey.files.json_values import finite_number, finite_numbers, read_foreign_json
-from survey.photos.cameras import nearest_rotation
 from survey.photos.poses import DuplicatePose, Pose, PoseFile, PoseFrame
+from survey.photos.rotations import nearest_rotation
 from survey.pose_files.format import Format, require_understood
 
 _NAME = "transforms.json"

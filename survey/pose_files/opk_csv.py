@@ -15,8 +15,8 @@ from pyproj import CRS
 from survey.errors import PosesError
 from survey.files.column_units import common_unit_m, crs_of_comment, meaning
 from survey.files.csv_table import Row, column_names, read_table
-from survey.photos.cameras import CAM_FROM_OPK_CAM, enu_from_yaw_pitch_roll, grid_from_opk
 from survey.photos.poses import DuplicatePose, GivenPosition, Pose, PoseFile, PoseFrame
+from survey.photos.rotations import CAM_FROM_OPK_CAM, enu_from_yaw_pitch_roll, grid_from_opk
 from survey.pose_files.format import Format, is_lens_key
 
 COLUMNS = ("image", "easting", "northing", "height", "omega", "phi", "kappa")

@@ -19,8 +19,8 @@ from geo.crs import crs_of, has_height, horizontal_crs, horizontal_unit
 from refract.lens import Lens, LensError
 from survey.errors import PosesError
 from survey.files.csv_table import shortened, text_lines
-from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk, nearest_rotation
 from survey.photos.poses import DuplicatePose, Pose, PoseFile, PoseFrame
+from survey.photos.rotations import CAM_FROM_OPK_CAM, grid_from_opk, nearest_rotation
 from survey.pose_files.format import Format
 
 _EXTERNAL, _CAMERAS = "_calibrated_external_camera_parameters.txt", "_calibrated_camera_parameters.txt"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from survey.photos.cameras import rotation_from_quaternion
+from survey.photos.rotations import rotation_from_quaternion
 from survey.viewer.shown import Shown
 from survey.viewer.tree import MOST_POINTS, Viewpoint, point_sizes, select_nodes
 

@@ -16,7 +16,8 @@ from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from survey.errors import ConfigError, Findings
 from survey.files.csv_table import read_table
-from survey.photos.cameras import View, intersect
+from survey.photos.cameras import View
+from survey.photos.intersection import intersect
 from survey.photos.names import ImageNames
 from survey.water.level_observation import LevelObservation
 

@@ -1,0 +1,50 @@
+"""Rotations as other programs give them: omega, phi, kappa; quaternions; yaw, pitch and roll."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+# Camera axes of photogrammetry (x right, y up, z back) to ours (x right, y down, z forward).
+CAM_FROM_OPK_CAM = np.diag([1.0, -1.0, -1.0])
+
+
+def grid_from_opk(omega: float, phi: float, kappa: float) -> np.ndarray:
+    """Rotation (3, 3) from photogrammetry's camera axes (x right, y up, z back) to the grid axes.
+
+    ``Rx(omega) Ry(phi) Rz(kappa)``, angles in radians.
+    """
+    co, so, cp, sp, ck, sk = (f(a) for a in (omega, phi, kappa) for f in (math.cos, math.sin))
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, co, -so], [0.0, so, co]])
+    about_y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
+    about_z = np.array([[ck, -sk, 0.0], [sk, ck, 0.0], [0.0, 0.0, 1.0]])
+    return about_x @ about_y @ about_z
+
+
+def rotation_from_quaternion(w: float, x: float, y: float, z: float) -> np.ndarray:
+    """Rotation (3, 3) of a quaternion of any length but zero (Hamilton's convention, as COLMAP has it)."""
+    return Rotation.from_quat((x, y, z, w)).as_matrix()
+
+
+def enu_from_yaw_pitch_roll(yaw: float, pitch: float, roll: float) -> np.ndarray:
+    """Rotation (3, 3) from cam to true east, north and up, angles in radians.
+
+    At 0, 0, 0 the camera looks straight down with the top of its image to the north. Yaw turns it clockwise, seen from
+    above; pitch lifts the view forward, to the horizon at 90 degrees; roll lowers the right side.
+    """
+    cy, sy, cp, sp, cr, sr = (f(a) for a in (yaw, pitch, roll) for f in (math.cos, math.sin))
+    about_down = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
+    about_right = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
+    about_forward = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+    # Aircraft axes: forward, right, down, in north, east, down.
+    east_north_up = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    aircraft_from_cam = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    return east_north_up @ about_down @ about_right @ about_forward @ aircraft_from_cam
+
+
+def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
+    """The rotation (3, 3) nearest to a rotation with rounding errors (by singular values)."""
+    u, _, vt = np.linalg.svd(matrix)
+    return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt

@@ -90,7 +90,7 @@ def veiling_light(optics: WaterOptics, depth_m: float) -> list[float]:
     A drawn veil builds up at a rate of its own along the way up, that of the column as light is absorbed, on both ways.
     """
     depth = np.linspace(0.0, depth_m, 81)[1:]
-    drawn = optics.through(np.zeros((len(depth), 3)), depth, depth)
+    drawn = optics.seen_through(np.zeros((len(depth), 3)), depth, depth)
     share = 1.0 - np.exp(-2.0 * depth[:, None] * optics.absorption)
     return ((share * drawn).sum(axis=0) / (share**2).sum(axis=0)).tolist()
 

@@ -134,7 +134,7 @@ def _light(renderer: DirectRenderer, camera: PinholeCamera, lens: Lens) -> np.nd
             bed = np.full(len(at), BED)
             dry = renderer.ground.colour(at[:, :3], bed, np.zeros(len(at), dtype=int))
             depth = np.maximum(depth_below(renderer.water, at[:, :3]), 0.0)
-            seen = renderer.colour.through(dry, depth, at[:, 3]).reshape(*shape, 3)
+            seen = renderer.colour.seen_through(dry, depth, at[:, 3]).reshape(*shape, 3)
             total += np.where(wet, (1.0 - mirrored) * seen + mirrored * renderer.colour.sky, dry.reshape(*shape, 3))
     return total / 4.0
 

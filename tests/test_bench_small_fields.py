@@ -130,7 +130,7 @@ def test_absorption_and_veil_of_a_drawn_scene_give_its_bed_back():
 
     optics, depth = WaterOptics(), np.linspace(0.1, 4.0, 40)
     bed = np.random.default_rng(0).uniform(0.1, 0.5, (40, 3))
-    seen = torch.from_numpy(optics.through(bed, depth, depth)).float()
+    seen = torch.from_numpy(optics.seen_through(bed, depth, depth)).float()
     way, none = torch.from_numpy(2.0 * depth).float(), torch.zeros(40)
 
     def error(veil) -> float:

@@ -47,7 +47,7 @@ def match_appearance(
     rays: int = 2048,
     seed: int = 0,
 ) -> nn.Embedding:
-    """Vectors fitted so that a trained volume matches other photographs; all else is unchanged.
+    """Appearance vectors with which a trained volume matches other photographs; all else is unchanged.
 
     Appearance matching of a submodule to its neighbour in the NeRF of tidal flats: about 100 steps, from the mean of
     the volume's own vectors.

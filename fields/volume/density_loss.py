@@ -39,7 +39,7 @@ LIMIT = 5.0
 
 @dataclass(frozen=True)
 class Drawn:
-    """Opacity about points (P) drawn in nodes (M) of a grid."""
+    """Opacity and its gradient at points (P) drawn in nodes (M) of a grid."""
 
     node: Tensor  # (M,) int64: flat index of each node
     opacity: Tensor  # (M, P): equation (1)
@@ -128,7 +128,7 @@ def _single(values: np.ndarray, place: torch.device) -> Tensor:
 
 
 class NodeScores:
-    """Scores (4) of the nodes by the detail of density, with exponential forgetting.
+    """Exponential moving averages of the detail of density in the nodes, equation (4).
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ class NodeScores:
 
     @torch.no_grad()
     def update(self, model: VolumeModel) -> None:
-        """Look at some nodes."""
+        """Update the scores of some nodes, which are drawn."""
         drawn = draw_nodes(model, self.length)
         fresh = drawn.gradient.mean(dim=1).norm(dim=1) + drawn.opacity.var(dim=1, correction=0)
         self.score = self.score.to(model.place)

@@ -155,7 +155,7 @@ class Batch:
 
 
 def transparency_loss(rendered: Rendered) -> Tensor:
-    """Mean share of the light that passes through: for scenes in which every path ends on the bed.
+    """Mean transmittance of the paths: for scenes in which every path ends on the bed.
 
     Without a background it is always zero: the last sample then takes all that reaches it.
     """
@@ -188,7 +188,7 @@ def orientation_loss(normals: Tensor, direction: Tensor, opacity: Tensor) -> Ten
 
 
 def appearance_loss(renderer: VolumeRenderer, paths: Paths) -> Tensor:
-    """Mean square of the appearance vectors of the paths: what all photographs share belongs to the colour itself.
+    """Mean square of the appearance vectors of the paths, so that what photographs share goes into the colour.
 
     Raises
     ------

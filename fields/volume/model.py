@@ -57,7 +57,7 @@ class VolumeModel(nn.Module):
         return density * length, features
 
     def observe(self, losses: list[float]) -> bool:
-        """Look at the losses of all steps so far; True where the model changed its parameters or their rates."""
+        """Hook after each step, with all losses so far; True where the model changed its parameters or rates."""
         return False
 
     def penalty(self, x: Tensor) -> Tensor:

@@ -47,7 +47,7 @@ _COARSEST = 128 / 300
 
 @dataclass(frozen=True)
 class Setup:
-    """Data that any model is built for."""
+    """What a model is built for: box, resolution, device, steps."""
 
     box: Box
     cells: int  # Along the longest edge of the box at the finest scale; models without cells ignore it

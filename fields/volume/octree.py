@@ -222,7 +222,7 @@ class OctreeVolume(VolumeModel):
 
     @torch.no_grad()
     def split(self, nodes: Tensor) -> None:
-        """Give nodes (P,) their children, which are what their parents are there."""
+        """Split nodes (P,) into children with the values of their parents."""
         first, place = len(self.child), self.place
         number = first + torch.arange(8 * len(nodes), device=place).view(-1, 8)
         level = self.level[nodes].repeat_interleave(8) + 1

@@ -107,7 +107,7 @@ def pixels_over(camera: PinholeCamera, box: Box, water: WaterSurface | None) -> 
 
 
 def may_show(camera: PinholeCamera, box: Box, water: WaterSurface | None) -> bool:
-    """Whether a path of an even grid of pixels of a camera meets a box: cheap, before `pixels_over`."""
+    """Whether a coarse grid of pixels of a camera meets a box: a quick test before `pixels_over`."""
     step = max(max(camera.width, camera.height) / COARSE, 1.0)
     columns, rows = (np.arange(0.5 * step, side, step) for side in (camera.width, camera.height))
     grid = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)

@@ -39,7 +39,7 @@ SAMPLES = 48
 
 
 def length_loss(paths: Paths, rendered: Rendered) -> Tensor:
-    """Weights off the path length that the sweep or structure from motion gives, robustly.
+    """Robust loss on the distance of the weights from the path length of the sweep or structure from motion.
 
         mean over paths of  sum_i w_i rho((s_i - length) / std) + (1 - sum_i w_i) rho((far - length) / std)
         rho(e) = log(1 + e^2 / 2)
@@ -58,7 +58,7 @@ def length_loss(paths: Paths, rendered: Rendered) -> Tensor:
 
 
 def relative_depth_loss(paths: Paths, rendered: Rendered, edge: float) -> Tensor:
-    """Mean departure of mean path lengths from monocular depth, in edges of the box.
+    """Mean absolute difference of mean path lengths from monocular depth, in edges of the box.
 
     Scale and shift of each photograph are those of least squares in this batch (as in MonoSDF, Yu et al. 2022,
     equation 12), found in closed form; no gradient flows through them. Depth is taken along the bent path: the
@@ -200,7 +200,7 @@ def smooth_normals_loss(normals: Tensor, seen: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class VirtualView:
-    """Surfaces met by paths (N), rendered again from cameras beside those of their photographs."""
+    """Rendering of the surfaces of paths (N) from virtual cameras beside those of their photographs."""
 
     rendered: Rendered
     length: Tensor  # (N,) [m]: from the virtual camera to the surface that was met

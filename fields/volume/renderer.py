@@ -211,7 +211,7 @@ def render_volume(
     chunk: int | None = None,
     shown: np.ndarray | None = None,
 ) -> VolumeImage:
-    """A volume as a camera sees it, with the appearance of photograph ``view``.
+    """Image of a volume by a camera, with the appearance of photograph ``view``.
 
     Paths are rendered ``chunk`` at a time; by default as many as keep their samples within `WORKING_BYTES`, so that a
     model with wider features takes more chunks, not more memory. Where only the pixels ``shown``, flat indices (n,),
@@ -253,5 +253,5 @@ def chunk_of(renderer: VolumeRenderer, samples: int) -> int:
 
 
 def _numbers_per_sample(renderer: VolumeRenderer) -> int:
-    """Features, as they are, weighted, picked and joined to the direction; and some 60 others."""
+    """Numbers in memory for a sample: four copies of its features, and some 60 others."""
     return 4 * renderer.model.num_features + 60

@@ -247,7 +247,7 @@ class AreaSettings:
 
 @dataclass(frozen=True)
 class SceneSettings:
-    """All of a scene file."""
+    """Settings of a scene file."""
 
     crs: str
     origin: tuple[float, float, float]  # easting, northing, height: of the local frame

@@ -105,7 +105,7 @@ class Sensor:
 
 
 def _rays_of(lens: Lens, camera: PinholeCamera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Viewing rays of the middles of pixels (pixels, 3), local, and their changes across and down a pixel."""
+    """Viewing rays of pixel centres (pixels, 3), local, and their derivatives by column and row."""
     plane, change = normalised(lens)
     middle = np.concatenate([plane, np.ones((len(plane), 1))], axis=-1) @ camera.cam_from_local
     return middle, *(change[..., k] @ camera.cam_from_local[:2] for k in (0, 1))

@@ -102,7 +102,7 @@ class WaterOptics:
         g = self.asymmetry
         return self.scattering * (1.0 - g * g), g / (1.0 + g)
 
-    def through(self, dry: np.ndarray, depth: np.ndarray, in_water: np.ndarray) -> np.ndarray:
+    def seen_through(self, dry: np.ndarray, depth: np.ndarray, in_water: np.ndarray) -> np.ndarray:
         """Radiance (N, 3) of ground of radiance ``dry`` (N, 3) seen through water.
 
         Parameters

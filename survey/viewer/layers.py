@@ -39,8 +39,8 @@ _MOST_POINTS = 300_000
 _REFERENCE = (195, 20, 13)
 
 
-def look_from(server: viser.ViserServer, shown: Shown) -> None:
-    """Let browsers begin over the south of the cloud, looking at its middle."""
+def set_initial_view(server: viser.ViserServer, shown: Shown) -> None:
+    """Set the initial view of browsers: from above the south of the cloud to its middle."""
     server.initial_camera.position = tuple(shown.middle + _FROM * shown.extent_m)
     server.initial_camera.look_at = tuple(shown.middle)
     server.initial_camera.up = (0.0, 0.0, 1.0)
@@ -140,7 +140,7 @@ class Thumbnails:
 
 
 def grid_faces(known: np.ndarray) -> np.ndarray:
-    """Two triangles (F, 3) for every four neighbouring cells (rows, columns) bool that are known, upwards.
+    """Triangles (F, 3), facing up, two for every four neighbouring known cells (rows, columns) bool.
 
     Cells are counted row by row; the first row lies in the north.
     """
@@ -209,7 +209,7 @@ def reference_node(server: viser.ViserServer, reference: LocalReference, size_m:
 
 
 class OnDemand:
-    """A node that is made when it is first shown.
+    """A scene node that is computed when it is first shown.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ _MOST_SIZE = 4.0
 
 
 class Panel:
-    """Controls of all browsers together.
+    """The control panel, shared by all browsers.
 
     Parameters
     ----------
@@ -303,7 +303,7 @@ class Panel:
         self._apply(kind=kind, limits=limits)
 
     def _set_limits(self, event: viser.GuiEvent) -> None:
-        """Apply a range that a user typed; changes by the program are already applied."""
+        """Apply a colour range that a user typed; those set by the program are already applied."""
         low, high = self._limits.value
         if event.client is None or not low < high or self.style.limits is None:
             return

@@ -17,7 +17,7 @@ from geo.files import write_whole
 from survey.display.quantities import number
 from survey.errors import OutputError, SurveyError
 from survey.files.outputs import ReadFiles, require_file
-from survey.viewer.layers import add_cameras, add_water, look_from
+from survey.viewer.layers import add_cameras, add_water, set_initial_view
 from survey.viewer.shown import SCALES, Shown
 from survey.viewer.tree import CloudTree
 
@@ -147,7 +147,7 @@ def write_page(path: Path, shown: Shown) -> None:
     """
     server = open_server("localhost", 0, shown.name)
     try:
-        look_from(server, shown)
+        set_initial_view(server, shown)
         add_water(server, shown)
         _, thumbnails = add_cameras(server, shown)
         _add_points(server, shown, thinned(shown.tree, MOST_POINTS))

@@ -31,10 +31,10 @@ from survey.viewer.layers import (
     add_frusta,
     add_water,
     coloured_mesh,
-    look_from,
     median_height,
     mesh,
     reference_node,
+    set_initial_view,
     terrain,
 )
 from survey.viewer.page import address, close_server, light, open_server, require_page, write_page
@@ -150,7 +150,7 @@ class ViewSession:
         self.shown, self.server = shown, server
         self._clouds: dict[int, CloudInBrowser] = {}
         self._lock = Lock()
-        look_from(self.server, shown)
+        set_initial_view(self.server, shown)
         self.panel = Panel(self.server, shown, self._restyle)
         self._add_layers()
         self.clicks = Clicks(self.server, shown, lambda: self.panel.style)

@@ -22,7 +22,7 @@ _RAYS_AT_A_TIME = 1 << 15
 
 @dataclass(frozen=True)
 class Hits:
-    """Ends of rays."""
+    """First hits of rays."""
 
     points: np.ndarray  # (N, 3) [m], local: NaN for a ray that meets nothing
     # body, face (N,): body of the ground, `BED` for the bed, `NOTHING` for none, and the face of it
@@ -35,7 +35,7 @@ class Hits:
 
 @dataclass(frozen=True)
 class DirectRenderer:
-    """Renderer of a ground, seen through water if there is any.
+    """Renderer of a ground without light transport, through water if there is any.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class DirectRenderer:
         lit = dry
         if self.sun is not None:
             lit = dry * np.where(wet, self.sun.on_bed(np.nan_to_num(hits.points), depth), 1.0)[:, None]
-        seen = self.colour.through(lit, depth, hits.in_water)
+        seen = self.colour.seen_through(lit, depth, hits.in_water)
         mirrored = _fresnel(hits.incidence, self.water.n_water)[:, None]
         surface = mirrored * self.colour.sky
         if self.sun is not None:

@@ -42,7 +42,7 @@ _CLEAR = 1e-5
 
 
 class Sunlight:
-    """Light of the sun at places, and its disc along directions.
+    """Direct light of the sun, and its disc as cameras see it.
 
     Parameters
     ----------

@@ -158,7 +158,7 @@ def _tile(rng: np.random.Generator) -> np.ndarray:
 
 
 def _caustics(slopes: np.ndarray, n: float, deepest_m: float, depth_m: float, contrast: float) -> np.ndarray:
-    """Light (layers, cells, cells) over its mean, at depths from 0 to the deepest."""
+    """Caustics (layers, cells, cells): light over its mean, at depths from 0 to the deepest."""
     depths = np.append(np.linspace(0.0, deepest_m, _LAYERS), depth_m)
     at = (np.arange(_CELLS * _RAYS) + 0.5) / _RAYS - 0.5
     rows, columns = np.meshgrid(at, at, indexing="ij")

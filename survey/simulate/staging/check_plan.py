@@ -40,7 +40,7 @@ _NO_TIME = 'unknown: give [light] time, e.g. time = "2026-07-14T09:30+02:00"'
 
 
 def check_plan(path: Path, *, quality: str, device: str, wind_m_s: float) -> list[CheckSection]:
-    """Pre-analysis of a flight before it is flown; nothing is written.
+    """Pre-analysis of a planned flight; nothing is written.
 
     Parameters
     ----------

@@ -48,7 +48,7 @@ class ScenePlan:
 
 
 def plan_scene(settings: SceneSettings, folder: Path) -> ScenePlan:
-    """Place a scene on Earth and fly over it.
+    """The plan of a scene: frame, water, lens, bed from a file, and cameras.
 
     Raises
     ------

@@ -126,7 +126,7 @@ def _changed(settings: SceneSettings, mode: str | None, preview: bool) -> SceneS
 
 
 def _say_of(plan: ScenePlan, cover: BedCoverage) -> None:
-    """Report the figures of a flight and warnings about it."""
+    """Report GSD, number of views, observability of the level, and warnings."""
     heights = [float(camera.centre[2]) - plan.site.level for camera in plan.cameras]
     height, focal = sum(heights) / len(heights), plan.lens.focal[0]
     gsd_cm = 100.0 * (height + plan.site.apparent_depth) / focal

@@ -115,7 +115,7 @@ def test_a_folder_with_other_things_in_it_is_refused(tmp_path, capsys):
 
 @pytest.mark.parametrize(
     ("changes", "named"),
-    [({"num_views": 2}, "at least 3"), ({"n_water": 0.7}, "1.333"),
+    [({"num_views": 2}, "at least 3"), ({"seed": -1}, "from zero on"), ({"n_water": 0.7}, "1.333"),
      ({"depth_m": 0.0}, "depth_m of a drawn scene is 0.0; give a number above zero"),
      ({"flying_m": 3.0}, "twice the depth"), ({"focal_px": float("nan")}, "above zero"),
      ({"readout_s": 1.0}, "neither below zero")],

@@ -265,6 +265,8 @@ class SceneSettings:
     render: RenderSettings = field(default_factory=RenderSettings)
 
     def __post_init__(self):
+        if self.seed < 0:
+            raise ConfigError(f"seed is {self.seed}, expected a whole number from zero on")
         if self.sensor.shutter_s is not None and self.flight.speed_m_s is None:
             raise ConfigError("sensor.shutter_s is given without flight.speed_m_s; give both, or sensor.blur_m")
 

@@ -117,6 +117,8 @@ class DrawnScene:
             )
         if not abs(self.rise_m) <= _MOST_RISE_M:
             raise SurveyError(f"rise_m is {self.rise_m:g}, expected at most {_MOST_RISE_M:g} m up or down in an hour")
+        if self.seed < 0:
+            raise SurveyError(f"seed is {self.seed}, expected a whole number from zero on")
         if self.num_views < 3:
             raise SurveyError(f"a drawn survey of {self.num_views} views cannot be reconstructed; give at least 3")
         if not 0.0 <= self.nadir_share <= 1.0:

@@ -296,21 +296,22 @@ def texture_of_bed(
     if settings.file is not None:
         return _image(folder / settings.file, settings.texel_m)
     if settings.kind == "checker":
+        require_texels("texture.square_m", settings.square_m, area, "squares")
         return _checker(settings.square_m, area)
     texel = settings.texel_m
     west, south, east, north = area
-    require_texels(texel, area)
+    require_texels("texture.texel_m", texel, area)
     size = (math.ceil((north - south) / texel) + 1, math.ceil((east - west) / texel) + 1)
     return draped_texture(sand(size, texel, np.random.default_rng([seed, 9])), west, south, texel)
 
 
-def require_texels(texel_m: float, area: Area) -> None:
-    """Raise SurveyError if a texture over an area is too fine for memory."""
-    rows, columns = (area[3] - area[1]) / texel_m, (area[2] - area[0]) / texel_m
+def require_texels(name: str, size_m: float, area: Area, what: str = "texels") -> None:
+    """Raise SurveyError if a texture or grid over an area is too fine for memory; ``name``: the key of its spacing."""
+    rows, columns = (area[3] - area[1]) / size_m, (area[2] - area[0]) / size_m
     if rows * columns > _MOST_TEXELS:
-        coarser = texel_m * math.sqrt(rows * columns / _MOST_TEXELS)
+        coarser = size_m * math.sqrt(rows * columns / _MOST_TEXELS)
         raise SurveyError(
-            f"texture.texel_m is {texel_m:g}, which takes {columns:.0f} x {rows:.0f} texels for what the cameras see; "
+            f"{name} is {size_m:g}, which takes {columns:.6g} x {rows:.6g} {what} for what the cameras see; "
             f"give {coarser + 5e-4:.3f} or more, or fly lower"
         )
 

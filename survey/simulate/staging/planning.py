@@ -12,7 +12,7 @@ import numpy as np
 from geo.crs import parse_crs
 from geo.frames import LocalFrame
 from geo.sun import Sun, sun_at
-from refract import FlatWater, PinholeCamera
+from refract import PinholeCamera
 from refract.lens import MODELS, Lens, LensError, coefficients_of
 from survey.errors import ConfigError, PosesError, SurveyError
 from survey.folder.faults import place_of
@@ -67,11 +67,14 @@ def plan_scene(settings: SceneSettings, folder: Path) -> ScenePlan:
     lens = lens_of(settings.camera)
     surface = level.plane(frame) if level else None
     bed = bed_from_file(folder / settings.bed.file, settings.bed, frame) if settings.bed.file else None
-    site = Site(settings.area.size_m, _depth(settings, surface, bed), surface)
+    height = _bed_height(settings, bed)
+    level_at_origin = 0.0 if surface is None else float(surface.height(0.0, 0.0))
+    site = Site(settings.area.size_m, max(level_at_origin - height, 0.0), surface)
     if settings.flight.poses is None:
         cameras = plan_flight(settings.flight, lens, site, settings.seed)
     else:
         cameras = _cameras_of(folder / settings.flight.poses, lens, frame)
+    _require_above(cameras, height)
     return ScenePlan(settings, folder, frame, level, lens, site, bed, cameras)
 
 
@@ -151,8 +154,18 @@ def lens_of(camera: CameraSettings) -> Lens:
         raise ConfigError(f"[camera]: {error}") from error
 
 
-def _depth(settings: SceneSettings, water: FlatWater | None, bed: Bed | None) -> float:
-    """Mean depth [m] of the bed in the area, for the flight; without water, below the origin."""
+def _require_above(cameras: list[PinholeCamera], bed_height: float) -> None:
+    """Raise ConfigError where a camera is under the mean height of the bed."""
+    lowest = min(float(camera.centre[2]) for camera in cameras)
+    if lowest <= bed_height:
+        raise ConfigError(
+            f"a camera is {bed_height - lowest:.2f} m under the bed; correct water.level_m or the heights of origin, "
+            "bed and flight: they have one vertical datum"
+        )
+
+
+def _bed_height(settings: SceneSettings, bed: Bed | None) -> float:
+    """Mean height [m], local, of the bed in the area."""
     z = -settings.bed.depth_m
     if bed is not None:
         x, y = np.meshgrid(*(np.linspace(-0.5 * s, 0.5 * s, _PROBES) for s in settings.area.size_m))
@@ -163,5 +176,4 @@ def _depth(settings: SceneSettings, water: FlatWater | None, bed: Bed | None) ->
                 f"{settings.area.size_m[1]:g} m about the origin; correct origin, or bed.frame"
             )
         z = float(np.nanmean(heights))
-    level = 0.0 if water is None else float(water.height(0.0, 0.0))
-    return max(level - z, 0.0)
+    return z

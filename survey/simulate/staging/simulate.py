@@ -231,7 +231,8 @@ def _drawn(plan: ScenePlan, light: Light) -> Ground:
     """A drawn bed with its bodies, in the requested texture."""
     settings, bed, texture = plan.settings, plan.settings.bed, plan.settings.texture
     area = seen_area(plan.cameras, settings.area.size_m, -1.5 * bed.depth_m)
-    require_texels(texture.texel_m, area)
+    require_texels("texture.texel_m", texture.texel_m, area)
+    require_texels("bed.cell_m", bed.cell_m, area, "cells")
     drawn = DrawnScene(
         size_m=settings.area.size_m,
         depth_m=bed.depth_m,

@@ -166,7 +166,7 @@ def _require_sound(points: np.ndarray, others: dict) -> None:
         raise ValueError(f"expected points of shape (N, 3), got {points.shape}")
     for name, values in others.items():
         expected = points.shape if name == "rgb" else points.shape[:1]
-        shape = np.shape(values) if isinstance(values, np.ndarray) else (len(values),)
+        shape = (len(values),) if isinstance(values, ComputedColumn) else np.shape(values)
         if shape != expected:
             raise ValueError(f"{name} has shape {shape}, expected {expected}")
     bad = sum(int((~np.isfinite(points[part]).all(axis=1)).sum()) for part in portions(len(points), _PORTION))

@@ -29,10 +29,11 @@ def test_axes_meet_the_ground_where_they_point_and_never_if_they_look_up():
     assert np.isnan(found[1]).all()
 
 
-def test_coverage_says_of_each_cell_who_sees_it_through_the_water():
-    cameras = flight(3)
+@pytest.mark.parametrize(("num", "spacing"), [(3, 0.8), (70, 0.3)])  # of the second not all are searched together
+def test_coverage_says_of_each_cell_who_sees_it_through_the_water(num, spacing):
+    cameras = flight(num, spacing=spacing)
     seen, cells = views.coverage(cameras, WATER, -2.0)
-    assert seen.shape == (3, len(cells))
+    assert seen.shape == (num, len(cells))
     np.testing.assert_array_equal(cells[:, 2], -2.0)
     seen = seen.toarray()
     for camera, mine in zip(cameras, seen, strict=True):
@@ -45,6 +46,23 @@ def test_coverage_says_of_each_cell_who_sees_it_through_the_water():
         axis=1
     )
     assert not seen[:, rim].any()
+
+
+@pytest.mark.parametrize("water", [None, WATER, TILTED])
+@pytest.mark.parametrize("change", [{}, {"tide": 0.2}, {"motion": np.array([1e-3, 0.0, 0.0])}])
+def test_a_footprint_holds_where_the_border_of_its_photograph_meets_the_ground(water, change):
+    cameras = [replace(camera, **change) for camera in ring(5)]
+    heights = (-2.5, -1.0)
+    for camera, found in zip(cameras, views.Footprint.of_each(cameras, water, heights), strict=True):
+        along = np.linspace(0.0, 1.0, 17)
+        border = np.array([(x, y) for x in along for y in along if {x, y} & {0.0, 1.0}])
+        paths = camera.paths(border * (camera.width, camera.height), water)
+        ends = np.concatenate([paths.at_height(np.full(len(border), h), water)[:, :2] for h in heights])
+        low, high = ends.min(axis=0), ends.max(axis=0)
+        # Wider by 2 % of the longer side, as the border is seen at some places alone.
+        margin = 0.02 * (high - low).max()
+        np.testing.assert_allclose(found.low, low - margin, atol=1e-9)
+        np.testing.assert_allclose(found.high, high + margin, atol=1e-9)
 
 
 def slow_greedy(seen, chosen, times):

@@ -41,9 +41,9 @@ RIM = 0.25
 POWER = 4.0
 # A submodule is left out of a view that shows it, or its ground, by less than this share.
 LEAST_VISIBLE = 0.01
-# Points of the bed by which visibility is computed, and at which appearance is matched.
+# Points of the bed at which visibility is computed and appearance is matched.
 MOST_POINTS = 50_000
-# Cameras by which the appearance of two submodules is matched.
+# Cameras whose views match the appearance of two submodules.
 MOST_CAMERAS = 32
 
 

@@ -21,7 +21,7 @@ _MARGIN = 0.05
 _ENOUGH = 200_000
 # Points whose cells are worked out at a time, of 100 bytes each: the cells of all points are never held.
 _PORTION = 100_000
-# Cells of a band of rows of which one is told whether it holds a point, a byte each.
+# Cells of a band of rows, for each of which a byte tells whether it holds a point.
 _CELLS_OF_BAND = 16_000_000
 # Factor on the side of a cell: the outermost point lies inside the last cell, not on its edge.
 _EDGE_FACTOR = 1.0 + 1e-6

@@ -30,7 +30,7 @@ _ROWS = 200
 _PAPER = 255
 # Renders a field for a camera, with the water or (True) without it.
 Render = Callable[[PinholeCamera, bool], "NovelView"]
-# Points by which the extent of a cloud is found.
+# Points that suffice to find the extent of a cloud.
 _SOME = 200_000
 _FIELD = "field"
 _COLUMNS = ("xyz", "rgb", "std", "std_common", "num_views", "depth")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import pytest
@@ -215,6 +215,7 @@ def test_where_the_loss_is_nearly_linear_an_outlier_keeps_its_gradient_and_hardl
     )
 
 
+@dataclass(frozen=True)
 class WorseElsewhere(Problem):
     """A problem whose residuals are of some size [px] at the state of its priors and far larger at any other."""
 
@@ -230,10 +231,7 @@ class WorseElsewhere(Problem):
 def stuck(size_px: float) -> WorseElsewhere:
     """A noisy block at its true state, which is not the minimum, from where every step raises the cost."""
     problem = problem_of(draw_block(3, pixel_std=0.3, **SMALL))
-    values = {each.name: getattr(problem, each.name) for each in fields(problem)}
-    found = WorseElsewhere(**values)
-    object.__setattr__(found, "size_px", size_px)
-    return found
+    return WorseElsewhere(**{each.name: getattr(problem, each.name) for each in fields(problem)}, size_px=size_px)
 
 
 def test_where_no_step_lowers_the_cost_short_of_the_minimum_the_adjustment_is_refused_with_numbers():

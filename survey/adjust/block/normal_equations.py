@@ -18,7 +18,7 @@ import numpy as np
 from scipy.sparse import bsr_array, csr_array, diags_array, lil_array
 
 from survey.adjust.block.normal_matrix import NormalMatrix
-from survey.adjust.block.prediction import linearise
+from survey.adjust.block.prediction import linearise, linearise_by_points
 from survey.adjust.block.problem import HUBER, Problem, huber_weights
 from survey.adjust.block.state import NUM_SHIFT, State
 from survey.photos.poses import TiePoints
@@ -120,12 +120,12 @@ def _weighted_system(
     point_root = np.linalg.inv(np.linalg.cholesky(_damped(own)))
     point_right_side = np.einsum("mij,mj->mi", point_root, right)
     precision = np.where(np.isfinite(priors.std), priors.std, np.inf) ** -2.0
-    if problem.holds_parameters:
+    if linear.design is None:
         fixed = csr_array((point_right_side.size, len(precision)))
         return System(
             NormalMatrix.of(diags_array(precision)), np.zeros(len(precision)), point_root, point_right_side, fixed
         )
-    coupling = _coupling(problem, linear, point_root, planes)
+    coupling = _coupling(problem, linear.weighted, linear.design, point_root, planes)
     whole = csr_array(linear.design.multiply(np.repeat(linear.weights, 2)[:, None]))
     normal = linear.design.T @ whole - coupling.T @ coupling + diags_array(precision)
     deviation = priors.deviation(problem.layout, state)
@@ -143,13 +143,13 @@ def _weighted_system(
 
 @dataclass(frozen=True)
 class LinearisedObservations:
-    """Observations linearised at a state, with their weights."""
+    """Observations linearised at a state, with their weights; those of weight 0 have no derivatives."""
 
     residuals: np.ndarray  # (N, 2) [px]
     weights: np.ndarray  # (N,) [1/px^2]
     by_point: np.ndarray  # (N, 2, 3): X
     weighted: np.ndarray  # (N, 2, 3): w X
-    design: csr_array  # (2 N, P): B
+    design: csr_array | None  # (2 N, P): B; None where the parameters are held
 
 
 def _linearised(
@@ -158,15 +158,20 @@ def _linearised(
     weights_of: Callable[[np.ndarray], np.ndarray],
     outliers: Callable[[np.ndarray], np.ndarray] | None,
 ) -> LinearisedObservations:
-    """The observations at a state; those of weight 0 have no derivatives."""
-    linear = linearise(problem.layout, state, problem.ties, problem.rise_design, problem.rows)
-    residuals = problem.ties.pixel - linear.pixels
+    """The observations at a state."""
+    of_block = problem.layout, state, problem.ties, problem.rise_design, problem.rows
+    design = None
+    if problem.holds_parameters:
+        pixels, by_point = linearise_by_points(*of_block)
+    else:
+        linear = linearise(*of_block)
+        pixels, by_point, design = linear.pixels, linear.by_point, linear.by_parameters
+    residuals = problem.ties.pixel - pixels
     weights = weights_of(residuals)
     usable = weights > 0.0
     residuals = np.where(usable[:, None], residuals, 0.0)
-    by_point = np.where(usable[:, None, None], linear.by_point, 0.0)
-    design = linear.by_parameters
-    if not usable.all():
+    by_point = np.where(usable[:, None, None], by_point, 0.0)
+    if design is not None and not usable.all():
         design = _only_rows(design, usable)
     if outliers is not None:
         is_outlier = usable & outliers(residuals)
@@ -175,8 +180,9 @@ def _linearised(
         # The gradient stays as it is.
         residuals = np.where(is_outlier[:, None], residuals / _CURVATURE, residuals)
         by_point = reduced @ by_point
-        values = reduced @ design.data.reshape(len(residuals), 2, -1)
-        design = csr_array((values.ravel(), design.indices, design.indptr), shape=design.shape)
+        if design is not None:
+            values = reduced @ design.data.reshape(len(residuals), 2, -1)
+            design = csr_array((values.ravel(), design.indices, design.indptr), shape=design.shape)
     return LinearisedObservations(residuals, weights, by_point, by_point * weights[:, None, None], design)
 
 
@@ -194,7 +200,8 @@ def _of_points(
 
 def _coupling(
     problem: Problem,
-    linear: LinearisedObservations,
+    weighted: np.ndarray,
+    design: csr_array,
     point_root: np.ndarray,
     planes: tuple[np.ndarray, np.ndarray] | None,
 ) -> csr_array:
@@ -203,10 +210,10 @@ def _coupling(
     With that factor, the elimination is one product.
     """
     ties = problem.ties
-    rooted = np.einsum("nij,naj->nia", point_root[ties.point], linear.weighted)
+    rooted = np.einsum("nij,naj->nia", point_root[ties.point], weighted)
     starts = np.searchsorted(ties.point, np.arange(len(ties) + 1))
     left = bsr_array((rooted, np.arange(len(ties.view)), starts), shape=(3 * len(ties), 2 * len(ties.view)))
-    coupling = csr_array(left.tocsr() @ linear.design)
+    coupling = csr_array(left.tocsr() @ design)
     if planes is None:
         return coupling
     return coupling + _in_columns(

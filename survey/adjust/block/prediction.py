@@ -18,7 +18,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from refract import FlatWater, crossing_point
-from survey.adjust.block.state import NUM_LENS, NUM_POSE, NUM_RELIEF, NUM_WATER, Layout, State, distort
+from survey.adjust.block.state import NUM_LENS, NUM_POSE, NUM_RELIEF, NUM_WATER, Layout, State, distort, distorted
 from survey.photos.poses import TiePoints
 
 # Four are exact to the last bits in drone geometry (docs/optics.md), two more for lower flights.
@@ -49,51 +49,92 @@ def bent_lines_of_sight(centres: np.ndarray, points: np.ndarray, water: FlatWate
     line = lines_of_sight(centres, points, water)
     by_point = np.tile(np.eye(3), (len(line), 1, 1))
     by_centre, by_water = -by_point, np.zeros((len(line), 3, 4))
-    wet = np.zeros(len(line), dtype=bool)
+    wet = _is_wet(centres, points, water)
     if water is not None:
-        wet = (water.depth(points) > 0.0) & (water.depth(centres) < 0.0)
-        bent = _derivatives(line[wet], centres[wet], points[wet], water)
-        by_point[wet], by_centre[wet], by_water[wet] = bent
+        crossing = _Crossing.of(line[wet], centres[wet], points[wet], water)
+        by_point[wet], by_centre[wet] = crossing.by_point(), crossing.by_centre()
+        by_water[wet] = crossing.by_water(centres[wet], points[wet], water)
     return LinesOfSight(line, by_point, by_centre, by_water, wet)
 
 
-def _derivatives(line, centres, points, water: FlatWater):
-    """Derivatives of bent lines of sight by the point, the centre and the water."""
-    slopes = np.array([-water.slope_x, -water.slope_y, 1.0])
-    stretch = np.linalg.norm(slopes)
-    normal, foot, n = slopes / stretch, np.array(water.point), water.n_water
-    apart = points - centres
-    across = apart - np.outer(apart @ normal, normal)
-    high, deep = (centres - foot) @ normal, (foot - points) @ normal
-    d = np.linalg.norm(across, axis=1)
-    s = np.linalg.norm(line + high[:, None] * normal, axis=1)
-    air, wet = np.hypot(s, high), np.hypot(d - s, deep)
-    by_s = high**2 / air**3 + n * deep**2 / wet**3
-    s_d = n * deep**2 / wet**3 / by_s
-    s_high = s * high / air**3 / by_s
-    s_deep = -n * (d - s) * deep / wet**3 / by_s
-    s_n = (d - s) / wet / by_s
-    # Straight below the camera the direction is undefined, and the ratio of s to d its own limit, s_d.
-    vertical = d < 1e-9
-    towards = np.where(vertical[:, None], 0.0, across / np.where(vertical, 1.0, d)[:, None])
-    share = np.where(vertical, s_d, s / np.where(vertical, 1.0, d))
-    both = towards[:, :, None] * towards[:, None, :]
-    by_across = share[:, None, None] * (np.eye(3) - both) + s_d[:, None, None] * both
-    sideways = by_across @ (np.eye(3) - np.outer(normal, normal))
-    by_high = s_high[:, None] * towards - normal
-    by_deep = s_deep[:, None] * towards
-    by_point = sideways - by_deep[:, :, None] * normal
-    by_centre = -sideways + by_high[:, :, None] * normal
-    by_height = (by_deep - by_high) / stretch
-    columns = [by_height]
-    for axis in range(2):
-        # As the normal turns by a small vector about the reference point of the plane.
-        turn = normal * slopes[axis] / stretch**2 - np.eye(3)[axis] / stretch
-        moved = np.einsum("nij,nj->ni", by_across, -np.outer(apart @ normal, turn) - np.outer(apart @ turn, normal))
-        moved = moved + by_high * ((centres - foot) @ turn)[:, None] + by_deep * ((foot - points) @ turn)[:, None]
-        columns.append(moved - np.outer(high, turn))
-    columns.append(s_n[:, None] * towards)
-    return by_point, by_centre, np.stack(columns, axis=-1)
+def _is_wet(centres: np.ndarray, points: np.ndarray, water: FlatWater | None) -> np.ndarray:
+    """Which rays (N,) pass through water."""
+    if water is None:
+        return np.zeros(len(points), dtype=bool)
+    return (water.depth(points) > 0.0) & (water.depth(centres) < 0.0)
+
+
+@dataclass(frozen=True)
+class _Crossing:
+    """Derivatives of N bent lines of sight by what their crossing depends on."""
+
+    normal: np.ndarray  # (3,): of the plane, upwards
+    by_across: np.ndarray  # (N, 3, 3): by the vector from foot to foot
+    by_high: np.ndarray  # (N, 3): by the height H of the camera
+    by_deep: np.ndarray  # (N, 3): by the depth h of the point
+    by_index: np.ndarray  # (N, 3): by the index of the water
+
+    @classmethod
+    def of(cls, line: np.ndarray, centres: np.ndarray, points: np.ndarray, water: FlatWater) -> _Crossing:
+        """Of lines (N, 3) [m], local, from centres to points (N, 3), all of them bent."""
+        normal, foot, n = _normal(water), np.array(water.point), water.n_water
+        apart = points - centres
+        across = apart - np.outer(apart @ normal, normal)
+        high, deep = (centres - foot) @ normal, (foot - points) @ normal
+        d = np.linalg.norm(across, axis=1)
+        s = np.linalg.norm(line + high[:, None] * normal, axis=1)
+        air, wet = np.hypot(s, high), np.hypot(d - s, deep)
+        by_s = high**2 / air**3 + n * deep**2 / wet**3
+        s_d = n * deep**2 / wet**3 / by_s
+        s_high = s * high / air**3 / by_s
+        s_deep = -n * (d - s) * deep / wet**3 / by_s
+        s_n = (d - s) / wet / by_s
+        # Straight below the camera the direction is undefined, and the ratio of s to d its own limit, s_d.
+        vertical = d < 1e-9
+        towards = np.where(vertical[:, None], 0.0, across / np.where(vertical, 1.0, d)[:, None])
+        share = np.where(vertical, s_d, s / np.where(vertical, 1.0, d))
+        both = towards[:, :, None] * towards[:, None, :]
+        by_across = share[:, None, None] * (np.eye(3) - both) + s_d[:, None, None] * both
+        by_high, by_deep = s_high[:, None] * towards - normal, s_deep[:, None] * towards
+        return cls(normal, by_across, by_high, by_deep, s_n[:, None] * towards)
+
+    def by_point(self) -> np.ndarray:
+        """By the point, (N, 3, 3)."""
+        return self._sideways() - self.by_deep[:, :, None] * self.normal
+
+    def by_centre(self) -> np.ndarray:
+        """By the centre of the camera, (N, 3, 3)."""
+        return -self._sideways() + self.by_high[:, :, None] * self.normal
+
+    def _sideways(self) -> np.ndarray:
+        return self.by_across @ (np.eye(3) - np.outer(self.normal, self.normal))
+
+    def by_water(self, centres: np.ndarray, points: np.ndarray, water: FlatWater) -> np.ndarray:
+        """By the height of the plane at its reference point, its slopes and its index, (N, 3, 4)."""
+        slopes, foot, apart = _slopes(water), np.array(water.point), points - centres
+        stretch = np.linalg.norm(slopes)
+        high, deep = (centres - foot) @ self.normal, (foot - points) @ self.normal
+        columns = [(self.by_deep - self.by_high) / stretch]
+        for axis in range(2):
+            # As the normal turns by a small vector about the reference point of the plane.
+            turn = self.normal * slopes[axis] / stretch**2 - np.eye(3)[axis] / stretch
+            across = -np.outer(apart @ self.normal, turn) - np.outer(apart @ turn, self.normal)
+            moved = np.einsum("nij,nj->ni", self.by_across, across)
+            moved = moved + self.by_high * ((centres - foot) @ turn)[:, None]
+            moved = moved + self.by_deep * ((foot - points) @ turn)[:, None]
+            columns.append(moved - np.outer(high, turn))
+        columns.append(self.by_index)
+        return np.stack(columns, axis=-1)
+
+
+def _slopes(water: FlatWater) -> np.ndarray:
+    """Gradient (3,) of the height over the plane, with 1 along z."""
+    return np.array([-water.slope_x, -water.slope_y, 1.0])
+
+
+def _normal(water: FlatWater) -> np.ndarray:
+    slopes = _slopes(water)
+    return slopes / np.linalg.norm(slopes)
 
 
 @dataclass(frozen=True)
@@ -119,8 +160,23 @@ def predict(
         Of the photographs as they were taken, for rolling shutters; default those of the tie points.
     """
     line = lines_of_sight(*_ends(layout, state, ties, rise_design, rows), state.water)
-    pixels, _ = _project(layout, state, ties, line)
-    return pixels
+    xy, _ = _at_unit_depth(_in_cam(state, ties, line))
+    return _pixels(layout, state, ties, distorted(xy, state.lenses[layout.lens_of[ties.view], 3:]))
+
+
+def linearise_by_points(
+    layout: Layout, state: State, ties: TiePoints, rise_design: np.ndarray, rows: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Predicted pixels (N, 2) and their derivatives by the points alone, (N, 2, 3); see `predict`."""
+    centres, points = _ends(layout, state, ties, rise_design, rows)
+    line = lines_of_sight(centres, points, state.water)
+    imaged = _project(layout, state, ties, line)
+    by_points = imaged.by_line(state, ties)
+    wet = _is_wet(centres, points, state.water)
+    if state.water is not None and wet.any():
+        crossing = _Crossing.of(line[wet], centres[wet], points[wet], state.water)
+        by_points[wet] = by_points[wet] @ crossing.by_point()
+    return imaged.pixels, by_points
 
 
 def linearise(
@@ -128,12 +184,11 @@ def linearise(
 ) -> Prediction:
     """Predicted pixels with their derivatives; see `predict`."""
     lines = bent_lines_of_sight(*_ends(layout, state, ties, rise_design, rows), state.water)
-    pixels, imaged = _project(layout, state, ties, lines.line)
-    rotations = state.rotations[ties.view]
-    by_line = np.einsum("nai,nij->naj", imaged.by_cam, rotations)
+    imaged = _project(layout, state, ties, lines.line)
+    by_line = imaged.by_line(state, ties)
     by_point = by_line @ lines.by_point
-    by_centre, by_lens = by_line @ lines.by_centre, imaged.by_lens
-    by_readout = np.zeros((len(pixels), 2, 0))
+    by_centre, by_lens = by_line @ lines.by_centre, imaged.by_lens(layout, state, ties)
+    by_readout = np.zeros((len(by_lens), 2, 0))
     if layout.velocity_per_row is not None:
         by_middle, by_readout = _shutter_derivatives(layout, state, ties, rows, by_centre)
         by_lens[:, :, 2] += by_middle
@@ -159,7 +214,7 @@ def linearise(
         ],
         axis=-1,
     )
-    return Prediction(pixels, by_point, _assemble_derivatives(layout, ties, dense), lines.wet)
+    return Prediction(imaged.pixels, by_point, _assemble_derivatives(layout, ties, dense), lines.wet)
 
 
 def apparent_rise_design(state: State, ties: TiePoints) -> np.ndarray:
@@ -234,31 +289,61 @@ def _points_of_observations(state: State, ties: TiePoints, rise_design: np.ndarr
     return points
 
 
+def _in_cam(state: State, ties: TiePoints, line: np.ndarray) -> np.ndarray:
+    """Lines of sight (N, 3) in the axes of their cameras."""
+    return np.einsum("nij,nj->ni", state.rotations[ties.view], line)
+
+
+def _at_unit_depth(in_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates (N, 2) where lines of sight meet the plane at depth 1, and their depths (N,); NaN behind."""
+    z = np.where(in_cam[:, 2] > 0.0, in_cam[:, 2], np.nan)
+    return in_cam[:, :2] / z[:, None], z
+
+
+def _focal(layout: Layout, state: State, ties: TiePoints) -> np.ndarray:
+    """Focal lengths (N, 2) [px] of the photographs of the observations."""
+    number = layout.lens_of[ties.view]
+    focal = state.lenses[number, 0]
+    return np.column_stack([focal, focal * layout.aspect[number]]) * _enlarged(state, ties)[:, None]
+
+
+def _pixels(layout: Layout, state: State, ties: TiePoints, distorted_xy: np.ndarray) -> np.ndarray:
+    """Pixels (N, 2) of distorted coordinates (N, 2)."""
+    return distorted_xy * _focal(layout, state, ties) + state.lenses[layout.lens_of[ties.view], 1:3]
+
+
 @dataclass(frozen=True)
 class _Projected:
-    in_cam: np.ndarray
-    by_cam: np.ndarray
-    by_lens: np.ndarray
+    """Pixels of lines of sight, with what their derivatives are made of."""
+
+    pixels: np.ndarray  # (N, 2) [px]
+    in_cam: np.ndarray  # (N, 3): the lines in cam
+    by_cam: np.ndarray  # (N, 2, 3): derivatives by them
+    distorted_xy: np.ndarray  # (N, 2)
+    by_coefficients: np.ndarray  # (N, 2, 5): derivatives of distorted_xy by the coefficients of distortion
+
+    def by_line(self, state: State, ties: TiePoints) -> np.ndarray:
+        """Derivatives (N, 2, 3) by the lines of sight."""
+        return np.einsum("nai,nij->naj", self.by_cam, state.rotations[ties.view])
+
+    def by_lens(self, layout: Layout, state: State, ties: TiePoints) -> np.ndarray:
+        """Derivatives (N, 2, 8) by the lenses."""
+        aspect = layout.aspect[layout.lens_of[ties.view]]
+        one = np.ones(len(aspect))
+        by_focal = self.distorted_xy * np.column_stack([one, aspect]) * _enlarged(state, ties)[:, None]
+        by_middle = np.tile(np.eye(2), (len(aspect), 1, 1))
+        by_distortion = _focal(layout, state, ties)[:, :, None] * self.by_coefficients
+        return np.concatenate([by_focal[:, :, None], by_middle, by_distortion], axis=-1)
 
 
-def _project(layout: Layout, state: State, ties: TiePoints, line: np.ndarray) -> tuple[np.ndarray, _Projected]:
-    """Pixels of lines of sight in the photographs, with derivatives by the line in cam and by the lens."""
-    number = layout.lens_of[ties.view]
-    lens, aspect = state.lenses[number], layout.aspect[number]
-    in_cam = np.einsum("nij,nj->ni", state.rotations[ties.view], line)
-    z = np.where(in_cam[:, 2] > 0.0, in_cam[:, 2], np.nan)
-    xy = in_cam[:, :2] / z[:, None]
-    distorted, by_xy, by_coefficients = distort(xy, lens[:, 3:])
-    enlarged = _enlarged(state, ties)
-    focal = np.column_stack([lens[:, 0], lens[:, 0] * aspect]) * enlarged[:, None]
-    pixels = distorted * focal + lens[:, 1:3]
+def _project(layout: Layout, state: State, ties: TiePoints, line: np.ndarray) -> _Projected:
+    in_cam = _in_cam(state, ties, line)
+    xy, z = _at_unit_depth(in_cam)
+    distorted_xy, by_xy, by_coefficients = distort(xy, state.lenses[layout.lens_of[ties.view], 3:])
     zero, one = np.zeros(len(z)), np.ones(len(z))
     flat = np.stack([np.column_stack([one, zero, -xy[:, 0]]), np.column_stack([zero, one, -xy[:, 1]])], axis=1)
-    by_cam = focal[:, :, None] * (by_xy @ flat) / z[:, None, None]
-    by_focal = distorted * np.column_stack([one, aspect]) * enlarged[:, None]
-    by_middle = np.tile(np.eye(2), (len(z), 1, 1))
-    by_lens = np.concatenate([by_focal[:, :, None], by_middle, focal[:, :, None] * by_coefficients], axis=-1)
-    return pixels, _Projected(in_cam, by_cam, by_lens)
+    by_cam = _focal(layout, state, ties)[:, :, None] * (by_xy @ flat) / z[:, None, None]
+    return _Projected(_pixels(layout, state, ties, distorted_xy), in_cam, by_cam, distorted_xy, by_coefficients)
 
 
 def _enlarged(state: State, ties: TiePoints) -> np.ndarray:

@@ -7,7 +7,7 @@ deviation of their kind (P. J. Huber, Annals of Mathematical Statistics 35(1), 1
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -26,6 +26,10 @@ class Planes:
     normal: np.ndarray  # (M, 3): upwards, with 1 in z, so that distances are along the vertical
     height: np.ndarray  # (M,) [m]: ``normal . point`` on the plane
     precision: np.ndarray  # (M,) [1/m^2]: inverse variance of that distance; 0 for points of which nothing is known
+
+    def of(self, points: np.ndarray) -> Planes:
+        """The planes of some of the points, given by their numbers."""
+        return Planes(self.normal[points], self.height[points], self.precision[points])
 
     def distances(self, points: np.ndarray, shift: np.ndarray) -> np.ndarray:
         """Vertical distances (M,) [m] of points (M, 3) above their planes shifted by (3,); 0 where there is none."""
@@ -98,6 +102,38 @@ class Problem:
     def order(self) -> EliminationOrder | None:
         """Order in which the parameters are eliminated; None where the normal matrix is best taken as dense."""
         return elimination_order(self.ties.point, self.ties.view, self.layout.photograph_of_parameters())
+
+    def observations_of(self, points: np.ndarray) -> np.ndarray:
+        """Numbers of the observations of points, given by their ascending numbers."""
+        chosen = np.zeros(len(self.ties), dtype=bool)
+        chosen[points] = True
+        return np.flatnonzero(chosen[self.ties.point])
+
+    def of_points(self, points: np.ndarray) -> Problem:
+        """The problem of some of the points, given by their ascending numbers, with all parameters."""
+        kept, priors = self.observations_of(points), self.priors
+        number = np.zeros(len(self.ties), dtype=np.int64)
+        number[points] = np.arange(len(points))
+        ties = TiePoints(
+            self.ties.start[points],
+            number[self.ties.point[kept]],
+            self.ties.view[kept],
+            self.ties.pixel[kept],
+            self.ties.least,
+        )
+        return replace(
+            self,
+            ties=ties,
+            kind=self.kind[kept],
+            priors=replace(
+                priors,
+                state=replace(priors.state, points=priors.state.points[points]),
+                point_std=priors.point_std[points],
+                planes=None if priors.planes is None else priors.planes.of(points),
+            ),
+            rise_design=self.rise_design[kept],
+            rows=None if self.rows is None else self.rows[kept],
+        )
 
     def residuals(self, state: State) -> np.ndarray:
         """Measured less predicted pixels (N, 2)."""

@@ -18,7 +18,7 @@ from geo.crs import height_unit_m, horizontal_crs
 from geo.errors import UnreadableFile
 from geo.las import write_cloud
 from geo.lines import Line, read_lines
-from survey.export.profiles import COLUMNS, MOST_DRAWN, Bed, ProfileError, profiles_along
+from survey.export.profiles import COLUMNS, Bed, ProfileError, profiles_along, write_picture
 
 UTM = CRS("EPSG:25832+7837")
 # Of the plane: height in the middle, rise per metre east and north.
@@ -121,14 +121,18 @@ def test_a_line_without_length_and_a_step_that_is_unusable_are_refused(tmp_path,
         bed.along(Line("1", places_of("EPSG:25832+7837", [[0.0, 0.0], end])), step_m=step_m)
 
 
-def test_a_picture_of_many_profiles_says_that_it_shows_the_first(tmp_path):
-    places = {str(number): [[-1.0, 0.1 * number], [1.0, 0.1 * number]] for number in range(MOST_DRAWN + 1)}
-    lines = lines_file(
-        tmp_path / "l.geojson", {name: places_of("EPSG:25832+7837", corners) for name, corners in places.items()}
-    )
-    cloud = plane_cloud(tmp_path / "bed.las")
-    said = bathynerf("profile", cloud, "--lines", lines, "--picture", tmp_path / "p.png")
-    assert f"shows the first {MOST_DRAWN} of {MOST_DRAWN + 1} profiles" in " ".join(said.stderr.split())
+def test_a_picture_of_many_profiles_says_that_it_shows_the_first(tmp_path, caplog):
+    bed = Bed(plane_cloud(tmp_path / "bed.las"))
+    profiles = [
+        bed.along(Line(str(number), places_of("EPSG:25832+7837", [[-1.0, y], [1.0, y]])), step_m=0.1)
+        for number, y in enumerate((0.0, 0.1, 0.2))
+    ]
+    for path, shown, most in (("two", profiles[:2], 2), ("first", profiles, 2), ("all", profiles, 3)):
+        write_picture(tmp_path / path, shown, most=most)
+    assert (tmp_path / "first").read_bytes() == (tmp_path / "two").read_bytes() != (tmp_path / "all").read_bytes()
+    assert [record.message for record in caplog.records] == [
+        f"{tmp_path / 'first'} shows the first 2 of 3 profiles; --csv and --dxf hold all of them"
+    ]
 
 
 def lines_file(path, lines: dict[str, np.ndarray]):

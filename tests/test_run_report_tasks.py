@@ -40,14 +40,14 @@ def facts(tmp_path_factory):
     return replace(found, bed=stored.bed, points_crs=stored.points_crs)
 
 
-@pytest.mark.parametrize(("units", "foot"), [("metres", None), ("feet", 0.3048)])
-def test_workers_draw_the_same_pictures(facts, tmp_path, units, foot):
-    report = replace(facts.survey.config.report, units=units)
+def test_workers_draw_the_same_pictures(facts, tmp_path):
+    """In feet, which a worker has to be told."""
+    report = replace(facts.survey.config.report, units="feet")
     facts = replace(facts, survey=replace(facts.survey, config=replace(facts.survey.config, report=report)))
     alone, together = tmp_path / "alone", tmp_path / "together"
     for folder in (alone, together):
         folder.mkdir()
-    with lengths_in_feet(foot):
+    with lengths_in_feet(0.3048):
         expected = list(draw_pictures(alone, facts))
     found = list(draw_on(PickledCalls(), tmp_path, together, facts))
     assert [(each.title, each.caption) for each in found] == [(each.title, each.caption) for each in expected]

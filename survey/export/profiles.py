@@ -268,10 +268,6 @@ def profiles_along(
     if table is not None:
         write_csv(table, found)
     if picture is not None:
-        if len(found) > MOST_DRAWN:
-            current().warn(
-                f"{picture} shows the first {MOST_DRAWN} of {len(found)} profiles; --csv and --dxf hold all of them"
-            )
         write_picture(picture, found)
     if drawing is not None:
         write_dxf(drawing, drawn_lines(found), found[0].crs)
@@ -336,18 +332,19 @@ def draw(profile: Profile, axes: Axes) -> None:
 
 
 def figure_of(profiles: Sequence[Profile]) -> Figure:
-    """A figure with an axes for each of the first profiles."""
-    shown = profiles[:MOST_DRAWN]
-    figure = Figure(figsize=(_SIZE_IN[0], _SIZE_IN[1] * len(shown)), layout="constrained")
+    """A figure with an axes for each profile, one below the other."""
+    figure = Figure(figsize=(_SIZE_IN[0], _SIZE_IN[1] * len(profiles)), layout="constrained")
     FigureCanvasAgg(figure)
-    for axes, profile in zip(figure.subplots(len(shown), squeeze=False)[:, 0], shown, strict=True):
+    for axes, profile in zip(figure.subplots(len(profiles), squeeze=False)[:, 0], profiles, strict=True):
         draw(profile, axes)
     return figure
 
 
-def write_picture(path: Path, profiles: Sequence[Profile]) -> None:
-    """Write the first profiles as PNG, one below the other."""
-    save(figure_of(profiles), path)
+def write_picture(path: Path, profiles: Sequence[Profile], *, most: int = MOST_DRAWN) -> None:
+    """Write profiles as PNG, of many the first; a warning says so."""
+    if len(profiles) > most:
+        current().warn(f"{path} shows the first {most} of {len(profiles)} profiles; --csv and --dxf hold all of them")
+    save(figure_of(profiles[:most]), path)
 
 
 def subtitle_of(profile: Profile) -> str:

@@ -103,6 +103,25 @@ def test_held_parameters_stay_and_points_go_where_parameters_that_cannot_move_le
     assert np.abs(found.state.points - start.points).max() > 0.01
 
 
+def test_a_problem_of_some_points_has_their_residuals_and_steps():
+    block = draw_block(3, pixel_std=0.3, **SMALL)
+    normal = np.tile([0.1, -0.2, 1.0], (len(block.points), 1))
+    planes = Planes(normal, np.sum(normal * block.points, axis=1) + 0.02, np.full(len(block.points), 400.0))
+    problem, truth, std_px = problem_of(block), truth_of(block), np.array([0.3])
+    problem = replace(problem, holds_parameters=True, priors=replace(problem.priors, planes=planes))
+    state = replace(truth, points=truth.points + 0.05, shift=np.zeros(3))
+    points = np.array([0, 3, 4, len(block.points) - 1])
+    part, of_part = problem.of_points(points), replace(state, points=state.points[points])
+    observations = problem.observations_of(points)
+    assert set(problem.ties.point[observations]) == set(points)
+    np.testing.assert_array_equal(part.residuals(of_part), problem.residuals(state)[observations])
+    steps, expected = (
+        huber_system(each, at, std_px, np.ones(len(each.kind))).point_steps(np.zeros(len(problem.priors.std)))
+        for each, at in ((part, of_part), (problem, state))
+    )
+    np.testing.assert_allclose(steps, expected[points], rtol=1e-9)
+
+
 def dense(problem: Problem, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Normal matrix of all unknowns, parameters first, and their right side, at the weights of a solution."""
     state, ties, priors = solution.state, problem.ties, problem.priors

@@ -113,7 +113,7 @@ class _Crossing:
         """By the height of the plane at its reference point, its slopes and its index, (N, 3, 4)."""
         slopes, foot, apart = _slopes(water), np.array(water.point), points - centres
         stretch = np.linalg.norm(slopes)
-        high, deep = (centres - foot) @ self.normal, (foot - points) @ self.normal
+        high = (centres - foot) @ self.normal
         columns = [(self.by_deep - self.by_high) / stretch]
         for axis in range(2):
             # As the normal turns by a small vector about the reference point of the plane.

@@ -43,8 +43,8 @@ from survey.pose_files import find_poses, read_poses, read_ties
 from survey.settings.config import parse_config
 from survey.simulate.output.sidecars import gps_exif
 from survey.simulate.output.writing import write_ply
-from survey.water.geojson import points_of_geojson
 from survey.water.level_observation import points_of_surface, readings_of_gauge
+from survey.water.surface_features import points_of_features
 
 UTM = CRS("EPSG:25832+7837")
 E0, N0, LEVEL = 676120.0, 5311480.0, 584.2
@@ -184,7 +184,7 @@ KINDS = {
     "opensfm": Kind("ground_control_points.json", text(OPENSFM), read_control),
     "gauge": Kind("gauge.csv", text(GAUGE), readings_of_gauge),
     "surface": Kind("surface.csv", text(SURFACE), lambda path: points_of_surface(path, "gnss_points", UTM)),
-    "shore": Kind("shore.geojson", text(SHORE), lambda path: points_of_geojson(path, UTM)),
+    "shore": Kind("shore.geojson", text(SHORE), lambda path: points_of_features(path, UTM)),
     "lines": Kind("lines.geojson", text(SHORE), lambda path: read_lines(path, UTM)),
     "area": Kind("area.geojson", text(AREA), lambda path: read_polygons(path, UTM)),
     "geo.txt": Kind("geo.txt", text(GEO_TXT), lambda path: with_positions(path, HEADS)),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import re
-import struct
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,7 +14,9 @@ from tempfile import TemporaryDirectory
 from typing import Literal, NamedTuple
 
 import numpy as np
+import shapely
 from pyproj import CRS
+from shapely import LineString, Polygon
 
 from geo.compatibility import crs_difference
 from geo.crs import crs_code, crs_name, height_unit_m, horizontal_crs, horizontal_unit, is_geographic
@@ -26,8 +27,6 @@ from geo.transformation import WGS84, Transformation
 
 # Of a degree: a tenth of a millimetre.
 _DECIMALS = 9
-_WKB_TYPES = {"LineString": 2, "Polygon": 3}
-_WITH_HEIGHTS = 1000
 # In the comment of a shapefile, and among the variables of a drawing.
 _MARK = b"bathynerf"
 # $INSUNITS, by the length of the unit [m]; 0 for one that has no number.
@@ -187,14 +186,9 @@ def is_our_shapefile(path: Path) -> bool:
 
 
 def _wkb(kind: str, shape) -> bytes:
-    """A shape as well-known binary, little-endian."""
-    rings = [np.asarray(line, dtype="<f8") for line in (shape if kind == "Polygon" else [shape])]
-    parts = [struct.pack("<BI", 1, _WKB_TYPES[kind] + (_WITH_HEIGHTS if rings[0].shape[1] == 3 else 0))]
-    if kind == "Polygon":
-        parts.append(struct.pack("<I", len(rings)))
-    for ring in rings:
-        parts += [struct.pack("<I", len(ring)), ring.tobytes()]
-    return b"".join(parts)
+    """A shape as well-known binary of ISO, little-endian."""
+    geometry = Polygon(shape[0], shape[1:]) if kind == "Polygon" else LineString(shape)
+    return shapely.to_wkb(geometry, flavor="iso", byte_order=1)
 
 
 def _wound(ring: np.ndarray, *, left: bool) -> np.ndarray:

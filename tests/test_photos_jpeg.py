@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from functools import cache
 
 import numpy as np
 import pytest
@@ -25,18 +26,22 @@ PROGRESSIVE = {"progressive": {"quality": 75, "progressive": True}}
 EOI = b"\xff\xd9"
 
 
+@cache
 def ground(seed: int, *, rough: float = 30.0) -> np.ndarray:
-    """Smooth and rough places, as photographs have them."""
+    """Smooth and rough places, as photographs have them; not to be written to."""
     rng = np.random.default_rng(seed)
     coarse = Image.fromarray(rng.integers(0, 255, (10, 13, 3), dtype=np.uint8)).resize(SIZE, Image.Resampling.BICUBIC)
     noise = rng.normal(0.0, 1.0, (SIZE[1], SIZE[0], 1)) * np.linspace(0.0, rough, SIZE[0])[None, :, None]
-    return np.clip(np.asarray(coarse) + noise, 0, 255).astype(np.uint8)
+    pixels = np.clip(np.asarray(coarse) + noise, 0, 255).astype(np.uint8)
+    pixels.flags.writeable = False
+    return pixels
 
 
+@cache
 def gravel(seed: int) -> np.ndarray:
-    """Stones of some pixels everywhere, 800 x 608."""
+    """Stones of some pixels everywhere, 800 x 608; not to be written to."""
     pixels = np.random.default_rng(seed).integers(60, 190, (152, 200, 3), dtype=np.uint8)
-    return np.asarray(Image.fromarray(pixels).resize((800, 608), Image.Resampling.BICUBIC)).copy()
+    return np.asarray(Image.fromarray(pixels).resize((800, 608), Image.Resampling.BICUBIC))
 
 
 def in_black(pixels: np.ndarray) -> np.ndarray:
@@ -125,7 +130,7 @@ def test_a_progressive_jpeg_without_all_of_its_scans_is_refused(share):
 @pytest.mark.parametrize("brightness", [0, 8, 300, -300])
 def test_what_is_joined_with_just_as_many_blocks_leaves_a_seam(form, row, column, brightness):
     """What stands behind the seam has another brightness, up to all white or black."""
-    found, other = gravel(5), np.clip(gravel(6) + float(brightness), 0, 255).astype(np.uint8)
+    found, other = gravel(5).copy(), np.clip(gravel(6) + float(brightness), 0, 255).astype(np.uint8)
     unit = 8 if form == "444" else 16
     found[row + unit :] = other[row + unit :]
     found[row : row + unit, column:] = other[row : row + unit, column:]
@@ -136,7 +141,7 @@ def test_what_is_joined_with_just_as_many_blocks_leaves_a_seam(form, row, column
 @pytest.mark.parametrize("content", ["black", "white", "another"])
 @pytest.mark.parametrize("rows", [np.s_[:96], np.s_[-64:], np.s_[304:]], ids=["above", "below", "half"])
 def test_bars_and_pictures_over_each_other_are_no_seams(form, rows, content):
-    pixels = gravel(1)
+    pixels = gravel(1).copy()
     pixels[rows] = {"black": 0, "white": 255, "another": gravel(2)[rows]}[content]
     assert jpeg_fault(jpeg(pixels, **FORMS[form])) is None
 

@@ -1,18 +1,21 @@
-"""The water level from GeoJSON and from clicks in photographs: known places, what they are worth, refusals."""
+"""The water level from vector files and from clicks in photographs: known places, what they are worth, refusals."""
 
 from __future__ import annotations
 
 import json
 
 import numpy as np
+import pyogrio.raw
 import pytest
+import shapely
 from pyproj import Transformer
 
 from geo.crs import parse_crs
 from survey.errors import ConfigError
 from survey.folder.survey import load_survey
 from survey.plan.check import check_survey
-from survey.water.geojson import _HEIGHT_NAMES, points_of_geojson
+from survey.water.level_observation import points_of_surface
+from survey.water.surface_features import _HEIGHT_NAMES, points_of_features
 from tests.small_survey import E0, LEVEL, N0, replaced, said, small_survey, unposed
 
 CRS = parse_crs("EPSG:25832+5778")
@@ -30,7 +33,7 @@ def written(folder, content) -> object:
 
 
 def test_the_ring_of_a_polygon_counts_each_vertex_once(tmp_path):
-    points, notes = points_of_geojson(written(tmp_path, feature("Polygon", [RING])), CRS)
+    points, notes = points_of_features(written(tmp_path, feature("Polygon", [RING])), CRS)
     np.testing.assert_array_equal(points, RING[:3])
     assert "taken as crs" in notes[0]
 
@@ -42,7 +45,7 @@ def test_longitude_and_latitude_are_taken_to_crs(tmp_path):
         "type": "FeatureCollection",
         "features": [feature("LineString", line), {"type": "Feature", "geometry": None}],
     }
-    points, _ = points_of_geojson(written(tmp_path, content), CRS)
+    points, _ = points_of_features(written(tmp_path, content), CRS)
     # Degrees of JSON have all their digits.
     np.testing.assert_allclose(points, RING[:3], atol=1e-6)
 
@@ -55,7 +58,7 @@ def test_an_older_file_names_its_crs_and_a_contour_line_its_height(tmp_path):
         "crs": {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::25831"}},
         "features": [feature("MultiLineString", [line], ELEV=LEVEL)],
     }
-    points, _ = points_of_geojson(written(tmp_path, content), CRS)
+    points, _ = points_of_features(written(tmp_path, content), CRS)
     np.testing.assert_allclose(points, np.array(RING[:3])[:, :2].tolist() @ np.eye(2, 3) + [0, 0, LEVEL], atol=1e-4)
 
 
@@ -71,14 +74,14 @@ def test_a_property_is_the_height_where_all_third_coordinates_are_zero(tmp_path,
     nested = {"Point": ring[0], "MultiPoint": ring, "LineString": ring, "MultiLineString": [ring]}
     coordinates = nested.get(kind, [ring] if kind == "Polygon" else [[ring]])
     features = [feature(kind, coordinates, **{name: value, "name": "west"}, id=7)]
-    points, notes = points_of_geojson(written(tmp_path, {"type": "FeatureCollection", "features": features}), CRS)
+    points, notes = points_of_features(written(tmp_path, {"type": "FeatureCollection", "features": features}), CRS)
     assert set(points[:, 2].tolist()) == {LEVEL}
     assert f"are 0: heights are those of its property {name}" in notes[0]
     # Heights that are there stay what they are, and so does a level of 0 that nothing else contradicts.
     high = feature("MultiPoint", [[*ring[0][:2], 1.5], ring[1]], **{name: value})
-    assert points_of_geojson(written(tmp_path, high), CRS)[0][:, 2].tolist() == [1.5, 0.0]
+    assert points_of_features(written(tmp_path, high), CRS)[0][:, 2].tolist() == [1.5, 0.0]
     sea = feature("MultiPoint", ring, name="west", id=7)
-    assert set(points_of_geojson(written(tmp_path, sea), CRS)[0][:, 2].tolist()) == {0.0}
+    assert set(points_of_features(written(tmp_path, sea), CRS)[0][:, 2].tolist()) == {0.0}
 
 
 @pytest.mark.parametrize("third", [[], [0.0]])
@@ -95,7 +98,7 @@ def test_a_property_is_the_height_where_all_third_coordinates_are_zero(tmp_path,
 def test_properties_that_may_be_heights_are_refused_by_name(tmp_path, properties, named, third):
     ring = [[e, n, *third] for e, n, _ in RING]
     with pytest.raises(ConfigError, match="keep one property level") as refused:
-        points_of_geojson(written(tmp_path, feature("LineString", ring, **properties)), CRS)
+        points_of_features(written(tmp_path, feature("LineString", ring, **properties)), CRS)
     assert all(name in str(refused.value) for name in [*named, "all 0" if third else "property"])
 
 
@@ -103,7 +106,7 @@ def test_a_feature_without_the_property_is_refused_where_third_coordinates_are_z
     ring = [[e, n, 0.0] for e, n, _ in RING]
     features = [feature("LineString", ring, level=2.0), feature("LineString", ring)]
     with pytest.raises(ConfigError, match="features without a height"):
-        points_of_geojson(written(tmp_path, {"type": "FeatureCollection", "features": features}), CRS)
+        points_of_features(written(tmp_path, {"type": "FeatureCollection", "features": features}), CRS)
 
 
 def test_a_shoreline_in_geojson_gives_a_survey_its_level(tmp_path):
@@ -115,27 +118,44 @@ def test_a_shoreline_in_geojson_gives_a_survey_its_level(tmp_path):
     assert survey.config.water.level_std_m == pytest.approx((0.03**2 / 3 * 3 / 2 + 0.02**2) ** 0.5, rel=0.05)
 
 
+@pytest.mark.filterwarnings("ignore:.*crs.*:UserWarning")
+@pytest.mark.parametrize("suffix", [".gpkg", ".shp", ".dxf"])
+def test_other_vector_files_give_the_same_points(tmp_path, suffix):
+    line = shapely.LineString(RING[:3])
+    driver = {".gpkg": "GPKG", ".shp": "ESRI Shapefile", ".dxf": "DXF"}[suffix]
+    path, crs = tmp_path / f"shore{suffix}", None if suffix == ".dxf" else "EPSG:25832"
+    names = ([], []) if suffix == ".dxf" else ([np.array([7])], ["id"])
+    pyogrio.raw.write(
+        path, np.array([shapely.to_wkb(line, flavor="iso")], object), *names, geometry_type="LineString Z", crs=crs,
+        driver=driver,
+    )  # fmt: skip
+    found, notes = points_of_surface(path, "shoreline", CRS)
+    np.testing.assert_allclose([(*each.place, each.level_m) for each in found], RING[:3], atol=1e-6)
+    assert notes == (() if crs else ("shore.dxf names no CRS: taken as crs",))
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("{", "is not GeoJSON"),
-        ("[" * 100_000, "is not GeoJSON"),
-        ("[1, 2]", "expected an object with a type"),
-        ('{"type": "Point", "coordinates": [1, 2, ' + "9" * 10_000 + "]}", "is not GeoJSON|finite numbers"),
-        ('{"type": "Point", "coordinates": [1, 2, ' + "9" * 4_000 + "]}", "finite numbers"),
-        ('{"type": "Point", "coordinates": [1, NaN, 2]}', "finite numbers"),
-        ('{"type": "Point", "coordinates": {"a": 1}}', "finite numbers"),
-        (feature("Polygon", 5), "finite numbers"),
+        ("{", "can be read"),
+        ("[" * 100_000, "can be read"),
+        ("[1, 2]", "can be read"),
+        ('{"type": "Point", "coordinates": [1, 2, ' + "9" * 10_000 + "]}", "can be read"),
+        ('{"type": "Point", "coordinates": [1, 2, ' + "9" * 4_000 + "]}", "can be read"),
+        ('{"type": "Point", "coordinates": [1, NaN, 2]}', "not finite"),
+        ('{"type": "Point", "coordinates": {"a": 1}}', "can be read"),
+        ({"type": "Point", "coordinates": [1, 2, None]}, "can be read"),
+        (feature("Polygon", 5), "can be read"),
         (feature("LineString", [[1, 2], [3, 4]]), "positions without a height"),
-        ({"type": "Topology"}, "has a Topology"),
-        ({"type": "Feature", "geometry": {"coordinates": []}}, "an object without a type"),
-        ({"type": "Point", "coordinates": [1, 2, 3], "crs": {"properties": {"name": "EPSG:0"}}}, "CRS 'EPSG:0'"),
+        ({"type": "Topology"}, "topology"),
+        ({"type": "Feature", "geometry": {"coordinates": []}}, "can be read"),
+        ({"type": "Point", "coordinates": [1, 2, 3], "crs": {"properties": {"name": "EPSG:0"}}}, "EPSG:0"),
     ],
 )
 def test_other_content_is_refused_by_name(tmp_path, content, message):
     path = written(tmp_path, content)
     with pytest.raises(ConfigError, match=message) as refused:
-        points_of_geojson(path, CRS)
+        points_of_features(path, CRS)
     assert "shore.geojson" in str(refused.value)
     assert len(str(refused.value)) < 600
 
@@ -230,4 +250,4 @@ def test_a_click_at_another_spot_costs_its_place_and_is_said(clicked, rng):
 def test_a_mark_of_no_data_is_no_level(tmp_path, mark):
     ring = [[x, y, mark] for x, y, *_ in RING]
     with pytest.raises(ConfigError, match="a no-data value; remove those points"):
-        points_of_geojson(written(tmp_path, feature("LineString", ring)), CRS)
+        points_of_features(written(tmp_path, feature("LineString", ring)), CRS)

@@ -96,7 +96,7 @@ def _varying_common_std(differences: Differences, used: np.ndarray) -> np.ndarra
 class ChangeOptions:
     """Options of `change_between`."""
 
-    area: Path | None = None  # GeoJSON or GeoPackage of polygons; None: all that both surveys cover
+    area: Path | None = None  # A vector file of polygons; None: all that both surveys cover
     # Polygons of unchanged ground, to which the second survey is aligned in height; None: no alignment
     stable: Path | None = None
     resolution_m: float | None = None  # Side of a cell; None: by the spacing of the points

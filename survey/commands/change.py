@@ -30,9 +30,9 @@ _written = partial(typer.Option, rich_help_panel=FILES)
 class GroundOptions:
     """Options of the ground and its cells."""
 
-    area: Annotated[
-        Path | None, _where(metavar="FILE", help="Polygons as GeoJSON or GeoPackage; default: all in common.")
-    ] = None
+    area: Annotated[Path | None, _where(metavar="FILE", help="Polygons in a vector file; default: all in common.")] = (
+        None
+    )
     stable: Annotated[
         Path | None,
         _where(metavar="FILE", help="Polygons of unchanged ground, to which the later survey is aligned in height."),

@@ -121,7 +121,7 @@ class ControlConfig:
     marks_std_px: float | None = None
     reference: str | None = None  # an earlier survey, on whose dry ground the block is placed: cloud, mesh or GeoTIFF
     reference_std_m: float | tuple[float, float] | None = key(None, "one number or [horizontal, vertical] in metres")
-    stable: str | None = None  # GeoJSON or GeoPackage: polygons of its ground that did not change
+    stable: str | None = None  # A vector file: polygons of its ground that did not change
 
     def __post_init__(self):
         if self.gcps == ():

@@ -17,7 +17,7 @@ MOST_RATE_M_PER_H = 10.0
 class LevelSources:
     """Files of [water] that give the level, at most one."""
 
-    shoreline: str | None = None  # CSV of points, easting, northing, height, or GeoJSON, where water meets land
+    shoreline: str | None = None  # CSV of points, easting, northing, height, or a vector file, where water meets land
     gnss_points: str | None = None  # the same, of points anywhere on the surface
     surface: str | None = None  # the same or a GeoTIFF, of water that is not a plane
     gauge: str | None = None  # CSV of time, level

@@ -1,7 +1,7 @@
 """Measurements of the water level on site, with std, place and time: whether they lie near the cameras, and on a plane.
 
 survey.toml              level_m, level_std_m
-shoreline, gnss_points   CSV with easting, northing, height in crs (and std), or GeoJSON
+shoreline, gnss_points   CSV with easting, northing, height in crs (and std), or a vector file
 surface                  the same, or a raster of heights
 gauge                    CSV with time, level (and std)
 image_levels             CSV with image, level (and std): `survey.water.tides`
@@ -26,6 +26,7 @@ from scipy.spatial import KDTree
 from scipy.special import fdtrc
 
 from geo.crs import EARTH_RADIUS_M, height_unit_m, horizontal_crs, middle_lon_lat
+from geo.features import SUFFIXES
 from geo.reading import read_reference
 from geo.shapes import in_height_unit, vertices_of
 from geo.transformation import height_scale, lon_lat, transformed
@@ -35,7 +36,7 @@ from survey.files.column_units import Units
 from survey.files.csv_table import Row, read_table
 from survey.files.point_table import read_points
 from survey.settings.config import WaterConfig
-from survey.water.geojson import points_of_geojson
+from survey.water.surface_features import points_of_features
 
 # Standard deviation of a measurement whose file gives none [m]: GNSS with corrections on the surface, and at the
 # waterline, which waves move; a reading.
@@ -45,7 +46,7 @@ STD_M = {"shoreline": 0.03, "gnss_points": 0.02, "surface": 0.02, "gauge": 0.01,
 COMMON_STD_M = {
     "shoreline": 0.02, "gnss_points": 0.015, "surface": 0.015, "gauge": 0.01, "image_levels": 0.01, "clicks": 0.0,
 }  # fmt: skip
-_GEOJSON, _RASTER = (".geojson", ".json"), (".tif", ".tiff")
+_RASTER = (".tif", ".tiff")
 # Cells of a raster beyond this number are means of squares of them.
 _MOST_CELLS, _FINER = 40_000, 0.8
 # Std of a cell relative to its neighbours; the error that they share is common.
@@ -68,16 +69,16 @@ class LevelObservation:
 
 
 def points_of_surface(path: Path, source: str, crs: CRS) -> tuple[tuple[LevelObservation, ...], tuple[str, ...]]:
-    """Points of the water surface in a CSV or GeoJSON file, and what was assumed of them.
+    """Points of the water surface in a CSV or a vector file, and what was assumed of them.
 
     Raises
     ------
     ConfigError
-        If the file or a column is missing, a value is not a finite number, or GeoJSON has no heights.
+        If the file or a column is missing, a value is not a finite number, or a vector file has no heights.
     """
     unit = height_unit_m(crs)
-    if path.suffix.lower() in _GEOJSON:
-        points, notes = points_of_geojson(path, crs)
+    if path.suffix.lower() in SUFFIXES:
+        points, notes = points_of_features(path, crs)
         found = (LevelObservation(h * unit, STD_M[source], (e, n), None, source) for e, n, h in points.tolist())
         return tuple(found), notes
     if path.suffix.lower() in _RASTER:

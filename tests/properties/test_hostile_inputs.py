@@ -23,8 +23,8 @@ from survey.photos.exif import read_exif
 from survey.photos.images import read_mask
 from survey.photos.pixels import read_rgb
 from survey.photos.xmp import height_datum, motion_of, rtk_of, stated_std, xmp_number
-from survey.water.geojson import points_of_geojson
 from survey.water.level_observation import points_of_surface, readings_of_gauge
+from survey.water.surface_features import points_of_features
 from tests.small_survey import LEVEL, replaced, small_survey
 
 FUZZ = settings(derandomize=True, max_examples=60, deadline=None, database=None)
@@ -182,7 +182,7 @@ def test_any_json_is_a_shoreline_or_refused(folder, content):
     path = folder / "shore.geojson"
     path.write_bytes(content if isinstance(content, bytes) else json.dumps(content).encode())
     try:
-        points, _ = points_of_geojson(path, CRS)
+        points, _ = points_of_features(path, CRS)
         assert np.isfinite(points).all()
     except ConfigError as error:
         require_one_line(error)

@@ -1,19 +1,20 @@
-"""Points of the water surface in GeoJSON: the vertices of its points, lines and polygons, with heights."""
+"""Points of the water surface in vector files: the vertices of points, lines and polygons, with heights."""
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import shapely
 from pyproj import CRS
-from pyproj.exceptions import CRSError
 
 from geo.crs import horizontal_crs, is_geographic
-from geo.transformation import transformed
+from geo.errors import UnreadableFile
+from geo.features import GEOJSON, Features, read_features
+from geo.transformation import WGS84, transformed
 from geo.values import is_no_data_value
 from survey.errors import ConfigError
 
@@ -35,41 +36,37 @@ _LIKE_HEIGHTS = (
     "z_",
     "_z",
 )
-_DEPTH_OF_COORDINATES = {
-    "Point": 0, "MultiPoint": 1, "LineString": 1, "MultiLineString": 2, "Polygon": 2, "MultiPolygon": 3,
-}  # fmt: skip
 
 
-def points_of_geojson(path: Path, crs: CRS) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Easting, northing, height (N, 3) in crs of all vertices, each once, and what was assumed of them.
+def points_of_features(path: Path, crs: CRS) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Easting, northing, height (N, 3) in crs of all vertices of a vector file, each once, and what was assumed.
 
     A third coordinate is the height, in the heights of crs; else, or where all third coordinates are 0, a property such
-    as level or ELEV is (programs write 0 where a layer has a third coordinate and no heights). Coordinates are
-    longitude and latitude (RFC 7946), in the CRS that an older file names, or in crs where they are too large for
-    degrees.
+    as level or ELEV is (programs write 0 where a layer has a third coordinate and no heights). Coordinates are in the
+    CRS that the file states; where it states none, those of GeoJSON are longitude and latitude (RFC 7946), and others,
+    or those too large for degrees, are in crs.
 
     Raises
     ------
     ConfigError
-        If the file cannot be read, is no GeoJSON, or has a vertex without a height, with several, or off the map.
+        If the file cannot be read, or has a vertex without a height, with several, or off the map.
     GeoError
         If it cannot be transformed to crs: see `geo.transformation.transformed`.
     """
     content = _content(path)
-    vertices = list(_vertices(path, content, {}, 0))
+    vertices = list(_vertices(content))
     name, notes = _height_property(path, vertices)
     points = np.array(list(dict.fromkeys(_with_heights(path, vertices, name)))).reshape(-1, 3)
     if (wrong := next((height for height in points[:, 2].tolist() if is_no_data_value(height)), None)) is not None:
         raise ConfigError(f"{path} has the height {wrong:g}, a no-data value; remove those points")
-    source = _crs_of(path, content)
+    source, target = content.crs, horizontal_crs(crs)
     if source is None:
-        in_degrees = len(points) == 0 or bool((np.abs(points[:, :2]) <= (180.0, 90.0)).all())
-        if not in_degrees or is_geographic(crs):
-            if not in_degrees:
-                notes += (f"{path.name} names no CRS, and its coordinates are too large for degrees: taken as crs",)
-            return points, notes
-        source = CRS("EPSG:4326")
-    target = horizontal_crs(crs)
+        is_in_degrees = bool((np.abs(points[:, :2]) <= (180.0, 90.0)).all())
+        if path.suffix.lower() in GEOJSON and is_in_degrees:
+            source = target if is_geographic(crs) else WGS84
+        else:
+            reason = ", and its coordinates are too large for degrees" if path.suffix.lower() in GEOJSON else ""
+            return points, (*notes, f"{path.name} names no CRS{reason}: taken as crs")
     if len(points) and not source.equals(target, ignore_axis_order=True):
         points = transformed(source, target, points, str(path), "or give the points in crs.")
         if not np.isfinite(points).all():
@@ -77,56 +74,21 @@ def points_of_geojson(path: Path, crs: CRS) -> tuple[np.ndarray, tuple[str, ...]
     return points, notes
 
 
-def _content(path: Path) -> dict:
+def _content(path: Path) -> Features:
+    if path.is_file() and path.stat().st_size > _LARGEST_BYTES:
+        raise ConfigError(f"{path} has more than {_LARGEST_BYTES // 1_000_000} MB, expected a shoreline; thin it")
     try:
-        if path.stat().st_size > _LARGEST_BYTES:
-            raise ConfigError(f"{path} has more than {_LARGEST_BYTES // 1_000_000} MB, expected a shoreline; thin it")
-        content = json.loads(path.read_bytes())
-    except ConfigError:
-        raise
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{path} is not GeoJSON ({str(error)[:80]}); export it again") from error
-    except OSError as error:
-        raise ConfigError(f"{path} cannot be read ({error.strerror}); correct its name or its permissions") from error
-    if not isinstance(content, dict):
-        raise ConfigError(f"{path} is not GeoJSON, expected an object with a type; export it again")
-    return content
+        return read_features(path, "points, lines or polygons")
+    except UnreadableFile as error:
+        raise ConfigError(str(error)) from error
 
 
-def _vertices(path: Path, item: Any, properties: dict, depth: int) -> Iterator[tuple[list[float], dict]]:
-    """Coordinates of the vertices of an object and of what it holds, each with the properties of its feature."""
-    kind = item.get("type") if isinstance(item, dict) else None
-    if not isinstance(kind, str) or depth > 8:
-        raise ConfigError(f"{path} is not GeoJSON: an object without a type was found; export it again")
-    if kind == "FeatureCollection" or kind == "GeometryCollection":
-        inside = item.get("features" if kind == "FeatureCollection" else "geometries")
-        for each in inside if isinstance(inside, list) else []:
-            yield from _vertices(path, each, properties, depth + 1)
-    elif kind == "Feature":
-        if item.get("geometry") is not None:
-            held = item.get("properties")
-            yield from _vertices(path, item["geometry"], held if isinstance(held, dict) else {}, depth + 1)
-    elif kind in _DEPTH_OF_COORDINATES:
-        for position in _positions(item.get("coordinates"), _DEPTH_OF_COORDINATES[kind]):
-            yield _coordinates(path, position), properties
-    else:
-        raise ConfigError(f"{path} has a {kind[:40]}, expected points, lines or polygons; export it again")
-
-
-def _positions(coordinates: Any, depth: int) -> Iterator[Any]:
-    if depth == 0:
-        yield coordinates
-        return
-    for part in coordinates if isinstance(coordinates, list) else [None]:
-        yield from _positions(part, depth - 1)
-
-
-def _coordinates(path: Path, position: Any) -> list[float]:
-    """The first three, or two, coordinates of a position."""
-    numbers = [_number(value) for value in position[:3]] if isinstance(position, list) else []
-    if len(numbers) < 2 or not all(math.isfinite(value) for value in numbers):
-        raise ConfigError(f"{path} has the position {str(position)[:60]}, expected two or three finite numbers")
-    return numbers
+def _vertices(content: Features) -> Iterator[tuple[list[float], dict]]:
+    """The two or three coordinates of each vertex, with the properties of its feature."""
+    for feature in content.features:
+        coordinates = shapely.get_coordinates(feature.geometry, include_z=feature.geometry.has_z)
+        for numbers in coordinates.tolist():
+            yield numbers, feature.properties
 
 
 def _is_flat(vertices: list[tuple[list[float], dict]]) -> bool:
@@ -202,16 +164,3 @@ def _number(value: Any) -> float:
         return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
     except OverflowError:
         return math.nan
-
-
-def _crs_of(path: Path, content: dict) -> CRS | None:
-    """The CRS that a file of the older standard names."""
-    named = content.get("crs")
-    properties = named.get("properties") if isinstance(named, dict) else None
-    name = properties.get("name") if isinstance(properties, dict) else None
-    if not isinstance(name, str):
-        return None
-    try:
-        return horizontal_crs(CRS.from_user_input(name[:200]))
-    except CRSError as error:
-        raise ConfigError(f"{path} names the CRS {name[:60]!r}, which is not known; export it in crs") from error

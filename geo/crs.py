@@ -78,26 +78,28 @@ def _crs_of_text(text: str) -> CRS:
 
 def _require_fit(crs: CRS, text: str, where: str) -> None:
     """Raise UnsupportedCRS unless the coordinates of a CRS are easting, northing and height."""
-    said = f"{where} is {_short(text)} ({crs.name})"
+    message = f"{where} is {_short(text)} ({crs.name})"
     if crs.is_vertical and not crs.is_compound:
-        raise UnsupportedCRS(f'{said}, which has heights only; put the horizontal code before it, e.g. "{_EXAMPLE}".')
+        raise UnsupportedCRS(
+            f'{message}, which has heights only; put the horizontal code before it, e.g. "{_EXAMPLE}".'
+        )
     kind = horizontal_crs(crs).type_name
     if kind not in _HORIZONTAL_KINDS:
         raise UnsupportedCRS(
-            f"{said}, of kind {kind}; expected a projected or geographic CRS with heights, "
+            f"{message}, of kind {kind}; expected a projected or geographic CRS with heights, "
             f'e.g. "{_EXAMPLE}" or "EPSG:4979".'
         )
     axes = crs.axis_info
     if any(axis.direction == "west" for axis in axes[:2]):
         raise UnsupportedCRS(
-            f"{said}, whose axes point {axes[0].direction} and {axes[1].direction}; expected easting and "
+            f"{message}, whose axes point {axes[0].direction} and {axes[1].direction}; expected easting and "
             "northing: convert the coordinates to a CRS with these axes, e.g. the UTM zone."
         )
     if len(axes) < 3:
-        raise MissingVerticalDatum(f"{said}, which has no vertical part; {_vertical_remedy(crs)}.")
+        raise MissingVerticalDatum(f"{message}, which has no vertical part; {_vertical_remedy(crs)}.")
     if axes[2].direction != "up":
         raise UnsupportedCRS(
-            f"{said}, whose third axis counts {axes[2].direction} ({axes[2].name}); give heights that count "
+            f"{message}, whose third axis counts {axes[2].direction} ({axes[2].name}); give heights that count "
             'upwards in the matching height CRS, e.g. "+5714" (MSL height) in place of "+5715" (MSL depth).'
         )
 

@@ -38,15 +38,15 @@ def read_e57(path: str | Path) -> Cloud:
     try:
         with pye57.E57(str(path)) as file:
             scans = [file.read_scan(i, ignore_missing_fields=True) for i in range(file.scan_count)]
-            said = _crs_text(file)
+            reason = _crs_text(file)
     except Exception as error:
-        said = (str(error).splitlines() or [type(error).__name__])[0][:100]
-        raise UnreadableFile(f"{path} cannot be read as E57 ({said}); copy or export it again.") from error
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:100]
+        raise UnreadableFile(f"{path} cannot be read as E57 ({reason}); copy or export it again.") from error
     points = [np.stack([scan[f"cartesian{axis}"] for axis in "XYZ"], axis=1) for scan in scans]
     cloud = np.concatenate([np.empty((0, 3)), *points])
     if not len(cloud):
         raise EmptyCloud(f"{path} has no points; expected a cloud with at least one.")
-    crs, notes = crs_named(said, path) if said else (None, ())
+    crs, notes = crs_named(reason, path) if reason else (None, ())
     return Cloud(cloud, crs=crs, notes=notes)
 
 

@@ -152,10 +152,10 @@ def scratch_array(path: Path, dtype: str, shape: tuple[int, ...]) -> np.ndarray:
                 for first in range(0, size, _ZEROS):
                     stream.write(bytes(min(_ZEROS, size - first)))
     except OSError as error:
-        said = error.strerror or str(error)
+        reason = error.strerror or str(error)
         raise UnwritableFile(
-            f"cannot write {path}: scratch of {size / 1e6:.0f} MB does not fit into {path.parent} ({said}); free some "
-            "room, or name another folder in the environment variable TMPDIR."
+            f"cannot write {path}: scratch of {size / 1e6:.0f} MB does not fit into {path.parent} ({reason}); free "
+            "some room, or name another folder in the environment variable TMPDIR."
         ) from error
     return np.memmap(path, dtype=dtype, mode="r+", shape=shape)
 

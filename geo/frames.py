@@ -149,16 +149,18 @@ class LocalFrame:
 
     def _checked_origin(self) -> tuple[float, float, float]:
         """Longitude, latitude [rad] and height [m] of the origin, which must lie where the CRS applies."""
-        said = f"the origin {self.origin} in {self.crs.name}"
+        message = f"the origin {self.origin} in {self.crs.name}"
         if len(self.origin) != 3 or not all(math.isfinite(v) for v in self.origin):
-            raise PlaceMismatch(f"{said} is not three finite numbers; give easting, northing and height.")
+            raise PlaceMismatch(f"{message} is not three finite numbers; give easting, northing and height.")
         lon, lat, height = (float(v) for v in self._map.geodetic_from_crs(np.array(self.origin)))
         order = "check the CRS, and that easting (or longitude) comes before northing (or latitude)."
         if not (math.isfinite(lon) and abs(lat) <= 0.5 * math.pi):
-            raise PlaceMismatch(f"{said} is not on the map; {order}")
+            raise PlaceMismatch(f"{message} is not on the map; {order}")
         excess = degrees_outside_area(self.crs, lon, lat)
         if excess > AREA_MARGIN_DEG:
-            raise PlaceMismatch(f"{said} lies {excess:.0f} degrees outside the area that this CRS is made for; {order}")
+            raise PlaceMismatch(
+                f"{message} lies {excess:.0f} degrees outside the area that this CRS is made for; {order}"
+            )
         return lon, lat, height
 
 

@@ -40,8 +40,8 @@ def read_gltf(path: str | Path) -> Mesh | Cloud:
         meshes = [part for part in parts if hasattr(part, "faces")]
         vertices = [np.asarray(part.vertices, dtype=np.float64) for part in meshes or parts]
     except Exception as error:
-        said = (str(error).splitlines() or [type(error).__name__])[0][:100]
-        raise UnreadableFile(f"{path} cannot be read as glTF ({said}); export it again.") from error
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:100]
+        raise UnreadableFile(f"{path} cannot be read as glTF ({reason}); export it again.") from error
     points = np.concatenate([np.empty((0, 3)), *vertices]) @ _Z_UP.T
     points, crs, notes = _placed(points, scene.metadata, path)
     if not meshes:

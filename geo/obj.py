@@ -36,10 +36,10 @@ def read_obj(path: str | Path) -> Mesh | Cloud:
     """
     path = existing_file(path)
     text = path.read_bytes().replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
-    vertex_lines, face_lines, vertices_before, said = [], [], [], b""
+    vertex_lines, face_lines, vertices_before, crs_comment = [], [], [], b""
     for line in text.splitlines():
         if line.startswith(CRS_COMMENT):
-            said = line.removeprefix(CRS_COMMENT)
+            crs_comment = line.removeprefix(CRS_COMMENT)
         words = line.split(b"#", 1)[0].split()
         if not words:
             continue
@@ -54,7 +54,7 @@ def read_obj(path: str | Path) -> Mesh | Cloud:
         raise UnreadableFile(
             f"{path} has a vertex line that is not three numbers ({str(error)[:80]}); export it again."
         ) from error
-    crs, notes = crs_named(said.decode("utf-8", "replace"), path) if said else (None, ())
+    crs, notes = crs_named(crs_comment.decode("utf-8", "replace"), path) if crs_comment else (None, ())
     if not face_lines:
         return Cloud(vertices, crs=crs, notes=notes)
     return Mesh(vertices, _faces(face_lines, vertices_before, path), crs=crs, notes=notes)

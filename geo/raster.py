@@ -176,9 +176,9 @@ def _reporting_gdal_errors(path: Path) -> Iterator[None]:
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             yield
     except RasterioError as error:
-        said = (str(error).splitlines() or [type(error).__name__])[0][:120]
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:120]
         # GDAL hides the system's error.
-        text = disk_error_text(OSError(said), path) or f"cannot write {path} ({said})"
+        text = disk_error_text(OSError(reason), path) or f"cannot write {path} ({reason})"
         raise UnwritableFile(f"{text}.") from error
 
 
@@ -248,8 +248,8 @@ def _read_band(path: Path) -> _Band:
             unit = raster.units[0]
             name, is_picture = raster.descriptions[0] or "", raster.colorinterp[0] == ColorInterp.red
     except RasterioError as error:
-        said = (str(error).splitlines() or [type(error).__name__])[0][:100]
-        raise UnreadableFile(f"{path} cannot be read as a GeoTIFF ({said}); export it again.") from error
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:100]
+        raise UnreadableFile(f"{path} cannot be read as a GeoTIFF ({reason}); export it again.") from error
     if transform == rasterio.Affine.identity():
         raise UnreadableFile(
             f"{path} has no georeference, expected a GeoTIFF that states where its cells lie; give it the bounds "

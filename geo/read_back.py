@@ -88,8 +88,8 @@ def require_raster(
                         path, f"its band {number} has {found.count} other values than the {expected.count}"
                     )
     except rasterio.errors.RasterioError as error:
-        said = (str(error).splitlines() or ["no raster"])[0]
-        raise read_back_error(path, f"it is damaged ({said[:80]})") from error
+        reason = (str(error).splitlines() or ["no raster"])[0]
+        raise read_back_error(path, f"it is damaged ({reason[:80]})") from error
 
 
 def _require_crs(found: rasterio.crs.CRS | None, crs: CRS, path: Path) -> None:
@@ -104,9 +104,9 @@ def _require_crs(found: rasterio.crs.CRS | None, crs: CRS, path: Path) -> None:
         )
     difference = crs_difference(read, crs)
     if difference is not None or (has_height(crs) and not has_height(read)):
-        said = difference or "its heights have no datum"
+        reason = difference or "its heights have no datum"
         raise UnwritableFile(
-            f"cannot write {path}: the CRS {crs.name} reads as another one ({said}); choose another --crs."
+            f"cannot write {path}: the CRS {crs.name} reads as another one ({reason}); choose another --crs."
         )
 
 

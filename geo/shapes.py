@@ -107,16 +107,16 @@ def as_classes(values: np.ndarray | None) -> np.ndarray | None:
 def excluded_points(cloud: Cloud) -> tuple[np.ndarray, str]:
     """Mask (N,) of points that are not ground by their classes and flags, and their counts in words."""
     out = np.zeros(len(cloud.points), dtype=bool)
-    said = []
+    parts = []
     if cloud.withheld is not None and cloud.withheld.any():
         out |= cloud.withheld
-        said.append(f"{int(cloud.withheld.sum())} flagged withheld")
+        parts.append(f"{int(cloud.withheld.sum())} flagged withheld")
     for code, name in NOT_GROUND.items() if cloud.classification is not None else ():
         of_class = (cloud.classification == code) & ~out
         if of_class.any():
-            said.append(f"{int(of_class.sum())} of class {code} ({name})")
+            parts.append(f"{int(of_class.sum())} of class {code} ({name})")
             out |= of_class
-    return out, ", ".join(said)
+    return out, ", ".join(parts)
 
 
 def used_as_ground(cloud: Cloud) -> str:

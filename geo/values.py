@@ -73,8 +73,8 @@ def rounded_coordinates(points: np.ndarray, crs: CRS | None, path: Path) -> tupl
     notes = _rounded_heights(points[:, 2], 1.0 if crs is None or not has_height(crs) else height_unit_m(crs), path)
     if not (np.isfinite(steps) & (steps > 0.0)).any():
         return notes
-    said = " and ".join(f"{step:.3g}" for step in steps if step > 0.0 and np.isfinite(step))
-    what = f"the eastings and northings of {path} are multiples of {said}"
+    listed = " and ".join(f"{step:.3g}" for step in steps if step > 0.0 and np.isfinite(step))
+    what = f"the eastings and northings of {path} are multiples of {listed}"
     by = _rounding_cause(points[:, :2], steps, metres)
     shared, is_raster = _shared_places(points)
     if by and not is_raster:
@@ -178,16 +178,16 @@ def _no_data_notes(height: np.ndarray, path: Path) -> tuple[str, ...]:
             continue
         low, high = np.quantile(rest, [0.01, 0.99])
         gap = max(low - value, value - high)
-        said = (
+        message = (
             f"{num} of the {len(height)} heights of {path} are exactly {value:.10g}, most of the others from "
             f"{low:.6g} to {high:.6g}"
         )
         far = _FAR if known or value == 0.0 else _FAR_UNKNOWN
         if gap > max(_SPREADS * (high - low), far) and (known or num > 2):
             raise UnreadableFile(
-                f"{said}: a no-data value that the file does not declare; declare it (of a raster: gdal_translate "
+                f"{message}: a no-data value that the file does not declare; declare it (of a raster: gdal_translate "
                 f"-a_nodata {value:.10g} {path.name} new.tif), or remove those points."
             )
         if (known or value == 0.0) and num > max(_SHARE * len(height), 20) and len(np.unique(rest)) > 0.5 * len(rest):
-            return (f"{said}: if that is a no-data value, declare it (gdal_translate -a_nodata {value:.10g})",)
+            return (f"{message}: if that is a no-data value, declare it (gdal_translate -a_nodata {value:.10g})",)
     return ()

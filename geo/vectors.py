@@ -84,13 +84,13 @@ def write_geojson(path: str | Path, layer: Layer) -> str | None:
         )
         properties = {name: values[number] for name, values in layer.columns.items()}
         features.append({"type": "Feature", "properties": properties, "geometry": _geometry(layer.kind, parts)})
-    said = {
+    about = {
         "made_by": "bathynerf",
         "crs_of_survey": crs_code(layer.crs) or layer.crs.name,
         "accuracy_of_wgs84_m": operation.accuracy_m,
         "about": layer.notes,
     }
-    whole = {"type": "FeatureCollection", "name": layer.name, "bathynerf": said, "features": features}
+    whole = {"type": "FeatureCollection", "name": layer.name, "bathynerf": about, "features": features}
     with write_whole(path) as stream:
         stream.write(json.dumps(whole, ensure_ascii=False, allow_nan=False).encode())
     return operation.warning(f"places in {path}") if layer.shapes else None

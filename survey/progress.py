@@ -113,7 +113,7 @@ class Step:
             f"{clock(left)} left" if left else f"{clock(self.seconds)} so far",
             "" if of_run is None else f"about {rough(of_run)} to the end of the run",
         )
-        self._progress._said(f"{self.name}: {', '.join(part for part in (share, *times, detail) if part)}")
+        self._progress._emit(f"{self.name}: {', '.join(part for part in (share, *times, detail) if part)}")
 
 
 class _Ticking:
@@ -205,7 +205,7 @@ class Progress:
             self._bars = Bars(*columns, console=self._console, transient=True)
             self._bars.start()
         elif self._bars is None:
-            self._said(f"{name} ...")
+            self._emit(f"{name} ...")
             ticking = _Ticking(self) if outermost else ticking
         step = Step(self, name, total)
         self._steps.append(step)
@@ -225,7 +225,7 @@ class Progress:
                 self.forecast.end(name, self.now())
         of_run = self.look_ahead() if outermost else None
         rest = "" if of_run is None or of_run < _LINE_EVERY_S else f", about {rough(of_run)} to the end of the run"
-        self._said(f"{name}: done in {clock(step.seconds)}{rest}")
+        self._emit(f"{name}: done in {clock(step.seconds)}{rest}")
 
     def look_ahead(self) -> float | None:
         """Time to the end of the run [s]; None where nothing is forecast, or before it is steady.
@@ -242,7 +242,7 @@ class Progress:
 
     def note(self, text: str) -> None:
         """A line that the user should see."""
-        self._said(text)
+        self._emit(text)
 
     def detail(self, text: str) -> None:
         """A line for the log, shown with ``-v`` only."""
@@ -275,7 +275,7 @@ class Progress:
         _CURRENT.reset(self._token)
         self.close()
 
-    def _said(self, text: str) -> None:
+    def _emit(self, text: str) -> None:
         LOGGER.info("%s", text)
         self._line(text)
 

@@ -11,7 +11,7 @@ from survey.errors import ControlError, SurveyError
 from survey.files.column_units import Units
 from survey.files.csv_table import read_table
 from survey.files.json_values import finite_number
-from survey.files.point_table import PLACE, read_points, require_exact, several_heights, units_said
+from survey.files.point_table import PLACE, read_points, require_exact, several_heights, stated_units
 from survey.settings.config import parse_config
 
 POINTS = [("p1", 676120.25, 5311480.5, 581.375), ("p2", 676121.0, 5311481.25, -3.5)]
@@ -166,7 +166,7 @@ def test_a_mark_of_no_data_is_no_height_and_no_depth(tmp_path, mark, name):
 def test_a_table_with_heights_has_the_unit_of_the_heights(tmp_path, names):
     path = tmp_path / "points.csv"
     written(path, [*PLACE[:2], *names], [[1.0, 2.0, 100.0, 6.0]], ",")
-    assert units_said(path, SurveyError) == Units()
+    assert stated_units(path, SurveyError) == Units()
 
 
 @pytest.mark.parametrize("header", ["x,y,easting,northing,height", "e,n,depth,depth_m", "e,n,n,h", "lon,x,y,z,e"])
@@ -188,7 +188,7 @@ def test_two_units_in_plan_are_refused(tmp_path, header):
 def test_degrees_beside_grid_coordinates_have_no_unit_in_plan(tmp_path):
     path = tmp_path / "points.csv"
     path.write_text("lon,x_m,y_m,z,lat\n1,2,3,4,5\n")
-    assert units_said(path, SurveyError) == Units(plan_m=1.0)
+    assert stated_units(path, SurveyError) == Units(plan_m=1.0)
 
 
 @pytest.mark.parametrize("name", ["wse", "WSE (m)", "water_level", "Water_Surface_Elevation"])

@@ -167,7 +167,7 @@ def test_points_on_one_line_place_a_block_but_for_its_roll(rng):
     line = np.linspace([-20.0, -15.0, 0.0], [20.0, 15.0, 1.0], 4)
     fit = fit_control(block_control(posed, 4, line), posed)
     assert fit.line is not None
-    assert "4 control points lie on one line (spread 18." in fit.line.said(4)
+    assert "4 control points lie on one line (spread 18." in fit.line.describe(4)
     off = fit.similarity(fit.met.places) - np.array([point.local for point in fit.met.points])
     assert np.abs(off).max() < 0.1
 

@@ -79,7 +79,7 @@ def test_a_line_stays_one_with_and_without_a_wrong_position(rng):
     line = line_of(positions, 0.02)
     assert line is not None
     assert abs(line.direction[0]) > 0.999
-    assert "10 GPS positions lie on one line" in line.said(10)
+    assert "10 GPS positions lie on one line" in line.describe(10)
     positions[4, 2] = 2000.0
     assert line_of(positions, 0.02) is not None
 

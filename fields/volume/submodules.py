@@ -94,12 +94,12 @@ class Grid:
         return Box(np.append(low, self.box.low[2]), np.append(high, self.box.high[2]))
 
 
-def counts_of(said: str, size: np.ndarray) -> tuple[int, int]:
+def counts_of(text: str, size: np.ndarray) -> tuple[int, int]:
     """Cells along x and y of "3x2", or of a number of cells that are as square as may be on ground of a size [m]."""
-    if "x" in said:
-        columns, rows = said.split("x")
+    if "x" in text:
+        columns, rows = text.split("x")
         return int(columns), int(rows)
-    number = int(said)
+    number = int(text)
     pairs = [(n, number // n) for n in range(1, number + 1) if number % n == 0]
     return min(pairs, key=lambda pair: abs(np.log(size[0] / pair[0] * pair[1] / size[1])))
 

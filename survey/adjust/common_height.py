@@ -151,17 +151,18 @@ def with_common(found: Adjustment, common: CommonHeight, water: FlatWater | None
         Local, as it was found.
     """
     side = "low" if common.error < 0.0 else "high"
-    said = (
+    message = (
         f"the level of the water places the block: heights of positions are {abs(common.error):.2f} m too {side} "
         f"(+- {common.std:.2g} m), the same for all of them"
     )
     if abs(common.error) > _GPS_WITHIN_M:
         warning = (
-            f"{said}; a barometer may be off by so much, GPS is not: otherwise level_m or its vertical datum is wrong"
+            f"{message}; a barometer may be off by so much, GPS is not: otherwise level_m or its vertical datum is "
+            "wrong"
         )
         found = replace(found, warnings=(*found.warnings, warning))
     else:
-        found = replace(found, notes=(*found.notes, said))
+        found = replace(found, notes=(*found.notes, message))
     found = replace(found, common_up_m=(common.error, common.std))
     heights = common_error(found, water)
     if heights is None or heights.mean <= MOST_STD_LEVEL_M:

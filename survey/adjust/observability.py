@@ -255,15 +255,15 @@ def roll_notes(survey: Survey, done: RobustSolution, gsd_m: float) -> list[str]:
             continue
         std = roll.std_by(prior.layout, done.solution.covariance)
         beside, below = np.median(np.abs(roll.across.flat(state.points)), axis=0).tolist()
-        said = (
+        message = (
             f"positions or control of {len(roll.views)} photographs lie on one line; the roll about it is known to "
             f"{math.degrees(std):.2g} degrees by {_sources_of_roll(survey, done, roll)}, which leaves heights "
             f"{std * beside:.2g} m uncertain (at {beside:.2g} m beside the line, the median) and the bed "
             f"{std * below:.2g} m sideways"
         )
         if std * beside > most:
-            raise SurveyError(f"{said}; heights may be {most:.2g} m uncertain: {ROLL_REMEDY}")
-        notes.append(said)
+            raise SurveyError(f"{message}; heights may be {most:.2g} m uncertain: {ROLL_REMEDY}")
+        notes.append(message)
     return notes
 
 

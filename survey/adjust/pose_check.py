@@ -178,8 +178,8 @@ def deep_check(folder: Path, *, device: str = "auto") -> list[CheckSection]:
 def _rows_of_check(checked: PoseCheck) -> tuple[tuple[str, str], ...]:
     if checked.misfit_px is None:
         return ()
-    said = f"reprojection misfit {checked.misfit_px:.2f} px with the given poses"
-    return (("poses", said if checked.contradiction is None else f"{said}, and {checked.contradiction}"),)
+    message = f"reprojection misfit {checked.misfit_px:.2f} px with the given poses"
+    return (("poses", message if checked.contradiction is None else f"{message}, and {checked.contradiction}"),)
 
 
 def _rows(found: Adjustment) -> tuple[tuple[str, str], ...]:

@@ -184,9 +184,9 @@ def windows_or_recovered_poses(
     try:
         windows = measure()
         lost = without_windows(windows, number)
-        said = f"with the given poses, windows match in {number - lost} of {number} photographs only"
+        message = f"with the given poses, windows match in {number - lost} of {number} photographs only"
     except SurveyError as error:
-        lost, said = number, f"with the given poses, {error}"
+        lost, message = number, f"with the given poses, {error}"
     if windows is not None and lost <= _MOST_LOST * number:
         return windows
     try:
@@ -195,11 +195,11 @@ def windows_or_recovered_poses(
         if windows is not None and 2 * lost < number:
             return windows
         raise SurveyError(
-            f"{said}, and structure from motion finds no better ones: {error}; correct the poses, or keep them as "
+            f"{message}, and structure from motion finds no better ones: {error}; correct the poses, or keep them as "
             "they are with --poses fixed"
         ) from error
     warning = (
-        f"{said}: they are off by more than a few pixels. Structure from motion has estimated them again, and the "
+        f"{message}: they are off by more than a few pixels. Structure from motion has estimated them again, and the "
         "given ones place the block"
     )
     return replace(found, warning=warning)

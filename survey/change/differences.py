@@ -225,9 +225,9 @@ def differences_of(
     crs, notes = _common_crs(clouds, (first, second))
     surveys = []
     for cloud, path in zip(clouds, (first, second), strict=True):
-        each, said = _survey_points(cloud, path, crs, stated)
+        each, of_survey = _survey_points(cloud, path, crs, stated)
         surveys.append(each)
-        notes += said
+        notes += of_survey
     require_same_place(surveys[0].points, surveys[1].points, str(first), str(second))
     low = np.max([each.points[:, :2].min(axis=0) for each in surveys], axis=0)
     high = np.min([each.points[:, :2].max(axis=0) for each in surveys], axis=0)
@@ -250,9 +250,9 @@ def _cloud(path: Path) -> Cloud:
     shape = read_reference(cloud_path(path))
     if not isinstance(shape, Cloud):
         raise ChangeError(f"{path} is a mesh, expected a run folder or a cloud as LAS, LAZ or COPC")
-    out, said = excluded_points(shape)
+    out, kinds = excluded_points(shape)
     if out.all():
-        raise ChangeError(f"no point of {path} is of the ground: it holds {said}")
+        raise ChangeError(f"no point of {path} is of the ground: it holds {kinds}")
     return masked_cloud(shape, ~out)
 
 

@@ -224,8 +224,8 @@ def asked_of_environment(environ: Mapping[str, str] = os.environ) -> ProcessConf
             asked = replace(asked, **{name: getattr(parse_values({name: _value(text)}, ProcessConfig), name)})
             asked.require_sane()
         except ConfigError as error:
-            said = str(error).replace("[process] has", "it has").replace("[process] ", "").replace(name, variable, 1)
-            raise ConfigError(f"in the environment: {said}") from error
+            reason = str(error).replace("[process] has", "it has").replace("[process] ", "").replace(name, variable, 1)
+            raise ConfigError(f"in the environment: {reason}") from error
     return asked
 
 

@@ -227,15 +227,15 @@ def _edge_note(inputs: Inputs, errors: np.ndarray | None) -> list[str]:
         return []
     low, high = (corner(vertices_of(inputs.reference), axis=0)[:2].tolist() for corner in (np.min, np.max))
     name, box = inputs.paths.reference.name, (*low, *high)
-    said = (
+    message = (
         f"{100.0 * beside:.1f} % of the points have no surface of {name} above or below: their distance is that to its "
         "nearest edge, not an error of the cloud"
     )
     around = np.isnan(errors) & ~within(inputs.cloud.points[inputs.inside], box, metres_in_crs(inputs.frame, 0.01))
     if around.mean() > _BESIDE_SHARE:
-        return [f"{said}; crop the cloud to the reference by --bounds {as_text(box)}, or less"]
+        return [f"{message}; crop the cloud to the reference by --bounds {as_text(box)}, or less"]
     return [
-        f"{said}; they are in holes of {name}, or between its edge and the box around it: fill it, or give --bounds"
+        f"{message}; they are in holes of {name}, or between its edge and the box around it: fill it, or give --bounds"
     ]
 
 

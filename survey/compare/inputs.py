@@ -85,10 +85,10 @@ def read_shape(path: Path, water_level: float | None, crs: CRS | None = None) ->
 
 def _classes_of(rows: Sequence[Row], path: Path) -> tuple[np.ndarray | None, tuple[str, ...]]:
     """Classes (N,) of LAS, and a note where a column of that name has none; empty cells are not classified."""
-    said = [row.cells.get("classification", "") for row in rows]
-    if not any(said):
+    parts = [row.cells.get("classification", "") for row in rows]
+    if not any(parts):
         return None, ()
-    for row, cell in zip(rows, said, strict=True):
+    for row, cell in zip(rows, parts, strict=True):
         try:
             is_class = not cell or as_classes(np.array([row.number("classification")])) is not None
         except CompareError:
@@ -244,13 +244,13 @@ def _in_common_unit(shape: Mesh | Cloud, path: Path, crs: CRS | None) -> tuple[M
 
 def _is_ground(cloud: Cloud, path: Path) -> tuple[np.ndarray, list[str]]:
     """Mask (N,) of the points that are compared, by the classes and flags of their file; a note counts the others."""
-    out, said = excluded_points(cloud)
+    out, kinds = excluded_points(cloud)
     if out.all():
-        raise CompareError(f"no point of {path} is of the ground: it holds {said}; give it with the points of the bed")
-    notes = [f"{int(out.sum())} of {len(out)} points of {path.name} are not of the ground and left out: {said}"]
+        raise CompareError(f"no point of {path} is of the ground: it holds {kinds}; give it with the points of the bed")
+    notes = [f"{int(out.sum())} of {len(out)} points of {path.name} are not of the ground and left out: {kinds}"]
     beside = used_as_ground(cloud)
     of_beside = f"{path.name} counts as ground with {beside}: leave them out of the file where they are none"
-    return ~out, [*(notes if said else []), *([of_beside] if beside else [])]
+    return ~out, [*(notes if kinds else []), *([of_beside] if beside else [])]
 
 
 def _of_the_ground(shape: Mesh | Cloud, path: Path) -> tuple[Mesh | Cloud, list[str]]:
@@ -281,14 +281,14 @@ def _surface(shape: Mesh | Cloud, path: Path) -> Mesh | Cloud:
 def _common_crs(cloud: Mesh | Cloud, path: Path, others: dict[Path, Mesh | Cloud]) -> tuple[CRS | None, list[str]]:
     """The CRS of all files, None if none has one: the first that has heights, else the first."""
     known = {path: cloud.crs} | {other_path: other.crs for other_path, other in others.items()}
-    said = {file: crs for file, crs in known.items() if crs is not None}
-    if not said:
+    stated = {file: crs for file, crs in known.items() if crs is not None}
+    if not stated:
         names = " nor ".join(dict.fromkeys(file.name for file in known))
         return None, [
             f"neither {names} has a CRS: coordinates are taken as metres, and the scale of a map grid is not corrected"
         ]
-    source = next((file for file, crs in said.items() if has_height(crs)), next(iter(said)))
-    crs, notes = said[source], []
+    source = next((file for file, crs in stated.items() if has_height(crs)), next(iter(stated)))
+    crs, notes = stated[source], []
     for file, own in known.items():
         if own is None:
             notes.append(f"{file.name} does not say its CRS: taken to be that of {source.name}, {crs.name}")
@@ -310,11 +310,11 @@ def _height_warnings(
     gap = max(low - ref_high, ref_low - high)
     if gap <= 0.0:
         return []
-    said = (
+    message = (
         f"the heights of {paths.cloud} ({low:.10g} to {high:.10g}) and of {paths.reference} ({ref_low:.10g} to "
         f"{ref_high:.10g}) do not meet"
     )
     remedy = "check that both count from the same vertical datum"
     if gap > _FARTHEST_HEIGHT * size_m:
-        raise CompareError(f"{said}; {remedy}, and in the same unit")
-    return [f"{said}: {remedy}"]
+        raise CompareError(f"{message}; {remedy}, and in the same unit")
+    return [f"{message}: {remedy}"]

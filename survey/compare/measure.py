@@ -242,11 +242,11 @@ def uncertainty(
 
     None where no depth is known.
     """
-    said = "vertical difference to the reference; at walls a horizontal offset counts in full"
+    message = "vertical difference to the reference; at walls a horizontal offset counts in full"
     if errors is None:
-        errors, said = distances.signed, "height over the plane through the nearest points of the reference"
+        errors, message = distances.signed, "height over the plane through the nearest points of the reference"
     iho = None if depth is None else iho_s44(errors, depth, distances.reference_std)
-    return None if iho is None else VerticalUncertainty(iho, said)
+    return None if iho is None else VerticalUncertainty(iho, message)
 
 
 def _by_depth(distances: np.ndarray, depth: np.ndarray | None, blocks: Blocks) -> DepthParts | None:

@@ -56,8 +56,8 @@ def tvu_in_words(order: TvuOrder) -> str:
         return "does not meet the TVU"
     parts = {"but not at": order.failing, "undecided at": order.undecided}
     at = [
-        f", {said} {', '.join(limits_label(band.low_m, band.high_m, 'm') for band in bands)}"
-        for said, bands in parts.items()
+        f", {limits} {', '.join(limits_label(band.low_m, band.high_m, 'm') for band in bands)}"
+        for limits, bands in parts.items()
         if bands
     ]
     return "".join(["meets the TVU", *at])

@@ -41,19 +41,19 @@ def require_near(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) ->
         if apart <= _FARTHEST_M:
             continue
         east, north, _ = point.place
-        said = f"{point.where}: the point {point.name[:40]} at {east:.10g}, {north:.10g}"
+        message = f"{point.where}: the point {point.name[:40]} at {east:.10g}, {north:.10g}"
         other = with_swapped_axes(point, crs)
         if other is not None and _distance_m(np.array(other.place), cameras, crs) <= _FARTHEST_M:
             raise ControlError(
-                f"{said} lies {_km(apart)} from the cameras, and among them with easting and northing (or longitude "
+                f"{message} lies {_km(apart)} from the cameras, and among them with easting and northing (or longitude "
                 "and latitude) swapped; swap the two columns in the file"
             )
         middle = np.median(cameras, axis=0)
         if _is_in_degrees(point, crs):
-            raise ControlError(_degrees(said, crs, f", where the cameras are at {middle[0]:.10g}, {middle[1]:.10g}"))
+            raise ControlError(_degrees(message, crs, f", where the cameras are at {middle[0]:.10g}, {middle[1]:.10g}"))
         raise ControlError(
-            f"{said} lies {_km(apart)} from the nearest camera, the cameras are at {middle[0]:.10g}, {middle[1]:.10g} "
-            f"in {crs.name}; correct it, or the CRS of the file"
+            f"{message} lies {_km(apart)} from the nearest camera, the cameras are at {middle[0]:.10g}, "
+            f"{middle[1]:.10g} in {crs.name}; correct it, or the CRS of the file"
         )
     return _height_warnings(points, cameras, crs)
 
@@ -69,17 +69,17 @@ def require_metres(points: Sequence[GivenPoint], crs: CRS) -> None:
     for point in points:
         if _is_in_degrees(point, crs):
             east, north, _ = point.place
-            said = f"{point.where}: the point {point.name[:40]} at {east:.10g}, {north:.10g}"
-            raise ControlError(_degrees(said, crs, ""))
+            message = f"{point.where}: the point {point.name[:40]} at {east:.10g}, {north:.10g}"
+            raise ControlError(_degrees(message, crs, ""))
 
 
 def _is_in_degrees(point: GivenPoint, crs: CRS) -> bool:
     return not is_geographic(crs) and abs(point.place[0]) <= 180.0 and abs(point.place[1]) <= 90.0
 
 
-def _degrees(said: str, crs: CRS, where: str) -> str:
+def _degrees(value: str, crs: CRS, where: str) -> str:
     return (
-        f"{said} looks like longitude and latitude, expected {crs.name}{where}; convert it, or name the CRS in the "
+        f"{value} looks like longitude and latitude, expected {crs.name}{where}; convert it, or name the CRS in the "
         'first line of a gcp_list.txt ("EPSG:4326", longitude first)'
     )
 
@@ -105,13 +105,13 @@ def _far_heights(points: Sequence[GivenPoint], heights_m: np.ndarray) -> list[st
     if len(points) < _FEWEST or not far.any():
         return []
     low, high = heights_m[~far].min(), heights_m[~far].max()
-    said = [
+    parts = [
         f"{point.name[:40]} ({height:.2f} m in {point.where})"
         for point, height, is_far in zip(points, heights_m.tolist(), far.tolist(), strict=True)
         if is_far
     ]
     return named(
-        said, "control or check point", f"far from the others by its height, which are at {low:.2f} to {high:.2f} m"
+        parts, "control or check point", f"far from the others by its height, which are at {low:.2f} to {high:.2f} m"
     )
 
 

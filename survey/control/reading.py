@@ -42,7 +42,7 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS) -> tuple[list[GivenPoint], Fi
         If heights count from another datum or have no unit, a grid of the best transformation is missing, or PROJ
         knows none.
     """
-    done, said = list(points), Findings()
+    done, findings = list(points), Findings()
     for source, units in dict.fromkeys((point.crs, point.units) for point in points):
         if source is None and units == Units():
             continue
@@ -63,10 +63,10 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS) -> tuple[list[GivenPoint], Fi
                 f"points in {crs_name(source)} ({first.where}) are transformed to {horizontal_crs(crs).name}; their "
                 f"heights {heights}"
             )
-            said += Findings((assumption,), () if warning is None else (warning,))
+            findings += Findings((assumption,), () if warning is None else (warning,))
         elif scale != 1.0:
             assumption = f"heights of {first.where} are multiplied by {scale:.7g}, by the units of its columns or CRS"
-            said += Findings((assumption,))
+            findings += Findings((assumption,))
         places[:, 2] *= scale
         for i, place in zip(of_source, places.tolist(), strict=True):
             if not np.isfinite(place).all():
@@ -76,7 +76,7 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS) -> tuple[list[GivenPoint], Fi
                     "first) or the CRS of the file"
                 )
             done[i] = replace(points[i], place=tuple(place), crs=None, as_read=points[i], datum_std_m=added)
-    return done, said
+    return done, findings
 
 
 def _height_scale(first: GivenPoint, source: CRS, crs: CRS) -> float:
@@ -148,7 +148,7 @@ def merge_control(
         If a point has two places, a mark lies outside its photograph or has two places in it, or nothing is left.
     """
     given = [point for content in contents for point in content.points]
-    given, said = in_crs(given, crs)
+    given, findings = in_crs(given, crs)
     points = _points(given, crs)
     marks, warnings = _marks([content.marks for content in contents], points, sizes)
     marked = {mark.point for mark in marks}
@@ -160,7 +160,7 @@ def merge_control(
     order = {point.name: i for i, point in enumerate(kept)}
     marks.sort(key=lambda mark: (order[mark.point], mark.view))
     gathered = MergedControl(kept, tuple(marks), tuple(point for point in unmarked if point.is_check))
-    return gathered, said + Findings(warnings=tuple(warnings))
+    return gathered, findings + Findings(warnings=tuple(warnings))
 
 
 def _points(given: Sequence[GivenPoint], crs: CRS) -> dict[str, GivenPoint]:
@@ -198,8 +198,8 @@ def _marks(
     unknown_images: dict[str, GivenMark] = {}
     unknown_points: dict[str, GivenMark] = {}
     called = [(mark, names) for given in of_files for names in [ImageNames(sizes)] for mark in given]
-    for said, names in called:
-        mark, image = said, names.find(said.image, said.where)
+    for written, names in called:
+        mark, image = written, names.find(written.image, written.where)
         if image is None:
             unknown_images.setdefault(mark.image, mark)
         elif mark.point not in points:

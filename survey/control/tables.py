@@ -12,7 +12,7 @@ from survey.control.points import Content, ControlFormat, GivenMark, GivenPoint,
 from survey.errors import ControlError
 from survey.files.column_units import Units, crs_of_comment
 from survey.files.csv_table import Row, column_names, read_table, shortened
-from survey.files.point_table import PLACE, STDS, SYNONYMS, has_depths, read_points, require_exact, units_said
+from survey.files.point_table import PLACE, STDS, SYNONYMS, has_depths, read_points, require_exact, stated_units
 
 # Names of the columns in other programs.
 _MARK_SYNONYMS = {
@@ -37,7 +37,7 @@ def read_coordinates(path: Path) -> Content:
     require_exact(rows, path, ControlError)
     if rows and "name" not in column_names(path, SYNONYMS):
         raise ControlError(f"{path}: the first line has no column name, expected {','.join(columns)}; add it")
-    crs, units = crs_of_comment(path, ControlError), units_said(path, ControlError)
+    crs, units = crs_of_comment(path, ControlError), stated_units(path, ControlError)
     return Content(points=tuple(replace(_point(row, crs), units=units) for row in rows))
 
 
@@ -73,12 +73,12 @@ def read_checkpoints(path: Path, level: float | None = None, survey_crs: CRS | N
         units = Units(Units.of(crs or survey_crs).plan_m, Units.of(survey_crs).height_m)
     rows = read_points(path, level=level, give_level="give [water] level_m", units=units, error=ControlError)
     require_exact(rows, path, ControlError)
-    said = units_said(path, ControlError) if units is None else Units(height_m=units.height_m)
+    stated = stated_units(path, ControlError) if units is None else Units(height_m=units.height_m)
     if not rows:
         raise ControlError(f"{path} has no check points, expected lines name,easting,northing,height; add them")
     points: dict[str, GivenPoint] = {}
     for i, row in enumerate(rows, start=1):
-        point = GivenPoint(row.cells.get("name") or str(i), row.where, _place(row), crs, is_check=True, units=said)
+        point = GivenPoint(row.cells.get("name") or str(i), row.where, _place(row), crs, is_check=True, units=stated)
         first = points.setdefault(point.name, point)
         if first is not point:
             raise ControlError(

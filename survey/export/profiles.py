@@ -114,9 +114,9 @@ class Bed:
         self._reference: Mesh | Cloud | None = None
         if reference is None:
             cloud = read_cloud(file)
-            out, said = excluded_points(cloud)
+            out, kinds = excluded_points(cloud)
             if out.all():
-                raise ProfileError(f"no point of {file} is of the ground: it holds {said}; give the points of the bed")
+                raise ProfileError(f"no point of {file} is of the ground: it holds {kinds}; give the points of the bed")
             self._cloud = masked_cloud(cloud, ~out)
             crs = cloud.crs
         else:

@@ -61,9 +61,9 @@ class Units:
     def meant(self, target: Units) -> Units:
         """These units, with a foot of unknown kind taken as that of the target, where the target has feet."""
 
-        def one(said: float | None, own: float | None) -> float | None:
+        def one(stated: float | None, own: float | None) -> float | None:
             is_foot = own is not None and any(same_unit(own, foot) for foot in _FEET)
-            return own if isinstance(said, UnspecifiedFoot) and is_foot else said
+            return own if isinstance(stated, UnspecifiedFoot) and is_foot else stated
 
         return Units(one(self.plan_m, target.plan_m), one(self.height_m, target.height_m))
 
@@ -81,10 +81,10 @@ class Units:
         """
         if self.plan_m is None or (target.plan_m is not None and same_unit(self.plan_m, target.plan_m)):
             return None
-        said = "degrees" if target.plan_m is None else f"{target.plan_m:.10g} m"
+        message = "degrees" if target.plan_m is None else f"{target.plan_m:.10g} m"
         return (
             f"eastings and northings are in units of {self.plan_m:.10g} m by the names of their columns, expected "
-            f"{said} as in the CRS"
+            f"{message} as in the CRS"
         )
 
 
@@ -107,9 +107,9 @@ def common_unit_m(
     if east is None and north is None:
         return None
     if east is None or north is None or not same_unit(east, north):
-        said = ["without a unit" if unit is None else f"in units of {unit:.10g} m" for unit in (east, north)]
+        parts = ["without a unit" if unit is None else f"in units of {unit:.10g} m" for unit in (east, north)]
         raise error(
-            f"{path}: {names[0]} is {said[0]} and {names[1]} {said[1]}, by the names of their columns; expected one "
+            f"{path}: {names[0]} is {parts[0]} and {names[1]} {parts[1]}, by the names of their columns; expected one "
             "unit: convert one, or name it in both"
         )
     return east
@@ -155,7 +155,7 @@ def crs_of_comment(path: Path, error: type[SurveyError]) -> CRS | None:
         If it is not known.
     """
     lines = (line.strip() for _, line in text_lines(path, error))
-    found = next((said for line in lines if (said := _said(line)) is not None), None)
+    found = next((named for line in lines if (named := _crs_named(line)) is not None), None)
     if found is None or "LOCAL_CS" in found:
         return None
     try:
@@ -169,7 +169,7 @@ def crs_of_comment(path: Path, error: type[SurveyError]) -> CRS | None:
     return None if crs.is_vertical and not crs.is_compound else crs
 
 
-def _said(line: str) -> str | None:
+def _crs_named(line: str) -> str | None:
     """CRS that a line of a file names."""
     if match := _COMMENT.match(line):
         return match[1]
@@ -202,20 +202,22 @@ def odm_crs(line: str, where: str, name: str, error: type[SurveyError]) -> CRS:
     if _WGS84.fullmatch(line):
         return CRS.from_epsg(4326)
     utm, epsg = _UTM.fullmatch(line), _EPSG.fullmatch(line)
-    said = f'{where}: "{shortened(line)}"'
+    message = f'{where}: "{shortened(line)}"'
     if utm is not None:
         zone = int(utm[1])
         if not 1 <= zone <= 60:
-            raise error(f"{said} is not a UTM zone, expected 1 to 60; correct it")
+            raise error(f"{message} is not a UTM zone, expected 1 to 60; correct it")
         return CRS.from_epsg((32600 if utm[2].upper() == "N" else 32700) + zone)
     if not is_odm_crs(line):
         if sum(math.isfinite(number_of(word)) for word in line.split()) > 1:
-            raise error(f"{said} is a line of a point, expected the CRS before it, {_FORM}; add it")
-        raise error(f"{said} is not a CRS that {name} may begin with, expected {_FORM}; correct it")
+            raise error(f"{message} is a line of a point, expected the CRS before it, {_FORM}; add it")
+        raise error(f"{message} is not a CRS that {name} may begin with, expected {_FORM}; correct it")
     try:
         crs = crs_of(f"EPSG:{epsg[1]}" if epsg is not None else line.strip("'\""))
     except CRSError as wrong:
-        raise error(f"{said} is not a known CRS, expected {_FORM}; correct it") from wrong
+        raise error(f"{message} is not a known CRS, expected {_FORM}; correct it") from wrong
     if not (crs.is_projected or crs.is_geographic):
-        raise error(f"{said} is {crs.name}, expected a CRS of a map or of longitude and latitude, {_FORM}; correct it")
+        raise error(
+            f"{message} is {crs.name}, expected a CRS of a map or of longitude and latitude, {_FORM}; correct it"
+        )
     return crs

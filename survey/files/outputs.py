@@ -76,25 +76,25 @@ def require_file(
     """
     if path is None:
         return
-    said = f"{option} names {path}, "
+    message = f"{option} names {path}, "
     if path.is_dir():
-        raise OutputError(f"{said}which is a folder; name a file")
+        raise OutputError(f"{message}which is a folder; name a file")
     if not path.parent.is_dir():
         what = "is a file" if path.parent.exists() else "does not exist"
-        raise OutputError(f"{said}whose folder {what}; create the folder or correct the path")
+        raise OutputError(f"{message}whose folder {what}; create the folder or correct the path")
     # A device or a pipe, e.g. /dev/stdout, is written into.
     if path.is_file():
         same = inputs.same_as(path)
         if same is not None:
-            raise OutputError(f"{said}which would overwrite the input {same}; choose another name")
+            raise OutputError(f"{message}which would overwrite the input {same}; choose another name")
         with path.open("rb") as stream:
             head = stream.read(_HEAD_BYTES)
         if not is_of_kind(head):
-            raise OutputError(f"{said}which exists and is not {kind}; remove it or choose another name")
+            raise OutputError(f"{message}which exists and is not {kind}; remove it or choose another name")
         if not os.access(path, os.W_OK):
-            raise OutputError(f"{said}which is write-protected; remove the protection or choose another name")
+            raise OutputError(f"{message}which is write-protected; remove the protection or choose another name")
     elif not path.exists():
-        _require_permission(said, path.parent)
+        _require_permission(message, path.parent)
 
 
 def require_folder(option: str, path: Path | None, inputs: ReadFiles, *, may_hold_inputs: bool = False) -> None:
@@ -108,19 +108,19 @@ def require_folder(option: str, path: Path | None, inputs: ReadFiles, *, may_hol
     """
     if path is None:
         return
-    said = f"{option} names {path}, "
+    message = f"{option} names {path}, "
     above = next(place for place in (path, *path.absolute().parents) if place.exists())
     if not above.is_dir():
         what = "which is a file" if above == path else f"but {above} is a file"
-        raise OutputError(f"{said}{what}; name another folder")
-    _require_permission(said, above)
+        raise OutputError(f"{message}{what}; name another folder")
+    _require_permission(message, above)
     for folder in inputs.folders:
         if _is_within(path, folder):
             where = "whose files" if _is_within(folder, path) else f"which lies in {folder}, whose files"
-            raise OutputError(f"{said}{where} are read; name a folder elsewhere")
+            raise OutputError(f"{message}{where} are read; name a folder elsewhere")
     held = [place for place in (*inputs.files, *inputs.folders) if _is_within(place, path)]
     if held and not may_hold_inputs:
-        raise OutputError(f"{said}which holds the input {held[0]}; move that, or name another folder")
+        raise OutputError(f"{message}which holds the input {held[0]}; move that, or name another folder")
 
 
 def is_json(head: bytes) -> bool:
@@ -137,14 +137,16 @@ def _is_within(path: Path, folder: Path) -> bool:
     return path.resolve().is_relative_to(folder.resolve())
 
 
-def _require_permission(said: str, folder: Path) -> None:
+def _require_permission(message: str, folder: Path) -> None:
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise OutputError(f"{said}but {folder} is not writable; change its permissions or name another place")
+        raise OutputError(f"{message}but {folder} is not writable; change its permissions or name another place")
     # Permission is not all: folders of the system, as those in /proc, take no file, nor does a full disk.
     try:
         TemporaryFile(dir=folder).close()
     except OSError as error:
-        raise OutputError(f"{said}but {folder} accepts no new file ({error.strerror}); name another place") from error
+        raise OutputError(
+            f"{message}but {folder} accepts no new file ({error.strerror}); name another place"
+        ) from error
 
 
 @contextmanager

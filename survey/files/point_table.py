@@ -99,7 +99,7 @@ def read_points(
         How it is given, for a message, e.g. "give --water-level".
     units : Units, optional
         Of the CRS of the points, which heights and depths get where the table has them in others. Without it heights
-        stay as they are: `units_said`.
+        stay as they are: `stated_units`.
     error : type
         What is raised.
 
@@ -109,17 +109,17 @@ def read_points(
         Where columns are missing, two have the same meaning, or eastings are in another unit; as
         `survey.files.csv_table.read_table`.
     """
-    synonyms, said = _synonyms_for(path, error), units_said(path, error)
+    synonyms, stated = _synonyms_for(path, error), stated_units(path, error)
     if by_place and _is_of_numbers(path, error):
         return _refuse_no_data(read_table(path, PLACE, optional=("std",), header=False, error=error), "height", error)
     names = column_names(path, synonyms)
     found = shortened(", ".join(names)) or "nothing"
     _require_one_column(path, synonyms, error)
-    said = said if units is None else said.meant(units)
-    fault = None if units is None else said.plan_fault(units)
+    stated = stated if units is None else stated.meant(units)
+    fault = None if units is None else stated.plan_fault(units)
     if fault is not None:
         raise error(f"{path}: {fault}; convert them")
-    factor = 1.0 if units is None else said.height_factor(units)
+    factor = 1.0 if units is None else stated.height_factor(units)
     if has_depths(path):
         has_levels = "level" in names
         if level is None and not has_levels:
@@ -144,7 +144,7 @@ def read_points(
     return _in_metres(_scaled(rows, "height", factor), path, error)
 
 
-def units_said(path: Path, error: type[SurveyError]) -> Units:
+def stated_units(path: Path, error: type[SurveyError]) -> Units:
     """Units that the names of the columns of a table give its coordinates, depths among them.
 
     Raises
@@ -153,7 +153,7 @@ def units_said(path: Path, error: type[SurveyError]) -> Units:
         Where easting and northing have two units, or one of them has none.
     """
     synonyms = _synonyms_for(path, error)
-    words = [(cell, said) for cell in first_cells(path, error) if (said := meaning(cell, _WORDS)) is not None]
+    words = [(cell, known) for cell in first_cells(path, error) if (known := meaning(cell, _WORDS)) is not None]
     # Not those of degrees beside grid coordinates.
     found = {name: unit for cell, (name, unit) in words if synonyms.get(cell, cell) == name}
     plan = common_unit_m(found, (PLACE[0], PLACE[1]), path, error)
@@ -164,7 +164,7 @@ def units_said(path: Path, error: type[SurveyError]) -> Units:
 
 def _in_metres(rows: Sequence[Row], path: Path, error: type[SurveyError]) -> list[Row]:
     """Rows with standard deviations in metres, whose columns may name another unit."""
-    units = {said[0]: said[1] for cell in first_cells(path, error) if (said := meaning(cell, _WORDS)) is not None}
+    units = {known[0]: known[1] for cell in first_cells(path, error) if (known := meaning(cell, _WORDS)) is not None}
     done = list(rows)
     for name in _STDS:
         done = _scaled(done, name, units.get(name) or 1.0)
@@ -265,7 +265,7 @@ def _require_near(rows: Sequence[Row], level: float | None, path: Path, error: t
 
 def _with_units(cells: Sequence[str]) -> dict[str, str]:
     """The words that columns are known by, with these names of columns that have a unit behind them."""
-    return SYNONYMS | {cell: said[0] for cell in cells if (said := meaning(cell, _WORDS)) is not None}
+    return SYNONYMS | {cell: known[0] for cell in cells if (known := meaning(cell, _WORDS)) is not None}
 
 
 def _require_one_column(path: Path, synonyms: dict[str, str], error: type[SurveyError]) -> None:

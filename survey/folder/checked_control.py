@@ -104,7 +104,7 @@ def require_placing_control(found: Found) -> BlockControl:
         )
     line = line_of_control(enough)
     if line is not None and not may_hold_roll(found):
-        raise ControlError(f"{line.said(len(enough))}; {ROLL_REMEDY}")
+        raise ControlError(f"{line.describe(len(enough))}; {ROLL_REMEDY}")
     return control
 
 
@@ -169,7 +169,7 @@ def checked_parts(found: Found, frame: LocalFrame, block: ControlledBlock) -> tu
     part = np.maximum(connected_parts(len(views), ties.point, ties.view), 0)
     moved_views, priors, marks = list(views), dict(block.priors), []
     refusals: list[ControlError] = []
-    said = Findings()
+    findings = Findings()
     for number in range(int(part.max()) + 1):
         mine = np.flatnonzero(part == number)
         names = {views[k].name for k in mine}
@@ -182,7 +182,7 @@ def checked_parts(found: Found, frame: LocalFrame, block: ControlledBlock) -> tu
         except ControlError as error:
             refusals.append(error)
             continue
-        said += of_part
+        findings += of_part
         priors |= checked.priors
         marks += [] if checked.control is None else list(checked.control.marks)
         if checked.move is not None:
@@ -192,13 +192,13 @@ def checked_parts(found: Found, frame: LocalFrame, block: ControlledBlock) -> tu
     if refusals and not marks:
         raise refusals[0]
     what = "control of a part of the photographs that shares no points with the others"
-    said += Findings(warnings=tuple(f"{what}: {error}" for error in refusals))
+    findings += Findings(warnings=tuple(f"{what}: {error}" for error in refusals))
     kept = {mark.point for mark in marks}
     points = tuple(point for point in control.points if point.name in kept)
     order = {mark: place for place, mark in enumerate(control.marks)}
     marks.sort(key=order.__getitem__)
     left = replace(control, points=points, marks=tuple(marks)) if points else None
-    return ControlledBlock(moved_views, ties, left, priors), said
+    return ControlledBlock(moved_views, ties, left, priors), findings
 
 
 def _of_views(control: Control, names: set[str]) -> Control:
@@ -287,20 +287,20 @@ def _other_datum(common: np.ndarray, std: np.ndarray, reach: float, priors: Mapp
     std, reach : (3,) [m], [m]
         Of control points; distance to the cameras.
     """
-    said = (
+    message = (
         f"the positions of the cameras put control points {common[0]:.2f} m east, {common[1]:.2f} m north and "
         f"{common[2]:.2f} m up of their coordinates"
     )
     bent = _BENT_SHARE * reach
     if np.hypot(common[0], common[1]) > _OTHER_DATUM_M + bent + _MOST_STD * float(std[:2].max()):
-        raise ControlError(f"{said}: one of both has another CRS or datum; correct crs, or the CRS of the control")
+        raise ControlError(f"{message}: one of both has another CRS or datum; correct crs, or the CRS of the control")
     stated = [prior.position_std for prior in priors.values() if prior.position_std is not None]
     of_positions = np.median(stated, axis=0) if stated else np.full(3, GPS_STD_M)
     if (np.abs(common) <= bent + _MOST_STD * np.hypot(of_positions, std)).all():
         return None
     return (
-        f"{said}, more than their stated accuracies allow: the block is fitted to the control, and the accuracy of the "
-        "positions is estimated; check the base station, and the datum of the heights"
+        f"{message}, more than their stated accuracies allow: the block is fitted to the control, and the accuracy of "
+        "the positions is estimated; check the base station, and the datum of the heights"
     )
 
 

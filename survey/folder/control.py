@@ -83,13 +83,13 @@ def find_control(
         if name is not None:
             existing_file(folder / name)
     checkpoints: list[GivenPoint] = []
-    said = Findings()
+    findings = Findings()
     if config.checkpoints is not None:
         given = read_checkpoints(folder / config.checkpoints, level, crs)
-        checkpoints, said = in_crs(given, crs)
+        checkpoints, findings = in_crs(given, crs)
     if not config.gcp_files:
         found = FoundControl(config, None, tuple(checkpoints))
-        return found, said + Findings(warnings=_repeated_heights(found, crs))
+        return found, findings + Findings(warnings=_repeated_heights(found, crs))
     contents = [read_control(folder / name) for name in config.gcp_files]
     if config.marks is not None:
         # Metashape's XML has coordinates too, but here only its marks are used.
@@ -98,9 +98,9 @@ def find_control(
     gathered, of_files = merge_control(contents, crs, sizes)
     untold = _unstated_accuracy(config, gathered)
     config, assumed = _with_stds(config, gathered)
-    said += of_files + Findings(assumed, untold)
+    findings += of_files + Findings(assumed, untold)
     found = FoundControl(config, gathered, (*checkpoints, *gathered.unmarked))
-    return found, said + Findings(warnings=_repeated_heights(found, crs))
+    return found, findings + Findings(warnings=_repeated_heights(found, crs))
 
 
 def _repeated_heights(found: FoundControl, crs: CRS) -> tuple[str, ...]:
@@ -283,8 +283,10 @@ def read_ground(
             f"(of {num_all} points, {len(local)} are near the photographs); give a reference of the bank or of rocks "
             "over the water, in the vertical datum of crs"
         )
-    std, said = _shared_std(given.reference_std_m, masked_cloud(cloud, dry), given.reference)
-    return StableGround(local[dry], (math.hypot(std[0], way_std[0]), math.hypot(std[1], way_std[1]))), of_file + said
+    std, findings = _shared_std(given.reference_std_m, masked_cloud(cloud, dry), given.reference)
+    return StableGround(
+        local[dry], (math.hypot(std[0], way_std[0]), math.hypot(std[1], way_std[1]))
+    ), of_file + findings
 
 
 def _near(cloud: Cloud, frame: LocalFrame, places: np.ndarray) -> Cloud:
@@ -314,8 +316,8 @@ def _in_crs(path: Path, crs: CRS) -> tuple[Cloud, tuple[float, float], Findings]
     cloud = Cloud(points=vertices_of(shape), crs=shape.crs) if isinstance(shape, Mesh) else shape
     if isinstance(shape, Mesh):
         cloud = replace(cloud, height_unit_m=shape.height_unit_m)
-    out, said = excluded_points(cloud)
-    notes = [f"{path.name}: {said} are left out"] if said else []
+    out, findings = excluded_points(cloud)
+    notes = [f"{path.name}: {findings} are left out"] if findings else []
     cloud = masked_cloud(cloud, ~out)
     own = cloud.crs
     if own is None or not has_height(own):

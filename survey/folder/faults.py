@@ -78,14 +78,14 @@ def require_focal_lengths(lenses: dict[str, Lens], headers: dict[str, Exif]) -> 
     name = list(known)[int(np.argsort(ratios)[len(ratios) // 2])]
     focal, by_exif = lenses[name].focal[0], known[name]
     ratio = focal / by_exif
-    said = f"the focal length of {name} is {focal:g} px, and EXIF gives {by_exif:.0f} px"
+    message = f"the focal length of {name} is {focal:g} px, and EXIF gives {by_exif:.0f} px"
     if max(ratio, 1.0 / ratio) > _WRONG_RATIO:
         raise ConfigError(
-            f"{said}, expected a factor of at most {_WRONG_RATIO:g} between them; give it in pixels of these images, "
-            "in [cameras] focal_px or in the poses file"
+            f"{message}, expected a factor of at most {_WRONG_RATIO:g} between them; give it in pixels of these "
+            "images, in [cameras] focal_px or in the poses file"
         )
     if max(ratio, 1.0 / ratio) > _DOUBTFUL_RATIO:
-        warnings.append(f"{said}; check that it is in pixels of these images, unless they are cropped")
+        warnings.append(f"{message}; check that it is in pixels of these images, unless they are cropped")
     return warnings
 
 
@@ -287,24 +287,23 @@ def exif_height_warnings(heights_m: Mapping[str, float], headers: Mapping[str, E
 
 def xmp_height_warnings(gps_height: str, crs: CRS, headers: Mapping[str, Exif]) -> list[str]:
     """A warning where XMP says that GPS heights count from something else than `gps_height` takes them for."""
-    vertical, said = (
-        vertical_crs(crs),
-        [header.height_datum for header in headers.values() if header.height_datum is not None],
-    )
-    if not said or vertical is None:
+    vertical = vertical_crs(crs)
+    datums = [header.height_datum for header in headers.values() if header.height_datum is not None]
+    if not datums or vertical is None:
         return []
-    ellipsoidal = sum(datum == ELLIPSOIDAL for datum in said)
-    if gps_height == "crs" and ellipsoidal > len(said) / 2:
+    ellipsoidal = sum(datum == ELLIPSOIDAL for datum in datums)
+    if gps_height == "crs" and ellipsoidal > len(datums) / 2:
         return [
             f"XMP says that the heights of {ellipsoidal} of {len(headers)} images count from the ellipsoid, and "
             f'gps_height = "crs" takes them as {vertical.name}: write gps_height = "ellipsoidal" in [cameras], and '
             "level_m in the heights of crs"
         ]
-    if gps_height == "ellipsoidal" and ellipsoidal < len(said) / 2:
-        other = next(datum for datum in said if datum != ELLIPSOIDAL)
+    if gps_height == "ellipsoidal" and ellipsoidal < len(datums) / 2:
+        other = next(datum for datum in datums if datum != ELLIPSOIDAL)
         return [
-            f'gps_height = "ellipsoidal", but XMP says that the heights of {len(said) - ellipsoidal} of {len(headers)} '
-            f'images count from {other[:40]}: write gps_height = "crs" in [cameras] if that is the datum of crs'
+            f'gps_height = "ellipsoidal", but XMP says that the heights of {len(datums) - ellipsoidal} of '
+            f'{len(headers)} images count from {other[:40]}: write gps_height = "crs" in [cameras] if that is the '
+            "datum of crs"
         ]
     return []
 

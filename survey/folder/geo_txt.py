@@ -143,20 +143,20 @@ def _replaced(path: Path, crs: CRS, headers: Mapping[str, Exif], line_of: Mappin
     """Note on the replaced positions and their distance from the file's."""
     in_exif = {name: headers[name].lat_lon_height for name in line_of}
     replaced = {name: position for name, position in in_exif.items() if position is not None}
-    said = f"positions of {len(line_of)} of {len(headers)} images are those in {path.name} ({crs.name})"
+    message = f"positions of {len(line_of)} of {len(headers)} images are those in {path.name} ({crs.name})"
     if not replaced:
-        return Findings((f"{said}; EXIF has none of them",))
+        return Findings((f"{message}; EXIF has none of them",))
     lat, lon = np.array([position[:2] for position in replaced.values()]).T
     own_lon, own_lat = lon_lat(crs, np.array([line_of[name].place for name in replaced])).T
     away = float(np.median(Geod(ellps="WGS84").inv(lon, lat, own_lon, own_lat)[2]))
-    said = f"{said}, instead of those in EXIF of {len(replaced)}, {away:.2g} m away (median)"
+    message = f"{message}, instead of those in EXIF of {len(replaced)}, {away:.2g} m away (median)"
     if not away > SAME_PLACE_M:
-        return Findings((said,))
+        return Findings((message,))
     warning = (
         f"the positions in {path.name} lie {away:.0f} m (median) from those in EXIF: check the CRS in its first "
         "line, and that easting or longitude comes first"
     )
-    return Findings((said,), (warning,))
+    return Findings((message,), (warning,))
 
 
 def _read(path: Path) -> tuple[CRS, list[_Line]]:

@@ -60,8 +60,8 @@ def config_of_images(
     table = table_crs(headers)
     if table is not None and file is None:
         crs, name = (table, "") if "+" in table else (f"{table}+{EGM96_HEIGHT}", ": above mean sea level")
-        said = f'crs = "{crs}", that of {GEO_TXT}, with heights taken as they are there{name}'
-        return replace(config, crs=crs), Findings((said,))
+        message = f'crs = "{crs}", that of {GEO_TXT}, with heights taken as they are there{name}'
+        return replace(config, crs=crs), Findings((message,))
     code = by_exif
     if code is None and file is not None and file.frame is PoseFrame.GEOCENTRIC:
         lon, lat = middle_of_geocentric(file)
@@ -69,8 +69,8 @@ def config_of_images(
     control = folder / GCP_LIST
     if code is None and file is None and control.is_file():
         crs, heights = _crs_of_control(control)
-        said = f'crs = "{crs}", that of {GCP_LIST}{heights}; its points place the photographs'
-        return replace(config, crs=crs, control=replace(config.control, gcps=GCP_LIST)), Findings((said,))
+        message = f'crs = "{crs}", that of {GCP_LIST}{heights}; its points place the photographs'
+        return replace(config, crs=crs, control=replace(config.control, gcps=GCP_LIST)), Findings((message,))
     if code is None:
         raise ConfigError(
             f"{folder} has no {FILE_NAME}, and no image has a GPS position to infer it from; write {FILE_NAME} with "

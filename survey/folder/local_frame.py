@@ -105,9 +105,9 @@ def with_level_of_points(
     x, y, _ = np.median(centres, axis=0)
     start = frame.crs_from_local(np.array([[x, y, over_points(points, centres)]]))[0, 2]
     level = round(float(start) * height_unit_m(frame.crs), 2)
-    said = f"level_m is not given: the search for it starts at {level:g} m, above the matched points"
+    message = f"level_m is not given: the search for it starts at {level:g} m, above the matched points"
     water = replace(config.water, level_m=level, level_std_m=MOST_LEVEL_STD_M)
-    return replace(config, water=water), Findings((said,))
+    return replace(config, water=water), Findings((message,))
 
 
 def over_points(points: np.ndarray, centres: np.ndarray) -> float:
@@ -132,10 +132,10 @@ def water_in_local(
         given = replace(given, level_at=(float(middle[0]), float(middle[1])))
     if not given.states_index:
         given = replace(given, index_std=ASSUMED_INDEX_STD)
-    index, said = refractive_index(given, lambda: matched_light(views))
+    index, findings = refractive_index(given, lambda: matched_light(views))
     given = replace(given, refractive_index=index, medium=Medium())
     water = water_plane(frame, given)
-    return replace(config, water=given), water, said
+    return replace(config, water=given), water, findings
 
 
 def water_plane(frame: LocalFrame, given: WaterConfig) -> FlatWater:

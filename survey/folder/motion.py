@@ -202,5 +202,5 @@ def shutter_text(
 
 
 def _moved(metres: float, per_px: float | None) -> str:
-    said = f"{100.0 * metres:.1f} cm" if metres < 0.1 else f"{100.0 * metres:.0f} cm"
-    return said if per_px is None or not per_px > 0.0 else f"{said} or {metres / per_px:.1f} px"
+    message = f"{100.0 * metres:.1f} cm" if metres < 0.1 else f"{100.0 * metres:.0f} cm"
+    return message if per_px is None or not per_px > 0.0 else f"{message} or {metres / per_px:.1f} px"

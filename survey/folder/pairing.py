@@ -87,8 +87,8 @@ def with_lenses(found: Found, poses: list[Pose]) -> tuple[list[Pose], Findings]:
     cameras = found.config.cameras
     lens = poses[0].lens
     if lens is None or any(pose.lens is None for pose in poses):
-        of_config, said = lenses_from_config(cameras, {pose.name: found.headers[pose.name] for pose in poses})
-        return [replace(pose, lens=pose.lens or of_config[pose.name]) for pose in poses], said
+        of_config, findings = lenses_from_config(cameras, {pose.name: found.headers[pose.name] for pose in poses})
+        return [replace(pose, lens=pose.lens or of_config[pose.name]) for pose in poses], findings
     own, size = lens.focal[0], (lens.width, lens.height)
     given = cameras.focal_px[0] if isinstance(cameras.focal_px, tuple) else cameras.focal_px
     warnings = []
@@ -132,14 +132,14 @@ def lenses_from_config(cameras: CamerasConfig, headers: dict[str, Exif]) -> tupl
                 header
             )
     if len(groups) < 2 or any(header.focal_px is None for header in headers.values()):
-        lens, said = lens_from_config(cameras, headers)
-        return dict.fromkeys(headers, lens), said
+        lens, findings = lens_from_config(cameras, headers)
+        return dict.fromkeys(headers, lens), findings
     lenses: dict[str, Lens] = {}
     notes: list[str] = []
     for (camera, *_), own in groups.items():
-        lens, said = lens_from_config(cameras, own)
+        lens, findings = lens_from_config(cameras, own)
         lenses |= dict.fromkeys(own, lens)
-        notes += [f"{camera or 'a camera without a name'}, {len(own)} images: {note}" for note in said.assumptions]
+        notes += [f"{camera or 'a camera without a name'}, {len(own)} images: {note}" for note in findings.assumptions]
     return lenses, Findings(tuple(notes))
 
 
@@ -156,9 +156,9 @@ def lens_from_config(cameras: CamerasConfig, headers: dict[str, Exif]) -> tuple[
         Where a number is missing, or does not fit the camera model.
     """
     width, height = cameras.size_px or _common_size(headers)
-    (fx, fy), said = _focal(cameras, headers)
+    (fx, fy), findings = _focal(cameras, headers)
     if cameras.principal_point_px is None:
-        said += Findings(("the principal point is the centre of the image",))
+        findings += Findings(("the principal point is the centre of the image",))
     cx, cy = cameras.principal_point_px or (0.5 * width, 0.5 * height)
     model = cameras.model or ("PINHOLE" if fx != fy else "SIMPLE_PINHOLE")
     if model not in MODELS:
@@ -178,7 +178,7 @@ def lens_from_config(cameras: CamerasConfig, headers: dict[str, Exif]) -> tuple[
         )
     values = {"f": fx, "fx": fx, "fy": fy, "cx": cx, "cy": cy, **dict(zip(coefficients, given, strict=True))}
     try:
-        return Lens(model, tuple(values[name] for name in names), width, height), said
+        return Lens(model, tuple(values[name] for name in names), width, height), findings
     except LensError as error:
         raise ConfigError(f"[cameras] in {FILE_NAME}: {error}") from error
 
@@ -208,8 +208,8 @@ def _focal(cameras: CamerasConfig, headers: dict[str, Exif]) -> tuple[tuple[floa
             f"EXIF gives focal lengths from {found[0]:.0f} to {found[-1]:.0f} px, expected one camera; give focal_px "
             f"in [cameras] in {FILE_NAME}, or poses with a camera per image (COLMAP)"
         )
-    said = f"the focal length is {found[0]:.1f} px, a design value from EXIF and not a calibration"
-    return (found[0], found[0]), Findings((said,))
+    message = f"the focal length is {found[0]:.1f} px, a design value from EXIF and not a calibration"
+    return (found[0], found[0]), Findings((message,))
 
 
 @dataclass(frozen=True)
@@ -244,10 +244,10 @@ def read_file_poses(found: Found, path: Path) -> tuple[FilePoses, Findings]:
         raise
     paired, of_pairs = pair(found, file.poses)
     poses, of_lenses = with_lenses(found, list(paired.values()))
-    said = Findings(tuple(file.notes), tuple(file.warnings)) + of_pairs + of_lenses
+    findings = Findings(tuple(file.notes), tuple(file.warnings)) + of_pairs + of_lenses
     datum, of_datum = _datum(found, file)
     found, of_clicks = _with_clicked_level(found, file, poses)
-    said += Findings(warnings=tuple(angle_warnings(poses, file.frame))) + of_datum + of_clicks
+    findings += Findings(warnings=tuple(angle_warnings(poses, file.frame))) + of_datum + of_clicks
     warnings = []
     frame, views = local_frame.views_in_local(found, file, poses)
     if file.tool is not None and found.config.water is not None:
@@ -262,7 +262,7 @@ def read_file_poses(found: Found, path: Path) -> tuple[FilePoses, Findings]:
     points, misses = _ties(found, path, file, frame, {called: by_name[pose.name] for called, pose in paired.items()})
     priors = priors_of_poses(found.config.cameras, views, _given(found, file, poses, frame), datum)
     of_file = FilePoses(found, frame, views, points, file.tool, file.masks, misses, priors)
-    return of_file, said + Findings(warnings=tuple(warnings))
+    return of_file, findings + Findings(warnings=tuple(warnings))
 
 
 def _datum(found: Found, file: PoseFile) -> tuple[DatumStd, Findings]:
@@ -287,8 +287,8 @@ def _with_clicked_level(found: Found, file: PoseFile, poses: list[Pose]) -> tupl
         return found, Findings()
     dry = replace(found, config=replace(found.config, water=None))
     frame, views = local_frame.views_in_local(dry, file, poses)
-    config, clicked, said = with_level_of_clicks(found.folder, found.config, views, frame)
-    return replace(found, config=config, levels=found.levels + clicked), said
+    config, clicked, findings = with_level_of_clicks(found.folder, found.config, views, frame)
+    return replace(found, config=config, levels=found.levels + clicked), findings
 
 
 def _ties(

@@ -70,9 +70,9 @@ def with_masks(found: Found, views: Sequence[View], own: Path | None) -> tuple[l
             f"no mask in {given} has the name of an image, expected e.g. {Path(views[0].name).stem}.png; rename them"
         )
     _require_sizes(masked)
-    said = f"the masks are those {where}, of {len(views) - len(without)} images; black is left out"
+    message = f"the masks are those {where}, of {len(views) - len(without)} images; black is left out"
     warnings = (*named(without, "image", "without a mask, used whole"), *_warnings(masked))
-    return masked, Findings((said,) if given is None else (), warnings)
+    return masked, Findings((message,) if given is None else (), warnings)
 
 
 def _masked(found: Found, views: Sequence[View], folder: Path | None) -> list[View]:
@@ -159,7 +159,7 @@ class PlacedViews:
 
 def views_of_file(found: Found, path: Path) -> tuple[PlacedViews, Findings]:
     """Views with the poses of a file."""
-    file, said = read_file_poses(found, path)
+    file, findings = read_file_poses(found, path)
     found, frame = file.found, file.frame
     views, of_images = _with_images(found, file.views, file.masks)
     control, checkpoints, of_control = place_control(found.control, frame, [view.name for view in views])
@@ -167,7 +167,7 @@ def views_of_file(found: Found, path: Path) -> tuple[PlacedViews, Findings]:
     placed = PlacedViews(
         found, frame, views, file.points, None, file.tool, file.reprojection, priors, control, checkpoints
     )
-    return placed, said + of_images + of_control
+    return placed, findings + of_images + of_control
 
 
 def views_of_photographs(
@@ -187,13 +187,13 @@ def views_of_photographs(
     views, of_images = _with_images(found, views, None)
     priors: Mapping[str, PosePrior] = priors_of_gps(found, frame, views, solved.rejected)
     control, checkpoints, of_control = place_control(found.control, frame, [view.name for view in views])
-    said = Findings(tuple(solved.assumptions), tuple(solved.warnings)) + of_images + of_control
+    findings = Findings(tuple(solved.assumptions), tuple(solved.warnings)) + of_images + of_control
     priors = priors if control is None else _held_by_control(priors)
     block, of_parts = checked_parts(found, frame, ControlledBlock(views, ties, control, priors))
     placed = PlacedViews(
         found, frame, block.views, block.ties.start, block.ties, None, None, block.priors, block.control, checkpoints
     )
-    return placed, said + of_parts
+    return placed, findings + of_parts
 
 
 def _held_by_control(priors: Mapping[str, PosePrior]) -> dict[str, PosePrior]:
@@ -202,11 +202,11 @@ def _held_by_control(priors: Mapping[str, PosePrior]) -> dict[str, PosePrior]:
 
 def _with_images(found: Found, views: list[View], masks: Path | None) -> tuple[list[View], Findings]:
     """Views by name with their masks; images must have the size of their lens."""
-    views, said = with_masks(found, sorted(views, key=lambda view: view.name), masks)
+    views, findings = with_masks(found, sorted(views, key=lambda view: view.name), masks)
     for view in views:
         require_image(view, found.headers[view.name])
     require_all_complete([path for view in views for path in (view.path, view.mask_path) if path is not None])
-    return views, said
+    return views, findings
 
 
 def shifted_above_water(
@@ -235,10 +235,10 @@ def shifted_above_water(
     x, y, _ = np.median(centres, axis=0).tolist()
     level = float(water.height(x, y)) + (0.0 if departure is None else float(departure.at(np.array([[x, y]]))[0][0]))
     up = level - over_points(placed.ties.start, centres)
-    said = "under the water" if over.min() <= 0.0 else f"more than {most_m:.0f} m over the water"
+    message = "under the water" if over.min() <= 0.0 else f"more than {most_m:.0f} m over the water"
     warning = (
-        f"the heights of their positions put the cameras {said} ({over.min():.1f} to {over.max():.1f} m over it): the "
-        "height of the block is taken from the water level; check level_m and its vertical datum"
+        f"the heights of their positions put the cameras {message} ({over.min():.1f} to {over.max():.1f} m over it): "
+        "the height of the block is taken from the water level; check level_m and its vertical datum"
     )
     shift = np.array([0.0, 0.0, up])
     ties = replace(placed.ties, start=placed.ties.start + shift)

@@ -164,12 +164,12 @@ def require_level_fits(
     most_m : [m]
         Over the water, from which the cameras are far above it.
     """
-    said = f"[water] level_m is {water.level_m:g} m and {who} at {heights.min():.1f} to {heights.max():.1f} m"
+    message = f"[water] level_m is {water.level_m:g} m and {who} at {heights.min():.1f} to {heights.max():.1f} m"
     remedy = f"give level_m in {FILE_NAME} in the same vertical datum as {like}"
     if (over_water <= 0.0).all():
-        raise ConfigError(f"{said}, all of them under the water; {remedy}")
+        raise ConfigError(f"{message}, all of them under the water; {remedy}")
     if (over_water > most_m).all():
-        raise ConfigError(f"{said}, all of them more than {most_m:.0f} m over the water; {remedy}")
+        raise ConfigError(f"{message}, all of them more than {most_m:.0f} m over the water; {remedy}")
 
 
 def _require_bounds_near(frame: LocalFrame, centres: np.ndarray, bounds: tuple[float, ...]) -> None:

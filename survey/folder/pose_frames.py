@@ -54,11 +54,11 @@ def points_in_crs(file: PoseFile, points: np.ndarray, crs: CRS, gps_height: str)
         raise PosesError(f"the file of poses: {fault}; convert them")
     if file.crs is None:
         return points * [1.0, 1.0, units.height_factor(Units.of(crs))]
-    said, own = units.height_m, height_unit_m(file.crs) if has_height(file.crs) else None
-    if said is not None and own is not None and not same_unit(said, own):
+    stated, own = units.height_m, height_unit_m(file.crs) if has_height(file.crs) else None
+    if stated is not None and own is not None and not same_unit(stated, own):
         raise PosesError(
-            f"{_HEIGHTS} are in units of {said:.10g} m by the name of their column, and of {own:.10g} m by the CRS of "
-            "their file; correct one of them"
+            f"{_HEIGHTS} are in units of {stated:.10g} m by the name of their column, and of {own:.10g} m by the CRS "
+            "of their file; correct one of them"
         )
     height = points[:, 2] * height_scale(file.crs, crs, _HEIGHTS, unit_m=units.height_m)
     if crs_difference(horizontal_crs(file.crs), horizontal_crs(crs)) is None:

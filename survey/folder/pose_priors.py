@@ -177,8 +177,8 @@ def _by_gps(cameras: CamerasConfig, position: np.ndarray | None, header: Exif, d
 
 def accuracy_of_priors(priors: Mapping[str, PosePrior]) -> str:
     """Accuracy of the positions of views, and its source, in one sentence."""
-    said = _accuracy([(prior.position_std, prior.source) for prior in priors.values()])
-    return f"{said}{_in_common(common_plan_std(priors))}"
+    message = _accuracy([(prior.position_std, prior.source) for prior in priors.values()])
+    return f"{message}{_in_common(common_plan_std(priors))}"
 
 
 def _in_common(plan_std: float) -> str:
@@ -192,13 +192,13 @@ def accuracy_of_gps(cameras: CamerasConfig, headers: Mapping[str, Exif], datum: 
     """
     given = [header.lat_lon_height for header in headers.values()]
     known = [position is not None and math.isfinite(position[2]) for position in given]
-    said = _accuracy(
+    message = _accuracy(
         [
             _std_by_exif(cameras, header, datum) if is_known else (None, "none")
             for header, is_known in zip(headers.values(), known, strict=True)
         ]
     )
-    return f"{said}{_in_common(datum.plan)}"
+    return f"{message}{_in_common(datum.plan)}"
 
 
 def _accuracy(all_stds: Sequence[tuple[np.ndarray | None, str]]) -> str:

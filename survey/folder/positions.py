@@ -72,9 +72,9 @@ def far_from_others(
     off = np.zeros(len(names))
     for camera in [np.s_[:]] if cameras is None else [cameras == each for each in np.unique(cameras)]:
         off[camera] = _off_the_line(plan[camera], None if seconds is None else seconds[camera])
-    said = np.array([f"{name} (by {of_it:.0f} m)" for name, of_it in zip(names, off, strict=True)])
+    labels = np.array([f"{name} (by {of_it:.0f} m)" for name, of_it in zip(names, off, strict=True)])
     warnings += named(
-        _few(said, main & ~alone & (off > 0.0)),
+        _few(labels, main & ~alone & (off > 0.0)),
         "image",
         f"off the line of flight by its {by} position, between those before and after it",
     )
@@ -94,9 +94,9 @@ def _far_in_height(names: np.ndarray, heights: np.ndarray, by: str) -> list[str]
     # Exactly 0 is what receivers write without a height: no other flight, however many have it.
     no_height = far & (heights == 0.0)
     low, high = heights[~far].min(), heights[~far].max()
-    said = np.array([f"{name} ({of_it:.1f} m)" for name, of_it in zip(names, heights, strict=True)])
+    labels = np.array([f"{name} ({of_it:.1f} m)" for name, of_it in zip(names, heights, strict=True)])
     return named(
-        said[no_height].tolist() + _few(said, far & ~no_height),
+        labels[no_height].tolist() + _few(labels, far & ~no_height),
         "image",
         f"far from the others by its {by} height, which are at {low:.1f} to {high:.1f} m",
     )

@@ -131,7 +131,7 @@ def require_solvable(found: Found) -> list[str]:
     require_level_fits_exif(found.config, found.headers, found.crs)
     for transform in transforms_into_crs(found.headers, found.crs, cameras.gps_height):
         std = best_plan_std(cameras, [found.headers[name] for name in transform.names])
-        require_accurate(transform.plan, std, transform.said, 0 if found.control is None else found.control.num_given)
+        require_accurate(transform.plan, std, transform.label, 0 if found.control is None else found.control.num_given)
     require_size(found.images, found.headers, cameras.size_px)
     focal = one_focal(cameras.focal_px)
     require_focal(found)
@@ -187,7 +187,7 @@ def placing_control(found: Found) -> BlockControl | None:
     if control is not None and _spans_area(found):
         return control
     if not may_hold_roll(found) and (control is None or not control.marks):
-        raise PosesError(f"{line.said(len(positions.local))}; {ROLL_REMEDY}")
+        raise PosesError(f"{line.describe(len(positions.local))}; {ROLL_REMEDY}")
     return None
 
 
@@ -239,8 +239,8 @@ def solve_views(found: Found, workspace: Path | None, report: Callable[[str], No
     without = [name for name in found.images if name not in solved]
     warnings += named(without, "image", "without a pose, left out")
     rejected = _rejected_positions(views, result.gps_residual_m)
-    said = [f"{name} (by {metres:.1f} m)" for name, metres in rejected.items()]
-    warnings += named(said, "GPS position", "that the block contradicts, left out")
+    parts = [f"{name} (by {metres:.1f} m)" for name, metres in rejected.items()]
+    warnings += named(parts, "GPS position", "that the block contradicts, left out")
     return SolvedViews(
         result.frame, tuple(views), result.ties, tuple(result.notes), tuple(warnings), frozenset(rejected)
     )
@@ -290,15 +290,15 @@ def require_scale(found: Found) -> None:
     positions = list(gps_positions(found.headers, found.crs, cameras.gps_height).local.values())
     apart = float(np.linalg.norm(positions[0] - positions[1]))
     std = best_plan_std(cameras, found.headers.values())
-    said = "good to" if math.isfinite(std) else "of unstated accuracy, taken as"
+    message = "good to" if math.isfinite(std) else "of unstated accuracy, taken as"
     std = std if math.isfinite(std) else GPS_STD_M
     share = math.sqrt(2.0) * std / max(apart, 1e-9)
     if share > _MOST_SCALE_STD:
         raise PosesError(
-            f"the scale of two photographs is not known: their GPS positions lie {apart:.3g} m apart, {said} {std:.2g} "
-            f"m each, which tells it to {100.0 * share:.0f} %, and {100.0 * _MOST_SCALE_STD:.0f} % would be of use; "
-            f"give three control points that both show ([control] gcps{_marked(found)}), or [cameras] position_std_m "
-            "if they are better"
+            f"the scale of two photographs is not known: their GPS positions lie {apart:.3g} m apart, {message} "
+            f"{std:.2g} m each, which tells it to {100.0 * share:.0f} %, and {100.0 * _MOST_SCALE_STD:.0f} % would be "
+            f"of use; give three control points that both show ([control] gcps{_marked(found)}), or [cameras] "
+            "position_std_m if they are better"
         )
 
 

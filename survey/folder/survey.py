@@ -255,27 +255,27 @@ class _LocalWater:
 def _local_water(placed: PlacedViews) -> tuple[_LocalWater, Findings]:
     """The water, from settings, measurements, clicks or points."""
     found, frame, views = placed.found, placed.frame, placed.views
-    config, is_level_known, levels, said = found.config, True, found.levels, Findings()
+    config, is_level_known, levels, findings = found.config, True, found.levels, Findings()
     if found.poses_path is None:
         # A poses file has placed the clicks already.
-        config, clicked, said = with_level_of_clicks(found.folder, config, views, frame)
+        config, clicked, findings = with_level_of_clicks(found.folder, config, views, frame)
         levels += clicked
     else:
         # Held against the GPS positions already where structure from motion finds the poses.
         cameras = lon_lat(found.crs, frame.crs_from_local(_centres(views)))
-        said = Findings(warnings=tuple(water_place_warnings(found.crs, cameras, config.water, levels)))
+        findings = Findings(warnings=tuple(water_place_warnings(found.crs, cameras, config.water, levels)))
     if config.water is not None and config.water.level_m is None:
         (config, of_points), is_level_known = (
             local_frame.with_level_of_points(config, frame, views, placed.points),
             False,
         )
-        said += of_points
+        findings += of_points
     config, of_surface = with_plane_of_surface(config, levels, views, frame)
     config, plane, of_plane = local_frame.water_in_local(config, frame, views)
     departure = Departure.of(levels, frame, plane)
     if departure is None and plane is not None:
         departure = still_water(frame, plane, _seen(placed))
-    return _LocalWater(config, plane, departure, levels, is_level_known), said + of_surface + of_plane
+    return _LocalWater(config, plane, departure, levels, is_level_known), findings + of_surface + of_plane
 
 
 def _with_poses_name(config: SurveyConfig, found: Found) -> SurveyConfig:

@@ -137,8 +137,8 @@ class FolderPhotographs:
     @property
     def says_ellipsoidal(self) -> bool:
         """Whether XMP says of most photographs that their heights count from the ellipsoid."""
-        said = [header.height_datum for header in self.headers.values() if header.height_datum is not None]
-        return 2 * sum(datum == ELLIPSOIDAL for datum in said) > len(said)
+        parts = [header.height_datum for header in self.headers.values() if header.height_datum is not None]
+        return 2 * sum(datum == ELLIPSOIDAL for datum in parts) > len(parts)
 
 
 def write_crs(photographs: FolderPhotographs, answers: Answers, top: SettingsTable, cameras: SettingsTable) -> CRS:
@@ -208,7 +208,7 @@ def _vertical(
     """EPSG code of the heights, what they are, and what else they might be."""
     place = photographs.lat_lon
     systems = () if place is None else height_systems_at(*place)
-    listed = tuple(_said(system) for system in systems)
+    listed = tuple(_label(system) for system in systems)
     chosen = systems[0] if len(systems) == 1 else None
     if len(systems) > 1 and answers.ask is not None:
         choice = answers.ask(f"Heights: {'; '.join(listed)}. Code, or empty for EGM96").strip().removeprefix("EPSG:")
@@ -257,7 +257,7 @@ def _of_ellipsoidal(
     return _WGS84_3D, "heights above the ellipsoid", more
 
 
-def _said(system: CRS) -> str:
+def _label(system: CRS) -> str:
     return f"{system.to_epsg()} {system.name} ({_area(system)})"
 
 

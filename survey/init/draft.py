@@ -85,9 +85,9 @@ def draft(folder: Path, answers: Answers) -> str:
     if (folder / "masks").is_dir():
         images.set("masks", "masks", "black is left out")
     headers = {name: read_exif(path) for name, path in found.items()}
-    table, said = find_geo_txt(folder, folder / inferred.images.dir), Findings()
+    table, findings = find_geo_txt(folder, folder / inferred.images.dir), Findings()
     if table is not None:
-        headers, said = with_positions(table, headers)
+        headers, findings = with_positions(table, headers)
     headers = without_void_fixes(headers)
     poses = find_poses(folder)
     if poses:
@@ -96,8 +96,8 @@ def draft(folder: Path, answers: Answers) -> str:
         cameras.set("poses", poses[0].relative_to(folder).as_posix(), not_certain)
     else:
         cameras.say(f"No poses found: structure from motion computes them from the {len(found)} photographs.")
-    cameras.say(*(f"Found: {sentence}." for sentence in said.assumptions))
-    cameras.say(*(f"Not certain: {sentence}." for sentence in said.warnings))
+    cameras.say(*(f"Found: {sentence}." for sentence in findings.assumptions))
+    cameras.say(*(f"Not certain: {sentence}." for sentence in findings.warnings))
     photographs = FolderPhotographs(headers, poses[0] if poses else None, read_poses(poses[0]) if poses else None)
     if photographs.file is not None and any(pose.lens is None for pose in photographs.file.poses):
         cameras.say(

@@ -65,19 +65,19 @@ def with_marks(path: Path, marks: Iterable[ControlMark], crs: CRS, images: Itera
     at = [i for i in range(head + 1, len(lines)) if is_of_content(lines[i])]
     names = ImageNames(images)
     called = [names.find(mark.image, mark.where) for mark in content.marks]
-    said = list(zip(at, (point.name for point in content.points), called, strict=True))
+    marked = list(zip(at, (point.name for point in content.points), called, strict=True))
     marks = list(marks)
     removed = {(mark.point, mark.image) for mark in marks if mark.pixel is None}
     # Points without names are numbered in the order of their lines, which a removal may change.
-    if any((point, image) in removed and _is_nameless(lines[i]) for i, point, image in said):
-        for i, point, _ in said:
+    if any((point, image) in removed and _is_nameless(lines[i]) for i, point, image in marked):
+        for i, point, _ in marked:
             lines[i] = "\t".join([*line_cells(lines[i]), point]) if _is_nameless(lines[i]) else lines[i]
     unmarked = {cells[6]: i for i, line in enumerate(lines) if len(cells := _cells_without_mark(line)) > 6}
     kept: dict[int, str | None] = dict(enumerate(lines))
     new = []
     for mark in marks:
-        of_point = [line for line, point, _ in said if point == mark.point]
-        of_mark = [line for line, point, image in said if (point, image) == (mark.point, mark.image)]
+        of_point = [line for line, point, _ in marked if point == mark.point]
+        of_mark = [line for line, point, image in marked if (point, image) == (mark.point, mark.image)]
         if mark.pixel is not None:
             if of_point:
                 cells = line_cells(lines[of_point[0]])
@@ -219,13 +219,13 @@ def with_click(path: Path, name: str, image: str, pixel: tuple[float, float] | N
 
 
 def _text(path: Path, rows: list[dict[str, str]]) -> str:
-    said = list(text_lines(path, ConfigError)) if path.is_file() else []
+    lines = list(text_lines(path, ConfigError)) if path.is_file() else []
     comments = []
-    for _, line in said:
+    for _, line in lines:
         if line.strip() and not line.lstrip().startswith("#"):
             break
         comments.append(line)
-    columns = list(column_names(path)) if said else list(_COLUMNS)
+    columns = list(column_names(path)) if lines else list(_COLUMNS)
     written = io.StringIO()
     table = csv.DictWriter(written, columns or _COLUMNS, restval="", lineterminator="\n")
     table.writeheader()

@@ -226,29 +226,29 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _object(body: bytes) -> dict:
-    said = json.loads(body)
-    if not isinstance(said, dict):
+    request = json.loads(body)
+    if not isinstance(request, dict):
         raise ValueError("expected an object in JSON")
-    return said
+    return request
 
 
-def _key(said: dict) -> PointKey:
-    return PointKey(str(said["kind"]), str(said["name"]))
+def _key(request: dict) -> PointKey:
+    return PointKey(str(request["kind"]), str(request["name"]))
 
 
-def _mark(session: MarkingSession, said: dict) -> dict:
-    pixel = None if said["pixel"] is None else _numbers(said["pixel"], 2)
-    session.store.set(_key(said), str(said["image"]), pixel)
+def _mark(session: MarkingSession, request: dict) -> dict:
+    pixel = None if request["pixel"] is None else _numbers(request["pixel"], 2)
+    session.store.set(_key(request), str(request["image"]), pixel)
     return session.state()
 
 
-def _add(session: MarkingSession, said: dict) -> dict:
-    place = said.get("place")
-    session.store.add(*_key(said), None if place is None else _numbers(place, 3))
+def _add(session: MarkingSession, request: dict) -> dict:
+    place = request.get("place")
+    session.store.add(*_key(request), None if place is None else _numbers(place, 3))
     return session.state()
 
 
-def _undo(session: MarkingSession, said: dict) -> dict:
+def _undo(session: MarkingSession, request: dict) -> dict:
     edit = session.store.undo()
     return session.state() | {"undone": {"kind": edit.key.kind, "name": edit.key.name, "image": edit.image}}
 

@@ -145,7 +145,7 @@ class MarkingSession:
 
     def _point(self, key: PointKey, point: GivenPoint | None, own: Mapping[str, Pixel]) -> dict:
         """A point with its marks: residuals [px], standard deviation and error of their intersection [m]."""
-        said: dict = {
+        answer: dict = {
             "kind": key.kind,
             "name": key.name,
             "check": point is not None and point.is_check,
@@ -159,23 +159,23 @@ class MarkingSession:
             "depth_m": None,
         }
         if self._posed is None:
-            return said
+            return answer
         given = self._given(point)
         met = self._meet(key, own)
         if given is not None:
-            said["depth_m"] = self._depth(given)
+            answer["depth_m"] = self._depth(given)
         if met is None:
-            return said
+            return answer
         names = [name for name in own if name in self._views]
-        said["residuals"] = dict(zip(names, met.residuals.tolist(), strict=True))
-        said["std_m"] = np.sqrt(np.diag(met.covariance)).tolist()
+        answer["residuals"] = dict(zip(names, met.residuals.tolist(), strict=True))
+        answer["std_m"] = np.sqrt(np.diag(met.covariance)).tolist()
         if given is not None:
-            said["off_m"] = (met.place - given).tolist()
+            answer["off_m"] = (met.place - given).tolist()
         if key.kind == WATER:
-            said["level"] = float(self._posed.frame.crs_from_local(met.place)[2]) * height_unit_m(self._found.crs)
+            answer["level"] = float(self._posed.frame.crs_from_local(met.place)[2]) * height_unit_m(self._found.crs)
         elif given is None:
-            said["depth_m"] = self._depth(met.place)
-        return said
+            answer["depth_m"] = self._depth(met.place)
+        return answer
 
     @property
     def _views(self) -> Mapping[str, View]:

@@ -87,10 +87,10 @@ def std_of_gps(gps: dict) -> tuple[float, float, float] | None:
 
 def other_datum(gps: dict, xmp: str) -> str:
     """The datum of a position by its name in EXIF or XMP; empty where there is none, or it is WGS 84 or alike."""
-    for said in (words(plain(gps.get(ExifTags.GPS.GPSMapDatum))), horizontal_datum(xmp)):
-        bare = "".join(letter for letter in said.upper() if letter.isalnum())
+    for name in (words(plain(gps.get(ExifTags.GPS.GPSMapDatum))), horizontal_datum(xmp)):
+        bare = "".join(letter for letter in name.upper() if letter.isalnum())
         if bare and not bare.startswith(_LIKE_WGS84) and bare not in ("NONE", "UNKNOWN", "UNDEFINED"):
-            return said
+            return name
     return ""
 
 
@@ -169,8 +169,8 @@ def focal_warning(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -
     """Reason why the focal length may not apply to the stored image size; empty where there is none."""
     zoom = number(details.get(ExifTags.Base.DigitalZoomRatio))
     # Cameras differ in whether the 35 mm equivalent has it.
-    said = f"a digital zoom of {zoom:g} by EXIF, which its focal length may leave out" if zoom > 1.0 else ""
-    return " and ".join(filter(None, (said, _resized_warning(size, details, xmp))))
+    message = f"a digital zoom of {zoom:g} by EXIF, which its focal length may leave out" if zoom > 1.0 else ""
+    return " and ".join(filter(None, (message, _resized_warning(size, details, xmp))))
 
 
 def _resized_warning(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -> str:

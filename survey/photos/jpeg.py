@@ -237,8 +237,8 @@ def _scans_fault(layout: _Layout, data: bytes) -> str | None:
             data + _END, colorspace=colours, strict=True, min_height=1, min_width=1, min_factor=_BLOCK
         )
     except ValueError as error:
-        said = " ".join(str(error).split())[:100]
-        return None if _OF_THE_END.fullmatch(said) else said
+        reason = " ".join(str(error).split())[:100]
+        return None if _OF_THE_END.fullmatch(reason) else reason
     return None
 
 

@@ -92,7 +92,7 @@ def open_image(path: Path) -> Iterator[Image.Image]:
 
 
 @contextmanager
-def damage_named(said: str) -> Iterator[None]:
+def damage_named(message: str) -> Iterator[None]:
     """Context manager that turns errors of a decoder about damaged or hostile files into ImageError.
 
     Errors of the disk, which have an errno, pass through.
@@ -107,7 +107,7 @@ def damage_named(said: str) -> Iterator[None]:
         why = " ".join(str(error).split())[:200] or type(error).__name__
         if isinstance(error, UnidentifiedImageError):  # its own text names an object of Python
             why = "its first bytes are those of no known format"
-        raise ImageError(f"{said} ({why}); copy it again or remove it") from error
+        raise ImageError(f"{message} ({why}); copy it again or remove it") from error
 
 
 def open_stream(file: BinaryIO, *formats: str) -> Image.Image:
@@ -133,11 +133,12 @@ def _require_fit(path: Path, width: int, height: int) -> None:
     if width * height <= _FITS_PX:
         return
     most = _SHARE_OF_MEMORY * machine.memory_bytes() / _BYTES_PER_PIXEL
-    said = f"{path} has {width} x {height} pixels ({width * height / 1e6:.0f} Mpx)"
+    message = f"{path} has {width} x {height} pixels ({width * height / 1e6:.0f} Mpx)"
     if width * height > most:
         raise ImageError(
-            f"{said}, expected at most {most / 1e6:.0f} Mpx on this machine ({_BYTES_PER_PIXEL} bytes a pixel in half "
-            f"of {machine.memory_bytes() / 1e9:.1f} GB); use smaller images with poses made from them, or more memory"
+            f"{message}, expected at most {most / 1e6:.0f} Mpx on this machine ({_BYTES_PER_PIXEL} bytes a pixel in "
+            f"half of {machine.memory_bytes() / 1e9:.1f} GB); use smaller images with poses made from them, or more "
+            "memory"
         )
 
 
@@ -229,12 +230,12 @@ def _decode_16_bits(path: Path, image: Image.Image, bits: int) -> np.ndarray:
     if path.suffix.lower() in HEIC_SUFFIXES:
         heif = library_for(path, "pillow_heif", "heic")
         return np.asarray(heif.open_heif(path, convert_hdr_to_8bit=False))[:, :, :3]
-    tags, said = getattr(image, "tag_v2", {}), f"{path} has {bits} bits per channel"
+    tags, message = getattr(image, "tag_v2", {}), f"{path} has {bits} bits per channel"
     if tags.get(_PLANES) == _SEPARATE_PLANES:
-        raise ImageError(f"{said} in separate planes, expected the channels of a pixel together; convert it")
+        raise ImageError(f"{message} in separate planes, expected the channels of a pixel together; convert it")
     pixels = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     if pixels is None or pixels.dtype != np.uint16:
-        raise ImageError(f"{said} in a form that cannot be read; convert it to PNG or TIFF of 16 bits")
+        raise ImageError(f"{message} in a form that cannot be read; convert it to PNG or TIFF of 16 bits")
     pixels = pixels[:, :, None].repeat(3, axis=2) if pixels.ndim == 2 else pixels[:, :, 2::-1]
     return np.ascontiguousarray(_as_stored(pixels, tags.get(_ORIENTATION, 1)))
 

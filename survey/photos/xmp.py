@@ -96,10 +96,10 @@ def height_datum(xmp: str) -> str | None:
     """
     if _text_in(xmp, _DJI, "AltitudeType") == "RtkAlt":
         return ELLIPSOIDAL
-    said = _text_in(xmp, "CRSInfo", "VERTCRS") or _text_in(xmp, _PIX4D, "VertCS")
-    if said is None:
+    datum = _text_in(xmp, "CRSInfo", "VERTCRS") or _text_in(xmp, _PIX4D, "VertCS")
+    if datum is None:
         return None
-    return ELLIPSOIDAL if said.upper().startswith(_ELLIPSOIDS) else said
+    return ELLIPSOIDAL if datum.upper().startswith(_ELLIPSOIDS) else datum
 
 
 def horizontal_datum(xmp: str) -> str:

@@ -148,9 +148,9 @@ def check_survey(
 def _sections(
     rows, decisions: tuple[Decision, ...], workload: Workload | str, assumptions, warnings, plan: dict | None = None
 ) -> list[CheckSection]:
-    said = (*((d.name, f"{d.choice}: {d.reason}") for d in decisions), ("workload", str(workload)))
+    decided = (*((d.name, f"{d.choice}: {d.reason}") for d in decisions), ("workload", str(workload)))
     numbers = {**(plan or {}), "workload": workload if isinstance(workload, Workload) else None}
-    sections = [CheckSection("Found", tuple(rows)), CheckSection("Plan", said, numbers)]
+    sections = [CheckSection("Found", tuple(rows)), CheckSection("Plan", decided, numbers)]
     sections += [CheckSection("Assumed", tuple(("", text) for text in assumptions))] if assumptions else []
     sections += [CheckSection("Warnings", tuple(("", text) for text in warnings))] if warnings else []
     return sections

@@ -76,22 +76,24 @@ def _stds(control: FoundControl) -> str:
         parts.append(f"{len(of_file)} good to {east:.3g}, {north:.3g} and {up:.3g} m (their file)")
     if len(of_file) < len(points):
         std_m = control.config.std_m
-        said = f"{std_m:g} m" if not isinstance(std_m, tuple) else f"{std_m[0]:g} m across and {std_m[1]:g} m in height"
-        parts.append(f"{len(points) - len(of_file)} good to {said} ([control] std_m)")
+        message = (
+            f"{std_m:g} m" if not isinstance(std_m, tuple) else f"{std_m[0]:g} m across and {std_m[1]:g} m in height"
+        )
+        parts.append(f"{len(points) - len(of_file)} good to {message} ([control] std_m)")
     return f"{', '.join(parts)}; marks to {control.config.marks_std_px:g} px"
 
 
 def water_stds(water: WaterConfig, levels: Sequence[LevelObservation], *, is_index_known: bool = True) -> str:
     """Standard deviations of the water parameters with their sources, as text; empty where none is known."""
     known = {"level": water.level_std_m, "index": water.index_std, "slopes": water.slope_std}
-    said = [f"{name} to {std:.3g}{' m' if name == 'level' else ''}" for name, std in known.items() if std is not None]
+    parts = [f"{name} to {std:.3g}{' m' if name == 'level' else ''}" for name, std in known.items() if std is not None]
     by = FILE_NAME
     measured = [each.source for each in levels if each.source != "level_m"]
     if measured and water.level_std_m is not None:
-        by = f"{measured[0]}, {len(measured)} measured" + (f", and {FILE_NAME}" if len(said) > 1 else "")
+        by = f"{measured[0]}, {len(measured)} measured" + (f", and {FILE_NAME}" if len(parts) > 1 else "")
     if not is_index_known:
         by += "; that of the index is assumed"
-    told = f"; known: {', '.join(said)} ({by})" if said else ""
+    told = f"; known: {', '.join(parts)} ({by})" if parts else ""
     if water.level_m is not None and water.level_std_m is None:
         told += f"; level_std_m is not given, {STAFF_STD_M:g} m as of a staff are assumed: say how well it is known"
     return told

@@ -113,12 +113,12 @@ def motion_text(speed: float | None, exposure: float | None, pixel: float | None
         missing = "the speed" if speed is None else "the exposure time" if exposure is None else "the flying height"
         return f"unknown: {missing} is not given"
     blur = speed * exposure / pixel
-    said = f"blurs by {blur:.2f} px at most ({speed:.1f} m/s, open for {1000.0 * exposure:.2g} ms{known})"
+    message = f"blurs by {blur:.2f} px at most ({speed:.1f} m/s, open for {1000.0 * exposure:.2g} ms{known})"
     if blur <= BLUR_GOOD_PX:
-        return verdict_text(Verdict.good, said, "")
+        return verdict_text(Verdict.good, message, "")
     slower, shorter = BLUR_GOOD_PX * pixel / exposure, BLUR_GOOD_PX * pixel / speed
     advice = f"fly at {slower:.1f} m/s or slower, or open the shutter for {1000.0 * shorter:.2g} ms or less"
-    return verdict_text(verdict_by_limits(blur, BLUR_GOOD_PX, BLUR_FAIR_PX), said, advice)
+    return verdict_text(verdict_by_limits(blur, BLUR_GOOD_PX, BLUR_FAIR_PX), message, advice)
 
 
 def sharpness_text(found: Found) -> str:
@@ -138,29 +138,29 @@ def sharpness_text(found: Found) -> str:
     if not np.isfinite(sharp).all():
         return "unknown: the photographs are too small"
     blurred = {name: float(value) for name, value in zip(clear, sharp, strict=True) if value < LEAST_SHARP}
-    said, advice = [], []
+    parts, advice = [], []
     if plain:
         more = f" and {len(plain) - _MOST_NAMED} more" if len(plain) > _MOST_NAMED else ""
         verb = "is" if len(plain) == 1 else "are"
         named = ", ".join(plain[:_MOST_NAMED])
-        said.append(f"{len(plain)} {of} {verb} black or of one colour all over, and show nothing: {named}{more}")
+        parts.append(f"{len(plain)} {of} {verb} black or of one colour all over, and show nothing: {named}{more}")
         advice.append("take these out of the image folder")
     if white:
         worst = _named([(name, f"{100.0 * white[name]:.0f} %") for name in sorted(white, key=lambda n: -white[n])])
         verb = "is" if len(white) == 1 else "are"
-        said.append(f"{len(white)} {of} {verb} more than half white by glint of the sun or exposure: {worst}")
+        parts.append(f"{len(white)} {of} {verb} more than half white by glint of the sun or exposure: {worst}")
         advice.append("saturated pixels show nothing of the bed: expose less, or fly at a lower sun")
     if blurred:
         worst = _named([(name, f"{blurred[name]:.2f}") for name in sorted(blurred, key=lambda n: blurred[n])])
-        said.append(
+        parts.append(
             f"{len(blurred)} {of} have less than {LEAST_SHARP:g} of the usual detail in some direction: {worst}"
         )
         advice.append("look at these, and take those that are blurred out of the image folder")
     elif clear:
-        said.append(f"none {of} is blurred against the others (the worst has {sharp.min():.2f})")
+        parts.append(f"none {of} is blurred against the others (the worst has {sharp.min():.2f})")
     bad = len(plain) + len(white) + len(blurred)
     verdict = Verdict.good if not bad else Verdict.fair if bad <= 0.1 * len(names) else Verdict.poor
-    return verdict_text(verdict, "; ".join(said), "; ".join(advice))
+    return verdict_text(verdict, "; ".join(parts), "; ".join(advice))
 
 
 def _named(worst: list[tuple[str, str]]) -> str:

@@ -165,9 +165,9 @@ def _choice_by_check(survey: Survey) -> tuple[str, str]:
         return "check", f"{_UNSTATED}, unless photographs contradict them"
     if provenance.pose_misfit_px < 0.0:
         return "fixed", f"{_UNSTATED}; too few matches to check them"
-    said = f"reprojection misfit {provenance.pose_misfit_px:.2f} px with the given poses"
+    message = f"reprojection misfit {provenance.pose_misfit_px:.2f} px with the given poses"
     if provenance.contradiction is not None:
-        return "refine", f"{said}, and {provenance.contradiction}: water, poses and lens are adjusted"
+        return "refine", f"{message}, and {provenance.contradiction}: water, poses and lens are adjusted"
     if provenance.pose_misfit_px > MOST_MISFIT_PX:
-        return "refine", f"{said}, more than {MOST_MISFIT_PX:g}: poses, lens and water are adjusted"
-    return "fixed", f"{said}, at most {MOST_MISFIT_PX:g}: they need no adjustment"
+        return "refine", f"{message}, more than {MOST_MISFIT_PX:g}: poses, lens and water are adjusted"
+    return "fixed", f"{message}, at most {MOST_MISFIT_PX:g}: they need no adjustment"

@@ -221,8 +221,8 @@ def _by_place(survey: Survey, departure: Departure) -> Decision:
     moved = "points of the bed are moved to it"
     if departure.source == EARTH:
         return Decision(EARTH, "followed", f"still water lies up to {away} below its tangent plane; {moved}")
-    said = f"{departure.source} lies up to {away} off one plane under the cameras"
-    return Decision("level", "by place", f"{said}; {moved}")
+    message = f"{departure.source} lies up to {away} off one plane under the cameras"
+    return Decision("level", "by place", f"{message}; {moved}")
 
 
 def _tide(survey: Survey) -> tuple[Decision, ...]:

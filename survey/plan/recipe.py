@@ -154,10 +154,10 @@ def aim_and_choices(asked: ProcessConfig) -> tuple[Aim | None, Choices]:
         field=asked.field or USUAL.field,
         scale=asked.image_scale,
     )
-    said = {field.name: getattr(asked, field.name) for field in fields(Choices)}
+    chosen = {field.name: getattr(asked, field.name) for field in fields(Choices)}
     # Keys and reports have words, not the members of an enumeration.
     words: dict[str, Any] = {
-        name: str(value) if isinstance(value, str) else value for name, value in said.items() if value is not None
+        name: str(value) if isinstance(value, str) else value for name, value in chosen.items() if value is not None
     }
     return aim, replace(USUAL, **words)
 

@@ -104,12 +104,12 @@ def read_opk_csv(path: Path) -> PoseFile:
 
 def _synonyms(path: Path) -> dict[str, str]:
     """The meanings of the columns of a table, by their names in it, units among them."""
-    return {cell: said[0] for cell in column_names(path, {}) if (said := meaning(cell, _NAMES)) is not None}
+    return {cell: known[0] for cell in column_names(path, {}) if (known := meaning(cell, _NAMES)) is not None}
 
 
 def _units(path: Path) -> dict[str, float]:
     """Units [m] that the names of the columns of a table have, by meaning."""
-    found = [said for cell in column_names(path, {}) if (said := meaning(cell, _NAMES)) is not None]
+    found = [known for cell in column_names(path, {}) if (known := meaning(cell, _NAMES)) is not None]
     return {name: unit for name, unit in found if unit is not None}
 
 

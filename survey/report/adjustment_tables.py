@@ -45,8 +45,8 @@ def _parts(found: AdjustmentFigures) -> list[Block]:
         "part", "photographs", "number", "points", f"to the next part [{far.name}]", f"height, 1 sigma [{unit.name}]",
         f"less that of part 1, 1 sigma [{unit.name}]",
     )  # fmt: skip
-    said = "No point is seen by photographs of two parts: positions, control and water alone hold these together."
-    return [Text(said), Table(titles, rows, num_texts=2, heading="Parts without common tie points")]
+    message = "No point is seen by photographs of two parts: positions, control and water alone hold these together."
+    return [Text(message), Table(titles, rows, num_texts=2, heading="Parts without common tie points")]
 
 
 def parameter_table(parameters: Sequence[Parameter]) -> Table:

@@ -57,8 +57,8 @@ def headline(verdict: RunVerdict | None, warnings: tuple[str, ...]) -> Headline:
     gates = verdict.gates
     num_failed = sum(not gate.passed for gate in gates)
     if num_failed:
-        said = f"{num_failed} of {len(gates)} quality gates {'is' if num_failed == 1 else 'are'} not met."
-        return Headline("failed", "Failed", f"{said} Do not use the cloud without checking it.", gates)
+        message = f"{num_failed} of {len(gates)} quality gates {'is' if num_failed == 1 else 'are'} not met."
+        return Headline("failed", "Failed", f"{message} Do not use the cloud without checking it.", gates)
     met = "All quality gates are met"
     if warnings:
         them = "the warning" if len(warnings) == 1 else f"the {len(warnings)} warnings"
@@ -188,27 +188,27 @@ def _part(value_m2: float, whole_m2: float) -> str:
 
 def limitations(figures: ReportFigures) -> list[Block]:
     """Fitness of the cloud for purposes, in sentences with this run's figures."""
-    said, std = [], figures.height_std
+    parts, std = [], figures.height_std
     if std is not None:
         told = f"A typical height is within {length(_SIGMAS_95 * std.whole)} of the truth in 95 of 100 cases"
         if std.shared:
             shared = length(_SIGMAS_95 * std.shared)
             told += f"; of that, {shared} are a common shift of all heights, which averaging does not reduce"
-        said.append(f"{told}, if level, index and positions are as accurate as stated.")
-    said.append(
+        parts.append(f"{told}, if level, index and positions are as accurate as stated.")
+    parts.append(
         f"Things smaller than about {length(_SMALLEST_GSD * figures.plan.gsd_m)} are smoothed away or missing; what "
         "stands on a wall or under an overhang may be missing too."
     )
     if figures.water is not None:
-        said.append(
+        parts.append(
             "The water was taken as at rest: waves add noise, and where they do not average out, a bias. What moves, "
             "as plants and fish, is wrong or missing."
         )
-        said.append(
+        parts.append(
             "The top of plants counts as bed where they hide it. No statement is made on the ground below them, nor on "
             "what lies where no bed was found."
         )
-        said.append("Not a nautical survey: search for obstructions and full coverage were not tested.")
+        parts.append("Not a nautical survey: search for obstructions and full coverage were not tested.")
     if figures.checkpoints is None and figures.comparison is None:
-        said.append("Nothing independent was measured with it: no check points, no reference.")
-    return [Sentences(said)]
+        parts.append("Nothing independent was measured with it: no check points, no reference.")
+    return [Sentences(parts)]

@@ -173,12 +173,12 @@ def write_pdf(html: Path, path: Path, *, browsers: Sequence[str] = BROWSERS) -> 
         command = [browser, *options, f"--print-to-pdf={printed}", html.resolve().as_uri()]
         try:
             done = subprocess.run(command, capture_output=True, timeout=_MOST_S, check=False)
-            said = done.stderr.decode("utf-8", "replace").strip().splitlines()[-1:]
+            reason = done.stderr.decode("utf-8", "replace").strip().splitlines()[-1:]
         except (OSError, subprocess.TimeoutExpired) as error:
-            said = [str(error)]
+            reason = [str(error)]
         if not printed.is_file():
             raise UnwritableFile(
-                f"{path}: {browser} did not print {html} ({' '.join(said)[:200]}); open it in a browser and print it "
+                f"{path}: {browser} did not print {html} ({' '.join(reason)[:200]}); open it in a browser and print it "
                 "there."
             )
         content = printed.read_bytes()

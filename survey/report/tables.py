@@ -115,9 +115,9 @@ def _light(light: LightFigures) -> str:
     shares = ", ".join(
         f"{name} {share(value)}" for name, value in (("red", light.red), ("green", light.green), ("blue", light.blue))
     )
-    said = f"{light.wavelength_nm:.0f} nm: {shares} {'of the texture' if light.is_measured else 'by luma'}"
+    message = f"{light.wavelength_nm:.0f} nm: {shares} {'of the texture' if light.is_measured else 'by luma'}"
     moved = "" if light.over_sodium_m is None else f", or {length(light.over_sodium_m)} at the median depth"
-    return f"{said}; the index belongs to it. At 589 nm, as in handbooks, it is {light.over_sodium:.4f} less{moved}"
+    return f"{message}; the index belongs to it. At 589 nm, as in handbooks, it is {light.over_sodium:.4f} less{moved}"
 
 
 def decisions(taken: tuple[Decision, ...]) -> list[Block]:
@@ -245,10 +245,10 @@ def iho_s44(found: VerticalUncertainty | None) -> list[Block]:
     ]  # fmt: skip
     titles = ("order", "result", "TVU at the median depth [m]", "wet points within their TVU [%]",
               *(f"{label.replace(' ', NO_BREAK)} [%]" for label in labels))  # fmt: skip
-    said = (
+    message = (
         f"The error of 95 % of the {count(iho.n_points)} wet points is below {length(iho.error_95_m)} ({found.error})."
     )
-    return [Text(said), Table(titles, rows, num_texts=2), Text(iho.note, is_soft=True)]
+    return [Text(message), Table(titles, rows, num_texts=2), Text(iho.note, is_soft=True)]
 
 
 def checkpoints(found: CheckpointAccuracy | None) -> list[Block]:

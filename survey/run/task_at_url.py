@@ -118,9 +118,9 @@ def compute_at_url(name: str, url: str, task: Task, code: str) -> tuple[str, flo
             needs[stage] = Path(scratch) / path.name
             remote.fetch_folder(f"stages/{path.name}", needs[stage])
         job.fetch_photographs(tile)
-        said = compute_into(tile, task, folder, needs)
+        lines = compute_into(tile, task, folder, needs)
         remote.put_folder(folder, place)
-    return place, time.monotonic() - start, said
+    return place, time.monotonic() - start, lines
 
 
 @lru_cache(maxsize=1)

@@ -57,7 +57,7 @@ def with_colour(survey: Survey, folder: Path) -> Survey:
     red, green, blue = record["absorption_per_m"]
     _, given = survey.require_water()
     water = replace(given, colour=WaterColour((red, green, blue), (0.0, 0.0, 0.0)))
-    said = ", ".join(f"{a:.3f}" for a in (red, green, blue))
-    note = f"absorption_per_m = [{said}], from the photographs, and no veiling_light"
+    listed = ", ".join(f"{a:.3f}" for a in (red, green, blue))
+    note = f"absorption_per_m = [{listed}], from the photographs, and no veiling_light"
     findings = survey.findings + Findings(assumptions=(note,))
     return replace(survey, config=replace(survey.config, water=water), findings=findings)

@@ -121,11 +121,11 @@ def compute_task(job: Path, stages: Path, task: Task, code: str) -> tuple[Path, 
     with reporting_disk_errors(folder):
         folder.mkdir()
     try:
-        said = compute_into(tile, task, folder, task.needs)
+        lines = compute_into(tile, task, folder, task.needs)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
-    return folder, time.monotonic() - start, said
+    return folder, time.monotonic() - start, lines
 
 
 def require_code(code: str) -> None:
@@ -136,14 +136,14 @@ def require_code(code: str) -> None:
 
 def compute_into(tile: TileJob, task: Task, folder: Path, needs: Mapping[str, Path]) -> list[tuple[str, str]]:
     """Compute a task into a folder, from folders of stages; what it had to say."""
-    said = cast(_RecordedProgress, tile.whole.progress)
-    said.lines.clear()
+    recorded = cast(_RecordedProgress, tile.whole.progress)
+    recorded.lines.clear()
     try:
         task.compute(tile, folder, needs)
     finally:
         tile.drop()
         tile.whole.release()
-    return list(said.lines)
+    return list(recorded.lines)
 
 
 def forget_jobs() -> None:

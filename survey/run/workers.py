@@ -142,12 +142,12 @@ class Workers:
                     futures[again] = number
                     waiting.add(again)
                     continue
-                folder, seconds, said = found
+                folder, seconds, parts = found
                 if (failure := failures.get(number)) is not None:
                     why = f"{tasks[number].name}: the worker on {failure.machine} could not compute it"
-                    said = [*said, ("warn", f"{why} ({failure.error}); another one has")]
+                    parts = [*parts, ("warn", f"{why} ({failure.error}); another one has")]
                 ended += 1
-                yield number, folder, seconds, said
+                yield number, folder, seconds, parts
         except (CancelledError, CommClosedError) as error:
             raise SurveyError(
                 f"the scheduler of the workers was lost; {len(tasks) - ended} of {len(tasks)} tiles are missing: start "

@@ -99,9 +99,9 @@ class ProcessConfig:
             if value is not None and not (math.isfinite(value) and value > 0.0):
                 raise ConfigError(f"[process] {name} is {value:g}, expected a number above zero")
         if self._says(_AIM) and self._says(_RECIPE):
-            said = [name for name in (*_AIM, *_RECIPE) if getattr(self, name) not in (None, Field.auto)]
+            parts = [name for name in (*_AIM, *_RECIPE) if getattr(self, name) not in (None, Field.auto)]
             raise ConfigError(
-                f"[process] has {' and '.join(said)}, but {' and '.join(_AIM)} choose quality, field and image scale "
+                f"[process] has {' and '.join(parts)}, but {' and '.join(_AIM)} choose quality, field and image scale "
                 "themselves; keep one kind"
             )
 

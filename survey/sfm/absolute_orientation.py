@@ -87,19 +87,19 @@ def place_by_gps(
     def by_positions(block: pycolmap.Reconstruction) -> str:
         trusted = _to_positions(block, positions)
         std = gps_std(_residuals(block, trusted))
-        said = (
+        message = (
             f"{len(trusted)} GPS positions differ from it by about {std[0]:.2f} m east and north and {std[2]:.2f} m "
             "up, "
             "before the adjustment"
         )
         line = line_of(list(trusted.values()), float(std.max()))
         if line is None:
-            return said
+            return message
         # Control over an area is the better start.
         if nearby is not None and (by_control := _by_area(nearby, block, alias_of)) is not None:
             return by_control
         met = None if nearby is None else intersect_marks(nearby, views_of_block(block, alias_of))
-        return f"{said}; {line.said(len(trusted))}: {_roll(block, line, turned, met)}"
+        return f"{message}; {line.describe(len(trusted))}: {_roll(block, line, turned, met)}"
 
     placements: list[Placement] = [by_positions]
     if spare is not None:
@@ -145,10 +145,10 @@ def _placement_by_control(
         fit = fit_control(
             control if frame is control.frame else control.in_frame(frame), views_of_block(block, alias_of)
         )
-        said = _onto_control(block, fit)
+        message = _onto_control(block, fit)
         if fit.line is None:
-            return said
-        return f"{said}; {fit.line.said(len(fit.used))}: {_roll(block, fit.line, attitudes, None)}"
+            return message
+        return f"{message}; {fit.line.describe(len(fit.used))}: {_roll(block, fit.line, attitudes, None)}"
 
     return by_control
 

@@ -50,14 +50,14 @@ def plan_std(transformation: Transformation) -> float:
     return transformation.accuracy_m or 0.0
 
 
-def require_accurate(transformation: Transformation, plan_std_m: float, said: str, num_control: int) -> None:
+def require_accurate(transformation: Transformation, plan_std_m: float, positions: str, num_control: int) -> None:
     """Raise where a grid is missing, and the best transformation without it is worse than the positions, or not known.
 
     Parameters
     ----------
     plan_std_m : [m]
         Of the places in plan, before.
-    said : str
+    positions : str
         What they are, e.g. "GPS positions".
     num_control : int
         Control points that place the block all the same.
@@ -68,7 +68,9 @@ def require_accurate(transformation: Transformation, plan_std_m: float, said: st
     """
     if plan_std_m > WELL_KNOWN_M or num_control >= _PLACING:
         return
-    transformation.require_known(said, f"or give {_PLACING} control points or more in crs, which then place the block")
+    transformation.require_known(
+        positions, f"or give {_PLACING} control points or more in crs, which then place the block"
+    )
     if not transformation.missing_grids:
         return
     if transformation.accuracy_m is not None and transformation.accuracy_m <= plan_std_m:
@@ -76,7 +78,7 @@ def require_accurate(transformation: Transformation, plan_std_m: float, said: st
     known = "an unknown accuracy" if transformation.accuracy_m is None else f"{transformation.accuracy_m:.2g} m"
     as_good = "taken as exact" if plan_std_m == 0.0 else f"good to {plan_std_m:.2g} m"
     transformation.require_best(
-        f"{said} are {as_good}, and the best transformation without a grid has {known}",
+        f"{positions} are {as_good}, and the best transformation without a grid has {known}",
         f"or put it into the folder geoid of the survey; or give {_PLACING} control points or more in crs, which then "
         f"place the block, or position_std_m of {transformation.accuracy_m or 10.0:.2g} and more in [cameras] in "
         f"{FILE_NAME}: the survey may then be shifted by as much",
@@ -106,25 +108,25 @@ def height_transformer(crs: CRS, area: AreaOfInterest) -> Transformer:
     """
     vertical = vertical_crs(crs)
     target = "EPSG:4979" if vertical is None else CompoundCRS(f"WGS 84 + {vertical.name}", ["EPSG:4326", vertical])
-    said = f'gps_height = "ellipsoidal" needs a transformation of heights from the ellipsoid to {crs.name}'
+    message = f'gps_height = "ellipsoidal" needs a transformation of heights from the ellipsoid to {crs.name}'
     instead = f'or give heights in crs and gps_height = "crs" in {FILE_NAME}'
     try:
         group = operations("EPSG:4979", target, area)
     except ProjError as error:
-        raise ConfigError(f"{said}, which PROJ does not know ({error}); {instead}") from error
+        raise ConfigError(f"{message}, which PROJ does not know ({error}); {instead}") from error
     if group.transformers:
         return group.transformers[0]
     geodetic = horizontal_crs(crs).geodetic_crs
     grids = [] if geodetic is None else _geoid_grids(group.unavailable_operations, geodetic.name)
     if not grids:
         raise ConfigError(
-            f"{said}, which PROJ does not have for the place of these photographs; correct the vertical part of crs, "
-            f"{instead}"
+            f"{message}, which PROJ does not have for the place of these photographs; correct the vertical part of "
+            f"crs, {instead}"
         )
     missing = f"the grid {grids[0]} is" if len(grids) == 1 else f"the grids {' and '.join(grids)} are"
     get = " and ".join(f"pyproj sync --file {name}" for name in grids)
     raise ConfigError(
-        f"{said}, and {missing} not installed; install with {get}, put it into the folder geoid of the "
+        f"{message}, and {missing} not installed; install with {get}, put it into the folder geoid of the "
         f"survey, {instead}"
     )
 

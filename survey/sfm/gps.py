@@ -87,8 +87,8 @@ def what_is_missing(headers: Mapping[str, Exif]) -> str:
     flat = sum(header.lat_lon_height is not None and not is_whole(header.lat_lon_height) for header in headers.values())
     if flat:
         faults["the altitude"] = flat
-    said = [f"{fault} is missing in {num} of the images" for fault, num in faults.items()]
-    return f", as {' and '.join(said)}" if said else ""
+    parts = [f"{fault} is missing in {num} of the images" for fault, num in faults.items()]
+    return f", as {' and '.join(parts)}" if parts else ""
 
 
 def positions_in_crs(headers: Mapping[str, Exif], crs: CRS, gps_height: str) -> tuple[dict[str, np.ndarray], list[str]]:
@@ -111,8 +111,8 @@ def positions_in_crs(headers: Mapping[str, Exif], crs: CRS, gps_height: str) -> 
     notes: list[str] = []
     for source in dict.fromkeys(source for source, _ in given.values()):
         of_source = {name: place for name, (own, place) in given.items() if own == source}
-        points, said = _in_crs(crs, source, np.array(list(of_source.values())), gps_height)
-        notes += said
+        points, of_source_notes = _in_crs(crs, source, np.array(list(of_source.values())), gps_height)
+        notes += of_source_notes
         if not np.isfinite(points).all():
             name = list(of_source)[int(np.argmin(np.isfinite(points).all(axis=1)))]
             raise ConfigError(
@@ -127,7 +127,7 @@ def positions_in_crs(headers: Mapping[str, Exif], crs: CRS, gps_height: str) -> 
 class PositionTransform:
     """Transformation of the GPS positions of one source into crs."""
 
-    said: str  # What they are, for messages
+    label: str  # What they are, for messages
     names: tuple[str, ...]  # of their photographs
     plan: Transformation
     up_std_m: float  # [m]: that the geoid adds to heights above the ellipsoid; 0 where they are taken as they are
@@ -142,7 +142,7 @@ def transforms_into_crs(headers: Mapping[str, Exif], crs: CRS, gps_height: str) 
         places = np.array(list(own.values()))
         up = _geoid_std(crs, source, places) if gps_height == "ellipsoidal" else 0.0
         plan = Transformation.between(source.crs, crs, places)
-        transforms.append(PositionTransform(f"GPS positions{source.said}", tuple(own), plan, up))
+        transforms.append(PositionTransform(f"GPS positions{source.suffix}", tuple(own), plan, up))
     return transforms
 
 
@@ -169,9 +169,9 @@ def datum_stds(headers: Mapping[str, Exif], crs: CRS, gps_height: str) -> dict[s
 
 def datum_warnings(transforms: Sequence[PositionTransform]) -> list[str]:
     """Warnings where GPS positions in crs are less well known than as they are given."""
-    warnings = [transform.plan.warning(transform.said) for transform in transforms]
+    warnings = [transform.plan.warning(transform.label) for transform in transforms]
     warnings += [
-        f"heights of {transform.said} are transformed by a geoid with an accuracy of "
+        f"heights of {transform.label} are transformed by a geoid with an accuracy of "
         f"{transform.up_std_m:.2g} m by PROJ: an error common to all of them"
         for transform in transforms
         if transform.up_std_m > WELL_KNOWN_M
@@ -187,7 +187,7 @@ class _Source:
     crs: CRS
 
     @property
-    def said(self) -> str:
+    def suffix(self) -> str:
         return "" if self.name == _EXIF else f" in {self.name}"
 
 
@@ -213,25 +213,25 @@ def _in_crs(crs: CRS, source: _Source, places: np.ndarray, gps_height: str) -> t
     if gps_height not in ("crs", "ellipsoidal"):
         raise ConfigError(f'[cameras] gps_height is "{gps_height}", expected "crs" or "ellipsoidal"')
     own, vertical = vertical_crs(source.crs), vertical_crs(crs)
-    said = f"the GPS heights in {source.name}"
+    message = f"the GPS heights in {source.name}"
     if gps_height == "crs" and has_height(source.crs) and own is None and vertical is not None:
         raise ConfigError(
-            f"{said} are above the ellipsoid ({source.crs.name}), and those of crs above {vertical.name}; write "
+            f"{message} are above the ellipsoid ({source.crs.name}), and those of crs above {vertical.name}; write "
             f'gps_height = "ellipsoidal" in [cameras] in {FILE_NAME}'
         )
     if gps_height == "crs" or own is not None:
-        scale = height_scale(source.crs, crs, said)
+        scale = height_scale(source.crs, crs, message)
         above = f"above {vertical.name}" if vertical is not None else "above the ellipsoid"
-        taken = f'gps_height = "crs": {said} are taken as heights in crs, {above}'
+        taken = f'gps_height = "crs": {message} are taken as heights in crs, {above}'
         return np.stack([east, north, places[:, 2] * scale], axis=-1), [] if has_height(source.crs) else [taken]
     lon, lat = lon_lat(source.crs, places).T
     to_height = height_transformer(crs, area_at(lon, lat))
     steps = [step for step in to_height.description.split(" + ") if not step.startswith("axis order change")]
     taken = (
-        f'gps_height = "ellipsoidal": {said} are taken as heights above the WGS 84 ellipsoid '
+        f'gps_height = "ellipsoidal": {message} are taken as heights above the WGS 84 ellipsoid '
         f"({' + '.join(steps) or 'no change'})"
     )
-    metres = places[:, 2] * height_scale(source.crs, _WGS84_3D, said)
+    metres = places[:, 2] * height_scale(source.crs, _WGS84_3D, message)
     return np.stack([east, north, to_height.transform(lon, lat, metres)[2]], axis=-1), [taken]
 
 

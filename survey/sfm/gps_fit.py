@@ -63,7 +63,7 @@ class PositionLine:
     std_m: float  # [m]: of the positions
     what: str = "GPS positions"  # What they are, as a plural
 
-    def said(self, num: int) -> str:
+    def describe(self, num: int) -> str:
         """The finding on so many of them, as a clause."""
         return (
             f"{num} {self.what} lie on one line (spread {self.along:.1f} m along and {self.across:.2f} m across, good "

@@ -225,7 +225,7 @@ class OnDemand:
         """Show or hide it; what cannot be computed is told in the browsers, and tried again the next time."""
         if on and self._node is None:
             clients = self._server.get_clients().values()
-            said = [
+            parts = [
                 client.add_notification(self._label, "is being computed", loading=True, with_close_button=False)
                 for client in clients
             ]
@@ -235,7 +235,7 @@ class OnDemand:
                 for client in clients:
                     client.add_notification(self._label, str(error), color="red")
             finally:
-                for each in said:
+                for each in parts:
                     each.remove()
         if self._node is not None:
             self._node.visible = on
@@ -330,7 +330,7 @@ def add_field(server: viser.ViserServer, field: TrainedField, show: Callable[[np
     def render(event: viser.GuiEvent) -> None:
         if event.client is None:
             return
-        said = event.client.add_notification("trained field", "is being rendered", loading=True)
+        notification = event.client.add_notification("trained field", "is being rendered", loading=True)
         try:
             show(field.picture(viewpoint_of(event.client.camera), dry=not wet.value))
             for note in field.notes:
@@ -339,4 +339,4 @@ def add_field(server: viser.ViserServer, field: TrainedField, show: Callable[[np
         except (SurveyError, RuntimeError) as error:
             event.client.add_notification("trained field", str(error), color="red")
         finally:
-            said.remove()
+            notification.remove()

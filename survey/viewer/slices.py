@@ -80,9 +80,9 @@ def load_reference(path: Path, frame: LocalFrame, cloud_crs: np.ndarray) -> Loca
     if isinstance(shape, Mesh):
         vertices, faces = weld(shape.vertices, shape.faces)
         return LocalReference(path, frame.local_from_crs(vertices), faces)
-    out, said = excluded_points(shape)
+    out, kinds = excluded_points(shape)
     if out.all():
-        raise SurveyError(f"no point of {path} is of the ground: it holds {said}")
+        raise SurveyError(f"no point of {path} is of the ground: it holds {kinds}")
     return LocalReference(path, frame.local_from_crs(masked_cloud(shape, ~out).points), None)
 
 

@@ -142,7 +142,7 @@ def field_config(run: str | Path, survey: str | None) -> FieldConfig:
 
 def volume_options(config: FieldConfig, **others: Any) -> VolumeOptions:
     """`VolumeOptions` of a configuration; what it leaves open has its default."""
-    said = {each.name: value for each in fields(config) if (value := getattr(config, each.name)) is not None}
+    given = {each.name: value for each in fields(config) if (value := getattr(config, each.name)) is not None}
     if config.monocular is not None:
-        said["monocular"] = Path(config.monocular)
-    return VolumeOptions(**said, **others)
+        given["monocular"] = Path(config.monocular)
+    return VolumeOptions(**given, **others)

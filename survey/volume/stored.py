@@ -63,7 +63,7 @@ class StoredVolume:
         return StoredVolume(folder, recipe, ground, counts, run.flight.water)
 
     def load(
-        self, device: str = "auto", note: Callable[[str], None] = lambda said: current().note(said)
+        self, device: str = "auto", note: Callable[[str], None] = lambda text: current().note(text)
     ) -> Callable[[PinholeCamera, bool], NovelView]:
         """Render function of the field, with the water or, ``dry``, without; ``note`` is told of unfinished training.
 
@@ -74,8 +74,8 @@ class StoredVolume:
         """
         if self.counts is not None:
             views = SubmoduleViews(self.folder, self.recipe, self.ground, self.counts, device, self.drop)
-            for said in views.unfinished():
-                note(said)
+            for text in views.unfinished():
+                note(text)
             return views.view
         renderer, cells, step = self.recipe.restored(self.folder / STATE, self.ground.box, self.water, device)
         if step < self.recipe.steps:

@@ -87,15 +87,15 @@ class SubmoduleViews:
 
     def unfinished(self) -> list[str]:
         """Notes on missing training: cells with a bed that have none, and steps."""
-        said, report = [], self.folder / REPORT
+        parts, report = [], self.folder / REPORT
         left_out = read_json_object(report).get("left_out", {}) if report.is_file() else {}
         cells = sum(name not in left_out for name in self._with_bed)
         if len(self.folders) < cells:
-            said.append(f"{len(self.folders)} of {cells} cells of {self.folder} are trained so far")
+            parts.append(f"{len(self.folders)} of {cells} cells of {self.folder} are trained so far")
         for folder in self.folders.values():
             if (step := read_state(folder / STATE).get("step", 0)) < self.recipe.steps:
-                said.append(f"the training of {folder} has done {step} of {self.recipe.steps} steps so far")
-        return said
+                parts.append(f"the training of {folder} has done {step} of {self.recipe.steps} steps so far")
+        return parts
 
     def load(self, number: int) -> Submodule:
         """A submodule, with the matched appearance where there is one."""

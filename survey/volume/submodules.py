@@ -62,9 +62,9 @@ def train_submodules(run: LoadedRun, flight: Flight, options: VolumeOptions, fol
     reports, left_out = {}, {}
     for number, name in enumerate(grid.names()):
         part = ground.within(grid.box_of(number), options.cells)
-        said = f"{name}, {number + 1} of {len(grid)}"
+        message = f"{name}, {number + 1} of {len(grid)}"
         try:
-            trained = _trained(part, flight, options, partial(folder.part, f"{FOLDER}/{name}"), held, said)
+            trained = _trained(part, flight, options, partial(folder.part, f"{FOLDER}/{name}"), held, message)
         except TooFewPhotographs as error:
             left_out[name] = str(error)
             current().note(f"submodule {name} is left out: {error}")
@@ -102,13 +102,13 @@ def _trained(
     options: VolumeOptions,
     begun: Callable[[], VolumeFolder],
     held: NamedPhotographs,
-    said: str,
+    what: str,
 ) -> Trained:
     """The field of a cell, by the photographs that show its box and are not held; ``begun`` makes its folder."""
     if part is None:
         raise TooFewPhotographs("the run has no bed there")
     names = set(held.names)
-    with current().stage(f"Photographs of {said}", len(flight.views)) as stage:
+    with current().stage(f"Photographs of {what}", len(flight.views)) as stage:
         shown = photographs_of(part, flight, stage.advance, lambda name: name not in names)
     learned = training_photographs(shown, part, options.scene, len(flight.views))
     folder = begun()

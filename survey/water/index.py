@@ -40,17 +40,17 @@ def refractive_index(given: WaterConfig, light: Callable[[], MatchedLight]) -> t
     if given.medium.temperature_c is not None:
         return _of_water(given, given.medium.temperature_c, light())
     if given.refractive_index is None:
-        said = "fresh water (the sea has 1.340, 0.7 % more depth), "
-        return _converted(FRESH_WATER, SODIUM_NM, light(), said)
+        message = "fresh water (the sea has 1.340, 0.7 % more depth), "
+        return _converted(FRESH_WATER, SODIUM_NM, light(), message)
     if given.medium.index_wavelength_nm is None:
         return given.refractive_index, Findings()
     return _converted(given.refractive_index, given.medium.index_wavelength_nm, light(), "")
 
 
-def _converted(index: float, wavelength_nm: float, light: MatchedLight, said: str) -> tuple[float, Findings]:
+def _converted(index: float, wavelength_nm: float, light: MatchedLight, what: str) -> tuple[float, Findings]:
     """The index of the matched light, from that of a wavelength."""
     found = round(converted_index(index, wavelength_nm, light.shares), 6)
-    return found, Findings((f"refractive_index = {found}, {said}{index:g} at {wavelength_nm:g} nm for {light}",))
+    return found, Findings((f"refractive_index = {found}, {what}{index:g} at {wavelength_nm:g} nm for {light}",))
 
 
 def _of_water(given: WaterConfig, temperature_c: float, light: MatchedLight) -> tuple[float, Findings]:
@@ -62,7 +62,7 @@ def _of_water(given: WaterConfig, temperature_c: float, light: MatchedLight) -> 
             index = round(light.index(temperature_c, given.medium.salinity_psu or 0.0), 6)
         except ValueError as error:
             raise ConfigError(f"[water] in {FILE_NAME}: {error}; or give refractive_index instead") from error
-    said = f"refractive_index = {index}, of water of {temperature_c:g} degrees for {light}"
+    message = f"refractive_index = {index}, of water of {temperature_c:g} degrees for {light}"
     if fit_warnings:
-        said += f", although {' and '.join(dict.fromkeys(str(each.message) for each in fit_warnings))}"
-    return index, Findings((*assumed, said))
+        message += f", although {' and '.join(dict.fromkeys(str(each.message) for each in fit_warnings))}"
+    return index, Findings((*assumed, message))

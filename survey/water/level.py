@@ -96,24 +96,24 @@ def with_level(
         readings = readings_of_gauge(folder / water.sources.gauge, height_unit_m(crs))
         level, tide, count = tide_of_gauge(folder / water.sources.gauge, readings, headers)
         note = f"mean at {count} of {len(headers)} images, over which it changes by {1000.0 * tide.moves_m:.0f} mm"
-        water, said = _of_tide(water, level, readings, note)
-        return replace(config, water=water), readings, tide, said
+        water, findings = _of_tide(water, level, readings, note)
+        return replace(config, water=water), readings, tide, findings
     if water.sources.image_levels is not None:
         level, tide, found = tide_of_levels(folder / water.sources.image_levels, headers, height_unit_m(crs))
         note = f"mean of {len(found)} images, over which it changes by {1000.0 * tide.moves_m:.0f} mm"
-        water, said = _of_tide(water, level, found, note)
-        return replace(config, water=water), found, tide, said
+        water, findings = _of_tide(water, level, found, note)
+        return replace(config, water=water), found, tide, findings
     name = next((source for source in _POINTS if source in water.sources.named), None)
     if name is None:
         return config, (), tide, Findings()
     points, notes = points_of_surface(folder / water.sources.named[name], name, crs)
     if name == SURFACE:
         _require_apart(folder / water.sources.named[name], points, crs)
-    water, said = _of_points(water, points, crs)
+    water, findings = _of_points(water, points, crs)
     if name == SURFACE:
         # `with_plane_of_surface` fits the plane under the photographs, and reports it.
-        water, said = replace(water, level_std_m=config.water.level_std_m if config.water else None), Findings()
-    return replace(config, water=water), points, tide, Findings(notes) + said
+        water, findings = replace(water, level_std_m=config.water.level_std_m if config.water else None), Findings()
+    return replace(config, water=water), points, tide, Findings(notes) + findings
 
 
 def _require_apart(path: Path, points: Sequence[LevelObservation], crs: CRS) -> None:
@@ -150,8 +150,8 @@ def with_plane_of_surface(
     low, high = centres[:, :2].min(axis=0) - reach, centres[:, :2].max(axis=0) + reach
     near = [point for point, place in zip(points, at, strict=True) if ((place >= low) & (place <= high)).all()]
     water = replace(config.water, level_at=None, slope_east=0.0, slope_north=0.0)
-    water, said = _of_points(water, near if len(near) >= _LEAST_FOR_SLOPES else points, frame.crs)
-    return replace(config, water=water), said
+    water, findings = _of_points(water, near if len(near) >= _LEAST_FOR_SLOPES else points, frame.crs)
+    return replace(config, water=water), findings
 
 
 def with_level_of_clicks(
@@ -164,9 +164,9 @@ def with_level_of_clicks(
     water = config.water
     if water is None or water.sources.clicks is None:
         return config, (), Findings()
-    places, said = levels_of_clicks(folder / water.sources.clicks, views, frame)
+    places, findings = levels_of_clicks(folder / water.sources.clicks, views, frame)
     water, of_level = _of_points(water, places, frame.crs)
-    return replace(config, water=water), places, said + of_level
+    return replace(config, water=water), places, findings + of_level
 
 
 def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS) -> tuple[WaterConfig, Findings]:
@@ -192,7 +192,7 @@ def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS)
     common = COMMON_STD_M.get(source, 0.0)
     std = math.hypot(math.sqrt(np.array([1.0, *away]) @ fit.covariance @ np.array([1.0, *away])), common)
     shared = f", of which {common:g} m that all of them share" if common else ""
-    said = (
+    message = (
         f"level_m = {level:.3f} +- {std:.3f} from {fit.num_points} points in [water] {source}, slope "
         f"{fit.slope_east:.5f} east and {fit.slope_north:.5f} north{shared}"
     )
@@ -209,7 +209,7 @@ def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS)
         level_std_m=level_std_m,
         sources=LevelSources(),
     )
-    return water, Findings((said,), () if warning is None else (warning,))
+    return water, Findings((message,), () if warning is None else (warning,))
 
 
 def fit_surface(
@@ -277,6 +277,6 @@ def _of_tide(
     """
     source = found[0].source
     std = math.hypot(float(np.median([each.std_m for each in found])), COMMON_STD_M[source])
-    said = Findings((f"level_m = {level:.3f} +- {std:.3f} from [water] {source}: {note}",))
+    findings = Findings((f"level_m = {level:.3f} +- {std:.3f} from [water] {source}: {note}",))
     level_std = water.level_std_m or min(std, MOST_LEVEL_STD_M)
-    return replace(water, level_m=level, level_std_m=level_std, sources=LevelSources()), said
+    return replace(water, level_m=level, level_std_m=level_std, sources=LevelSources()), findings

@@ -96,14 +96,14 @@ def _points_of_raster(path: Path, source: str, crs: CRS) -> tuple[tuple[LevelObs
     """The middles of the cells of a GeoTIFF, in crs, or of squares of many, and a note of that."""
     notes: tuple[str, ...] = ()
     shape = read_reference(path)
-    said = f"the heights of {path.name}"
+    message = f"the heights of {path.name}"
     if shape.crs is None:
         points = vertices_of(in_height_unit(shape, height_unit_m(crs)))
     else:
         points = vertices_of(shape)
-        scale = height_scale(shape.crs, crs, said, unit_m=shape.height_unit_m)
+        scale = height_scale(shape.crs, crs, message, unit_m=shape.height_unit_m)
         if not horizontal_crs(shape.crs).equals(horizontal_crs(crs), ignore_axis_order=True):
-            points = transformed(shape.crs, crs, points, said, "or give the raster in crs.")
+            points = transformed(shape.crs, crs, points, message, "or give the raster in crs.")
         points = points * (1.0, 1.0, scale)
     if len(points) > _MOST_CELLS:
         low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
@@ -189,13 +189,13 @@ def water_place_warnings(
     for source, found in places.items():
         away = _distances_m(crs, cameras, np.array(found))
         worst, num_far = int(np.argmax(away)), int((away > FARTHEST_M).sum())
-        said = f"[water] {source}: {int((away > DOUBTFUL_M).sum())} of {len(away)} places"
+        message = f"[water] {source}: {int((away > DOUBTFUL_M).sum())} of {len(away)} places"
         if num_far:
             raise ConfigError(_too_far(crs, cameras, source, np.array(found), away))
         if away[worst] > DOUBTFUL_M:
             warnings.append(
-                f"{said} lie more than {DOUBTFUL_M / 1e3:g} km from all cameras, the farthest {away[worst] / 1e3:.1f} "
-                "km: check that they are on the water that the photographs show"
+                f"{message} lie more than {DOUBTFUL_M / 1e3:g} km from all cameras, the "
+                f"farthest {away[worst] / 1e3:.1f} km: check that they are on the water that the photographs show"
             )
     return warnings
 
@@ -203,14 +203,14 @@ def water_place_warnings(
 def _too_far(crs: CRS, cameras: np.ndarray, source: str, places: np.ndarray, away: np.ndarray) -> str:
     worst = int(np.argmax(away))
     e, n = places[worst]
-    said = f"[water] {source} has a place at {e:.10g}, {n:.10g}, which "
+    message = f"[water] {source} has a place at {e:.10g}, {n:.10g}, which "
     if np.isfinite(away[worst]):
-        said += f"lies {away[worst] / 1e3:.0f} km from the nearest camera in {crs.name}"
+        message += f"lies {away[worst] / 1e3:.0f} km from the nearest camera in {crs.name}"
     else:
-        said += f"is not on the map of {crs.name}"
+        message += f"is not on the map of {crs.name}"
     if (_distances_m(crs, cameras, places[:, ::-1]) <= FARTHEST_M).all():
-        return f"{said}, and near the cameras as {n:.10g}, {e:.10g}: give easting (or longitude) first"
-    return f"{said}; give places on the water of this survey in crs"
+        return f"{message}, and near the cameras as {n:.10g}, {e:.10g}: give easting (or longitude) first"
+    return f"{message}; give places on the water of this survey in crs"
 
 
 def _distances_m(crs: CRS, cameras: np.ndarray, places: np.ndarray) -> np.ndarray:

@@ -134,13 +134,13 @@ def _height_of(path: Path, properties: dict, is_flat: bool) -> float:
     flat = "third coordinates that are all 0, and " if is_flat else ""
     remedy = f"keep one property {_HEIGHT_NAMES[0]} with the height in crs, or give the height as third coordinate"
     if len(set(heights.values())) > 1:
-        said = ", ".join(f"{name} = {value:g}" for name, value in heights.items())
-        raise ConfigError(f"{path} has {flat}several properties that may be the height ({said}); {remedy}")
+        message = ", ".join(f"{name} = {value:g}" for name, value in heights.items())
+        raise ConfigError(f"{path} has {flat}several properties that may be the height ({message}); {remedy}")
     if heights:
         return next(iter(heights.values()))
     if like := _names_like_heights(properties):
-        said = ", ".join(f"{name} = {_number_in(properties[name]):g}" for name in like[:4] if name in properties)
-        raise ConfigError(f"{path} has {flat or 'positions without a height, and '}the property {said}; {remedy}")
+        message = ", ".join(f"{name} = {_number_in(properties[name]):g}" for name in like[:4] if name in properties)
+        raise ConfigError(f"{path} has {flat or 'positions without a height, and '}the property {message}; {remedy}")
     raise ConfigError(
         f"{path} has {'features without a height' if is_flat else 'positions without a height'}, expected three "
         f"coordinates, or a property {_HEIGHT_NAMES[0]}; a line in plan alone does not tell the level: measure heights "

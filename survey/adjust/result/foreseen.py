@@ -280,14 +280,14 @@ def _use(words: str, std: float, limit: float) -> str:
 def _heights_text(main: HeightStds, by_depth: Sequence[HeightStds]) -> str:
     """Standard deviations by depth, and the order of S-44 that those at the main depth meet."""
     each = [f"{_mm(std.of_point_m)} / {_mm(std.of_all_m)} mm at {std.depth_m:.2g} m of depth" for std in by_depth]
-    said = ", ".join(each) or f"{_mm(main.of_point_m)} / {_mm(main.of_all_m)} mm"
+    values = ", ".join(each) or f"{_mm(main.of_point_m)} / {_mm(main.of_all_m)} mm"
     total = TO_95 * math.hypot(main.of_point_m, main.of_all_m)
     allowed = [(name, math.hypot(a, b * main.depth_m)) for name, a, b in TVU]
     orders = [name for name, most in allowed if total <= most]
     order = f"; enough for S-44 {orders[0]} at {main.depth_m:.2g} m" if orders and by_depth else ""
     return verdict_text(
         verdict_by_limits(total, allowed[0][1], allowed[1][1]),
-        f"one sigma, of a point by matching / of all in common by water, lens and poses: {said}{order}",
+        f"one sigma, of a point by matching / of all in common by water, lens and poses: {values}{order}",
         "fly lower, with more overlap and oblique views",
     )
 

@@ -96,35 +96,35 @@ class GroundFit:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings about ground that changed, or contradicts the positions."""
-        said = []
+        parts = []
         for value, std, prior, axis in zip(self.off_m, self.off_std_m, self.off_prior_m, _AXES, strict=True):
             if abs(value) > _MOST_OFF * prior:
-                said.append(
+                parts.append(
                     f"{self.reference} lies {length(value)} (± {length(std)}) further {axis} than control and "
                     f"positions place it, and [control] reference_std_m says {length(prior)}: check its datum and "
                     "theirs, or give a larger reference_std_m"
                 )
         share = self.num_changed / max(self.num_over, 1)
         if share > _MOST_CHANGED:
-            said.append(
+            parts.append(
                 f"{100.0 * share:.0f} % of the tie points over the ground of {self.reference} do not fit it: it has "
                 "changed, or is another place; give polygons of stable ground in [control] stable"
             )
         if self.scatter > _MOST_SCATTER:
-            said.append(
+            parts.append(
                 f"tie points over the ground of {self.reference} scatter about it {self.scatter:.1f} times as much as "
                 "its own points: it may be another place or time; look at the bank in the cloud, give positions good "
                 "to a few metres, or polygons of stable ground in [control] stable"
             )
         if self.is_against_positions:
             moved = " / ".join(length(value) for value in self.moved[:3])
-            said.append(
+            parts.append(
                 f"{self.reference} places the block {moved} (east / north / up) from where the positions place it, "
                 "more than "
                 "their stated accuracies allow; the reference is used: check its datum, and those of the positions "
                 "and crs"
             )
-        return tuple(said)
+        return tuple(parts)
 
 
 def ground_fit(placed: GroundAlignment, moved: np.ndarray, reference: str, *, is_against_positions: bool) -> GroundFit:

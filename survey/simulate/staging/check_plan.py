@@ -196,8 +196,8 @@ def _hours_text(flight: GlitterOfFlight, time: datetime, place: tuple[float, flo
             spans[-1][1] = at
         else:
             spans.append([at, at])
-    said = " and ".join(f"{first:%H:%M} to {last:%H:%M}" for first, last in spans)
-    return f"{said}: little glitter, and the sun at {_LOWEST_SUN_DEG:g} degrees or higher"
+    hours = " and ".join(f"{first:%H:%M} to {last:%H:%M}" for first, last in spans)
+    return f"{hours}: little glitter, and the sun at {_LOWEST_SUN_DEG:g} degrees or higher"
 
 
 def _processing_rows(survey: Survey, quality: str, device: str) -> list[tuple[str, str]]:
